@@ -1,0 +1,93 @@
+"""What every term of the incremental potential offers to the time step.
+
+A time step minimises, over the positions ``x`` of all nodes at the end of the step,
+
+    Phi(x) = 1/2 (x - xhat)^T M (x - xhat) / dt^2  +  sum_terms E_term(x; step constants)
+
+A term owns its elements. It is bound once to the shared buffers and then reads positions and adds
+to energy, gradient and Hessian in place. Whatever a term remembers from step to step (plastic
+curvature, relaxation stress, friction anchors) lives in named arrays outside of it, so that a state
+is a value that can be copied, perturbed and replayed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+Internals = dict[str, np.ndarray]
+"""Internal variables of one term by name."""
+
+
+@dataclass(frozen=True)
+class Buffers:
+    """Arrays shared by all terms; contents change, the arrays themselves do not.
+
+    ``x``: positions [m], shape ``(n_nodes, 3)``. ``energy``: [J], shape ``(1,)``. ``gradient``:
+    dPhi/dx [N], shape ``(n_nodes, 3)``. ``hessian``: values of the upper triangle of the sparse
+    Hessian [N/m], shape ``(n_values + 1,)``; the last slot swallows entries that do not exist
+    (lower triangle, prescribed nodes).
+    """
+
+    x: np.ndarray
+    energy: np.ndarray
+    gradient: np.ndarray
+    hessian: np.ndarray
+
+
+@dataclass(frozen=True)
+class StepContext:
+    """Constants of one step: positions and velocities at its start, and its length [s]."""
+
+    x_start: np.ndarray
+    v_start: np.ndarray
+    dt: float
+
+
+class Term(Protocol):
+    """One law: its energy, its derivatives, its internal variables."""
+
+    name: str
+
+    def blocks(self) -> np.ndarray:
+        """Node pairs coupled by the Hessian, in storage order: int32, shape ``(n_blocks, 2)``.
+
+        Each pair ``(i, j)`` stands for the full 3 x 3 block d2E/dx_i dx_j. Symmetric partners are
+        listed too (the assembly drops the lower triangle).
+        """
+        ...
+
+    def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
+        """Prepare the kernels. ``slots``: int32 ``(n_blocks, 9)``, place of each entry of each block."""
+        ...
+
+    def configure(self, parameters: Mapping[str, float]) -> None:
+        """Take material values by name (without the body prefix). Must be cheap: no re-meshing."""
+        ...
+
+    def begin_step(self, step: StepContext, internals: Internals) -> None:
+        """Freeze what is constant during the step."""
+        ...
+
+    def add_energy(self) -> None:
+        """Add the energy at ``buffers.x`` to ``buffers.energy``."""
+        ...
+
+    def add_gradient(self) -> None:
+        """Add dE/dx at ``buffers.x`` to ``buffers.gradient``."""
+        ...
+
+    def add_hessian(self, exact: bool) -> None:
+        """Add d2E/dx2 to ``buffers.hessian``; positive semidefinite by construction unless ``exact``."""
+        ...
+
+    def end_step(self, step: StepContext, internals: Internals) -> Internals:
+        """Internal variables after the step that ended at ``buffers.x``."""
+        ...
+
+    def initial_internals(self) -> Internals:
+        """Internal variables of a virgin body at rest."""
+        ...

@@ -1,0 +1,1 @@
+"""Identification from recordings: parameters, their uncertainty, and missing physics. No ROS needed."""
