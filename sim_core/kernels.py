@@ -28,7 +28,7 @@ mat3 = ti.types.matrix(3, 3, ti.f64)
 
 def start() -> None:
     """Start Taichi on the CPU in double precision, once a process. Further calls do nothing."""
-    if impl.get_runtime()._prog is None:
+    if impl.get_runtime().prog is None:
         ti.init(
             arch=ti.cpu,
             default_fp=ti.f64,
@@ -37,6 +37,7 @@ def start() -> None:
             offline_cache=True,
             fast_math=False,
             log_level=ti.ERROR,
+            verbose=False,
         )
 
 

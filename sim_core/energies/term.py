@@ -51,6 +51,9 @@ class Term(Protocol):
     """One law: its energy, its derivatives, its internal variables."""
 
     name: str
+    mirrored: bool
+    """Entries below the diagonal are folded onto their mirror image (the term lists each pair once)
+    instead of being dropped (the term lists both partners)."""
 
     def blocks(self) -> np.ndarray:
         """Node pairs coupled by the Hessian, in storage order: int32, shape ``(n_blocks, 2)``.

@@ -1,0 +1,187 @@
+"""Membrane energy of a sheet: constant-strain triangles, plane stress, orthotropic if asked.
+
+    E = sum_T  h A_T / 2  eps^T C eps,    eps = (eps_11, eps_22, 2 eps_12),  Green strain
+    F = [x_1 - x_0, x_2 - x_0] Dm^-1  (3 x 2),    eps = (F^T F - I) / 2
+
+C is the plane-stress stiffness of :mod:`sim_core.materials.elastic` in the material axes of each
+triangle. Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, ch. 5 and 9
+(St. Venant-Kirchhoff). The Hessian splits into a material part (positive semidefinite) and a stress
+part; outside of ``exact`` the compressive principal stress is clamped to zero in the latter, which
+makes the sum positive semidefinite.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+import taichi as ti
+
+from sim_core.energies.term import Buffers, Internals, StepContext
+from sim_core.kernels import F1, F2, F3, I1, I2, BoundKernel, vec3
+from sim_core.materials.elastic import plane_stress
+
+# Upper blocks of the 3 x 3 node blocks, in storage order.
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+@ti.func
+def _shape(dm_inverse: ti.template(), e: ti.i32):
+    """Gradients of the three hat functions in the material axes (3 x 2)."""
+    b = ti.Matrix.zero(ti.f64, 3, 2)
+    for j in ti.static(range(2)):
+        b[1, j] = dm_inverse[e, 0, j]
+        b[2, j] = dm_inverse[e, 1, j]
+        b[0, j] = -dm_inverse[e, 0, j] - dm_inverse[e, 1, j]
+    return b
+
+
+@ti.func
+def _columns(x: ti.template(), tri: ti.template(), e: ti.i32, b: ti.template()):
+    """The two columns of the deformation gradient."""
+    f1 = vec3(0.0, 0.0, 0.0)
+    f2 = vec3(0.0, 0.0, 0.0)
+    for a in ti.static(range(3)):
+        p = vec3(x[tri[e, a], 0], x[tri[e, a], 1], x[tri[e, a], 2])
+        f1 += p * b[a, 0]
+        f2 += p * b[a, 1]
+    return f1, f2
+
+
+@ti.func
+def _strain(f1, f2):
+    return vec3(0.5 * (f1.dot(f1) - 1.0), 0.5 * (f2.dot(f2) - 1.0), f1.dot(f2))
+
+
+@ti.func
+def _stress(c: ti.template(), eps):
+    s = vec3(0.0, 0.0, 0.0)
+    for i in ti.static(range(3)):
+        for j in ti.static(range(3)):
+            s[i] += c[i, j] * eps[j]
+    return s
+
+
+@ti.kernel
+def _energy(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, out: F1):
+    ti.loop_config(serialize=True)
+    for e in range(tri.shape[0]):
+        b = _shape(dm_inverse, e)
+        f1, f2 = _columns(x, tri, e, b)
+        eps = _strain(f1, f2)
+        out[0] = out[0] + 0.5 * area[e] * eps.dot(_stress(c, eps))
+
+
+@ti.kernel
+def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, out: F2):
+    ti.loop_config(serialize=True)
+    for e in range(tri.shape[0]):
+        b = _shape(dm_inverse, e)
+        f1, f2 = _columns(x, tri, e, b)
+        s = _stress(c, _strain(f1, f2)) * area[e]
+        p1 = f1 * s[0] + f2 * s[2]
+        p2 = f1 * s[2] + f2 * s[1]
+        for a in ti.static(range(3)):
+            g = p1 * b[a, 0] + p2 * b[a, 1]
+            for j in ti.static(range(3)):
+                out[tri[e, a], j] = out[tri[e, a], j] + g[j]
+
+
+@ti.kernel
+def _hessian(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, exact: I1, slots: I2, out: F1):
+    ti.loop_config(serialize=True)
+    for e in range(tri.shape[0]):
+        b = _shape(dm_inverse, e)
+        f1, f2 = _columns(x, tri, e, b)
+        s = _stress(c, _strain(f1, f2))
+        if exact[0] == 0:
+            mean = 0.5 * (s[0] + s[1])
+            half = 0.5 * (s[0] - s[1])
+            radius = ti.sqrt(half * half + s[2] * s[2])
+            high = ti.max(mean + radius, 0.0)
+            low = ti.max(mean - radius, 0.0)
+            if radius > 0.0:
+                centre = 0.5 * (high + low)
+                scale = 0.5 * (high - low) / radius
+                s = vec3(centre + scale * half, centre - scale * half, scale * s[2])
+            else:
+                s = vec3(high, high, 0.0)
+        # Rows of d eps / d x_a, one 3-vector for each strain component.
+        for n in ti.static(range(6)):
+            a = ti.static(_PAIRS[n][0])
+            d = ti.static(_PAIRS[n][1])
+            geometric = (
+                s[0] * b[a, 0] * b[d, 0]
+                + s[1] * b[a, 1] * b[d, 1]
+                + s[2] * (b[a, 0] * b[d, 1] + b[a, 1] * b[d, 0])
+            )
+            la = ti.Matrix.cols([f1 * b[a, 0], f2 * b[a, 1], f1 * b[a, 1] + f2 * b[a, 0]])
+            ld = ti.Matrix.cols([f1 * b[d, 0], f2 * b[d, 1], f1 * b[d, 1] + f2 * b[d, 0]])
+            for i in ti.static(range(3)):
+                for j in ti.static(range(3)):
+                    if ti.static(a != d or i <= j):
+                        value = geometric * ti.static(1.0 if i == j else 0.0)
+                        for k in ti.static(range(3)):
+                            for m in ti.static(range(3)):
+                                value += la[i, k] * c[k, m] * ld[j, m]
+                        at = slots[6 * e + n, 3 * i + j]
+                        out[at] = out[at] + area[e] * value
+
+
+class Membrane:
+    """Term of one sheet. ``nodes``: rest positions of all nodes [m] ``(n, 3)``; ``triangles``: int32
+    ``(m, 3)`` with indices into them; ``axis``: material direction 1, a unit 3-vector (projected on
+    each triangle)."""
+
+    mirrored = True
+
+    def __init__(self, name: str, nodes: np.ndarray, triangles: np.ndarray, axis: np.ndarray) -> None:
+        self.name = name
+        self._triangles = np.ascontiguousarray(triangles, dtype=np.int32)
+        frames = material_frames(nodes, triangles, axis)
+        edges = np.stack(
+            [nodes[triangles[:, 1]] - nodes[triangles[:, 0]], nodes[triangles[:, 2]] - nodes[triangles[:, 0]]],
+            axis=-1,
+        )
+        dm = np.einsum("mij,mik->mjk", frames, edges)
+        self._dm_inverse = np.ascontiguousarray(np.linalg.inv(dm))
+        self._area = 0.5 * np.linalg.det(dm)
+        self._c = np.zeros((3, 3))
+        self._exact = np.zeros(1, dtype=np.int32)
+
+    def blocks(self) -> np.ndarray:
+        pairs = np.asarray(_PAIRS)
+        return self._triangles[:, pairs].reshape(-1, 2)
+
+    def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
+        mesh = (buffers.x, self._triangles, self._dm_inverse, self._area, self._c)
+        self.add_energy = BoundKernel(_energy, *mesh, buffers.energy)
+        self.add_gradient = BoundKernel(_gradient, *mesh, buffers.gradient)
+        self._add_hessian = BoundKernel(_hessian, *mesh, self._exact, slots, buffers.hessian)
+
+    def add_hessian(self, exact: bool) -> None:
+        self._exact[0] = exact
+        self._add_hessian()
+
+    def configure(self, parameters: Mapping[str, float]) -> None:
+        self._c[:] = parameters["thickness_m"] * plane_stress(parameters)
+
+    def begin_step(self, step: StepContext, internals: Internals) -> None:
+        del step, internals
+
+    def end_step(self, step: StepContext, internals: Internals) -> Internals:
+        del step
+        return internals
+
+    def initial_internals(self) -> Internals:
+        return {}
+
+
+def material_frames(nodes: np.ndarray, triangles: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Orthonormal in-plane frames: columns material direction 1 and 2, shape ``(m, 3, 2)``."""
+    p, q, r = (nodes[triangles[:, k]] for k in range(3))
+    normal = np.cross(q - p, r - p)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    first = axis - normal * (normal @ axis)[:, None]
+    steep = np.linalg.norm(first, axis=1) < 1e-6
+    first[steep] = (q - p)[steep]
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(normal, first)], axis=-1)

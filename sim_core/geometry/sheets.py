@@ -1,0 +1,204 @@
+"""Triangle meshes of sheets: rectangles in three patterns, any outline with holes, and hinges.
+
+A sheet mesh lives in its body frame: the midsurface, nodes in metres. Flat builders put it in the
+local xy plane with its centre at the origin and the normal along +z.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import Delaunay, cKDTree
+
+from sim_core.errors import ConfigError
+
+PATTERNS = ("regular", "crossed", "irregular")
+
+
+@dataclass(frozen=True)
+class SheetMesh:
+    """Midsurface mesh. ``nodes``: m, ``(n, 3)``. ``triangles``: int32 ``(m, 3)``, counter-clockwise."""
+
+    nodes: np.ndarray
+    triangles: np.ndarray
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Triangle areas [m^2], shape ``(m,)``."""
+        a, b, c = (self.nodes[self.triangles[:, k]] for k in range(3))
+        return 0.5 * np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+    @property
+    def node_areas(self) -> np.ndarray:
+        """Barycentric area of each node [m^2], shape ``(n,)``: a third of every triangle around it."""
+        areas = np.zeros(len(self.nodes))
+        np.add.at(areas, self.triangles.ravel(), np.repeat(self.areas / 3.0, 3))
+        return areas
+
+
+@dataclass(frozen=True)
+class Hinges:
+    """Interior edges. ``nodes``: int32 ``(k, 4)``: edge start, edge end, apex of the left triangle,
+    apex of the right one; ``triangles``: int32 ``(k, 2)``: left, right."""
+
+    nodes: np.ndarray
+    triangles: np.ndarray
+
+
+def find_hinges(triangles: np.ndarray) -> Hinges:
+    """Collect interior edges of a consistently oriented manifold mesh.
+
+    Raises ``ConfigError`` when an edge has more than two triangles or the orientations disagree.
+    """
+    left: dict[tuple[int, int], tuple[int, int]] = {}
+    for t, tri in enumerate(triangles.tolist()):
+        for k in range(3):
+            edge = (tri[k], tri[(k + 1) % 3])
+            if edge in left:
+                raise ConfigError(
+                    f"Edge {edge} of the sheet mesh is used twice in the same direction (triangles "
+                    f"{left[edge][0]} and {t}).",
+                    "Give a manifold mesh whose triangles are all oriented the same way.",
+                )
+            left[edge] = (t, tri[(k + 2) % 3])
+    nodes, pairs = [], []
+    for (i, j), (t, apex) in left.items():
+        other = left.get((j, i))
+        if other is not None and i < j:
+            nodes.append((i, j, apex, other[1]))
+            pairs.append((t, other[0]))
+    return Hinges(
+        np.asarray(nodes, dtype=np.int32).reshape(-1, 4),
+        np.asarray(pairs, dtype=np.int32).reshape(-1, 2),
+    )
+
+
+def rectangle(
+    length_m: float, width_m: float, cells: tuple[int, int], pattern: str = "regular", seed: int = 0
+) -> SheetMesh:
+    """Mesh a rectangle ``length_m`` (x) by ``width_m`` (y) with ``cells`` cells along x and y.
+
+    ``regular``: two triangles a cell, all diagonals alike. ``crossed``: four triangles a cell.
+    ``irregular``: interior and edge nodes displaced at random (seeded), Delaunay triangles.
+    """
+    nx, ny = cells
+    xs = np.linspace(-length_m / 2, length_m / 2, nx + 1)
+    ys = np.linspace(-width_m / 2, width_m / 2, ny + 1)
+    gx, gy = np.meshgrid(xs, ys, indexing="ij")
+    grid = np.column_stack([gx.ravel(), gy.ravel()])
+    index = np.arange((nx + 1) * (ny + 1)).reshape(nx + 1, ny + 1)
+    a, b = index[:-1, :-1].ravel(), index[1:, :-1].ravel()
+    c, d = index[1:, 1:].ravel(), index[:-1, 1:].ravel()
+    if pattern == "regular":
+        points, triangles = grid, np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    elif pattern == "crossed":
+        centre = len(grid) + np.arange(nx * ny)
+        middle = (grid[a] + grid[b] + grid[c] + grid[d]) / 4.0
+        points = np.vstack([grid, middle])
+        triangles = np.vstack([np.column_stack([p, q, centre]) for p, q in ((a, b), (b, c), (c, d), (d, a))])
+    elif pattern == "irregular":
+        rng = np.random.default_rng(seed)
+        points = _jitter(grid, length_m, width_m, nx, ny, rng)
+        triangles = _delaunay(points)
+    else:
+        raise ConfigError(f"Sheet pattern {pattern!r} is not known.", f"Use one of {', '.join(PATTERNS)}.")
+    nodes = np.column_stack([points, np.zeros(len(points))])
+    return SheetMesh(nodes, np.ascontiguousarray(triangles, dtype=np.int32))
+
+
+def _jitter(
+    grid: np.ndarray, length: float, width: float, nx: int, ny: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Move nodes by up to 30 % of a cell; nodes of an edge stay on their edge, corners stay."""
+    move = 0.3 * rng.uniform(-1, 1, grid.shape) * np.array([length / nx, width / ny])
+    move[np.isclose(np.abs(grid[:, 0]), length / 2), 0] = 0.0
+    move[np.isclose(np.abs(grid[:, 1]), width / 2), 1] = 0.0
+    return grid + move
+
+
+def _delaunay(points: np.ndarray) -> np.ndarray:
+    """Delaunay triangles, counter-clockwise, without slivers along straight edges."""
+    triangles = Delaunay(points).simplices
+    p, q, r = (points[triangles[:, k]] for k in range(3))
+    doubled = (q[:, 0] - p[:, 0]) * (r[:, 1] - p[:, 1]) - (q[:, 1] - p[:, 1]) * (r[:, 0] - p[:, 0])
+    longest = np.max([np.sum((u - v) ** 2, axis=1) for u, v in ((p, q), (q, r), (r, p))], axis=0)
+    triangles = np.where(doubled[:, None] < 0, triangles[:, ::-1], triangles)
+    return triangles[np.abs(doubled) > 1e-3 * longest]
+
+
+def outline(
+    polygon_m: np.ndarray, edge_m: float, holes_m: tuple[np.ndarray, ...] = (), seed: int = 0
+) -> SheetMesh:
+    """Mesh a polygon with holes by points at about ``edge_m`` and Delaunay triangles.
+
+    ``polygon_m`` and every hole: corners in order, m, shape ``(k, 2)``. Raises ``ConfigError`` when
+    the edge length is too long for the outline.
+    """
+    from matplotlib.path import Path
+
+    rims = [np.asarray(polygon_m, dtype=float), *[np.asarray(h, dtype=float) for h in holes_m]]
+    border = np.vstack([_along(rim, edge_m) for rim in rims])
+    low, high = border.min(axis=0), border.max(axis=0)
+    rows = np.arange(low[1], high[1], edge_m * np.sqrt(3) / 2)
+    inside = np.vstack(
+        [
+            np.column_stack([np.arange(low[0] + (k % 2) * edge_m / 2, high[0], edge_m), np.full_like(
+                np.arange(low[0] + (k % 2) * edge_m / 2, high[0], edge_m), y)])
+            for k, y in enumerate(rows)
+        ]
+    )
+    inside = inside + 0.05 * edge_m * np.random.default_rng(seed).uniform(-1, 1, inside.shape)
+    paths = [Path(rim) for rim in rims]
+
+    def within(points: np.ndarray) -> np.ndarray:
+        keep = paths[0].contains_points(points)
+        for hole in paths[1:]:
+            keep &= ~hole.contains_points(points)
+        return np.asarray(keep)
+
+    inside = inside[within(inside)]
+    if len(inside):
+        inside = inside[cKDTree(border).query(inside)[0] > 0.6 * edge_m]
+    points = np.vstack([border, inside])
+    triangles = _delaunay(points)
+    triangles = triangles[within(points[triangles].mean(axis=1))]
+    used = np.unique(triangles)
+    if len(triangles) == 0 or len(used) < len(points):
+        raise ConfigError(
+            f"The outline cannot be meshed with edges of {edge_m:g} m.", "Give a shorter edge_m."
+        )
+    nodes = np.column_stack([points, np.zeros(len(points))])
+    return SheetMesh(nodes, np.ascontiguousarray(triangles, dtype=np.int32))
+
+
+def _along(rim: np.ndarray, edge_m: float) -> np.ndarray:
+    """Points along a closed polygon at about ``edge_m``, corners included."""
+    pieces = []
+    for start, end in zip(rim, np.roll(rim, -1, axis=0), strict=True):
+        count = max(1, round(float(np.linalg.norm(end - start)) / edge_m))
+        pieces.append(start + (end - start) * (np.arange(count) / count)[:, None])
+    return np.vstack(pieces)
+
+
+def locate(mesh: SheetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Material points of a flat sheet: triangle ``(k,)`` and barycentric weights ``(k, 3)``.
+
+    ``points``: local rest coordinates [m], ``(k, 2)`` or ``(k, 3)``. Raises ``ConfigError`` naming
+    the first point that is off the sheet.
+    """
+    points = np.asarray(points, dtype=float)[:, :2]
+    corner = mesh.nodes[mesh.triangles][:, :, :2]
+    edges = np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], axis=-1)
+    inverse = np.linalg.inv(edges)
+    local = np.einsum("mij,kmj->kmi", inverse, points[:, None, :] - corner[None, :, 0])
+    weights = np.concatenate([1.0 - local.sum(axis=-1, keepdims=True), local], axis=-1)
+    triangle = np.argmax(weights.min(axis=-1), axis=1)
+    chosen = weights[np.arange(len(points)), triangle]
+    off = np.flatnonzero(chosen.min(axis=1) < -1e-6)
+    if len(off):
+        raise ConfigError(
+            f"Point {points[off[0]].tolist()} [m] is not on the sheet.",
+            "Give local rest coordinates within the sheet's outline (origin at its centre).",
+        )
+    return triangle, chosen
