@@ -1,0 +1,69 @@
+"""Rigs and experiments: what stands on the table, and how it is moved."""
+
+from sim_core.rigs.bodies import (
+    WORLD,
+    Block,
+    Box,
+    Cylinder,
+    Dome,
+    Gel,
+    GelMaterial,
+    Outline,
+    Plane,
+    Rectangle,
+    Rigid,
+    Sheet,
+    SheetMaterial,
+    Sphere,
+)
+from sim_core.rigs.fields import Pose
+from sim_core.rigs.load import config_folder, load_rig, parse_rig, rig_to_yaml
+from sim_core.rigs.observers import (
+    FisheyeCamera,
+    MarkerSensor,
+    OrthographicCamera,
+    PinholeCamera,
+    Points,
+    WrenchSensor,
+)
+from sim_core.rigs.parameters import Parameter, list_parameters, resolve_name, with_parameters
+from sim_core.rigs.points import marker_positions, seen_points
+from sim_core.rigs.schema import Clamp, Contact, EndEffector, Rig
+
+__all__ = [
+    "WORLD",
+    "Block",
+    "Box",
+    "Clamp",
+    "Contact",
+    "Cylinder",
+    "Dome",
+    "EndEffector",
+    "FisheyeCamera",
+    "Gel",
+    "GelMaterial",
+    "MarkerSensor",
+    "OrthographicCamera",
+    "Outline",
+    "Parameter",
+    "PinholeCamera",
+    "Plane",
+    "Points",
+    "Pose",
+    "Rectangle",
+    "Rig",
+    "Rigid",
+    "Sheet",
+    "SheetMaterial",
+    "Sphere",
+    "WrenchSensor",
+    "config_folder",
+    "list_parameters",
+    "load_rig",
+    "marker_positions",
+    "parse_rig",
+    "resolve_name",
+    "rig_to_yaml",
+    "seen_points",
+    "with_parameters",
+]

@@ -1,0 +1,244 @@
+"""Sheets, gels and rigid bodies of a rig: shapes and materials.
+
+Every shape has its origin at its own centre and lies in local rest coordinates [m].
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from sim_core.errors import ConfigError
+from sim_core.materials.presets import preset_values
+from sim_core.rigs.fields import (
+    Cells2,
+    Cells3,
+    FloatArray,
+    Length,
+    Name,
+    NonNegative,
+    Point2,
+    Pose,
+    Sizes,
+    Strict,
+    Text,
+    describe,
+    trouble,
+)
+
+WORLD = "world"
+Modulus = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0, le=1e13)]
+Density = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0, le=3e4)]
+Thickness = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-7, le=0.02)]
+Poisson = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=-1.0, lt=0.5)]
+
+
+class _Material(Strict):
+    quantities: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def prepare(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Fill in what a named preset says and the rig file does not."""
+        if data.get("preset") is None:
+            return data
+        try:
+            values = preset_values(data["preset"])
+        except ConfigError as error:
+            raise trouble(f"is {describe(data['preset'])}. {error.problem}", error.remedy, "preset") from None
+        return {**{key: value for key, value in values.items() if key in cls.quantities}, **data}
+
+
+class SheetMaterial(_Material):
+    """Isotropic linear elasticity of a thin sheet."""
+
+    quantities: ClassVar[tuple[str, ...]] = ("E_pa", "nu", "thickness_m", "density_kg_m3")
+
+    preset: Text | None = None
+    E_pa: Modulus = Field(description="Young's modulus in Pa")
+    nu: Poisson = Field(description="Poisson's ratio")
+    thickness_m: Thickness = Field(description="thickness of the sheet in m")
+    density_kg_m3: Density = Field(description="mass per volume in kg/m^3")
+
+
+class GelMaterial(_Material):
+    """Isotropic hyperelasticity of a soft block; ``E_pa`` and ``nu`` hold at small strain."""
+
+    quantities: ClassVar[tuple[str, ...]] = ("E_pa", "nu", "density_kg_m3")
+
+    preset: Text | None = None
+    E_pa: Modulus = Field(description="Young's modulus in Pa")
+    nu: Poisson = Field(description="Poisson's ratio")
+    density_kg_m3: Density = Field(description="mass per volume in kg/m^3")
+
+
+class Rectangle(Strict):
+    """A flat rectangle: length along local x, width along local y."""
+
+    type: Literal["rectangle"]
+    length_m: Length = Field(description="extent along local x in m")
+    width_m: Length = Field(description="extent along local y in m")
+    cells: Cells2 = Field(description="number of cells along x and y")
+    pattern: Literal["regular", "crossed", "irregular"] = "crossed"
+
+    def bounds(self) -> FloatArray:
+        """Corners of the box around it [m], shape ``(2, 3)``."""
+        half = np.array([self.length_m, self.width_m, 0.0]) / 2
+        return np.array([-half, half])
+
+
+class Outline(Strict):
+    """A flat sheet of any outline, with holes; coordinates are local, the origin is where they say."""
+
+    type: Literal["outline"]
+    polygon_m: tuple[Point2, ...] = Field(min_length=3, description="corners of the outline, x and y in m")
+    holes_m: tuple[Annotated[tuple[Point2, ...], Field(min_length=3)], ...] = ()
+    edge_m: Length = Field(description="wanted length of the mesh edges in m")
+
+    @model_validator(mode="after")
+    def _has_area(self) -> Outline:
+        for path, polygon in [(("polygon_m",), self.polygon_m)] + [
+            (("holes_m", index), hole) for index, hole in enumerate(self.holes_m)
+        ]:
+            x, y = np.array(polygon).T
+            area = 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+            if area < 1e-12:
+                raise trouble("encloses no area.", "Give the corners in order around the outline.", *path)
+        extent = np.ptp(np.array(self.polygon_m), axis=0)
+        if self.edge_m > extent.max():
+            raise trouble(
+                f"is {self.edge_m:g}, longer than the outline ({extent.max():g} m).",
+                "Choose a fraction of the outline's extent.",
+                "edge_m",
+            )
+        return self
+
+    def bounds(self) -> FloatArray:
+        """Corners of the box around it [m], shape ``(2, 3)``."""
+        corners = np.pad(np.array(self.polygon_m), ((0, 0), (0, 1)))
+        return np.array([corners.min(axis=0), corners.max(axis=0)])
+
+
+class Block(Strict):
+    """A solid cuboid of gel."""
+
+    faces: ClassVar[tuple[str, ...]] = ("bottom", "top", "x_min", "x_max", "y_min", "y_max")
+
+    type: Literal["block"]
+    size_m: Sizes = Field(description="extents along local x, y, z in m")
+    cells: Cells3 = Field(description="number of cells along x, y, z")
+
+    def bounds(self) -> FloatArray:
+        """Corners of the box around it [m], shape ``(2, 3)``."""
+        half = np.array(self.size_m) / 2
+        return np.array([-half, half])
+
+
+class Dome(Strict):
+    """A half ball of gel, apex at +z, with a concentric half-ball cavity (radius 0: solid).
+
+    The origin is the centre of the ball; ``base`` is the flat ring at z = 0, ``outer`` the skin,
+    ``inner`` the wall of the cavity.
+    """
+
+    faces: ClassVar[tuple[str, ...]] = ("base", "outer", "inner")
+
+    type: Literal["dome"]
+    radius_m: Length = Field(description="outer radius in m")
+    cavity_radius_m: NonNegative = 0.0
+    cells: Cells2 = Field(description="number of cells from apex to rim and through the wall")
+
+    @model_validator(mode="after")
+    def _has_wall(self) -> Dome:
+        if self.cavity_radius_m >= self.radius_m:
+            raise trouble(
+                f"is {self.cavity_radius_m:g}, but must be less than radius_m ({self.radius_m:g}).",
+                "Reduce it: the difference is the thickness of the skin.",
+                "cavity_radius_m",
+            )
+        return self
+
+    def bounds(self) -> FloatArray:
+        """Corners of the box around it [m], shape ``(2, 3)``."""
+        r = self.radius_m
+        return np.array([[-r, -r, 0.0], [r, r, r]])
+
+
+class Sphere(Strict):
+    """A ball."""
+
+    type: Literal["sphere"]
+    radius_m: Length = Field(description="radius in m")
+
+
+class Cylinder(Strict):
+    """A solid cylinder along local z."""
+
+    type: Literal["cylinder"]
+    radius_m: Length = Field(description="radius in m")
+    length_m: Length = Field(description="extent along local z in m")
+
+
+class Box(Strict):
+    """A solid cuboid."""
+
+    type: Literal["box"]
+    size_m: Sizes = Field(description="extents along local x, y, z in m")
+
+
+class Plane(Strict):
+    """The half space below local z = 0; its outward normal is local +z."""
+
+    type: Literal["plane"]
+
+
+class Sheet(Strict):
+    """A thin shell. Its pose is in the base frame; it lies in its local xy plane at rest."""
+
+    type: Literal["sheet"]
+    shape: Annotated[Rectangle | Outline, Field(discriminator="type")] = Field(
+        description="rectangle or outline"
+    )
+    pose: Pose = Pose()
+    material: SheetMaterial = Field(description="E_pa, nu, thickness_m, density_kg_m3, or a preset")
+
+
+class Gel(Strict):
+    """A soft solid. ``bonded`` names the face that is glued to ``mount``; without both it is free."""
+
+    type: Literal["gel"]
+    shape: Annotated[Block | Dome, Field(discriminator="type")] = Field(description="block or dome")
+    pose: Pose = Pose()
+    material: GelMaterial = Field(description="E_pa, nu, density_kg_m3, or a preset")
+    bonded: Text | None = None
+    mount: Name | None = None
+
+    @model_validator(mode="after")
+    def _bond(self) -> Gel:
+        if (self.bonded is None) != (self.mount is None):
+            given, other = ("mount", "bonded") if self.bonded is None else ("bonded", "mount")
+            raise trouble(
+                f"has {given} but no {other}.", "Give both (which face is glued, and to what), or neither."
+            )
+        if self.bonded is not None and self.bonded not in self.shape.faces:
+            raise trouble(
+                f"is {self.bonded!r}, which is no face of a {self.shape.type}.",
+                f"Choose one of: {', '.join(self.shape.faces)}.",
+                "bonded",
+            )
+        return self
+
+
+class Rigid(Strict):
+    """A body that does not deform; it moves with its mount."""
+
+    type: Literal["rigid"]
+    shape: Annotated[Sphere | Cylinder | Box | Plane, Field(discriminator="type")] = Field(
+        description="sphere, cylinder, box or plane"
+    )
+    pose: Pose = Pose()
+    mount: Name = WORLD
+
+
+Body = Annotated[Sheet | Gel | Rigid, Field(discriminator="type")]

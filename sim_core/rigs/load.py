@@ -1,0 +1,110 @@
+"""Find and read rig files, and overlays that change some values of another rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import Field
+
+import sim_core
+from sim_core.errors import ConfigError, nearest_match
+from sim_core.rigs.fields import Name, Real, Strict, Text
+from sim_core.rigs.parameters import with_parameters
+from sim_core.rigs.schema import Rig
+from sim_core.rigs.yamlfile import read_mapping, validate
+
+
+class Overlay(Strict):
+    """Changes to another rig: values of named parameters, and effects that are switched on."""
+
+    overlay_of: Text
+    name: Name | None = None
+    description: Text | None = None
+    parameters: dict[Text, Real] = Field(default={})
+    effects: dict[Name, dict[Text, Real]] = Field(default={})
+
+
+def config_folder() -> Path:
+    """Folder ``config`` of the source tree, or of the installed package."""
+    package = Path(sim_core.__file__).resolve().parent
+    candidates = [package.parent / "config"]
+    candidates += [parent / "share" / "thinshell_ros" / "config" for parent in package.parents]
+    for candidate in candidates:
+        if (candidate / "rigs").is_dir():
+            return candidate
+    raise ConfigError(
+        "The folder with the rigs that come with thinshell_ros is not found.",
+        "Install the package again, or give the path of a rig file.",
+    )
+
+
+def names_in(kind: str) -> list[str]:
+    """Names of the files of one kind (``rigs``, ``experiments``) that come with the package."""
+    return sorted(path.stem for path in (config_folder() / kind).glob("*.yaml"))
+
+
+def find_config(name_or_path: str | Path, kind: str, beside: Path | None = None) -> Path:
+    """Path of a configuration file from a path, or from the name of one that comes with the package.
+
+    ``beside``: folder in which a relative path is looked up too.
+    """
+    text = str(name_or_path)
+    if not text.strip():
+        raise ConfigError(f"The name of one of the {kind} is empty.", f"Known: {', '.join(names_in(kind))}.")
+    given = Path(text).expanduser()
+    if given.is_file() or given.suffix in {".yaml", ".yml"} or len(given.parts) > 1:
+        if beside is not None and not given.is_absolute() and (beside / given).is_file():
+            return beside / given
+        return given
+    if beside is not None and (beside / f"{text}.yaml").is_file():
+        return beside / f"{text}.yaml"
+    known = names_in(kind)
+    if text not in known:
+        raise ConfigError(
+            f"{text!r} is neither a file nor one of the {kind} that come with the package.",
+            nearest_match(text, known) if known else "Give the path of a YAML file.",
+        )
+    return config_folder() / kind / f"{text}.yaml"
+
+
+def load_rig(name_or_path: str | Path) -> Rig:
+    """Load a rig by the name of one that comes with the package, or from a file."""
+    return _load(find_config(name_or_path, "rigs"), ())
+
+
+def parse_rig(data: Mapping[str, Any], source: str) -> Rig:
+    """Check a mapping (for example one stored in a recording); ``source`` names it in errors."""
+    return validate(Rig, data, source)
+
+
+def rig_to_yaml(rig: Rig) -> str:
+    """A rig as text that loads again to an equal rig."""
+    data = rig.model_dump(mode="json", exclude_none=True)
+    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+
+
+def _load(path: Path, chain: tuple[Path, ...]) -> Rig:
+    data = read_mapping(path)
+    if "overlay_of" not in data:
+        return parse_rig(data, str(path))
+    resolved = path.resolve()
+    if resolved in chain:
+        circle = " -> ".join(p.name for p in (*chain, resolved))
+        raise ConfigError(
+            f"{path}: overlay_of goes in a circle ({circle}).", "Name a rig that is no overlay."
+        )
+    overlay = validate(Overlay, data, str(path))
+    base = _load(find_config(overlay.overlay_of, "rigs", beside=path.parent), (*chain, resolved))
+    try:
+        rig = with_parameters(base, overlay.parameters)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error.problem}", error.remedy) from None
+    update: dict[str, Any] = {"effects": {**rig.effects, **overlay.effects}}
+    if overlay.name is not None:
+        update["name"] = overlay.name
+    if overlay.description is not None:
+        update["description"] = overlay.description
+    return rig.model_copy(update=update)

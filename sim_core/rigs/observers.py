@@ -1,0 +1,205 @@
+"""Sensors and cameras of a rig: what is measured, where, how often and how well."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from sim_core.rigs.bodies import WORLD
+from sim_core.rigs.fields import (
+    Cells2,
+    Count,
+    FloatArray,
+    FrameId,
+    Name,
+    NonNegative,
+    Pose,
+    Position,
+    Real,
+    Strict,
+    Text,
+    Topic,
+    trouble,
+)
+
+Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e4)]
+Latency = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10.0, le=10.0)]
+Focal = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e6)]
+Pixel = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
+
+
+class Points(Strict):
+    """Material points of a body: a regular grid, or local rest coordinates one by one.
+
+    A grid of ``[n, m]`` has n points along the first and m along the second axis of the sheet or of
+    the named face (a dome: n rings of m points) and counts row by row. Without ``margin_m`` each
+    point is in the middle of its cell; with it the outermost points have that distance to the edge.
+    ``ids`` numbers listed positions; otherwise numbers count up from 0 over all that a sensor sees.
+    """
+
+    face: Text | None = None
+    grid: Cells2 | None = None
+    margin_m: NonNegative | None = None
+    positions_m: tuple[Position, ...] | None = None
+    ids: tuple[Annotated[int, Field(strict=True, ge=0, lt=2**32)], ...] | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Points:
+        if (self.grid is None) == (self.positions_m is None):
+            raise trouble(
+                "needs either grid or positions_m.",
+                "Write 'grid: [7, 7]' or 'positions_m: [[x, y, z], ...]'.",
+            )
+        if self.positions_m is not None and not self.positions_m:
+            raise trouble("is an empty list.", "Give at least one point.", "positions_m")
+        if self.grid is None and (self.face is not None or self.margin_m is not None):
+            raise trouble("has face or margin_m without a grid.", "They place a grid; leave them out.")
+        if self.ids is not None:
+            if self.positions_m is None or len(self.ids) != len(self.positions_m):
+                raise trouble(
+                    "does not number the positions.", "Give positions_m and one id for each.", "ids"
+                )
+            if len(set(self.ids)) != len(self.ids):
+                raise trouble("holds a number twice.", "Number each point once.", "ids")
+        return self
+
+    @property
+    def count(self) -> int:
+        """Number of points asked for (an outline keeps only those that lie inside it)."""
+        return self.grid[0] * self.grid[1] if self.grid is not None else len(self.positions_m or ())
+
+
+class WrenchNoise(Strict):
+    """Standard deviation of white noise on each component."""
+
+    force_n: NonNegative = 0.0
+    torque_nm: NonNegative = 0.0
+
+
+class MarkerNoise(Strict):
+    """Standard deviation of white noise on each coordinate."""
+
+    position_m: NonNegative = 0.0
+
+
+class TrackNoise(Strict):
+    """Standard deviation of white noise on each image coordinate."""
+
+    position_px: NonNegative = 0.0
+
+
+class WrenchSensor(Strict):
+    """Force and torque that act on the sensor, about the origin of its frame and along its axes.
+
+    ``on`` is an end effector (all that it carries), a gel or rigid body, or a named clamp. ``pose``
+    puts the sensor's frame into the frame of the end effector, the body's local frame, or the frame
+    of the clamp's mount.
+    """
+
+    type: Literal["wrench"]
+    on: Name = Field(description="end effector, body or named clamp whose load is measured")
+    frame_id: FrameId | None = None
+    pose: Pose = Pose()
+    rate_hz: Rate = 100.0
+    latency_s: Latency = 0.0
+    noise: WrenchNoise = WrenchNoise()
+    topic: Topic = "wrench"
+
+
+class MarkerSensor(Strict):
+    """3-D positions of material points.
+
+    ``pose`` puts the sensor's frame into the body's rest frame, which moves with the body's mount (the
+    rest frame of a sheet or of a free gel stands still).
+    """
+
+    type: Literal["markers"]
+    body: Name = Field(description="the body that carries the points")
+    points: Points = Field(description="grid or positions_m")
+    frame_id: FrameId | None = None
+    pose: Pose = Pose()
+    rate_hz: Rate = 60.0
+    latency_s: Latency = 0.0
+    noise: MarkerNoise = MarkerNoise()
+    topic: Topic = "markers"
+
+
+Sensor = Annotated[WrenchSensor | MarkerSensor, Field(discriminator="type")]
+
+
+class CameraTopics(Strict):
+    """Where the streams of a camera are. ``image`` is read when a bag holds pictures and no tracks."""
+
+    marker_tracks: Topic = "marker_tracks"
+    camera_info: Topic = "camera_info"
+    image: Topic = "image/compressed"
+
+
+class Sight(Strict):
+    """Points of one body that a camera follows."""
+
+    body: Name = Field(description="the body that carries the points")
+    points: Points = Field(description="grid or positions_m")
+
+
+class _Camera(Strict):
+    width_px: Count = Field(description="width of the picture in px")
+    height_px: Count = Field(description="height of the picture in px")
+    pose: Pose = Pose()
+    mount: Name = WORLD
+    sees: tuple[Sight, ...] = Field(min_length=1, description="list of body and points")
+    frame_id: FrameId | None = None
+    rate_hz: Rate = 30.0
+    latency_s: Latency = 0.0
+    noise: TrackNoise = TrackNoise()
+    topics: CameraTopics = CameraTopics()
+
+
+class _Lens(_Camera):
+    fx_px: Focal = Field(description="focal length along u in px")
+    fy_px: Focal = Field(description="focal length along v in px")
+    cx_px: Pixel = Field(description="principal point u in px")
+    cy_px: Pixel = Field(description="principal point v in px")
+
+    def matrix(self) -> FloatArray:
+        """Intrinsic matrix K [px], shape ``(3, 3)``."""
+        return np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+
+
+class PinholeCamera(_Lens):
+    """Pinhole with ROS ``plumb_bob`` distortion k1, k2, p1, p2, k3.
+
+    Optical frame: z forward, x right, y down.
+    """
+
+    model: Literal["pinhole"]
+    distortion: tuple[Real, Real, Real, Real, Real] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class FisheyeCamera(_Lens):
+    """OpenCV fisheye, ROS ``equidistant``, coefficients k1..k4.
+
+    Optical frame: z forward, x right, y down.
+    """
+
+    model: Literal["fisheye"]
+    distortion: tuple[Real, Real, Real, Real] = (0.0, 0.0, 0.0, 0.0)
+
+
+class OrthographicCamera(_Camera):
+    """Scaled orthographic: one length per pixel at any depth, for pictures that only have a scale.
+
+    The origin of the camera's frame is at pixel (``cx_px``, ``cy_px``).
+    """
+
+    model: Literal["scaled_orthographic"]
+    scale_m_per_px: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1.0)] = Field(
+        description="length that one px stands for, in m"
+    )
+    cx_px: Pixel = 0.0
+    cy_px: Pixel = 0.0
+
+
+Camera = Annotated[PinholeCamera | FisheyeCamera | OrthographicCamera, Field(discriminator="model")]

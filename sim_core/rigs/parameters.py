@@ -1,0 +1,173 @@
+"""The numbers of a rig that can be changed or fitted, by name.
+
+Names: ``<body>.<quantity>`` (``card.E_pa``), ``contacts.<body>-<body>.<quantity>``,
+``<sensor or camera>.latency_s``, ``<camera>.<intrinsic>``, ``effects.<effect>.<parameter>``. The unit
+suffix may be left out (``card.E``), the two bodies of a contact may be in any order, and where a rig
+has one body of a type the type may stand for it (``sheet.E``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, get_args
+
+import annotated_types
+
+from sim_core.errors import ConfigError, nearest_match
+from sim_core.rigs.fields import Strict, split_unit, unit_of
+from sim_core.rigs.schema import Rig
+from sim_core.rigs.yamlfile import validate
+
+_INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "scale_m_per_px")
+
+Path = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a rig.
+
+    ``lower`` and ``upper`` are the bounds of the rig's schema (infinite where it has none); ``value``
+    is in ``unit``, or None where the rig leaves the choice to the simulator.
+    """
+
+    name: str
+    value: float | None
+    unit: str
+    lower: float
+    upper: float
+    description: str
+
+
+def list_parameters(rig: Rig) -> tuple[Parameter, ...]:
+    """All parameters of a rig, in the order of the rig file."""
+    return tuple(parameter for _, parameter in _walk(rig))
+
+
+def resolve_name(rig: Rig, name: str) -> str:
+    """Full name of a parameter from the name that a user writes."""
+    known = [parameter.name for parameter in list_parameters(rig)]
+    spellings: dict[str, set[str]] = {}
+    for full in known:
+        for spelling in _spellings(rig, full):
+            spellings.setdefault(spelling, set()).add(full)
+    matches = spellings.get(name.strip(), set())
+    if name.strip() in known:
+        return name.strip()
+    if len(matches) == 1:
+        return next(iter(matches))
+    if matches:
+        raise ConfigError(
+            f"The parameter {name!r} is not unique in the rig {rig.name!r}.",
+            f"Write one of: {', '.join(sorted(matches))}.",
+        )
+    raise ConfigError(f"The rig {rig.name!r} has no parameter {name!r}.", nearest_match(name, known))
+
+
+def with_parameters(rig: Rig, values: Mapping[str, float]) -> Rig:
+    """A new rig with some values changed; names and bounds are checked."""
+    if not values:
+        return rig
+    places = {parameter.name: path for path, parameter in _walk(rig)}
+    data: dict[str, Any] = rig.model_dump()
+    given: dict[str, str] = {}
+    for name, value in values.items():
+        full = resolve_name(rig, name)
+        if full in given:
+            raise ConfigError(
+                f"The parameter {full} is given twice, as {given[full]!r} and {name!r}.",
+                "Keep one of the two.",
+            )
+        given[full] = name
+        target: Any = data
+        *parents, last = places[full]
+        for step in parents:
+            if isinstance(target[step], tuple):
+                target[step] = list(target[step])
+            target = target[step]
+        target[last] = float(value)
+    return validate(Rig, data, f"rig {rig.name!r} with {', '.join(given)} changed")
+
+
+def bounds_of(model: type[Strict], key: str) -> tuple[float, float]:
+    """Bounds that a model's schema sets on a number."""
+    lower, upper = -math.inf, math.inf
+    field = model.model_fields[key]
+    metadata = [
+        *field.metadata,
+        *(item for kind in get_args(field.annotation) for item in get_args(kind)[1:]),
+    ]
+    for item in _constraints(metadata):
+        if isinstance(item, annotated_types.Gt):
+            lower = float(item.gt)  # type: ignore[arg-type]
+        elif isinstance(item, annotated_types.Ge):
+            lower = float(item.ge)  # type: ignore[arg-type]
+        elif isinstance(item, annotated_types.Lt):
+            upper = float(item.lt)  # type: ignore[arg-type]
+        elif isinstance(item, annotated_types.Le):
+            upper = float(item.le)  # type: ignore[arg-type]
+    return lower, upper
+
+
+def _constraints(metadata: list[Any]) -> Iterator[Any]:
+    for item in metadata:
+        if hasattr(item, "metadata"):
+            yield from _constraints(item.metadata)
+        else:
+            yield item
+
+
+def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
+    for name, body in rig.bodies.items():
+        if body.type != "rigid":
+            for key in body.material.quantities:
+                yield ("bodies", name, "material", key), _parameter(f"{name}.{key}", body.material, key)
+    for index, contact in enumerate(rig.contacts):
+        for key in ("friction", "stiffness_pa_per_m"):
+            yield ("contacts", index, key), _parameter(f"contacts.{contact.name}.{key}", contact, key)
+    for name, sensor in rig.sensors.items():
+        yield ("sensors", name, "latency_s"), _parameter(f"{name}.latency_s", sensor, "latency_s")
+    for name, camera in rig.cameras.items():
+        for key in ("latency_s", *_INTRINSICS):
+            if key in type(camera).model_fields:
+                yield ("cameras", name, key), _parameter(f"{name}.{key}", camera, key)
+    for effect, values in rig.effects.items():
+        for key, value in values.items():
+            label = f"effects.{effect}.{key}"
+            yield (
+                ("effects", effect, key),
+                Parameter(label, value, unit_of(key), -math.inf, math.inf, f"of {effect}"),
+            )
+
+
+_MEANINGS = {
+    "friction": "Coulomb friction coefficient",
+    "stiffness_pa_per_m": "contact pressure per depth",
+    "latency_s": "delay of the stamps",
+    "cx_px": "principal point u",
+    "cy_px": "principal point v",
+}
+
+
+def _parameter(name: str, owner: Strict, key: str) -> Parameter:
+    lower, upper = bounds_of(type(owner), key)
+    meaning = type(owner).model_fields[key].description or _MEANINGS.get(key, "")
+    return Parameter(name, getattr(owner, key), unit_of(key), lower, upper, meaning)
+
+
+def _spellings(rig: Rig, full: str) -> Iterator[str]:
+    owner, key = full.rsplit(".", 1)
+    owners = [owner]
+    if owner.startswith("contacts."):
+        first, second = owner.removeprefix("contacts.").split("-")
+        pairs = (f"{first}-{second}", f"{second}-{first}")
+        owners = [prefix + pair for pair in pairs for prefix in ("contacts.", "contact.", "")]
+    elif owner in rig.bodies:
+        kind = rig.bodies[owner].type
+        if kind not in rig.bodies and sum(body.type == kind for body in rig.bodies.values()) == 1:
+            owners.append(kind)
+    for spelling in owners:
+        yield f"{spelling}.{key}"
+        yield f"{spelling}.{split_unit(key)[0]}"

@@ -1,0 +1,126 @@
+"""Local rest coordinates of the material points that a sensor or a camera follows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim_core.errors import ConfigError
+from sim_core.rigs.bodies import Block, Dome, Gel, Outline, Rectangle, Sheet
+from sim_core.rigs.fields import FloatArray
+from sim_core.rigs.observers import Points, Sight
+
+IntArray = np.ndarray
+
+_BLOCK_FACES = {
+    "bottom": (2, 0, (0, 1)),
+    "top": (2, 1, (0, 1)),
+    "x_min": (0, 0, (1, 2)),
+    "x_max": (0, 1, (1, 2)),
+    "y_min": (1, 0, (0, 2)),
+    "y_max": (1, 1, (0, 2)),
+}
+"""Face -> its normal axis, which end of it, and the two axes along the face."""
+
+
+def marker_positions(points: Points, body: Sheet | Gel) -> tuple[FloatArray, IntArray]:
+    """Local rest positions [m], shape ``(n, 3)``, and ids, int64 ``(n,)``, of the points on a body.
+
+    A grid counts row by row along its first axis. On an outline only the points inside of it and
+    outside of its holes are kept; their ids stay those of the full grid.
+    """
+    if points.positions_m is not None:
+        ids = np.arange(points.count) if points.ids is None else np.array(points.ids, dtype=np.int64)
+        return np.array(points.positions_m, dtype=np.float64), ids
+    assert points.grid is not None
+    shape = body.shape
+    ids = np.arange(points.count)
+    if isinstance(shape, Dome):
+        return _on_dome(points, shape), ids
+    low, high = shape.bounds()
+    normal, end, axes = _BLOCK_FACES[points.face or "top"] if isinstance(shape, Block) else (2, 1, (0, 1))
+    first, second = (
+        _stations(low[axis], high[axis], n, points.margin_m)
+        for axis, n in zip(axes, points.grid, strict=True)
+    )
+    positions = np.zeros((len(ids), 3))
+    positions[:, axes[0]] = np.repeat(first, len(second))
+    positions[:, axes[1]] = np.tile(second, len(first))
+    positions[:, normal] = (low, high)[end][normal]
+    if isinstance(shape, Outline):
+        inside = _inside(positions[:, :2], shape)
+        if not inside.any():
+            raise ConfigError(
+                "No point of the marker grid lies on the sheet.", "Use a finer grid, or positions_m."
+            )
+        return positions[inside], ids[inside]
+    assert isinstance(shape, Rectangle | Block)
+    return positions, ids
+
+
+def seen_points(
+    sees: tuple[Sight, ...], bodies: dict[str, Sheet | Gel]
+) -> list[tuple[str, FloatArray, IntArray]]:
+    """Body, local rest positions [m] ``(n, 3)`` and ids of everything that a camera follows.
+
+    Without given ids the numbers count on from one body to the next.
+    """
+    result = []
+    offset = 0
+    for sight in sees:
+        positions, ids = marker_positions(sight.points, bodies[sight.body])
+        if sight.points.ids is None:
+            ids = ids + offset
+            offset += sight.points.count
+        result.append((sight.body, positions, ids))
+    return result
+
+
+def _stations(low: float, high: float, count: int, margin: float | None) -> FloatArray:
+    if margin is None:
+        return low + (high - low) * (np.arange(count) + 0.5) / count
+    if 2.0 * margin >= high - low:
+        raise ConfigError(
+            f"margin_m is {margin:g}, but the face is only {high - low:g} m wide.",
+            "Use less than half of the width.",
+        )
+    return np.linspace(low + margin, high - margin, count) if count > 1 else np.array([(low + high) / 2])
+
+
+def _on_dome(points: Points, dome: Dome) -> FloatArray:
+    """Rings of points about the axis, from the apex to the rim."""
+    assert points.grid is not None
+    rings, per_ring = points.grid
+    radius = dome.cavity_radius_m if points.face == "inner" else dome.radius_m
+    angle = 2.0 * np.pi * np.arange(per_ring) / per_ring
+    if points.face == "base":
+        margin = points.margin_m
+        radii = _stations(dome.cavity_radius_m, dome.radius_m, rings, margin)
+        heights = np.zeros(rings)
+    else:
+        margin = None if points.margin_m is None else points.margin_m / radius
+        polar = _stations(0.0, np.pi / 2, rings, margin)
+        radii, heights = radius * np.sin(polar), radius * np.cos(polar)
+    return np.column_stack(
+        [
+            np.outer(radii, np.cos(angle)).ravel(),
+            np.outer(radii, np.sin(angle)).ravel(),
+            np.repeat(heights, per_ring),
+        ]
+    )
+
+
+def _inside(points: FloatArray, outline: Outline) -> np.ndarray:
+    inside = _in_polygon(points, np.array(outline.polygon_m))
+    for hole in outline.holes_m:
+        inside &= ~_in_polygon(points, np.array(hole))
+    return inside
+
+
+def _in_polygon(points: FloatArray, polygon: FloatArray) -> np.ndarray:
+    """Crossing-number test: bool ``(n,)``."""
+    x, y = points[:, :1], points[:, 1:]
+    (x0, y0), (x1, y1) = polygon.T, np.roll(polygon, -1, axis=0).T
+    straddles = (y0 > y) != (y1 > y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = x0 + (y - y0) * (x1 - x0) / (y1 - y0)
+    return np.asarray((straddles & (x < crossing)).sum(axis=1) % 2 == 1)

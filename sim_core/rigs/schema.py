@@ -1,0 +1,135 @@
+"""What a rig file may say: bodies, clamps, end effectors, contacts, sensors, cameras, effects.
+
+Conventions: SI units, each named in its key. Every shape has its origin at its own centre and lies in
+local rest coordinates; a pose puts it into the frame of its mount (``world`` is the base frame).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from sim_core.rigs.bodies import WORLD, Body
+from sim_core.rigs.check import check_references
+from sim_core.rigs.fields import (
+    Flag,
+    FloatArray,
+    FrameId,
+    Interval,
+    Name,
+    Pose,
+    Real,
+    Strict,
+    Text,
+    Topic,
+    Vector,
+    trouble,
+)
+from sim_core.rigs.observers import Camera, Sensor
+
+Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=5.0)]
+Stiffness = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]
+
+
+class Region(Strict):
+    """A box in a body's local rest coordinates; an absent axis is not bounded."""
+
+    x_m: Interval | None = None
+    y_m: Interval | None = None
+    z_m: Interval | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Region:
+        for key in ("x_m", "y_m", "z_m"):
+            interval = getattr(self, key)
+            if interval is not None and interval[0] > interval[1]:
+                raise trouble(f"is [{interval[0]:g}, {interval[1]:g}].", "Write [lower, upper].", key)
+        return self
+
+    def box(self) -> FloatArray:
+        """Lower and upper corner [m], infinite where not bounded, shape ``(2, 3)``."""
+        box = np.array([[-np.inf] * 3, [np.inf] * 3])
+        for axis, interval in enumerate((self.x_m, self.y_m, self.z_m)):
+            if interval is not None:
+                box[:, axis] = interval
+        return box
+
+    def contains(self, points: FloatArray) -> np.ndarray:
+        """Which local rest points [m] of shape ``(n, 3)`` lie inside (border included): bool ``(n,)``."""
+        lower, upper = self.box()
+        slack = 1e-9
+        return np.asarray(((points >= lower - slack) & (points <= upper + slack)).all(axis=1))
+
+
+class Clamp(Strict):
+    """Holds the nodes of a body inside a region; they follow ``mount`` rigidly from the start."""
+
+    name: Name | None = None
+    body: Name = Field(description="the body that is held")
+    region: Region = Field(description="box in the body's local rest coordinates")
+    mount: Name = WORLD
+
+
+class PoseTopics(Strict):
+    """Where the poses of an end effector are, in a bag and on a live system."""
+
+    target_pose: Topic = "target_pose"
+    current_pose: Topic = "current_pose"
+
+
+class EndEffector(Strict):
+    """Something that moves as it is told. Its start pose is in ``base_frame``, which is the world."""
+
+    base_frame: FrameId = "base_link"
+    start: Pose = Pose()
+    topics: PoseTopics = PoseTopics()
+
+
+class Contact(Strict):
+    """Two bodies that may touch (twice the same sheet: it may touch itself)."""
+
+    between: tuple[Name, Name] = Field(description="the two bodies")
+    friction: Friction = 0.0
+    stiffness_pa_per_m: Stiffness | None = None
+
+    @property
+    def name(self) -> str:
+        """``first-second``, as parameters are named."""
+        return "-".join(self.between)
+
+
+class Solver(Strict):
+    """The time step. Without ``inertia`` every step is an equilibrium (quasi-static)."""
+
+    dt_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-6, le=10.0)] = 0.01
+    inertia: Flag = True
+
+
+class Rig(Strict):
+    """Everything that stands on the table, what moves it and what looks at it."""
+
+    name: Name = Field(description="short name, as in the file's name")
+    description: Text = ""
+    gravity_m_s2: Vector = (0.0, 0.0, -9.81)
+    solver: Solver = Solver()
+    bodies: dict[Name, Body] = Field(min_length=1, description="name -> body")
+    clamps: tuple[Clamp, ...] = ()
+    end_effectors: dict[Name, EndEffector] = Field(default={})
+    contacts: tuple[Contact, ...] = ()
+    sensors: dict[Name, Sensor] = Field(default={})
+    cameras: dict[Name, Camera] = Field(default={})
+    effects: dict[Name, dict[Text, Real]] = Field(default={})
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Rig:
+        check_references(self)
+        return self
+
+    def contact(self, first: str, second: str) -> Contact | None:
+        """The contact between two bodies, in either order."""
+        for contact in self.contacts:
+            if set(contact.between) == {first, second}:
+                return contact
+        return None
