@@ -1,0 +1,180 @@
+"""Serialised messages of one topic to Python objects."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+
+from sim_core.errors import RecordingError
+from sysid.recording.arrays import Bools, Floats, Ints
+from sysid.recording.bag import MessageSet
+from sysid.recording.notes import Notes, plural
+from sysid.recording.times import TimeSource, order_in_time
+
+TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+def decode(data: bytes, msgtype: str) -> Any:
+    """Deserialise one message.
+
+    Raises:
+        ValueError: the bytes are no such message.
+    """
+    try:
+        return TYPESTORE.deserialize_cdr(data, msgtype)
+    except (SerdeError, IndexError, KeyError, TypeError, MemoryError, OverflowError) as error:
+        raise ValueError(f"cannot be read as {msgtype}: {error}") from error
+
+
+@dataclass(frozen=True)
+class Table:
+    """The messages of one topic as rows, in the order of recording.
+
+    Attributes:
+        topic: its name.
+        source: where they are.
+        rows: what was kept of each message.
+        stamps_ns: header stamps [ns], shape (n,).
+        frames: header frames.
+    """
+
+    topic: str
+    source: MessageSet
+    rows: list[Any]
+    stamps_ns: Ints
+    frames: list[str]
+
+    def take(self, which: Ints | Bools) -> Table:
+        """Return the rows selected by an index array or mask."""
+        index = np.arange(len(self.rows))[which]
+        return Table(
+            self.topic,
+            self.source.take(index),
+            [self.rows[k] for k in index],
+            self.stamps_ns[index],
+            [self.frames[k] for k in index],
+        )
+
+    def in_one_frame(self, declared: str | None, notes: Notes) -> tuple[Table, str]:
+        """Return the rows of the declared frame, or of the only one, and its name."""
+        counts = {frame: self.frames.count(frame) for frame in dict.fromkeys(self.frames)}
+        listing = ", ".join(f"{frame!r} ({plural(count, 'message')})" for frame, count in counts.items())
+        if declared is not None:
+            if declared not in counts:
+                raise RecordingError(
+                    f"{self.topic}: frame_id is {listing} where the topic map declares {declared!r}.",
+                    "Correct the declaration, or transform the recording into that frame.",
+                )
+            if len(counts) > 1:
+                notes.warning(self.topic, f"messages of other frames than {declared!r} dropped: {listing}")
+            return self.take(np.array([frame == declared for frame in self.frames])), declared
+        if len(counts) > 1:
+            raise RecordingError(
+                f"{self.topic}: messages of more than one frame: {listing}.",
+                "Declare the right one as `frame_id` of this topic in the topic map; the others are dropped.",
+            )
+        frame = next(iter(counts))
+        if not frame:
+            notes.warning(self.topic, "frame_id is empty: taken for the frame that the rig states")
+        return self, frame
+
+
+@dataclass(frozen=True)
+class Series:
+    """The messages of one topic in one frame and in order of time.
+
+    Attributes:
+        topic: its name.
+        frame_id: the frame of all messages.
+        source: where they are.
+        rows: what was kept of each message.
+        times_ns: strictly increasing [ns], shape (n,).
+    """
+
+    topic: str
+    frame_id: str
+    source: MessageSet
+    rows: list[Any]
+    times_ns: Ints
+
+    def seconds(self, t0_ns: int) -> Floats:
+        """Return the times since ``t0_ns`` [s], shape (n,)."""
+        seconds: Floats = (self.times_ns - t0_ns).astype(np.float64) * 1e-9
+        return seconds
+
+
+def read_series(
+    topic: str,
+    msgtype: str,
+    source: MessageSet,
+    content: Callable[[Any], Any],
+    frame_id: str | None,
+    clock: TimeSource,
+    notes: Notes,
+) -> Series:
+    """Read a topic whose values change with time; see ``read_table`` for the arguments.
+
+    ``frame_id`` is the frame declared for it, ``clock`` the clock to use.
+    """
+    table, frame = read_table(topic, msgtype, source, content, notes).in_one_frame(frame_id, notes)
+    kept, times_ns = order_in_time(topic, table.stamps_ns, table.source.log_ns, clock, notes)
+    table = table.take(kept)
+    return Series(topic, frame, table.source, table.rows, times_ns)
+
+
+def read_table(
+    topic: str, msgtype: str, source: MessageSet, content: Callable[[Any], Any], notes: Notes
+) -> Table:
+    """Deserialise the messages of one topic.
+
+    Args:
+        topic: its name.
+        msgtype: type of all its messages.
+        source: where they are.
+        content: function of a message that returns what to keep of it; may raise ValueError.
+        notes: takes what could not be read.
+
+    Raises:
+        RecordingError: no message can be read.
+    """
+    rows: list[Any] = []
+    stamps: list[int] = []
+    frames: list[str] = []
+    kept: list[int] = []
+    fault = ""
+    for k, data in enumerate(_payloads(topic, source, notes)):
+        try:
+            message = decode(data, msgtype)
+            row = content(message)
+        except ValueError as error:
+            fault = fault or str(error)
+            continue
+        stamp = message.header.stamp
+        rows.append(row)
+        stamps.append(int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec))
+        frames.append(str(message.header.frame_id))
+        kept.append(k)
+    lost = len(source) - len(kept)
+    fault = fault or "is unreadable"
+    if not kept:
+        raise RecordingError(
+            f"{topic}: none of {plural(len(source), 'message')} can be used: the first {fault}.",
+            "Record the topic with the type and fields of the bag contract, or leave it out of the map.",
+        )
+    if lost:
+        notes.warning(topic, f"{plural(lost, 'message')} dropped: the first {fault}")
+    index = np.array(kept, dtype=np.int64)
+    return Table(topic, source.take(index), rows, np.array(stamps, dtype=np.int64), frames)
+
+
+def _payloads(topic: str, source: MessageSet, notes: Notes) -> Iterator[bytes]:
+    try:
+        yield from source.payloads()
+    except sqlite3.DatabaseError as error:
+        notes.warning(topic, f"the database is damaged ({error}): the messages behind the damage are lost")

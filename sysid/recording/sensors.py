@@ -1,0 +1,123 @@
+"""Wrench, camera and image topics to streams."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sim_core.errors import RecordingError
+from sysid.recording.bag import MessageSet
+from sysid.recording.images import ImageStream
+from sysid.recording.messages import Series, read_table
+from sysid.recording.notes import Notes, plural
+from sysid.recording.streams import CameraInfo, WrenchStream
+from sysid.recording.times import note_gaps
+from sysid.recording.topics import CAMERA_INFO, SensorTopic
+
+LARGEST_N = 1e4
+"""Forces beyond this are worth a remark."""
+
+_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
+
+
+def wrench_content(message: Any) -> tuple[float, ...]:
+    """Return force and torque of a WrenchStamped, shape (6,)."""
+    f, m = message.wrench.force, message.wrench.torque
+    return (f.x, f.y, f.z, m.x, m.y, m.z)
+
+
+def wrench_stream(series: Series, declared: SensorTopic, t0_ns: int, notes: Notes) -> WrenchStream:
+    """Mask what is not finite and put torques into newton metres.
+
+    Raises:
+        RecordingError: no component is ever finite.
+    """
+    topic, t = series.topic, series.seconds(t0_ns)
+    values = np.array(series.rows, dtype=np.float64)
+    mask = np.isfinite(values)
+    if not mask.any():
+        raise RecordingError(f"{topic}: every wrench holds only NaN or infinity.", "Check the force sensor.")
+    values = np.where(mask, values, np.nan)
+    if not mask.all():
+        notes.warning(
+            topic,
+            f"{plural(int((~mask.all(axis=1)).sum()), 'message')} with NaN or infinite components, masked",
+        )
+    if declared.length_unit == "mm":
+        notes.info(topic, "torques scaled from N mm to N m, as declared")
+        values[:, 3:] *= 1e-3
+    largest = float(np.nanmax(np.abs(np.where(mask, values, 0.0))[:, :3]))
+    if largest > LARGEST_N:
+        notes.warning(topic, f"forces up to {largest:.4g} N: looks like another unit than newton")
+    note_gaps(topic, t, notes)
+    return WrenchStream(
+        topic=topic, frame_id=series.frame_id, t=t, force=values[:, :3], torque=values[:, 3:], mask=mask
+    )
+
+
+def read_camera_info(topic: str, source: MessageSet, notes: Notes) -> CameraInfo | None:
+    """Read a camera's calibration; None when it states none (K = 0).
+
+    Raises:
+        RecordingError: the calibration changes, or its distortion model is not known.
+    """
+    table = read_table(topic, CAMERA_INFO, source, _camera_info, notes)
+    first: CameraInfo = table.rows[0]
+    if not np.any(first.K):
+        notes.info(topic, "K is zero: the camera is not calibrated")
+        return None
+    for other in table.rows[1:]:
+        if not (np.array_equal(other.K, first.K) and np.array_equal(other.D, first.D)):
+            raise RecordingError(
+                f"{topic}: the calibration changes during the recording.",
+                "Cut the recording where it changes, or record the right camera_info only.",
+            )
+    if not np.isfinite(first.K).all() or first.K[0, 0] <= 0.0 or first.K[1, 1] <= 0.0:
+        raise RecordingError(
+            f"{topic}: focal lengths {first.K[0, 0]:g} and {first.K[1, 1]:g} px.", "Calibrate the camera."
+        )
+    if first.model not in _COEFFICIENTS and (first.model or np.any(first.D)):
+        raise RecordingError(
+            f"{topic}: distortion model {first.model!r} is not known.",
+            f"Use one of: {', '.join(_COEFFICIENTS)}.",
+        )
+    if len(first.D) and len(first.D) not in _COEFFICIENTS.get(first.model, (len(first.D),)):
+        raise RecordingError(
+            f"{topic}: {len(first.D)} distortion coefficients for {first.model}.",
+            f"{first.model} has {' or '.join(str(n) for n in _COEFFICIENTS[first.model])}.",
+        )
+    return first
+
+
+def image_stream(
+    series: Series, msgtype: str, camera: CameraInfo | None, t0_ns: int, notes: Notes
+) -> ImageStream:
+    """Keep where the images are; of the pixels only the first image is read, as a check.
+
+    Raises:
+        RecordingError: the first image cannot be decoded.
+    """
+    t = series.seconds(t0_ns)
+    note_gaps(series.topic, t, notes)
+    stream = ImageStream(
+        topic=series.topic,
+        frame_id=series.frame_id,
+        t=t,
+        msgtype=msgtype,
+        source=series.source,
+        camera_info=camera,
+    )
+    stream.image(0)
+    return stream
+
+
+def _camera_info(message: Any) -> CameraInfo:
+    return CameraInfo(
+        K=np.array(message.k, dtype=np.float64).reshape(3, 3),
+        D=np.array(message.d, dtype=np.float64),
+        model=str(message.distortion_model),
+        width=int(message.width),
+        height=int(message.height),
+        frame_id=str(message.header.frame_id),
+    )
