@@ -1,7 +1,6 @@
 """Bending energy of a sheet from the hinge angles of its mesh, plate rigidity included.
 
-    E = sum_T A_T/2 kappa_T^T D kappa_T + (gamma/2) D_s |misfit (theta - theta_0)|^2
-    kappa_T = B_T (theta - theta_0) - kappa^p_T,     D = h^3/12 C,   D_s = trace(D)/3
+    E = sum_T A_T/2 kappa_T^T D kappa_T,    kappa_T = B_T (theta - theta_0) - kappa^p_T,    D = h^3/12 C
 
 theta_0 are rest angles (any curved or creased rest shape), kappa^p_T plastic curvatures, C the plane
 stress stiffness (E, nu, orthotropic if asked) and B_T the curvature operator of
@@ -34,9 +33,6 @@ from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.geometry.sheets import SheetMesh, find_hinges
 from sim_core.kernels import F1, F2, I1, I2, BoundKernel, vec3
 from sim_core.materials.elastic import plane_stress
-
-MISFIT_FACTOR = 0.5
-"""gamma: share of the rigidity that resists angles which no constant curvature explains."""
 
 _VOIGT = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
@@ -171,7 +167,8 @@ class Bending:
     """Term of one sheet. ``node_offset``: index of the sheet's first node among all nodes.
 
     ``mesh`` is the flat or curved mesh whose metric defines areas; ``rest_angles`` default to those
-    of the mesh itself [rad], shape ``(n_hinges,)``.
+    of the mesh itself [rad], shape ``(n_hinges,)``. ``held``: bool ``(n,)``, nodes in one rigid clamp;
+    triangles of such nodes alone do not bend, which puts the clamp's edge where the held nodes end.
     """
 
     mirrored = True
@@ -183,16 +180,17 @@ class Bending:
         node_offset: int,
         axis: np.ndarray,
         rest_angles: np.ndarray | None = None,
+        held: np.ndarray | None = None,
     ) -> None:
         self.name = name
         self.hinges = find_hinges(mesh.triangles)
         frames = material_frames(mesh.nodes, mesh.triangles, axis)
-        operator = curvature_operator(mesh.nodes, mesh.triangles, self.hinges, frames, mesh.areas)
-        self._kappa = operator.kappa
+        rigid = np.zeros(len(mesh.triangles), dtype=bool) if held is None else held[mesh.triangles].all(axis=1)
+        self._kappa = curvature_operator(mesh.nodes, mesh.triangles, self.hinges, frames, mesh.areas, rigid)
         self._hinge = np.ascontiguousarray(self.hinges.nodes + node_offset, dtype=np.int32)
         self._areas = mesh.areas
         n_hinges = len(self._hinge)
-        self._forms = self._unit_forms(operator.kappa, operator.misfit)
+        self._forms = self._unit_forms(self._kappa)
         self._deviation = np.zeros(n_hinges)
         self._moment = np.zeros(n_hinges)
         self._plastic_moment = np.zeros(n_hinges)
@@ -211,15 +209,14 @@ class Bending:
         BoundKernel(_angles, np.ascontiguousarray(nodes), hinge, np.zeros(len(hinge)), out)()
         return out
 
-    def _unit_forms(self, kappa: sp.csr_matrix, misfit: sp.csr_matrix) -> np.ndarray:
-        """Values of Q per unit of D_11, D_12, D_13, D_22, D_23, D_33 and of D_s: ``(n_pairs, 7)``."""
+    def _unit_forms(self, kappa: sp.csr_matrix) -> np.ndarray:
+        """Values of Q per unit of D_11, D_12, D_13, D_22, D_23, D_33: ``(n_pairs, 6)``."""
         forms = []
         rows = [kappa[k::3] for k in range(3)]
         area = sp.diags(self._areas)
         for i, j in _VOIGT:
             form = rows[i].T @ area @ rows[j]
             forms.append(form if i == j else form + form.T)
-        forms.append(MISFIT_FACTOR * (misfit.T @ misfit))
         pattern = sp.triu(sum(abs(f) for f in forms) + sp.eye(kappa.shape[1])).tocoo()
         self._row = np.ascontiguousarray(pattern.row, dtype=np.int32)
         self._column = np.ascontiguousarray(pattern.col, dtype=np.int32)
@@ -252,8 +249,7 @@ class Bending:
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._d[:] = parameters["thickness_m"] ** 3 / 12.0 * plane_stress(parameters)
         self._d *= parameters.get("bending_factor", 1.0)
-        weights = [self._d[i, j] for i, j in _VOIGT] + [np.trace(self._d) / 3.0]
-        self._q[:] = self._forms @ np.asarray(weights)
+        self._q[:] = self._forms @ np.asarray([self._d[i, j] for i, j in _VOIGT])
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
         self._hardening = parameters.get("hardening_ratio", 0.0)
 

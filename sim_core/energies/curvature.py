@@ -1,26 +1,24 @@
-"""From hinge angles to the curvature of each triangle, exactly for quadratic surfaces.
+"""From hinge angles to the curvature of each triangle, on any mesh.
 
-On a surface w = 1/2 kappa : (x x) the hinge of a mesh edge opens by
+By the divergence theorem the curvature of a triangle with area A follows from the normal slopes g_e at
+the middles of its edges (length l_e, in-plane outward normal m_e), measured from its own plane:
 
-    theta_e = (grad w_right - grad w_left) . m_e  =  G_e : kappa
+    A kappa_T = sum_e l_e m_e m_e^T phi_(T,e),      phi_(T,e) = (g_e - grad w_T) . m_e
 
-where grad w are the gradients of the linear interpolants on both sides and m_e the in-plane normal of
-the edge from left to right: linear in kappa, with G_e from the rest geometry alone. Each triangle
-recovers its curvature from the angles of the hinges around it by weighted least squares,
+The hinge angle is the sum of the two sides' parts, theta_e = phi_(T,e) + phi_(N,e), because g_e is one
+slope shared by both. That makes constant moments do no work on any local disturbance (the patch test);
+halving the angle would do, but misplaces the slope where the neighbours differ in shape. On the quadratic
+w = 1/2 kappa : (x x) the parts are Q_(T,e) : kappa with Q from the triangle's rest geometry, so
 
-    kappa_T = B_T theta,    B_T = argmin sum_e w_e ((theta_e - G_e : kappa) / |G_e|)^2
+    phi_(T,e) = theta_e / 2 + (Q_(T,e) : K_T - Q_(N,e) : K_N) / 2
 
-which reproduces a constant curvature on any mesh. An interior triangle has three hinges and the fit
-is an interpolation (the quadratic through the six nodes of the patch). Where these are fewer (free
-borders) or badly placed, the hinges of the neighbours join in with less weight; the misfit of such a
-fit then enters the energy so that no combination of angles is free of charge. Compare Grinspun et al.,
-Computing discrete shape operators on general meshes (2006), and Onate & Flores, Advances in the
-formulation of the rotation-free basic shell triangle (2005).
+with K a least-squares fit of a constant curvature to the angles around each triangle reproduces constant
+curvature exactly on any mesh and keeps the sum. At a free border phi = Q : K_T; next to a rigidly held
+triangle the slope is that of the holder, phi = theta. Symmetric pairs of triangles reduce to the basic
+shell triangle of Onate & Zarate, Rotation-free triangular plate and shell elements (2000).
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -34,58 +32,130 @@ SINGULAR_RATIO = 0.15
 """Smallest accepted ratio of singular values of a triangle's own three hinges."""
 
 
-@dataclass(frozen=True)
-class CurvatureOperator:
-    """``kappa``: csr ``(3 m, n_hinges)``, angle [rad] to curvature [1/m] in Voigt order 11, 22, 2*12.
-    ``misfit``: csr ``(n_rows, n_hinges)`` such that ``|misfit theta|^2`` is the area-weighted squared
-    misfit curvature [-] of the least-squares fits."""
-
-    kappa: sp.csr_matrix
-    misfit: sp.csr_matrix
-
-
 def curvature_operator(
-    nodes: np.ndarray, triangles: np.ndarray, hinges: Hinges, frames: np.ndarray, areas: np.ndarray
-) -> CurvatureOperator:
-    """Build the operator. ``frames``: material axes of each triangle ``(m, 3, 2)``."""
+    nodes: np.ndarray,
+    triangles: np.ndarray,
+    hinges: Hinges,
+    frames: np.ndarray,
+    areas: np.ndarray,
+    rigid: np.ndarray,
+) -> sp.csr_matrix:
+    """Operator ``(3 m, n_hinges)`` from angle changes [rad] to curvature changes [1/m].
+
+    Voigt order 11, 22, 2*12 in the material axes ``frames`` ``(m, 3, 2)``. ``rigid``: bool ``(m,)``,
+    triangles held as a whole; they have no curvature.
+    """
     around: list[list[int]] = [[] for _ in range(len(triangles))]
     for h, (left, right) in enumerate(hinges.triangles.tolist()):
-        around[left].append(h)
-        around[right].append(h)
-    rows, columns, values = [], [], []
-    misfit_rows, misfit_columns, misfit_values = [], [], []
-    n_misfit = 0
-    for t in range(len(triangles)):
-        own = around[t]
-        if not own:
+        if not (rigid[left] and rigid[right]):
+            around[left].append(h)
+            around[right].append(h)
+    fits = [
+        None if rigid[t] else _fit(nodes, triangles, hinges, t, frames[t], around, rigid)
+        for t in range(len(triangles))
+    ]
+    rows: list[np.ndarray] = []
+    columns: list[np.ndarray] = []
+    values: list[np.ndarray] = []
+
+    def add(t: int, direction: np.ndarray, hinge: np.ndarray, coefficient: np.ndarray) -> None:
+        """Add ``direction`` (3,) times a row of coefficients on hinges to the curvature of ``t``."""
+        rows.append(np.repeat(3 * t + np.arange(3), len(hinge)))
+        columns.append(np.tile(hinge, 3))
+        values.append(np.outer(direction, coefficient).ravel())
+
+    edge_hinge = {frozenset(h[:2].tolist()): k for k, h in enumerate(hinges.nodes)}
+    for t, corners in enumerate(triangles):
+        own_fit = fits[t]
+        if own_fit is None:
             continue
-        stencil = list(own)
-        flat = _unfold(nodes, triangles[t], hinges, stencil, frames[t])
-        g = np.array([_opening(hinges.nodes[h], flat) for h in stencil])
-        if len(own) < 3 or not _well_placed(g):
-            sides = {s for h in own for s in hinges.triangles[h].tolist()} - {t}
-            stencil += sorted({h for s in sides for h in around[s]} - set(own))
-            flat = _unfold(nodes, triangles[t], hinges, stencil, frames[t])
-            g = np.array([_opening(hinges.nodes[h], flat) for h in stencil])
-        scale = np.linalg.norm(g, axis=1)
-        weight = np.where(np.isin(stencil, own), 1.0, NEIGHBOUR_WEIGHT) / scale
-        fit = np.linalg.pinv(weight[:, None] * g, rcond=1e-6) * weight[None, :]
-        for i in range(3):
-            rows += [3 * t + i] * len(stencil)
-        columns += stencil * 3
-        values += fit.ravel().tolist()
-        if len(stencil) > 3:
-            residual = (np.eye(len(stencil)) - g @ fit) * (weight * np.sqrt(areas[t]))[:, None]
-            for k in range(len(stencil)):
-                misfit_rows += [n_misfit + k] * len(stencil)
-                misfit_columns += stencil
-                misfit_values += residual[k].tolist()
-            n_misfit += len(stencil)
-    n_hinges = len(hinges.nodes)
-    return CurvatureOperator(
-        sp.csr_matrix((values, (rows, columns)), shape=(3 * len(triangles), n_hinges)),
-        sp.csr_matrix((misfit_values, (misfit_rows, misfit_columns)), shape=(n_misfit, n_hinges)),
-    )
+        flat = (nodes[corners] - nodes[corners[0]]) @ frames[t]
+        for k in range(3):
+            normal, length, q = _edge(flat, k)
+            direction = length / areas[t] * np.array([normal[0] ** 2, normal[1] ** 2, 2 * normal[0] * normal[1]])
+            h = edge_hinge.get(frozenset((int(corners[k]), int(corners[(k + 1) % 3]))))
+            if h is None:
+                add(t, direction, own_fit[0], q @ own_fit[1])
+                continue
+            sides = hinges.triangles[h]
+            other = int(sides[0] if sides[1] == t else sides[1])
+            other_fit = fits[other]
+            if other_fit is None:
+                add(t, direction, np.array([h]), np.ones(1))
+                continue
+            there = (nodes[triangles[other]] - nodes[triangles[other, 0]]) @ frames[other]
+            edge = {int(corners[k]), int(corners[(k + 1) % 3])}
+            at = next(
+                j for j in range(3) if {int(triangles[other, j]), int(triangles[other, (j + 1) % 3])} == edge
+            )
+            q_other = _edge(there, at)[2]
+            add(t, direction, np.array([h]), np.array([0.5]))
+            add(t, direction, own_fit[0], 0.5 * (q @ own_fit[1]))
+            add(t, direction, other_fit[0], -0.5 * (q_other @ other_fit[1]))
+    shape = (3 * len(triangles), len(hinges.nodes))
+    if not rows:
+        return sp.csr_matrix(shape)
+    matrix = sp.coo_matrix(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape
+    ).tocsr()
+    matrix.data[np.abs(matrix.data) < 1e-10 * np.abs(matrix.data).max()] = 0.0
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def _edge(flat: np.ndarray, k: int) -> tuple[np.ndarray, float, np.ndarray]:
+    """Outward normal, length [m] and slope part Q per unit curvature (Voigt) [m] of edge ``k``."""
+    p, q, apex = flat[k], flat[(k + 1) % 3], flat[(k + 2) % 3]
+    length = float(np.linalg.norm(q - p))
+    along = (q - p) / length
+    normal = np.array([along[1], -along[0]])
+    middle = 0.5 * (p + q)
+    a = apex - middle
+    if a @ normal > 0:
+        normal = -normal
+    height = -float(a @ normal)
+    half = 0.5 * length * along
+    # (1/2 kappa : a a - 1/2 kappa : half half) / height, as a row on (k11, k22, 2 k12).
+    row = 0.5 * np.array([a[0] ** 2 - half[0] ** 2, a[1] ** 2 - half[1] ** 2, a[0] * a[1] - half[0] * half[1]])
+    return normal, length, row / height
+
+
+def _fit(
+    nodes: np.ndarray,
+    triangles: np.ndarray,
+    hinges: Hinges,
+    t: int,
+    frame: np.ndarray,
+    around: list[list[int]],
+    rigid: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Constant curvature that fits the angles around triangle ``t``: hinges ``(k,)``, ``(3, k)``."""
+    own = around[t]
+    stencil = list(own)
+    flat = _unfold(nodes, triangles[t], hinges, stencil, frame)
+    g = _openings(hinges, stencil, flat, rigid)
+    if len(own) < 3 or not _well_placed(g):
+        sides = {int(s) for h in own for s in hinges.triangles[h]} - {t}
+        stencil += sorted({h for s in sides for h in around[s]} - set(own))
+        flat = _unfold(nodes, triangles[t], hinges, stencil, frame)
+        g = _openings(hinges, stencil, flat, rigid)
+    scale = np.linalg.norm(g, axis=1)
+    weight = np.where(np.isin(stencil, own), 1.0, NEIGHBOUR_WEIGHT) / scale
+    fit = np.linalg.pinv(weight[:, None] * g, rcond=1e-6) * weight[None, :]
+    return np.asarray(stencil), fit
+
+
+def _openings(
+    hinges: Hinges, stencil: list[int], flat: dict[int, np.ndarray], rigid: np.ndarray
+) -> np.ndarray:
+    """Opening of each hinge per unit curvature (Voigt) [m], ``(k, 3)``: the sum of both sides' Q."""
+    rows = np.zeros((len(stencil), 3))
+    for row, h in zip(rows, stencil, strict=True):
+        i, j, *apices = (int(n) for n in hinges.nodes[h])
+        for apex, side in zip(apices, hinges.triangles[h], strict=True):
+            if not rigid[side]:
+                row += _edge(np.array([flat[i], flat[j], flat[apex]]), 0)[2]
+    return rows
 
 
 def _well_placed(g: np.ndarray) -> bool:
@@ -110,8 +180,6 @@ def _unfold(
 def _unfold_over(nodes: np.ndarray, hinge: np.ndarray, flat: dict[int, np.ndarray]) -> None:
     """Place the one apex of ``hinge`` that is missing in ``flat`` by turning it about the edge."""
     i, j, k, m = (int(n) for n in hinge)
-    if i not in flat or j not in flat:
-        return
     for new, known in ((k, m), (m, k)):
         if new in flat or known not in flat:
             continue
@@ -124,26 +192,3 @@ def _unfold_over(nodes: np.ndarray, hinge: np.ndarray, flat: dict[int, np.ndarra
         if (flat[known] - flat[i]) @ side > 0:
             side = -side
         flat[new] = flat[i] + along * axis + height * side
-
-
-def _opening(hinge: np.ndarray, flat: dict[int, np.ndarray]) -> np.ndarray:
-    """G_e: opening of a hinge per unit curvature, Voigt (11, 22, 2*12) [m]."""
-    p, q, left, right = (flat[int(n)] for n in hinge)
-    axis = (q - p) / np.linalg.norm(q - p)
-    normal = np.array([axis[1], -axis[0]])
-    if (right - p) @ normal < 0:
-        normal = -normal
-    g = np.zeros(3)
-    for k, shape in enumerate((((1.0, 0.0), (0.0, 0.0)), ((0.0, 0.0), (0.0, 1.0)), ((0.0, 0.5), (0.5, 0.0)))):
-        matrix = np.asarray(shape)
-
-        def height(point: np.ndarray, matrix: np.ndarray = matrix) -> float:
-            return 0.5 * float(point @ matrix @ point)
-
-        slopes = []
-        for apex in (left, right):
-            edges = np.array([q - p, apex - p])
-            rise = np.array([height(q) - height(p), height(apex) - height(p)])
-            slopes.append(np.linalg.solve(edges, rise))
-        g[k] = (slopes[1] - slopes[0]) @ normal
-    return g

@@ -1,0 +1,282 @@
+"""Contact and friction between sampled deformable surfaces and rigid shapes.
+
+The rigid body is a node (its origin) plus a rotation that is prescribed during a step. With the
+sample position p = sum_i w_i x_i, body origin c, rotation R and the shape's signed distance phi,
+
+    g = phi(R^T (p - c)) - offset,
+    E = sum_s A_s [ psi(g_s) ] + D(u_s),   u = R e_n + T (p - c - R y_n),   y_n = R_n^T (p_n - c_n)
+
+where y_n is the body point under the sample at the start of the step, T the projector on the tangent
+plane there and e_n the elastic slip carried over from the last step, in the body frame. Laws:
+:mod:`sim_core.contact.law`.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+import taichi as ti
+
+from sim_core.contact.law import (
+    friction_force,
+    friction_potential,
+    friction_stiffness,
+    potential,
+    pressure,
+    slope,
+    tangent_projector,
+)
+from sim_core.contact.samples import Samples
+from sim_core.contact.shapes import signed_distance
+from sim_core.energies.term import Buffers, Internals, StepContext
+from sim_core.kernels import F1, F2, I1, I2, BoundKernel, mat3, vec3
+
+# Layout of the coefficient array.
+STIFFNESS, WIDTH, MU, EXCESS, SLIP_SCALE, OFFSET, DT = range(7)
+
+
+@ti.func
+def _rotation(r: ti.template()):
+    return mat3(r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2], r[2, 0], r[2, 1], r[2, 2])
+
+
+@ti.func
+def _position(x: ti.template(), nodes: ti.template(), weights: ti.template(), s: ti.i32):
+    p = vec3(0.0, 0.0, 0.0)
+    for a in range(nodes.shape[1] - 1):
+        i = nodes[s, a]
+        p += weights[s, a] * vec3(x[i, 0], x[i, 1], x[i, 2])
+    return p
+
+
+@ti.func
+def _origin(x: ti.template(), nodes: ti.template(), s: ti.i32):
+    b = nodes[s, nodes.shape[1] - 1]
+    return vec3(x[b, 0], x[b, 1], x[b, 2])
+
+
+@ti.func
+def _row(a: ti.template(), s: ti.i32):
+    return vec3(a[s, 0], a[s, 1], a[s, 2])
+
+
+@ti.func
+def _slip(offset_vector, rotation, s: ti.i32, y_start: ti.template(), anchor: ti.template(), normal: ti.template()):
+    """Elastic slip [m] and tangent projector."""
+    t = tangent_projector(_row(normal, s))
+    u = rotation @ _row(anchor, s) + t @ (offset_vector - rotation @ _row(y_start, s))
+    return t @ u, t
+
+
+@ti.kernel
+def _start(
+    x: F2, rotation: F2, nodes: I2, weights: F2, shape: F1, new_rotation: F2, y_start: F2, normal: F2
+):
+    """Body point under each sample and lagged normal, from the start of the step."""
+    ti.loop_config(serialize=True)
+    for s in range(nodes.shape[0]):
+        r = _rotation(rotation)
+        y = r.transpose() @ (_position(x, nodes, weights, s) - _origin(x, nodes, s))
+        distance, n, second = signed_distance(y, shape)
+        m = _rotation(new_rotation) @ n
+        for j in ti.static(range(3)):
+            y_start[s, j] = y[j]
+            normal[s, j] = m[j]
+
+
+@ti.kernel
+def _energy(
+    x: F2, rotation: F2, nodes: I2, weights: F2, areas: F1, shape: F1, c: F1, limit: F1,
+    y_start: F2, anchor: F2, normal: F2, out: F1
+):
+    ti.loop_config(serialize=True)
+    for s in range(nodes.shape[0]):
+        r = _rotation(rotation)
+        d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
+        distance, n, second = signed_distance(r.transpose() @ d, shape)
+        e = areas[s] * potential(distance - c[OFFSET], c[STIFFNESS], c[WIDTH])
+        if limit[s] > 0.0:
+            u, t = _slip(d, r, s, y_start, anchor, normal)
+            e += friction_potential(u, limit[s], c[STIFFNESS] * areas[s])
+        out[0] = out[0] + e
+
+
+@ti.kernel
+def _forces(
+    x: F2, rotation: F2, nodes: I2, weights: F2, areas: F1, shape: F1, c: F1, limit: F1,
+    y_start: F2, anchor: F2, normal: F2, force: F2, load: F1, gap: F1
+):
+    """Force on each sample [N], its normal part [N] and the gap [m]."""
+    ti.loop_config(serialize=True)
+    for s in range(nodes.shape[0]):
+        r = _rotation(rotation)
+        d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
+        distance, n, second = signed_distance(r.transpose() @ d, shape)
+        gap[s] = distance - c[OFFSET]
+        load[s] = areas[s] * pressure(gap[s], c[STIFFNESS], c[WIDTH])
+        f = load[s] * (r @ n)
+        if limit[s] > 0.0:
+            u, t = _slip(d, r, s, y_start, anchor, normal)
+            f -= friction_force(u, limit[s], c[STIFFNESS] * areas[s])
+        for j in ti.static(range(3)):
+            force[s, j] = f[j]
+
+
+@ti.kernel
+def _gradient(nodes: I2, weights: F2, force: F2, out: F2):
+    ti.loop_config(serialize=True)
+    for s in range(nodes.shape[0]):
+        for a in range(nodes.shape[1]):
+            i = nodes[s, a]
+            for j in ti.static(range(3)):
+                out[i, j] = out[i, j] - weights[s, a] * force[s, j]
+
+
+@ti.kernel
+def _hessian(
+    x: F2, rotation: F2, nodes: I2, weights: F2, areas: F1, shape: F1, c: F1, limit: F1,
+    y_start: F2, anchor: F2, normal: F2, exact: I1, slots: I2, out: F1
+):
+    ti.loop_config(serialize=True)
+    for s in range(nodes.shape[0]):
+        r = _rotation(rotation)
+        d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
+        distance, n, second = signed_distance(r.transpose() @ d, shape)
+        g = distance - c[OFFSET]
+        touching = g < c[WIDTH]
+        if touching or limit[s] > 0.0:
+            m = r @ n
+            k = areas[s] * slope(g, c[STIFFNESS], c[WIDTH]) * m.outer_product(m)
+            if exact[0] == 1:
+                k -= areas[s] * pressure(g, c[STIFFNESS], c[WIDTH]) * (r @ second @ r.transpose())
+            if limit[s] > 0.0:
+                u, t = _slip(d, r, s, y_start, anchor, normal)
+                stiff = friction_stiffness(u, limit[s], c[STIFFNESS] * areas[s], t)
+                k += t @ stiff @ t
+            count = nodes.shape[1]
+            n_block = 0
+            for a in range(count):
+                for b in range(a, count):
+                    w = weights[s, a] * weights[s, b]
+                    at_block = s * (count * (count + 1) // 2) + n_block
+                    for i in range(3):
+                        for j in range(3):
+                            if a != b or i <= j:
+                                at = slots[at_block, 3 * i + j]
+                                out[at] = out[at] + w * k[i, j]
+                    n_block += 1
+
+
+class RigidContact:
+    """Term for one pair (deformable surface, rigid shape).
+
+    ``samples``: of the surface. ``body_node``: node index of the body's origin. ``shape``: array of
+    :mod:`sim_core.contact.shapes`. ``rotation``: ``(3, 3)`` body to world, written by the driver of
+    the body before each step and shared with it.
+    """
+
+    mirrored = True
+
+    def __init__(
+        self, name: str, samples: Samples, body_node: int, shape: np.ndarray, rotation: np.ndarray
+    ) -> None:
+        self.name = name
+        count = len(samples.areas)
+        body = np.full((count, 1), body_node, dtype=np.int32)
+        self._nodes = np.ascontiguousarray(np.hstack([samples.nodes, body]), dtype=np.int32)
+        self._weights = np.ascontiguousarray(np.hstack([samples.weights, -np.ones((count, 1))]))
+        self._areas = np.ascontiguousarray(samples.areas)
+        self._shape = np.ascontiguousarray(shape, dtype=float)
+        self._rotation = rotation
+        self._rotation_start = rotation.copy()
+        self._c = np.zeros(7)
+        self._c[OFFSET] = samples.offset
+        self._limit, self._load, self._gap = np.zeros(count), np.zeros(count), np.zeros(count)
+        self._y_start, self._anchor = np.zeros((count, 3)), np.zeros((count, 3))
+        self._normal, self._force = np.zeros((count, 3)), np.zeros((count, 3))
+        self._exact = np.zeros(1, dtype=np.int32)
+
+    def blocks(self) -> np.ndarray:
+        a, b = np.triu_indices(self._nodes.shape[1])
+        return np.stack([self._nodes[:, a], self._nodes[:, b]], axis=-1).reshape(-1, 2)
+
+    def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
+        self._x = buffers.x
+        self._x_start = np.zeros_like(buffers.x)
+        surface = (self._rotation, self._nodes, self._weights)
+        laws = (self._areas, self._shape, self._c, self._limit, self._y_start, self._anchor, self._normal)
+        self._start = BoundKernel(
+            _start, self._x_start, self._rotation_start, self._nodes, self._weights, self._shape,
+            self._rotation, self._y_start, self._normal,
+        )  # fmt: skip
+        self.add_energy = BoundKernel(_energy, buffers.x, *surface, *laws, buffers.energy)
+        self._forces = BoundKernel(_forces, buffers.x, *surface, *laws, self._force, self._load, self._gap)
+        self._gradient = BoundKernel(_gradient, self._nodes, self._weights, self._force, buffers.gradient)
+        self._hessian = BoundKernel(
+            _hessian, buffers.x, *surface, *laws, self._exact, slots, buffers.hessian
+        )
+
+    def configure(self, parameters: Mapping[str, float]) -> None:
+        self._c[STIFFNESS] = parameters["stiffness_pa_per_m"]
+        self._c[WIDTH] = parameters["rounding_m"]
+        self._c[MU] = parameters["friction"]
+        self._c[EXCESS] = parameters.get("static_excess", 0.0)
+        self._c[SLIP_SCALE] = parameters.get("slip_speed_scale_m_s", 1.0)
+
+    def begin_step(self, step: StepContext, internals: Internals) -> None:
+        self._c[DT] = step.dt
+        self._x_start[:] = step.x_start
+        self._rotation_start[:] = internals["rotation"]
+        self._anchor[:] = internals["anchor"]
+        self._start()
+        mu = self._c[MU] * np.ones(len(self._areas))
+        if self._c[EXCESS] > 0.0:
+            mu *= 1.0 + self._c[EXCESS] * np.exp(-((internals["slip_speed"] / self._c[SLIP_SCALE]) ** 2))
+        self._limit[:] = mu * internals["load"]
+
+    def add_gradient(self) -> None:
+        self._forces()
+        self._gradient()
+
+    def add_hessian(self, exact: bool) -> None:
+        self._exact[0] = exact
+        self._hessian()
+
+    def end_step(self, step: StepContext, internals: Internals) -> Internals:
+        """Carry elastic slip, load and slip speed to the next step; all zero out of contact."""
+        self._forces()
+        position = np.einsum("nk,nkj->nj", self._weights, self._x[self._nodes])
+        rotation = self._rotation
+        normal = self._normal
+        moved = position - self._y_start @ rotation.T
+        slip = self._anchor @ rotation.T + moved
+        slip -= normal * np.einsum("nj,nj->n", slip, normal)[:, None]
+        length = np.linalg.norm(slip, axis=1)
+        longest = self._limit / (self._c[STIFFNESS] * self._areas)
+        beyond = length > longest
+        shrink = np.where(beyond, longest / np.where(length > 0.0, length, 1.0), 1.0)
+        touching = self._load > 0.0
+        return {
+            "rotation": rotation.copy(),
+            "anchor": np.where(touching[:, None], (slip * shrink[:, None]) @ rotation, 0.0),
+            "load": self._load.copy(),
+            "slip_speed": np.where(touching & beyond, (length - longest) / step.dt, 0.0),
+        }
+
+    def initial_internals(self) -> Internals:
+        count = len(self._areas)
+        return {
+            "rotation": self._rotation.copy(),
+            "anchor": np.zeros((count, 3)),
+            "load": np.zeros(count),
+            "slip_speed": np.zeros(count),
+        }
+
+    def sample_forces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the samples are [m] and the force on each of them [N], both ``(n, 3)``, at ``buffers.x``."""
+        self._forces()
+        nodes, weights = self._nodes[:, :-1], self._weights[:, :-1]
+        return np.einsum("nk,nkj->nj", weights, self._x[nodes]), self._force.copy()
+
+    def contacts(self) -> tuple[int, float]:
+        """Number of loaded samples and smallest gap [m] at the last gradient."""
+        return int(np.count_nonzero(self._load)), float(self._gap.min(initial=np.inf))

@@ -1,0 +1,177 @@
+"""The assembled mechanical system: nodes, mass, terms, and the sparse Hessian they share.
+
+All nodes of all bodies are in one array. Components that are prescribed (clamps, driven bodies) are
+not unknowns; the others are numbered, and the upper triangle of the Hessian in that numbering has a
+fixed pattern with a place for every entry of every term, so that assembly is addition in place. A
+term whose coupled nodes change (contact between deformable bodies) says so and the pattern is rebuilt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.sparse as sp
+
+from sim_core.energies.term import Buffers, Internals, StepContext, Term
+from sim_core.solve.factor import Factor, factorise
+
+
+class System:
+    """Energies, gradient and Hessian of one incremental potential.
+
+    ``nodes``: rest positions [m] ``(n, 3)``. ``mass``: csr ``(n, n)`` [kg]. ``prescribed``: bool
+    ``(n, 3)``. ``gravity``: [m/s^2] ``(3,)``. ``inertia``: False makes every step a static
+    equilibrium.
+    """
+
+    def __init__(
+        self,
+        nodes: np.ndarray,
+        mass: sp.csr_matrix,
+        prescribed: np.ndarray,
+        terms: Sequence[Term],
+        gravity: np.ndarray,
+        inertia: bool = True,
+    ) -> None:
+        self.nodes = np.ascontiguousarray(nodes, dtype=float)
+        self.mass = mass.tocsr()
+        self.prescribed = prescribed
+        self.terms = list(terms)
+        self.gravity = np.asarray(gravity, dtype=float)
+        self.inertia = inertia
+        count = 3 * len(nodes)
+        self.free = np.flatnonzero(~prescribed.ravel())
+        self._number = np.full(count, -1)
+        self._number[self.free] = np.arange(len(self.free))
+        self._x = self.nodes.copy()
+        self._energy = np.zeros(1)
+        self._gradient = np.zeros_like(self._x)
+        self._predicted = self._x.copy()
+        self._dt = 1.0
+        self._external = np.zeros_like(self._x)
+        self.loads = np.zeros_like(self._x)
+        """Dead nodal loads [N], ``(n, 3)``, on top of gravity."""
+        self.build_pattern()
+
+    @property
+    def n_unknowns(self) -> int:
+        return len(self.free)
+
+    @property
+    def x(self) -> np.ndarray:
+        """Positions that the terms look at [m], ``(n, 3)``; written in place."""
+        return self._x
+
+    def build_pattern(self) -> None:
+        """(Re)build the sparse pattern and bind all terms to it."""
+        n = len(self.free)
+        inertia = sp.coo_matrix(sp.triu(self.mass))
+        entries = [self._entries(np.column_stack([inertia.row, inertia.col]), True)]
+        for term in self.terms:
+            entries.append(self._entries(term.blocks(), term.mirrored))
+        diagonal = np.arange(n, dtype=np.int64)
+        keys = np.concatenate([(e[e >= 0]).ravel() for e in entries] + [diagonal * n + diagonal])
+        unique = np.unique(keys)
+        rows, columns = unique // n, unique % n
+        indptr = np.zeros(n + 1, dtype=np.int32)
+        np.add.at(indptr, rows + 1, 1)
+        self._indptr = np.cumsum(indptr).astype(np.int32)
+        self._indices = columns.astype(np.int32)
+        self._hessian = np.zeros(len(unique) + 1)
+        self._buffers = Buffers(self._x, self._energy, self._gradient, self._hessian)
+        self._factor: dict[bool, Factor] = {}
+        self._mass_values = np.zeros(len(unique) + 1)
+        slots = [np.where(e >= 0, np.searchsorted(unique, e), len(unique)).astype(np.int32) for e in entries]
+        isotropic = slots[0].reshape(-1, 3, 3)[:, range(3), range(3)]
+        np.add.at(self._mass_values, isotropic, inertia.data[:, None])
+        self._mass_values[-1] = 0.0
+        for term, places in zip(self.terms, slots[1:], strict=True):
+            term.bind(self._buffers, np.ascontiguousarray(places))
+
+    def _entries(self, blocks: np.ndarray, mirrored: bool) -> np.ndarray:
+        """Key row * n + column of every entry of every node block, -1 where it is not stored."""
+        n = np.int64(len(self.free))
+        axis = np.arange(3)
+        rows = self._number[3 * blocks[:, 0, None].astype(np.int64) + np.repeat(axis, 3)]
+        columns = self._number[3 * blocks[:, 1, None].astype(np.int64) + np.tile(axis, 3)]
+        missing = (rows < 0) | (columns < 0)
+        if mirrored:
+            rows, columns = np.minimum(rows, columns), np.maximum(rows, columns)
+        else:
+            missing |= rows > columns
+        return np.where(missing, -1, rows * n + columns)
+
+    def begin_step(self, step: StepContext, internals: dict[str, Internals]) -> None:
+        """Freeze the constants of a step in all terms and predict inertial motion."""
+        self._dt = step.dt
+        self._external[:] = self.mass @ np.broadcast_to(self.gravity, self._x.shape) + self.loads
+        self._predicted[:] = step.x_start + step.dt * step.v_start
+        changed = False
+        for term in self.terms:
+            term.begin_step(step, internals[term.name])
+            changed |= bool(getattr(term, "pattern_changed", False))
+        if changed:
+            self.build_pattern()
+
+    def energy(self) -> float:
+        """Incremental potential [J] at :attr:`x`."""
+        self._energy[0] = 0.0
+        for term in self.terms:
+            term.add_energy()
+        total = self._energy[0] - float(np.vdot(self._external, self._x))
+        if self.inertia:
+            away = self._x - self._predicted
+            total += 0.5 / self._dt**2 * float(np.vdot(away, self.mass @ away))
+        return float(total)
+
+    def gradient(self) -> np.ndarray:
+        """Derivative of the potential [N], ``(n, 3)``; on prescribed components the reaction's negative.
+
+        The returned array is reused by the next call.
+        """
+        self._gradient[:] = -self._external
+        if self.inertia:
+            self._gradient += self.mass @ (self._x - self._predicted) / self._dt**2
+        for term in self.terms:
+            term.add_gradient()
+        return self._gradient
+
+    def static_gradient(self) -> np.ndarray:
+        """As :meth:`gradient` but without gravity, loads and inertia: what the terms exert [N]."""
+        self._gradient[:] = 0.0
+        for term in self.terms:
+            term.add_gradient()
+        return self._gradient.copy()
+
+    def hessian(self, exact: bool = False, shift: float = 0.0) -> sp.csr_matrix:
+        """Upper triangle over the unknowns; ``shift`` [N/m] is added to the diagonal."""
+        self._hessian[:] = self._mass_values / self._dt**2 if self.inertia else 0.0
+        for term in self.terms:
+            term.add_hessian(exact)
+        values = self._hessian[:-1].copy()
+        if shift:
+            values[self._indptr[:-1]] += shift
+        n = len(self.free)
+        return sp.csr_matrix((values, self._indices, self._indptr), shape=(n, n))
+
+    def factor(self, matrix: sp.csr_matrix, definite: bool) -> Factor:
+        """Factorise a matrix from :meth:`hessian`, reusing the symbolic analysis of the pattern."""
+        factor = self._factor.get(definite)
+        if factor is None:
+            factor = self._factor[definite] = factorise(matrix, definite)
+        else:
+            factor.refactor(matrix.data)
+        return factor
+
+    def end_step(self, step: StepContext, internals: dict[str, Internals]) -> dict[str, Internals]:
+        """Internal variables after the step that ended at :attr:`x`."""
+        return {term.name: term.end_step(step, internals[term.name]) for term in self.terms}
+
+    def initial_internals(self) -> dict[str, Internals]:
+        return {term.name: term.initial_internals() for term in self.terms}
+
+    def contacts(self) -> tuple[int, float]:
+        """Loaded contact samples and smallest gap [m] at the last gradient."""
+        found = [term.contacts() for term in self.terms if hasattr(term, "contacts")]
+        return sum(c for c, _ in found), min((g for _, g in found), default=np.inf)
