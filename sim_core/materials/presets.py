@@ -24,8 +24,8 @@ PRESETS: dict[str, Preset] = {
         0.3,
         800.0,
         1.0e-4,
-        "Office paper, 80 g/m^2 on 0.10 mm. Modulus and Poisson's ratio: between the "
-        "directions of the sheet, order of magnitude as in Alava & Niskanen, The physics of paper, Rep. Prog. Phys. 69 (2006) 669",
+        "Office paper, 80 g/m^2 on 0.10 mm. Modulus and Poisson's ratio: between the directions of the "
+        "sheet, order of magnitude as in Alava & Niskanen, Rep. Prog. Phys. 69 (2006) 669",
     ),
     "card_200gsm": Preset(
         2.5e9,
@@ -36,12 +36,12 @@ PRESETS: dict[str, Preset] = {
         "Alava & Niskanen, Rep. Prog. Phys. 69 (2006) 669",
     ),
     "pet_film_100um": Preset(
-        4.0e9,
+        4.9e9,
         0.38,
         1390.0,
         1.0e-4,
-        "Biaxially oriented polyester film. Density and Poisson's ratio: DuPont Teijin Films, Mylar physical "
-        "properties; the modulus is a round number for such films (3.5 to 5 GPa)",
+        "Biaxially oriented polyester film: DuPont Teijin Films, Mylar physical-thermal properties H-37232-3 "
+        "(modulus 490 kg/mm^2 along and 510 across the machine)",
     ),
     "aluminium_foil": Preset(
         69.0e9,
@@ -58,14 +58,16 @@ PRESETS: dict[str, Preset] = {
         0.49,
         1070.0,
         None,
-        "Smooth-On bulletin Ecoflex series: 100 % modulus 10 psi taken as Young's modulus; density",
+        "Smooth-On bulletin Ecoflex series: 100 % modulus 10 psi taken as Young's modulus; density. "
+        "Tension tests show about half: Marechal et al., Soft Robotics 2020, doi 10.1089/soro.2019.0115",
     ),
     "ecoflex_00_50": Preset(
         8.3e4,
         0.49,
         1070.0,
         None,
-        "Smooth-On bulletin Ecoflex series: 100 % modulus 12 psi taken as Young's modulus; density",
+        "Smooth-On bulletin Ecoflex series: 100 % modulus 12 psi taken as Young's modulus; density. "
+        "Tension tests show about half: Marechal et al., Soft Robotics 2020, doi 10.1089/soro.2019.0115",
     ),
     "dragon_skin_30": Preset(
         5.93e5,

@@ -127,10 +127,12 @@ def describe(value: object) -> str:
     return str(value)
 
 
-def _of_length(count: int) -> BeforeValidator:
+def of_length(count: int) -> BeforeValidator:
+    """Requires a list with so many entries."""
+
     def check(value: object) -> object:
         if not isinstance(value, list | tuple | np.ndarray) or len(value) != count:
-            raise trouble(f"is {describe(value)}.", f"Write a list of {count} numbers.")
+            raise trouble(f"is {describe(value)}.", f"Write a list of {count} entries.")
         return tuple(value)
 
     return BeforeValidator(check)
@@ -147,15 +149,15 @@ Text = Annotated[str, Field(strict=True)]
 Name = Annotated[str, Field(strict=True, pattern=NAME_PATTERN)]
 Topic = Annotated[str, Field(strict=True, pattern=TOPIC_PATTERN)]
 FrameId = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_/]*$")]
-Position = Annotated[tuple[Coordinate, Coordinate, Coordinate], _of_length(3)]
-Vector = Annotated[tuple[Real, Real, Real], _of_length(3)]
-Angles = Annotated[tuple[Angle, Angle, Angle], _of_length(3)]
-Quaternion = Annotated[tuple[Real, Real, Real, Real], _of_length(4)]
-Sizes = Annotated[tuple[Length, Length, Length], _of_length(3)]
-Cells2 = Annotated[tuple[Count, Count], _of_length(2)]
-Cells3 = Annotated[tuple[Count, Count, Count], _of_length(3)]
-Point2 = Annotated[tuple[Coordinate, Coordinate], _of_length(2)]
-Interval = Annotated[tuple[Coordinate, Coordinate], _of_length(2)]
+Position = Annotated[tuple[Coordinate, Coordinate, Coordinate], of_length(3)]
+Vector = Annotated[tuple[Real, Real, Real], of_length(3)]
+Angles = Annotated[tuple[Angle, Angle, Angle], of_length(3)]
+Quaternion = Annotated[tuple[Real, Real, Real, Real], of_length(4)]
+Sizes = Annotated[tuple[Length, Length, Length], of_length(3)]
+Cells2 = Annotated[tuple[Count, Count], of_length(2)]
+Cells3 = Annotated[tuple[Count, Count, Count], of_length(3)]
+Point2 = Annotated[tuple[Coordinate, Coordinate], of_length(2)]
+Interval = Annotated[tuple[Coordinate, Coordinate], of_length(2)]
 
 
 class Pose(Strict):

@@ -21,6 +21,7 @@ from sim_core.rigs.fields import (
     Strict,
     Text,
     Topic,
+    of_length,
     trouble,
 )
 
@@ -175,7 +176,7 @@ class PinholeCamera(_Lens):
     """
 
     model: Literal["pinhole"]
-    distortion: tuple[Real, Real, Real, Real, Real] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: Annotated[tuple[Real, Real, Real, Real, Real], of_length(5)] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class FisheyeCamera(_Lens):
@@ -185,7 +186,7 @@ class FisheyeCamera(_Lens):
     """
 
     model: Literal["fisheye"]
-    distortion: tuple[Real, Real, Real, Real] = (0.0, 0.0, 0.0, 0.0)
+    distortion: Annotated[tuple[Real, Real, Real, Real], of_length(4)] = (0.0, 0.0, 0.0, 0.0)
 
 
 class OrthographicCamera(_Camera):

@@ -25,6 +25,7 @@ from sim_core.rigs.fields import (
     Text,
     Topic,
     Vector,
+    of_length,
     trouble,
 )
 from sim_core.rigs.observers import Camera, Sensor
@@ -90,7 +91,7 @@ class EndEffector(Strict):
 class Contact(Strict):
     """Two bodies that may touch (twice the same sheet: it may touch itself)."""
 
-    between: tuple[Name, Name] = Field(description="the two bodies")
+    between: Annotated[tuple[Name, Name], of_length(2)] = Field(description="the two bodies")
     friction: Friction = 0.0
     stiffness_pa_per_m: Stiffness | None = None
 

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from sim_core.errors import ConfigError, nearest_match
-from sim_core.rigs.fields import Strict, describe
+from sim_core.rigs.fields import Strict, describe, unit_of
 
 Model = TypeVar("Model", bound=Strict)
 
@@ -132,9 +132,9 @@ def _near_files(path: Path) -> str:
     return nearest_match(path.name, names) if names else "Check the path."
 
 
-def _key_path(location: tuple[int | str, ...], data: object) -> str:
+def _steps(location: tuple[int | str, ...], data: object) -> list[int | str]:
     """The path as the file has it: tags that the checker inserts for kinds of a body are left out."""
-    parts: list[str] = []
+    steps: list[int | str] = []
     current: Any = data
     for index, step in enumerate(location):
         if isinstance(current, Mapping) and step in current:
@@ -145,11 +145,15 @@ def _key_path(location: tuple[int | str, ...], data: object) -> str:
             continue
         elif index < len(location) - 1 or step == "[key]":
             continue
-        if isinstance(step, int) and parts:
-            parts[-1] += f"[{step}]"
-        else:
-            parts.append(str(step))
-    return ".".join(parts)
+        steps.append(step)
+    return steps
+
+
+def _join(steps: list[int | str]) -> str:
+    text = ""
+    for step in steps:
+        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
+    return text
 
 
 def _is_tag(step: str, current: Mapping[str, Any]) -> bool:
@@ -161,9 +165,9 @@ def _explain(error: ErrorDetails, data: Mapping[str, Any]) -> tuple[str, str]:
     context: dict[str, Any] = error.get("ctx", {})
     location = error["loc"]
     if kind == "trouble":
-        where = _key_path((*location, *context["path"]), data)
+        where = _join([*_steps(location, data), *context["path"]])
         return f"{where} {context['problem']}".strip(), context["remedy"]
-    where = _key_path(location, data) or "the file"
+    where = _join(_steps(location, data)) or "the file"
     value = error["input"]
     if kind in {"union_tag_invalid", "union_tag_not_found"}:
         return _explain_tag(error, where)
@@ -175,9 +179,9 @@ def _explain(error: ErrorDetails, data: Mapping[str, Any]) -> tuple[str, str]:
     }
     if kind in bounds:
         key, words = bounds[kind]
-        return f"{where} is {describe(value)}, but must be {words} {context[key]:g}.", (
-            "Correct the value; the unit is the one in the key."
-        )
+        unit = unit_of(str(location[-1])) or unit_of(str(location[-2])) if len(location) > 1 else ""
+        remedy = f"The unit is {unit}; check that the value is in it." if unit else "Correct the value."
+        return f"{where} is {describe(value)}, but must be {words} {context[key]:g}.", remedy
     if kind == "finite_number":
         return f"{where} is {value}, which is not a finite number.", "Write a number."
     if kind in {"float_type", "int_type", "int_from_float"}:
@@ -199,13 +203,11 @@ def _explain(error: ErrorDetails, data: Mapping[str, Any]) -> tuple[str, str]:
         )
     if kind == "literal_error":
         return f"{where} is {describe(value)}.", f"Choose one of: {context['expected']}."
-    if kind in {"too_short", "too_long", "missing", "tuple_type", "list_type"}:
+    if kind in {"too_short", "too_long", "tuple_type", "list_type"}:
         count = context.get("min_length") or context.get("max_length")
-        return (
-            f"{where} is {describe(value)}.",
-            f"Write a list{f' of {count} or more' if kind == 'too_short' else ''}, such as [1.0, 2.0].",
-        )
-    if kind in {"dict_type", "model_type", "mapping_type"}:
+        amount = {"too_short": f" of {count} or more", "too_long": f" of at most {count}"}.get(kind, "")
+        return f"{where} is {describe(value)}.", f"Write a list{amount}."
+    if kind in {"dict_type", "model_type", "mapping_type", "model_attributes_type"}:
         return f"{where} is {describe(value)}, not a mapping.", "Write 'key: value' lines below it."
     return f"{where} is {describe(value)}: {error['msg']}.", "Correct the value."
 

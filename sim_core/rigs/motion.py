@@ -1,0 +1,390 @@
+"""Experiments: what each end effector does, as a list of named motions, and their pose trajectories.
+
+Moves are relative to where the motion before ended (the first one: the start pose of the rig), along
+the axes of the base frame, or of the end effector itself with ``frame: own``. ``speed_m_s`` is the
+highest speed of a move; a turn takes at least as long as ``speed_deg_s`` asks for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from sim_core.errors import ConfigError, nearest_match
+from sim_core.rigs.fields import (
+    Angles,
+    FloatArray,
+    Name,
+    Pose,
+    Position,
+    Strict,
+    Text,
+    Vector,
+    trouble,
+)
+from sim_core.rigs.load import find_config
+from sim_core.rigs.schema import EndEffector, Rig
+from sim_core.rigs.trajectory import (
+    MINIMUM_JERK_PEAK,
+    PoseTrajectory,
+    Profile,
+    minimum_jerk,
+    trapezoidal,
+    trapezoidal_timing,
+)
+from sim_core.rigs.yamlfile import read_mapping, validate
+
+Duration = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=3600.0)]
+Speed = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=10.0)]
+TurnSpeed = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=3600.0)]
+Acceleration = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1000.0)]
+Distance = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=10.0)]
+Times = Annotated[int, Field(strict=True, ge=1, le=1000)]
+
+
+def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(vector):
+        raise trouble("is [0, 0, 0].", "Give a direction, such as [0, 0, -1].")
+    return vector
+
+
+Direction = Annotated[Vector, AfterValidator(_not_zero)]
+
+MAX_SAMPLES = 2_000_000
+
+
+@dataclass(frozen=True)
+class Move:
+    """One move from rest to rest. ``turn`` acts about the end effector's origin.
+
+    ``shift`` [m] ``(3,)`` and ``turn`` are along the axes named by ``own``; ``speed`` in m/s,
+    ``turn_speed`` in rad/s, ``acceleration`` in m/s^2 (None: minimum jerk).
+    """
+
+    shift: FloatArray
+    turn: Rotation
+    own: bool
+    speed: float
+    turn_speed: float
+    acceleration: float | None
+
+    def timing(self) -> tuple[float, Profile]:
+        """Duration [s] and profile."""
+        distance, angle = float(np.linalg.norm(self.shift)), float(self.turn.magnitude())
+        if self.acceleration is None:
+            return MINIMUM_JERK_PEAK * max(distance / self.speed, angle / self.turn_speed), minimum_jerk
+        duration, ramp = (
+            trapezoidal_timing(distance, self.speed, self.acceleration) if distance else (0.0, 0.5)
+        )
+        turning, turn_ramp = 0.0, 0.5
+        if angle:
+            turn_acceleration = self.turn_speed * self.acceleration / self.speed
+            turning, turn_ramp = trapezoidal_timing(angle, self.turn_speed, turn_acceleration)
+        return (duration, trapezoidal(ramp)) if duration >= turning else (turning, trapezoidal(turn_ramp))
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Stand still for ``duration`` [s]."""
+
+    duration: float
+
+
+Step = Move | Rest
+
+
+class _Moving(Strict):
+    frame: Literal["base", "own"] = "base"
+    profile: Literal["minimum_jerk", "trapezoidal"] = "minimum_jerk"
+    speed_m_s: Speed = Field(default=0.01, description="highest speed in m/s")
+    speed_deg_s: TurnSpeed = 45.0
+    acceleration_m_s2: Acceleration | None = None
+
+    @model_validator(mode="after")
+    def _profile_fits(self) -> _Moving:
+        if self.acceleration_m_s2 is not None and self.profile == "minimum_jerk":
+            raise trouble(
+                "is given for a minimum-jerk motion.",
+                "Write 'profile: trapezoidal', or leave it out.",
+                "acceleration_m_s2",
+            )
+        return self
+
+    def move(self, shift: Sequence[float] | FloatArray, turn: Rotation | None = None) -> Move:
+        """A move with this motion's speed, profile and axes."""
+        acceleration = None
+        if self.profile == "trapezoidal":
+            # A tenth of a second to full speed unless told otherwise.
+            acceleration = self.acceleration_m_s2 or self.speed_m_s / 0.1
+        return Move(
+            np.array(shift, dtype=np.float64),
+            turn or Rotation.identity(),
+            self.frame == "own",
+            self.speed_m_s,
+            math.radians(self.speed_deg_s),
+            acceleration,
+        )
+
+    def there_and_back(self, shift: FloatArray, turn: Rotation, hold_s: float, times: int) -> Iterator[Step]:
+        """Go, hold, come back the same way, so many times."""
+        # Along own axes the way back starts from the turned axes.
+        back = -turn.inv().apply(shift) if self.frame == "own" else -shift
+        for _ in range(times):
+            yield self.move(shift, turn)
+            yield Rest(hold_s)
+            yield self.move(back, turn.inv())
+
+
+class Wait(Strict):
+    """Stand still."""
+
+    type: Literal["wait"]
+    duration_s: Duration = Field(description="time in s")
+
+    def steps(self) -> Iterator[Step]:
+        """The motion as moves and rests."""
+        yield Rest(self.duration_s)
+
+
+class Press(_Moving):
+    """Press, hold, release: go ``depth_m`` along ``along`` and come back."""
+
+    type: Literal["press"]
+    depth_m: Distance = Field(description="way from where the motion begins, in m")
+    along: Direction = (0.0, 0.0, -1.0)
+    hold_s: Duration = 0.0
+    times: Times = 1
+
+    def steps(self) -> Iterator[Step]:
+        """The motion as moves and rests."""
+        shift = self.depth_m * _direction(self.along)
+        yield from self.there_and_back(shift, Rotation.identity(), self.hold_s, self.times)
+
+
+class Slide(_Moving):
+    """Move along a straight line; with ``back`` return the same way."""
+
+    type: Literal["slide"]
+    by_m: Position = Field(description="displacement in m")
+    back: bool = Field(default=False, strict=True)
+    hold_s: Duration = 0.0
+    times: Times = 1
+
+    @model_validator(mode="after")
+    def _moves(self) -> Slide:
+        if not any(self.by_m):
+            raise trouble("is [0, 0, 0].", "Give a displacement, or use 'type: wait'.", "by_m")
+        if self.times > 1 and not self.back:
+            raise trouble("repeats a way that has no return.", "Add 'back: true'.", "times")
+        return self
+
+    def steps(self) -> Iterator[Step]:
+        """The motion as moves and rests."""
+        if self.back:
+            yield from self.there_and_back(np.array(self.by_m), Rotation.identity(), self.hold_s, self.times)
+        else:
+            yield self.move(self.by_m)
+            yield Rest(self.hold_s)
+
+
+class Bend(_Moving):
+    """Bend and release: turn (and shift) the end effector, hold, and come back."""
+
+    type: Literal["bend"]
+    turn_rpy_deg: Angles = Field(description="turn about the fixed axes x, y, z in deg")
+    by_m: Position = (0.0, 0.0, 0.0)
+    hold_s: Duration = 0.0
+    times: Times = 1
+
+    def steps(self) -> Iterator[Step]:
+        """The motion as moves and rests."""
+        turn = Rotation.from_euler("xyz", self.turn_rpy_deg, degrees=True)
+        yield from self.there_and_back(np.array(self.by_m), turn, self.hold_s, self.times)
+
+
+class Pull(_Moving):
+    """Pull a strip: go ``distance_m`` along ``along``, hold, and come back unless ``back`` is false."""
+
+    type: Literal["pull"]
+    distance_m: Distance = Field(description="way in m")
+    along: Direction = (1.0, 0.0, 0.0)
+    hold_s: Duration = 0.0
+    back: bool = Field(default=True, strict=True)
+    times: Times = 1
+    profile: Literal["minimum_jerk", "trapezoidal"] = "trapezoidal"
+
+    def steps(self) -> Iterator[Step]:
+        """The motion as moves and rests."""
+        shift = self.distance_m * _direction(self.along)
+        if self.back:
+            yield from self.there_and_back(shift, Rotation.identity(), self.hold_s, self.times)
+        else:
+            for _ in range(self.times):
+                yield self.move(shift)
+                yield Rest(self.hold_s)
+
+
+class Drop(Strict):
+    """Give way faster than things fall, so that what was carried drops; then wait for it to settle."""
+
+    type: Literal["drop"]
+    distance_m: Distance = Field(description="way in m")
+    along: Direction = (0.0, 0.0, -1.0)
+    acceleration_m_s2: Acceleration = 30.0
+    settle_s: Duration = 1.0
+
+    def steps(self) -> Iterator[Step]:
+        """The motion as moves and rests."""
+        shift = self.distance_m * _direction(self.along)
+        top_speed = math.sqrt(self.distance_m * self.acceleration_m_s2)
+        yield Move(shift, Rotation.identity(), False, top_speed, 1.0, self.acceleration_m_s2)
+        yield Rest(self.settle_s)
+
+
+class Waypoints(_Moving):
+    """Go through poses given relative to the start pose of the rig, at rest in each."""
+
+    type: Literal["waypoints"]
+    poses: tuple[Pose, ...] = Field(min_length=1, description="poses relative to the start pose")
+    hold_s: Duration = 0.0
+
+
+Motion = Annotated[Wait | Press | Slide | Bend | Pull | Drop | Waypoints, Field(discriminator="type")]
+
+
+class Experiment(Strict):
+    """What each end effector does. All motions begin at time 0; who is done first holds still."""
+
+    name: Name = Field(description="short name, as in the file's name")
+    description: Text = ""
+    seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 0
+    command_rate_hz: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0, le=1000.0)] = 100.0
+    duration_s: Duration | None = None
+    motions: dict[Name, tuple[Motion, ...]] = Field(default={})
+
+    @model_validator(mode="after")
+    def _lasts(self) -> Experiment:
+        if not any(self.motions.values()) and not self.duration_s:
+            raise trouble(
+                "has neither motions nor duration_s.", "Say what moves, or how long to watch.", "motions"
+            )
+        return self
+
+
+def load_experiment(name_or_path: str | Path) -> Experiment:
+    """Load an experiment by the name of one that comes with the package, or from a file."""
+    path = find_config(name_or_path, "experiments")
+    return validate(Experiment, read_mapping(path), str(path))
+
+
+def compile_experiment(experiment: Experiment, rig: Rig) -> dict[str, PoseTrajectory]:
+    """Commanded poses of every end effector of the rig, from time 0 to the end of the longest.
+
+    Sampled at ``command_rate_hz``; end effectors without motions hold their start pose.
+    """
+    for name in experiment.motions:
+        if name not in rig.end_effectors:
+            known = list(rig.end_effectors)
+            raise ConfigError(
+                f"The experiment {experiment.name!r} moves {name!r}, but the rig {rig.name!r} has no such "
+                "end effector.",
+                nearest_match(name, known) if known else "This rig has no end effectors.",
+            )
+    paths = {
+        name: _Path.of(effector, experiment.motions.get(name, ()))
+        for name, effector in rig.end_effectors.items()
+    }
+    duration = max([experiment.duration_s or 0.0, *(path.end for path in paths.values())])
+    count = max(math.ceil(duration * experiment.command_rate_hz - 1e-9), 1)
+    if count > MAX_SAMPLES:
+        raise ConfigError(
+            f"The experiment {experiment.name!r} takes {duration:.4g} s, which makes {count} poses "
+            f"of each end effector, more than {MAX_SAMPLES}.",
+            "Check the speeds and how often motions are repeated, or lower command_rate_hz.",
+        )
+    times = np.arange(count + 1) / experiment.command_rate_hz
+    return {name: path.sample(times) for name, path in paths.items()}
+
+
+def _direction(along: tuple[float, float, float]) -> FloatArray:
+    vector = np.array(along)
+    return vector / float(np.linalg.norm(vector))
+
+
+@dataclass
+class _Path:
+    """A chain of moves: knots in time with poses, and the profile between two knots."""
+
+    times: list[float]
+    positions: list[FloatArray]
+    rotations: list[Rotation]
+    profiles: list[Profile] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, effector: EndEffector, motions: Sequence[Motion]) -> _Path:
+        path = cls([0.0], [effector.start.position()], [effector.start.rotation()])
+        for motion in motions:
+            if isinstance(motion, Waypoints):
+                path._visit(motion)
+                continue
+            for step in motion.steps():
+                path._append(step)
+        return path
+
+    @property
+    def end(self) -> float:
+        return self.times[-1]
+
+    def _append(self, step: Step) -> None:
+        here, facing = self.positions[-1], self.rotations[-1]
+        if isinstance(step, Rest):
+            self._knot(step.duration, here, facing, minimum_jerk)
+            return
+        shift = facing.apply(step.shift) if step.own else step.shift
+        turned = facing * step.turn if step.own else step.turn * facing
+        duration, profile = step.timing()
+        self._knot(duration, here + shift, turned, profile)
+
+    def _visit(self, motion: Waypoints) -> None:
+        """Poses relative to the start pose: along base axes, or as poses in the start frame."""
+        origin, start = self.positions[0], self.rotations[0]
+        for pose in motion.poses:
+            own = motion.frame == "own"
+            goal = origin + (start.apply(pose.position()) if own else pose.position())
+            facing = start * pose.rotation() if own else pose.rotation() * start
+            turn = facing * self.rotations[-1].inv()
+            duration, profile = motion.move(goal - self.positions[-1], turn).timing()
+            self._knot(duration, goal, facing, profile)
+            self._append(Rest(motion.hold_s))
+
+    def _knot(self, duration: float, position: FloatArray, rotation: Rotation, profile: Profile) -> None:
+        if duration <= 0.0:
+            return
+        self.times.append(self.end + duration)
+        self.positions.append(position)
+        self.rotations.append(rotation)
+        self.profiles.append(profile)
+
+    def sample(self, times: FloatArray) -> PoseTrajectory:
+        """The chain at the given times [s], the last pose held."""
+        positions = np.repeat(self.positions[-1][None], len(times), axis=0)
+        quaternions = np.repeat(self.rotations[-1].as_quat()[None], len(times), axis=0)
+        knots = np.array(self.times)
+        segment = np.searchsorted(knots, times, side="right") - 1
+        for index, profile in enumerate(self.profiles):
+            mine = segment == index
+            share = profile((times[mine] - knots[index]) / (knots[index + 1] - knots[index]))
+            start, stop = self.positions[index], self.positions[index + 1]
+            positions[mine] = start + share[:, None] * (stop - start)
+            turn = (self.rotations[index + 1] * self.rotations[index].inv()).as_rotvec()
+            quaternions[mine] = (
+                Rotation.from_rotvec(share[:, None] * turn) * self.rotations[index]
+            ).as_quat()
+        return PoseTrajectory.from_samples(times, positions, quaternions)
