@@ -170,18 +170,23 @@ def _tangent(deformation: F3, dilatation: F1, history: F2, constants: F1, modes:
         memory = mat3(0.0)
         if constants[_RELAXING] > 0.0:
             memory = _memory(history, p)
-        for i, j in ti.static(ti.ndrange(3, 3)):
-            for k, l in ti.static(ti.ndrange(3, 3)):
-                value = curvature * cof[i, j] * cof[k, l]
-                if ti.static(i == k):
-                    value += memory[j, l]
-                    if ti.static(j == l):
-                        value += alpha
-                elif ti.static(j != l):
-                    m, n = ti.static(3 - i - k, 3 - j - l)
-                    sign = ti.static((k - i) * (m - i) * (m - k) * (l - j) * (n - j) * (n - l) // 4)
-                    value += sign * slope * f[m, n]
-                out[p, 3 * i + j, 3 * k + l] = value
+        for i in range(3):
+            for k in range(3):
+                # Block (i, k) of d2J is the skew matrix of row m of F, with the sign of (i, k, m).
+                m = (6 - i - k) % 3
+                turn = slope * (k - i) * (m - i) * (m - k) * 0.5
+                same = ti.select(i == k, 1.0, 0.0)
+                for j, n in ti.static(ti.ndrange(3, 3)):
+                    value = curvature * cof[i, j] * cof[k, n] + same * memory[j, n]
+                    if ti.static(j == n):
+                        value += same * alpha
+                    else:
+                        value += (
+                            turn
+                            * ti.static((n - j) * (3 - n - 2 * j) * (3 - 2 * n - j) // 2)
+                            * f[m, 3 - j - n]
+                        )
+                    out[p, 3 * i + j, 3 * k + n] = value
         if constants[_EXACT] == 0.0:
             negative_modes(modes, f, alpha, slope, curvature, memory, constants[_RELAXING] > 0.0)
             for m in range(9):

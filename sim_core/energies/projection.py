@@ -53,11 +53,6 @@ def symmetric_eigen(matrix: mat3):
 
 
 @ti.func
-def _column(m: mat3, j: ti.template()):
-    return vec3(m[0, j], m[1, j], m[2, j])
-
-
-@ti.func
 def _perpendicular(u: vec3):
     """Some unit vector perpendicular to the unit vector ``u``."""
     axis = vec3(1.0, 0.0, 0.0)
@@ -69,14 +64,19 @@ def _perpendicular(u: vec3):
 @ti.func
 def rotation_variant_svd(f: mat3):
     """F = U diag(s) V^T with rotations U, V; the smallest of ``s`` carries the sign of det F."""
-    _, v = symmetric_eigen(f.transpose() @ f)
-    fv = f @ v
-    for p, r in ti.static(((0, 1), (1, 2), (0, 1))):
-        if _column(fv, p).norm_sqr() < _column(fv, r).norm_sqr():
-            for i in ti.static(range(3)):
-                v[i, p], v[i, r] = v[i, r], -v[i, p]
-                fv[i, p], fv[i, r] = fv[i, r], -fv[i, p]
-    f0, f1, f2 = _column(fv, 0), _column(fv, 1), _column(fv, 2)
+    length, axes = symmetric_eigen(f.transpose() @ f)
+    first = 0
+    for k in ti.static(range(3)):
+        if length[k] > length[first]:
+            first = k
+    last = (first + 1) % 3
+    if length[(first + 2) % 3] < length[last]:
+        last = (first + 2) % 3
+    second = 3 - first - last
+    v0 = vec3(axes[0, first], axes[1, first], axes[2, first])
+    v1 = vec3(axes[0, second], axes[1, second], axes[2, second])
+    v2 = v0.cross(v1)
+    f0, f1, f2 = f @ v0, f @ v1, f @ v2
     u0 = vec3(1.0, 0.0, 0.0)
     if f0.norm_sqr() > 0.0:
         u0 = f0.normalized()
@@ -85,16 +85,8 @@ def rotation_variant_svd(f: mat3):
     if f1.norm() > 1e-12 * f0.norm():
         u1 = f1.normalized()
     u2 = u0.cross(u1)
-    return ti.Matrix.cols([u0, u1, u2]), vec3(u0.dot(f0), u1.dot(f1), u2.dot(f2)), v
-
-
-@ti.func
-def _set_mode(modes: ti.template(), row: ti.template(), eigenvalue, direction: mat3):
-    """Store a direction of F whose curvature is negative, or mark the row as unused."""
-    modes[row, 9] = ti.min(eigenvalue, 0.0)
-    if eigenvalue < 0.0:
-        for i, j in ti.static(ti.ndrange(3, 3)):
-            modes[row, 3 * i + j] = direction[i, j]
+    s = vec3(u0.dot(f0), u1.dot(f1), u2.dot(f2))
+    return ti.Matrix.cols([u0, u1, u2]), s, ti.Matrix.cols([v0, v1, v2])
 
 
 @ti.func
@@ -102,7 +94,8 @@ def negative_modes(modes: ti.template(), f: mat3, alpha, slope, curvature, memor
     """Find the negative eigenvalues and unit eigenvectors of the second derivative.
 
     ``slope``, ``curvature``: f'(J) and f''(J) [Pa]. ``memory``: H [Pa], not read unless ``relaxing``.
-    ``modes``: rows of the eigenvector (9 entries, row by row of F) and its eigenvalue, or zero.
+    ``modes``: rows of a unit eigenvector (9 entries, row by row of F) and its eigenvalue, or zero if
+    that is not negative.
     """
     u, s, v = rotation_variant_svd(f)
     stiffness = vec3(alpha, alpha, alpha)
@@ -111,8 +104,8 @@ def negative_modes(modes: ti.template(), f: mat3, alpha, slope, curvature, memor
         rho = ti.sqrt(4.0 / 3.0 * (h[0, 1] ** 2 + h[0, 2] ** 2 + h[1, 2] ** 2))
         for i in ti.static(range(3)):
             stiffness[i] += h[i, i] - rho
-    for i, j in ti.static(_PAIRS):
-        k = ti.static(3 - i - j)
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
         mean = 0.5 * (stiffness[i] + stiffness[j])
         half = 0.5 * (stiffness[j] - stiffness[i])
         cross = -slope * s[k]
@@ -125,10 +118,13 @@ def negative_modes(modes: ti.template(), f: mat3, alpha, slope, curvature, memor
             length = ti.sqrt(x * x + y * y)
             x /= length
             y /= length
-        ij = _column(u, i).outer_product(_column(v, j))
-        ji = _column(u, j).outer_product(_column(v, i))
-        _set_mode(modes, 2 * k, mean - radius, x * ij + y * ji)
-        _set_mode(modes, 2 * k + 1, mean + radius, x * ji - y * ij)
+        modes[2 * k, 9] = ti.min(mean - radius, 0.0)
+        modes[2 * k + 1, 9] = ti.min(mean + radius, 0.0)
+        for r, c in ti.static(ti.ndrange(3, 3)):
+            ij, ji = u[r, i] * v[c, j], u[r, j] * v[c, i]
+            modes[2 * k, 3 * r + c] = x * ij + y * ji
+            modes[2 * k + 1, 3 * r + c] = x * ji - y * ij
+        modes[6 + k, 9] = 0.0
     scaling = mat3(0.0)
     for i in ti.static(range(3)):
         g = s[(i + 1) % 3] * s[(i + 2) % 3]
@@ -138,12 +134,13 @@ def negative_modes(modes: ti.template(), f: mat3, alpha, slope, curvature, memor
         scaling[i, j] = s[k] * (slope + curvature * s[0] * s[1] * s[2])
         scaling[j, i] = scaling[i, j]
     minor = scaling[0, 0] * scaling[1, 1] - scaling[0, 1] ** 2
-    for k in ti.static(range(3)):
-        modes[6 + k, 9] = 0.0
     if not (scaling[0, 0] > 0.0 and minor > 0.0 and scaling.determinant() > 0.0):
         values, vectors = symmetric_eigen(scaling)
-        for k in ti.static(range(3)):
-            d = mat3(0.0)
-            for i in ti.static(range(3)):
-                d += vectors[i, k] * _column(u, i).outer_product(_column(v, i))
-            _set_mode(modes, 6 + k, values[k], d)
+        for k in range(3):
+            modes[6 + k, 9] = ti.min(values[k], 0.0)
+            for r, c in ti.static(ti.ndrange(3, 3)):
+                modes[6 + k, 3 * r + c] = (
+                    vectors[0, k] * u[r, 0] * v[c, 0]
+                    + vectors[1, k] * u[r, 1] * v[c, 1]
+                    + vectors[2, k] * u[r, 2] * v[c, 2]
+                )
