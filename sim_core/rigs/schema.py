@@ -6,7 +6,7 @@ local rest coordinates; a pose puts it into the frame of its mount (``world`` is
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -74,10 +74,15 @@ class Clamp(Strict):
 
 
 class PoseTopics(Strict):
-    """Where the poses of an end effector are, in a bag and on a live system."""
+    """Where the poses of an end effector are, in a bag and on a live system.
+
+    ``length_unit`` and ``quaternion_order`` are for recordings that do not keep to m and x, y, z, w.
+    """
 
     target_pose: Topic = "target_pose"
     current_pose: Topic = "current_pose"
+    length_unit: Literal["m", "mm"] = "m"
+    quaternion_order: Literal["xyzw", "wxyz"] = "xyzw"
 
 
 class EndEffector(Strict):
@@ -122,6 +127,7 @@ class Rig(Strict):
     sensors: dict[Name, Sensor] = Field(default={})
     cameras: dict[Name, Camera] = Field(default={})
     effects: dict[Name, dict[Text, Real]] = Field(default={})
+    recording_clock: Literal["header", "log"] = "header"
 
     @model_validator(mode="after")
     def _consistent(self) -> Rig:

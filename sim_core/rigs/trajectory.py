@@ -113,15 +113,15 @@ class PoseTrajectory:
         steps = np.diff(self.times)
         rotations = Rotation.from_quat(self.quaternions)
         angles = (rotations[:-1].inv() * rotations[1:]).magnitude()
-        linear = np.asarray(np.linalg.norm(np.diff(self.positions, axis=0), axis=1), dtype=np.float64)
-        return linear / steps, np.asarray(angles, dtype=np.float64) / steps
+        linear = np.linalg.norm(np.diff(self.positions, axis=0), axis=1)
+        return np.asarray(linear / steps), np.asarray(angles / steps)
 
 
 def _one_half_space(quaternions: FloatArray) -> FloatArray:
     """Flip signs so that neighbours (the same rotation as q and -q) do not jump."""
     flips = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     signs = np.concatenate([[1.0], np.cumprod(flips)])
-    return quaternions * signs[:, None]
+    return np.asarray(quaternions * signs[:, None])
 
 
 MINIMUM_JERK_PEAK = 1.875

@@ -1,0 +1,1 @@
+"""The command ``thinshell``: one file a subcommand, each a thin layer over a library function."""

@@ -1,0 +1,103 @@
+"""Entry point of ``thinshell``: collects the subcommands and turns errors into one paragraph.
+
+Exit codes: 0 done; 1 a defect of the program; 2 input or data that cannot be used; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from importlib.metadata import PackageNotFoundError, version
+
+import typer
+
+from sim_core.errors import ThinshellError
+from sysid.cli import bench, diagnose, doctor, fit, inspect, prove, rigs, simulate, track, validate
+
+OWN_PACKAGES = {"sim_core", "sysid", "thinshell_ros"}
+REPORT = "Please report it on the project's issue tracker with the command and the output of --debug."
+
+app = typer.Typer(
+    name="thinshell",
+    help="Simulate thin shells and soft gels, identify them from ROS 2 bags, and name missing physics.",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if not wanted:
+        return
+    try:
+        print(version("thinshell_ros"))
+    except PackageNotFoundError:
+        print("not installed (running from the source tree)")
+    raise typer.Exit()
+
+
+@app.callback()
+def _options(
+    debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error."),
+    show_version: bool = typer.Option(
+        False, "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+    ),
+) -> None:
+    del debug, show_version  # --debug is read by main(), so that it may stand anywhere
+
+
+app.command("simulate")(simulate.simulate)
+app.command("fit")(fit.fit)
+app.command("diagnose")(diagnose.diagnose)
+app.add_typer(prove.app, name="prove")
+app.command("inspect")(inspect.inspect)
+app.command("track")(track.track)
+app.command("rigs")(rigs.rigs)
+app.command("params")(rigs.params)
+app.command("validate")(validate.validate)
+app.command("bench")(bench.bench)
+app.command("doctor")(doctor.doctor_command)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    given = sys.argv[1:] if arguments is None else arguments
+    cut = given.index("--") if "--" in given else len(given)
+    debug = "--debug" in given[:cut]
+    plain = [word for index, word in enumerate(given) if word != "--debug" or index > cut]
+    try:
+        code = typer.main.get_command(app).main(plain or ["--help"], "thinshell", standalone_mode=False)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except (BrokenPipeError, SystemExit):
+        # The reader has gone, as with `| head` (typer turns a broken pipe into SystemExit). Keep the
+        # interpreter from complaining about it when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 141
+    except KeyboardInterrupt:
+        return 130
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        text, code = _explain(error)
+        print(f"thinshell: {_one_line(text)}", file=sys.stderr)
+        return code
+
+
+def _explain(error: Exception) -> tuple[str, int]:
+    """What to tell the user, and the exit code."""
+    if isinstance(error, ThinshellError):
+        return str(error), 2
+    if hasattr(error, "format_message"):  # typer's usage errors: their base class has no public name
+        where = getattr(getattr(error, "ctx", None), "command_path", "thinshell")
+        return f"{str(error.format_message()).rstrip('.')}. Run '{where} --help' for the options.", 2
+    if isinstance(error, ModuleNotFoundError):
+        top = (error.name or "").partition(".")[0]
+        if top and top not in OWN_PACKAGES:
+            return f"The package {top!r} is not installed. Run 'thinshell doctor' to see what is missing.", 2
+    return f"This is a defect of the program: {type(error).__name__}: {error}. {REPORT}", 1
+
+
+def _one_line(text: object) -> str:
+    return " ".join(str(text).split())

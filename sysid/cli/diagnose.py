@@ -1,0 +1,37 @@
+"""``thinshell diagnose``: say which physics a rig leaves out, and write a report."""
+
+from __future__ import annotations
+
+from sysid.cli.options import (
+    BagsArgument,
+    FolderOption,
+    HeldOutOption,
+    RigArgument,
+    SeedOption,
+    check_bags,
+    check_new,
+    library,
+)
+from sysid.cli.progress import progress
+
+
+def diagnose(
+    rig: RigArgument,
+    bags: BagsArgument,
+    out: FolderOption,
+    held_out: HeldOutOption = None,
+    seed: SeedOption = 0,
+) -> None:
+    """Find out whether the rig explains the recordings, and name the physics that is missing.
+
+    Example: thinshell diagnose card_press run1 run2 --held-out run3 --out diagnosis
+    """
+    from sim_core.rigs import load_rig
+
+    chosen = load_rig(rig)
+    check_bags(bags, held_out or [])
+    check_new(out, "folder")
+    find = library("sysid.mismatch", "diagnose_bags")
+    with progress("diagnose") as report:
+        summary = find(chosen, bags, held_out=held_out or [], out=out, seed=seed, on_progress=report)
+    print(summary)

@@ -1,0 +1,98 @@
+"""Arguments and checks that several subcommands share. Everything is checked before anything is written."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sim_core.errors import ConfigError, RecordingError, ThinshellError
+
+RigArgument = Annotated[
+    str, typer.Argument(metavar="RIG", help="Rig or overlay: a name from 'thinshell rigs' or a YAML file.")
+]
+BagsArgument = Annotated[
+    list[Path], typer.Argument(metavar="BAG...", help="Recordings: rosbag2 folders or single files.")
+]
+HeldOutOption = Annotated[
+    list[Path] | None,
+    typer.Option("--held-out", metavar="BAG", help="Recording kept for the check; may be repeated."),
+]
+FolderOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder for the results.")]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything random.")]
+
+
+def parse_settings(settings: Sequence[str]) -> dict[str, float]:
+    """Values from ``name=value`` words."""
+    values: dict[str, float] = {}
+    for word in settings:
+        name, sign, text = word.partition("=")
+        name = name.strip()
+        if not sign or not name:
+            raise ConfigError(
+                f"--set {word!r} is not of the form name=value.", "Write for example --set card.E=1e9."
+            )
+        try:
+            value = float(text)
+        except ValueError:
+            raise ConfigError(
+                f"--set {word!r}: {text!r} is not a number.", "Write for example --set card.E=1e9."
+            ) from None
+        if not math.isfinite(value):
+            raise ConfigError(f"--set {word!r}: the value is not finite.", "Write a finite number.")
+        if name in values:
+            raise ConfigError(f"--set gives {name!r} twice.", "Keep one of the two.")
+        values[name] = value
+    return values
+
+
+def parse_names(text: str, option: str) -> list[str]:
+    """Names from a comma-separated list."""
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise ConfigError(
+            f"{option} {text!r} holds an empty name.", f"Write for example {option} card.E,gel.E."
+        )
+    return names
+
+
+def check_bags(bags: Iterable[Path], held_out: Iterable[Path] = ()) -> None:
+    """Recordings exist, and none is both used and held out."""
+    seen: dict[Path, str] = {}
+    for path, role in [*((bag, "given") for bag in bags), *((bag, "held out") for bag in held_out)]:
+        if not path.exists():
+            raise RecordingError(f"The recording {path} does not exist.", "Check the path.")
+        key = path.resolve()
+        if key in seen:
+            both = "twice" if seen[key] == role else "both to use and to hold out"
+            raise RecordingError(f"The recording {path} is given {both}.", "Name every recording once.")
+        seen[key] = role
+
+
+def check_new(path: Path, what: str) -> None:
+    """A place to write that does not exist yet, in a folder that does and that can be written."""
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise ConfigError(
+            f"The {what} {path} already exists.", "Name a new one with --out; nothing is overwritten."
+        )
+    parent = path.absolute().parent
+    while not parent.exists():
+        parent = parent.parent
+    if not parent.is_dir():
+        raise ConfigError(
+            f"The {what} {path} cannot be made: {parent} is a file.", "Name another place with --out."
+        )
+
+
+def library(module: str, function: str) -> Callable[..., Any]:
+    """A library function, imported only now so that every command starts fast."""
+    try:
+        return getattr(importlib.import_module(module), function)  # type: ignore[no-any-return]
+    except ModuleNotFoundError as error:
+        if error.name is None or not module.startswith(error.name):
+            raise
+    raise ThinshellError(f"This installation has no {module}.{function}.", "Install the package again.")

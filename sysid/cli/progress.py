@@ -1,0 +1,56 @@
+"""Progress on the terminal: a bar where someone is looking, one line every ten percent elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+ProgressCallback = Callable[[float, str], None]
+"""Called with the share of the work that is done (0 to 1) and a word on what is being done."""
+
+
+@contextmanager
+def progress(title: str) -> Iterator[ProgressCallback]:
+    """Show progress on stderr while the block runs."""
+    if sys.stderr.isatty():
+        with _bar(title) as report:
+            yield report
+    else:
+        yield _lines(title)
+
+
+@contextmanager
+def _bar(title: str) -> Iterator[ProgressCallback]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=1.0)
+        yield lambda share, text: bar.update(
+            task, completed=share, description=f"{title}: {text}" if text else title
+        )
+
+
+def _lines(title: str) -> ProgressCallback:
+    started = time.monotonic()
+    last = 0
+
+    def report(share: float, text: str) -> None:
+        nonlocal last
+        tenth = int(10 * share)
+        if tenth > last:
+            last = tenth
+            print(
+                f"{title}: {10 * tenth} % after {time.monotonic() - started:.0f} s {text}".rstrip(),
+                file=sys.stderr,
+            )
+
+    return report

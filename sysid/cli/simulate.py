@@ -1,0 +1,47 @@
+"""``thinshell simulate``: run an experiment on a rig and record it as a bag."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sysid.cli.options import RigArgument, check_new, library, parse_settings
+from sysid.cli.progress import progress
+
+
+def simulate(
+    rig: RigArgument,
+    experiment: Annotated[
+        str,
+        typer.Argument(metavar="EXPERIMENT", help="Experiment: a name from 'thinshell rigs' or a YAML file."),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="BAG", help="New rosbag2 folder to write.")],
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="Seed of the noise; default: the experiment's.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Value of a parameter (see 'thinshell params'); may be repeated.",
+        ),
+    ] = None,
+) -> None:
+    """Simulate an experiment on a rig and write what its sensors would have recorded.
+
+    Example: thinshell simulate card_press press_hold_release --out press.bag --set card.E=1e9
+    """
+    from sim_core.rigs import load_rig, with_parameters
+    from sim_core.rigs.motion import compile_experiment, load_experiment
+
+    chosen = with_parameters(load_rig(rig), parse_settings(settings or []))
+    plan = load_experiment(experiment)
+    compile_experiment(plan, chosen)
+    check_new(out, "recording")
+    write = library("sysid.simulate", "simulate_to_bag")
+    with progress("simulate") as report:
+        summary = write(chosen, plan, out, seed=plan.seed if seed is None else seed, on_progress=report)
+    print(summary)

@@ -1,0 +1,19 @@
+"""``thinshell validate``: physics with known answers."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from sysid.cli.options import library
+
+
+def validate(
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Compare the simulator with problems whose answers are known; exit code 1 if one is missed."""
+    passed, text = library("sim_core.validation", "run_validation")(as_json=as_json)
+    print(text)
+    if not passed:
+        raise typer.Exit(1)

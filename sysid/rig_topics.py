@@ -1,0 +1,65 @@
+"""Which topics of a recording belong to which part of a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from sim_core.rigs import Rig
+from sysid.recording import EETopics, SensorTopic, TopicNames
+
+
+def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str, ...]]:
+    """The topic map for reading a recording of a rig, and the rig's topics that the recording lacks.
+
+    A stream that the recording lacks is left out of the map; what is needed, the reader says.
+    ``available``: topics of the recording. Names of the rig match in any namespace.
+    """
+    present = ["/" + topic.strip("/") for topic in available]
+    missing: list[str] = []
+
+    def found(topic: str) -> str | None:
+        if any(candidate.endswith("/" + topic.strip("~/")) for candidate in present):
+            return topic.strip("~")
+        missing.append(topic)
+        return None
+
+    poses = {}
+    for name, effector in rig.end_effectors.items():
+        topics = effector.topics
+        current, target = found(topics.current_pose), found(topics.target_pose)
+        if current or target:
+            poses[name] = EETopics(
+                current_pose=current,
+                target_pose=target,
+                length_unit=topics.length_unit if topics.length_unit == "mm" else None,
+                quaternion_order=topics.quaternion_order if topics.quaternion_order == "wxyz" else None,
+            )
+    wrenches: dict[str, SensorTopic] = {}
+    markers: dict[str, SensorTopic] = {}
+    for name, sensor in rig.sensors.items():
+        topic = found(sensor.topic)
+        if topic:
+            group = wrenches if sensor.type == "wrench" else markers
+            group[name] = SensorTopic(topic=topic)
+    tracks: dict[str, str] = {}
+    infos: dict[str, str] = {}
+    images: dict[str, str] = {}
+    for name, camera in rig.cameras.items():
+        for streams, named in (
+            (tracks, camera.topics.marker_tracks),
+            (infos, camera.topics.camera_info),
+            (images, camera.topics.image),
+        ):
+            topic = found(named)
+            if topic:
+                streams[name] = topic
+    names = TopicNames(
+        ee=poses,
+        wrench=wrenches,
+        markers=markers,
+        tracks=tracks,
+        camera_info=infos,
+        images=images,
+        time=rig.recording_clock,
+    )
+    return names, tuple(missing)
