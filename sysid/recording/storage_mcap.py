@@ -145,9 +145,7 @@ class _Scan:
             self.problems.append(f"{int((~known).sum())} messages belong to no known topic and are left out")
             rows = rows[known]
         if self.promised is not None and len(rows) != self.promised:
-            self.problems.append(
-                f"{len(rows)} messages found where the file's summary counts {self.promised}"
-            )
+            self.problems.append(f"{len(rows)} messages found where the summary counts {self.promised}")
         return FileIndex(
             path=path,
             storage="mcap",
@@ -207,7 +205,7 @@ def index_mcap(path: Path, shown: Path) -> FileIndex:
                 continue
             content = file.read(length if whole else size - at)
             if opcode == Opcode.CHUNK:
-                _take_chunk(scan, content, at)
+                _take_chunk(scan, content, at, whole)
                 if not whole:
                     break
             elif opcode == Opcode.HEADER:
@@ -223,13 +221,15 @@ def index_mcap(path: Path, shown: Path) -> FileIndex:
     return scan.index(shown)
 
 
-def _take_chunk(scan: _Scan, content: bytes, at: int) -> None:
+def _take_chunk(scan: _Scan, content: bytes, at: int, whole: bool) -> None:
     try:
         data, compression = unpack_chunk(content)
         scan.compression.add(compression)
         for _ in scan.records(data, at):
             pass
     except (ValueError, struct.error) as error:
+        if not whole:
+            return  # cut short within its header
         scan.problems.append(f"the chunk at byte {at} is damaged and left out ({error})")
 
 

@@ -45,7 +45,7 @@ def order_in_time(
     times = log_ns if source == "log" else stamps_ns
     kept = np.arange(len(times), dtype=np.int64)
     if source == "header":
-        kept = kept[_stamped(times)]
+        kept = kept[_stamped(times, log_ns)]
         if len(kept) < len(times):
             notes.warning(topic, f"{plural(len(times) - len(kept), 'message')} without a stamp dropped")
         kept = _without_spikes(topic, times, kept, notes)
@@ -75,12 +75,12 @@ def note_gaps(topic: str, t: Floats, notes: Notes) -> None:
         notes.warning(topic, f"{what} {where} (usual interval {usual:.4g} s)")
 
 
-def _stamped(stamps_ns: Ints) -> Bools:
+def _stamped(stamps_ns: Ints, log_ns: Ints) -> Bools:
     """Mark messages with a stamp; a clock that starts at zero keeps its first message."""
     stamped: Bools = stamps_ns > 0
-    if len(stamps_ns) > 2 and stamps_ns[0] == 0 and stamped[1:].all():
-        usual = float(np.median(np.diff(stamps_ns[1:])))
-        stamped[0] = stamps_ns[1] <= 10.0 * usual
+    if len(stamps_ns) > 1 and stamps_ns[0] == 0 and stamped[1:].all():
+        like_it = stamps_ns[1:] if len(stamps_ns) > 2 else log_ns
+        stamped[0] = stamps_ns[1] <= 10.0 * float(np.median(np.diff(like_it)))
     return stamped
 
 
