@@ -5,7 +5,7 @@ For W = alpha/2 tr(F^T F) + f(J) + 1/2 H:C the second derivative by F is
     alpha 1 (x) 1 + 1 (x) H + f'' (dJ/dF)(dJ/dF)^T + f' d2J/dF2
 
 In the frames of F = U S V^T it falls apart into three 2 x 2 blocks (the twist and flip modes) and one
-3 x 3 block (the scaling modes): Smith, de Goes and Kim, ACM Trans. Graph. 37, 2018, section 4.5, and ACM
+3 x 3 block (the scaling modes): Smith, de Goes and Kim, ACM Trans. Graph. 37, 2018, and ACM
 Trans. Graph. 38, 2019. A memory stress H that does not share the axes V adds an off-diagonal part O;
 |O|_2 <= rho = sqrt(2/3) |O|_F since O is symmetric with zero trace, so the blocks are formed with
 alpha - rho and 1 (x) (O + rho 1), which is positive semidefinite, is left as it is.

@@ -2,7 +2,7 @@
 
 Node order: corners 0 1 2 3, then the mid-edges of 01, 12, 02, 03, 13, 23 (the order of VTK and Abaqus
 C3D10). With barycentric coordinates L the shape functions are L_i (2 L_i - 1) at the corners and
-4 L_i L_j on the edges (Zienkiewicz and Taylor, The Finite Element Method, vol. 1, section 8.8).
+4 L_i L_j on the edges (Zienkiewicz and Taylor, The Finite Element Method, vol. 1).
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def conical_rule(n: int) -> tuple[np.ndarray, np.ndarray]:
     """Barycentric points ``(n^3, 4)`` and weights exact to degree ``2 n - 1``; weights sum to 1/6.
 
     Gauss-Jacobi product over the collapsed cube (Stroud, Approximate Calculation of Multiple
-    Integrals, 1971, section 2.5).
+    Integrals, 1971).
     """
     rules = []
     for power in (2, 1, 0):
