@@ -14,7 +14,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
@@ -27,25 +27,14 @@ State = Literal["ok", "warn", "missing"]
 PYTHONS = ((3, 10), (3, 13))
 WANTED_DISK_GB = 2.0
 
-_LOCAL_NAMES = re.compile(r"^\s*([A-Za-z0-9._-]+)\s*(?:\[[^]]*\])?\s*([^;]*)(?:;\s*(.*))?$")
-
-_PARDISO = """
+_FACTOR = """
 import numpy, scipy.sparse
-from pypardiso import spsolve
-a = scipy.sparse.diags([2.0, 3.0, 4.0], format="csr")
-assert numpy.allclose(spsolve(a, numpy.array([2.0, 3.0, 4.0])), 1.0)
-"""
-
-_QDLDL = """
-import numpy, scipy.sparse, qdldl
-a = scipy.sparse.diags([2.0, 3.0, 4.0], format="csc")
-assert numpy.allclose(qdldl.Solver(a).solve(numpy.array([2.0, 3.0, 4.0])), 1.0)
+from sim_core.solve.factor import {factor}
+upper = scipy.sparse.diags([2.0, 3.0, 4.0], format="csr")
+assert numpy.allclose({factor}(upper, True).solve(numpy.array([2.0, 3.0, 4.0])), 1.0)
 """
 
 _TAICHI = """
-import tempfile, pathlib
-folder = pathlib.Path(tempfile.mkdtemp())
-(folder / "kernel.py").write_text('''
 import taichi as ti
 ti.init(arch=ti.cpu, default_fp=ti.f64, log_level=ti.ERROR)
 @ti.kernel
@@ -55,9 +44,6 @@ def total(n: ti.i32) -> ti.f64:
         s += 0.5
     return s
 assert total(10) == 5.0
-''')
-import runpy
-runpy.run_path(str(folder / "kernel.py"))
 """
 
 _ROS_LOOPBACK = """
@@ -75,7 +61,7 @@ while not heard and time.monotonic() < end:
     rclpy.spin_once(node, timeout_sec=0.1)
 node.destroy_node()
 rclpy.try_shutdown()
-raise SystemExit(0 if heard == ["here"] or "here" in heard else 3)
+raise SystemExit(0 if heard else "no message came back within 10 s")
 """
 
 
@@ -115,7 +101,9 @@ def examine() -> Iterator[Finding]:
     """All checks, one after the other, each as soon as it is done."""
     yield _python()
     yield from _dependencies()
-    yield _child("Taichi", _TAICHI, "starts and compiles a kernel", "pip install --force-reinstall taichi", core=True)
+    yield _child(
+        "Taichi", _TAICHI, "starts and compiles a kernel", "pip install --force-reinstall taichi", core=True
+    )
     yield from _factorisation()
     yield from _ros()
     yield _chromium()
@@ -135,10 +123,15 @@ def _dependencies() -> Iterator[Finding]:
     try:
         wanted = requires("thinshell_ros") or []
     except PackageNotFoundError:
-        yield Finding("thinshell_ros", "warn", "not installed, running from the source tree", "pip install -e .")
+        yield Finding(
+            "thinshell_ros", "warn", "not installed, running from the source tree", "pip install -e ."
+        )
         return
-    from packaging.requirements import Requirement
-
+    try:
+        from packaging.requirements import Requirement
+    except ImportError:
+        yield Finding("packaging", "missing", "not installed", "pip install packaging", core=True)
+        return
     for text in wanted:
         requirement = Requirement(text)
         extra = re.search(r"extra == ['\"](\w+)['\"]", str(requirement.marker or ""))
@@ -155,4 +148,107 @@ def _dependencies() -> Iterator[Finding]:
             yield Finding(label, state, f"not installed, {needed}", remedy, core=not optional)
             continue
         fits = requirement.specifier.contains(found, prereleases=True)
-        yield Finding(label, "ok" if fits else "warn", f"{found}, {needed}", "" if fits else remedy, core=not optional)
+        yield Finding(
+            label, "ok" if fits else "warn", f"{found}, {needed}", "" if fits else remedy, core=not optional
+        )
+
+
+def _factorisation() -> Iterator[Finding]:
+    fallback = _child(
+        "qdldl", _FACTOR.format(factor="QdldlFactor"), "factorises", "pip install qdldl", core=True
+    )
+    if importlib.util.find_spec("pymklpardiso") is None:
+        detail = "no wheel for this platform; the slower qdldl is used"
+        yield Finding("MKL PARDISO", "warn", detail, "On Linux x86-64: pip install py-mkl-pardiso.")
+    else:
+        remedy = "pip install --force-reinstall py-mkl-pardiso, or uninstall it to use qdldl."
+        yield _child("MKL PARDISO", _FACTOR.format(factor="PardisoFactor"), "factorises", remedy)
+    yield fallback
+
+
+def _ros() -> Iterator[Finding]:
+    if importlib.util.find_spec("rclpy") is None:
+        detail = "not installed (optional: only the nodes need it)"
+        remedy = (
+            "On Linux x86-64: pip install 'thinshell_ros[ros]', or source the setup file of a ROS 2 Jazzy."
+        )
+        yield Finding("ROS 2", "warn", detail, remedy)
+        return
+    yield from _ros_traps(os.environ)
+    imported = _child(
+        "ROS 2 import", "import rclpy, geometry_msgs.msg, sensor_msgs.msg", "rclpy and messages load"
+    )
+    yield imported
+    if imported.state == "ok":
+        yield _child("ROS 2 loopback", _ROS_LOOPBACK, "a message went out and came back on this machine")
+
+
+def _ros_traps(environment: Mapping[str, str]) -> Iterator[Finding]:
+    """Settings that are known to break the ROS wheels without saying so."""
+    library = str(Path(sys.prefix) / "lib")
+    guard = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+    if guard in environment and library not in environment.get("LD_LIBRARY_PATH", "").split(":"):
+        detail = f"{guard} is set, but LD_LIBRARY_PATH lacks {library}: rclpy cannot load its libraries"
+        yield Finding("ROS 2 start-up", "warn", detail, f"unset {guard}")
+    chosen = environment.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    folders = [library, *environment.get("LD_LIBRARY_PATH", "").split(":")]
+    if not any((Path(folder) / f"lib{chosen}.so").exists() for folder in folders if folder):
+        detail = (
+            f"RMW_IMPLEMENTATION is {chosen}, which is not installed: nodes exit with code 102 and no message"
+        )
+        yield Finding(
+            "ROS 2 middleware", "warn", detail, "unset RMW_IMPLEMENTATION, or install that middleware."
+        )
+
+
+def _chromium() -> Finding:
+    browser = _first("chromium", "chromium-browser", "google-chrome")
+    driver = _first("chromedriver")
+    if browser and driver:
+        return Finding("Chromium", "ok", f"{browser} with {driver}")
+    lacking = "no browser" if not browser else "no chromedriver"
+    remedy = "Only the tests of reports need it: apt-get install chromium chromium-driver."
+    return Finding("Chromium", "warn", f"{lacking} on the PATH", remedy)
+
+
+def _first(*names: str) -> str | None:
+    return next((path for path in map(shutil.which, names) if path), None)
+
+
+def _disk() -> Finding:
+    free = min(shutil.disk_usage(folder).free for folder in (Path.cwd(), Path(tempfile.gettempdir()))) / 1e9
+    detail = f"{free:.1f} GB free here and in {tempfile.gettempdir()}"
+    if free >= WANTED_DISK_GB:
+        return Finding("Disk", "ok", detail)
+    return Finding("Disk", "warn", detail, f"Make room: recordings and reports want {WANTED_DISK_GB:g} GB.")
+
+
+def _child(name: str, code: str, good: str, remedy: str = "", core: bool = False) -> Finding:
+    """Run code in a process of its own; its exit decides."""
+    bad: State = "missing" if core else "warn"
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder) / "check.py"
+        script.write_text(code, encoding="utf-8")
+        root = str(Path(__file__).resolve().parents[2])
+        path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
+        environment = {
+            **os.environ,
+            "PYTHONPATH": path,
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_LOG_DIR": folder,
+        }
+        try:
+            done = subprocess.run(
+                [sys.executable, str(script)],
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=120,
+                cwd=folder,
+            )
+        except subprocess.TimeoutExpired:
+            return Finding(name, bad, "did not finish in 120 s", remedy, core)
+    if done.returncode == 0:
+        return Finding(name, "ok", good, core=core)
+    last = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()[-1]
+    return Finding(name, bad, f"failed with exit code {done.returncode}: {last}", remedy, core)
