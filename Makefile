@@ -1,0 +1,62 @@
+# Everything runs in .venv, made from requirements.lock. Another interpreter: make PYTHON=python3.12 ...
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+LOCKER := $(VENV)/.locker
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-all lint format lock clean
+
+help:
+	@echo "make demo      simulate, hide an effect, diagnose it, and write a report"
+	@echo "make test      the tests that take seconds"
+	@echo "make test-all  all tests"
+	@echo "make lint      style and types"
+	@echo "make format    put the code into the style that lint asks for"
+	@echo "make lock      resolve requirements.lock again from pyproject.toml"
+	@echo "make clean     remove what was made, .venv included"
+
+demo: $(READY)
+	$(BIN)/python -m sysid.demo
+
+test: $(READY)
+	$(BIN)/python -m pytest -m "not slow"
+
+test-all: $(READY)
+	$(BIN)/python -m pytest
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+$(READY): requirements.lock pyproject.toml setup.py
+	@$(PYTHON) -c "import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))" || { \
+		echo "$(PYTHON) is $$($(PYTHON) --version 2>&1 || echo missing), but Python 3.10 to 3.13 is needed:" \
+			"name one with 'make PYTHON=python3.12 ...'." >&2; exit 1; }
+	@$(PYTHON) -c "import venv, ensurepip" 2>/dev/null || { \
+		echo "$(PYTHON) has no venv module: install it (Debian, Ubuntu: apt-get install python3-venv)." >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+lock: $(LOCKER)
+	$(LOCKER)/bin/uv pip compile pyproject.toml --extra ros --extra dev --universal --python-version 3.10 \
+		--no-annotate --no-header --quiet --upgrade --output-file .requirements.new
+	{ echo "# Exact versions for Python 3.10 to 3.13, resolved from pyproject.toml with: make lock"; \
+		cat .requirements.new; } > requirements.lock
+	@rm .requirements.new
+
+$(LOCKER): | $(READY)
+	$(PYTHON) -m venv $@
+	$@/bin/python -m pip install --quiet --disable-pip-version-check "uv>=0.5"
+
+clean:
+	rm -rf $(VENV) build install log out *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
