@@ -180,6 +180,7 @@ class RigidContact:
         self, name: str, samples: Samples, body_node: int, shape: np.ndarray, rotation: np.ndarray
     ) -> None:
         self.name = name
+        self.body_node = body_node
         count = len(samples.areas)
         body = np.full((count, 1), body_node, dtype=np.int32)
         self._nodes = np.ascontiguousarray(np.hstack([samples.nodes, body]), dtype=np.int32)

@@ -82,7 +82,7 @@ def advance(
     x[:] = state.x
     system.begin_step(step, state.internals)
     x[:] = state.x if guess is None else guess
-    x[system.prescribed] = targets[system.prescribed]
+    system.set_targets(targets)
     report = _newton(system, settings)
     if check and not report.converged:
         raise ConvergenceError(
@@ -97,16 +97,13 @@ def advance(
 
 
 def _newton(system: System, settings: NewtonSettings) -> StepReport:
-    x, free = system.x, system.free
-    flat = x.reshape(-1)
     energy = system.energy()
     searches, update, residual = 0, np.inf, np.inf
     result = Result.ITERATION_LIMIT
     iteration = 0
     for iteration in range(1, settings.max_iterations + 1):
-        gradient = system.gradient().reshape(-1)
-        scale = float(np.max(np.abs(gradient), initial=0.0))
-        g = gradient[free]
+        g = system.residual()
+        scale = system.force_scale()
         residual = float(np.max(np.abs(g), initial=0.0))
         if not np.isfinite(residual) or not np.isfinite(energy):
             result = Result.NOT_FINITE
@@ -117,19 +114,19 @@ def _newton(system: System, settings: NewtonSettings) -> StepReport:
         direction = _direction(system, g)
         update = float(np.max(np.abs(direction), initial=0.0))
         descent = float(g @ direction)
-        start = flat[free].copy()
+        start = system.unknowns()
         fraction, accepted = 1.0, False
         noise = 1e-13 * (abs(energy) + abs(descent)) + 1e-30
         while fraction > 1e-8:
             searches += 1
-            flat[free] = start + fraction * direction
+            system.set_unknowns(start + fraction * direction)
             trial = system.energy()
             if trial <= energy + 1e-4 * fraction * descent + noise:
                 accepted = True
                 break
             fraction *= 0.5
         if not accepted:
-            flat[free] = start
+            system.set_unknowns(start)
             if update < settings.step_tolerance_m:
                 result = Result.CONVERGED
             else:
@@ -138,7 +135,7 @@ def _newton(system: System, settings: NewtonSettings) -> StepReport:
         energy = trial
         update *= fraction
         if update < 1e-3 * settings.step_tolerance_m:
-            residual = float(np.max(np.abs(system.gradient().reshape(-1)[free]), initial=0.0))
+            residual = float(np.max(np.abs(system.residual()), initial=0.0))
             result = Result.CONVERGED
             break
     contacts, gap = system.contacts()

@@ -9,6 +9,7 @@ term whose coupled nodes change (contact between deformable bodies) says so and 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,12 +18,21 @@ from sim_core.energies.term import Buffers, Internals, StepContext, Term
 from sim_core.solve.factor import Factor, factorise
 
 
+@dataclass(frozen=True)
+class Compliant:
+    """Prescribed nodes that give way together by a translation. ``nodes``: ``(k,)``;
+    ``compliance_m_per_n``: along the world axes ``(3,)``, all positive."""
+
+    nodes: np.ndarray
+    compliance_m_per_n: np.ndarray
+
+
 class System:
     """Energies, gradient and Hessian of one incremental potential.
 
     ``nodes``: rest positions [m] ``(n, 3)``. ``mass``: csr ``(n, n)`` [kg]. ``prescribed``: bool
     ``(n, 3)``. ``gravity``: [m/s^2] ``(3,)``. ``inertia``: False makes every step a static
-    equilibrium.
+    equilibrium. ``compliant``: groups of prescribed nodes that give way together.
     """
 
     def __init__(
@@ -33,6 +43,7 @@ class System:
         terms: Sequence[Term],
         gravity: np.ndarray,
         inertia: bool = True,
+        compliant: Sequence[Compliant] = (),
     ) -> None:
         self.nodes = np.ascontiguousarray(nodes, dtype=float)
         self.mass = mass.tocsr()
@@ -40,10 +51,8 @@ class System:
         self.terms = list(terms)
         self.gravity = np.asarray(gravity, dtype=float)
         self.inertia = inertia
-        count = 3 * len(nodes)
-        self.free = np.flatnonzero(~prescribed.ravel())
-        self._number = np.full(count, -1)
-        self._number[self.free] = np.arange(len(self.free))
+        self._set_unknowns(compliant)
+        self._targets = np.zeros_like(self.nodes)
         self._x = self.nodes.copy()
         self._energy = np.zeros(1)
         self._gradient = np.zeros_like(self._x)
@@ -54,9 +63,79 @@ class System:
         """Dead nodal loads [N], ``(n, 3)``, on top of gravity."""
         self.build_pattern()
 
+    def _set_unknowns(self, compliant: Sequence[Compliant]) -> None:
+        """Number the stored components, and map the unknowns to them when groups give way."""
+        self._compliant = list(compliant)
+        stored = ~self.prescribed.copy()
+        for group in self._compliant:
+            stored[group.nodes] = True
+        self._stored = np.flatnonzero(stored.ravel())
+        self._number = np.full(stored.size, -1)
+        self._number[self._stored] = np.arange(len(self._stored))
+        self._own = np.flatnonzero(~self.prescribed.ravel())
+        self._reduction: sp.csr_matrix | None = None
+        self._spring = np.concatenate([1.0 / g.compliance_m_per_n for g in self._compliant] or [np.empty(0)])
+        if self._compliant:
+            rows = [self._number[self._own]]
+            columns = [np.arange(len(self._own))]
+            for k, group in enumerate(self._compliant):
+                for axis in range(3):
+                    rows.append(self._number[3 * group.nodes + axis])
+                    columns.append(np.full(len(group.nodes), len(self._own) + 3 * k + axis))
+            row, column = np.concatenate(rows), np.concatenate(columns)
+            shape = (len(self._stored), len(self._own) + 3 * len(self._compliant))
+            self._reduction = sp.csr_matrix((np.ones(len(row)), (row, column)), shape=shape)
+        self._deflection = np.zeros(3 * len(self._compliant))
+
     @property
     def n_unknowns(self) -> int:
-        return len(self.free)
+        return len(self._own) + len(self._deflection)
+
+    @property
+    def deflections(self) -> np.ndarray:
+        """How far each compliant group has given way [m], ``(n_groups, 3)``."""
+        return self._deflection.reshape(-1, 3)
+
+    def set_targets(self, targets: np.ndarray) -> None:
+        """Place prescribed nodes at ``targets`` [m] ``(n, 3)``, plus what their group has given way."""
+        self._targets[:] = targets
+        self._x[self.prescribed] = targets[self.prescribed]
+        for group, deflection in zip(self._compliant, self.deflections, strict=True):
+            self._x[group.nodes] = targets[group.nodes] + deflection
+
+    def unknowns(self) -> np.ndarray:
+        """Copy of the unknowns: free components [m], then deflections [m]."""
+        return np.concatenate([self._x.reshape(-1)[self._own], self._deflection])
+
+    def set_unknowns(self, values: np.ndarray) -> None:
+        """Write the unknowns into :attr:`x`."""
+        self._x.reshape(-1)[self._own] = values[: len(self._own)]
+        if self._compliant:
+            self._deflection[:] = values[len(self._own) :]
+            for group, deflection in zip(self._compliant, self.deflections, strict=True):
+                self._x[group.nodes] = self._targets[group.nodes] + deflection
+
+    def residual(self) -> np.ndarray:
+        """Derivative of the potential with respect to the unknowns [N]."""
+        gradient = self.gradient().reshape(-1)
+        if self._reduction is None:
+            return gradient[self._own]
+        reduced = self._reduction.T @ gradient[self._stored]
+        reduced[len(self._own) :] += self._spring * self._deflection
+        return np.asarray(reduced)
+
+    def force_scale(self) -> float:
+        """Largest force on any node at the last gradient [N]: reactions and imbalance."""
+        return float(np.max(np.abs(self._gradient), initial=0.0))
+
+    def spread(self, direction: np.ndarray) -> np.ndarray:
+        """Change of all nodes ``(n, 3)`` for a change of the unknowns."""
+        out = np.zeros(self._x.size)
+        if self._reduction is None:
+            out[self._own] = direction
+        else:
+            out[self._stored] = self._reduction @ direction
+        return out.reshape(-1, 3)
 
     @property
     def x(self) -> np.ndarray:
@@ -65,7 +144,7 @@ class System:
 
     def build_pattern(self) -> None:
         """(Re)build the sparse pattern and bind all terms to it."""
-        n = len(self.free)
+        n = len(self._stored)
         inertia = sp.coo_matrix(sp.triu(self.mass))
         entries = [self._entries(np.column_stack([inertia.row, inertia.col]), True)]
         for term in self.terms:
@@ -82,16 +161,33 @@ class System:
         self._buffers = Buffers(self._x, self._energy, self._gradient, self._hessian)
         self._factor: dict[bool, Factor] = {}
         self._mass_values = np.zeros(len(unique) + 1)
+        self._mass_pattern = (inertia.row, inertia.col)
         slots = [np.where(e >= 0, np.searchsorted(unique, e), len(unique)).astype(np.int32) for e in entries]
-        isotropic = slots[0].reshape(-1, 3, 3)[:, range(3), range(3)]
-        np.add.at(self._mass_values, isotropic, inertia.data[:, None])
-        self._mass_values[-1] = 0.0
+        self._mass_slots = slots[0].reshape(-1, 3, 3)[:, range(3), range(3)]
+        self._fill_mass()
         for term, places in zip(self.terms, slots[1:], strict=True):
             term.bind(self._buffers, np.ascontiguousarray(places))
 
+    def _fill_mass(self) -> None:
+        values = np.asarray(self.mass[self._mass_pattern]).reshape(-1, 1)
+        self._mass_values[:] = 0.0
+        np.add.at(self._mass_values, self._mass_slots, values)
+        self._mass_values[-1] = 0.0
+
+    def set_mass(self, mass: sp.csr_matrix) -> None:
+        """Replace the mass matrix by one of the same pattern [kg]."""
+        self.mass = mass
+        self._fill_mass()
+
+    def set_compliance(self, compliance_m_per_n: Sequence[np.ndarray]) -> None:
+        """Change the compliances of the compliant groups, in their order [m/N]."""
+        if len(compliance_m_per_n) != len(self._compliant):
+            raise ValueError("one compliance a group")
+        self._spring = np.concatenate([1.0 / c for c in compliance_m_per_n] or [np.empty(0)])
+
     def _entries(self, blocks: np.ndarray, mirrored: bool) -> np.ndarray:
         """Key row * n + column of every entry of every node block, -1 where it is not stored."""
-        n = np.int64(len(self.free))
+        n = np.int64(len(self._stored))
         axis = np.arange(3)
         rows = self._number[3 * blocks[:, 0, None].astype(np.int64) + np.repeat(axis, 3)]
         columns = self._number[3 * blocks[:, 1, None].astype(np.int64) + np.tile(axis, 3)]
@@ -105,14 +201,13 @@ class System:
     def begin_step(self, step: StepContext, internals: dict[str, Internals]) -> None:
         """Freeze the constants of a step in all terms and predict inertial motion."""
         self._dt = step.dt
+        changed = [term.prepare(step.x_start) for term in self.terms if hasattr(term, "prepare")]
+        if any(changed):
+            self.build_pattern()
         self._external[:] = self.mass @ np.broadcast_to(self.gravity, self._x.shape) + self.loads
         self._predicted[:] = step.x_start + step.dt * step.v_start
-        changed = False
         for term in self.terms:
             term.begin_step(step, internals[term.name])
-            changed |= bool(getattr(term, "pattern_changed", False))
-        if changed:
-            self.build_pattern()
 
     def energy(self) -> float:
         """Incremental potential [J] at :attr:`x`."""
@@ -123,6 +218,7 @@ class System:
         if self.inertia:
             away = self._x - self._predicted
             total += 0.5 / self._dt**2 * float(np.vdot(away, self.mass @ away))
+        total += 0.5 * float(self._spring @ self._deflection**2)
         return float(total)
 
     def gradient(self) -> np.ndarray:
@@ -152,8 +248,17 @@ class System:
         values = self._hessian[:-1].copy()
         if shift:
             values[self._indptr[:-1]] += shift
-        n = len(self.free)
-        return sp.csr_matrix((values, self._indices, self._indptr), shape=(n, n))
+        n = len(self._stored)
+        upper = sp.csr_matrix((values, self._indices, self._indptr), shape=(n, n))
+        if self._reduction is None:
+            return upper
+        full = upper + sp.triu(upper, 1).T
+        reduced = (self._reduction.T @ full @ self._reduction).tolil()
+        k = len(self._own)
+        reduced[range(k, k + len(self._spring)), range(k, k + len(self._spring))] += self._spring
+        out = sp.triu(reduced).tocsr()
+        out.sort_indices()
+        return out
 
     def factor(self, matrix: sp.csr_matrix, definite: bool) -> Factor:
         """Factorise a matrix from :meth:`hessian`, reusing the symbolic analysis of the pattern."""

@@ -1,0 +1,167 @@
+"""Bodies of a rig as nodes, terms, masses and contact surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.spatial.transform import Rotation
+
+from sim_core.contact.samples import Samples, face_samples, face_triangles, sheet_samples
+from sim_core.contact.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE
+from sim_core.energies.bending import Bending
+from sim_core.energies.membrane import Membrane
+from sim_core.energies.neo_hookean import NeoHookean
+from sim_core.energies.term import Term
+from sim_core.errors import ConfigError
+from sim_core.geometry import sheets, solids
+from sim_core.rigs import Block, Gel, Rectangle, Rig, Rigid, Sheet
+from sim_core.rigs.fields import Pose
+
+EDGE_ROUNDING_M = 2e-4
+"""Radius of the edges of rigid boxes and cylinders; sharp edges have no normal."""
+
+
+@dataclass
+class BuiltBody:
+    """One body of the scene.
+
+    ``nodes``: indices among all nodes; ``local``: rest coordinates in the body's frame [m]; ``rest``:
+    world positions at the start [m]. ``unit_mass``: csr over the body's nodes, per unit density
+    (a sheet: per unit density and thickness); None for rigid bodies.
+    """
+
+    name: str
+    spec: Sheet | Gel | Rigid
+    nodes: np.ndarray
+    local: np.ndarray
+    rest: np.ndarray
+    mesh: sheets.SheetMesh | solids.TetMesh | None
+    unit_mass: sp.csr_matrix | None
+    terms: list[Term] = field(default_factory=list)
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+
+
+def world_pose(pose: Pose, carrier: tuple[np.ndarray, Rotation]) -> tuple[np.ndarray, Rotation]:
+    """Pose of a body given in its carrier's frame, in the world."""
+    origin, rotation = carrier
+    return origin + rotation.apply(pose.position()), rotation * pose.rotation()
+
+
+def build_body(
+    name: str, spec: Sheet | Gel | Rigid, carrier: tuple[np.ndarray, Rotation], offset: int, refine: int
+) -> BuiltBody:
+    """Mesh one body. ``offset``: index of its first node. ``refine``: factor on cells in each direction."""
+    origin, rotation = world_pose(spec.pose, carrier)
+    mesh: sheets.SheetMesh | solids.TetMesh | None
+    unit_mass = None
+    if isinstance(spec, Sheet):
+        mesh = _sheet_mesh(spec, refine)
+        local = mesh.nodes
+        unit_mass = sp.diags(mesh.node_areas).tocsr()
+    elif isinstance(spec, Gel):
+        mesh = _gel_mesh(spec, refine)
+        local = mesh.nodes
+        unit_mass = solids.consistent_mass(mesh)
+    else:
+        mesh, local = None, np.zeros((1, 3))
+    rest = origin + rotation.apply(local)
+    nodes = np.arange(offset, offset + len(local))
+    body = BuiltBody(name, spec, nodes, local, rest, mesh, unit_mass)
+    body.rotation[:] = rotation.as_matrix()
+    return body
+
+
+def _sheet_mesh(spec: Sheet, refine: int) -> sheets.SheetMesh:
+    shape = spec.shape
+    if isinstance(shape, Rectangle):
+        cells = (shape.cells[0] * refine, shape.cells[1] * refine)
+        return sheets.rectangle(shape.length_m, shape.width_m, cells, shape.pattern)
+    holes = tuple(np.asarray(h) for h in shape.holes_m)
+    return sheets.outline(np.asarray(shape.polygon_m), shape.edge_m / refine, holes)
+
+
+def _gel_mesh(spec: Gel, refine: int) -> solids.TetMesh:
+    shape = spec.shape
+    if isinstance(shape, Block):
+        a, b, c = shape.cells
+        mesh = solids.block(shape.size_m, (a * refine, b * refine, c * refine))
+        centre = 0.5 * (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0))
+        return solids.TetMesh(mesh.nodes - centre, mesh.tets, mesh.surface, mesh.face_sets)
+    cells = (shape.cells[0] * refine, shape.cells[1] * refine)
+    return solids.dome(shape.radius_m, shape.cavity_radius_m, cells)
+
+
+def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray) -> None:
+    """Elastic terms of a body. ``rest``: all nodes [m]; ``held``: bool, nodes of the body in one clamp."""
+    if isinstance(body.mesh, sheets.SheetMesh):
+        world = sheets.SheetMesh(body.rest, body.mesh.triangles)
+        axis = body.rotation[:, 0]
+        offset = int(body.nodes[0])
+        body.terms = [
+            Membrane(f"{body.name}.membrane", rest, body.mesh.triangles + offset, axis),
+            Bending(f"{body.name}.bending", world, offset, axis, held=held),
+        ]
+    elif isinstance(body.mesh, solids.TetMesh):
+        body.terms = [NeoHookean(f"{body.name}.elastic", body.mesh.tets + int(body.nodes[0]), rest)]
+
+
+def contact_samples(body: BuiltBody, rest: np.ndarray) -> Samples:
+    """Where a deformable body is tested for contact (a gel: on the faces that are not bonded)."""
+    if isinstance(body.mesh, sheets.SheetMesh):
+        assert isinstance(body.spec, Sheet)
+        return sheet_samples(body.mesh, int(body.nodes[0]), body.spec.material.thickness_m)
+    return face_samples(_free_faces(body), rest)
+
+
+def contact_triangles(body: BuiltBody) -> np.ndarray:
+    """Linear triangles of a deformable body's surface, in nodes of the scene."""
+    if isinstance(body.mesh, sheets.SheetMesh):
+        return np.asarray(body.mesh.triangles + int(body.nodes[0]), dtype=np.int32)
+    return face_triangles(_free_faces(body))
+
+
+def _free_faces(body: BuiltBody) -> np.ndarray:
+    assert isinstance(body.mesh, solids.TetMesh) and isinstance(body.spec, Gel)
+    keep = np.ones(len(body.mesh.surface), dtype=bool)
+    if body.spec.bonded is not None:
+        keep[body.mesh.face_sets[body.spec.bonded]] = False
+    return np.asarray(body.mesh.surface[keep] + int(body.nodes[0]))
+
+
+def rigid_shape(spec: Rigid) -> np.ndarray:
+    """Parameters of the signed distance of :mod:`sim_core.contact.shapes`."""
+    shape = spec.shape
+    if shape.type == "sphere":
+        values = [SPHERE, shape.radius_m]
+    elif shape.type == "cylinder":
+        rounding = min(EDGE_ROUNDING_M, 0.5 * shape.radius_m, 0.25 * shape.length_m)
+        values = [CYLINDER, shape.radius_m, 0.5 * shape.length_m, rounding]
+    elif shape.type == "box":
+        half = [0.5 * s for s in shape.size_m]
+        values = [BOX, *half, min(EDGE_ROUNDING_M, 0.5 * min(half))]
+    else:
+        values = [HALF_SPACE]
+    return np.asarray(values + [0.0] * (5 - len(values)), dtype=float)
+
+
+def held_nodes(rig: Rig, body: BuiltBody) -> dict[str, np.ndarray]:
+    """Nodes of a deformable body that follow a mount, by holder (clamp or bond): bool ``(n,)`` each."""
+    holders: dict[str, np.ndarray] = {}
+    for index, clamp in enumerate(rig.clamps):
+        if clamp.body == body.name:
+            inside = clamp.region.contains(body.local)
+            label = clamp.name or f"clamps[{index}]"
+            if not inside.any():
+                raise ConfigError(
+                    f"The clamp {label} holds no node of {body.name}.",
+                    "Widen its region, or give the body more cells there.",
+                )
+            holders[label] = inside
+    if isinstance(body.spec, Gel) and body.spec.bonded is not None:
+        assert isinstance(body.mesh, solids.TetMesh)
+        glued = np.zeros(len(body.local), dtype=bool)
+        glued[body.mesh.node_sets[body.spec.bonded]] = True
+        holders[f"{body.name}.bond"] = glued
+    return holders

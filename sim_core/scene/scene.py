@@ -1,0 +1,267 @@
+"""The scene: one rig, meshed and assembled, with what follows which mount and what is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.spatial.transform import Rotation
+
+from sim_core.contact.rigid import RigidContact
+from sim_core.contact.surface import SurfaceContact
+from sim_core.energies.term import Term
+from sim_core.errors import ConfigError
+from sim_core.geometry import sheets
+from sim_core.rigs import WORLD, Gel, Rig, Rigid, Sheet
+from sim_core.scene.assembly import (
+    BuiltBody,
+    add_terms,
+    build_body,
+    contact_samples,
+    contact_triangles,
+    held_nodes,
+    rigid_shape,
+    world_pose,
+)
+from sim_core.solve.system import Compliant, System
+
+CONTACT_STIFFNESS_PA_PER_M = 5e9
+"""Contact pressure per overlap where a rig names none: 50 kPa overlap by 10 um."""
+
+CONTACT_ROUNDING_M = 1e-5
+"""Half width over which contact pressure sets in."""
+
+Frame = tuple[np.ndarray, Rotation]
+"""Origin [m] ``(3,)`` and rotation of a frame in the world."""
+
+
+@dataclass
+class Values:
+    """Everything numeric that the mechanics depend on, without geometry.
+
+    ``terms``: parameters of each term by its name. ``density``: mass per unit of a body's
+    ``unit_mass``. ``compliance``: of each compliant end effector along the world axes [m/N].
+    """
+
+    terms: dict[str, dict[str, float]]
+    density: dict[str, float]
+    gravity: np.ndarray
+    compliance: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Follower:
+    """Nodes that follow a mount rigidly. ``local``: in the mount's frame [m], ``(k, 3)``."""
+
+    mount: str
+    nodes: np.ndarray
+    local: np.ndarray
+
+
+class Scene:
+    """A rig ready to be stepped. Build with :func:`build_scene`."""
+
+    def __init__(self, rig: Rig, refine: int) -> None:
+        self.rig = rig
+        self.start: dict[str, Frame] = {WORLD: (np.zeros(3), Rotation.identity())}
+        for name, effector in rig.end_effectors.items():
+            self.start[name] = (effector.start.position(), effector.start.rotation())
+        self.bodies: dict[str, BuiltBody] = {}
+        count = 0
+        for name, spec in rig.bodies.items():
+            carrier = self.start[self._carrier(spec)]
+            body = build_body(name, spec, carrier, count, refine)
+            self.bodies[name] = body
+            count += len(body.nodes)
+        self.rest = np.vstack([b.rest for b in self.bodies.values()])
+        self.followers: list[Follower] = []
+        self.holders: dict[str, np.ndarray] = {}
+        self._prescribed = np.zeros((count, 3), dtype=bool)
+        self._hold()
+        self.contacts: dict[str, list[RigidContact | SurfaceContact]] = {}
+        terms = self._terms()
+        self.extra = self._effect_terms()
+        mass = self._mass_pattern()
+        values = self.values(rig)
+        self.system = System(
+            self.rest,
+            mass,
+            self._prescribed,
+            [*terms, *self.extra],
+            values.gravity,
+            rig.solver.inertia,
+            [Compliant(self.carried(e), c) for e, c in values.compliance.items()],
+        )
+        self._applied_mass: tuple[float, ...] | None = None
+        self.apply(values)
+
+    @staticmethod
+    def _carrier(spec: Sheet | Gel | Rigid) -> str:
+        if isinstance(spec, Sheet):
+            return WORLD
+        return spec.mount or WORLD
+
+    def _hold(self) -> None:
+        """Find which nodes follow which mount."""
+        mounts = {clamp.name or f"clamps[{k}]": clamp.mount for k, clamp in enumerate(self.rig.clamps)}
+        self._held: dict[str, np.ndarray] = {}
+        for body in self.bodies.values():
+            if isinstance(body.spec, Rigid):
+                self._follow(body.name, body.spec.mount, body.nodes)
+                continue
+            held = np.zeros(len(body.nodes), dtype=bool)
+            for label, inside in held_nodes(self.rig, body).items():
+                mount = mounts.get(label) or self._carrier(body.spec)
+                held |= inside
+                self._follow(label, mount, body.nodes[inside])
+            self._held[body.name] = held
+
+    def _follow(self, label: str, mount: str, nodes: np.ndarray) -> None:
+        origin, rotation = self.start[mount]
+        self.followers.append(Follower(mount, nodes, rotation.inv().apply(self.rest[nodes] - origin)))
+        self.holders[label] = nodes
+        self._prescribed[nodes] = True
+
+    def _terms(self) -> list[Term]:
+        terms: list[Term] = []
+        for body in self.bodies.values():
+            if body.mesh is not None:
+                add_terms(body, self.rest, self._held[body.name])
+                terms += body.terms
+        for contact in self.rig.contacts:
+            first, second = (self.bodies[b] for b in contact.between)
+            self.contacts[contact.name] = built = self._contact(contact.name, first, second)
+            terms += built
+        return terms
+
+    def _contact(self, name: str, a: BuiltBody, b: BuiltBody) -> list[RigidContact | SurfaceContact]:
+        if a.name == b.name:
+            raise ConfigError(
+                f"The contact {name} is of a body with itself, which is not simulated.", "Remove it."
+            )
+        if isinstance(a.spec, Rigid) and isinstance(b.spec, Rigid):
+            raise ConfigError(
+                f"The contact {name} is between two rigid bodies, which are moved, not simulated.",
+                "Remove it.",
+            )
+        if isinstance(a.spec, Rigid):
+            a, b = b, a
+        samples = contact_samples(a, self.rest)
+        if isinstance(b.spec, Rigid):
+            shape = rigid_shape(b.spec)
+            return [RigidContact(f"contact.{name}", samples, int(b.nodes[0]), shape, b.rotation)]
+        others = contact_samples(b, self.rest)
+        offset = samples.offset + others.offset
+        terms: list[RigidContact | SurfaceContact] = []
+        for order, (one, two, points) in enumerate(((a, b, samples), (b, a, others))):
+            terms.append(
+                SurfaceContact(
+                    f"contact.{name}.{order}",
+                    points,
+                    contact_triangles(two),
+                    isinstance(two.mesh, sheets.SheetMesh),
+                    offset,
+                    reach_m=self._reach(one, two),
+                )
+            )
+        return terms
+
+    @staticmethod
+    def _reach(a: BuiltBody, b: BuiltBody) -> float:
+        """Distance within which candidates are collected: a few steps of motion, in mesh sizes."""
+        sizes = []
+        for body in (a, b):
+            assert body.mesh is not None
+            corners = body.local[contact_triangles(body) - body.nodes[0]]
+            sizes.append(float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))))
+        return 0.6 * min(sizes)
+
+    def _effect_terms(self) -> list[Term]:
+        from sim_core.effects import active_effects
+
+        return [t for effect, given in active_effects(self.rig) for t in effect.terms(self, given)]
+
+    def _mass_pattern(self) -> sp.csr_matrix:
+        blocks = [
+            b.unit_mass if b.unit_mass is not None else sp.csr_matrix((1, 1)) for b in self.bodies.values()
+        ]
+        return sp.block_diag(blocks).tocsr()
+
+    def values(self, rig: Rig) -> Values:
+        """Numbers of a rig (of the same geometry) as the terms take them, effects included."""
+        from sim_core.effects import active_effects
+
+        values = Values({}, {}, np.asarray(rig.gravity_m_s2, dtype=float))
+        for name, spec in rig.bodies.items():
+            if isinstance(spec, Sheet):
+                m = spec.material
+                sheet = {"E_pa": m.E_pa, "nu": m.nu, "thickness_m": m.thickness_m}
+                values.terms[f"{name}.membrane"] = dict(sheet)
+                values.terms[f"{name}.bending"] = dict(sheet)
+                values.density[name] = m.density_kg_m3 * m.thickness_m
+            elif isinstance(spec, Gel):
+                values.terms[f"{name}.elastic"] = {"E_pa": spec.material.E_pa, "nu": spec.material.nu}
+                values.density[name] = spec.material.density_kg_m3
+        for contact in rig.contacts:
+            for term in self.contacts[contact.name]:
+                values.terms[term.name] = {
+                    "friction": contact.friction,
+                    "stiffness_pa_per_m": (contact.stiffness_pa_per_m or CONTACT_STIFFNESS_PA_PER_M)
+                    / len(self.contacts[contact.name]),
+                    "rounding_m": CONTACT_ROUNDING_M,
+                }
+        for effect, given in active_effects(rig):
+            effect.amend_values(rig, values, given)
+        return values
+
+    def apply(self, values: Values) -> None:
+        """Configure all terms, masses, gravity and compliances."""
+        for term in self.system.terms:
+            if term.name in values.terms:
+                term.configure(values.terms[term.name])
+        masses = tuple(values.density.get(name, 0.0) for name in self.bodies)
+        if masses != self._applied_mass:
+            blocks = [
+                b.unit_mass * values.density[b.name] if b.unit_mass is not None else sp.csr_matrix((1, 1))
+                for b in self.bodies.values()
+            ]
+            self.system.set_mass(sp.block_diag(blocks).tocsr())
+            self._applied_mass = masses
+        self.system.gravity = values.gravity
+        self.system.set_compliance(list(values.compliance.values()))
+
+    def carried(self, mount: str) -> np.ndarray:
+        """All nodes that follow a mount."""
+        nodes = [f.nodes for f in self.followers if f.mount == mount]
+        return np.unique(np.concatenate(nodes)) if nodes else np.empty(0, dtype=int)
+
+    def targets(self, frames: Mapping[str, Frame]) -> np.ndarray:
+        """Positions [m] ``(n, 3)`` that prescribed nodes take when the mounts are at ``frames``.
+
+        Also turns the rigid bodies, so call it just before the step.
+        """
+        out = self.rest.copy()
+        for follower in self.followers:
+            origin, rotation = frames[follower.mount]
+            out[follower.nodes] = origin + rotation.apply(follower.local)
+        for body in self.bodies.values():
+            if isinstance(body.spec, Rigid):
+                _, rotation = world_pose(body.spec.pose, frames[body.spec.mount])
+                body.rotation[:] = rotation.as_matrix()
+        return out
+
+    def body_frame(self, name: str, frames: Mapping[str, Frame]) -> Frame:
+        """Where the rest frame of a body is when the mounts are at ``frames``."""
+        spec = self.bodies[name].spec
+        return world_pose(spec.pose, frames[self._carrier(spec)])
+
+    def held(self, body: str) -> np.ndarray:
+        """Nodes of a deformable body that follow a mount, bool over its nodes."""
+        return self._held[body]
+
+
+def build_scene(rig: Rig, refine: int = 1) -> Scene:
+    """Mesh and assemble a rig; ``refine`` multiplies the number of cells in each direction."""
+    return Scene(rig, refine)

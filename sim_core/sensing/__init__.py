@@ -1,0 +1,5 @@
+"""What sensors and cameras of a rig report for a state of the scene."""
+
+from sim_core.sensing.observe import Observer
+
+__all__ = ["Observer"]

@@ -1,0 +1,28 @@
+"""Projection of points in a camera's optical frame to pixels."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from sim_core.rigs import FisheyeCamera, OrthographicCamera, PinholeCamera
+
+
+def project(camera: PinholeCamera | FisheyeCamera | OrthographicCamera, points: np.ndarray) -> np.ndarray:
+    """Pixels ``(n, 2)`` of points [m] ``(n, 3)`` in the optical frame; NaN where out of the picture.
+
+    Pinhole: OpenCV's model (ROS plumb_bob). Fisheye: OpenCV's equidistant model. A scaled
+    orthographic camera has no picture edge.
+    """
+    if isinstance(camera, OrthographicCamera):
+        return np.asarray(points[:, :2] / camera.scale_m_per_px + [camera.cx_px, camera.cy_px])
+    coefficients = np.asarray(camera.distortion)
+    zero = np.zeros(3)
+    if isinstance(camera, FisheyeCamera):
+        pixels, _ = cv2.fisheye.projectPoints(points[:, None], zero, zero, camera.matrix(), coefficients)
+    else:
+        pixels, _ = cv2.projectPoints(points, zero, zero, camera.matrix(), coefficients)
+    pixels = pixels.reshape(-1, 2)
+    size = np.array([camera.width_px, camera.height_px])
+    hidden = (points[:, 2] <= 0.0) | ((pixels < 0.0) | (pixels > size - 1.0)).any(axis=1)
+    return np.where(hidden[:, None], np.nan, pixels)

@@ -1,0 +1,180 @@
+"""Run a scene under end-effector motion and record what its sensors would read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from sim_core.errors import ConvergenceError
+from sim_core.rigs import WORLD, Rig
+from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene.scene import Frame, Scene
+from sim_core.sensing.observe import Observer, frame_of
+from sim_core.solve.step import NewtonSettings, State, StepReport, advance
+
+MAX_HALVINGS = 5
+"""A step that does not converge is retried as 2, 4, ... up to 2^5 shorter ones."""
+
+SETTLING_STEPS = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0)
+"""Pseudo time steps [s] on the way from rest to the first equilibrium."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Readings of all channels at the instants of the steps.
+
+    ``times`` [s] ``(n,)``; ``outputs``: channel to ``(n, ...)``; ``kinds``: channel to 'wrench',
+    'markers' or 'tracks'; ``ids``: marker numbers; ``reports``: one a step (``n - 1``).
+    """
+
+    times: np.ndarray
+    outputs: dict[str, np.ndarray]
+    kinds: dict[str, str]
+    ids: dict[str, np.ndarray]
+    reports: tuple[StepReport, ...]
+
+    def at(self, channel: str, times: np.ndarray) -> np.ndarray:
+        """Readings at any times [s], linear between steps, held at the ends: ``(k, ...)``."""
+        return interpolate(self.times, self.outputs[channel], times)
+
+
+def interpolate(times: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Linear interpolation along the first axis, held beyond the ends."""
+    if len(times) == 1:
+        return np.repeat(values, len(at), axis=0)
+    right = np.clip(np.searchsorted(times, at, side="right"), 1, len(times) - 1)
+    share = np.clip((at - times[right - 1]) / (times[right] - times[right - 1]), 0.0, 1.0)
+    share = share.reshape(-1, *([1] * (values.ndim - 1)))
+    return np.asarray((1.0 - share) * values[right - 1] + share * values[right])
+
+
+class Simulation:
+    """A scene being stepped. ``frames``: where the mounts are now."""
+
+    def __init__(self, scene: Scene, settings: NewtonSettings | None = None, settle: bool = True) -> None:
+        self.scene = scene
+        self.observer = Observer(scene)
+        self._settings = settings or NewtonSettings()
+        self._settle = settle
+        self.reset()
+
+    def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
+        """Back to rest at the start poses (or ``frames``), in equilibrium when everything is held."""
+        scene = self.scene
+        self.frames = {**scene.start, **(frames or {})}
+        targets = scene.targets(self.frames)
+        x = targets.copy()
+        for body in scene.bodies.values():
+            origin, rotation = scene.body_frame(body.name, self.frames)
+            if body.mesh is not None and not scene.held(body.name).any():
+                continue
+            free = body.nodes if body.mesh is None else body.nodes[~scene.held(body.name)]
+            x[free] = (origin + rotation.apply(body.local))[-len(free) :] if body.mesh is None else (
+                origin + rotation.apply(body.local)
+            )[~scene.held(body.name)]
+        self.state = State(0.0, x, np.zeros_like(x), scene.system.initial_internals())
+        scene.system.x[:] = x
+        if self._settle and self._all_held():
+            self.state = settle(scene, self.state, targets, self._settings)
+        else:
+            scene.system.set_targets(targets)
+
+    def _all_held(self) -> bool:
+        scene = self.scene
+        return all(b.mesh is None or bool(scene.held(b.name).any()) for b in scene.bodies.values())
+
+    def step(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
+        """Move the mounts to ``frames`` within ``dt`` [s]; halve the step where it does not converge."""
+        target = {**self.frames, **frames}
+        return self._step(self.frames, target, dt, MAX_HALVINGS)
+
+    def _step(self, start: Mapping[str, Frame], end: Mapping[str, Frame], dt: float, halvings: int) -> StepReport:
+        scene = self.scene
+        before = self.state
+        try:
+            self.state, report = advance(scene.system, before, scene.targets(end), dt, self._settings)
+        except ConvergenceError:
+            if halvings == 0:
+                raise
+            middle = {m: midway(start[m], end[m]) for m in end}
+            self._step(start, middle, dt / 2, halvings - 1)
+            report = self._step(middle, end, dt / 2, halvings - 1)
+        self.frames = dict(end)
+        return report
+
+    def actual_frames(self) -> dict[str, Frame]:
+        """Frames of the mounts with what compliant ones have given way."""
+        frames = dict(self.frames)
+        compliant = list(self.scene.values(self.scene.rig).compliance)
+        for mount, deflection in zip(compliant, self.scene.system.deflections, strict=True):
+            origin, rotation = frames[mount]
+            frames[mount] = (origin + deflection, rotation)
+        return frames
+
+    def read(self, rig: Rig | None = None) -> dict[str, np.ndarray]:
+        """Readings of all channels now."""
+        return self.observer.read(rig or self.scene.rig, self.actual_frames())
+
+
+def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSettings) -> State:
+    """Equilibrium under gravity with everything held in place: short, then ever longer damped steps."""
+    system = scene.system
+    inertia = system.inertia
+    try:
+        system.inertia = True
+        for dt in SETTLING_STEPS:
+            state, _ = advance(system, State(0.0, state.x, np.zeros_like(state.x), state.internals), targets, dt, settings)
+        system.inertia = False
+        state, _ = advance(system, state, targets, 1.0, settings)
+    finally:
+        system.inertia = inertia
+    return State(0.0, state.x, np.zeros_like(state.x), state.internals)
+
+
+def midway(a: Frame, b: Frame) -> Frame:
+    """Frame halfway between two."""
+    half = Slerp([0.0, 1.0], Rotation.concatenate([a[1], b[1]]))(0.5)
+    return 0.5 * (a[0] + b[0]), half
+
+
+def step_times(start: float, end: float, dt: float) -> np.ndarray:
+    """Instants of the steps, at most ``dt`` apart, from ``start`` to ``end`` [s]."""
+    count = max(1, int(np.ceil((end - start) / dt - 1e-9)))
+    return np.linspace(start, end, count + 1)
+
+
+def simulate(
+    scene: Scene,
+    poses: Mapping[str, PoseTrajectory],
+    times: np.ndarray,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Trace:
+    """Drive the scene along ``poses`` (by end effector) and read every channel at ``times`` [s].
+
+    ``on_step(done, total)`` is called after each step. Raises ``ConvergenceError`` when a step does
+    not converge even in small parts.
+    """
+    simulation = Simulation(scene)
+    tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
+
+    def frames(k: int) -> dict[str, Frame]:
+        return {name: frame_of(p[k], q[k]) for name, (p, q) in tracks.items()}
+
+    simulation.reset(frames(0))
+    readings = [simulation.read()]
+    reports = []
+    for k in range(1, len(times)):
+        reports.append(simulation.step(frames(k), float(times[k] - times[k - 1])))
+        readings.append(simulation.read())
+        if on_step is not None:
+            on_step(k, len(times) - 1)
+    outputs = {c: np.stack([r[c] for r in readings]) for c in readings[0]}
+    return Trace(times, outputs, simulation.observer.kinds, simulation.observer.ids, tuple(reports))
+
+
+def mounts(rig: Rig) -> list[str]:
+    """Names of all mounts of a rig."""
+    return [WORLD, *rig.end_effectors]
