@@ -324,7 +324,7 @@ def _extrude(
     faces = tets[:, tet10.FACES].reshape(-1, 6)
     _, first, count = np.unique(np.sort(faces[:, :3], axis=1), axis=0, return_index=True, return_counts=True)
     surface = faces[np.sort(first[count == 1])]
-    named = {name: np.flatnonzero(on.all(axis=1)) for name, on in sets(nodes[surface]).items()}
+    named = {name: np.flatnonzero(on.all(axis=1)) for name, on in sets(nodes[surface[:, :3]]).items()}
     return TetMesh(nodes, tets.astype(np.int32), surface.astype(np.int32), named)
 
 
