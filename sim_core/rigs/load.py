@@ -55,7 +55,7 @@ def find_config(name_or_path: str | Path, kind: str, beside: Path | None = None)
     if not text.strip():
         raise ConfigError(f"The name of one of the {kind} is empty.", f"Known: {', '.join(names_in(kind))}.")
     given = Path(text).expanduser()
-    if given.is_file() or given.suffix in {".yaml", ".yml"} or len(given.parts) > 1:
+    if given.exists() or given.suffix in {".yaml", ".yml"} or len(given.parts) > 1:
         if beside is not None and not given.is_absolute() and (beside / given).is_file():
             return beside / given
         return given

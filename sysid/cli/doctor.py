@@ -175,12 +175,14 @@ def _ros() -> Iterator[Finding]:
         yield Finding("ROS 2", "warn", detail, remedy)
         return
     yield from _ros_traps(os.environ)
+    remedy = "Mend what is said of ROS above; else reinstall it, or source its setup file again."
     imported = _child(
-        "ROS 2 import", "import rclpy, geometry_msgs.msg, sensor_msgs.msg", "rclpy and messages load"
+        "ROS 2 import", "import rclpy, geometry_msgs.msg, sensor_msgs.msg", "rclpy loads", remedy
     )
     yield imported
     if imported.state == "ok":
-        yield _child("ROS 2 loopback", _ROS_LOOPBACK, "a message went out and came back on this machine")
+        remedy = "Check that the firewall lets this machine talk to itself (UDP on the loopback interface)."
+        yield _child("ROS 2 loopback", _ROS_LOOPBACK, "a message went out and came back", remedy)
 
 
 def _ros_traps(environment: Mapping[str, str]) -> Iterator[Finding]:

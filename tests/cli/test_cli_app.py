@@ -1,0 +1,148 @@
+"""The command line as a whole: listings, exit codes, interruptions, and the doctor."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sim_core.rigs.load import names_in
+from sysid.cli import app
+from sysid.cli.doctor import _ros_traps
+from sysid.cli.progress import progress
+
+THINSHELL = [sys.executable, "-m", "sysid"]
+
+
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*THINSHELL, *words], capture_output=True, text=True, timeout=300)
+
+
+def test_without_arguments_it_shows_its_help() -> None:
+    done = run()
+    assert done.returncode == 0
+    assert done.stdout == run("--help").stdout
+    for command in ("simulate", "fit", "diagnose", "inspect", "doctor", "prove"):
+        assert command in done.stdout
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["simulate", "fit", "diagnose", "prove make", "prove run", "prove score", "inspect", "track", "rigs"],
+)
+def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main([*command.split(), "--help"]) == 0
+    assert f"Usage: thinshell {command}" in capsys.readouterr().out
+
+
+def test_rigs_lists_all_rigs_and_experiments() -> None:
+    done = run("rigs")
+    assert done.returncode == 0
+    for name in names_in("rigs") + names_in("experiments"):
+        assert name in done.stdout
+
+
+def test_params_as_json_names_units_and_bounds() -> None:
+    rows = {row["name"]: row for row in json.loads(run("params", "card_press", "--json").stdout)}
+    assert rows["card.E_pa"]["unit"] == "Pa"
+    assert rows["card.nu"]["upper"] == 0.5
+    assert rows["contacts.gel-card.stiffness_pa_per_m"]["value"] is None
+
+
+def test_a_defect_is_one_sentence_and_a_traceback_only_on_demand(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(kind: str) -> list[str]:
+        raise RuntimeError(f"no {kind}")
+
+    monkeypatch.setattr("sim_core.rigs.load.names_in", broken)
+    assert app.main(["rigs"]) == 1
+    short = capsys.readouterr().err
+    assert "defect of the program: RuntimeError: no rigs" in short
+    assert "Traceback" not in short
+    assert app.main(["rigs", "--debug"]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_a_missing_package_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(kind: str) -> list[str]:
+        raise ModuleNotFoundError("No module named 'taichi'", name="taichi")
+
+    monkeypatch.setattr("sim_core.rigs.load.names_in", broken)
+    assert app.main(["rigs"]) == 2
+    assert "'taichi' is not installed. Run 'thinshell doctor'" in capsys.readouterr().err
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    child = subprocess.Popen([*THINSHELL, "rigs"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert child.stdout is not None
+    assert child.stderr is not None
+    child.stdout.close()
+    assert child.stderr.read() == b""
+    assert child.wait(timeout=60) == 141
+
+
+def test_an_interrupt_ends_it_with_130() -> None:
+    child = subprocess.Popen(
+        [*THINSHELL, "doctor"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert child.stdout is not None
+    child.stdout.readline()
+    child.send_signal(signal.SIGINT)
+    _, errors = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert "Traceback" not in errors
+
+
+@pytest.fixture(scope="module")
+def report() -> dict[str, Any]:
+    """What the doctor says of this machine; its exit code beside it."""
+    done = run("doctor", "--json")
+    return {**json.loads(done.stdout), "code": done.returncode}
+
+
+def test_the_doctor_finds_a_working_core(report: dict[str, Any]) -> None:
+    findings = {finding["name"]: finding for finding in report["findings"]}
+    assert report["works"]
+    assert report["code"] == 0
+    assert findings["Taichi"]["state"] == "ok"
+    assert findings["qdldl"]["state"] == "ok"
+    assert findings["Python"]["state"] == "ok"
+    assert all(finding["remedy"] for finding in findings.values() if finding["state"] != "ok")
+
+
+@pytest.mark.ros
+def test_the_doctor_hears_itself_over_ros(report: dict[str, Any]) -> None:
+    pytest.importorskip("rclpy")
+    findings = {finding["name"]: finding for finding in report["findings"]}
+    assert findings["ROS 2 loopback"]["state"] == "ok"
+
+
+def test_the_doctor_knows_the_traps_of_the_ros_wheels() -> None:
+    guarded = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "LD_LIBRARY_PATH": "/elsewhere"}
+    assert "LD_LIBRARY_PATH lacks" in next(_ros_traps(guarded)).detail
+    other = {"RMW_IMPLEMENTATION": "rmw_nothing_cpp"}
+    assert "unset RMW_IMPLEMENTATION" in list(_ros_traps(other))[-1].remedy
+
+
+def test_progress_without_a_terminal_is_a_line_every_tenth(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress("work") as report:
+        for step in range(1, 101):
+            report(step / 100, "")
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 10
+    assert lines[-1].startswith("work: 100 % after")
+
+
+def test_package_xml_has_the_version_of_the_package() -> None:
+    root = Path(__file__).resolve().parents[2]
+    assert ET.parse(root / "package.xml").findtext("version") == version("thinshell_ros")

@@ -1,0 +1,184 @@
+"""Whatever is wrong with the input: one paragraph with the remedy, exit code 2, nothing written."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from sim_core.rigs import config_folder
+from sysid.cli.app import main
+
+GOOD_RIG = (config_folder() / "rigs" / "card_press.yaml").read_text()
+GOOD_MOTION = "name: test\nmotions:\n  finger:\n    - {type: press, depth_m: 0.004}\n"
+
+
+def rig(old: str, new: str) -> dict[str, str]:
+    """The card rig with one place changed, as my.yaml."""
+    assert old in GOOD_RIG
+    return {"my.yaml": GOOD_RIG.replace(old, new, 1)}
+
+
+def motion(old: str, new: str) -> dict[str, str]:
+    """A press with one place changed, as move.yaml."""
+    assert old in GOOD_MOTION
+    return {"move.yaml": GOOD_MOTION.replace(old, new, 1)}
+
+
+@dataclass
+class Fault:
+    """Command line, files that lie in the working folder, and what stderr must say."""
+
+    command: str | list[str]
+    says: str
+    files: dict[str, str] = field(default_factory=dict)
+
+
+SIMULATE = "simulate my.yaml press_hold_release --out out.bag"
+SLIDE = "simulate card_press slide --out o --set"
+MOVE = "simulate card_press move.yaml --out out.bag"
+FIT = "fit card_press a.mcap --params card.E --out result"
+BAG = {"a.mcap": "this is no recording"}
+
+FAULTS: dict[str, Fault] = {
+    # the command line
+    "no such command": Fault("simulat", "No such command"),
+    "no such option": Fault("rigs --fast", "No such option"),
+    "rig left out": Fault("simulate", "Missing argument"),
+    "output left out": Fault("simulate card_press slide", "--out"),
+    "seed is a word": Fault("simulate card_press slide --out o --seed one", "--seed"),
+    "no cases": Fault("prove make --out o --cases 0", "--cases"),
+    # files
+    "rig misspelt": Fault("params card_pres", r"Did you mean 'card_press'\?"),
+    "rig file missing": Fault("params ./rig.yaml", r"not exist.*mean 'my_rig\.yaml'", {"my_rig.yaml": ""}),
+    "rig is a folder": Fault("params ./folder/", "is a folder", {"folder/x": ""}),
+    "rig is empty": Fault("params my.yaml", r"my\.yaml is empty", {"my.yaml": ""}),
+    "rig is a list": Fault("params my.yaml", "not a mapping", {"my.yaml": "- 1\n"}),
+    "rig is no text": Fault("params my.yaml", "not a text file", {"my.yaml": "\udcff\udcfe"}),
+    "tab": Fault("params my.yaml", r"line 2.*tab", {"my.yaml": "name: x\n\tbodies: 1\n"}),
+    "key twice": Fault("params my.yaml", r"line 2.*'name' is given twice", {"my.yaml": "name: x\nname: y\n"}),
+    "empty name": Fault(["params", " "], "is empty"),
+    # rigs
+    "unknown key": Fault(SIMULATE, r"Did you mean 'bodies'", rig("bodies:", "bodys:")),
+    "wrong unit": Fault(SIMULATE, r"write length_m: 0\.1", rig("length_m: 0.10", "length_mm: 100")),
+    "metres as millimetres": Fault(SIMULATE, "must be at most 10", rig("length_m: 0.10", "length_m: 100")),
+    "number as text": Fault(SIMULATE, "not a number", rig("width_m: 0.03", "width_m: '0.03'")),
+    "not a number": Fault(SIMULATE, "not a finite number", rig("width_m: 0.03", "width_m: .nan")),
+    "incompressible": Fault(SIMULATE, r"must be less than 0\.5", rig("nu: 0.45", "nu: 0.5")),
+    "unknown body": Fault(SIMULATE, "Did you mean 'card'", rig("[gel, card]", "[gel, cart]")),
+    "clamp beside the card": Fault(SIMULATE, "misses 'card'", rig("[-0.05, -0.045]", "[-50, -45]")),
+    "overlay of nothing": Fault(SIMULATE, "neither a file nor one", {"my.yaml": "overlay_of: nothing\n"}),
+    "overlay of itself": Fault(SIMULATE, "in a circle", {"my.yaml": "overlay_of: ./my.yaml\n"}),
+    # parameters
+    "unknown parameter": Fault(f"{SLIDE} card.F=1", "no parameter 'card.F'"),
+    "parameter without value": Fault(f"{SLIDE} card.E", "not of the form name=value"),
+    "parameter is a word": Fault(f"{SLIDE} card.E=stiff", "'stiff' is not a number"),
+    "parameter not finite": Fault(f"{SLIDE} card.E=inf", "not finite"),
+    "parameter out of bounds": Fault(f"{SLIDE} card.nu=0.9", r"must be less than 0\.5"),
+    "parameter twice": Fault(f"{SLIDE} card.E=1e9 --set sheet.E=2e9", "given twice"),
+    "fit of nothing known": Fault("fit card_press a.mcap --params card.Q --out o", "no parameter", BAG),
+    "fit of an empty name": Fault("fit card_press a.mcap --params card.E,,gel.E --out o", "empty name", BAG),
+    # motions
+    "experiment misspelt": Fault("simulate card_press slid --out o", "Did you mean 'slide'"),
+    "unknown motion": Fault(MOVE, "Did you mean 'press'", motion("type: press", "type: presss")),
+    "speed in mm": Fault(MOVE, r"write speed_m_s: 0\.005", motion("0.004", "0.004, speed_mm_s: 5")),
+    "negative speed": Fault(MOVE, "greater than 0", motion("0.004", "0.004, speed_m_s: -1")),
+    "depth left out": Fault(MOVE, "depth_m is missing", motion(", depth_m: 0.004", "")),
+    "no direction": Fault(MOVE, "Give a direction", motion("0.004", "0.004, along: [0, 0, 0]")),
+    "no such end effector": Fault(MOVE, r"Known: finger", motion("finger:", "gripper:")),
+    "no motion at all": Fault(MOVE, "neither motions nor duration_s", {"move.yaml": "name: test\n"}),
+    "too long": Fault(MOVE, "more than 2000000", motion("0.004", "1.0, speed_m_s: 1.0e-6, times: 100")),
+    # recordings
+    "recording missing": Fault("inspect no.bag", r"no\.bag does not exist"),
+    "recording is no recording": Fault("inspect a.mcap", r"a\.mcap", BAG),
+    "recording is empty": Fault("inspect a.mcap", r"a\.mcap", {"a.mcap": ""}),
+    "folder without recording": Fault("inspect bag", "bag", {"bag/notes.txt": "hello"}),
+    "recording to fit missing": Fault("fit card_press b.mcap --params card.E --out result", "does not exist"),
+    "held-out missing": Fault(f"{FIT} --held-out b.mcap", r"b\.mcap does not exist", BAG),
+    "recording twice": Fault("diagnose card_press a.mcap ./a.mcap --out result", "given twice", BAG),
+    "held-out is used": Fault(f"{FIT} --held-out a.mcap", "both to use and to hold out", BAG),
+    "recording to track missing": Fault("track no.bag --out o", "does not exist"),
+    "benchmark missing": Fault("prove score nowhere", "nowhere does not exist"),
+    # output
+    "output exists": Fault("simulate card_press slide --out taken", "already exists", {"taken/x": ""}),
+    "output below a file": Fault("simulate card_press slide --out file/o", "file is a file", {"file": ""}),
+    "result exists": Fault(FIT, "already exists", {**BAG, "result/x": ""}),
+}  # fmt: skip
+
+
+def snapshot(folder: Path) -> dict[Path, bytes]:
+    """Every file below a folder and its content."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def prepare(fault: Fault, folder: Path) -> list[str]:
+    """Write the files of a fault; return its words."""
+    for file, text in fault.files.items():
+        path = folder / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, errors="surrogateescape")
+    return fault.command if isinstance(fault.command, list) else fault.command.split()
+
+
+def check(fault: Fault, code: int, output: str, errors: str) -> None:
+    """One paragraph, with what the fault must say, and nothing else."""
+    assert code == 2, errors
+    assert output == ""
+    assert re.search(fault.says, errors), errors
+    assert errors.startswith("thinshell: ")
+    assert errors.count("\n") == 1
+    assert errors.rstrip().endswith((".", "?", ")"))
+    assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_one_paragraph_and_nothing_written(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = prepare(FAULTS[name], tmp_path)
+    before = snapshot(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    code = main(words)
+    output, errors = capsys.readouterr()
+    check(FAULTS[name], code, output, errors)
+    assert snapshot(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "no such command",
+        "tab",
+        "wrong unit",
+        "parameter twice",
+        "unknown motion",
+        "recording is no recording",
+    ],
+)
+def test_the_same_as_a_command(name: str, tmp_path: Path) -> None:
+    words = prepare(FAULTS[name], tmp_path)
+    before = snapshot(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-m", "sysid", *words], cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    check(FAULTS[name], done.returncode, done.stdout, done.stderr)
+    assert snapshot(tmp_path) == before
+
+
+def test_a_truncated_recording_is_refused(tmp_path: Path) -> None:
+    bags = sorted((config_folder().parent / "bags").rglob("*.mcap"))
+    if not bags:
+        pytest.skip("no example recording in the source tree")
+    cut = tmp_path / "cut.mcap"
+    shutil.copy(bags[0], cut)
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
+    done = subprocess.run(
+        [sys.executable, "-m", "sysid", "inspect", str(cut)], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,64 @@
+"""Names, bounds and changes of a rig's parameters."""
+
+from __future__ import annotations
+
+import pytest
+
+from sim_core.errors import ConfigError
+from sim_core.rigs import list_parameters, load_rig, resolve_name, with_parameters
+from sim_core.rigs.load import names_in
+
+RIG = load_rig("card_press")
+
+
+@pytest.mark.parametrize("name", names_in("rigs"))
+def test_every_parameter_is_found_by_its_name_and_lies_in_its_bounds(name: str) -> None:
+    rig = load_rig(name)
+    for parameter in list_parameters(rig):
+        assert resolve_name(rig, parameter.name) == parameter.name
+        assert parameter.description
+        if parameter.value is not None:
+            assert parameter.lower <= parameter.value <= parameter.upper
+            assert with_parameters(rig, {parameter.name: parameter.value}) == rig
+
+
+@pytest.mark.parametrize(
+    ("written", "full"),
+    [
+        ("card.E", "card.E_pa"),
+        ("sheet.E", "card.E_pa"),
+        (" card.thickness ", "card.thickness_m"),
+        ("contacts.card-gel.friction", "contacts.gel-card.friction"),
+        ("contact.gel-card.stiffness", "contacts.gel-card.stiffness_pa_per_m"),
+        ("gel-card.friction", "contacts.gel-card.friction"),
+        ("outside.latency", "outside.latency_s"),
+    ],
+)
+def test_short_names(written: str, full: str) -> None:
+    assert resolve_name(RIG, written) == full
+
+
+def test_a_changed_rig_differs_only_there() -> None:
+    changed = with_parameters(RIG, {"card.E": 1e9, "gel-card.stiffness": 1e9})
+    values = {p.name: p.value for p in list_parameters(changed)}
+    before = {p.name: p.value for p in list_parameters(RIG)}
+    assert {name for name in values if values[name] != before[name]} == {
+        "card.E_pa",
+        "contacts.gel-card.stiffness_pa_per_m",
+    }
+    assert before["card.E_pa"] == 2.5e9
+
+
+@pytest.mark.parametrize(
+    ("values", "pattern"),
+    [
+        ({"card.EE": 1.0}, r"no parameter 'card.EE'.*Did you mean 'card.E_pa'"),
+        ({"card.nu": 0.6}, r"bodies.card.material.nu is 0.6, but must be less than 0.5"),
+        ({"card.E": -1.0}, r"at least 1"),
+        ({"card.E": float("nan")}, r"not a finite number"),
+        ({"card.E": 1e9, "card.E_pa": 2e9}, r"given twice"),
+    ],
+)
+def test_faulty_values_are_refused(values: dict[str, float], pattern: str) -> None:
+    with pytest.raises(ConfigError, match=pattern):
+        with_parameters(RIG, values)
