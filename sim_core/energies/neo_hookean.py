@@ -22,7 +22,9 @@ at any dt/tau (Simo's midpoint value exp(-dt/2tau) is 15 % low at dt = 2 tau).
 
 Near incompressibility a bulk energy K/2 (J - 1)^2 at all four quadrature points is too stiff, and one on
 the mean dilatation of each element alone too soft. The two are mixed: the pointwise part has the
-stiffness K_own with 1/K_own = 1/K + 1/(6 mu), the mean takes the rest. Uniform strain is not affected.
+stiffness K_own with 1/K_own = 1/K + 1/(6 mu), the mean takes the rest. Uniform strain is not affected
+(straight elements reproduce it exactly; on the curved ones of a coarse dome the four-point rule leaves
+0.6 % of the largest nodal force unbalanced, 0.2 % after one refinement).
 Error of the apparent modulus of a disc bonded to two plates, S = R/2t, against an axisymmetric solution
 that is converged to 0.2 %; pointwise / this mixture / mean alone [%]:
 

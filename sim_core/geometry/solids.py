@@ -189,14 +189,15 @@ def cylinder(radius_m: float, height_m: float, cells: tuple[int, int, int], curv
     tiny = 1e-9 * max(radius_m, height_m)
 
     def middle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        mid = (a + b) / 2.0
+        mid: np.ndarray = (a + b) / 2.0
         if curved:
             rim = _on_side(a) & _on_side(b)
             mid[rim, :2] = radius_m * _unit(mid[rim, :2])
         return mid
 
     def _on_side(p: np.ndarray) -> np.ndarray:
-        return np.hypot(p[..., 0], p[..., 1]) > radius_m - tiny
+        on: np.ndarray = np.hypot(p[..., 0], p[..., 1]) > radius_m - tiny
+        return on
 
     def sets(p: np.ndarray) -> dict[str, np.ndarray]:
         return {"bottom": p[..., 2] < tiny, "top": p[..., 2] > height_m - tiny, "side": _on_side(p)}
@@ -212,8 +213,8 @@ def dome(
     Half of a cubed sphere (Ronchi, Iacono and Paolucci, J. Comput. Phys. 124, 1996): a square cap
     around the pole and rings from there to the rim, with no degenerate cell. ``cells``: hexahedra along
     a side of the cap, from the cap to the rim, and through the wall; a good shape has twice as many in
-    the first as in the second. ``curved``: put mid-edge nodes on spheres. Sets: base (the rim), outer,
-    inner (the wall of the cavity).
+    the first as in the second. ``curved``: put mid-edge nodes on spheres (the volume of (2, 1, 1) is then
+    0.8 % low, of (4, 2, 2) 0.05 %). Sets: base (the rim), outer, inner (the wall of the cavity).
     """
     _check_positive(radius_m=(radius_m,), cavity_radius_m=(cavity_radius_m,), cells=cells)
     if not cavity_radius_m < radius_m:
@@ -231,10 +232,9 @@ def dome(
     layers = [r * direction for r in np.linspace(cavity_radius_m, radius_m, n_wall + 1)]
 
     def middle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        if not curved:
-            return (a + b) / 2.0
         radius = (np.linalg.norm(a, axis=1, keepdims=True) + np.linalg.norm(b, axis=1, keepdims=True)) / 2.0
-        return radius * _unit(_unit(a) + _unit(b))
+        mid: np.ndarray = radius * _unit(_unit(a) + _unit(b)) if curved else (a + b) / 2.0
+        return mid
 
     def sets(p: np.ndarray) -> dict[str, np.ndarray]:
         r, tiny = np.linalg.norm(p, axis=-1), 1e-9 * radius_m
@@ -251,19 +251,22 @@ def _check_positive(**values: tuple[float, ...]) -> None:
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     """Vectors of length one; a zero vector stays zero."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+    unit: np.ndarray = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+    return unit
 
 
 def _to_centre(n: int) -> np.ndarray:
     """Position of ``n`` cells from 0 at the border to 1 at the middle."""
     away = np.abs(np.arange(n) - (n - 1) / 2.0)
-    return 1.0 - (away - away.min()) / max(np.ptp(away), 1e-300)
+    place: np.ndarray = 1.0 - (away - away.min()) / max(np.ptp(away), 1e-300)
+    return place
 
 
 def _spaced(length: float, place: np.ndarray, ratio: float) -> np.ndarray:
     """``len(place) + 1`` coordinates [m] with cell widths in proportion to ``ratio ** place``."""
     widths = ratio**place
-    return np.concatenate([[0.0], np.cumsum(widths)]) * (length / widths.sum())
+    coordinates: np.ndarray = np.concatenate([[0.0], np.cumsum(widths)]) * (length / widths.sum())
+    return coordinates
 
 
 def _grid(nx: int, ny: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -32,12 +32,14 @@ def shape_derivative(barycentric: np.ndarray) -> np.ndarray:
     for k, (i, j) in enumerate(EDGES):
         by_l[:, 4 + k, i] = 4.0 * barycentric[:, j]
         by_l[:, 4 + k, j] = 4.0 * barycentric[:, i]
-    return by_l[:, :, 1:] - by_l[:, :, :1]
+    derivative: np.ndarray = by_l[:, :, 1:] - by_l[:, :, :1]
+    return derivative
 
 
 def jacobian(corners_and_edges: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
     """dX/dL of elements ``(m, 10, 3)`` [m] at points ``(q, 4)``: ``(m, q, 3, 3)`` [m]."""
-    return np.einsum("mai,qaj->mqij", corners_and_edges, shape_derivative(barycentric))
+    jac: np.ndarray = np.einsum("mai,qaj->mqij", corners_and_edges, shape_derivative(barycentric))
+    return jac
 
 
 def gradients(corners_and_edges: np.ndarray, barycentric: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
