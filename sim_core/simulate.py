@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from sim_core.errors import ConvergenceError
-from sim_core.rigs import WORLD, Rig
+from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Observer, frame_of
@@ -18,8 +18,8 @@ from sim_core.solve.step import NewtonSettings, State, StepReport, advance
 MAX_HALVINGS = 5
 """A step that does not converge is retried as 2, 4, ... up to 2^5 shorter ones."""
 
-SETTLING_STEPS = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0)
-"""Pseudo time steps [s] on the way from rest to the first equilibrium."""
+SETTLED_AFTER_S = 3.0
+"""Length of a damped pseudo time step [s] beyond which rest is as good as reached."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,10 @@ class Simulation:
         targets = scene.targets(self.frames)
         x = targets.copy()
         for body in scene.bodies.values():
-            origin, rotation = scene.body_frame(body.name, self.frames)
-            if body.mesh is not None and not scene.held(body.name).any():
-                continue
-            free = body.nodes if body.mesh is None else body.nodes[~scene.held(body.name)]
-            x[free] = (origin + rotation.apply(body.local))[-len(free) :] if body.mesh is None else (
-                origin + rotation.apply(body.local)
-            )[~scene.held(body.name)]
+            if body.mesh is not None and scene.held(body.name).any():
+                origin, rotation = scene.body_frame(body.name, self.frames)
+                free = ~scene.held(body.name)
+                x[body.nodes[free]] = (origin + rotation.apply(body.local))[free]
         self.state = State(0.0, x, np.zeros_like(x), scene.system.initial_internals())
         scene.system.x[:] = x
         if self._settle and self._all_held():
@@ -92,10 +89,8 @@ class Simulation:
         return self._step(self.frames, target, dt, MAX_HALVINGS)
 
     def _step(self, start: Mapping[str, Frame], end: Mapping[str, Frame], dt: float, halvings: int) -> StepReport:
-        scene = self.scene
-        before = self.state
         try:
-            self.state, report = advance(scene.system, before, scene.targets(end), dt, self._settings)
+            report = self._advance(end, dt)
         except ConvergenceError:
             if halvings == 0:
                 raise
@@ -103,6 +98,12 @@ class Simulation:
             self._step(start, middle, dt / 2, halvings - 1)
             report = self._step(middle, end, dt / 2, halvings - 1)
         self.frames = dict(end)
+        return report
+
+    def _advance(self, end: Mapping[str, Frame], dt: float) -> StepReport:
+        """One step without subdivision."""
+        targets = self.scene.targets(end)
+        self.state, report = advance(self.scene.system, self.state, targets, dt, self._settings)
         return report
 
     def actual_frames(self) -> dict[str, Frame]:
@@ -114,19 +115,30 @@ class Simulation:
             frames[mount] = (origin + deflection, rotation)
         return frames
 
-    def read(self, rig: Rig | None = None) -> dict[str, np.ndarray]:
+    def read(self) -> dict[str, np.ndarray]:
         """Readings of all channels now."""
-        return self.observer.read(rig or self.scene.rig, self.actual_frames())
+        return self.observer.read(self.scene.rig, self.actual_frames())
 
 
 def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSettings) -> State:
     """Equilibrium under gravity with everything held in place: short, then ever longer damped steps."""
     system = scene.system
     inertia = system.inertia
+    dt = 1e-3
     try:
         system.inertia = True
-        for dt in SETTLING_STEPS:
-            state, _ = advance(system, State(0.0, state.x, np.zeros_like(state.x), state.internals), targets, dt, settings)
+        while dt < SETTLED_AFTER_S:
+            still = State(0.0, state.x, np.zeros_like(state.x), state.internals)
+            after, report = advance(system, still, targets, dt, settings, check=False)
+            if report.converged:
+                state, dt = after, 3.0 * dt
+            elif dt > 1e-6:
+                dt /= 4.0
+            else:
+                raise ConvergenceError(
+                    "The rig finds no equilibrium under gravity at its start pose.",
+                    "Check that bodies do not overlap at the start, and that every body is held.",
+                )
         system.inertia = False
         state, _ = advance(system, state, targets, 1.0, settings)
     finally:
@@ -157,13 +169,25 @@ def simulate(
     ``on_step(done, total)`` is called after each step. Raises ``ConvergenceError`` when a step does
     not converge even in small parts.
     """
-    simulation = Simulation(scene)
+    return run(Simulation(scene), poses, times, on_step)
+
+
+def run(
+    simulation: Simulation,
+    poses: Mapping[str, PoseTrajectory],
+    times: np.ndarray,
+    on_step: Callable[[int, int], None] | None = None,
+    on_reset: Callable[[], None] | None = None,
+) -> Trace:
+    """As :func:`simulate`, with a simulation at hand; it is reset first, then ``on_reset`` is called."""
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
 
     def frames(k: int) -> dict[str, Frame]:
         return {name: frame_of(p[k], q[k]) for name, (p, q) in tracks.items()}
 
     simulation.reset(frames(0))
+    if on_reset is not None:
+        on_reset()
     readings = [simulation.read()]
     reports = []
     for k in range(1, len(times)):
@@ -173,8 +197,3 @@ def simulate(
             on_step(k, len(times) - 1)
     outputs = {c: np.stack([r[c] for r in readings]) for c in readings[0]}
     return Trace(times, outputs, simulation.observer.kinds, simulation.observer.ids, tuple(reports))
-
-
-def mounts(rig: Rig) -> list[str]:
-    """Names of all mounts of a rig."""
-    return [WORLD, *rig.end_effectors]

@@ -4,11 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from sim_core.effects.air_drag import AirDrag
+from sim_core.effects.bending_plasticity import BendingPlasticity
 from sim_core.effects.effect import Effect, EffectParameter
+from sim_core.effects.end_effector_compliance import EndEffectorCompliance
+from sim_core.effects.gel_relaxation import GelRelaxation
+from sim_core.effects.sheet_orthotropy import SheetOrthotropy
+from sim_core.effects.static_friction import StaticFriction
+from sim_core.effects.stream_delay import StreamDelay
+from sim_core.effects.wrench_offset import WrenchOffset
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.rigs import Rig
 
-EFFECTS: tuple[Effect, ...] = ()
+EFFECTS: tuple[Effect, ...] = (
+    GelRelaxation(),
+    SheetOrthotropy(),
+    BendingPlasticity(),
+    AirDrag(),
+    StaticFriction(),
+    EndEffectorCompliance(),
+    WrenchOffset(),
+    StreamDelay(),
+)
 
 __all__ = ["EFFECTS", "Effect", "EffectParameter", "active_effects", "effect_by_name"]
 

@@ -74,17 +74,48 @@ def find_hinges(triangles: np.ndarray) -> Hinges:
     )
 
 
+def _lines(length: float, cells: int, through: tuple[float, ...]) -> np.ndarray:
+    """Stations from -length/2 to length/2, the nearest inner one moved to each place in ``through``."""
+    lines = np.linspace(-length / 2, length / 2, cells + 1)
+    taken: set[int] = set()
+    for place in sorted(through):
+        if abs(place) >= length / 2 - 1e-9 * length:
+            continue
+        inner = [k for k in range(1, cells) if k not in taken]
+        if not inner:
+            raise ConfigError(
+                f"A sheet of {length:g} m with {cells} cells has no line of nodes left for a clamp's edge "
+                f"at {place:g} m.",
+                "Give the sheet more cells in that direction.",
+            )
+        nearest = min(inner, key=lambda k: abs(lines[k] - place))
+        lines[nearest] = place
+        taken.add(nearest)
+    if np.any(np.diff(lines) <= 0.0):
+        raise ConfigError(
+            f"Clamp edges at {sorted(through)} m are too close together for {cells} cells on {length:g} m.",
+            "Give the sheet more cells in that direction.",
+        )
+    return lines
+
+
 def rectangle(
-    length_m: float, width_m: float, cells: tuple[int, int], pattern: str = "regular", seed: int = 0
+    length_m: float,
+    width_m: float,
+    cells: tuple[int, int],
+    pattern: str = "regular",
+    seed: int = 0,
+    through_m: tuple[tuple[float, ...], tuple[float, ...]] = ((), ()),
 ) -> SheetMesh:
     """Mesh a rectangle ``length_m`` (x) by ``width_m`` (y) with ``cells`` cells along x and y.
 
     ``regular``: two triangles a cell, all diagonals alike. ``crossed``: four triangles a cell.
     ``irregular``: interior and edge nodes displaced at random (seeded), Delaunay triangles.
+    ``through_m``: places along x and along y that lines of nodes must pass through (clamp edges).
     """
     nx, ny = cells
-    xs = np.linspace(-length_m / 2, length_m / 2, nx + 1)
-    ys = np.linspace(-width_m / 2, width_m / 2, ny + 1)
+    xs = _lines(length_m, nx, through_m[0])
+    ys = _lines(width_m, ny, through_m[1])
     gx, gy = np.meshgrid(xs, ys, indexing="ij")
     grid = np.column_stack([gx.ravel(), gy.ravel()])
     index = np.arange((nx + 1) * (ny + 1)).reshape(nx + 1, ny + 1)
@@ -99,7 +130,7 @@ def rectangle(
         triangles = np.vstack([np.column_stack([p, q, centre]) for p, q in ((a, b), (b, c), (c, d), (d, a))])
     elif pattern == "irregular":
         rng = np.random.default_rng(seed)
-        points = _jitter(grid, length_m, width_m, nx, ny, rng)
+        points = _jitter(grid, length_m, width_m, nx, ny, rng, through_m)
         triangles = _delaunay(points)
     else:
         raise ConfigError(f"Sheet pattern {pattern!r} is not known.", f"Use one of {', '.join(PATTERNS)}.")
@@ -108,12 +139,21 @@ def rectangle(
 
 
 def _jitter(
-    grid: np.ndarray, length: float, width: float, nx: int, ny: int, rng: np.random.Generator
+    grid: np.ndarray,
+    length: float,
+    width: float,
+    nx: int,
+    ny: int,
+    rng: np.random.Generator,
+    through: tuple[tuple[float, ...], tuple[float, ...]],
 ) -> np.ndarray:
-    """Move nodes by up to 30 % of a cell; nodes of an edge stay on their edge, corners stay."""
+    """Move nodes by up to 30 % of a cell; nodes of an edge or of a wanted line stay on it."""
     move = 0.3 * rng.uniform(-1, 1, grid.shape) * np.array([length / nx, width / ny])
     move[np.isclose(np.abs(grid[:, 0]), length / 2), 0] = 0.0
     move[np.isclose(np.abs(grid[:, 1]), width / 2), 1] = 0.0
+    for axis, places in enumerate(through):
+        for place in places:
+            move[np.isclose(grid[:, axis], place), axis] = 0.0
     return grid + move
 
 

@@ -50,14 +50,15 @@ def world_pose(pose: Pose, carrier: tuple[np.ndarray, Rotation]) -> tuple[np.nda
 
 
 def build_body(
-    name: str, spec: Sheet | Gel | Rigid, carrier: tuple[np.ndarray, Rotation], offset: int, refine: int
+    rig: Rig, name: str, carrier: tuple[np.ndarray, Rotation], offset: int, refine: int
 ) -> BuiltBody:
     """Mesh one body. ``offset``: index of its first node. ``refine``: factor on cells in each direction."""
+    spec = rig.bodies[name]
     origin, rotation = world_pose(spec.pose, carrier)
     mesh: sheets.SheetMesh | solids.TetMesh | None
     unit_mass = None
     if isinstance(spec, Sheet):
-        mesh = _sheet_mesh(spec, refine)
+        mesh = _sheet_mesh(spec, refine, [c.region.box() for c in rig.clamps if c.body == name])
         local = mesh.nodes
         unit_mass = sp.diags(mesh.node_areas).tocsr()
     elif isinstance(spec, Gel):
@@ -73,11 +74,14 @@ def build_body(
     return body
 
 
-def _sheet_mesh(spec: Sheet, refine: int) -> sheets.SheetMesh:
+def _sheet_mesh(spec: Sheet, refine: int, clamps: list[np.ndarray]) -> sheets.SheetMesh:
+    """Mesh a sheet with lines of nodes along the edges of its clamps (where it is a rectangle)."""
     shape = spec.shape
     if isinstance(shape, Rectangle):
         cells = (shape.cells[0] * refine, shape.cells[1] * refine)
-        return sheets.rectangle(shape.length_m, shape.width_m, cells, shape.pattern)
+        edges = [sorted({float(v) for box in clamps for v in box[:, axis] if np.isfinite(v)}) for axis in (0, 1)]
+        through = (tuple(edges[0]), tuple(edges[1]))
+        return sheets.rectangle(shape.length_m, shape.width_m, cells, shape.pattern, through_m=through)
     holes = tuple(np.asarray(h) for h in shape.holes_m)
     return sheets.outline(np.asarray(shape.polygon_m), shape.edge_m / refine, holes)
 
@@ -157,6 +161,11 @@ def held_nodes(rig: Rig, body: BuiltBody) -> dict[str, np.ndarray]:
                 raise ConfigError(
                     f"The clamp {label} holds no node of {body.name}.",
                     "Widen its region, or give the body more cells there.",
+                )
+            if isinstance(body.mesh, sheets.SheetMesh) and not inside[body.mesh.triangles].all(axis=1).any():
+                raise ConfigError(
+                    f"The clamp {label} holds a line of nodes of {body.name}, which lets it turn like a hinge.",
+                    "Widen its region so that it holds at least one whole cell, or give the sheet more cells.",
                 )
             holders[label] = inside
     if isinstance(body.spec, Gel) and body.spec.bonded is not None:

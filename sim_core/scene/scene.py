@@ -72,7 +72,7 @@ class Scene:
         count = 0
         for name, spec in rig.bodies.items():
             carrier = self.start[self._carrier(spec)]
-            body = build_body(name, spec, carrier, count, refine)
+            body = build_body(rig, name, carrier, count, refine)
             self.bodies[name] = body
             count += len(body.nodes)
         self.rest = np.vstack([b.rest for b in self.bodies.values()])
@@ -83,8 +83,8 @@ class Scene:
         self.contacts: dict[str, list[RigidContact | SurfaceContact]] = {}
         terms = self._terms()
         self.extra = self._effect_terms()
-        mass = self._mass_pattern()
         values = self.values(rig)
+        mass = self._mass(values)
         self.system = System(
             self.rest,
             mass,
@@ -94,6 +94,7 @@ class Scene:
             rig.solver.inertia,
             [Compliant(self.carried(e), c) for e, c in values.compliance.items()],
         )
+        self._masses: dict[tuple[float, ...], sp.csr_matrix] = {}
         self._applied_mass: tuple[float, ...] | None = None
         self.apply(values)
 
@@ -183,9 +184,10 @@ class Scene:
 
         return [t for effect, given in active_effects(self.rig) for t in effect.terms(self, given)]
 
-    def _mass_pattern(self) -> sp.csr_matrix:
+    def _mass(self, values: Values) -> sp.csr_matrix:
         blocks = [
-            b.unit_mass if b.unit_mass is not None else sp.csr_matrix((1, 1)) for b in self.bodies.values()
+            b.unit_mass * values.density[b.name] if b.unit_mass is not None else sp.csr_matrix((1, 1))
+            for b in self.bodies.values()
         ]
         return sp.block_diag(blocks).tocsr()
 
@@ -223,14 +225,19 @@ class Scene:
                 term.configure(values.terms[term.name])
         masses = tuple(values.density.get(name, 0.0) for name in self.bodies)
         if masses != self._applied_mass:
-            blocks = [
-                b.unit_mass * values.density[b.name] if b.unit_mass is not None else sp.csr_matrix((1, 1))
-                for b in self.bodies.values()
-            ]
-            self.system.set_mass(sp.block_diag(blocks).tocsr())
+            if masses not in self._masses:
+                if len(self._masses) > 8:
+                    self._masses.clear()
+                self._masses[masses] = self._mass(values)
+            self.system.set_mass(self._masses[masses])
             self._applied_mass = masses
         self.system.gravity = values.gravity
         self.system.set_compliance(list(values.compliance.values()))
+
+    def use(self, rig: Rig) -> None:
+        """Take the numbers of a rig of the same geometry."""
+        self.rig = rig
+        self.apply(self.values(rig))
 
     def carried(self, mount: str) -> np.ndarray:
         """All nodes that follow a mount."""

@@ -1,0 +1,173 @@
+"""Forward sensitivities of a rollout with respect to parameters, through the implicit steps.
+
+A step solves R(x'; s, theta) = 0 for the new positions x', given the state s = (x, v, internal
+variables) and the parameters, and then updates the internal variables xi' = G(x'; s, theta). Along a
+parameter,
+
+    dx' = -H^-1 [dR/ds ds + dR/dtheta],    dxi' = dG/dx' dx' + dG/ds ds + dG/dtheta
+
+with H the true Hessian at the solution (contact, friction and geometric terms included) factorised once
+a step. The brackets are directional derivatives along the carried tangent, taken as one-sided
+differences of R and G themselves, so every law of every term takes part without code of its own, and
+where a law switches the side is that of increasing parameter. One back-substitution and two residuals
+a parameter and step, instead of a rollout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from sim_core.energies.term import Internals, StepContext
+from sim_core.rigs import Rig
+from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene.scene import Frame, Scene, Values
+from sim_core.simulate import Simulation, Trace, run
+from sim_core.solve.step import NewtonSettings, StepReport
+
+
+class TangentSimulation(Simulation):
+    """A simulation that carries the derivative of its state along each of several rigs.
+
+    ``neighbours``: rigs of the scene's geometry, each with one parameter changed a little;
+    ``steps``: by how much, in the scale in which the derivative is wanted.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        neighbours: Sequence[Rig],
+        steps: Sequence[float],
+        settings: NewtonSettings | None = None,
+    ) -> None:
+        self._neighbours = list(neighbours)
+        self._steps = list(steps)
+        self._nominal = scene.values(scene.rig)
+        self._amended = [scene.values(rig) for rig in neighbours]
+        self._mechanical = [k for k, values in enumerate(self._amended) if not _same(values, self._nominal)]
+        super().__init__(scene, settings)
+
+    def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
+        super().reset(frames)
+        zero = np.zeros_like(self.state.x)
+        self._dx = [zero.copy() for _ in self._neighbours]
+        self._dv = [zero.copy() for _ in self._neighbours]
+        self._dxi: list[dict[str, Internals]] = [
+            {t: {k: np.zeros_like(a) for k, a in v.items()} for t, v in self.state.internals.items()}
+            for _ in self._neighbours
+        ]
+        self.reading = self.read()
+        if self._settle and self._all_held():
+            inertia, self.scene.system.inertia = self.scene.system.inertia, False
+            try:
+                self._propagate(StepContext(self.state.x, self.state.v, 1.0), self.state.internals, still=True)
+            finally:
+                self.scene.system.inertia = inertia
+        else:
+            self.derivatives = self._read_derivatives({})
+
+    def _advance(self, end: Mapping[str, Frame], dt: float) -> StepReport:
+        before = self.state
+        report = super()._advance(end, dt)
+        self.frames = {**self.frames, **end}
+        self.reading = self.read()
+        self._propagate(StepContext(before.x, before.v, dt), before.internals, still=False)
+        return report
+
+    def _propagate(self, step: StepContext, internals: dict[str, Internals], still: bool) -> None:
+        """Carry all tangents over the step that has just been solved.
+
+        ``still``: the step is the first equilibrium, which remembers nothing.
+        """
+        scene, system = self.scene, self.scene.system
+        solution, after = system.unknowns(), self.state
+        derivatives: dict[int, dict[str, np.ndarray]] = {}
+        if self._mechanical:
+            base = system.residual().copy()
+            factor = system.factor(system.hessian(exact=True), definite=False)
+            columns = []
+            for k in self._mechanical:
+                self._enter(k, step, internals, still)
+                system.set_unknowns(solution)
+                columns.append((system.residual() - base) / self._steps[k])
+            moved = -factor.solve(np.column_stack(columns))
+            for column, k in enumerate(self._mechanical):
+                h = self._steps[k]
+                begun, begun_internals = self._enter(k, step, internals, still)
+                system.set_unknowns(solution + h * moved[:, column])
+                derivatives[k] = self._difference(self._neighbours[k], h)
+                dx = system.spread(moved[:, column])
+                if not still:
+                    self._dxi[k] = {
+                        t: {n: (a - after.internals[t][n]) / h for n, a in v.items()}
+                        for t, v in system.end_step(begun, begun_internals).items()
+                    }
+                    self._dv[k] = (dx - self._dx[k]) / step.dt if system.inertia else np.zeros_like(dx)
+                self._dx[k] = dx
+            scene.apply(self._nominal)
+            system.begin_step(step, internals, search=False)
+            system.set_unknowns(solution)
+        self.derivatives = self._read_derivatives(derivatives)
+
+    def _enter(
+        self, k: int, step: StepContext, internals: dict[str, Internals], still: bool
+    ) -> tuple[StepContext, dict[str, Internals]]:
+        """Begin the step from the neighbouring state with the neighbouring parameters."""
+        h = self._steps[k]
+        self.scene.apply(self._amended[k])
+        if still:
+            begun, carried = step, internals
+        else:
+            begun = StepContext(step.x_start + h * self._dx[k], step.v_start + h * self._dv[k], step.dt)
+            carried = {
+                t: {n: a + h * self._dxi[k][t][n] for n, a in v.items()} for t, v in internals.items()
+            }
+        self.scene.system.begin_step(begun, carried, search=False)
+        return begun, carried
+
+    def _difference(self, rig: Rig, h: float) -> dict[str, np.ndarray]:
+        """Derivative of the readings at the neighbouring state that the system now holds."""
+        there = self.observer.read(rig, self.actual_frames())
+        return {c: (there[c] - self.reading[c]) / h for c in there}
+
+    def _read_derivatives(self, found: Mapping[int, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """Stack the derivatives of all channels over parameters, last axis; ``found``: mechanical ones."""
+        columns = [
+            found[k] if k in found else self._difference(rig, h)
+            for k, (rig, h) in enumerate(zip(self._neighbours, self._steps, strict=True))
+        ]
+        if not columns:
+            return {c: np.zeros((*r.shape, 0)) for c, r in self.reading.items()}
+        return {c: np.stack([column[c] for column in columns], axis=-1) for c in self.reading}
+
+
+def _same(a: Values, b: Values) -> bool:
+    return (
+        a.terms == b.terms
+        and a.density == b.density
+        and bool(np.array_equal(a.gravity, b.gravity))
+        and a.compliance.keys() == b.compliance.keys()
+        and all(np.array_equal(a.compliance[k], b.compliance[k]) for k in a.compliance)
+    )
+
+
+def simulate_tangent(
+    scene: Scene,
+    poses: Mapping[str, PoseTrajectory],
+    times: np.ndarray,
+    neighbours: Sequence[Rig],
+    steps: Sequence[float],
+    on_step: Callable[[int, int], None] | None = None,
+) -> tuple[Trace, dict[str, np.ndarray]]:
+    """Trace of a rollout and the derivatives of every channel, ``(n_times, ..., n_parameters)``."""
+    simulation = TangentSimulation(scene, neighbours, steps)
+    stacked: list[dict[str, np.ndarray]] = []
+
+    def record(done: int, total: int) -> None:
+        stacked.append(simulation.derivatives)
+        if on_step is not None:
+            on_step(done, total)
+
+    trace = run(simulation, poses, times, record, on_reset=lambda: stacked.append(simulation.derivatives))
+    return trace, {c: np.stack([s[c] for s in stacked]) for c in trace.outputs}
