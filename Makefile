@@ -36,8 +36,8 @@ format: $(READY)
 	$(BIN)/ruff format .
 
 $(READY): requirements.lock pyproject.toml setup.py
-	@$(PYTHON) -c "import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))" || { \
-		echo "$(PYTHON) is $$($(PYTHON) --version 2>&1 || echo missing), but Python 3.10 to 3.13 is needed:" \
+	@$(PYTHON) -c "import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))" 2>/dev/null || { \
+		echo "Python 3.10 to 3.13 is needed, and '$(PYTHON)' is not that:" \
 			"name one with 'make PYTHON=python3.12 ...'." >&2; exit 1; }
 	@$(PYTHON) -c "import venv, ensurepip" 2>/dev/null || { \
 		echo "$(PYTHON) has no venv module: install it (Debian, Ubuntu: apt-get install python3-venv)." >&2; exit 1; }
