@@ -1,0 +1,6 @@
+"""Fit the parameters of a rig to recordings, with intervals and held-out scores."""
+
+from sysid.fit.fit import fit_bags, fit_runs
+from sysid.fit.result import FitResult
+
+__all__ = ["FitResult", "fit_bags", "fit_runs"]

@@ -1,0 +1,113 @@
+"""Predictions for runs and their derivatives, with scenes kept from one evaluation to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_core.gradients import simulate_tangent
+from sim_core.rigs import Rig
+from sim_core.scene import Scene, build_scene
+from sim_core.simulate import Trace, simulate, step_times
+from sysid.fit.parameters import FitParameter, rig_at
+from sysid.fit.runs import Run
+from sysid.streams import predicted, predicted_derivatives
+
+PERTURBATION = 1e-6
+"""Step of the directional derivatives in the fitted scale."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predictions of one run at its measured stamps, by channel: ``(n, m)`` and, if asked for, their
+    derivatives in the fitted scale ``(n, m, p)``; ``trace``: the rollout itself."""
+
+    values: dict[str, np.ndarray]
+    derivatives: dict[str, np.ndarray]
+    trace: Trace
+
+
+class Engine:
+    """Evaluates rigs on runs in this process."""
+
+    def __init__(self) -> None:
+        self._scenes: dict[object, Scene] = {}
+
+    def scene(self, rig: Rig, refine: int = 1) -> Scene:
+        """A scene for the rig, reused when the same bodies and effects were built before."""
+        key = (_geometry(rig), refine)
+        if key not in self._scenes:
+            if len(self._scenes) >= 12:
+                self._scenes.pop(next(iter(self._scenes)))
+            self._scenes[key] = build_scene(rig, refine)
+        scene = self._scenes[key]
+        scene.use(rig)
+        return scene
+
+    def predict(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Prediction:
+        """Predict one run."""
+        scene = self.scene(rig, refine)
+        trace = simulate(scene, run.poses, self._times(rig, run, dt))
+        return Prediction(_at_stamps(trace, rig, run), {}, trace)
+
+    def predict_with_derivatives(
+        self, rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray
+    ) -> Prediction:
+        """Predict one run at ``scaled`` values of the parameters, with derivatives."""
+        here = rig_at(rig, parameters, scaled)
+        neighbours, steps = [], []
+        for k, p in enumerate(parameters):
+            step = PERTURBATION if scaled[k] + 10 * PERTURBATION < p.scaled_bounds[1] else -PERTURBATION
+            moved = scaled.copy()
+            moved[k] += step
+            neighbours.append(rig_at(rig, parameters, moved))
+            steps.append(step)
+        scene = self.scene(here)
+        trace, raw = simulate_tangent(scene, run.poses, self._times(here, run, None), neighbours, steps)
+        values = _at_stamps(trace, here, run)
+        derivatives = {}
+        for m in run.measured:
+            mechanical = predicted_derivatives(trace, raw[m.channel], here, m.channel, m.t)
+            sensor = np.stack(
+                [
+                    (predicted(trace, rig_k, m.channel, m.t) - predicted(trace, here, m.channel, m.t)) / h
+                    for rig_k, h in zip(neighbours, steps, strict=True)
+                ]
+                or [np.zeros((*mechanical.shape[:-1],))],
+                axis=-1,
+            )
+            total = mechanical + (sensor if parameters else 0.0)
+            derivatives[m.channel] = total.reshape(*values[m.channel].shape, len(parameters))
+        return Prediction(values, derivatives, trace)
+
+    @staticmethod
+    def _times(rig: Rig, run: Run, dt: float | None) -> np.ndarray:
+        return step_times(0.0, run.end, dt or rig.solver.dt_s)
+
+
+def _at_stamps(trace: Trace, rig: Rig, run: Run) -> dict[str, np.ndarray]:
+    return {
+        m.channel: predicted(trace, rig, m.channel, m.t).reshape(len(m.t), -1)
+        for m in run.measured
+    }
+
+
+def _geometry(rig: Rig) -> object:
+    """Everything of a rig that a scene is built from and that a change of values does not reach."""
+    data = rig.model_dump()
+    for body in data["bodies"].values():
+        material = body.pop("material", None)
+        if material is not None and "thickness_m" in material:
+            body["thickness_m"] = material["thickness_m"]
+    for contact in data["contacts"]:
+        contact.pop("friction")
+        contact.pop("stiffness_pa_per_m")
+    active = tuple(
+        (name, tuple(sorted((k, v == 0.0) for k, v in given.items()))) for name, given in rig.effects.items()
+    )
+    return repr((data["bodies"], data["clamps"], data["end_effectors"], data["contacts"], active,
+                 data["sensors"].keys(), data["cameras"].keys(), data["solver"]["inertia"],
+                 [s.get("points") for s in data["sensors"].values()],
+                 [c["sees"] for c in data["cameras"].values()]))  # fmt: skip

@@ -1,0 +1,107 @@
+"""From bags to a fit result: the function behind ``thinshell fit``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from sim_core.rigs import Rig, rig_to_yaml
+from sysid.fit.engine import Engine
+from sysid.fit.noise import ChannelNoise, estimate_noise
+from sysid.fit.parameters import fit_parameters, start_of
+from sysid.fit.problem import Problem
+from sysid.fit.result import FitResult, estimates_of, plot_series, rms_errors
+from sysid.fit.runs import Run, load_run
+from sysid.provenance import provenance
+
+Progress = Callable[[float, str], None]
+
+TYPICAL_EVALUATIONS = 10
+"""Evaluations that a fit usually takes; the progress bar is scaled with it."""
+
+
+def channel_noise(runs: Sequence[Run]) -> dict[str, ChannelNoise]:
+    """Noise of every channel that the runs have."""
+    channels = sorted({m.channel for run in runs for m in run.measured})
+    return {c: estimate_noise(list(runs), c) for c in channels}
+
+
+def fit_runs(
+    rig: Rig,
+    runs: Sequence[Run],
+    names: Sequence[str],
+    *,
+    held_out: Sequence[Run] = (),
+    seed: int = 0,
+    start: np.ndarray | None = None,
+    on_progress: Progress | None = None,
+) -> tuple[FitResult, Rig]:
+    """Fit ``names`` to ``runs``; the result and the rig with the fitted values."""
+    engine = Engine()
+    noise = channel_noise([*runs, *held_out])
+    parameters = fit_parameters(rig, names)
+    problem = Problem(runs, noise, engine)
+    first = start_of(rig, parameters) if start is None else start
+
+    def on_evaluation(count: int, chi2: float) -> None:
+        if on_progress is not None:
+            share = 1.0 - np.exp(-count / TYPICAL_EVALUATIONS)
+            on_progress(0.9 * share, f"evaluation {count}, misfit {chi2:.4g}")
+
+    before = problem.evaluate(rig, [], np.zeros(0))
+    fitted = problem.fit(rig, parameters, start=first, on_evaluation=on_evaluation)
+    estimates, correlation, sentences, reduced = estimates_of(fitted, first)
+    errors = rms_errors(problem, before, fitted, held_out=False)
+    series = plot_series(problem, before, fitted, held_out=False)
+    if held_out:
+        if on_progress is not None:
+            on_progress(0.92, "held-out recordings")
+        check = Problem(held_out, noise, engine)
+        there = check.evaluate(rig, [], np.zeros(0))
+        scored = check.evaluate(fitted.rig, [], np.zeros(0))
+        errors += rms_errors(check, there, scored, held_out=True)
+        series += plot_series(check, there, scored, held_out=True)
+    result = FitResult(
+        rig=rig.name,
+        estimates=estimates,
+        correlation=correlation,
+        identifiability=sentences,
+        errors=errors,
+        reduced_chi2=reduced,
+        converged=fitted.converged,
+        message=fitted.message,
+        evaluations=fitted.evaluations,
+        seconds=fitted.seconds,
+        noise={
+            c: {"sigma": float(np.median(n.sigma)), "correlation": n.rho, "from": n.source} for c, n in noise.items()
+        },
+        notes=[f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes],
+        provenance=provenance(rig, list(runs), list(held_out), seed),
+        series=series,
+    )
+    return result, fitted.rig
+
+
+def fit_bags(
+    rig: Rig,
+    bags: Sequence[Path],
+    names: Sequence[str],
+    *,
+    held_out: Sequence[Path] = (),
+    out: Path,
+    seed: int = 0,
+    on_progress: Progress | None = None,
+) -> str:
+    """Fit bags and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``."""
+    from sysid.report import write_fit_report
+
+    runs = [load_run(rig, bag) for bag in bags]
+    kept = [load_run(rig, bag) for bag in held_out]
+    result, fitted = fit_runs(rig, runs, names, held_out=kept, seed=seed, on_progress=on_progress)
+    out.mkdir(parents=True, exist_ok=True)
+    result.write(out / "fit.json")
+    (out / "fitted_rig.yaml").write_text(rig_to_yaml(fitted))
+    report = write_fit_report(result, out / "report.html")
+    return f"{result.table()}\n\nReport: {report}"

@@ -1,0 +1,124 @@
+"""The noise of each channel, from the recording itself.
+
+Where the robot stands still and nothing moves, the scatter about the mean of a column is its noise; the
+lag-one correlation there tells coloured from white. Without such a stretch the second differences do
+(var(x_{k-1} - 2 x_k + x_{k+1}) = 6 sigma^2 for white noise), which cannot see colour. Columns of a kind
+(forces, torques, markers) share their values by the median.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid.fit.runs import Measured, Run
+
+MIN_REST_SAMPLES = 15
+"""Samples that a quiet stretch must have to be used."""
+
+REST_MARGIN_S = 0.15
+"""Time after the end of a motion that is not counted as quiet."""
+
+FLOOR_SHARE = 1e-5
+"""Noise is not taken to be below this share of a column group's range (noise-free simulations)."""
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """``sigma``: standard deviation of each column ``(m,)``; ``rho``: lag-one correlation of the noise at
+    the channel's rate, 0 where white; ``source``: how it was found, in words."""
+
+    sigma: np.ndarray
+    rho: float
+    source: str
+
+
+def column_groups(measured: Measured) -> list[np.ndarray]:
+    """Columns that share a unit: forces and torques apart, else all."""
+    if measured.kind == "wrench":
+        return [np.arange(3), np.arange(3, 6)]
+    return [np.arange(measured.values.shape[1])]
+
+
+def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:
+    """Stretches of sample indices in which every end effector stands still."""
+    still = np.ones(len(t), dtype=bool)
+    for trajectory in run.poses.values():
+        if len(trajectory.times) < 2:
+            continue
+        linear, angular = trajectory.speeds()
+        busy = (linear > 1e-4) | (angular > 1e-3)
+        for k in np.flatnonzero(busy):
+            still &= (t < trajectory.times[k]) | (t > trajectory.times[k + 1] + REST_MARGIN_S)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
+    return [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= MIN_REST_SAMPLES]
+
+
+def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
+    """Noise of one channel over all runs that have it."""
+    found = [(r, m) for r in runs for m in r.measured if m.channel == channel]
+    columns = found[0][1].values.shape[1]
+    sigma = np.zeros(columns)
+    correlations: list[float] = []
+    source = "second differences"
+    for group in column_groups(found[0][1]):
+        rest: list[float] = []
+        jumps: list[float] = []
+        extent = 0.0
+        for run, measured in found:
+            values = measured.values[:, group]
+            if not np.isfinite(values).any():
+                continue
+            extent = max(extent, float(np.nanmax(np.nanmax(values, axis=0) - np.nanmin(values, axis=0))))
+            second = np.diff(values, n=2, axis=0)
+            second = second[np.isfinite(second)]
+            if len(second):
+                jumps.append(1.4826 * float(np.median(np.abs(second - np.median(second)))) / np.sqrt(6.0))
+            for stretch in quiet(run, measured.t):
+                level, colour = _scatter(values[stretch])
+                if level is not None:
+                    rest.append(level)
+                    correlations.append(colour)
+        if rest:
+            # Slow decay within a stretch adds to its scatter: the quieter half is the noise.
+            level = float(np.quantile(rest, 0.25))
+            source = "quiet stretches"
+        else:
+            level = float(np.median(jumps)) if jumps else 0.0
+        sigma[group] = max(level, FLOOR_SHARE * extent, 1e-12)
+    rho = float(np.clip(np.median(correlations), 0.0, 0.98)) if correlations else 0.0
+    return ChannelNoise(sigma, rho if rho > 0.1 else 0.0, source)
+
+
+def _scatter(values: np.ndarray) -> tuple[float | None, float]:
+    """Noise level and lag-one correlation of a quiet stretch, after removing a line from each column."""
+    good = np.isfinite(values).all(axis=0)
+    if not good.any():
+        return None, 0.0
+    values = values[:, good]
+    n = len(values)
+    base = np.column_stack([np.ones(n), np.linspace(-1.0, 1.0, n)])
+    residual = values - base @ np.linalg.lstsq(base, values, rcond=None)[0]
+    variance = np.sum(residual**2) / ((n - 2) * values.shape[1])
+    if variance <= 0.0:
+        return 0.0, 0.0
+    product = np.sum(residual[1:] * residual[:-1]) / ((n - 3) * values.shape[1])
+    # Removing a line biases the correlation down by about 2 (1 + rho) / n.
+    rho = product / variance
+    return float(np.sqrt(variance)), float(rho + 2.0 * (1.0 + rho) / n)
+
+
+def whiten(residual: np.ndarray, noise: ChannelNoise) -> np.ndarray:
+    """Residuals ``(n, m, ...)`` in units of the noise's innovations; NaN stays NaN.
+
+    First-order autoregressive noise: (r_k - rho r_{k-1}) / (sigma sqrt(1 - rho^2)); a sample whose
+    predecessor is missing is divided by sigma alone.
+    """
+    scale = noise.sigma.reshape(1, -1, *([1] * (residual.ndim - 2)))
+    out = np.asarray(residual / scale)
+    if noise.rho == 0.0:
+        return out
+    previous = np.concatenate([np.full_like(out[:1], np.nan), out[:-1]])
+    innovation = (out - noise.rho * previous) / np.sqrt(1.0 - noise.rho**2)
+    return np.where(np.isfinite(previous), innovation, out)

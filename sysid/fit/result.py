@@ -1,0 +1,187 @@
+"""The result of a fit as data: what is written to JSON and shown in the report."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.fit.problem import Fitted, Problem
+from sysid.fit.runs import UNITS
+from sysid.fit.uncertainty import interval, uncertainty
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One fitted parameter. ``sd``: in the fitted scale; ``log``: that scale is logarithmic."""
+
+    name: str
+    unit: str
+    start: float
+    value: float
+    ci95: tuple[float, float]
+    sd: float
+    log: bool
+    at_bound: bool
+
+
+@dataclass(frozen=True)
+class ChannelError:
+    """Root-mean-square error of one channel of one run in its own unit (wrench: forces; torques apart)."""
+
+    run: str
+    channel: str
+    quantity: str
+    unit: str
+    before: float
+    after: float
+    noise: float
+    held_out: bool
+
+
+@dataclass(frozen=True)
+class Series:
+    """One column of a channel for plotting: measured, predicted before and after the fit."""
+
+    run: str
+    channel: str
+    label: str
+    unit: str
+    held_out: bool
+    t: list[float]
+    measured: list[float | None]
+    before: list[float]
+    after: list[float]
+
+
+@dataclass
+class FitResult:
+    """Everything that a fit found."""
+
+    rig: str
+    estimates: list[Estimate]
+    correlation: list[list[float]]
+    identifiability: list[str]
+    errors: list[ChannelError]
+    reduced_chi2: float
+    converged: bool
+    message: str
+    evaluations: int
+    seconds: float
+    noise: dict[str, dict[str, Any]]
+    notes: list[str]
+    provenance: dict[str, Any]
+    series: list[Series] = field(default_factory=list)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data without the series."""
+        data = asdict(self)
+        del data["series"]
+        return data
+
+    def write(self, path: Path) -> None:
+        """Write ``fit.json``."""
+        path.write_text(json.dumps(self.to_json(), indent=2, allow_nan=False, default=float) + "\n")
+
+    def table(self) -> str:
+        """Parameters and errors as text."""
+        lines = [f"{'parameter':<34}{'value':>13}  {'95 % interval':<27}unit"]
+        for e in self.estimates:
+            low, high = e.ci95
+            mark = "  (at its bound)" if e.at_bound else ""
+            lines.append(f"{e.name:<34}{e.value:>13.5g}  {f'{low:.5g} .. {high:.5g}':<27}{e.unit}{mark}")
+        lines.append("")
+        lines.append(f"{'run':<26}{'channel':<22}{'before':>11}{'after':>11}{'noise':>11}  unit")
+        for c in self.errors:
+            role = " (held out)" if c.held_out else ""
+            lines.append(
+                f"{c.run + role:<26}{c.channel + ' ' + c.quantity:<22}{c.before:>11.4g}{c.after:>11.4g}"
+                f"{c.noise:>11.4g}  {c.unit}"
+            )
+        lines += ["", *self.identifiability]
+        if not self.converged:
+            lines.append(f"The fit did not converge: {self.message}")
+        return "\n".join(lines)
+
+
+def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], list[list[float]], list[str], float]:
+    """Estimates with intervals, correlation, identifiability sentences, reduced chi-square."""
+    known = uncertainty(fitted)
+    out = []
+    for k, p in enumerate(fitted.parameters):
+        low, high = p.scaled_bounds
+        margin = 1e-3 * (high - low) if np.isfinite(high - low) else 0.0
+        out.append(
+            Estimate(
+                p.name,
+                p.unit,
+                p.physical(start[k]),
+                p.physical(fitted.scaled[k]),
+                interval(p, fitted.scaled[k], known.sd[k]),
+                float(known.sd[k]),
+                p.log,
+                bool(min(fitted.scaled[k] - low, high - fitted.scaled[k]) < margin),
+            )
+        )
+    return out, known.correlation.tolist(), list(known.sentences), known.reduced_chi2
+
+
+def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) -> list[ChannelError]:
+    """Root-mean-square errors by run, channel and quantity."""
+    out = []
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            quantities = (
+                [("force", slice(0, 3), 0), ("torque", slice(3, 6), 1)] if m.kind == "wrench" else [("", slice(None), 0)]
+            )
+            for quantity, columns, unit in quantities:
+                measured = m.values[:, columns]
+                if not np.isfinite(measured).any():
+                    continue
+                out.append(
+                    ChannelError(
+                        run.name,
+                        m.channel,
+                        quantity,
+                        UNITS[m.kind][unit],
+                        _rms(measured - before.predictions[i].values[m.channel][:, columns]),
+                        _rms(measured - after.predictions[i].values[m.channel][:, columns]),
+                        float(np.sqrt(np.mean(problem.noise[m.channel].sigma[columns] ** 2))),
+                        held_out,
+                    )
+                )
+    return out
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def plot_series(problem: Problem, before: Fitted, after: Fitted, held_out: bool, most: int = 6) -> list[Series]:
+    """The columns of each channel that move most, thinned for plotting."""
+    out = []
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            spread = np.nan_to_num(np.nanstd(np.where(np.isfinite(m.values), m.values, np.nan), axis=0))
+            chosen = np.sort(np.argsort(-spread, kind="stable")[:most])
+            step = max(1, len(m.t) // 600)
+            for k in chosen:
+                unit = UNITS[m.kind][1 if m.kind == "wrench" and k >= 3 else 0]
+                values = m.values[::step, k]
+                out.append(
+                    Series(
+                        run.name,
+                        m.channel,
+                        m.labels[k],
+                        unit,
+                        held_out,
+                        m.t[::step].tolist(),
+                        [float(v) if np.isfinite(v) else None for v in values],
+                        before.predictions[i].values[m.channel][::step, k].tolist(),
+                        after.predictions[i].values[m.channel][::step, k].tolist(),
+                    )
+                )
+    return out

@@ -1,0 +1,182 @@
+"""A recording seen through a rig: what moved, and what was measured on which channel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from sim_core.errors import RecordingError
+from sim_core.rigs import MarkerSensor, Rig, Rigid, WrenchSensor, marker_positions, seen_points
+from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.recording import EETopics, Recording, SensorTopic, TopicNames, read_recording
+
+MAX_POSE_GAP_S = 1.0
+"""Longest gap in a pose stream that is bridged by interpolation."""
+
+UNITS = {"wrench": ("N", "N m"), "markers": ("m",), "tracks": ("px",)}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One channel as measured.
+
+    ``t`` [s] ``(n,)`` since the start of the run; ``values`` ``(n, m)``: six wrench components, or
+    coordinates marker by marker (3-D or pixels); NaN where missing. ``labels``: name of each column.
+    """
+
+    channel: str
+    kind: str
+    t: np.ndarray
+    values: np.ndarray
+    labels: tuple[str, ...]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the values (a wrench: of its forces)."""
+        return UNITS[self.kind][0]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording, ready to be compared. ``end`` [s]: time of its last measurement."""
+
+    name: str
+    path: str
+    sha256: tuple[str, ...]
+    poses: dict[str, PoseTrajectory]
+    measured: tuple[Measured, ...]
+    end: float
+    notes: tuple[str, ...] = field(default=())
+
+
+def topics_of(rig: Rig) -> TopicNames:
+    """Where a rig's streams are in a bag."""
+    wrench, markers = {}, {}
+    for name, sensor in rig.sensors.items():
+        topic = SensorTopic(topic=sensor.topic)
+        if isinstance(sensor, WrenchSensor):
+            wrench[name] = topic
+        elif isinstance(sensor, MarkerSensor):
+            markers[name] = topic
+    return TopicNames(
+        ee={
+            n: EETopics(
+                current_pose=e.topics.current_pose,
+                target_pose=e.topics.target_pose,
+                length_unit=e.topics.length_unit,
+                quaternion_order=e.topics.quaternion_order,
+            )
+            for n, e in rig.end_effectors.items()
+        },
+        wrench=wrench,
+        markers=markers,
+        tracks={n: c.topics.marker_tracks for n, c in rig.cameras.items()},
+        camera_info={},
+        images={},
+    )
+
+
+def load_run(rig: Rig, path: Path) -> Run:
+    """Read a bag and line it up with a rig. Raises ``RecordingError`` when nothing can be compared."""
+    recording = read_recording(path, _present(rig, path))
+    poses = {}
+    for name in rig.end_effectors:
+        stream = recording.poses.get(name)
+        if stream is None:
+            raise RecordingError(
+                f"{path}: no pose of the end effector {name!r} was recorded.",
+                "Record its current_pose or target_pose, or correct its topics in the rig.",
+            )
+        poses[name] = PoseTrajectory.from_samples(
+            stream.t, stream.position, stream.quaternion, max_gap_s=MAX_POSE_GAP_S, source=f"{path}: {stream.topic}"
+        )
+    measured = tuple(_measured(rig, recording))
+    if not measured:
+        raise RecordingError(
+            f"{path}: none of the rig's sensors and cameras has data in this bag.",
+            "Compare 'thinshell inspect' with the topics of the rig.",
+        )
+    return Run(
+        name=Path(path).name,
+        path=str(path),
+        sha256=tuple(f.sha256 for f in recording.provenance.files),
+        poses=poses,
+        measured=measured,
+        end=float(max(m.t[-1] for m in measured)),
+        notes=tuple(f"{n.channel}: {n.text}" for n in recording.notes),
+    )
+
+
+def _present(rig: Rig, path: Path) -> TopicNames:
+    """The rig's topics without the optional streams that a bag does not have."""
+    wanted = topics_of(rig)
+    overview = read_recording(path, TopicNames(ee={}, wrench={}, markers={}, tracks={}, images={}), need_pose=False)
+    topics = set(overview.provenance.topic_types)
+
+    def has(topic: str | None) -> bool:
+        return topic is None or any(t == topic or t.endswith("/" + topic.lstrip("/")) for t in topics)
+
+    return TopicNames(
+        ee={
+            n: EETopics(
+                current_pose=e.current_pose if has(e.current_pose) else None,
+                target_pose=e.target_pose if has(e.target_pose) else None,
+                length_unit=e.length_unit,
+                quaternion_order=e.quaternion_order,
+            )
+            for n, e in wanted.ee.items()
+        },
+        wrench={n: s for n, s in wanted.wrench.items() if isinstance(s, SensorTopic) and has(s.topic)},
+        markers={n: s for n, s in wanted.markers.items() if isinstance(s, SensorTopic) and has(s.topic)},
+        tracks={n: t for n, t in wanted.tracks.items() if has(t)},
+        camera_info={},
+        images={},
+    )
+
+
+def _measured(rig: Rig, recording: Recording) -> Sequence[Measured]:
+    out = []
+    for name, wrench in recording.wrenches.items():
+        values = np.hstack([wrench.force, wrench.torque])
+        labels = ("force x", "force y", "force z", "torque x", "torque y", "torque z")
+        out.append(Measured(name, "wrench", wrench.t, values, labels))
+    for name, markers in recording.markers.items():
+        sensor = rig.sensors[name]
+        assert isinstance(sensor, MarkerSensor)
+        body = rig.bodies[sensor.body]
+        assert not isinstance(body, Rigid)
+        ids = marker_positions(sensor.points, body)[1]
+        values = _by_id(markers.position, markers.ids, ids, name, recording)
+        out.append(Measured(name, "markers", markers.t, values, _labels(ids, "xyz")))
+    bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
+    for name, tracks in recording.tracks.items():
+        ids = np.concatenate([i for _, _, i in seen_points(rig.cameras[name].sees, bodies)])
+        values = _by_id(tracks.uv, tracks.ids, ids, name, recording)
+        out.append(Measured(name, "tracks", tracks.t, values, _labels(ids, "uv")))
+    return out
+
+
+def _labels(ids: np.ndarray, axes: str) -> tuple[str, ...]:
+    return tuple(f"marker {i} {a}" for i in ids for a in axes)
+
+
+def _by_id(
+    values: np.ndarray, recorded: np.ndarray, wanted: np.ndarray, name: str, recording: Recording
+) -> np.ndarray:
+    """Columns in the order of the rig's markers; NaN for those that the bag does not have."""
+    places = {int(i): k for k, i in enumerate(recorded)}
+    found = [places.get(int(i)) for i in wanted]
+    if all(f is None for f in found):
+        raise RecordingError(
+            f"{recording.provenance.path}: {name} has markers {recorded[:5].tolist()}..., none of which the "
+            f"rig knows (it has {wanted[:5].tolist()}...).",
+            "Give the marker numbers with 'ids' in the rig.",
+        )
+    out = np.full((len(values), len(wanted), values.shape[2]), np.nan)
+    for k, f in enumerate(found):
+        if f is not None:
+            out[:, k] = values[:, f]
+    return out.reshape(len(values), -1)

@@ -1,0 +1,135 @@
+"""How well a fit determines its parameters, and what it cannot tell apart.
+
+Two covariances are compared parameter by parameter and the larger is kept: the inverse Fisher matrix of
+the whitened residuals, widened by the misfit where the model does not reach the noise, and the sandwich
+estimate H^-1 (sum_b s_b s_b^T) H^-1 over blocks b of neighbouring samples (s_b = J_b^T r_b), which does
+not trust the noise model in time (White 1982; Newey & West 1987).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid.fit.parameters import FitParameter
+from sysid.fit.problem import Fitted
+
+BLOCKS_PER_CHANNEL = 12
+"""Blocks of neighbouring samples that each run and channel is cut into for the sandwich estimate."""
+
+UNDETERMINED_SHARE = 0.5
+"""A direction whose standard deviation exceeds this share of the plausible range is not determined."""
+
+TOGETHER = 0.97
+"""Correlation from which two parameters are reported as known only in combination."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """``sd``: in the fitted scale ``(p,)``; ``correlation``: ``(p, p)``; ``sentences``: what the data cannot
+    determine, in words; ``reduced_chi2``: misfit over noise."""
+
+    sd: np.ndarray
+    correlation: np.ndarray
+    sentences: tuple[str, ...]
+    reduced_chi2: float
+
+
+def uncertainty(fitted: Fitted) -> Uncertainty:
+    """Uncertainty of a fit in its scaled parameters."""
+    parameters = fitted.parameters
+    p = len(parameters)
+    n = len(fitted.residual)
+    reduced = fitted.chi2 / max(n - p, 1)
+    if p == 0:
+        return Uncertainty(np.zeros(0), np.zeros((0, 0)), (), reduced)
+    j, r = fitted.jacobian, fitted.residual
+    prior = np.array([q.prior_sd for q in parameters])
+    fisher = j.T @ j
+    scaled = fisher * np.outer(prior, prior)
+    values, vectors = np.linalg.eigh(scaled)
+    # A direction without information is as uncertain as its plausible range.
+    floor = 1.0
+    inverse = (vectors / np.maximum(values, 1e-300)) @ vectors.T if values[0] > 1e-12 * values[-1] else (
+        vectors / np.maximum(values, 1e-12 * max(values[-1], 1e-300))
+    ) @ vectors.T
+    inverse = inverse * np.outer(prior, prior)
+    plain = inverse * max(1.0, reduced)
+    meat = np.zeros((p, p))
+    at = 0
+    for _, _, times in fitted.labels:
+        rows = slice(at, at + len(times))
+        at += len(times)
+        edges = np.linspace(times.min(), times.max() + 1e-9, BLOCKS_PER_CHANNEL + 1)
+        block = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, BLOCKS_PER_CHANNEL - 1)
+        weighted = j[rows] * r[rows, None]
+        scores = np.zeros((BLOCKS_PER_CHANNEL, p))
+        np.add.at(scores, block, weighted)
+        meat += scores.T @ scores
+    sandwich = inverse @ meat @ inverse
+    variance = np.maximum(np.diag(plain), np.diag(sandwich))
+    sd = np.sqrt(np.maximum(variance, 0.0))
+    spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    correlation = np.clip(inverse / np.outer(spread, spread), -1.0, 1.0)
+    widen = float(np.sqrt(max(1.0, reduced)))
+    sentences = _undetermined(parameters, values, vectors, widen, floor) + _together(parameters, correlation, sd)
+    return Uncertainty(sd, correlation, tuple(sentences), reduced)
+
+
+def _undetermined(
+    parameters: list[FitParameter], values: np.ndarray, vectors: np.ndarray, widen: float, floor: float
+) -> list[str]:
+    """One sentence for each direction whose uncertainty fills the plausible range."""
+    out = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        sd = widen / np.sqrt(max(value, 1e-300))
+        if sd < UNDETERMINED_SHARE * floor:
+            continue
+        strong = np.flatnonzero(np.abs(vector) > 0.25)
+        if len(strong) == 1:
+            p = parameters[strong[0]]
+            out.append(
+                f"The data do not determine {p.name}: any value in its plausible range fits as well. Record a "
+                "motion that depends on it, or fix it."
+            )
+            continue
+        changes = []
+        for k in strong:
+            p = parameters[k]
+            step = 0.1 * vector[k] / np.max(np.abs(vector))
+            amount = p.prior_sd * step
+            changes.append(
+                f"{p.name} {'up' if amount > 0 else 'down'} by "
+                + (f"{100 * abs(np.expm1(amount)):.2g} %" if p.log else f"{abs(amount):.2g} {p.unit}".rstrip())
+            )
+        out.append(
+            "The data do not determine "
+            + " and ".join(parameters[k].name for k in strong)
+            + " separately, only in combination: "
+            + ", ".join(changes)
+            + " together leave every reading as it is. Fix one of them, or record a motion that separates them."
+        )
+    return out
+
+
+def _together(parameters: list[FitParameter], correlation: np.ndarray, sd: np.ndarray) -> list[str]:
+    """One sentence for each pair that is determined but strongly traded off."""
+    out = []
+    for a in range(len(parameters)):
+        for b in range(a):
+            c = correlation[a, b]
+            limit = UNDETERMINED_SHARE * max(parameters[a].prior_sd, parameters[b].prior_sd)
+            if abs(c) > TOGETHER and max(sd[a], sd[b]) < limit:
+                way = "up" if c > 0 else "down"
+                out.append(
+                    f"{parameters[b].name} and {parameters[a].name} are traded off against each other "
+                    f"(correlation {c:.3f}): if one is really higher, the other goes {way}."
+                )
+    return out
+
+
+def interval(parameter: FitParameter, scaled: float, sd: float) -> tuple[float, float]:
+    """95 % interval in physical units, cut at the bounds."""
+    low, high = parameter.physical(scaled - 1.96 * sd), parameter.physical(scaled + 1.96 * sd)
+    return low, high

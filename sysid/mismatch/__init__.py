@@ -1,0 +1,1 @@
+"""Find the physics that a rig leaves out: detect, locate, name, model, show."""

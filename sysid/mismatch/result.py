@@ -1,0 +1,110 @@
+"""The diagnosis as data: what ``diagnosis.json`` holds (schema ``thinshell.diagnosis/1``).
+
+``verdict``: ``nothing_missing`` (the rig explains the recordings down to noise and the simulator's own
+error), ``named`` (one effect is missing), ``one_of`` (one of several that these recordings do not tell
+apart), ``unknown`` (something is missing that no known effect explains).
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sysid.fit.result import ChannelError, Series
+
+SCHEMA = "thinshell.diagnosis/1"
+VERDICTS = ("nothing_missing", "named", "one_of", "unknown")
+
+
+@dataclass(frozen=True)
+class NamedParameter:
+    """A fitted parameter of an effect. ``ci95`` in ``unit``."""
+
+    name: str
+    value: float
+    ci95: tuple[float, float]
+    unit: str
+    words: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect as an explanation. ``place``: where it acts; ``probability``: among all that were tried;
+    ``log_evidence_gain``: natural logarithm of the evidence over the baseline's; ``held_out_gain``: share of
+    the excess error on held-out data that it removes (None without held-out data); ``rejected``: why it is
+    not an answer, empty when it may be."""
+
+    name: str
+    title: str
+    place: str
+    words: str
+    probability: float
+    parameters: tuple[NamedParameter, ...]
+    log_evidence_gain: float
+    held_out_gain: float | None
+    rejected: str
+
+
+@dataclass(frozen=True)
+class LocatedChannel:
+    """Share of the baseline's excess misfit in one quantity of one channel (shares sum to one)."""
+
+    channel: str
+    quantity: str
+    share: float
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where the baseline fails. ``windows``: for each bag, intervals [s]; ``phase``: of the motion, in words."""
+
+    channels: tuple[LocatedChannel, ...]
+    windows: dict[str, tuple[tuple[float, float], ...]]
+    phase: str
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Misfit of one model: mean squared whitened residual on training and held-out data (1 = noise), and
+    the errors in measured units."""
+
+    training: float
+    held_out: float | None
+    errors: tuple[ChannelError, ...]
+
+
+@dataclass
+class Diagnosis:
+    """The answer, what it rests on, and what it leaves open."""
+
+    verdict: str
+    sentence: str
+    rig: str
+    effects: tuple[Candidate, ...]
+    alternatives: tuple[Candidate, ...]
+    located: Located
+    baseline: Misfit
+    amended: Misfit | None
+    noise_floor: dict[str, float]
+    discretisation: dict[str, float]
+    upper_limits: dict[str, float]
+    baseline_parameters: tuple[NamedParameter, ...]
+    amended_parameters: tuple[NamedParameter, ...]
+    not_explained: str
+    next_experiment: str
+    provenance: dict[str, Any]
+    seconds: float
+    series: list[Series] = field(default_factory=list)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data without the series, in the documented schema."""
+        data = asdict(self)
+        del data["series"]
+        fit = {"baseline": data.pop("baseline"), "amended": data.pop("amended"), "noise_floor": data.pop("noise_floor")}
+        return {"schema": SCHEMA, **data, "fit": fit}
+
+    def write(self, path: Path) -> None:
+        """Write ``diagnosis.json``."""
+        path.write_text(json.dumps(self.to_json(), indent=2, allow_nan=False, default=float) + "\n")

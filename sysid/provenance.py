@@ -1,0 +1,35 @@
+"""Where a result comes from: inputs by their digest, versions, seed, command."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from importlib import metadata
+from typing import Any
+
+from sim_core.rigs import Rig, rig_to_yaml
+from sysid.fit.runs import Run
+
+_PACKAGES = ("numpy", "scipy", "taichi", "rosbags", "mcap", "opencv-python-headless")
+
+
+def provenance(rig: Rig, runs: list[Run], held_out: list[Run], seed: int) -> dict[str, Any]:
+    """What is needed to do it again."""
+    versions = {}
+    for package in ("thinshell_ros", *_PACKAGES):
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = "not installed"
+    return {
+        "rig": rig_to_yaml(rig),
+        "bags": [
+            {"path": run.path, "sha256": list(run.sha256), "held_out": role, "notes": list(run.notes)}
+            for role, group in ((False, runs), (True, held_out))
+            for run in group
+        ],
+        "versions": {"python": platform.python_version(), **versions},
+        "machine": f"{platform.system()} {platform.machine()}",
+        "seed": seed,
+        "command": " ".join(["thinshell", *sys.argv[1:]]),
+    }
