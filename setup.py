@@ -33,6 +33,8 @@ setup(
     entry_points={
         "console_scripts": [
             "thinshell = sysid.cli.app:main",
+            "sim_node = thinshell_ros.sim_node:main",
+            "record_node = thinshell_ros.record_node:main",
         ],
     },
 )

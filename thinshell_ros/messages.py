@@ -1,0 +1,101 @@
+"""Plain values to ROS messages. Needs the message packages, not rclpy."""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Iterable
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
+from std_msgs.msg import Header
+
+from sim_core.rigs import FisheyeCamera, PinholeCamera
+from thinshell_ros.clouds import Points
+from thinshell_ros.health import Report
+from thinshell_ros.poses import Floats, Pose
+
+_DATATYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
+_LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
+
+
+def time_of(stamp_ns: int) -> Time:
+    """Time message from nanoseconds."""
+    seconds, rest = divmod(stamp_ns, 1_000_000_000)
+    return Time(sec=seconds, nanosec=rest)
+
+
+def header(stamp_ns: int, frame_id: str) -> Header:
+    """Header with a stamp [ns]."""
+    return Header(stamp=time_of(stamp_ns), frame_id=frame_id)
+
+
+def clock(stamp_ns: int) -> Clock:
+    """Clock message from nanoseconds."""
+    return Clock(clock=time_of(stamp_ns))
+
+
+def pose(stamp_ns: int, frame_id: str, value: Pose) -> PoseStamped:
+    """Pose [m, x y z w] in ``frame_id``."""
+    message = PoseStamped(header=header(stamp_ns, frame_id))
+    at, turn = message.pose.position, message.pose.orientation
+    at.x, at.y, at.z = map(float, value.position)
+    turn.x, turn.y, turn.z, turn.w = map(float, value.quaternion)
+    return message
+
+
+def wrench(stamp_ns: int, frame_id: str, values: Floats) -> WrenchStamped:
+    """Force [N] and torque [N m] on the sensor, about the origin of ``frame_id``; ``values`` ``(6,)``."""
+    message = WrenchStamped(header=header(stamp_ns, frame_id))
+    force, torque = message.wrench.force, message.wrench.torque
+    force.x, force.y, force.z, torque.x, torque.y, torque.z = map(float, values)
+    return message
+
+
+def cloud(stamp_ns: int, frame_id: str, points: Points) -> PointCloud2:
+    """Cloud of one record a point, fields as in the record."""
+    fields = dict(points.dtype.fields or {})
+    message = PointCloud2(header=header(stamp_ns, frame_id), height=1, width=len(points))
+    message.fields = [
+        PointField(name=name, offset=offset, datatype=_DATATYPES[kind.str], count=1)
+        for name, (kind, offset, *_) in fields.items()
+    ]
+    message.point_step = points.dtype.itemsize
+    message.row_step = points.dtype.itemsize * len(points)
+    message.data = array.array("B", points.tobytes())
+    message.is_dense = all(bool((points[name] == points[name]).all()) for name in fields)
+    return message
+
+
+def camera_info(stamp_ns: int, frame_id: str, camera: PinholeCamera | FisheyeCamera) -> CameraInfo:
+    """Calibration of a camera [px]."""
+    k = [float(value) for value in camera.matrix().ravel()]
+    return CameraInfo(
+        header=header(stamp_ns, frame_id),
+        height=camera.height_px,
+        width=camera.width_px,
+        distortion_model="plumb_bob" if isinstance(camera, PinholeCamera) else "equidistant",
+        d=[float(value) for value in camera.distortion],
+        k=k,
+        r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p=[*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0],
+    )
+
+
+def diagnostics(stamp_ns: int, node: str, hardware: str, reports: Iterable[Report]) -> DiagnosticArray:
+    """One status a report, named ``node: report``. ``hardware``: what it is about, such as a rig."""
+    return DiagnosticArray(
+        header=header(stamp_ns, ""),
+        status=[
+            DiagnosticStatus(
+                level=_LEVELS[report.level],
+                name=f"{node}: {report.name}",
+                message=report.message,
+                hardware_id=hardware,
+                values=[KeyValue(key=key, value=value) for key, value in report.values.items()],
+            )
+            for report in reports
+        ],
+    )

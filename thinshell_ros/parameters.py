@@ -1,0 +1,42 @@
+"""Parameters with a description and a range."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+
+from sim_core.errors import ConfigError
+
+
+def declare(
+    node: Node, name: str, default: Any, description: str, *, bounds: tuple[float, float] | None = None
+) -> Any:
+    """Declare a parameter that is read once, at the start, and return its value.
+
+    ``bounds``: of a number, both included.
+
+    Raises:
+        ConfigError: the value given on the command line or in a file does not fit.
+    """
+    descriptor = ParameterDescriptor(description=description, read_only=True)
+    if bounds is not None:
+        low, high = bounds
+        if isinstance(default, int):
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+        else:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    try:
+        value = node.declare_parameter(name, default, descriptor).value
+    except InvalidParameterTypeException as error:
+        kind = type(default).__name__
+        remedy = "Write a decimal point, as in 5.0." if kind == "float" else f"Give a value of type {kind}."
+        raise ConfigError(f"The parameter {name} is of another type: {error}.", remedy) from error
+    except InvalidParameterValueException as error:
+        remedy = "" if bounds is None else f"Choose a value from {bounds[0]:g} to {bounds[1]:g}."
+        raise ConfigError(f"The parameter {name} is out of its range: {error}.", remedy) from error
+    if bounds is not None and not bounds[0] <= value <= bounds[1]:  # NaN passes the middleware's check
+        raise ConfigError(f"The parameter {name} is {value}.", f"Choose from {bounds[0]:g} to {bounds[1]:g}.")
+    return value

@@ -1,0 +1,90 @@
+"""Which commanded poses are taken, and how far an end effector gets towards one in a step. No ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Floats = NDArray[np.float64]
+
+UNIT_TOLERANCE = 1e-3
+"""How far the length of a quaternion may be from 1."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Position [m] ``(3,)`` and unit quaternion x y z w ``(4,)`` in the base frame."""
+
+    position: Floats
+    quaternion: Floats
+
+    @classmethod
+    def of(cls, values: Floats) -> Pose:
+        """Pose from its seven numbers: x y z [m], x y z w."""
+        return cls(values[:3], values[3:])
+
+    def array(self) -> Floats:
+        """The seven numbers."""
+        return np.concatenate([self.position, self.quaternion])
+
+    def rotation(self) -> Rotation:
+        """The orientation."""
+        return Rotation.from_quat(self.quaternion)
+
+
+@dataclass(frozen=True)
+class PoseGate:
+    """What a commanded pose must fulfil.
+
+    ``max_jump_m`` and ``max_jump_rad``: largest distance from where the end effector is now.
+    """
+
+    base_frame: str
+    max_jump_m: float
+    max_jump_rad: float
+
+    def check(
+        self, frame_id: str, position: Sequence[float], quaternion: Sequence[float], now: Pose
+    ) -> Pose | str:
+        """The pose with a normalised quaternion, or why it is rejected.
+
+        ``now``: pose of the end effector at this moment.
+        """
+        if frame_id != self.base_frame:
+            return f"frame_id is {frame_id!r}, expected {self.base_frame!r}"
+        if not all(map(math.isfinite, (*position, *quaternion))):
+            return f"not finite: position {list(position)}, orientation {list(quaternion)}"
+        length = math.sqrt(sum(q * q for q in quaternion))
+        if abs(length - 1.0) > UNIT_TOLERANCE:
+            return f"the orientation has length {length:.4g}, a quaternion x y z w has length 1"
+        pose = Pose(np.array(position, dtype=np.float64), np.array(quaternion, dtype=np.float64) / length)
+        jump = float(np.linalg.norm(pose.position - now.position))
+        if jump > self.max_jump_m:
+            return f"{jump:.4g} m away from the current pose, at most {self.max_jump_m:g} m (max_jump_m)"
+        turn = float((now.rotation().inv() * pose.rotation()).magnitude())
+        if turn > self.max_jump_rad:
+            return (
+                f"{turn:.4g} rad away from the current pose, at most {self.max_jump_rad:g} rad (max_jump_rad)"
+            )
+        return pose
+
+
+def towards(now: Pose, target: Pose, max_move_m: float, max_turn_rad: float) -> Pose:
+    """The pose reached on the way from ``now`` to ``target`` within a move and a turn of limited size."""
+    way = target.position - now.position
+    length = float(np.linalg.norm(way))
+    position = target.position if length <= max_move_m else now.position + way * (max_move_m / length)
+    turn = (target.rotation() * now.rotation().inv()).as_rotvec()
+    angle = float(np.linalg.norm(turn))
+    quaternion = target.quaternion
+    if angle > max_turn_rad:
+        turned = Rotation.from_rotvec(turn * (max_turn_rad / angle)) * now.rotation()
+        quaternion = np.asarray(turned.as_quat(), dtype=np.float64)
+    if float(quaternion @ now.quaternion) < 0.0:
+        quaternion = -quaternion
+    return Pose(position, quaternion)

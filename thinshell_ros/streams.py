@@ -1,0 +1,97 @@
+"""What a rig publishes, subscribes to and records: topics, frames, rates, noise. No ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_core.errors import ConfigError
+from sim_core.rigs import MarkerSensor, OrthographicCamera, Rig, WrenchSensor
+
+Kind = Literal["pose", "wrench", "markers", "tracks"]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One stream of readings.
+
+    ``name``: of the end effector, sensor or camera. ``latency_s``: a reading of the state at time t is
+    stamped t + latency; effects of the rig may add to it. ``noise``: standard deviation of each
+    component, in the reading's units, broadcast against it.
+    """
+
+    name: str
+    kind: Kind
+    topic: str
+    frame_id: str
+    rate_hz: float
+    latency_s: float = 0.0
+    noise: NDArray[np.float64] | float = 0.0
+
+
+def channels_of(rig: Rig, pose_rate_hz: float, base_frame: str = "") -> dict[str, Channel]:
+    """The streams of a rig by name: current poses, then sensors, then cameras.
+
+    ``base_frame``: used in place of the rig's, if not empty.
+    """
+    channels: dict[str, Channel] = {}
+    for name, effector in rig.end_effectors.items():
+        if effector.topics.length_unit != "m" or effector.topics.quaternion_order != "xyzw":
+            raise ConfigError(
+                f"The rig {rig.name!r} declares other pose units than m and x y z w for {name!r}.",
+                "Live topics carry m and x y z w: leave length_unit and quaternion_order out of the rig.",
+            )
+        frame = base_frame or effector.base_frame
+        channels[name] = Channel(name, "pose", effector.topics.current_pose, frame, pose_rate_hz)
+    for name, sensor in rig.sensors.items():
+        frame = sensor.frame_id or name
+        common = (sensor.topic, frame, sensor.rate_hz, sensor.latency_s)
+        if isinstance(sensor, WrenchSensor):
+            spread = np.array([sensor.noise.force_n] * 3 + [sensor.noise.torque_nm] * 3)
+            channels[name] = Channel(name, "wrench", *common, spread)
+        else:
+            channels[name] = Channel(name, "markers", *common, sensor.noise.position_m)
+    for name, camera in rig.cameras.items():
+        channels[name] = Channel(
+            name,
+            "tracks",
+            camera.topics.marker_tracks,
+            camera.frame_id or name,
+            camera.rate_hz,
+            camera.latency_s,
+            camera.noise.position_px,
+        )
+    return channels
+
+
+def rest_topic(channel: Channel) -> str:
+    """Topic of the rest state of a marker channel."""
+    return f"{channel.topic}_rest"
+
+
+@dataclass(frozen=True)
+class RecordedTopic:
+    """A topic to record. ``expected``: its absence is worth a warning."""
+
+    name: str
+    expected: bool = True
+
+
+def topics_to_record(rig: Rig) -> list[RecordedTopic]:
+    """All topics of a rig: what the contract needs is expected; rest states and images are taken along."""
+    topics: list[RecordedTopic] = []
+    for effector in rig.end_effectors.values():
+        topics += [RecordedTopic(effector.topics.target_pose), RecordedTopic(effector.topics.current_pose)]
+    for sensor in rig.sensors.values():
+        topics.append(RecordedTopic(sensor.topic))
+        if isinstance(sensor, MarkerSensor):
+            topics.append(RecordedTopic(f"{sensor.topic}_rest", expected=False))
+    for camera in rig.cameras.values():
+        topics.append(RecordedTopic(camera.topics.marker_tracks))
+        calibrated = not isinstance(camera, OrthographicCamera)
+        topics.append(RecordedTopic(camera.topics.camera_info, expected=calibrated))
+        topics.append(RecordedTopic(camera.topics.image, expected=False))
+    return topics

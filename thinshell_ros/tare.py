@@ -1,0 +1,50 @@
+"""What readings are relative to: rest positions of markers, offsets of wrenches. No ROS."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thinshell_ros.streams import Channel
+
+Floats = NDArray[np.float64]
+
+AVERAGED = 10
+"""Readings that a tare averages over, so that it does not freeze one reading's noise."""
+
+
+class Tare:
+    """Rest positions and wrench offsets of all channels."""
+
+    def __init__(self, channels: Mapping[str, Channel]) -> None:
+        self._channels = channels
+        self._recent: dict[str, deque[Floats]] = {
+            name: deque(maxlen=AVERAGED) for name, c in channels.items() if c.kind in ("wrench", "markers")
+        }
+        self._zero: dict[str, Floats] = {}
+
+    def restart(self, rest: Mapping[str, Floats]) -> None:
+        """Markers are relative to ``rest`` [m], wrenches to nothing, as at the start."""
+        for name, recent in self._recent.items():
+            recent.clear()
+            markers = self._channels[name].kind == "markers"
+            self._zero[name] = rest[name] if markers else np.zeros_like(rest[name])
+
+    def take(self, channel: str, values: Floats) -> None:
+        """Remember a reading."""
+        if channel in self._recent:
+            self._recent[channel].append(values)
+
+    def zero(self) -> list[str]:
+        """Make the last readings the new zero; returns the channels that have none yet."""
+        for name, recent in self._recent.items():
+            if recent:
+                self._zero[name] = np.mean(recent, axis=0)
+        return [name for name, recent in self._recent.items() if not recent]
+
+    def offset(self, channel: str) -> Floats:
+        """Zero of a channel: rest positions [m] ``(n, 3)``, or a wrench [N, N m] ``(6,)``."""
+        return self._zero[channel]
