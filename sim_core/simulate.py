@@ -9,7 +9,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from sim_core.errors import ConvergenceError
-from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Observer, frame_of

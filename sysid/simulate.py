@@ -76,9 +76,7 @@ def simulate_to_bag(
     return "\n".join(lines)
 
 
-def write_trace(
-    rig: Rig, trace: Trace, poses: Mapping[str, PoseTrajectory], out: Path, noise: Noise
-) -> dict[str, int]:
+def write_trace(rig: Rig, trace: Trace, poses: Mapping[str, PoseTrajectory], out: Path, noise: Noise) -> dict[str, int]:
     """Write a trace as the streams of the rig, each with its rate, latency and noise; counts by topic."""
     end = float(trace.times[-1])
     counts: dict[str, int] = {}

@@ -27,9 +27,7 @@ def total_delay(rig: Rig, channel: str, kind: str) -> float:
     return float(source.latency_s + sum(e.delay(rig, channel, kind, given) for e, given in active_effects(rig)))
 
 
-def _read(
-    times: np.ndarray, values: np.ndarray, kind: str, rig: Rig, channel: str, stamps: np.ndarray
-) -> np.ndarray:
+def _read(times: np.ndarray, values: np.ndarray, kind: str, rig: Rig, channel: str, stamps: np.ndarray) -> np.ndarray:
     out = interpolate(times, values, stamps - total_delay(rig, channel, kind))
     for effect, given in active_effects(rig):
         out = effect.amend_output(rig, channel, kind, stamps, out, given)

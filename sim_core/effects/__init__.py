@@ -56,7 +56,8 @@ def active_effects(rig: Rig) -> list[tuple[Effect, Mapping[str, float]]]:
         missing = set(known) - set(given)
         if missing:
             raise ConfigError(
-                f"The effect {name} needs the parameter {sorted(missing)[0]!r}.", "Add it to the rig's effects."
+                f"The effect {name} needs the parameter {sorted(missing)[0]!r}.",
+                "Add it to the rig's effects.",
             )
         found.append((effect, given))
     return found

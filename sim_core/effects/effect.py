@@ -61,7 +61,13 @@ class Effect:
         return []
 
     def amend_output(
-        self, rig: Rig, channel: str, kind: str, times: np.ndarray, values: np.ndarray, given: Mapping[str, float]
+        self,
+        rig: Rig,
+        channel: str,
+        kind: str,
+        times: np.ndarray,
+        values: np.ndarray,
+        given: Mapping[str, float],
     ) -> np.ndarray:
         """Change what a sensor reports. ``kind``: 'wrench', 'markers' or 'tracks'; ``values``: ``(n, ...)``."""
         return values

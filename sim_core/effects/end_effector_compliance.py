@@ -22,9 +22,7 @@ class EndEffectorCompliance(Effect):
         "metres a newton, which the reported pose does not show."
     )
     parameters = (
-        EffectParameter(
-            "compliance_m_per_n", "m/N", 1e-8, 0.1, (1e-4, 2e-3), 0.0, True, 2.5, "displacement per force"
-        ),
+        EffectParameter("compliance_m_per_n", "m/N", 1e-8, 0.1, (1e-4, 2e-3), 0.0, True, 2.5, "displacement per force"),
     )
 
     def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:

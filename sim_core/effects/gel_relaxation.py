@@ -32,6 +32,4 @@ class GelRelaxation(Effect):
     def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
         for name, body in rig.bodies.items():
             if isinstance(body, Gel):
-                values.terms[f"{name}.elastic"].update(
-                    relaxation_g=given["share"], relaxation_tau_s=given["tau_s"]
-                )
+                values.terms[f"{name}.elastic"].update(relaxation_g=given["share"], relaxation_tau_s=given["tau_s"])

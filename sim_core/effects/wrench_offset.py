@@ -37,7 +37,13 @@ class WrenchOffset(Effect):
         return ({p.name: (0.0,) for p in self.parameters},)
 
     def amend_output(
-        self, rig: Rig, channel: str, kind: str, times: np.ndarray, values: np.ndarray, given: Mapping[str, float]
+        self,
+        rig: Rig,
+        channel: str,
+        kind: str,
+        times: np.ndarray,
+        values: np.ndarray,
+        given: Mapping[str, float],
     ) -> np.ndarray:
         if kind != "wrench":
             return values

@@ -120,9 +120,7 @@ class TangentSimulation(Simulation):
             begun, carried = step, internals
         else:
             begun = StepContext(step.x_start + h * self._dx[k], step.v_start + h * self._dv[k], step.dt)
-            carried = {
-                t: {n: a + h * self._dxi[k][t][n] for n, a in v.items()} for t, v in internals.items()
-            }
+            carried = {t: {n: a + h * self._dxi[k][t][n] for n, a in v.items()} for t, v in internals.items()}
         self.scene.system.begin_step(begun, carried, search=False)
         return begun, carried
 

@@ -49,9 +49,7 @@ def world_pose(pose: Pose, carrier: tuple[np.ndarray, Rotation]) -> tuple[np.nda
     return origin + rotation.apply(pose.position()), rotation * pose.rotation()
 
 
-def build_body(
-    rig: Rig, name: str, carrier: tuple[np.ndarray, Rotation], offset: int, refine: int
-) -> BuiltBody:
+def build_body(rig: Rig, name: str, carrier: tuple[np.ndarray, Rotation], offset: int, refine: int) -> BuiltBody:
     """Mesh one body. ``offset``: index of its first node. ``refine``: factor on cells in each direction."""
     spec = rig.bodies[name]
     origin, rotation = world_pose(spec.pose, carrier)

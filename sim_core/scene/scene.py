@@ -139,9 +139,7 @@ class Scene:
 
     def _contact(self, name: str, a: BuiltBody, b: BuiltBody) -> list[RigidContact | SurfaceContact]:
         if a.name == b.name:
-            raise ConfigError(
-                f"The contact {name} is of a body with itself, which is not simulated.", "Remove it."
-            )
+            raise ConfigError(f"The contact {name} is of a body with itself, which is not simulated.", "Remove it.")
         if isinstance(a.spec, Rigid) and isinstance(b.spec, Rigid):
             raise ConfigError(
                 f"The contact {name} is between two rigid bodies, which are moved, not simulated.",

@@ -52,6 +52,12 @@ class Engine:
         trace = simulate(scene, run.poses, self._times(rig, run, dt))
         return Prediction(_at_stamps(trace, rig, run), {}, trace)
 
+    def predict_all(
+        self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
+    ) -> list[Prediction]:
+        """Predictions with derivatives of several runs."""
+        return [self.predict_with_derivatives(rig, run, parameters, scaled) for run in runs]
+
     def predict_with_derivatives(
         self, rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray
     ) -> Prediction:
@@ -88,10 +94,7 @@ class Engine:
 
 
 def _at_stamps(trace: Trace, rig: Rig, run: Run) -> dict[str, np.ndarray]:
-    return {
-        m.channel: predicted(trace, rig, m.channel, m.t).reshape(len(m.t), -1)
-        for m in run.measured
-    }
+    return {m.channel: predicted(trace, rig, m.channel, m.t).reshape(len(m.t), -1) for m in run.measured}
 
 
 def _geometry(rig: Rig) -> object:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.engine import Engine
 from sysid.fit.noise import ChannelNoise, estimate_noise
 from sysid.fit.parameters import fit_parameters, start_of
+from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.result import FitResult, estimates_of, plot_series, rms_errors
 from sysid.fit.runs import Run, load_run
@@ -39,7 +41,21 @@ def fit_runs(
     on_progress: Progress | None = None,
 ) -> tuple[FitResult, Rig]:
     """Fit ``names`` to ``runs``; the result and the rig with the fitted values."""
-    engine = Engine()
+    with PooledEngine(min(len(runs), os.cpu_count() or 1)) as pool:
+        engine: Engine | PooledEngine = pool if len(runs) > 1 else Engine()
+        return _fit_runs(engine, rig, runs, names, held_out, seed, start, on_progress)
+
+
+def _fit_runs(
+    engine: Engine | PooledEngine,
+    rig: Rig,
+    runs: Sequence[Run],
+    names: Sequence[str],
+    held_out: Sequence[Run],
+    seed: int,
+    start: np.ndarray | None,
+    on_progress: Progress | None,
+) -> tuple[FitResult, Rig]:
     noise = channel_noise([*runs, *held_out])
     parameters = fit_parameters(rig, names)
     problem = Problem(runs, noise, engine)

@@ -14,6 +14,7 @@ from sim_core.rigs import Rig
 from sysid.fit.engine import Engine, Prediction
 from sysid.fit.noise import ChannelNoise, whiten
 from sysid.fit.parameters import FitParameter, rig_at, start_of
+from sysid.fit.pool import PooledEngine
 from sysid.fit.runs import Run
 
 RIGHT_SD = 0.5
@@ -67,19 +68,24 @@ class Fitted:
 
 
 class Problem:
-    """Runs, their noise, and the known error shapes that are eliminated from the residuals."""
+    """Runs, their noise, and the known error shapes that are eliminated from the residuals.
+
+    ``prior``: pull every parameter to the value of the rig with the width of its plausible range.
+    """
 
     def __init__(
         self,
         runs: Sequence[Run],
         noise: dict[str, ChannelNoise],
-        engine: Engine,
+        engine: Engine | PooledEngine,
         directions: Sequence[Direction] = (),
+        prior: bool = False,
     ) -> None:
         self.runs = list(runs)
         self.noise = noise
         self.engine = engine
         self.directions = list(directions)
+        self.prior = prior
 
     def assemble(
         self, predictions: Sequence[Prediction], p: int
@@ -135,8 +141,13 @@ class Problem:
     def evaluate(self, rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray) -> Fitted:
         """Residuals and derivatives at given values, without fitting."""
         started = time.monotonic()
-        predictions = [self.engine.predict_with_derivatives(rig, run, parameters, scaled) for run in self.runs]
+        predictions = self.engine.predict_all(rig, self.runs, parameters, scaled)
         r, j, labels, sizes = self.assemble(predictions, len(parameters))
+        if self.prior and parameters:
+            width = np.array([p.prior_sd for p in parameters])
+            r = np.concatenate([r, (scaled - start_of(rig, parameters)) / width])
+            j = np.vstack([j, np.diag(1.0 / width)])
+            labels = [*labels, (-1, "prior", np.zeros(len(width)))]
         return Fitted(
             list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, 1, True,
             "evaluated", time.monotonic() - started, sizes,

@@ -135,7 +135,9 @@ def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) 
     for i, run in enumerate(problem.runs):
         for m in run.measured:
             quantities = (
-                [("force", slice(0, 3), 0), ("torque", slice(3, 6), 1)] if m.kind == "wrench" else [("", slice(None), 0)]
+                [("force", slice(0, 3), 0), ("torque", slice(3, 6), 1)]
+                if m.kind == "wrench"
+                else [("", slice(None), 0)]
             )
             for quantity, columns, unit in quantities:
                 measured = m.values[:, columns]

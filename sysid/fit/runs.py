@@ -12,6 +12,8 @@ from sim_core.errors import RecordingError
 from sim_core.rigs import MarkerSensor, Rig, Rigid, WrenchSensor, marker_positions, seen_points
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.recording import EETopics, Recording, SensorTopic, TopicNames, read_recording
+from sysid.recording.bag import open_bag
+from sysid.recording.notes import Notes
 
 MAX_POSE_GAP_S = 1.0
 """Longest gap in a pose stream that is bridged by interpolation."""
@@ -91,7 +93,11 @@ def load_run(rig: Rig, path: Path) -> Run:
                 "Record its current_pose or target_pose, or correct its topics in the rig.",
             )
         poses[name] = PoseTrajectory.from_samples(
-            stream.t, stream.position, stream.quaternion, max_gap_s=MAX_POSE_GAP_S, source=f"{path}: {stream.topic}"
+            stream.t,
+            stream.position,
+            stream.quaternion,
+            max_gap_s=MAX_POSE_GAP_S,
+            source=f"{path}: {stream.topic}",
         )
     measured = tuple(_measured(rig, recording))
     if not measured:
@@ -113,8 +119,7 @@ def load_run(rig: Rig, path: Path) -> Run:
 def _present(rig: Rig, path: Path) -> TopicNames:
     """The rig's topics without the optional streams that a bag does not have."""
     wanted = topics_of(rig)
-    overview = read_recording(path, TopicNames(ee={}, wrench={}, markers={}, tracks={}, images={}), need_pose=False)
-    topics = set(overview.provenance.topic_types)
+    topics = set(open_bag(Path(path), Notes()).topics)
 
     def has(topic: str | None) -> bool:
         return topic is None or any(t == topic or t.endswith("/" + topic.lstrip("/")) for t in topics)
@@ -163,9 +168,7 @@ def _labels(ids: np.ndarray, axes: str) -> tuple[str, ...]:
     return tuple(f"marker {i} {a}" for i in ids for a in axes)
 
 
-def _by_id(
-    values: np.ndarray, recorded: np.ndarray, wanted: np.ndarray, name: str, recording: Recording
-) -> np.ndarray:
+def _by_id(values: np.ndarray, recorded: np.ndarray, wanted: np.ndarray, name: str, recording: Recording) -> np.ndarray:
     """Columns in the order of the rig's markers; NaN for those that the bag does not have."""
     places = {int(i): k for k, i in enumerate(recorded)}
     found = [places.get(int(i)) for i in wanted]

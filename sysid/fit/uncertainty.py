@@ -51,9 +51,11 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     values, vectors = np.linalg.eigh(scaled)
     # A direction without information is as uncertain as its plausible range.
     floor = 1.0
-    inverse = (vectors / np.maximum(values, 1e-300)) @ vectors.T if values[0] > 1e-12 * values[-1] else (
-        vectors / np.maximum(values, 1e-12 * max(values[-1], 1e-300))
-    ) @ vectors.T
+    inverse = (
+        (vectors / np.maximum(values, 1e-300)) @ vectors.T
+        if values[0] > 1e-12 * values[-1]
+        else (vectors / np.maximum(values, 1e-12 * max(values[-1], 1e-300))) @ vectors.T
+    )
     inverse = inverse * np.outer(prior, prior)
     plain = inverse * max(1.0, reduced)
     meat = np.zeros((p, p))

@@ -102,7 +102,11 @@ class Diagnosis:
         """Plain data without the series, in the documented schema."""
         data = asdict(self)
         del data["series"]
-        fit = {"baseline": data.pop("baseline"), "amended": data.pop("amended"), "noise_floor": data.pop("noise_floor")}
+        fit = {
+            "baseline": data.pop("baseline"),
+            "amended": data.pop("amended"),
+            "noise_floor": data.pop("noise_floor"),
+        }
         return {"schema": SCHEMA, **data, "fit": fit}
 
     def write(self, path: Path) -> None:

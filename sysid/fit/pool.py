@@ -1,0 +1,67 @@
+"""An engine whose predictions run in worker processes, one a core."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from types import TracebackType
+
+import numpy as np
+
+from sim_core.rigs import Rig
+from sysid.fit.engine import Engine, Prediction
+from sysid.fit.parameters import FitParameter
+from sysid.fit.runs import Run
+
+_ENGINE: list[Engine] = []
+
+
+def _start() -> None:
+    """Each worker keeps its scenes; Ctrl-C is left to the parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _ENGINE.append(Engine())
+
+
+def _predict(rig: Rig, run: Run, refine: int, dt: float | None) -> Prediction:
+    return _ENGINE[0].predict(rig, run, refine, dt)
+
+
+def _predict_with_derivatives(rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray) -> Prediction:
+    return _ENGINE[0].predict_with_derivatives(rig, run, parameters, scaled)
+
+
+class PooledEngine:
+    """As :class:`sysid.fit.engine.Engine`, in ``workers`` processes. Use as a context manager."""
+
+    def __init__(self, workers: int | None = None) -> None:
+        self._workers = workers or os.cpu_count() or 1
+
+    def __enter__(self) -> PooledEngine:
+        context = multiprocessing.get_context("spawn")
+        self._pool = ProcessPoolExecutor(self._workers, mp_context=context, initializer=_start)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._pool.shutdown(wait=kind is None, cancel_futures=True)
+
+    def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        """Start a prediction without derivatives."""
+        return self._pool.submit(_predict, rig, run, refine, dt)
+
+    def submit_with_derivatives(
+        self, rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray
+    ) -> Future[Prediction]:
+        """Start a prediction with derivatives."""
+        return self._pool.submit(_predict_with_derivatives, rig, run, list(parameters), np.array(scaled))
+
+    def predict_all(
+        self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
+    ) -> list[Prediction]:
+        """Predictions with derivatives of several runs, side by side."""
+        futures = [self.submit_with_derivatives(rig, run, parameters, scaled) for run in runs]
+        return [future.result() for future in futures]

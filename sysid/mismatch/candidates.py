@@ -1,0 +1,148 @@
+"""Effects as explanations: a cheap look at all of them from finite amplitudes, then real refits.
+
+An effect with a threshold has no derivative at zero, so each is switched on at typical amplitudes and
+the change of all readings is simulated (a secant). From there one linear least-squares step over its own
+parameters and the baseline's predicts how well it could fit; the best are refitted in full.
+
+Evidence after Laplace: log p = -chi2/2 - log det(J^T J)/2 - sum log(prior widths), with the priors as
+rows of J; chi2 is divided by the misfit of the best model where that exceeds noise.
+"""
+
+from __future__ import annotations
+
+import itertools
+from concurrent.futures import Future
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from sim_core.effects import EFFECTS, Effect
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig
+from sysid.fit.engine import Prediction
+from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Fitted, Problem
+
+LARGEST_STEP = 1.0
+"""Longest step of the linear prediction in a logarithm, or in prior widths of a linear parameter."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """An effect at starting values. ``predicted``: chi-square that a refit from here should reach;
+    ``scaled``: predicted values of baseline and effect parameters."""
+
+    effect: Effect
+    rig: Rig
+    own: list[FitParameter]
+    predicted: float
+    scaled: np.ndarray
+
+
+def with_effect(rig: Rig, effect: Effect, values: dict[str, float]) -> Rig:
+    """The rig with one more effect."""
+    return rig.model_copy(update={"effects": {**rig.effects, effect.name: values}})
+
+
+def starting_values(effect: Effect, rig: Rig) -> list[dict[str, float]]:
+    """All combinations of typical values of an effect on a rig."""
+    out = []
+    for variant in effect.variants(rig):
+        for combination in itertools.product(*variant.values()):
+            out.append(dict(zip(variant, combination, strict=True)))
+    return out
+
+
+def screen(engine: PooledEngine, problem: Problem, base: Fitted, excluded: tuple[str, ...] = ()) -> list[Start]:
+    """Predict, for every effect and start, how well it would fit; best first."""
+    pending: list[tuple[Effect, Rig, list[FitParameter], np.ndarray, list[Future[Prediction]]]] = []
+    for effect in EFFECTS:
+        if effect.name in base.rig.effects or effect.name in excluded:
+            continue
+        for values in starting_values(effect, base.rig):
+            rig = with_effect(base.rig, effect, values)
+            own = fit_parameters(rig, [f"effects.{effect.name}.{k}" for k in values])
+            scaled = start_of(rig, own)
+            jobs = [engine.submit_with_derivatives(rig, run, own, scaled) for run in problem.runs]
+            pending.append((effect, rig, own, scaled, jobs))
+    starts = []
+    for effect, rig, own, scaled, jobs in pending:
+        try:
+            predictions = [job.result() for job in jobs]
+        except ThinshellError:
+            continue
+        starts.append(_predict(problem, base, effect, rig, own, scaled, predictions))
+    return sorted(starts, key=lambda s: s.predicted)
+
+
+def _predict(
+    problem: Problem,
+    base: Fitted,
+    effect: Effect,
+    rig: Rig,
+    own: list[FitParameter],
+    scaled: np.ndarray,
+    predictions: list[Prediction],
+) -> Start:
+    """One bounded linear least-squares step from the secant."""
+    r, j, _, _ = problem.assemble(predictions, len(own))
+    shared = len(base.parameters)
+    width = np.array([p.prior_sd for p in (*base.parameters, *own)])
+    rows = len(r)
+    prior_residual = base.residual[rows:] if problem.prior else np.zeros(shared)
+    # Effect parameters are pulled to their vanishing value where they have a finite one.
+    rest = np.array([_rest(effect, p, s) for p, s in zip(own, scaled, strict=True)])
+    matrix = np.vstack(
+        [
+            np.hstack([base.jacobian[:rows], j]),
+            np.diag(1.0 / width),
+        ]
+    )
+    target = -np.concatenate([r, prior_residual, (scaled - rest) / width[shared:]])
+    low, high = np.array([p.scaled_bounds for p in (*base.parameters, *own)]).T
+    at = np.concatenate([base.scaled, scaled])
+    reach = LARGEST_STEP * np.array([1.0 if p.log else 4.0 * p.prior_sd for p in (*base.parameters, *own)])
+    low, high = np.maximum(low - at, -reach), np.minimum(high - at, reach)
+    q, upper = np.linalg.qr(np.column_stack([matrix, target]))
+    del q
+    small, goal = upper[:, :-1], upper[:, -1]
+    step = lsq_linear(small, goal, bounds=(np.minimum(low, -1e-12), np.maximum(high, 1e-12)))
+    misfit = goal - small @ step.x
+    return Start(effect, rig, own, float(misfit @ misfit), at + step.x)
+
+
+def _rest(effect: Effect, parameter: FitParameter, scaled: float) -> float:
+    spec = next(p for p in effect.parameters if parameter.name.endswith("." + p.name))
+    if spec.vanishing is None or not np.isfinite(spec.vanishing) or (spec.log and spec.vanishing <= 0.0):
+        return scaled
+    return parameter.scaled(spec.vanishing)
+
+
+def refit(problem: Problem, base: Fitted, start: Start, evaluations: int) -> Fitted:
+    """Fit baseline and effect parameters together from a screened start."""
+    parameters = [*base.parameters, *start.own]
+    centred = _centred(start, base)
+    return problem.fit(centred, parameters, start=start.scaled, max_evaluations=evaluations, tolerance=2e-3)
+
+
+def _centred(start: Start, base: Fitted) -> Rig:
+    """The rig whose values the priors pull to: the baseline's prior centre, the effect at rest."""
+    shared = len(base.parameters)
+    width = np.array([p.prior_sd for p in base.parameters])
+    pull = base.residual[len(base.residual) - shared :] if shared else np.zeros(0)
+    centre = rig_at(start.rig, base.parameters, base.scaled - pull * width)
+    values = dict(centre.effects[start.effect.name])
+    for p, scaled in zip(start.own, start_of(start.rig, start.own), strict=True):
+        rest = _rest(start.effect, p, float(scaled))
+        values[p.name.rsplit(".", 1)[1]] = p.physical(rest)
+    return centre.model_copy(update={"effects": {**centre.effects, start.effect.name: values}})
+
+
+def log_evidence(fitted: Fitted, temper: float) -> float:
+    """Laplace evidence of a fit with prior rows, up to a constant common to all models."""
+    sign, volume = np.linalg.slogdet(fitted.jacobian.T @ fitted.jacobian / temper)
+    del sign
+    widths = float(sum(np.log(p.prior_sd) for p in fitted.parameters))
+    return -0.5 * fitted.chi2 / temper - 0.5 * float(volume) - widths

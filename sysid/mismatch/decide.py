@@ -1,0 +1,109 @@
+"""From fits to a verdict: nothing missing, one effect named, one of several, or something unknown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_core.effects import Effect
+from sysid.fit.problem import Fitted
+from sysid.fit.uncertainty import interval, uncertainty
+from sysid.mismatch.result import Candidate, NamedParameter
+
+MIN_GAIN_NATS = 12.0
+"""Evidence over the baseline that an effect must have to be named."""
+
+TIE_NATS = 5.0
+"""Effects within this of the best are reported together."""
+
+MIN_EXPLAINED = 0.6
+"""Share of the structured misfit that an answer must explain; less leaves something unknown."""
+
+MIN_HELD_OUT_GAIN = 0.3
+"""Share of the excess error on held-out data that an answer must remove."""
+
+STRUCTURE_PER_SCORE = 1.6
+"""Structured misfit per score above which something is missing even without a name."""
+
+DISCRETISATION_SHARE = 0.5
+"""Structured misfit below this share of the simulator's own error is not blamed on physics."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One effect refitted. ``gain``: log evidence over the baseline; ``explained``: share of the baseline's
+    structured misfit; ``held_out``: share of the excess error on held-out data that it removes."""
+
+    effect: Effect
+    fitted: Fitted
+    gain: float
+    explained: float
+    held_out: float | None
+
+    @property
+    def rejected(self) -> str:
+        """Why the effect is no answer; empty when it may be one."""
+        if self.gain < MIN_GAIN_NATS:
+            return f"it improves the fit too little ({self.gain:.1f} of {MIN_GAIN_NATS:g} nats)"
+        if self.held_out is not None and self.held_out < MIN_HELD_OUT_GAIN:
+            return f"it removes only {100 * self.held_out:.0f} % of the excess error on held-out recordings"
+        return ""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """``kind`` as in :data:`sysid.mismatch.result.VERDICTS`; ``named``: trials of the answer, best first."""
+
+    kind: str
+    named: tuple[Trial, ...]
+
+
+def decide(trials: list[Trial], structure_per_score: float, excess: float, discretisation: float) -> Verdict:
+    """Choose the verdict.
+
+    ``structure_per_score``, ``excess``: structured misfit of the baseline; ``discretisation``: structured
+    energy of the simulator's own error.
+    """
+    fit = sorted((t for t in trials if not t.rejected), key=lambda t: -t.gain)
+    plain = structure_per_score > STRUCTURE_PER_SCORE and excess > DISCRETISATION_SHARE * discretisation
+    if not fit:
+        return Verdict("unknown" if plain else "nothing_missing", ())
+    best = fit[0]
+    if plain and best.explained < MIN_EXPLAINED:
+        return Verdict("unknown", tuple(fit))
+    ties = tuple(t for t in fit if best.gain - t.gain < TIE_NATS and t.explained > best.explained - 0.1)
+    return Verdict("named" if len(ties) == 1 else "one_of", ties)
+
+
+def probabilities(trials: list[Trial]) -> dict[str, float]:
+    """Probability of each effect among all tried and the baseline, from the evidence."""
+    gains = np.array([t.gain if not t.rejected else min(t.gain, 0.0) for t in trials] + [0.0])
+    weights = np.exp(gains - gains.max())
+    weights /= weights.sum()
+    return {t.effect.name: float(w) for t, w in zip(trials, weights[:-1], strict=True)}
+
+
+def candidate(trial: Trial, probability: float) -> Candidate:
+    """A trial as it is reported."""
+    return Candidate(
+        trial.effect.name,
+        trial.effect.title,
+        trial.effect.slot,
+        trial.effect.words,
+        probability,
+        named_parameters(trial.fitted, f"effects.{trial.effect.name}."),
+        float(trial.gain),
+        None if trial.held_out is None else float(trial.held_out),
+        trial.rejected,
+    )
+
+
+def named_parameters(fitted: Fitted, prefix: str = "") -> tuple[NamedParameter, ...]:
+    """Fitted values with intervals; only those whose name starts with ``prefix``."""
+    known = uncertainty(fitted)
+    return tuple(
+        NamedParameter(p.name, p.physical(s), interval(p, s, sd), p.unit, p.words)
+        for p, s, sd in zip(fitted.parameters, fitted.scaled, known.sd, strict=True)
+        if p.name.startswith(prefix)
+    )

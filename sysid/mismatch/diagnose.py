@@ -1,0 +1,269 @@
+"""The diagnosis of a rig against recordings: the function behind ``thinshell diagnose``."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig, rig_to_yaml
+from sysid.fit.fit import channel_noise
+from sysid.fit.parameters import fit_parameters
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Direction, Fitted, Problem
+from sysid.fit.result import plot_series, rms_errors
+from sysid.fit.runs import Run, load_run
+from sysid.fit.uncertainty import uncertainty
+from sysid.mismatch import words
+from sysid.mismatch.baseline import discretisation, open_parameters
+from sysid.mismatch.candidates import Start, log_evidence, refit, screen
+from sysid.mismatch.decide import Trial, candidate, decide, named_parameters, probabilities
+from sysid.mismatch.locate import discretisation_energy, locate, structure
+from sysid.mismatch.result import Diagnosis, Misfit
+from sysid.provenance import provenance
+
+Progress = Callable[[float, str], None]
+
+REFITTED = 4
+"""Effects that are refitted in full after the screening."""
+
+WORTH_REFITTING_NATS = 4.0
+"""Predicted improvement below which an effect is not refitted."""
+
+EVALUATIONS = 7
+"""Evaluations allowed to a refit."""
+
+
+class _Steps:
+    """Progress by stages with known shares."""
+
+    def __init__(self, report: Progress | None) -> None:
+        self._report = report
+
+    def __call__(self, share: float, text: str) -> None:
+        if self._report is not None:
+            self._report(share, text)
+
+
+def diagnose_runs(
+    rig: Rig,
+    runs: Sequence[Run],
+    held_out: Sequence[Run] = (),
+    *,
+    seed: int = 0,
+    on_progress: Progress | None = None,
+) -> tuple[Diagnosis, Rig]:
+    """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none)."""
+    started = time.monotonic()
+    tell = _Steps(on_progress)
+    noise = channel_noise([*runs, *held_out])
+    with PooledEngine(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
+        tell(0.0, "baseline fit")
+        parameters = fit_parameters(rig, open_parameters(rig))
+        first = Problem(runs, noise, engine, prior=True).fit(rig, parameters)
+        tell(0.2, "refined mesh and time step")
+        everywhere = discretisation(engine, first.rig, [*runs, *held_out])
+        directions = [_some(d, slice(0, len(runs))) for d in everywhere]
+        problem = Problem(runs, noise, engine, directions, prior=True)
+        tell(0.35, "baseline fit with the simulator's own error")
+        base = problem.fit(rig, parameters, start=first.scaled, max_evaluations=8)
+        before = structure(problem, base)
+        own_error = discretisation_energy(problem, base, directions)
+        tell(0.45, "screening of effects")
+        starts = screen(engine, problem, base)
+        tell(0.65, "refits")
+        check = Problem(held_out, noise, engine, [_some(d, slice(len(runs), None)) for d in everywhere])
+        trials = _refits(problem, check, base, _chosen(starts, base))
+        tell(0.95, "verdict")
+        verdict = decide(trials, before.per_score, before.excess, own_error)
+        answer = verdict.named[0].fitted if verdict.named and verdict.kind != "unknown" else None
+        amended = None if answer is None else _misfit(problem, check, base, answer)
+        limits = _limits(starts, trials, base)
+        diagnosis = _collect(rig, problem, check, base, answer, verdict, trials, limits, before, own_error)
+        diagnosis.amended = amended
+    diagnosis.provenance = provenance(rig, list(runs), list(held_out), seed)
+    diagnosis.seconds = time.monotonic() - started
+    tell(1.0, "done")
+    return diagnosis, (answer or base).rig
+
+
+def _some(direction: Direction, which: slice) -> Direction:
+    return Direction(direction.label, direction.shapes[which], direction.mean, direction.sd)
+
+
+def _chosen(starts: list[Start], base: Fitted) -> list[Start]:
+    """The best start of each promising effect."""
+    best: dict[str, Start] = {}
+    for start in starts:
+        if base.chi2 - start.predicted > 2.0 * WORTH_REFITTING_NATS:
+            best.setdefault(start.effect.name, start)
+    return list(best.values())[:REFITTED]
+
+
+def _refits(problem: Problem, check: Problem, base: Fitted, chosen: list[Start]) -> list[Trial]:
+    """Refit the chosen effects side by side and score them."""
+
+    def attempt(start: Start) -> tuple[Start, Fitted | None]:
+        try:
+            return start, refit(problem, base, start, EVALUATIONS)
+        except ThinshellError:
+            return start, None
+
+    with ThreadPoolExecutor(max(1, len(chosen))) as threads:
+        done = [(s, f) for s, f in threads.map(attempt, chosen) if f is not None]
+    if not done:
+        return []
+    lowest = min(f.chi2 / max(len(f.residual), 1) for _, f in done)
+    temper = max(1.0, lowest)
+    reference = log_evidence(base, temper)
+    excess = structure(problem, base).excess
+    plain = _held_out_misfit(check, base)
+    trials = []
+    for start, fitted in done:
+        after = structure(problem, fitted).excess
+        explained = (excess - after) / excess if excess > 0.0 else 0.0
+        held = None
+        if plain is not None:
+            there = _held_out_misfit(check, fitted)
+            assert there is not None
+            held = (plain[0] - there[0]) / max(plain[0] - plain[1], 1e-9)
+        trials.append(Trial(start.effect, fitted, log_evidence(fitted, temper) - reference, explained, held))
+    return sorted(trials, key=lambda t: -t.gain)
+
+
+def _held_out_misfit(check: Problem, fitted: Fitted) -> tuple[float, float] | None:
+    """Chi-square on held-out runs and the value that noise alone would give."""
+    if not check.runs:
+        return None
+    there = check.evaluate(fitted.rig, [], np.zeros(0))
+    return there.chi2, float(len(there.residual))
+
+
+def _misfit(problem: Problem, check: Problem, base: Fitted, fitted: Fitted) -> Misfit:
+    """Misfit of a model, with the errors of the baseline beside its own."""
+    errors = rms_errors(problem, base, fitted, held_out=False)
+    held = None
+    if check.runs:
+        plain = check.evaluate(base.rig, [], np.zeros(0))
+        there = check.evaluate(fitted.rig, [], np.zeros(0))
+        errors += rms_errors(check, plain, there, held_out=True)
+        held = there.chi2 / max(len(there.residual), 1)
+    return Misfit(fitted.chi2 / max(len(fitted.residual), 1), held, tuple(errors))
+
+
+def _limits(starts: list[Start], trials: list[Trial], base: Fitted) -> dict[str, float]:
+    """Largest amplitude of each effect that the recordings still allow (95 %), by parameter."""
+    limits: dict[str, float] = {}
+    for trial in trials:
+        known = uncertainty(trial.fitted)
+        for k, p in enumerate(trial.fitted.parameters):
+            if p.name.startswith("effects."):
+                limits[p.name] = p.physical(trial.fitted.scaled[k] + 1.645 * known.sd[k])
+                break
+    shared = len(base.parameters)
+    for start in starts:
+        name = start.own[0].name
+        if name not in limits:
+            limits[name] = start.own[0].physical(float(start.scaled[shared]))
+    return limits
+
+
+def _collect(
+    rig: Rig,
+    problem: Problem,
+    check: Problem,
+    base: Fitted,
+    answer: Fitted | None,
+    verdict: object,
+    trials: list[Trial],
+    limits: dict[str, float],
+    before: object,
+    own_error: float,
+) -> Diagnosis:
+    from sysid.mismatch.decide import Verdict
+    from sysid.mismatch.locate import Structure
+
+    assert isinstance(verdict, Verdict) and isinstance(before, Structure)
+    located = locate(problem, base)
+    chances = probabilities(trials)
+    reported = [candidate(t, chances[t.effect.name]) for t in trials]
+    names = {t.effect.name for t in verdict.named} if verdict.kind in ("named", "one_of") else set()
+    shown = answer or base
+    series = plot_series(problem, base, shown, held_out=False)
+    if check.runs:
+        plain = check.evaluate(base.rig, [], np.zeros(0))
+        there = check.evaluate(shown.rig, [], np.zeros(0)) if answer is not None else plain
+        series += plot_series(check, plain, there, held_out=True)
+    return Diagnosis(
+        verdict=verdict.kind,
+        sentence=words.sentence(verdict, located, limits),
+        rig=rig.name,
+        effects=tuple(c for c in reported if c.name in names),
+        alternatives=tuple(c for c in reported if c.name not in names),
+        located=located,
+        baseline=_misfit(problem, check, base, base),
+        amended=None,
+        noise_floor={c: float(np.median(n.sigma)) for c, n in problem.noise.items()},
+        discretisation={
+            "structured_energy": own_error,
+            "structured_misfit": before.excess,
+            "structured_misfit_per_score": before.per_score,
+        },
+        upper_limits=limits,
+        baseline_parameters=named_parameters(base),
+        amended_parameters=named_parameters(answer) if answer is not None else (),
+        not_explained=words.not_explained(verdict, before.excess),
+        next_experiment=words.next_experiment(verdict, trials),
+        provenance={},
+        seconds=0.0,
+        series=series,
+    )
+
+
+def diagnose_bags(
+    rig: Rig,
+    bags: Sequence[Path],
+    *,
+    held_out: Sequence[Path] = (),
+    out: Path,
+    seed: int = 0,
+    on_progress: Progress | None = None,
+) -> str:
+    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``baseline_rig.yaml``, ``amended_rig.yaml``."""
+    from sysid.report import write_diagnosis_report
+
+    runs = [load_run(rig, bag) for bag in bags]
+    kept = [load_run(rig, bag) for bag in held_out]
+    diagnosis, amended = diagnose_runs(rig, runs, kept, seed=seed, on_progress=on_progress)
+    out.mkdir(parents=True, exist_ok=True)
+    diagnosis.write(out / "diagnosis.json")
+    (out / "baseline_rig.yaml").write_text(rig_to_yaml(rig))
+    overlay = {
+        "overlay_of": "baseline_rig.yaml",
+        "name": f"{rig.name}_amended",
+        "description": diagnosis.sentence,
+        "parameters": {
+            p.name: p.value
+            for p in (diagnosis.amended_parameters or diagnosis.baseline_parameters)
+            if not p.name.startswith("effects.")
+        },
+        "effects": {name: dict(values) for name, values in amended.effects.items()},
+    }
+    (out / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))
+    report = write_diagnosis_report(diagnosis, out / "report.html")
+    lines = [diagnosis.sentence, ""]
+    for effect in diagnosis.effects:
+        for p in effect.parameters:
+            lines.append(f"  {p.name} = {p.value:.4g} ({p.ci95[0]:.4g} .. {p.ci95[1]:.4g}) {p.unit}")
+    lines += [
+        f"Not explained: {diagnosis.not_explained}",
+        f"Next: {diagnosis.next_experiment}",
+        f"Report: {report}",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,129 @@
+"""Where and when a model misses the recordings: which channel, which windows, which phase of the motion.
+
+Structured misfit: the whitened residuals of each column are summed over blocks of time. For a model that
+is right these sums, over the root of their length, are independent standard normal numbers; what a
+missing law leaves behind is smooth in time and adds up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid.fit.noise import column_groups, whiten
+from sysid.fit.problem import Direction, Fitted, Problem
+from sysid.fit.runs import Measured, Run
+from sysid.mismatch.baseline import corrected
+from sysid.mismatch.result import Located, LocatedChannel
+
+BLOCKS = 24
+"""Blocks of time that a run is cut into."""
+
+WINDOW_SIGMAS = 5.0
+"""A block belongs to a mismatch window when its energy exceeds the noise's by this many deviations."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """``excess``: structured energy beyond noise, sum of squared block scores less their number; ``count``:
+    number of scores; ``per_score``: mean squared score (1 = noise)."""
+
+    excess: float
+    count: int
+
+    @property
+    def per_score(self) -> float:
+        return 1.0 + self.excess / max(self.count, 1)
+
+
+def block_scores(run: Run, measured: Measured, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scores ``(blocks, columns)``, NaN where a block is empty, and the edges of the blocks [s]."""
+    edges = np.linspace(0.0, run.end + 1e-9, BLOCKS + 1)
+    block = np.clip(np.searchsorted(edges, measured.t, side="right") - 1, 0, BLOCKS - 1)
+    total = np.zeros((BLOCKS, white.shape[1]))
+    count = np.zeros_like(total)
+    good = np.isfinite(white)
+    np.add.at(total, block, np.where(good, white, 0.0))
+    np.add.at(count, block, good.astype(float))
+    with np.errstate(invalid="ignore"):
+        return np.where(count > 0, total / np.sqrt(np.maximum(count, 1.0)), np.nan), edges
+
+
+def whitened(problem: Problem, fitted: Fitted, run: int, measured: Measured) -> np.ndarray:
+    """Whitened residual of one channel with the simulator's own error taken out, ``(n, m)``."""
+    miss = measured.values - corrected(fitted, problem.directions, run, measured.channel)
+    return whiten(miss, problem.noise[measured.channel])
+
+
+def structure(problem: Problem, fitted: Fitted) -> Structure:
+    """Structured misfit over all runs and channels."""
+    excess, count = 0.0, 0
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            scores, _ = block_scores(run, m, whitened(problem, fitted, i, m))
+            good = np.isfinite(scores)
+            excess += float(np.sum(scores[good] ** 2 - 1.0))
+            count += int(good.sum())
+    return Structure(excess, count)
+
+
+def discretisation_energy(problem: Problem, fitted: Fitted, directions: Sequence[Direction]) -> float:
+    """Structured energy of the simulator's own error, in the same units as :class:`Structure.excess`."""
+    energy = 0.0
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            shift = corrected(fitted, directions, i, m.channel) - fitted.predictions[i].values[m.channel]
+            scores, _ = block_scores(run, m, whiten(np.nan_to_num(shift), problem.noise[m.channel]))
+            energy += float(np.nansum(scores**2))
+    return energy
+
+
+def locate(problem: Problem, fitted: Fitted) -> Located:
+    """Channels, time windows and phase of what the model misses."""
+    shares: list[tuple[str, str, float]] = []
+    windows: dict[str, tuple[tuple[float, float], ...]] = {}
+    phases = {k: 0.0 for k in ("moving in contact", "holding in contact", "moving freely", "at rest without contact")}
+    for i, run in enumerate(problem.runs):
+        energy = np.zeros(BLOCKS)
+        columns = np.zeros(BLOCKS)
+        for m in run.measured:
+            scores, edges = block_scores(run, m, whitened(problem, fitted, i, m))
+            names = ("force", "torque") if m.kind == "wrench" else ("position",)
+            for name, group in zip(names, column_groups(m), strict=True):
+                part = scores[:, group]
+                shares.append((m.channel, name, float(np.nansum(part**2 - 1.0))))
+            energy += np.nansum(np.where(np.isfinite(scores), scores**2 - 1.0, 0.0), axis=1)
+            columns += np.isfinite(scores).sum(axis=1)
+        hot = energy > WINDOW_SIGMAS * np.sqrt(2.0 * np.maximum(columns, 1.0))
+        strong = hot & (energy > 0.05 * max(float(energy.max(initial=0.0)), 1e-30))
+        windows[run.name] = _intervals(strong, edges)
+        for b in np.flatnonzero(strong):
+            phases[_phase(run, fitted, i, edges[b], edges[b + 1])] += float(energy[b])
+    totals: dict[tuple[str, str], float] = {}
+    for channel, name, share in shares:
+        totals[(channel, name)] = totals.get((channel, name), 0.0) + max(share, 0.0)
+    whole = sum(totals.values()) or 1.0
+    channels = sorted((LocatedChannel(c, q, e / whole) for (c, q), e in totals.items()), key=lambda c: -c.share)
+    phase = max(phases, key=lambda k: phases[k]) if any(phases.values()) else "nowhere in particular"
+    return Located(tuple(channels), windows, phase)
+
+
+def _intervals(hot: np.ndarray, edges: np.ndarray) -> tuple[tuple[float, float], ...]:
+    change = np.flatnonzero(np.diff(np.concatenate([[0], hot.astype(int), [0]])))
+    return tuple((float(edges[a]), float(edges[b])) for a, b in zip(change[::2], change[1::2], strict=True))
+
+
+def _phase(run: Run, fitted: Fitted, index: int, start: float, end: float) -> str:
+    """What was going on in a window: the motion from the poses, contact from the simulation."""
+    trace = fitted.predictions[index].trace
+    inside = (trace.times[1:] > start) & (trace.times[1:] <= end)
+    touching = any(r.contacts > 0 for r, k in zip(trace.reports, inside, strict=True) if k)
+    moving = False
+    for trajectory in run.poses.values():
+        positions, _ = trajectory.sample(np.linspace(start, end, 5))
+        moving |= bool(np.ptp(positions, axis=0).max() > 1e-4)
+    if touching:
+        return "moving in contact" if moving else "holding in contact"
+    return "moving freely" if moving else "at rest without contact"
