@@ -6,7 +6,7 @@ Real-Time Collision Detection, sec. 5.1.5.
 
 import taichi as ti
 
-from sim_core.kernels import mat3, vec3
+from sim_core.kernels import vec3
 
 
 @ti.func
@@ -65,7 +65,6 @@ def distance_second_derivative(p, y0, y1, y2, b, kind: ti.i32, sign: ti.f64, out
     d = ti.max(r.norm(), 1e-12)
     n = r / d
     c = ti.Vector([1.0, -b[0], -b[1], -b[2]])
-    identity = mat3(1, 0, 0, 0, 1, 0, 0, 0, 1)
     # Free directions of the closest point: (e_1, e_2) on a face, one edge direction on an edge.
     e1 = y1 - y0
     e2 = y2 - y0
@@ -96,17 +95,16 @@ def distance_second_derivative(p, y0, y1, y2, b, kind: ti.i32, sign: ti.f64, out
         flip = 1.0
         if sign * (y1 - y0).cross(y2 - y0).dot(r) < 0.0:
             flip = -1.0
-    for q in ti.static(range(4)):
+    for q in range(4):
         # d2E/dz_q db_k = -(c_q e_k + s_k(q) r), a 3-vector for each free direction.
         f1 = c[q] * e1 + s1[q] * r
         f2 = c[q] * e2 + s2[q] * r
-        for w in ti.static(range(4)):
-            h1 = c[w] * e1 + s1[w] * r
-            h2 = c[w] * e2 + s2[w] * r
-            m = (c[q] * c[w]) * identity
-            m -= i11 * f1.outer_product(h1) + i22 * f2.outer_product(h2)
-            m -= i12 * (f1.outer_product(h2) + f2.outer_product(h1))
-            m = flip * (m - (c[q] * c[w]) * n.outer_product(n)) / d
-            for i in ti.static(range(3)):
-                for j in ti.static(range(3)):
-                    out[4 * q + w, i, j] = m[i, j]
+        for w in range(4):
+            h1 = i11 * (c[w] * e1 + s1[w] * r) + i12 * (c[w] * e2 + s2[w] * r)
+            h2 = i12 * (c[w] * e1 + s1[w] * r) + i22 * (c[w] * e2 + s2[w] * r)
+            for i in range(3):
+                for j in range(3):
+                    value = -c[q] * c[w] * n[i] * n[j] - f1[i] * h1[j] - f2[i] * h2[j]
+                    if i == j:
+                        value += c[q] * c[w]
+                    out[4 * q + w, i, j] = flip * value / d

@@ -68,15 +68,13 @@ def _slip(offset_vector, rotation, s: ti.i32, y_start: ti.template(), anchor: ti
 
 
 @ti.kernel
-def _start(
-    x: F2, rotation: F2, nodes: I2, weights: F2, shape: F1, new_rotation: F2, y_start: F2, normal: F2
-):
+def _start(x: F2, rotation: F2, nodes: I2, weights: F2, shape: F1, new_rotation: F2, y_start: F2, normal: F2):
     """Body point under each sample and lagged normal, from the start of the step."""
     ti.loop_config(serialize=True)
     for s in range(nodes.shape[0]):
         r = _rotation(rotation)
         y = r.transpose() @ (_position(x, nodes, weights, s) - _origin(x, nodes, s))
-        distance, n, second = signed_distance(y, shape)
+        _distance, n, _second = signed_distance(y, shape)
         m = _rotation(new_rotation) @ n
         for j in ti.static(range(3)):
             y_start[s, j] = y[j]
@@ -85,37 +83,59 @@ def _start(
 
 @ti.kernel
 def _energy(
-    x: F2, rotation: F2, nodes: I2, weights: F2, areas: F1, shape: F1, c: F1, limit: F1,
-    y_start: F2, anchor: F2, normal: F2, out: F1
+    x: F2,
+    rotation: F2,
+    nodes: I2,
+    weights: F2,
+    areas: F1,
+    shape: F1,
+    c: F1,
+    limit: F1,
+    y_start: F2,
+    anchor: F2,
+    normal: F2,
+    out: F1,
 ):
     ti.loop_config(serialize=True)
     for s in range(nodes.shape[0]):
         r = _rotation(rotation)
         d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
-        distance, n, second = signed_distance(r.transpose() @ d, shape)
+        distance, _n, _second = signed_distance(r.transpose() @ d, shape)
         e = areas[s] * potential(distance - c[OFFSET], c[STIFFNESS], c[WIDTH])
         if limit[s] > 0.0:
-            u, t = _slip(d, r, s, y_start, anchor, normal)
+            u, _t = _slip(d, r, s, y_start, anchor, normal)
             e += friction_potential(u, limit[s], c[STIFFNESS] * areas[s])
         out[0] = out[0] + e
 
 
 @ti.kernel
 def _forces(
-    x: F2, rotation: F2, nodes: I2, weights: F2, areas: F1, shape: F1, c: F1, limit: F1,
-    y_start: F2, anchor: F2, normal: F2, force: F2, load: F1, gap: F1
+    x: F2,
+    rotation: F2,
+    nodes: I2,
+    weights: F2,
+    areas: F1,
+    shape: F1,
+    c: F1,
+    limit: F1,
+    y_start: F2,
+    anchor: F2,
+    normal: F2,
+    force: F2,
+    load: F1,
+    gap: F1,
 ):
     """Force on each sample [N], its normal part [N] and the gap [m]."""
     ti.loop_config(serialize=True)
     for s in range(nodes.shape[0]):
         r = _rotation(rotation)
         d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
-        distance, n, second = signed_distance(r.transpose() @ d, shape)
+        distance, n, _second = signed_distance(r.transpose() @ d, shape)
         gap[s] = distance - c[OFFSET]
         load[s] = areas[s] * pressure(gap[s], c[STIFFNESS], c[WIDTH])
         f = load[s] * (r @ n)
         if limit[s] > 0.0:
-            u, t = _slip(d, r, s, y_start, anchor, normal)
+            u, _t = _slip(d, r, s, y_start, anchor, normal)
             f -= friction_force(u, limit[s], c[STIFFNESS] * areas[s])
         for j in ti.static(range(3)):
             force[s, j] = f[j]
@@ -133,8 +153,20 @@ def _gradient(nodes: I2, weights: F2, force: F2, out: F2):
 
 @ti.kernel
 def _hessian(
-    x: F2, rotation: F2, nodes: I2, weights: F2, areas: F1, shape: F1, c: F1, limit: F1,
-    y_start: F2, anchor: F2, normal: F2, exact: I1, slots: I2, out: F1
+    x: F2,
+    rotation: F2,
+    nodes: I2,
+    weights: F2,
+    areas: F1,
+    shape: F1,
+    c: F1,
+    limit: F1,
+    y_start: F2,
+    anchor: F2,
+    normal: F2,
+    exact: I1,
+    slots: I2,
+    out: F1,
 ):
     ti.loop_config(serialize=True)
     for s in range(nodes.shape[0]):
@@ -176,9 +208,7 @@ class RigidContact:
 
     mirrored = True
 
-    def __init__(
-        self, name: str, samples: Samples, body_node: int, shape: np.ndarray, rotation: np.ndarray
-    ) -> None:
+    def __init__(self, name: str, samples: Samples, body_node: int, shape: np.ndarray, rotation: np.ndarray) -> None:
         self.name = name
         self.body_node = body_node
         count = len(samples.areas)
@@ -212,9 +242,7 @@ class RigidContact:
         self.add_energy = BoundKernel(_energy, buffers.x, *surface, *laws, buffers.energy)
         self._forces = BoundKernel(_forces, buffers.x, *surface, *laws, self._force, self._load, self._gap)
         self._gradient = BoundKernel(_gradient, self._nodes, self._weights, self._force, buffers.gradient)
-        self._hessian = BoundKernel(
-            _hessian, buffers.x, *surface, *laws, self._exact, slots, buffers.hessian
-        )
+        self._hessian = BoundKernel(_hessian, buffers.x, *surface, *laws, self._exact, slots, buffers.hessian)
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._c[STIFFNESS] = parameters["stiffness_pa_per_m"]

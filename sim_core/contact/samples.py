@@ -51,9 +51,7 @@ def sheet_samples(mesh: SheetMesh, node_offset: int, thickness_m: float) -> Samp
 def face_samples(faces: np.ndarray, nodes: np.ndarray) -> Samples:
     """Quadrature points of quadratic faces ``(m, 6)`` (corners a b c, midpoints ab bc ca)."""
     a, b, c = _RULE.T
-    shape = np.column_stack(
-        [a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a]
-    )
+    shape = np.column_stack([a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a])
     corner = nodes[faces[:, :3]]
     area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     count = len(_RULE_WEIGHTS)

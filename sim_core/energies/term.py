@@ -23,19 +23,33 @@ Internals = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
+class PairTable:
+    """Where the Hessian blocks of node pairs are, for terms whose pairs change.
+
+    Row ``i`` lists the partners ``j >= i`` in ``column[start[i]:start[i + 1]]``, ascending; the nine
+    values of pair ``k`` begin at ``9 * place[k]``. All int32, rewritten in place.
+    """
+
+    start: np.ndarray
+    column: np.ndarray
+    place: np.ndarray
+
+
+@dataclass(frozen=True)
 class Buffers:
     """Arrays shared by all terms; contents change, the arrays themselves do not.
 
     ``x``: positions [m], shape ``(n_nodes, 3)``. ``energy``: [J], shape ``(1,)``. ``gradient``:
     dPhi/dx [N], shape ``(n_nodes, 3)``. ``hessian``: values of the upper triangle of the sparse
-    Hessian [N/m], shape ``(n_values + 1,)``; the last slot swallows entries that do not exist
-    (lower triangle, prescribed nodes).
+    Hessian [N/m], shape ``(n_values,)``; the last slot swallows entries that nobody needs (lower
+    triangle, between prescribed nodes). ``pairs``: for dynamic terms.
     """
 
     x: np.ndarray
     energy: np.ndarray
     gradient: np.ndarray
     hessian: np.ndarray
+    pairs: PairTable | None = None
 
 
 @dataclass(frozen=True)
@@ -93,4 +107,21 @@ class Term(Protocol):
 
     def initial_internals(self) -> Internals:
         """Internal variables of a virgin body at rest."""
+        ...
+
+
+class DynamicTerm(Term, Protocol):
+    """A term whose coupled nodes change: contact between deformable bodies.
+
+    Its ``blocks`` may come in any order, and ``bind`` gets no slots: blocks are added where
+    ``buffers.pairs`` says (:func:`sim_core.kernels.add_block`).
+    """
+
+    def prepare(self, step: StepContext, motion: float) -> bool:
+        """Look for partners around the start of a step in which surfaces may approach each other by
+        ``motion`` [m]; True when ``blocks`` changed."""
+        ...
+
+    def outran(self) -> bool:
+        """True when the step has moved further than partners were looked for."""
         ...

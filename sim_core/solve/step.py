@@ -79,11 +79,15 @@ def advance(
     settings = settings or NewtonSettings()
     step = StepContext(state.x, state.v, dt)
     x = system.x
+    system.set_targets(targets)
     x[:] = state.x
     system.begin_step(step, state.internals)
-    x[:] = state.x if guess is None else guess
-    system.set_targets(targets)
-    report = _newton(system, settings)
+    while True:
+        x[:] = state.x if guess is None else guess
+        system.set_targets(targets)
+        report = _newton(system, settings)
+        if not report.converged or not system.widen(step, state.internals):
+            break
     if check and not report.converged:
         raise ConvergenceError(
             f"The step from t = {state.t:.4f} s (dt = {dt:g} s) did not converge: {report.result.value} "
@@ -101,7 +105,7 @@ def _newton(system: System, settings: NewtonSettings) -> StepReport:
     searches, update, residual = 0, np.inf, np.inf
     result = Result.ITERATION_LIMIT
     iteration = 0
-    for iteration in range(1, settings.max_iterations + 1):
+    for iteration in range(1, settings.max_iterations + 1):  # noqa: B007  (reported)
         g = system.residual()
         scale = system.force_scale()
         residual = float(np.max(np.abs(g), initial=0.0))
@@ -146,19 +150,19 @@ def _direction(system: System, g: np.ndarray) -> np.ndarray:
     """Newton direction from the true Hessian where it is positive definite, else from the
     positive semidefinite one, else from that with a diagonal shift."""
     try:
-        direction = -system.factor(system.hessian(exact=True), definite=True).solve(g)
+        direction = -system.factor_data(system.hessian_data(exact=True), definite=True).solve(g)
         if np.all(np.isfinite(direction)):
             return np.asarray(direction)
     except NotPositiveDefinite:
         pass
-    matrix = system.hessian()
-    largest = float(np.max(np.abs(matrix.diagonal())))
+    data = system.hessian_data()
+    largest = system.largest_stiffness(data)
     shift = 0.0
     while True:
         try:
             if shift:
-                matrix = system.hessian(shift=shift)
-            direction = -system.factor(matrix, definite=True).solve(g)
+                data = system.hessian_data(shift=shift)
+            direction = -system.factor_data(data, definite=True).solve(g)
             if np.all(np.isfinite(direction)):
                 return np.asarray(direction)
         except NotPositiveDefinite:

@@ -1,21 +1,25 @@
 """The assembled mechanical system: nodes, mass, terms, and the sparse Hessian they share.
 
 All nodes of all bodies are in one array. Components that are prescribed (clamps, driven bodies) are
-not unknowns; the others are numbered, and the upper triangle of the Hessian in that numbering has a
-fixed pattern with a place for every entry of every term, so that assembly is addition in place. A
-term whose coupled nodes change (contact between deformable bodies) says so and the pattern is rebuilt.
+not unknowns, the others are numbered; nodes that give way together share three unknowns. The Hessian has
+a place for every entry of every term (:mod:`sim_core.solve.pattern`), so that assembly is addition in
+place. Terms whose coupled nodes change (contact between deformable bodies) renew their part of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import scipy.sparse as sp
 
-from sim_core.energies.term import Buffers, Internals, StepContext, Term
+from sim_core.energies.term import Buffers, DynamicTerm, Internals, StepContext, Term
+from sim_core.kernels import BoundKernel
 from sim_core.solve.factor import Factor, factorise
+from sim_core.solve.inertia import inertia_energy, inertia_gradient
+from sim_core.solve.pattern import Pattern
 
 
 @dataclass(frozen=True)
@@ -51,41 +55,62 @@ class System:
         self.terms = list(terms)
         self.gravity = np.asarray(gravity, dtype=float)
         self.inertia = inertia
-        self._set_unknowns(compliant)
+        self._dynamic = [cast(DynamicTerm, t) for t in self.terms if hasattr(t, "prepare")]
+        self._static = [t for t in self.terms if not hasattr(t, "prepare")]
+        self._number_unknowns(compliant)
         self._targets = np.zeros_like(self.nodes)
         self._x = self.nodes.copy()
         self._energy = np.zeros(1)
         self._gradient = np.zeros_like(self._x)
         self._predicted = self._x.copy()
         self._dt = 1.0
+        self._inertia_factor = np.zeros(1)
         self._external = np.zeros_like(self._x)
         self.loads = np.zeros_like(self._x)
         """Dead nodal loads [N], ``(n, 3)``, on top of gravity."""
-        self.build_pattern()
+        self._factor: dict[bool, Factor] = {}
+        self._lay_out()
 
-    def _set_unknowns(self, compliant: Sequence[Compliant]) -> None:
-        """Number the stored components, and map the unknowns to them when groups give way."""
+    def _number_unknowns(self, compliant: Sequence[Compliant]) -> None:
+        """Number free components first, then three deflections for each compliant group."""
         self._compliant = list(compliant)
-        stored = ~self.prescribed.copy()
-        for group in self._compliant:
-            stored[group.nodes] = True
-        self._stored = np.flatnonzero(stored.ravel())
-        self._number = np.full(stored.size, -1)
-        self._number[self._stored] = np.arange(len(self._stored))
         self._own = np.flatnonzero(~self.prescribed.ravel())
-        self._reduction: sp.csr_matrix | None = None
+        self._number = np.full(self.prescribed.size, -1)
+        self._number[self._own] = np.arange(len(self._own))
+        for k, group in enumerate(self._compliant):
+            for axis in range(3):
+                self._number[3 * group.nodes + axis] = len(self._own) + 3 * k + axis
+        self._moved = np.flatnonzero(self._number >= 0)
         self._spring = np.concatenate([1.0 / g.compliance_m_per_n for g in self._compliant] or [np.empty(0)])
-        if self._compliant:
-            rows = [self._number[self._own]]
-            columns = [np.arange(len(self._own))]
-            for k, group in enumerate(self._compliant):
-                for axis in range(3):
-                    rows.append(self._number[3 * group.nodes + axis])
-                    columns.append(np.full(len(group.nodes), len(self._own) + 3 * k + axis))
-            row, column = np.concatenate(rows), np.concatenate(columns)
-            shape = (len(self._stored), len(self._own) + 3 * len(self._compliant))
-            self._reduction = sp.csr_matrix((np.ones(len(row)), (row, column)), shape=shape)
         self._deflection = np.zeros(3 * len(self._compliant))
+
+    def _lay_out(self) -> None:
+        """Lay out the storage of the Hessian and bind everything that is not dynamic."""
+        inertia = sp.csr_matrix(self.mass)
+        inertia.sum_duplicates()
+        rows = np.repeat(np.arange(len(self.nodes)), np.diff(inertia.indptr))
+        self._mass_blocks = np.column_stack([rows, inertia.indices])
+        self._mass_start = inertia.indptr.astype(np.int32)
+        self._mass_column = inertia.indices.astype(np.int32)
+        self._mass = np.zeros(len(rows))
+        static = [(self._mass_blocks, True), *((t.blocks(), t.mirrored) for t in self._static)]
+        self._pattern = Pattern(self._number, self.n_unknowns, static)
+        self._bind()
+
+    def _bind(self) -> None:
+        """Allocate the values and bind all terms to them."""
+        self._hessian = np.zeros(self._pattern.n_values)
+        self._mass_values = np.zeros(self._pattern.n_values)
+        self._fill_mass()
+        self._buffers = Buffers(self._x, self._energy, self._gradient, self._hessian, self._pattern.table)
+        mass = (self._mass_start, self._mass_column, self._mass, self._inertia_factor)
+        load = (self._x, self._predicted, self._external)
+        self._inertia_energy = BoundKernel(inertia_energy, *load, *mass, self._energy)
+        self._inertia_gradient = BoundKernel(inertia_gradient, *load, *mass, self._gradient)
+        for term, slots in zip(self._static, self._pattern.static_slots()[1:], strict=True):
+            term.bind(self._buffers, slots)
+        for term in self._dynamic:
+            term.bind(self._buffers, np.empty((0, 9), dtype=np.int32))
 
     @property
     def n_unknowns(self) -> int:
@@ -117,24 +142,26 @@ class System:
 
     def residual(self) -> np.ndarray:
         """Derivative of the potential with respect to the unknowns [N]."""
-        gradient = self.gradient().reshape(-1)
-        if self._reduction is None:
-            return gradient[self._own]
-        reduced = self._reduction.T @ gradient[self._stored]
-        reduced[len(self._own) :] += self._spring * self._deflection
-        return np.asarray(reduced)
+        return self.restrict(self.gradient())
+
+    def restrict(self, gradient: np.ndarray) -> np.ndarray:
+        """Part of a nodal gradient [N] ``(n, 3)`` that belongs to the unknowns, springs included."""
+        flat = gradient.reshape(-1)
+        if not self._compliant:
+            return np.asarray(flat[self._own])
+        unknown = self._number[self._moved]
+        out: np.ndarray = np.bincount(unknown, weights=flat[self._moved], minlength=self.n_unknowns)
+        out[len(self._own) :] += self._spring * self._deflection
+        return out
 
     def force_scale(self) -> float:
         """Largest force on any node at the last gradient [N]: reactions and imbalance."""
-        return float(np.max(np.abs(self._gradient), initial=0.0))
+        return float(np.abs(self._gradient).max(initial=0.0))
 
     def spread(self, direction: np.ndarray) -> np.ndarray:
         """Change of all nodes ``(n, 3)`` for a change of the unknowns."""
         out = np.zeros(self._x.size)
-        if self._reduction is None:
-            out[self._own] = direction
-        else:
-            out[self._stored] = self._reduction @ direction
+        out[self._moved] = direction[self._number[self._moved]]
         return out.reshape(-1, 3)
 
     @property
@@ -142,37 +169,15 @@ class System:
         """Positions that the terms look at [m], ``(n, 3)``; written in place."""
         return self._x
 
-    def build_pattern(self) -> None:
-        """(Re)build the sparse pattern and bind all terms to it."""
-        n = len(self._stored)
-        inertia = sp.coo_matrix(sp.triu(self.mass))
-        entries = [self._entries(np.column_stack([inertia.row, inertia.col]), True)]
-        for term in self.terms:
-            entries.append(self._entries(term.blocks(), term.mirrored))
-        diagonal = np.arange(n, dtype=np.int64)
-        keys = np.concatenate([(e[e >= 0]).ravel() for e in entries] + [diagonal * n + diagonal])
-        unique = np.unique(keys)
-        rows, columns = unique // n, unique % n
-        indptr = np.zeros(n + 1, dtype=np.int32)
-        np.add.at(indptr, rows + 1, 1)
-        self._indptr = np.cumsum(indptr).astype(np.int32)
-        self._indices = columns.astype(np.int32)
-        self._hessian = np.zeros(len(unique) + 1)
-        self._buffers = Buffers(self._x, self._energy, self._gradient, self._hessian)
-        self._factor: dict[bool, Factor] = {}
-        self._mass_values = np.zeros(len(unique) + 1)
-        self._mass_pattern = (inertia.row, inertia.col)
-        slots = [np.where(e >= 0, np.searchsorted(unique, e), len(unique)).astype(np.int32) for e in entries]
-        self._mass_slots = slots[0].reshape(-1, 3, 3)[:, range(3), range(3)]
-        self._fill_mass()
-        for term, places in zip(self.terms, slots[1:], strict=True):
-            term.bind(self._buffers, np.ascontiguousarray(places))
-
     def _fill_mass(self) -> None:
-        values = np.asarray(self.mass[self._mass_pattern]).reshape(-1, 1)
+        mass = sp.csr_matrix(self.mass)
+        mass.sum_duplicates()
+        if mass.nnz != len(self._mass) or np.any(mass.indices != self._mass_column):
+            raise ValueError("the mass matrix has another pattern than the one given at first")
+        self._mass[:] = mass.data
         self._mass_values[:] = 0.0
-        np.add.at(self._mass_values, self._mass_slots, values)
-        self._mass_values[-1] = 0.0
+        upper = self._mass_blocks[:, 0] <= self._mass_blocks[:, 1]
+        self._pattern.scatter_static(self._mass_blocks[upper], self._mass[upper], self._mass_values)
 
     def set_mass(self, mass: sp.csr_matrix) -> None:
         """Replace the mass matrix by one of the same pattern [kg]."""
@@ -185,25 +190,33 @@ class System:
             raise ValueError("one compliance a group")
         self._spring = np.concatenate([1.0 / c for c in compliance_m_per_n] or [np.empty(0)])
 
-    def _entries(self, blocks: np.ndarray, mirrored: bool) -> np.ndarray:
-        """Key row * n + column of every entry of every node block, -1 where it is not stored."""
-        n = np.int64(len(self._stored))
-        axis = np.arange(3)
-        rows = self._number[3 * blocks[:, 0, None].astype(np.int64) + np.repeat(axis, 3)]
-        columns = self._number[3 * blocks[:, 1, None].astype(np.int64) + np.tile(axis, 3)]
-        missing = (rows < 0) | (columns < 0)
-        if mirrored:
-            rows, columns = np.minimum(rows, columns), np.maximum(rows, columns)
-        else:
-            missing |= rows > columns
-        return np.where(missing, -1, rows * n + columns)
+    def begin_step(self, step: StepContext, internals: dict[str, Internals], search: bool = True) -> None:
+        """Freeze the constants of a step in all terms and predict inertial motion.
 
-    def begin_step(self, step: StepContext, internals: dict[str, Internals]) -> None:
-        """Freeze the constants of a step in all terms and predict inertial motion."""
+        Contact is looked for as far as velocities and the targets (when set before) let things move.
+        Without ``search`` the candidates of contact stay as they are (replay of a neighbouring state).
+        """
+        moves = max(
+            step.dt * float(np.abs(step.v_start).max(initial=0.0)),
+            float(np.abs(self._targets - step.x_start)[self.prescribed].max(initial=0.0)),
+        )
+        self._begin(step, internals, 2.0 * moves if search else None)
+
+    def widen(self, step: StepContext, internals: dict[str, Internals]) -> bool:
+        """Begin the step again with a wider search if it has outrun the search for contact."""
+        if not any(term.outran() for term in self._dynamic):
+            return False
+        self._begin(step, internals, 4.1 * float(np.linalg.norm(self._x - step.x_start, axis=1).max()))
+        return True
+
+    def _begin(self, step: StepContext, internals: dict[str, Internals], motion: float | None) -> None:
         self._dt = step.dt
-        changed = [term.prepare(step.x_start) for term in self.terms if hasattr(term, "prepare")]
-        if any(changed):
-            self.build_pattern()
+        if motion is not None:
+            changed = [term.prepare(step, motion) for term in self._dynamic]
+            if any(changed):
+                self._factor.clear()
+                if self._pattern.renew([term.blocks() for term in self._dynamic]):
+                    self._bind()
         self._external[:] = self.mass @ np.broadcast_to(self.gravity, self._x.shape) + self.loads
         self._predicted[:] = step.x_start + step.dt * step.v_start
         for term in self.terms:
@@ -212,23 +225,19 @@ class System:
     def energy(self) -> float:
         """Incremental potential [J] at :attr:`x`."""
         self._energy[0] = 0.0
+        self._inertia_factor[0] = 1.0 / self._dt**2 if self.inertia else 0.0
+        self._inertia_energy()
         for term in self.terms:
             term.add_energy()
-        total = self._energy[0] - float(np.vdot(self._external, self._x))
-        if self.inertia:
-            away = self._x - self._predicted
-            total += 0.5 / self._dt**2 * float(np.vdot(away, self.mass @ away))
-        total += 0.5 * float(self._spring @ self._deflection**2)
-        return float(total)
+        return float(self._energy[0]) + 0.5 * float(self._spring @ self._deflection**2)
 
     def gradient(self) -> np.ndarray:
         """Derivative of the potential [N], ``(n, 3)``; on prescribed components the reaction's negative.
 
         The returned array is reused by the next call.
         """
-        self._gradient[:] = -self._external
-        if self.inertia:
-            self._gradient += self.mass @ (self._x - self._predicted) / self._dt**2
+        self._inertia_factor[0] = 1.0 / self._dt**2 if self.inertia else 0.0
+        self._inertia_gradient()
         for term in self.terms:
             term.add_gradient()
         return self._gradient
@@ -240,34 +249,47 @@ class System:
             term.add_gradient()
         return self._gradient.copy()
 
-    def hessian(self, exact: bool = False, shift: float = 0.0) -> sp.csr_matrix:
-        """Upper triangle over the unknowns; ``shift`` [N/m] is added to the diagonal."""
-        self._hessian[:] = self._mass_values / self._dt**2 if self.inertia else 0.0
+    def hessian_data(self, exact: bool = False, shift: float = 0.0) -> np.ndarray:
+        """Entries of :meth:`hessian` in the order of its pattern."""
+        if self.inertia:
+            np.multiply(self._mass_values, 1.0 / self._dt**2, out=self._hessian)
+        else:
+            self._hessian[:] = 0.0
         for term in self.terms:
             term.add_hessian(exact)
-        values = self._hessian[:-1].copy()
+        data: np.ndarray = self._pattern.data(self._hessian)
+        diagonal = self._pattern.indptr[:-1]
+        if self._compliant:
+            data[diagonal[len(self._own) :]] += self._spring
         if shift:
-            values[self._indptr[:-1]] += shift
-        n = len(self._stored)
-        upper = sp.csr_matrix((values, self._indices, self._indptr), shape=(n, n))
-        if self._reduction is None:
-            return upper
-        full = upper + sp.triu(upper, 1).T
-        reduced = (self._reduction.T @ full @ self._reduction).tolil()
-        k = len(self._own)
-        reduced[range(k, k + len(self._spring)), range(k, k + len(self._spring))] += self._spring
-        out = sp.triu(reduced).tocsr()
-        out.sort_indices()
-        return out
+            data[diagonal] += shift
+        return data
+
+    def hessian(self, exact: bool = False, shift: float = 0.0) -> sp.csr_matrix:
+        """Upper triangle over the unknowns; ``shift`` [N/m] is added to the diagonal."""
+        return self._pattern.matrix(self.hessian_data(exact, shift))
+
+    def follow(self, move: np.ndarray) -> np.ndarray:
+        """Force [N] on the unknowns due to moves [m] ``(n, 3)`` of what is prescribed: H_fp dx_p, with the
+        Hessian that was assembled last."""
+        return self._pattern.coupling(self._hessian, move)
 
     def factor(self, matrix: sp.csr_matrix, definite: bool) -> Factor:
         """Factorise a matrix from :meth:`hessian`, reusing the symbolic analysis of the pattern."""
+        return self.factor_data(matrix.data, definite)
+
+    def factor_data(self, data: np.ndarray, definite: bool) -> Factor:
+        """Factorise entries from :meth:`hessian_data`."""
         factor = self._factor.get(definite)
         if factor is None:
-            factor = self._factor[definite] = factorise(matrix, definite)
+            factor = self._factor[definite] = factorise(self._pattern.matrix(data), definite)
         else:
-            factor.refactor(matrix.data)
+            factor.refactor(data)
         return factor
+
+    def largest_stiffness(self, data: np.ndarray) -> float:
+        """Largest diagonal entry [N/m] of what :meth:`hessian_data` returned."""
+        return float(np.abs(data[self._pattern.indptr[:-1]]).max(initial=0.0))
 
     def end_step(self, step: StepContext, internals: dict[str, Internals]) -> dict[str, Internals]:
         """Internal variables after the step that ended at :attr:`x`."""
