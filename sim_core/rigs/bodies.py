@@ -18,7 +18,6 @@ from sim_core.rigs.fields import (
     FloatArray,
     Length,
     Name,
-    NonNegative,
     Point2,
     Pose,
     Sizes,
@@ -136,7 +135,7 @@ class Block(Strict):
 
 
 class Dome(Strict):
-    """A half ball of gel, apex at +z, with a concentric half-ball cavity (radius 0: solid).
+    """A half ball of gel, apex at +z, with a concentric half-ball cavity, like a tactile fingertip.
 
     The origin is the centre of the ball; ``base`` is the flat ring at z = 0, ``outer`` the skin,
     ``inner`` the wall of the cavity.
@@ -146,8 +145,8 @@ class Dome(Strict):
 
     type: Literal["dome"]
     radius_m: Length = Field(description="outer radius in m")
-    cavity_radius_m: NonNegative = 0.0
-    cells: Cells2 = Field(description="number of cells from apex to rim and through the wall")
+    cavity_radius_m: Length = Field(description="radius of the cavity in m")
+    cells: Cells3 = Field(description="number of cells along the cap, from cap to rim, and through the wall")
 
     @model_validator(mode="after")
     def _has_wall(self) -> Dome:

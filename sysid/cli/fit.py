@@ -14,7 +14,6 @@ from sysid.cli.options import (
     SeedOption,
     check_bags,
     check_new,
-    library,
     parse_names,
 )
 from sysid.cli.progress import progress
@@ -43,9 +42,10 @@ def fit(
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
     check_bags(bags, held_out or [])
     check_new(out, "folder")
-    estimate = library("sysid.fit", "fit_bags")
+    from sysid.fit import fit_bags
+
     with progress("fit") as report:
-        summary = estimate(
+        summary = fit_bags(
             chosen, bags, names, held_out=held_out or [], out=out, seed=seed, on_progress=report
         )
     print(summary)

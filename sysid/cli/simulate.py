@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sysid.cli.options import RigArgument, check_new, library, parse_settings
+from sysid.cli.options import RigArgument, check_new, parse_settings
 from sysid.cli.progress import progress
 
 
@@ -41,7 +41,10 @@ def simulate(
     plan = load_experiment(experiment)
     compile_experiment(plan, chosen)
     check_new(out, "recording")
-    write = library("sysid.simulate", "simulate_to_bag")
+    from sysid.simulate import simulate_to_bag
+
     with progress("simulate") as report:
-        summary = write(chosen, plan, out, seed=plan.seed if seed is None else seed, on_progress=report)
+        summary = simulate_to_bag(
+            chosen, plan, out, seed=plan.seed if seed is None else seed, on_progress=report
+        )
     print(summary)

@@ -7,16 +7,42 @@ from typing import Annotated
 
 import typer
 
-from sysid.cli.options import check_bags, check_new, library
+from sysid.cli.options import FolderOption, check_bags, check_new
 from sysid.cli.progress import progress
 
 
 def track(
     bag: Annotated[Path, typer.Argument(metavar="BAG", help="Recording with pictures.")],
-    out: Annotated[Path, typer.Option("--out", metavar="BAG", help="New rosbag2 folder to write.")],
+    out: FolderOption,
+    camera: Annotated[
+        str | None,
+        typer.Option("--camera", metavar="NAME", help="Which camera, where a recording has several."),
+    ] = None,
+    rig: Annotated[
+        str | None,
+        typer.Option("--rig", metavar="RIG", help="Read the topics that this rig names, not the usual ones."),
+    ] = None,
 ) -> None:
-    """Find the markers in the pictures of a recording, follow them, and write a recording with tracks."""
+    """Find the markers in the pictures of a recording, follow them, and write a recording with tracks.
+
+    Example: thinshell track run1 --out run1_tracked
+    """
+    from sim_core.rigs import load_rig
+    from sysid.recording.bag import open_bag
+    from sysid.recording.notes import Notes
+    from sysid.rig_topics import topics_of
+
+    chosen = load_rig(rig) if rig is not None else None
     check_bags([bag])
-    check_new(out, "recording")
+    check_new(out, "folder")
+    topics = None if chosen is None else topics_of(chosen, open_bag(bag, Notes()).topics)[0]
+    from sysid.vision.command import track as track_markers
+
     with progress("track") as report:
-        print(library("sysid.vision.command", "track")(bag, out, on_progress=report))
+        track_markers(
+            bag,
+            out,
+            camera,
+            topics=topics,
+            progress=lambda step, done, total: report(done / max(total, 1), step),
+        )

@@ -43,7 +43,7 @@ BLOCK = Gel.model_validate(
 DOME = Gel.model_validate(
     {
         "type": "gel",
-        "shape": {"type": "dome", "radius_m": 0.02, "cavity_radius_m": 0.018, "cells": [4, 1]},
+        "shape": {"type": "dome", "radius_m": 0.02, "cavity_radius_m": 0.018, "cells": [4, 2, 1]},
         "material": MATERIAL,
     }
 )

@@ -164,7 +164,8 @@ FAULTS: dict[str, tuple[Edit, str]] = {
     ),
     "dome without a wall": (
         lambda d: d["bodies"]["gel"].update(
-            shape={"type": "dome", "radius_m": 0.01, "cavity_radius_m": 0.02, "cells": [4, 2]}, bonded="base"
+            shape={"type": "dome", "radius_m": 0.01, "cavity_radius_m": 0.02, "cells": [4, 2, 1]},
+            bonded="base",
         ),
         r"must be less than radius_m",
     ),
