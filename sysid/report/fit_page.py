@@ -1,0 +1,262 @@
+"""The report of a fit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sysid.report.numbers import MISSING, seconds, significant, times, with_unit
+from sysid.report.page import embedded_json, write_page
+from sysid.report.panels import run_views
+from sysid.report.strips import LEVELS
+from sysid.report.tables import (
+    ErrorRow,
+    correlation_cells,
+    error_row,
+    estimate_row,
+    level,
+    merged_errors,
+    over_noise,
+    provenance_of,
+)
+
+if TYPE_CHECKING:
+    from sysid.fit.result import ChannelError, FitResult
+
+REACHES_NOISE = 1.5
+"""Reduced chi-square up to which a fit is said to explain the recordings down to their noise."""
+
+NEAR_NOISE = 4.0
+"""Reduced chi-square up to which a fit is said to come near."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One number that sums up, with what it means. ``level``: 'good', 'fair', 'bad' or ''."""
+
+    label: str
+    value: str
+    meaning: str
+    level: str = ""
+
+
+def write_fit_report(result: FitResult, path: Path) -> Path:
+    """Write the report of a fit as one HTML file and return its path."""
+    undetermined = undetermined_names(result)
+    runs = run_views(result.series, result.errors)
+    return write_page(
+        "fit.html.j2",
+        path,
+        result=result,
+        headline=headline(result),
+        level=overall_level(result),
+        lead=lead(result, undetermined),
+        tiles=tiles(result, undetermined),
+        parameters=[estimate_row(e, e.name in undetermined) for e in result.estimates],
+        correlation=correlation_cells([e.name for e in result.estimates], result.correlation),
+        runs=runs,
+        names=("before the fit", "after the fit"),
+        both=True,
+        errors=ErrorTables.of(result.errors),
+        noise=noise_rows(result),
+        level_edges=LEVELS,
+        provenance=provenance_of(result.provenance),
+        notes=result.notes,
+        data=embedded_json(result.to_json()),
+    )
+
+
+@dataclass(frozen=True)
+class ErrorTables:
+    """``short``: over all recordings of a role; ``full``: each recording, empty where that says the same."""
+
+    short: list[ErrorRow]
+    full: list[ErrorRow]
+
+    @staticmethod
+    def of(errors: list[ChannelError]) -> ErrorTables:
+        """Errors as tables; training first."""
+        full = [error_row(e) for e in sorted(errors, key=lambda e: e.held_out)]
+        short = merged_errors(errors)
+        return ErrorTables(short, full if len(full) > len(short) else [])
+
+
+def undetermined_names(result: FitResult) -> set[str]:
+    """Parameters that some sentence says the data do not determine."""
+    found = set()
+    for sentence in result.identifiability:
+        if "do not determine" not in sentence:
+            continue
+        words = {w.strip(".,:;()") for w in sentence.split(":", 1)[0].split()}
+        found |= {e.name for e in result.estimates if e.name in words}
+    return found
+
+
+def explains(result: FitResult) -> str:
+    """How near the fit comes to the noise: 'good', 'fair' or 'bad'; empty where that is not known."""
+    chi2 = result.reduced_chi2
+    if chi2 is None or not math.isfinite(chi2):
+        return ""
+    return "good" if chi2 <= REACHES_NOISE else "fair" if chi2 <= NEAR_NOISE else "bad"
+
+
+def overall_level(result: FitResult) -> str:
+    """The colour of the headline."""
+    if not result.converged:
+        return "bad"
+    held_out = level(over_noise([e for e in result.errors if e.held_out], after=True))
+    worst = {"bad": 2, "fair": 1}
+    return max((explains(result), held_out), key=lambda x: worst.get(x, 0))
+
+
+def headline(result: FitResult) -> str:
+    """The outcome in one sentence."""
+    if not result.converged:
+        return "The fit did not converge: take its values as a start, not as a result."
+    if not result.estimates:
+        return "Nothing was fitted: the rig as it is, against the recordings."
+    found = explains(result)
+    held_out = [e for e in result.errors if e.held_out]
+    there = level(over_noise(held_out, after=True))
+    if found == "good" and there == "bad":
+        return "The fitted rig explains the recordings it was fitted to, but not those held out."
+    if found == "good":
+        also = ", and predicts those held out as well" if there == "good" else ""
+        return f"The fitted rig explains the recordings down to their noise{also}."
+    if found == "fair":
+        return "The fitted rig comes near the recordings, but leaves more than their noise."
+    if found == "bad":
+        return "The fitted rig does not explain the recordings: far more than noise is left."
+    return "The rig was fitted; how well is not known, because the noise is not."
+
+
+def lead(result: FitResult, undetermined: set[str]) -> list[str]:
+    """What was fitted, to what, how well, and what could not be determined: a few sentences."""
+    bags = result.provenance.get("bags") or []
+    used = _count([b for b in bags if not b.get("held_out")], result.errors, False)
+    kept = _count([b for b in bags if b.get("held_out")], result.errors, True)
+    n = len(result.estimates)
+    first = f"{_plural(n, 'parameter')} of the rig {result.rig} {'was' if n == 1 else 'were'} fitted to "
+    first += f"{_plural(used, 'recording')}; "
+    first += (
+        f"{_plural(kept, 'recording')} {'was' if kept == 1 else 'were'} held out to check the prediction."
+        if kept
+        else "none was held out, so nothing here tests a prediction."
+    )
+    out = [first]
+    training = [e for e in result.errors if not e.held_out]
+    a, b = over_noise(training, after=False), over_noise(training, after=True)
+    if a is not None and b is not None:
+        sentence = f"The error fell from {times(a)} to {times(b)} the noise"
+        held_out = [e for e in result.errors if e.held_out]
+        c, d = over_noise(held_out, after=False), over_noise(held_out, after=True)
+        if c is not None and d is not None:
+            sentence += f", and on held-out recordings from {times(c)} to {times(d)}"
+        out.append(sentence + ".")
+    bounds = [e.name for e in result.estimates if e.at_bound]
+    if undetermined:
+        named = [e.name for e in result.estimates if e.name in undetermined]
+        out.append(
+            f"These recordings do not determine {_listed(named)} on {'its' if len(named) == 1 else 'their'} own."
+        )
+    elif n:
+        out.append("Every parameter is determined by these recordings.")
+    if bounds:
+        out.append(f"{_listed(bounds)} ended at a bound: the true value may lie beyond.")
+    if not result.converged and result.message:
+        out.append(f"The search ended with: {result.message}")
+    if explains(result) == "bad":
+        out.append(
+            "Intervals are widened by the misfit, but a law that is missing can still pull values away from "
+            "the truth; 'thinshell diagnose' looks for one."
+        )
+    return out
+
+
+def tiles(result: FitResult, undetermined: set[str]) -> list[Tile]:
+    """The numbers that sum the fit up."""
+    chi2 = result.reduced_chi2
+    training = over_noise([e for e in result.errors if not e.held_out], after=True)
+    held_out = over_noise([e for e in result.errors if e.held_out], after=True)
+    n = len(result.estimates)
+    out = [
+        Tile("Error, training", times(training), "of the noise", level(training)),
+        Tile(
+            "Error, held out",
+            times(held_out),
+            "of the noise" if held_out is not None else "no recording was held out",
+            level(held_out),
+        ),
+        Tile(
+            "Reduced chi-square",
+            significant(chi2) if chi2 is not None and math.isfinite(chi2) else MISSING,
+            "1 = nothing but noise is left",
+            explains(result),
+        ),
+        Tile(
+            "Determined",
+            f"{n - len(undetermined)} of {n}",
+            "parameters",
+            "good" if n and not undetermined else "fair" if n else "",
+        ),
+        Tile(
+            "Search",
+            "converged" if result.converged else "not converged",
+            f"{_plural(result.evaluations, 'evaluation')} in {seconds(result.seconds)}",
+            "good" if result.converged else "bad",
+        ),
+    ]
+    return out
+
+
+@dataclass(frozen=True)
+class NoiseRow:
+    """Noise of one channel and quantity."""
+
+    label: str
+    sigma: str
+    correlation: str
+    source: str
+
+
+def noise_rows(result: FitResult) -> list[NoiseRow]:
+    """The noise that the fit worked with."""
+    out: list[NoiseRow] = []
+    seen = set()
+    for e in result.errors:
+        key = (e.channel, e.quantity)
+        if key in seen:
+            continue
+        seen.add(key)
+        model = result.noise.get(e.channel, {})
+        out.append(_noise_row(f"{e.channel} {e.quantity}".strip(), with_unit(e.noise, e.unit), model))
+    measured = {channel for channel, _ in seen}
+    for channel, model in result.noise.items():
+        if channel not in measured:
+            out.append(_noise_row(channel, significant(model.get("sigma")), model))
+    return out
+
+
+def _noise_row(label: str, sigma: str, model: dict[str, object]) -> NoiseRow:
+    rho = model.get("correlation")
+    if not isinstance(rho, int | float) or not math.isfinite(rho):
+        colour = MISSING
+    elif rho == 0.0:
+        colour = "white"
+    else:
+        colour = f"{significant(float(rho), 2)} from one sample to the next"
+    return NoiseRow(label, sigma, colour, str(model.get("from", MISSING)))
+
+
+def _count(bags: list[object], errors: list[ChannelError], held_out: bool) -> int:
+    return len(bags) or len({e.run for e in errors if e.held_out == held_out})
+
+
+def _plural(n: int, word: str) -> str:
+    return f"{n} {word}" if n == 1 else f"{n} {word}s"
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,223 @@
+"""Measured and simulated against time, one small panel a column, grouped by recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid.report.numbers import MINUS, Scale, scale_for, significant
+from sysid.report.strips import Strip, noise_of, residual_strips
+from sysid.report.svg import AFTER, BAND, BEFORE, INK, LINE, MEASURED, RC, WINDOW, inline_svg
+
+if TYPE_CHECKING:
+    from sysid.fit.result import ChannelError, Series
+
+Windows = Mapping[str, Sequence[tuple[float, float]]]
+
+MOST_PANELS = 120
+"""Panels on a page; with more columns than this, each recording shows those that fit worst."""
+
+MOST_POINTS = 300
+"""Measured points of one panel; the curves keep all their points."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One column of one channel. ``caption``: which, with its shown unit; ``note``: errors in words."""
+
+    channel: str
+    caption: str
+    unit: str
+    note: str
+    svg: str
+
+
+@dataclass
+class RunView:
+    """All that the page shows of one recording."""
+
+    name: str
+    held_out: bool
+    strips: list[Strip]
+    windows: list[tuple[float, float]]
+    end: float
+    panels: list[Panel] = field(default_factory=list)
+    left_out: int = 0
+    open: bool = False
+
+    @property
+    def channels(self) -> list[tuple[str, list[Panel]]]:
+        """Panels by channel, in their order."""
+        names = dict.fromkeys(p.channel for p in self.panels)
+        return [(n, [p for p in self.panels if p.channel == n]) for n in names]
+
+
+def run_views(
+    series: Sequence[Series],
+    errors: Sequence[ChannelError],
+    *,
+    windows: Windows | None = None,
+    both: bool = True,
+    names: tuple[str, str] = ("before", "after"),
+    held_out_first: bool = False,
+) -> list[RunView]:
+    """Panels and residual strips of every recording. ``both``: False shows ``after`` alone."""
+    import matplotlib
+
+    groups: dict[tuple[str, bool], list[Series]] = {}
+    for s in series:
+        if len(s.t):
+            groups.setdefault((s.run, s.held_out), []).append(s)
+    order = sorted(groups, key=lambda k: k[1] != held_out_first)
+    quota = max(1, MOST_PANELS // max(len(order), 1)) if len(series) > MOST_PANELS else len(series)
+    numbers = count()
+    views: list[RunView] = []
+    roles_seen: set[bool] = set()
+    with matplotlib.rc_context(RC):
+        for run, held_out in order:
+            columns = groups[run, held_out]
+            shown = _worst(columns, errors, quota)
+            view = RunView(
+                run,
+                held_out,
+                residual_strips(columns, errors, both),
+                _windows_of(run, windows or {}),
+                max(float(s.t[-1]) for s in columns),
+                left_out=len(columns) - len(shown),
+                open=held_out not in roles_seen,
+            )
+            roles_seen.add(held_out)
+            if len(views) < MOST_PANELS:
+                view.panels = [
+                    _panel(s, noise_of(errors, s), view.windows, both, names, f"p{next(numbers)}") for s in shown
+                ]
+            views.append(view)
+    return views
+
+
+def _windows_of(run: str, windows: Windows) -> list[tuple[float, float]]:
+    """Time windows of a run: by its name, or by a path that ends in it."""
+    for key, value in windows.items():
+        if key == run or key.rstrip("/").rsplit("/", 1)[-1] == run:
+            return [(float(a), float(b)) for a, b in value]
+    return []
+
+
+def _worst(columns: list[Series], errors: Sequence[ChannelError], most: int) -> list[Series]:
+    """The columns that fit worst, in their order."""
+    if len(columns) <= most:
+        return columns
+
+    def misfit(s: Series) -> float:
+        noise = noise_of(errors, s)
+        error = rms(residual(s, s.before)) + rms(residual(s, s.after))
+        scale = noise if noise else float(np.nanstd(as_floats(s.measured))) or 1.0
+        return error / scale if np.isfinite(error) else 0.0
+
+    kept = sorted(range(len(columns)), key=lambda k: -misfit(columns[k]))[:most]
+    return [columns[k] for k in sorted(kept)]
+
+
+def as_floats(values: Sequence[float | None]) -> np.ndarray:
+    """Numbers with NaN where missing."""
+    return np.array([np.nan if v is None else v for v in values], dtype=float)
+
+
+def residual(series: Series, predicted: Sequence[float]) -> np.ndarray:
+    """Measured minus predicted, NaN where either is missing."""
+    return np.asarray(as_floats(series.measured) - as_floats(predicted))
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square of what is there; NaN if nothing is."""
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def _panel(
+    series: Series,
+    noise: float | None,
+    windows: Sequence[tuple[float, float]],
+    both: bool,
+    names: tuple[str, str],
+    key: str,
+) -> Panel:
+    """Overlay above, residual with the band of two noise standard deviations below."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator, ScalarFormatter
+
+    t = np.asarray(series.t, dtype=float)
+    measured, before, after = (as_floats(v) for v in (series.measured, series.before, series.after))
+    everything = np.concatenate([measured, before, after])
+    finite = everything[np.isfinite(everything)]
+    scale = scale_for(series.unit, float(np.max(np.abs(finite))) if len(finite) else None)
+    measured, before, after = (v * scale.factor for v in (measured, before, after))
+
+    figure = Figure(figsize=(5.0, 3.1), dpi=72)
+    top = figure.add_axes((0.15, 0.40, 0.835, 0.575))
+    low = figure.add_axes((0.15, 0.135, 0.835, 0.20), sharex=top)
+    for a, b in windows:
+        for axes in (top, low):
+            axes.axvspan(a, b, color=WINDOW, alpha=0.2, linewidth=0)
+    step = max(1, -(-len(t) // MOST_POINTS))
+    top.plot(t[::step], measured[::step], ".", color=MEASURED, markersize=4)
+    if both:
+        top.plot(t, before, color=BEFORE, linewidth=1.3, dashes=(4, 2))
+    top.plot(t, after, color=AFTER, linewidth=1.5)
+    top.tick_params(labelbottom=False)
+    top.grid(axis="y")
+    _residuals(low, t, measured - before if both else None, measured - after, noise, scale)
+    low.set_xlabel("time [s]", labelpad=1)
+    spread = float(t[-1] - t[0]) or 1.0
+    low.set_xlim(t[0] - 0.01 * spread, t[-1] + 0.01 * spread)
+    for axes, most in ((top, 4), (low, 2)):
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=most))
+        plain = ScalarFormatter(useOffset=False)
+        plain.set_scientific(False)
+        axes.yaxis.set_major_formatter(plain)
+    low.xaxis.set_major_locator(MaxNLocator(nbins=6))
+    below = f"measured {MINUS} simulated"
+    low.text(0.0, 1.06, below, transform=low.transAxes, fontsize=8.5, ha="left", va="bottom")
+
+    errors = [("noise", noise), (names[1], rms(residual(series, series.after)))]
+    if both:
+        errors.insert(1, (names[0], rms(residual(series, series.before))))
+    in_unit = [(n, significant(None if v is None else v * scale.factor, 2)) for n, v in errors]
+    note = ", ".join(f"{n} {v}" for n, v in in_unit)
+    unit = f" [{scale.unit}]" if scale.unit else ""
+    label = (
+        f"{series.channel} {series.label} of {series.run} against time, {len(t)} instants from {t[0]:.3g} to "
+        f"{t[-1]:.3g} s. Root-mean-square error{unit}: {note}."
+    )
+    svg = inline_svg(figure, key, label)
+    return Panel(series.channel, series.label, scale.unit, note, svg)
+
+
+def _residuals(
+    axes: object, t: np.ndarray, before: np.ndarray | None, after: np.ndarray, noise: float | None, scale: Scale
+) -> None:
+    """The lower axes of a panel. The limits show the fitted model; a much worse start is cut off."""
+    from matplotlib.axes import Axes
+
+    assert isinstance(axes, Axes)
+    band = 2.0 * noise * scale.factor if noise else 0.0
+    if band:
+        axes.axhspan(-band, band, color=BAND, linewidth=0)
+    axes.axhline(0.0, color=LINE, linewidth=0.8)
+    reach = [1.6 * band]
+    if np.isfinite(after).any():
+        reach.append(float(np.nanmax(np.abs(after))))
+    if before is not None and np.isfinite(before).any():
+        largest = float(np.nanmax(np.abs(before)))
+        reach.append(min(largest, 6.0 * max(reach)))
+        axes.plot(t, before, color=BEFORE, linewidth=0.9, dashes=(4, 2))
+    axes.plot(t, after, color=AFTER, linewidth=0.9)
+    limit = 1.1 * max(reach)
+    if limit > 0.0:
+        axes.set_ylim(-limit, limit)
+    axes.spines["bottom"].set_visible(True)
+    axes.tick_params(colors=INK, labelcolor=RC["ytick.labelcolor"], color=LINE)

@@ -1,0 +1,240 @@
+"""Rows of the tables: parameters, errors, correlation, provenance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sysid.report.numbers import (
+    MINUS,
+    MISSING,
+    Number,
+    change,
+    raw_number,
+    scale_for,
+    significant,
+    times,
+    value_and_interval,
+)
+
+if TYPE_CHECKING:
+    from sysid.fit.result import ChannelError, Estimate
+    from sysid.mismatch.result import NamedParameter
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One parameter. All numbers in ``unit``; ``remarks``: what a reader must not miss."""
+
+    name: str
+    words: str
+    value: Number
+    low: Number
+    high: Number
+    unit: str
+    start: Number | None
+    change: str
+    remarks: tuple[str, ...]
+
+
+def estimate_row(estimate: Estimate, undetermined: bool) -> ParameterRow:
+    """Row of a fitted parameter."""
+    e = estimate
+    scale = scale_for(e.unit, e.value, *e.ci95, e.start)
+    value, low, high = value_and_interval(e.value, e.ci95, scale.factor)
+    remarks = []
+    if e.at_bound:
+        remarks.append("at its bound")
+    if undetermined:
+        remarks.append("not determined")
+    start = Number(raw_number(e.start), significant(e.start * scale.factor, 4, strip=True))
+    return ParameterRow(e.name, "", value, low, high, scale.unit, start, change(e.start, e.value), tuple(remarks))
+
+
+def named_row(parameter: NamedParameter) -> ParameterRow:
+    """Row of a parameter of an effect."""
+    p = parameter
+    scale = scale_for(p.unit, p.value, *p.ci95)
+    value, low, high = value_and_interval(p.value, p.ci95, scale.factor)
+    return ParameterRow(p.name, p.words, value, low, high, scale.unit, None, "", ())
+
+
+@dataclass(frozen=True)
+class ShiftRow:
+    """One parameter in the baseline and in the amended model; either may lack it."""
+
+    name: str
+    words: str
+    baseline: ParameterRow | None
+    amended: ParameterRow | None
+    change: str
+    apart: bool
+
+
+def shift_rows(baseline: Sequence[NamedParameter], amended: Sequence[NamedParameter]) -> list[ShiftRow]:
+    """Both models' parameters side by side. ``apart``: the intervals do not overlap."""
+    first = {p.name: p for p in baseline}
+    second = {p.name: p for p in amended}
+    rows = []
+    for name in dict.fromkeys([*first, *second]):
+        a, b = first.get(name), second.get(name)
+        apart = a is not None and b is not None and (a.ci95[1] < b.ci95[0] or b.ci95[1] < a.ci95[0])
+        rows.append(
+            ShiftRow(
+                name,
+                (b or a).words if (b or a) else "",  # type: ignore[union-attr]
+                named_row(a) if a else None,
+                named_row(b) if b else None,
+                change(a.value, b.value) if a and b else "",
+                apart,
+            )
+        )
+    return rows
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """Root-mean-square errors of one channel, all in ``unit``; ``ratio``: after over noise; ``level``:
+    'good', 'fair' or 'bad'."""
+
+    run: str
+    held_out: bool
+    label: str
+    unit: str
+    before: Number
+    after: Number
+    noise: Number
+    ratio: str
+    level: str
+
+
+def error_row(error: ChannelError) -> ErrorRow:
+    """Row of one channel of one run."""
+    e = error
+    scale = scale_for(e.unit, e.after, e.noise, e.before)
+
+    def shown(value: float) -> Number:
+        return Number(raw_number(value), significant(value * scale.factor, 3))
+
+    ratio = over_noise([e], after=True)
+    return ErrorRow(
+        e.run, e.held_out, f"{e.channel} {e.quantity}".strip(), scale.unit, shown(e.before), shown(e.after),
+        shown(e.noise), times(ratio), level(ratio),
+    )  # fmt: skip
+
+
+def level(ratio: float | None) -> str:
+    """How good an error is that is ``ratio`` times the noise."""
+    if ratio is None or not math.isfinite(ratio):
+        return ""
+    return "good" if ratio <= 1.25 else "fair" if ratio <= 2.0 else "bad"
+
+
+def over_noise(errors: Iterable[ChannelError], after: bool) -> float | None:
+    """Error over noise, root mean square over channels; None where neither is known."""
+    ratios = []
+    for e in errors:
+        value = e.after if after else e.before
+        if value is not None and e.noise and math.isfinite(value) and math.isfinite(e.noise):
+            ratios.append(value / e.noise)
+    return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
+
+
+def merged_errors(errors: Sequence[ChannelError]) -> list[ErrorRow]:
+    """One row for each channel over all runs of the same role (root mean square over runs)."""
+    groups: dict[tuple[bool, str, str, str], list[ChannelError]] = {}
+    for e in errors:
+        groups.setdefault((e.held_out, e.channel, e.quantity, e.unit), []).append(e)
+    rows = []
+    for members in groups.values():
+        first = members[0]
+        runs = len({e.run for e in members})
+        rows.append(
+            error_row(
+                type(first)(
+                    run=f"{runs} recordings" if runs > 1 else first.run,
+                    channel=first.channel,
+                    quantity=first.quantity,
+                    unit=first.unit,
+                    before=_mean([e.before for e in members]),
+                    after=_mean([e.after for e in members]),
+                    noise=_mean([e.noise for e in members]),
+                    held_out=first.held_out,
+                )
+            )
+        )
+    return sorted(rows, key=lambda r: r.held_out)
+
+
+def _mean(values: list[float]) -> float:
+    good = [v for v in values if v is not None and math.isfinite(v)]
+    return float(np.sqrt(np.mean(np.square(good)))) if good else float("nan")
+
+
+@dataclass(frozen=True)
+class CorrelationCell:
+    """``level``: -5 to 5, the colour; None on the diagonal."""
+
+    text: str
+    level: int | None
+    words: str
+
+
+def correlation_cells(names: Sequence[str], matrix: Sequence[Sequence[float]]) -> list[list[CorrelationCell]]:
+    """Rows of the correlation matrix with their colours."""
+    out = []
+    for i, row in enumerate(matrix):
+        cells = []
+        for k, value in enumerate(row):
+            if i == k:
+                cells.append(CorrelationCell("1", None, names[i]))
+                continue
+            known = value is not None and math.isfinite(value)
+            text = f"{value:.2f}".replace("-", MINUS) if known else MISSING
+            colour = max(-5, min(5, round(5 * value))) if known else 0
+            cells.append(CorrelationCell(text, colour, f"{names[i]} and {names[k]}: {text}"))
+        out.append(cells)
+    return out
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a result comes from. ``facts``: label and value; ``others``: entries without a place above."""
+
+    bags: list[dict[str, Any]]
+    rig: str
+    versions: list[tuple[str, str]]
+    facts: list[tuple[str, str]]
+
+
+def provenance_of(data: dict[str, Any]) -> Provenance:
+    """Sort the provenance for showing; anything may be missing."""
+    bags = []
+    for bag in data.get("bags") or []:
+        digests = bag.get("sha256") or []
+        bags.append(
+            {
+                "path": str(bag.get("path", "")),
+                "sha256": [digests] if isinstance(digests, str) else [str(d) for d in digests],
+                "held_out": bool(bag.get("held_out")),
+            }
+        )
+    facts = []
+    for key, value in data.items():
+        if key not in ("bags", "rig", "versions") and value is not None and value != "":
+            facts.append((key.replace("_", " "), value if isinstance(value, str) else repr(value)))
+    versions = [(str(k), str(v)) for k, v in (data.get("versions") or {}).items()]
+    return Provenance(bags, str(data.get("rig") or ""), versions, facts)
+
+
+def bag_notes(data: dict[str, Any]) -> list[str]:
+    """Remarks made while the bags were read."""
+    return [
+        f"{str(bag.get('path', '')).rstrip('/').rsplit('/', 1)[-1]}: {note}"
+        for bag in data.get("bags") or []
+        for note in bag.get("notes") or []
+    ]
