@@ -4,10 +4,10 @@
 
 theta_0 are rest angles (any curved or creased rest shape), kappa^p_T plastic curvatures, C the plane
 stress stiffness (E, nu, orthotropic if asked) and B_T the curvature operator of
-:mod:`sim_core.energies.curvature`, which is exact for constant curvature on any mesh. In terms of
-hinges this is a constant quadratic form E = 1/2 d^T Q d - d^T p + e_0 with d = theta - theta_0, so
-Q d - p are the hinge moments. Without ``exact`` the Hessian is the Gauss-Newton part G^T Q G, which
-is positive semidefinite; ``exact`` adds the moments times the second derivatives of the angles.
+:mod:`sim_core.energies.curvature`, which is exact for constant curvature on any mesh. B_T^T A_T D kappa_T
+are moments on the hinges around T. Without ``exact`` the Hessian is the Gauss-Newton part
+A_T L^T D L with L = dkappa_T/dx, which is positive semidefinite; ``exact`` adds the hinge moments times
+the second derivatives of the angles.
 
 Bending plasticity, per triangle, in curvature (so that the mesh does not decide): with the norm
 |kappa|_D = sqrt(kappa^T D kappa / D_11), elastic while |kappa_T|_D <= k_Y + H a, radial return with
@@ -18,23 +18,17 @@ Computational Inelasticity, box 3.1, written for moment and curvature.
 from collections.abc import Mapping
 
 import numpy as np
-import scipy.sparse as sp
 import taichi as ti
 
 from sim_core.energies.curvature import curvature_operator
-from sim_core.energies.dihedral import (
-    angle,
-    angle_gradient,
-    angle_gradient_change,
-    corner,
-)
+from sim_core.energies.dihedral import angle, angle_gradient, corner, side_curvature
 from sim_core.energies.membrane import material_frames
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.geometry.sheets import SheetMesh, find_hinges
 from sim_core.kernels import F1, F2, I1, I2, BoundKernel, vec3
 from sim_core.materials.elastic import plane_stress
 
-_VOIGT = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_SIDE_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 @ti.func
@@ -49,42 +43,51 @@ def _load(x: ti.template(), hinge: ti.template(), h: ti.i32):
 
 @ti.kernel
 def _angles(x: F2, hinge: I2, rest: F1, out: F1):
-    """Deviation of the angles from rest, on the branch nearest to zero turn of the rest angle."""
+    """Deviation of the angles from rest [rad]."""
     ti.loop_config(serialize=True)
     for h in range(hinge.shape[0]):
         x0, x1, x2, x3 = _load(x, hinge, h)
         out[h] = angle(x0, x1, x2, x3) - rest[h]
 
 
-@ti.kernel
-def _energy(d: F1, row: I1, column: I1, q: F1, p: F1, constant: F1, out: F1):
-    ti.loop_config(serialize=True)
-    for k in range(row.shape[0]):
-        scale = 1.0
-        if row[k] == column[k]:
-            scale = 0.5
-        out[0] = out[0] + scale * q[k] * d[row[k]] * d[column[k]]
-    ti.loop_config(serialize=True)
-    for h in range(d.shape[0]):
-        out[0] = out[0] - d[h] * p[h]
-    ti.loop_config(serialize=True)
-    for h in range(1):
-        out[0] = out[0] + constant[h]
+@ti.func
+def _elastic_curvature(
+    t: ti.i32, d: ti.template(), first: ti.template(), around: ti.template(), b: ti.template(), plastic: ti.template()
+):
+    """Elastic curvature of triangle ``t`` [1/m]."""
+    kappa = -vec3(plastic[t, 0], plastic[t, 1], plastic[t, 2])
+    for k in range(first[t], first[t + 1]):
+        kappa += d[around[k]] * vec3(b[k, 0], b[k, 1], b[k, 2])
+    return kappa
+
+
+@ti.func
+def _moment(c: ti.template(), kappa):
+    m = vec3(0.0, 0.0, 0.0)
+    for i in ti.static(range(3)):
+        m[i] = c[i, 0] * kappa[0] + c[i, 1] * kappa[1] + c[i, 2] * kappa[2]
+    return m
 
 
 @ti.kernel
-def _moments(d: F1, row: I1, column: I1, q: F1, p: F1, out: F1):
-    """Hinge moments Q d - p [N m]."""
+def _energy(d: F1, first: I1, around: I1, b: F2, plastic: F2, area: F1, c: F2, out: F1):
+    ti.loop_config(serialize=True)
+    for t in range(area.shape[0]):
+        kappa = _elastic_curvature(t, d, first, around, b, plastic)
+        out[0] = out[0] + 0.5 * area[t] * kappa.dot(_moment(c, kappa))
+
+
+@ti.kernel
+def _moments(d: F1, first: I1, around: I1, b: F2, plastic: F2, area: F1, c: F2, out: F1):
+    """Hinge moments [N m]."""
     ti.loop_config(serialize=True)
     for h in range(d.shape[0]):
-        out[h] = -p[h]
+        out[h] = 0.0
     ti.loop_config(serialize=True)
-    for k in range(row.shape[0]):
-        i = row[k]
-        j = column[k]
-        out[i] = out[i] + q[k] * d[j]
-        if i != j:
-            out[j] = out[j] + q[k] * d[i]
+    for t in range(area.shape[0]):
+        m = area[t] * _moment(c, _elastic_curvature(t, d, first, around, b, plastic))
+        for k in range(first[t], first[t + 1]):
+            out[around[k]] = out[around[k]] + b[k, 0] * m[0] + b[k, 1] * m[1] + b[k, 2] * m[2]
 
 
 @ti.kernel
@@ -110,57 +113,63 @@ def _gradients(x: F2, hinge: I2, out: F2):
 
 
 @ti.kernel
-def _gauss_newton(g: F2, hinge: I2, row: I1, column: I1, q: F1, slots: I2, out: F1):
-    """Add Q_ij (g_i g_j^T + g_j g_i^T) for i < j and Q_ii g_i g_i^T, upper triangle."""
+def _gauss_newton(
+    g: F2, first: I1, around: I1, b: F2, place: I2, nodes: I1, area: F1, c: F2, start: I1, slots: I2, row: F2, out: F1
+):
+    """Add A L^T D L for each triangle. ``place``: columns of L where a hinge's nodes are; ``nodes``: how
+    many; ``start``: the triangle's first block; ``row``: scratch for L and A D L, ``(columns, 6)``."""
     ti.loop_config(serialize=True)
-    for k in range(row.shape[0]):
-        i = row[k]
-        j = column[k]
-        for a in range(4):
-            for b in range(4):
-                same = hinge[i, a] == hinge[j, b]
-                for r in range(3):
-                    for c in range(3):
-                        value = q[k] * g[i, 3 * a + r] * g[j, 3 * b + c]
-                        if i == j and (a > b or (a == b and r > c)):
-                            value = 0.0
-                        if i != j and same and r == c:
-                            value = 2.0 * value
-                        at = slots[16 * k + 4 * a + b, 3 * r + c]
-                        out[at] = out[at] + value
+    for t in range(area.shape[0]):
+        for n in range(3 * nodes[t]):
+            for r in ti.static(range(3)):
+                row[n, r] = 0.0
+        for k in range(first[t], first[t + 1]):
+            h = around[k]
+            for a in range(4):
+                for j in ti.static(range(3)):
+                    n = 3 * place[k, a] + j
+                    for r in ti.static(range(3)):
+                        row[n, r] = row[n, r] + b[k, r] * g[h, 3 * a + j]
+        for n in range(3 * nodes[t]):
+            for r in ti.static(range(3)):
+                row[n, 3 + r] = area[t] * (c[r, 0] * row[n, 0] + c[r, 1] * row[n, 1] + c[r, 2] * row[n, 2])
+        block = start[t]
+        for p in range(nodes[t]):
+            for q in range(p, nodes[t]):
+                for i in range(3):
+                    l0, l1, l2 = row[3 * p + i, 0], row[3 * p + i, 1], row[3 * p + i, 2]
+                    for j in ti.static(range(3)):
+                        if p != q or i <= j:
+                            m = 3 * q + j
+                            at = slots[block, 3 * i + j]
+                            out[at] = out[at] + l0 * row[m, 3] + l1 * row[m, 4] + l2 * row[m, 5]
+                block += 1
 
 
 @ti.kernel
-def _curved(x: F2, hinge: I2, moment: F1, start: I1, slots: I2, out: F1):
-    """Add moment times the second derivative of the angle, one column of the 12 x 12 at a time."""
+def _curved(x: F2, hinge: I2, moment: F1, slots: I2, out: F1):
+    """Add moment times the second derivative of the angle, side by side."""
     ti.loop_config(serialize=True)
     for h in range(hinge.shape[0]):
         x0, x1, x2, x3 = _load(x, hinge, h)
-        for b in range(4):
-            for c in range(3):
-                unit = vec3(0.0, 0.0, 0.0)
-                for j in ti.static(range(3)):
-                    if j == c:
-                        unit[j] = 1.0
-                d0 = vec3(0.0, 0.0, 0.0)
-                d1 = vec3(0.0, 0.0, 0.0)
-                d2 = vec3(0.0, 0.0, 0.0)
-                d3 = vec3(0.0, 0.0, 0.0)
-                if b == 0:
-                    d0 = unit
-                elif b == 1:
-                    d1 = unit
-                elif b == 2:
-                    d2 = unit
-                else:
-                    d3 = unit
-                change = angle_gradient_change(x0, x1, x2, x3, d0, d1, d2, d3)
-                for k in ti.static(range(12)):
-                    a = ti.static(k // 3)
-                    r = ti.static(k % 3)
-                    if a < b or (a == b and r <= c):
-                        at = slots[start[h] + 4 * a + b, 3 * r + c]
-                        out[at] = out[at] + moment[h] * change[k]
+        for side in range(2):
+            apex = x2
+            turn = 1.0
+            if side == 1:
+                apex = x3
+                turn = -1.0
+            n, along, up, dc, dphi = side_curvature(x0, x1, apex, turn)
+            block = 12 * h + 6 * side
+            for i in range(3):
+                for j in range(i, 3):
+                    left = moment[h] * (dc[i, 2 * j] * along + dc[i, 2 * j + 1] * up)
+                    right = (moment[h] * dphi[i, 2]) * (dphi[j, 0] * along + dphi[j, 1] * up)
+                    for r in ti.static(range(3)):
+                        for q in ti.static(range(3)):
+                            if i != j or r <= q:
+                                at = slots[block, 3 * r + q]
+                                out[at] = out[at] + n[r] * left[q] - right[r] * n[q]
+                    block += 1
 
 
 class Bending:
@@ -185,18 +194,19 @@ class Bending:
         self.name = name
         self.hinges = find_hinges(mesh.triangles)
         frames = material_frames(mesh.nodes, mesh.triangles, axis)
-        rigid = np.zeros(len(mesh.triangles), dtype=bool) if held is None else held[mesh.triangles].all(axis=1)
+        count = len(mesh.triangles)
+        rigid = np.zeros(count, dtype=bool) if held is None else held[mesh.triangles].all(axis=1)
         self._kappa = curvature_operator(mesh.nodes, mesh.triangles, self.hinges, frames, mesh.areas, rigid)
         self._hinge = np.ascontiguousarray(self.hinges.nodes + node_offset, dtype=np.int32)
         self._areas = mesh.areas
+        self._set_stencils()
         n_hinges = len(self._hinge)
-        self._forms = self._unit_forms(self._kappa)
         self._deviation = np.zeros(n_hinges)
         self._moment = np.zeros(n_hinges)
-        self._plastic_moment = np.zeros(n_hinges)
-        self._plastic_energy = np.zeros(1)
+        self._plastic = np.zeros((count, 3))
         self._g = np.zeros((n_hinges, 12))
         self._d = np.zeros((3, 3))
+        self._seen = np.full((0, 3), np.nan)
         self._yield_curvature = np.inf
         self._hardening = 0.0
         if rest_angles is None:
@@ -209,65 +219,80 @@ class Bending:
         BoundKernel(_angles, np.ascontiguousarray(nodes), hinge, np.zeros(len(hinge)), out)()
         return out
 
-    def _unit_forms(self, kappa: sp.csr_matrix) -> np.ndarray:
-        """Values of Q per unit of D_11, D_12, D_13, D_22, D_23, D_33: ``(n_pairs, 6)``."""
-        forms = []
-        rows = [kappa[k::3] for k in range(3)]
-        area = sp.diags(self._areas)
-        for i, j in _VOIGT:
-            form = rows[i].T @ area @ rows[j]
-            forms.append(form if i == j else form + form.T)
-        pattern = sp.triu(sum(abs(f) for f in forms) + sp.eye(kappa.shape[1])).tocoo()
-        self._row = np.ascontiguousarray(pattern.row, dtype=np.int32)
-        self._column = np.ascontiguousarray(pattern.col, dtype=np.int32)
-        self._q = np.zeros(len(self._row))
-        diagonal = np.zeros(kappa.shape[1], dtype=np.int32)
-        on_diagonal = np.flatnonzero(self._row == self._column)
-        diagonal[self._row[on_diagonal]] = 16 * on_diagonal
-        self._diagonal = diagonal
-        return np.column_stack([np.asarray(sp.csr_matrix(f)[self._row, self._column]).ravel() for f in forms])
+    def _set_stencils(self) -> None:
+        """Hinges and nodes that the curvature of each triangle depends on, one after the other."""
+        rows = [self._kappa[k::3].tocsr() for k in range(3)]
+        pattern = sum(abs(r) for r in rows).tocsr()
+        pattern.sort_indices()
+        self._first = pattern.indptr.astype(np.int32)
+        self._around = pattern.indices.astype(np.int32)
+        triangle = np.repeat(np.arange(len(self._areas)), np.diff(pattern.indptr))
+        self._b = np.column_stack([np.asarray(r[triangle, pattern.indices]).ravel() for r in rows])
+        key = triangle[:, None].astype(np.int64) * (self._hinge.max(initial=0) + 1) + self._hinge[self._around]
+        members, place = np.unique(key, return_inverse=True)
+        owner = members // (self._hinge.max(initial=0) + 1)
+        self._nodes = np.bincount(owner, minlength=len(self._areas)).astype(np.int32)
+        begin = np.concatenate([[0], np.cumsum(self._nodes)])
+        self._place = (place.reshape(-1, 4) - begin[triangle][:, None]).astype(np.int32)
+        self._members = members % (self._hinge.max(initial=0) + 1)
+        self._begin = begin
+        self._start = np.concatenate([[0], np.cumsum(self._nodes * (self._nodes + 1) // 2)]).astype(np.int32)
 
     def blocks(self) -> np.ndarray:
-        left = np.repeat(self._hinge[self._row], 4, axis=1).reshape(-1, 16)
-        right = np.tile(self._hinge[self._column], (1, 4))
-        return np.stack([left, right], axis=-1).reshape(-1, 2)
+        """Pairs of the nodes of each triangle's stencil, then of each side of each hinge."""
+        pairs = []
+        for t, count in enumerate(self._nodes):
+            nodes = self._members[self._begin[t] : self._begin[t] + count]
+            i, j = np.triu_indices(count)
+            pairs.append(np.column_stack([nodes[i], nodes[j]]))
+        i, j = np.array(_SIDE_PAIRS).T
+        sides = np.stack([self._hinge[:, [0, 1, 2]], self._hinge[:, [0, 1, 3]]], axis=1).reshape(-1, 3)
+        pairs.append(np.stack([sides[:, i], sides[:, j]], axis=-1).reshape(-1, 2))
+        return np.concatenate(pairs)
 
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
-        form = (self._deviation, self._row, self._column, self._q, self._plastic_moment)
+        self._x = buffers.x
+        self._seen = np.full_like(buffers.x, np.nan)
+        stencil = (self._first, self._around, self._b)
+        law = (self._deviation, *stencil, self._plastic, self._areas, self._d)
+        inner, outer = np.split(slots, [int(self._start[-1])])
+        scratch = np.zeros((3 * int(self._nodes.max(initial=0)), 6))
         self._angles = BoundKernel(_angles, buffers.x, self._hinge, self.rest_angles, self._deviation)
-        self._energy = BoundKernel(_energy, *form, self._plastic_energy, buffers.energy)
-        self._moments = BoundKernel(_moments, *form, self._moment)
+        self._energy = BoundKernel(_energy, *law, buffers.energy)
+        self._moments = BoundKernel(_moments, *law, self._moment)
         self._gradient = BoundKernel(_gradient, buffers.x, self._hinge, self._moment, buffers.gradient)
         self._gradients = BoundKernel(_gradients, buffers.x, self._hinge, self._g)
         self._gauss_newton = BoundKernel(
-            _gauss_newton, self._g, self._hinge, self._row, self._column, self._q, slots, buffers.hessian
+            _gauss_newton,
+            *(self._g, *stencil, self._place, self._nodes, self._areas, self._d, self._start),
+            *(np.ascontiguousarray(inner), scratch, buffers.hessian),
         )
         self._curved = BoundKernel(
-            _curved, buffers.x, self._hinge, self._moment, self._diagonal, slots, buffers.hessian
+            _curved, buffers.x, self._hinge, self._moment, np.ascontiguousarray(outer), buffers.hessian
         )
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._d[:] = parameters["thickness_m"] ** 3 / 12.0 * plane_stress(parameters)
         self._d *= parameters.get("bending_factor", 1.0)
-        self._q[:] = self._forms @ np.asarray([self._d[i, j] for i, j in _VOIGT])
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
         self._hardening = parameters.get("hardening_ratio", 0.0)
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         del step
-        plastic = internals.get("plastic_curvature")
-        if plastic is None:
-            return
-        moment = (self._areas[:, None] * (plastic @ self._d)).ravel()
-        self._plastic_moment[:] = self._kappa.T @ moment
-        self._plastic_energy[0] = 0.5 * moment @ plastic.ravel()
+        self._plastic[:] = internals.get("plastic_curvature", 0.0)
+
+    def _measure_angles(self) -> None:
+        """Bring the angles up to date with the positions."""
+        if not np.array_equal(self._seen, self._x):
+            self._angles()
+            self._seen[:] = self._x
 
     def add_energy(self) -> None:
-        self._angles()
+        self._measure_angles()
         self._energy()
 
     def add_gradient(self) -> None:
-        self._angles()
+        self._measure_angles()
         self._moments()
         self._gradient()
 
@@ -275,7 +300,7 @@ class Bending:
         self._gradients()
         self._gauss_newton()
         if exact:
-            self._angles()
+            self._measure_angles()
             self._moments()
             self._curved()
 
@@ -283,9 +308,8 @@ class Bending:
         del step
         if "plastic_curvature" not in internals:
             return internals
-        self._angles()
         plastic, accumulated = internals["plastic_curvature"], internals["accumulated_curvature"]
-        elastic = (self._kappa @ self._deviation).reshape(-1, 3) - plastic
+        elastic = self.curvatures() - plastic
         norm = np.sqrt(np.einsum("mi,ij,mj->m", elastic, self._d, elastic) / self._d[0, 0])
         excess = norm - (self._yield_curvature + self._hardening * accumulated)
         flow = np.where(excess > 0.0, excess / (1.0 + self._hardening), 0.0)
@@ -306,5 +330,5 @@ class Bending:
 
     def curvatures(self) -> np.ndarray:
         """Elastic plus plastic curvature change of each triangle at ``buffers.x`` [1/m], ``(m, 3)``."""
-        self._angles()
+        self._measure_angles()
         return np.asarray(self._kappa @ self._deviation).reshape(-1, 3)

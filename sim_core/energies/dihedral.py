@@ -4,19 +4,23 @@ A hinge is an edge x0-x1 with the apices x2 (left triangle x0 x1 x2) and x3 (rig
 The angle is that between the two normals, positive when the faces fold towards the side that the
 normals point to:
 
-    theta = atan2( (N1 x N2) . e / |e|, N1 . N2 ),   e = x1 - x0,
+    theta = -atan2( (N1 x N2) . e / |e|, N1 . N2 ),   e = x1 - x0,
     N1 = e x (x2 - x0),   N2 = (x3 - x0) x e
 
-Gradient after Bridson, Marino & Fedkiw, Simulation of Clothing with Folds and Wrinkles (2003), and
-Tamstorf & Grinspun, Discrete bending forces and their Jacobians (2013); the second derivative is the
-directional derivative of that gradient along each of the twelve coordinates.
+Each side contributes c_i n to the gradient, with its unit normal n, the height h of its apex over the
+edge and the place t of the apex along the edge (0 at x0, 1 at x1):
+
+    c_apex = 1/h,   c_1 = -t/h,   c_0 = -(1 - t)/h
+
+and therefore n (dc_i/dx_j)^T - c_i grad(phi_j) n^T to the second derivative, because a normal turns by
+dn = -sum_j grad(phi_j) n . dx_j with the barycentric coordinates phi_j. All of dc_i and grad(phi_j) are in
+the plane of the triangle. Tamstorf & Grinspun, Discrete bending forces and their Jacobians (2013).
 """
 
 import taichi as ti
 
 from sim_core.kernels import vec3
 
-mat12 = ti.types.matrix(12, 12, ti.f64)
 vec12 = ti.types.vector(12, ti.f64)
 
 
@@ -51,39 +55,41 @@ def angle_gradient(x0, x1, x2, x3):
 
 
 @ti.func
-def _reciprocal_change(n, dn):
-    """Change of n / |n|^2 along dn."""
-    q = n.norm_sqr()
-    return dn / q - n * (2.0 * n.dot(dn) / (q * q))
+def side_curvature(x0, x1, apex, turn: ti.f64):
+    """Second derivative of the angle that one side contributes, from coefficients on its edge direction
+    and its in-plane normal: ``n``, the two directions, ``dc`` (3 x 6) and ``dphi`` (3 x 3, last column c).
 
-
-@ti.func
-def angle_gradient_change(x0, x1, x2, x3, d0, d1, d2, d3):
-    """Directional derivative of :func:`angle_gradient` along (d0, d1, d2, d3)."""
+    ``turn``: 1 for the left triangle, -1 for the right one (its normal is reversed).
+    Rows of ``dc`` are i, columns (edge, normal) for each j; rows of ``dphi`` are j.
+    """
     e = x1 - x0
-    de = d1 - d0
     length = e.norm()
-    dlength = e.dot(de) / length
-    n1 = e.cross(x2 - x0)
-    n2 = (x3 - x0).cross(e)
-    dn1 = de.cross(x2 - x0) + e.cross(d2 - d0)
-    dn2 = (d3 - d0).cross(e) + (x3 - x0).cross(de)
-    u1 = n1 / n1.norm_sqr()
-    u2 = n2 / n2.norm_sqr()
-    du1 = _reciprocal_change(n1, dn1)
-    du2 = _reciprocal_change(n2, dn2)
-    g2 = dlength * u1 + length * du1
-    g3 = dlength * u2 + length * du2
-    a1 = (x2 - x1).dot(e)
-    a2 = (x3 - x1).dot(e)
-    b1 = (x2 - x0).dot(e)
-    b2 = (x3 - x0).dot(e)
-    da1 = (d2 - d1).dot(e) + (x2 - x1).dot(de)
-    da2 = (d3 - d1).dot(e) + (x3 - x1).dot(de)
-    db1 = (d2 - d0).dot(e) + (x2 - x0).dot(de)
-    db2 = (d3 - d0).dot(e) + (x3 - x0).dot(de)
-    s0 = a1 * u1 + a2 * u2
-    s1 = b1 * u1 + b2 * u2
-    g0 = (da1 * u1 + a1 * du1 + da2 * u2 + a2 * du2) / length - s0 * (dlength / (length * length))
-    g1 = -(db1 * u1 + b1 * du1 + db2 * u2 + b2 * du2) / length + s1 * (dlength / (length * length))
-    return vec12(g0[0], g0[1], g0[2], g1[0], g1[1], g1[2], g2[0], g2[1], g2[2], g3[0], g3[1], g3[2])
+    along = e / length
+    a = apex - x0
+    s = a.dot(along)
+    up = a - s * along
+    h = up.norm()
+    up = up / h
+    n = turn * along.cross(up)
+    t = s / length
+    # Changes of height and place with each node, on (along, up).
+    dh = vec3(-(1.0 - t), -t, 1.0)
+    dt_along = vec3(-1.0 / length + s / length**2, -s / length**2, 1.0 / length)
+    dt_up = vec3(-h / length**2, h / length**2, 0.0)
+    dc = ti.Matrix.zero(ti.f64, 3, 6)
+    dphi = ti.Matrix.zero(ti.f64, 3, 3)
+    for j in ti.static(range(3)):
+        dc[0, 2 * j] = dt_along[j] / h
+        dc[0, 2 * j + 1] = dt_up[j] / h + (1.0 - t) / h**2 * dh[j]
+        dc[1, 2 * j] = -dt_along[j] / h
+        dc[1, 2 * j + 1] = -dt_up[j] / h + t / h**2 * dh[j]
+        dc[2, 2 * j + 1] = -dh[j] / h**2
+    dphi[0, 0] = -1.0 / length
+    dphi[1, 0] = 1.0 / length
+    dphi[0, 1] = -(1.0 - t) / h
+    dphi[1, 1] = -t / h
+    dphi[2, 1] = 1.0 / h
+    dphi[0, 2] = -(1.0 - t) / h
+    dphi[1, 2] = -t / h
+    dphi[2, 2] = 1.0 / h
+    return n, along, up, dc, dphi

@@ -104,26 +104,31 @@ def _hessian(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, exact: I1, slots: 
                 s = vec3(centre + scale * half, centre - scale * half, scale * s[2])
             else:
                 s = vec3(high, high, 0.0)
-        # Rows of d eps / d x_a, one 3-vector for each strain component.
-        for n in ti.static(range(6)):
-            a = ti.static(_PAIRS[n][0])
-            d = ti.static(_PAIRS[n][1])
-            geometric = (
-                s[0] * b[a, 0] * b[d, 0]
-                + s[1] * b[a, 1] * b[d, 1]
-                + s[2] * (b[a, 0] * b[d, 1] + b[a, 1] * b[d, 0])
-            )
-            la = ti.Matrix.cols([f1 * b[a, 0], f2 * b[a, 1], f1 * b[a, 1] + f2 * b[a, 0]])
-            ld = ti.Matrix.cols([f1 * b[d, 0], f2 * b[d, 1], f1 * b[d, 1] + f2 * b[d, 0]])
-            for i in ti.static(range(3)):
-                for j in ti.static(range(3)):
-                    if ti.static(a != d or i <= j):
-                        value = geometric * ti.static(1.0 if i == j else 0.0)
-                        for k in ti.static(range(3)):
-                            for m in ti.static(range(3)):
-                                value += la[i, k] * c[k, m] * ld[j, m]
-                        at = slots[6 * e + n, 3 * i + j]
-                        out[at] = out[at] + area[e] * value
+        # d eps / d x_a = (f1 b1, f2 b2, f1 b2 + f2 b1), so the material part is a sum of f_p f_q^T.
+        cl = ti.Matrix.zero(ti.f64, 3, 3)
+        for i, j in ti.static(ti.ndrange(3, 3)):
+            cl[i, j] = c[i, j]
+        block = 6 * e
+        for a in range(3):
+            left1 = area[e] * (cl.transpose() @ vec3(b[a, 0], 0.0, b[a, 1]))
+            left2 = area[e] * (cl.transpose() @ vec3(0.0, b[a, 1], b[a, 0]))
+            for d in range(a, 3):
+                geometric = area[e] * (
+                    s[0] * b[a, 0] * b[d, 0] + s[1] * b[a, 1] * b[d, 1] + s[2] * (b[a, 0] * b[d, 1] + b[a, 1] * b[d, 0])
+                )
+                right1 = vec3(b[d, 0], 0.0, b[d, 1])
+                right2 = vec3(0.0, b[d, 1], b[d, 0])
+                g1 = left1.dot(right1) * f1 + left1.dot(right2) * f2
+                g2 = left2.dot(right1) * f1 + left2.dot(right2) * f2
+                for i in range(3):
+                    for j in ti.static(range(3)):
+                        if a != d or i <= j:
+                            value = f1[i] * g1[j] + f2[i] * g2[j]
+                            if i == j:
+                                value += geometric
+                            at = slots[block, 3 * i + j]
+                            out[at] = out[at] + value
+                block += 1
 
 
 class Membrane:
@@ -138,7 +143,7 @@ class Membrane:
         self._triangles = np.ascontiguousarray(triangles, dtype=np.int32)
         frames = material_frames(nodes, triangles, axis)
         edges = np.stack(
-            [nodes[triangles[:, 1]] - nodes[triangles[:, 0]], nodes[triangles[:, 2]] - nodes[triangles[:, 0]]],
+            [nodes[triangles[:, k]] - nodes[triangles[:, 0]] for k in (1, 2)],
             axis=-1,
         )
         dm = np.einsum("mij,mik->mjk", frames, edges)

@@ -13,12 +13,12 @@ def inertia_energy(x: F2, predicted: F2, load: F2, start: I1, column: I1, mass: 
     ti.loop_config(serialize=True)
     for i in range(x.shape[0]):
         e = 0.0
-        for c in range(3):
+        for c in ti.static(range(3)):
             e -= load[i, c] * x[i, c]
         if factor[0] > 0.0:
             for k in range(start[i], start[i + 1]):
                 j = column[k]
-                for c in range(3):
+                for c in ti.static(range(3)):
                     e += 0.5 * factor[0] * mass[k] * (x[i, c] - predicted[i, c]) * (x[j, c] - predicted[j, c])
         out[0] = out[0] + e
 
@@ -28,10 +28,10 @@ def inertia_gradient(x: F2, predicted: F2, load: F2, start: I1, column: I1, mass
     """Write (not add) the gradient."""
     ti.loop_config(serialize=True)
     for i in range(x.shape[0]):
-        for c in range(3):
+        for c in ti.static(range(3)):
             out[i, c] = -load[i, c]
         if factor[0] > 0.0:
             for k in range(start[i], start[i + 1]):
                 j = column[k]
-                for c in range(3):
+                for c in ti.static(range(3)):
                     out[i, c] = out[i, c] + factor[0] * mass[k] * (x[j, c] - predicted[j, c])
