@@ -5,11 +5,13 @@ ros2 launch thinshell_ros simulate.launch.py rig:=card_press record:=true bag:=p
 
 from pathlib import Path
 
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from launch import LaunchDescription
 
 NODES = Path(__file__).resolve().parent.parent / "config" / "nodes"
 
@@ -18,11 +20,11 @@ def generate_launch_description() -> LaunchDescription:
     """The simulator, and the recorder where ``record`` is true."""
     return LaunchDescription(
         [
-            DeclareLaunchArgument("rig", default_value="card_press", description="name or YAML file of a rig"),
+            DeclareLaunchArgument("rig", default_value="card_press", description="rig: name or YAML file"),
             DeclareLaunchArgument("namespace", default_value="", description="of all topics"),
             DeclareLaunchArgument("publish_clock", default_value="false", description="simulated time"),
-            DeclareLaunchArgument("record", default_value="false", description="record all topics of the rig"),
-            DeclareLaunchArgument("bag", default_value="", description="bag to create; empty: by date and time"),
+            DeclareLaunchArgument("record", default_value="false", description="record all topics"),
+            DeclareLaunchArgument("bag", default_value="", description="new bag; empty: by date and time"),
             Node(
                 package="thinshell_ros",
                 executable="sim_node",
@@ -32,7 +34,7 @@ def generate_launch_description() -> LaunchDescription:
                 parameters=[
                     str(NODES / "sim_node.yaml"),
                     {
-                        "rig": LaunchConfiguration("rig"),
+                        "rig": ParameterValue(LaunchConfiguration("rig"), value_type=str),
                         "publish_clock": LaunchConfiguration("publish_clock"),
                     },
                 ],
@@ -46,7 +48,10 @@ def generate_launch_description() -> LaunchDescription:
                 condition=IfCondition(LaunchConfiguration("record")),
                 parameters=[
                     str(NODES / "record_node.yaml"),
-                    {"rig": LaunchConfiguration("rig"), "uri": LaunchConfiguration("bag")},
+                    {
+                        "rig": ParameterValue(LaunchConfiguration("rig"), value_type=str),
+                        "uri": ParameterValue(LaunchConfiguration("bag"), value_type=str),
+                    },
                 ],
             ),
         ]

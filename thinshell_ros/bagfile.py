@@ -32,16 +32,12 @@ class BagFile:
         """
         self.path = Path(path).expanduser()
         if self.path.exists() or self.path.is_symlink():
-            raise RecordingError(
-                f"{self.path} exists already.", "Choose another path, or move it away first."
-            )
+            raise RecordingError(f"{self.path} exists already.", "Choose another path, or move it away first.")
         self._bag = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
         try:
             self._bag.open()
         except OSError as error:
-            raise RecordingError(
-                f"{self.path} cannot be created: {error}.", "Choose another path."
-            ) from error
+            raise RecordingError(f"{self.path} cannot be created: {error}.", "Choose another path.") from error
         for key, text in (notes or {}).items():
             self._bag.set_custom_data(key, text)
         self._connections: dict[str, Connection] = {}

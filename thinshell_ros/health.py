@@ -93,15 +93,11 @@ def physics_report(status: Status | None, ended: str, pid: int | None) -> Report
         message = "paused"
     elif status.real_time_factor < REAL_TIME:
         level = "warn"
-        message = (
-            f"slower than real time: factor {status.real_time_factor:.2f}, simulated time is slowed down"
-        )
+        message = f"slower than real time: factor {status.real_time_factor:.2f}, simulated time is slowed down"
     return Report("physics", level, message, values)
 
 
-def recording_report(
-    counts: dict[str, int], missing: list[str], refused: dict[str, str], where: str
-) -> Report:
+def recording_report(counts: dict[str, int], missing: list[str], refused: dict[str, str], where: str) -> Report:
     """State of a recorder. ``missing``: expected but never published; ``refused``: reasons by topic."""
     message = f"{sum(counts.values())} messages in {where}"
     faults = [f"{topic}: {reason}" for topic, reason in refused.items()]

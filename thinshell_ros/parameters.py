@@ -11,9 +11,7 @@ from rclpy.node import Node
 from sim_core.errors import ConfigError
 
 
-def declare(
-    node: Node, name: str, default: Any, description: str, *, bounds: tuple[float, float] | None = None
-) -> Any:
+def declare(node: Node, name: str, default: Any, description: str, *, bounds: tuple[float, float] | None = None) -> Any:
     """Declare a parameter that is read once, at the start, and return its value.
 
     ``bounds``: of a number, both included.

@@ -209,9 +209,7 @@ def _pose(frame: Frame) -> Pose:
 class Loop:
     """Requests in, answers out, and steps in between, in pace with the wall clock."""
 
-    def __init__(
-        self, link: Connection, physics: Physics, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, link: Connection, physics: Physics, clock: Callable[[], float] = time.monotonic) -> None:
         self._link = link
         self._physics = physics
         self._clock = clock

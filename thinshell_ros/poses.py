@@ -48,9 +48,7 @@ class PoseGate:
     max_jump_m: float
     max_jump_rad: float
 
-    def check(
-        self, frame_id: str, position: Sequence[float], quaternion: Sequence[float], now: Pose
-    ) -> Pose | str:
+    def check(self, frame_id: str, position: Sequence[float], quaternion: Sequence[float], now: Pose) -> Pose | str:
         """The pose with a normalised quaternion, or why it is rejected.
 
         ``now``: pose of the end effector at this moment.
@@ -68,9 +66,7 @@ class PoseGate:
             return f"{jump:.4g} m away from the current pose, at most {self.max_jump_m:g} m (max_jump_m)"
         turn = float((now.rotation().inv() * pose.rotation()).magnitude())
         if turn > self.max_jump_rad:
-            return (
-                f"{turn:.4g} rad away from the current pose, at most {self.max_jump_rad:g} rad (max_jump_rad)"
-            )
+            return f"{turn:.4g} rad away from the current pose, at most {self.max_jump_rad:g} rad (max_jump_rad)"
         return pose
 
 

@@ -35,6 +35,10 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     except ThinshellError as error:
         print(f"error: {error}", file=sys.stderr)
         code = 2
+    except Exception:
+        if ok():
+            raise
+        # else a callback was publishing when a signal shut the context down
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # launch sends a second one
         if node is not None:

@@ -1,0 +1,129 @@
+"""Launch files, parameter files and the middleware profile agree with the nodes."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
+PARAMETER_FILES = sorted((ROOT / "config" / "nodes").glob("*.yaml"))
+ENTRY_POINTS = dict(re.findall(r'"(\w+) = ([\w.]+):main"', (ROOT / "setup.py").read_text()))
+NODES = {name: module for name, module in ENTRY_POINTS.items() if name.endswith("_node")}
+
+
+def calls(tree: ast.AST, name: str) -> list[ast.Call]:
+    found = (n for n in ast.walk(tree) if isinstance(n, ast.Call))
+    return [n for n in found if isinstance(n.func, ast.Name) and n.func.id == name]
+
+
+def source(node: str) -> str:
+    return (ROOT / Path(*NODES[node].split("."))).with_suffix(".py").read_text()
+
+
+def default_name(node: str) -> str:
+    (name,) = re.findall(r'super\(\).__init__\("(\w+)"', source(node))
+    return str(name)
+
+
+def declared(node: str) -> set[str]:
+    """Names of the parameters that a node declares."""
+    return {str(call.args[1].value) for call in calls(ast.parse(source(node)), "declare")}  # type: ignore[attr-defined]
+
+
+def test_there_is_something_to_check() -> None:
+    assert LAUNCH_FILES
+    assert {"sim_node", "record_node"} <= NODES.keys()
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda p: p.name)
+def test_launch_files_start_nodes_that_exist_with_parameters_that_exist(path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    nodes = calls(tree, "Node")
+    assert nodes
+    for call in nodes:
+        values: dict[str, Any] = {k.arg: k.value for k in call.keywords if k.arg}
+        assert ast.literal_eval(values["package"]) == "thinshell_ros"
+        executable = ast.literal_eval(values["executable"])
+        assert executable in NODES
+        assert ast.literal_eval(values["name"]) == default_name(executable)
+        for item in values["parameters"].elts:
+            if isinstance(item, ast.Dict):
+                assert {ast.literal_eval(k) for k in item.keys if k} <= declared(executable)
+            else:
+                (name,) = (n.value for n in ast.walk(item) if isinstance(n, ast.Constant))
+                assert name == f"{executable}.yaml"
+                assert (ROOT / "config" / "nodes" / name).is_file()
+    arguments = {ast.literal_eval(call.args[0]) for call in calls(tree, "DeclareLaunchArgument")}
+    used = {ast.literal_eval(call.args[0]) for call in calls(tree, "LaunchConfiguration")}
+    assert arguments == used
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda p: p.name)
+def test_launch_files_load(path: Path) -> None:
+    pytest.importorskip("launch_ros", reason="launch_ros is not installed (it comes with a ROS distribution)")
+    import runpy
+
+    assert runpy.run_path(str(path))["generate_launch_description"]().entities
+
+
+@pytest.mark.parametrize("path", PARAMETER_FILES, ids=lambda p: p.name)
+def test_parameter_files_name_parameters_that_exist(path: Path) -> None:
+    node = path.stem
+    (section,) = yaml.safe_load(path.read_text()).items()
+    assert section[0] == f"/**/{default_name(node)}"
+    assert set(section[1]["ros__parameters"]) <= declared(node)
+    assert None not in section[1]["ros__parameters"].values()
+
+
+def run(code: str, **environment: Any) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        env={**os.environ, **environment},
+    )  # fmt: skip
+
+
+LARGE = """
+import array, sys, time
+import rclpy
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Image
+rclpy.init()
+node = rclpy.create_node("{role}")
+end = time.monotonic() + 40.0
+if "{role}" == "sender":
+    publisher = node.create_publisher(Image, "image", qos_profile_sensor_data)
+    image = Image(height=480, width=640, encoding="rgb8", step=1920, data=array.array("B", bytes(921600)))
+    while time.monotonic() < end:
+        publisher.publish(image)
+        time.sleep(0.03)
+else:
+    got = []
+    node.create_subscription(Image, "image", got.append, qos_profile_sensor_data)
+    while len(got) < 20 and time.monotonic() < end:
+        rclpy.spin_once(node, timeout_sec=0.1)
+    print("images:", len(got))
+node.destroy_node()
+rclpy.try_shutdown()
+"""
+
+
+@pytest.mark.ros
+def test_the_shared_memory_profile_carries_raw_images_at_best_effort(ros: None) -> None:
+    profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastdds_shm.xml")}
+    sender = run(LARGE.replace("{role}", "sender"), **profile)
+    receiver = run(LARGE.replace("{role}", "receiver"), **profile)
+    try:
+        output, _ = receiver.communicate(timeout=60.0)
+        assert "images: 20" in output, output
+        assert "rror" not in output, output
+    finally:
+        sender.terminate()
+        receiver.kill()
+        sender.communicate()

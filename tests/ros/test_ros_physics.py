@@ -1,0 +1,287 @@
+"""The loop around the physics: requests, answers, failures. Needs no ROS."""
+
+import multiprocessing
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim_core.errors import ConvergenceError
+from sim_core.rigs import load_rig
+from thinshell_ros.health import CommandLog, physics_report, recording_report
+from thinshell_ros.physics import (
+    Batch,
+    Done,
+    Loop,
+    Pause,
+    Physics,
+    Ready,
+    Reset,
+    Settings,
+    Status,
+    Stop,
+    Target,
+)
+from thinshell_ros.poses import Pose
+from thinshell_ros.sampling import Reading
+from thinshell_ros.streams import channels_of
+from thinshell_ros.worker import Worker
+
+RIG = Path(__file__).parent / "data" / "press_gel.yaml"
+TROUBLE = "The step did not converge."
+
+
+@dataclass
+class Report:
+    iterations: int = 3
+    residual_n: float = 1e-9
+    contacts: int = 2
+    min_gap_m: float = -1e-6
+
+
+@dataclass
+class FakePhysics:
+    """Steps of 10 ms that cost nothing; fails when told."""
+
+    ids: dict[str, Any] = field(default_factory=dict)
+    rest: dict[str, Any] = field(default_factory=lambda: {"cell": np.zeros(6)})
+    time: float = 0.0
+    fails: bool = False
+    targets: list[Target] = field(default_factory=list)
+
+    def step(self) -> tuple[list[Reading], Report, int]:
+        if self.fails:
+            raise ConvergenceError(TROUBLE)
+        self.time += 0.01
+        return [Reading("cell", self.time, np.full(6, self.time))], Report(), 1
+
+    def aim(self, target: Target) -> None:
+        self.targets.append(target)
+
+    def reset(self) -> None:
+        self.fails = False
+
+
+class Bench:
+    """A loop in a thread, and the other end of its pipe."""
+
+    def __init__(self) -> None:
+        self.physics = FakePhysics()
+        self.link, far = multiprocessing.Pipe()
+        self.thread = threading.Thread(target=self._run, args=(far,))
+        self.thread.start()
+
+    def _run(self, far: Connection) -> None:
+        try:
+            Loop(far, self.physics).run()  # type: ignore[arg-type]
+        except (EOFError, OSError):
+            pass
+
+    def until(self, wanted: Callable[[Any], bool]) -> Any:
+        """The next answer that is wanted."""
+        end = time.monotonic() + 10.0
+        while time.monotonic() < end:
+            if self.link.poll(0.1) and wanted(answer := self.link.recv()):
+                return answer
+        raise AssertionError("the answer did not come")
+
+    def drain(self, seconds: float) -> list[Any]:
+        """All answers of some time."""
+        end, answers = time.monotonic() + seconds, []
+        while (left := end - time.monotonic()) > 0.0:
+            if self.link.poll(left):
+                answers.append(self.link.recv())
+        return answers
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.link.close()
+    bench.thread.join(10.0)
+    assert not bench.thread.is_alive(), "the loop ends when the other side is gone"
+
+
+def is_status(**values: Any) -> Callable[[Any], bool]:
+    return lambda a: isinstance(a, Status) and all(getattr(a, k) == v for k, v in values.items())
+
+
+def test_it_keeps_real_time_and_says_how_it_is_doing(bench: Bench) -> None:
+    assert isinstance(bench.until(lambda _: True), Ready)
+    start = time.monotonic()
+    last = bench.until(lambda a: isinstance(a, Batch) and a.simulated_s > 0.5)
+    assert time.monotonic() - start > 0.4
+    assert last.readings[0].values[0] == pytest.approx(last.simulated_s)
+    status = bench.until(is_status(paused=False))
+    assert (status.iterations, status.contacts, status.residual_n) == (3, 2, 1e-9)
+    assert status.not_finite == status.steps > 0
+    assert 0.3 < status.real_time_factor < 1.2
+
+
+def test_a_pause_stops_time_and_no_time_is_lost_to_it(bench: Bench) -> None:
+    bench.link.send(Pause(1, True))
+    assert bench.until(lambda a: isinstance(a, Done)) == Done(1, True, "paused")
+    before = bench.physics.time
+    answers = bench.drain(0.6)
+    assert not [a for a in answers if isinstance(a, Batch)]
+    assert [a for a in answers if isinstance(a, Status)], "it goes on to say how it is doing"
+    bench.link.send(Pause(2, False))
+    assert bench.until(lambda a: isinstance(a, Batch)).simulated_s == pytest.approx(before + 0.01)
+    bench.drain(0.2)
+    assert bench.physics.time - before < 0.6, "it does not catch up with the time of the pause"
+
+
+def test_targets_reach_the_physics(bench: Bench) -> None:
+    target = Target("probe", Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])))
+    bench.link.send(target)
+    bench.link.send(Pause(1, True))
+    bench.until(lambda a: isinstance(a, Done))
+    assert [t.end_effector for t in bench.physics.targets] == ["probe"]
+
+
+def test_a_step_that_fails_is_said_and_a_reset_goes_on(bench: Bench) -> None:
+    bench.until(lambda a: isinstance(a, Batch))
+    bench.physics.fails = True
+    bench.until(is_status(trouble=TROUBLE))
+    at = bench.physics.time
+    assert not [a for a in bench.drain(0.3) if isinstance(a, Batch)], "nothing is read while it stands still"
+    bench.link.send(Reset(5))
+    done = bench.until(lambda a: isinstance(a, Done))
+    assert (done.number, done.success, list(done.rest)) == (5, True, ["cell"])
+    assert bench.until(lambda a: isinstance(a, Batch)).simulated_s == pytest.approx(at + 0.01)
+    bench.until(is_status(trouble=""))
+
+
+def test_it_stops_when_told(bench: Bench) -> None:
+    bench.link.send(Stop())
+    bench.thread.join(5.0)
+    assert not bench.thread.is_alive()
+
+
+def settings(**changes: Any) -> Settings:
+    rig = load_rig(RIG)
+    values: dict[str, Any] = {"seed": None, "max_speed_m_s": 0.1, "max_turn_rate_rad_s": 1.0, **changes}
+    return Settings(rig, channels_of(rig, 50.0), **values)
+
+
+@pytest.fixture(scope="module")
+def physics() -> Physics:
+    return Physics(settings())
+
+
+def press(physics: Physics, z: float, steps: int) -> dict[str, np.ndarray]:
+    """Last readings after going to a height [m]."""
+    physics.aim(Target("probe", Pose(np.array([0.0, 0.0, z]), np.array([0.0, 0.0, 0.0, 1.0]))))
+    last = {}
+    for _ in range(steps):
+        last.update({r.channel: r.values for r in physics.step()[0]})
+    return last
+
+
+def test_the_end_effector_goes_to_its_target_no_faster_than_allowed(physics: Physics) -> None:
+    physics.reset()
+    start = physics.rest["probe"]
+    readings = press(physics, 0.0065, 1)
+    np.testing.assert_allclose(readings["probe"][2], start[2] - 0.1 * physics.dt, atol=1e-12)
+    np.testing.assert_allclose(press(physics, 0.0095, 3)["probe"][2], 0.0095, atol=1e-12)
+
+
+def test_pressing_pushes_the_sensor_down_and_letting_go_relieves_it(physics: Physics) -> None:
+    physics.reset()
+    touching = press(physics, 0.0092, 30)
+    assert touching["pad_wrench"][2] < -0.1
+    assert touching["pad_markers"][:, 2].min() < physics.rest["pad_markers"][:, 2].min() - 1e-5
+    relieved = press(physics, 0.0105, 30)
+    np.testing.assert_allclose(relieved["pad_wrench"], physics.rest["pad_wrench"], atol=1e-6)
+
+
+def test_a_failed_step_leaves_the_state_untouched(physics: Physics, monkeypatch: pytest.MonkeyPatch) -> None:
+    physics.reset()
+    press(physics, 0.0095, 20)
+    before, time_before = physics._read(), physics.time
+    simulation = physics._simulation
+
+    def fail(*_: Any) -> None:
+        simulation.scene.system.x[:] += 1e-3
+        raise ConvergenceError(TROUBLE)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(simulation, "step", fail)
+        with pytest.raises(ConvergenceError):
+            press(physics, 0.0094, 1)
+    after = physics._read()
+    assert all((before[name] == after[name]).all() for name in before)
+    assert physics.time == time_before
+
+
+def test_time_goes_on_over_a_reset(physics: Physics) -> None:
+    before = physics.time
+    physics.reset()
+    readings = physics.step()[0]
+    assert all(r.stamp_s > before for r in readings)
+
+
+def test_the_worker_never_swamps_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[Any] = []
+    worker = Worker.__new__(Worker)
+    worker._targets, worker._listening, worker._number = {}, True, 0
+    monkeypatch.setattr(worker, "_send", sent.append)
+    poses = [Pose(np.array([0.0, 0.0, z]), np.array([0.0, 0.0, 0.0, 1.0])) for z in range(100)]
+    for pose in poses:
+        worker.aim(Target("probe", pose))
+    assert [t.pose.position[2] for t in sent] == [0], "one until the process has answered"
+    worker._listening = True
+    worker._pass_on()
+    assert [t.pose.position[2] for t in sent] == [0, 99], "then the latest"
+    worker.aim(Target("probe", poses[1]))
+    worker.reset()
+    worker._listening = True
+    worker._pass_on()
+    assert sent[-1] == Reset(1), "a reset forgets targets from before"
+
+
+def test_what_the_diagnostics_say() -> None:
+    assert physics_report(None, "", 5).level == "warn"
+    good = Status(False, "", 1.0, 1.0, 25, 4, 1e-9, 3, -1e-6, 0)
+    assert physics_report(good, "", 5).level == "ok"
+    assert physics_report(good, "", 5).values["real_time_factor"] == "1"
+    slow = physics_report(Status(False, "", 1.0, 0.42), "", 5)
+    assert slow.level == "warn"
+    assert "0.42" in slow.message
+    failed = physics_report(Status(False, TROUBLE, 1.0, 1.0), "", 5)
+    assert failed.level == "error"
+    assert TROUBLE in failed.message
+    assert "reset" in failed.message
+    assert physics_report(good, "The physics process ended with code -9.", 5).level == "error"
+    assert physics_report(Status(False, "", 1.0, 1.0, not_finite=3), "", 5).level == "warn"
+
+
+def test_rejections_are_a_warning_once_and_counted_for_good() -> None:
+    log = CommandLog()
+    assert log.report(0.0).message == "waiting for a target"
+    log.accept(10.0)
+    log.reject("not finite")
+    log.reject("too far")
+    report = log.report(10.5)
+    assert report.level == "warn"
+    assert report.message == "2 targets rejected, the last: too far"
+    assert (report.values["command_age_s"], report.values["dropped_commands"]) == ("0.5", "2")
+    later = log.report(11.5)
+    assert (later.level, later.values["dropped_commands"], later.values["last_rejection"]) == (
+        "ok", "2", "too far",
+    )  # fmt: skip
+
+
+def test_a_recorder_says_what_is_missing() -> None:
+    good = recording_report({"/a": 3, "/b": 4}, [], {}, "bag")
+    assert (good.level, good.message, good.values) == ("ok", "7 messages in bag", {"/a": "3", "/b": "4"})
+    bad = recording_report({"/a": 3, "/b": 0}, ["/c"], {"/d": "is odd"}, "bag")
+    assert bad.level == "warn"
+    assert all(part in bad.message for part in ("/b", "nobody publishes /c", "/d: is odd"))
