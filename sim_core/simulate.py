@@ -108,8 +108,7 @@ class Simulation:
     def actual_frames(self) -> dict[str, Frame]:
         """Frames of the mounts with what compliant ones have given way."""
         frames = dict(self.frames)
-        compliant = list(self.scene.values(self.scene.rig).compliance)
-        for mount, deflection in zip(compliant, self.scene.system.deflections, strict=True):
+        for mount, deflection in zip(self.scene.compliant, self.scene.system.deflections, strict=True):
             origin, rotation = frames[mount]
             frames[mount] = (origin + deflection, rotation)
         return frames

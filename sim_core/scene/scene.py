@@ -84,6 +84,8 @@ class Scene:
         terms = self._terms()
         self.extra = self._effect_terms()
         values = self.values(rig)
+        self.compliant = list(values.compliance)
+        """End effectors that give way, in the order of the system's groups."""
         mass = self._mass(values)
         self.system = System(
             self.rest,
@@ -260,7 +262,11 @@ class Scene:
     def body_frame(self, name: str, frames: Mapping[str, Frame]) -> Frame:
         """Where the rest frame of a body is when the mounts are at ``frames``."""
         spec = self.bodies[name].spec
-        return world_pose(spec.pose, frames[self._carrier(spec)])
+        return world_pose(spec.pose, frames[self.mount_of(name)])
+
+    def mount_of(self, body: str) -> str:
+        """Name of the mount in whose frame the pose of a body is given."""
+        return self._carrier(self.bodies[body].spec)
 
     def held(self, body: str) -> np.ndarray:
         """Nodes of a deformable body that follow a mount, bool over its nodes."""
