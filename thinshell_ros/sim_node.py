@@ -71,6 +71,7 @@ class SimNode(Node):
         self.create_service(Trigger, "~/zero", self._on_zero, callback_group=apart)
         self.create_service(SetBool, "~/pause", self._on_pause, callback_group=apart)
         self._ready = False
+        self._ended = ""
         self._worker = Worker(
             physics.Settings(self._rig, channels, seed if noise else None, speed, turn),
         )
@@ -118,6 +119,9 @@ class SimNode(Node):
 
     def _on_diagnostics(self) -> None:
         ended = self._worker.end()
+        if ended and ended != self._ended:
+            self.get_logger().error(ended)
+        self._ended = ended
         if ended:
             for future in self._waiting.values():
                 future.set_result(physics.Done(0, False, ended))

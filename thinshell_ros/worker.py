@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 from collections.abc import Iterator
+from multiprocessing.connection import Connection
 from typing import Any
 
 from thinshell_ros import physics
@@ -21,11 +22,14 @@ class Worker:
     def __init__(self, settings: physics.Settings) -> None:
         self._settings = settings
         self._number = 0
+        self._link: Connection | None = None
         self._targets: dict[str, physics.Target] = {}
         self.start()
 
     def start(self) -> None:
         """Start the process; building the scene takes it some seconds, then it says ``Ready``."""
+        if self._link is not None:
+            self._link.close()
         context = multiprocessing.get_context("spawn")
         self._link, far = context.Pipe()
         self._process = context.Process(
@@ -50,6 +54,7 @@ class Worker:
 
     def answers(self) -> Iterator[physics.Answer]:
         """What has arrived; does not wait."""
+        assert self._link is not None
         try:
             while self._link.poll():
                 answer = self._link.recv()
@@ -98,7 +103,8 @@ class Worker:
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-        self._link.close()
+        if self._link is not None:
+            self._link.close()
 
     def _drain(self) -> None:
         """Take and drop answers until the process ends: it cannot end while it waits to send one."""
@@ -110,6 +116,7 @@ class Worker:
                 return
 
     def _send(self, request: Any) -> None:
+        assert self._link is not None
         try:
             self._link.send(request)
         except (BrokenPipeError, OSError):

@@ -14,7 +14,7 @@ RIG = Path(__file__).parent / "data" / "press_gel.yaml"
 REST_HEIGHT_M = 0.0105
 """Height of the ball's centre at the start; it touches the pad 0.5 mm lower."""
 
-START_S = 120.0
+START_S = 240.0
 """The physics process compiles its kernels first, on a machine that may be busy."""
 
 WAIT_S = 20.0
