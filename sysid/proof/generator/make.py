@@ -1,0 +1,140 @@
+"""Draw, simulate and write the cases; seal the answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from sim_core.errors import ConvergenceError
+from sim_core.rigs import Rig, rig_to_yaml
+from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene import build_scene
+from sim_core.simulate import simulate, step_times
+from sysid.proof.generator import bench
+from sysid.proof.generator.concealed import MIN_SIGNAL, Amplitudes, assign_effects, draw_amplitudes
+from sysid.proof.generator.noise import ColouredNoise
+from sysid.proof.generator.signal import Sight
+from sysid.proof.seal import write_seal
+from sysid.simulate import write_trace
+
+Progress = Callable[[float, str], None]
+
+REFINE = 2
+"""The truth has twice as many cells in each direction ..."""
+
+STEP_SHARE = 0.5
+"""... and half the time step of the rig that is handed out."""
+
+MAX_DRAWS = 20
+"""Draws of amplitudes, and of whole cases that the simulator cannot follow, before giving up."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a case conceals. ``signal``: how far it stands out (:mod:`sysid.proof.generator.signal`), 0
+    without an effect; ``materials`` and ``parameters`` in the units of their names."""
+
+    case: str
+    effect: str | None
+    parameters: dict[str, float]
+    signal: float
+    materials: dict[str, float]
+    noise: dict[str, dict[str, float]]
+    draws: int
+
+
+@dataclass(frozen=True)
+class _Case:
+    truth: Truth
+    rig: Rig
+    told: Rig
+    poses: dict[str, dict[str, PoseTrajectory]]
+    noise: dict[str, ColouredNoise]
+
+
+def make_cases(out: Path, *, cases: int, seed: int, on_progress: Progress | None = None) -> str:
+    """Write ``cases`` folders into ``out`` and seal what they conceal; the returned text says what was made."""
+    root = np.random.SeedSequence(seed)
+    plan, salt, *seeds = root.spawn(cases + 2)
+    effects = assign_effects(np.random.default_rng(plan), cases)
+    out.mkdir(parents=True, exist_ok=True)
+    truths = []
+    for k, (effect, own) in enumerate(zip(effects, seeds, strict=True)):
+        name = f"case_{k + 1:02d}"
+
+        def report(share: float, k: int = k, name: str = name) -> None:
+            if on_progress is not None:
+                on_progress((k + share) / cases, name)
+
+        report(0.0)
+        truths.append(make_case(out / name, effect, own, report))
+    truth = {"seed": seed, "refine": REFINE, "step_share": STEP_SHARE, "cases": [asdict(t) for t in truths]}
+    digest = write_seal(out, truth, salt=salt.generate_state(8).tobytes().hex())
+    return (
+        f"{out}: {cases} cases, {len(bench.TRAINING)} recordings to use and {len(bench.HELD_OUT)} held out in each.\n"
+        f"Sealed: {digest}"
+    )
+
+
+def make_case(folder: Path, effect: str | None, seed: np.random.SeedSequence, report: Callable[[float], None]) -> Truth:
+    """One case. Drawn again, with new random numbers, where the simulator does not converge."""
+    for attempt, own in enumerate(seed.spawn(MAX_DRAWS)):
+        try:
+            case = _draw(folder.name, effect, own, attempt)
+            traces = []
+            for k, run in enumerate(case.poses):
+                report((k + 1) / (len(case.poses) + 1))
+                traces.append(_trace(case.rig, case.poses[run]))
+        except ConvergenceError:
+            continue
+        folder.mkdir()
+        for run, trace in zip(case.poses, traces, strict=True):
+            write_trace(case.rig, trace, case.poses[run], folder / run, case.noise[run])
+        (folder / "rig.yaml").write_text(rig_to_yaml(case.told))
+        roles = {"training": list(bench.TRAINING), "held_out": list(bench.HELD_OUT)}
+        (folder / "case.yaml").write_text(yaml.safe_dump(roles, sort_keys=False))
+        return case.truth
+    raise ConvergenceError(f"{folder.name}: no draw could be simulated.", "Use another seed.")
+
+
+def _draw(name: str, effect: str | None, seed: np.random.SeedSequence, attempt: int) -> _Case:
+    """Everything random of a case. What is concealed has random numbers of its own, so that nothing else
+    depends on it."""
+    for_materials, for_motion, for_noise, for_guess, for_effect = seed.spawn(5)
+    rng = np.random.default_rng(for_materials)
+    materials, levels = bench.draw_materials(rng), bench.draw_noise(rng)
+    rig = bench.true_rig(materials)
+    motion = np.random.default_rng(for_motion)
+    poses = {run: bench.draw_poses(motion, rig, kind) for run, kind in bench.KINDS.items()}
+    told = bench.told_rig(np.random.default_rng(for_guess), rig, levels)
+    amplitudes: Amplitudes = {}
+    signal = 0.0
+    if effect is not None:
+        amplitudes, signal = _visible(
+            np.random.default_rng(for_effect), effect, Sight(rig, [poses[r] for r in bench.TRAINING], levels)
+        )
+        rig = rig.model_copy(update={"effects": {effect: amplitudes}})
+    streams = dict(zip(bench.KINDS, for_noise.spawn(len(bench.KINDS)), strict=True))
+    truth = Truth(name, effect, amplitudes, signal, materials, {k: asdict(n) for k, n in levels.items()}, attempt + 1)
+    noise = {run: ColouredNoise(rig, levels, stream) for run, stream in streams.items()}
+    return _Case(truth, rig, told, poses, noise)
+
+
+def _visible(rng: np.random.Generator, effect: str, sight: Sight) -> tuple[Amplitudes, float]:
+    """Amplitudes that stand out from the noise, and by how much."""
+    for _ in range(MAX_DRAWS):
+        amplitudes = draw_amplitudes(rng, effect)
+        signal = sight.signal(effect, amplitudes)
+        if signal >= MIN_SIGNAL:
+            return amplitudes, signal
+    raise ConvergenceError(f"No amplitude of {effect} stands out from the noise.", "Use another seed.")
+
+
+def _trace(rig: Rig, poses: dict[str, PoseTrajectory]) -> Any:
+    end = max(float(p.times[-1]) for p in poses.values())
+    return simulate(build_scene(rig, REFINE), poses, step_times(0.0, end, STEP_SHARE * rig.solver.dt_s))

@@ -1,0 +1,132 @@
+"""Diagnose the cases blind: each in a process of its own that sees a copy of its case folder and nothing else.
+
+Writes ``answers/case_XX/`` (what ``thinshell diagnose`` writes, and ``run.json``: time and exit), then
+``answers.json`` with the digest of every diagnosis, and its own digest ``answers.json.sha256``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+import sysid
+from sim_core.errors import ConfigError
+from sysid.proof.seal import SEAL_FILE, file_digest
+
+Progress = Callable[[float, str], None]
+
+ANSWERS_FILE = "answers.json"
+ANSWERS_FOLDER = "answers"
+DIAGNOSIS_FILE = "diagnosis.json"
+RUN_FILE = "run.json"
+SEED = 0
+TIME_LIMIT_S = 3600.0
+
+
+def case_folders(folder: Path) -> list[Path]:
+    """The cases in order. Raises ``ConfigError`` when there are none."""
+    found = sorted(p for p in folder.glob("case_*") if (p / "case.yaml").is_file())
+    if not found:
+        raise ConfigError(f"{folder} holds no cases.", "Make some with 'thinshell prove make --out DIR'.")
+    return found
+
+
+def run_cases(folder: Path, *, on_progress: Progress | None = None) -> str:
+    """Diagnose all cases that have no answer yet; errors are recorded and tried again by the next call."""
+    cases = case_folders(folder)
+    answers = folder / ANSWERS_FOLDER
+    for k, case in enumerate(cases):
+        if on_progress is not None:
+            on_progress(k / len(cases), case.name)
+        if not (answers / case.name / DIAGNOSIS_FILE).is_file():
+            _diagnose(case, answers / case.name)
+    index = {"seal": _seal(folder), "cases": {case.name: _entry(answers / case.name) for case in cases}}
+    path = folder / ANSWERS_FILE
+    path.write_text(json.dumps(index, indent=2) + "\n")
+    digest = file_digest(path)
+    (folder / f"{ANSWERS_FILE}.sha256").write_text(digest + "\n")
+    failed = [name for name, entry in index["cases"].items() if entry["error"]]
+    lines = [f"{len(cases) - len(failed)} of {len(cases)} cases diagnosed, answers: {path}", f"SHA256: {digest}"]
+    lines += [f"{name}: {index['cases'][name]['error']}" for name in failed]
+    return "\n".join(lines)
+
+
+def _diagnose(case: Path, answer: Path) -> None:
+    """Run the diagnosis of one case and keep what it wrote."""
+    with tempfile.TemporaryDirectory(prefix="case_") as temporary:
+        here = Path(temporary)
+        shutil.copytree(case, here / "case")
+        command = [sys.executable, "-m", "sysid", "diagnose", *_arguments(here / "case"), "--out", "answer"]
+        started = time.monotonic()
+        try:
+            done = subprocess.run(
+                [*command, "--seed", str(SEED)],
+                cwd=here,
+                env=_environment(),
+                capture_output=True,
+                text=True,
+                timeout=TIME_LIMIT_S,
+                check=False,
+            )
+            code, output = done.returncode, f"{done.stdout}\n{done.stderr}"
+        except subprocess.TimeoutExpired:
+            code, output = -1, f"not finished after {TIME_LIMIT_S:g} s"
+        seconds = time.monotonic() - started
+        written = here / "answer"
+        error = ""
+        if code != 0 or not (written / DIAGNOSIS_FILE).is_file():
+            error = output.strip()[-2000:] or f"exit {code}"
+            shutil.rmtree(written, ignore_errors=True)
+        written.mkdir(exist_ok=True)
+        (written / RUN_FILE).write_text(json.dumps({"seconds": round(seconds, 2), "exit": code, "error": error}) + "\n")
+        if answer.exists():
+            shutil.rmtree(answer)
+        answer.parent.mkdir(exist_ok=True)
+        partial = answer.with_name(answer.name + ".partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        shutil.copytree(written, partial)
+        partial.rename(answer)
+
+
+def _arguments(case: Path) -> list[str]:
+    """Rig and recordings of a case, as the command line takes them from the folder above it."""
+    roles = yaml.safe_load((case / "case.yaml").read_text())
+    words = [f"case/{name}" for name in ("rig.yaml", *roles["training"])]
+    for name in roles["held_out"]:
+        words += ["--held-out", f"case/{name}"]
+    return words
+
+
+def _environment() -> dict[str, str]:
+    """The environment with this very package first on the path."""
+    root = str(Path(sysid.__file__).resolve().parent.parent)
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+
+
+def _seal(folder: Path) -> str:
+    path = folder / SEAL_FILE
+    return path.read_text().strip() if path.is_file() else ""
+
+
+def _entry(answer: Path) -> dict[str, Any]:
+    """What is known of one answer: its digest, the verdict, the effects named, time, error."""
+    run = json.loads((answer / RUN_FILE).read_text())
+    entry: dict[str, Any] = {"seconds": run["seconds"], "error": run["error"]}
+    path = answer / DIAGNOSIS_FILE
+    if path.is_file():
+        diagnosis = json.loads(path.read_text())
+        entry["sha256"] = file_digest(path)
+        entry["verdict"] = diagnosis["verdict"]
+        entry["effects"] = [e["name"] for e in diagnosis["effects"]]
+    return entry
