@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid.report.fit_page import ErrorTables, Tile
+from sysid.report.fit_page import ErrorTables, Tile, plural, recordings
 from sysid.report.numbers import MISSING, TIMES, Number, percent, raw_number, seconds, significant, with_unit
 from sysid.report.page import embedded_json, write_page
-from sysid.report.panels import run_views
+from sysid.report.panels import run_views, showcase
 from sysid.report.strips import LEVELS
 from sysid.report.tables import (
     ParameterRow,
@@ -44,7 +44,10 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
     d = diagnosis
     kind, colour = KINDS.get(d.verdict, (d.verdict.replace("_", " "), ""))
     both = d.amended is not None
+    names = ("baseline", "amended" if both else "baseline")
     errors = paired_errors(d)
+    windows = d.located.windows
+    worst = max(d.located.channels, key=lambda c: _finite(c.share)) if d.located.channels else None
     return write_page(
         "diagnosis.html.j2",
         path,
@@ -52,13 +55,18 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
         kind=kind,
         level=colour,
         both=both,
-        names=("baseline", "amended" if both else "baseline"),
+        names=names,
+        error_caption=f"of the baseline and of {amended_with(d)}" if both else "of the fitted rig",
+        amended_with=amended_with(d),
+        first=showcase(d.series, errors, windows=windows, both=both, names=names, place=worst),
+        lead=lead(d),
         tiles=tiles(d),
         effects=[EffectView.of(c) for c in d.effects],
         shares=shares(d),
         rivals=rivals(d),
+        rest=remainder(d),
         place_and_time=place_and_time(d),
-        windows=[(run, w) for run, w in d.located.windows.items() if w],
+        windows=[(run, w) for run, w in windows.items() if w],
         shifts=shift_rows(d.baseline_parameters, d.amended_parameters),
         shift_sentences=shift_sentences(d),
         errors=ErrorTables.of(errors),
@@ -67,14 +75,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
         limits=limits(d),
         discretisation=[(k.replace("_", " "), percent(v), raw_number(v)) for k, v in d.discretisation.items()],
         noise=[(k, significant(v), raw_number(v)) for k, v in d.noise_floor.items()],
-        runs=run_views(
-            d.series,
-            errors,
-            windows=d.located.windows,
-            both=both,
-            names=("baseline", "amended" if both else "baseline"),
-            held_out_first=True,
-        ),
+        runs=run_views(d.series, errors, windows=windows, both=both, names=names, held_out_first=True),
         level_edges=LEVELS,
         provenance=provenance_of(d.provenance),
         notes=bag_notes(d.provenance),
@@ -146,6 +147,24 @@ def rivals(d: Diagnosis) -> list[Rival]:
     return out
 
 
+def remainder(d: Diagnosis) -> Bar | None:
+    """Probability that none of the effects takes; None where it is next to nothing."""
+    known = [c.probability for c in {(c.name, c.place): c for c in (*d.alternatives, *d.effects)}.values()]
+    left = 1.0 - sum(p for p in known if math.isfinite(p))
+    if d.verdict not in ("nothing_missing", "unknown") or not known or left < 0.005:
+        return None
+    return _bar("The rig as it is" if d.verdict == "nothing_missing" else "None of these", "", left, True)
+
+
+def amended_with(d: Diagnosis) -> str:
+    """Which model 'amended' means, in words."""
+    if d.amended is None:
+        return ""
+    if d.verdict == "one_of" and d.effects:
+        return f"the rig amended with the more probable effect ({d.effects[0].title})"
+    return "the amended rig"
+
+
 def _finite(value: float) -> float:
     return value if math.isfinite(value) else -1.0
 
@@ -175,10 +194,24 @@ def tiles(d: Diagnosis) -> list[Tile]:
     gains = [c.held_out_gain for c in d.effects if c.held_out_gain is not None]
     if gains and d.verdict == "named":
         out.append(Tile("Held-out gain", percent(max(gains)), "of the excess error is removed"))
-    if d.located.phase:
+    if d.located.phase and d.located.channels:
         out.append(Tile("Mostly while", d.located.phase, "phase of the motion"))
     out.append(Tile("Took", seconds(d.seconds), "for the whole search"))
     return out
+
+
+def lead(d: Diagnosis) -> list[str]:
+    """What the verdict rests on: a few sentences."""
+    bags = d.provenance.get("bags") or []
+    used, kept = (recordings(bags, d.baseline.errors, held_out) for held_out in (False, True))
+    out = []
+    if used:
+        more = f"; {kept} more {'was' if kept == 1 else 'were'} held out" if kept else ""
+        out.append(f"The rig {d.rig} was fitted to {plural(used, 'recording')}{more}.")
+    if d.verdict != "nothing_missing":
+        out.append(place_and_time(d))
+    out.append(held_out_sentence(d))
+    return [s for s in out if s]
 
 
 def paired_errors(d: Diagnosis) -> list[ChannelError]:

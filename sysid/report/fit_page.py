@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sysid.report.numbers import MISSING, seconds, significant, times, with_unit
 from sysid.report.page import embedded_json, write_page
-from sysid.report.panels import run_views
+from sysid.report.panels import run_views, showcase
 from sysid.report.strips import LEVELS
 from sysid.report.tables import (
     ErrorRow,
@@ -30,6 +31,10 @@ REACHES_NOISE = 1.5
 
 NEAR_NOISE = 4.0
 """Reduced chi-square up to which a fit is said to come near."""
+
+
+SHORT_TABLE = 16
+"""Rows up to which errors are shown for each recording at once."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,9 @@ def write_fit_report(result: FitResult, path: Path) -> Path:
         parameters=[estimate_row(e, e.name in undetermined) for e in result.estimates],
         correlation=correlation_cells([e.name for e in result.estimates], result.correlation),
         runs=runs,
-        names=("before the fit", "after the fit"),
+        names=("before", "after"),
+        error_caption="before and after the fit",
+        first=showcase(result.series, result.errors),
         both=True,
         errors=ErrorTables.of(result.errors),
         noise=noise_rows(result),
@@ -76,10 +83,12 @@ class ErrorTables:
     full: list[ErrorRow]
 
     @staticmethod
-    def of(errors: list[ChannelError]) -> ErrorTables:
+    def of(errors: Sequence[ChannelError]) -> ErrorTables:
         """Errors as tables; training first."""
         full = [error_row(e) for e in sorted(errors, key=lambda e: e.held_out)]
         short = merged_errors(errors)
+        if len(full) <= SHORT_TABLE:
+            return ErrorTables(full, [])
         return ErrorTables(short, full if len(full) > len(short) else [])
 
 
@@ -135,13 +144,13 @@ def headline(result: FitResult) -> str:
 def lead(result: FitResult, undetermined: set[str]) -> list[str]:
     """What was fitted, to what, how well, and what could not be determined: a few sentences."""
     bags = result.provenance.get("bags") or []
-    used = _count([b for b in bags if not b.get("held_out")], result.errors, False)
-    kept = _count([b for b in bags if b.get("held_out")], result.errors, True)
+    used = recordings(bags, result.errors, False)
+    kept = recordings(bags, result.errors, True)
     n = len(result.estimates)
-    first = f"{_plural(n, 'parameter')} of the rig {result.rig} {'was' if n == 1 else 'were'} fitted to "
-    first += f"{_plural(used, 'recording')}; "
+    first = f"{plural(n, 'parameter')} of the rig {result.rig} {'was' if n == 1 else 'were'} fitted to "
+    first += f"{plural(used, 'recording')}; "
     first += (
-        f"{_plural(kept, 'recording')} {'was' if kept == 1 else 'were'} held out to check the prediction."
+        f"{plural(kept, 'recording')} {'was' if kept == 1 else 'were'} held out to check the prediction."
         if kept
         else "none was held out, so nothing here tests a prediction."
     )
@@ -161,7 +170,7 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
         out.append(
             f"These recordings do not determine {_listed(named)} on {'its' if len(named) == 1 else 'their'} own."
         )
-    elif n:
+    elif n and result.converged:
         out.append("Every parameter is determined by these recordings.")
     if bounds:
         out.append(f"{_listed(bounds)} ended at a bound: the true value may lie beyond.")
@@ -182,11 +191,11 @@ def tiles(result: FitResult, undetermined: set[str]) -> list[Tile]:
     held_out = over_noise([e for e in result.errors if e.held_out], after=True)
     n = len(result.estimates)
     out = [
-        Tile("Error, training", times(training), "of the noise", level(training)),
+        Tile("Error, training", times(training), "the noise", level(training)),
         Tile(
             "Error, held out",
             times(held_out),
-            "of the noise" if held_out is not None else "no recording was held out",
+            "the noise" if held_out is not None else "no recording was held out",
             level(held_out),
         ),
         Tile(
@@ -204,7 +213,7 @@ def tiles(result: FitResult, undetermined: set[str]) -> list[Tile]:
         Tile(
             "Search",
             "converged" if result.converged else "not converged",
-            f"{_plural(result.evaluations, 'evaluation')} in {seconds(result.seconds)}",
+            f"{plural(result.evaluations, 'evaluation')} in {seconds(result.seconds)}",
             "good" if result.converged else "bad",
         ),
     ]
@@ -250,12 +259,15 @@ def _noise_row(label: str, sigma: str, model: dict[str, object]) -> NoiseRow:
     return NoiseRow(label, sigma, colour, str(model.get("from", MISSING)))
 
 
-def _count(bags: list[object], errors: list[ChannelError], held_out: bool) -> int:
-    return len(bags) or len({e.run for e in errors if e.held_out == held_out})
+def recordings(bags: list[dict[str, Any]], errors: Iterable[ChannelError], held_out: bool) -> int:
+    """How many recordings of a role there are, from the provenance or else from the errors."""
+    found = sum(bool(b.get("held_out")) == held_out for b in bags)
+    return found or len({e.run for e in errors if e.held_out == held_out})
 
 
-def _plural(n: int, word: str) -> str:
-    return f"{n} {word}" if n == 1 else f"{n} {word}s"
+def plural(n: int, noun: str) -> str:
+    """A number with its noun."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
 def _listed(names: list[str]) -> str:

@@ -111,8 +111,8 @@ def _decimals(value: float, decimals: int) -> str:
     power = math.floor(math.log10(abs(value))) if value else 0
     if value and not -4 <= power < 5:
         return significant(value, min(max(decimals + power + 1, 2), 6))
-    if value and power < -decimals:
-        decimals = 1 - power
+    if value:
+        decimals = max(decimals, 1 - power)
     return fixed(value, min(decimals, 9))
 
 
@@ -125,7 +125,7 @@ def percent(share: float | None, digits: int = 2) -> str:
         return "< 0.1 %"
     if 99.9 < hundred < 100.0:
         return "> 99.9 %"
-    return f"{significant(hundred, digits + 1 if abs(hundred) >= 100 else digits)} %"
+    return f"{significant(hundred, digits + 1 if abs(hundred) >= 99 else digits)} %"
 
 
 def times(ratio: float | None) -> str:

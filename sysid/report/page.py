@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from functools import cache
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
+
+if TYPE_CHECKING:
+    from sysid.report.tables import ErrorRow
 
 
 @cache
@@ -22,7 +27,13 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["raw_svg"] = Markup
+    environment.filters["groupby_run"] = _by_run
     return environment
+
+
+def _by_run(rows: Sequence[ErrorRow]) -> list[list[ErrorRow]]:
+    """Rows of errors, those of one recording together."""
+    return [list(group) for _, group in groupby(rows, key=lambda r: (r.run, r.held_out))]
 
 
 def write_page(template: str, path: Path, **context: Any) -> Path:

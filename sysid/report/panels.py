@@ -9,28 +9,37 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid.report.numbers import MINUS, Scale, scale_for, significant
+from sysid.report.numbers import MINUS, Scale, scale_for, significant, times
 from sysid.report.strips import Strip, noise_of, residual_strips
 from sysid.report.svg import AFTER, BAND, BEFORE, INK, LINE, MEASURED, RC, WINDOW, inline_svg
+from sysid.report.tables import level, over_noise
 
 if TYPE_CHECKING:
     from sysid.fit.result import ChannelError, Series
+    from sysid.mismatch.result import LocatedChannel
 
 Windows = Mapping[str, Sequence[tuple[float, float]]]
 
-MOST_PANELS = 120
+MOST_PANELS = 72
 """Panels on a page; with more columns than this, each recording shows those that fit worst."""
+
+MOST_IN_OPEN = 18
+"""Panels of a recording that is open when the page is."""
 
 MOST_POINTS = 300
 """Measured points of one panel; the curves keep all their points."""
 
 
+STEPS = [1, 2, 2.5, 5, 10]
+"""Distances between ticks."""
+
+
 @dataclass(frozen=True)
 class Panel:
-    """One column of one channel. ``caption``: which, with its shown unit; ``note``: errors in words."""
+    """One column of one channel. ``channel``, ``label``: which; ``note``: errors in words."""
 
     channel: str
-    caption: str
+    label: str
     unit: str
     note: str
     svg: str
@@ -48,12 +57,8 @@ class RunView:
     panels: list[Panel] = field(default_factory=list)
     left_out: int = 0
     open: bool = False
-
-    @property
-    def channels(self) -> list[tuple[str, list[Panel]]]:
-        """Panels by channel, in their order."""
-        names = dict.fromkeys(p.channel for p in self.panels)
-        return [(n, [p for p in self.panels if p.channel == n]) for n in names]
+    ratio: str = ""
+    level: str = ""
 
 
 def run_views(
@@ -80,7 +85,9 @@ def run_views(
     with matplotlib.rc_context(RC):
         for run, held_out in order:
             columns = groups[run, held_out]
-            shown = _worst(columns, errors, quota)
+            first = held_out not in roles_seen
+            shown = _worst(columns, errors, max(quota, MOST_IN_OPEN) if first else quota)
+            ratio = over_noise([e for e in errors if (e.run, e.held_out) == (run, held_out)], after=True)
             view = RunView(
                 run,
                 held_out,
@@ -88,7 +95,9 @@ def run_views(
                 _windows_of(run, windows or {}),
                 max(float(s.t[-1]) for s in columns),
                 left_out=len(columns) - len(shown),
-                open=held_out not in roles_seen,
+                open=first,
+                ratio=times(ratio) if ratio is not None else "",
+                level=level(ratio),
             )
             roles_seen.add(held_out)
             if len(views) < MOST_PANELS:
@@ -97,6 +106,37 @@ def run_views(
                 ]
             views.append(view)
     return views
+
+
+def showcase(
+    series: Sequence[Series],
+    errors: Sequence[ChannelError],
+    *,
+    windows: Windows | None = None,
+    both: bool = True,
+    names: tuple[str, str] = ("before", "after"),
+    place: LocatedChannel | None = None,
+) -> tuple[str, bool, Panel] | None:
+    """The one panel to show first, with its run and role: where ``before`` misses most, held-out data first.
+    ``place``: look only there, if it has data."""
+    import matplotlib
+
+    able = [s for s in series if len(s.t) > 1 and np.isfinite(residual(s, s.before)).any()]
+    if place is not None:
+        able = [s for s in able if s.channel == place.channel] or able
+        able = [s for s in able if place.quantity and s.label.startswith(place.quantity)] or able
+    able = [s for s in able if s.held_out] or able
+    if not able:
+        return None
+
+    def misfit(s: Series) -> float:
+        return rms(residual(s, s.before)) / (noise_of(errors, s) or float(np.nanstd(as_floats(s.measured))) or 1.0)
+
+    best = max(able, key=misfit)
+    with matplotlib.rc_context(RC):
+        spans = _windows_of(best.run, windows or {})
+        panel = _panel(best, noise_of(errors, best), spans, both, names, "first")
+    return best.run, best.held_out, panel
 
 
 def _windows_of(run: str, windows: Windows) -> list[tuple[float, float]]:
@@ -114,7 +154,7 @@ def _worst(columns: list[Series], errors: Sequence[ChannelError], most: int) -> 
 
     def misfit(s: Series) -> float:
         noise = noise_of(errors, s)
-        error = rms(residual(s, s.before)) + rms(residual(s, s.after))
+        error = rms(residual(s, s.after))
         scale = noise if noise else float(np.nanstd(as_floats(s.measured))) or 1.0
         return error / scale if np.isfinite(error) else 0.0
 
@@ -175,17 +215,17 @@ def _panel(
     spread = float(t[-1] - t[0]) or 1.0
     low.set_xlim(t[0] - 0.01 * spread, t[-1] + 0.01 * spread)
     for axes, most in ((top, 4), (low, 2)):
-        axes.yaxis.set_major_locator(MaxNLocator(nbins=most))
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=most, steps=STEPS))
         plain = ScalarFormatter(useOffset=False)
         plain.set_scientific(False)
         axes.yaxis.set_major_formatter(plain)
-    low.xaxis.set_major_locator(MaxNLocator(nbins=6))
+    low.xaxis.set_major_locator(MaxNLocator(nbins=6, steps=STEPS))
     below = f"measured {MINUS} simulated"
     low.text(0.0, 1.06, below, transform=low.transAxes, fontsize=8.5, ha="left", va="bottom")
 
-    errors = [("noise", noise), (names[1], rms(residual(series, series.after)))]
+    errors = [(names[1], rms(residual(series, series.after))), ("noise", noise)]
     if both:
-        errors.insert(1, (names[0], rms(residual(series, series.before))))
+        errors.insert(0, (names[0], rms(residual(series, series.before))))
     in_unit = [(n, significant(None if v is None else v * scale.factor, 2)) for n, v in errors]
     note = ", ".join(f"{n} {v}" for n, v in in_unit)
     unit = f" [{scale.unit}]" if scale.unit else ""
@@ -212,8 +252,7 @@ def _residuals(
     if np.isfinite(after).any():
         reach.append(float(np.nanmax(np.abs(after))))
     if before is not None and np.isfinite(before).any():
-        largest = float(np.nanmax(np.abs(before)))
-        reach.append(min(largest, 6.0 * max(reach)))
+        reach.append(min(float(np.nanmax(np.abs(before))), 1.6 * max(reach)))
         axes.plot(t, before, color=BEFORE, linewidth=0.9, dashes=(4, 2))
     axes.plot(t, after, color=AFTER, linewidth=0.9)
     limit = 1.1 * max(reach)

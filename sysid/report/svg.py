@@ -65,12 +65,16 @@ def inline_svg(figure: Figure, key: str, label: str) -> str:
     text = text.replace("xlink:href", "href")
     text = re.sub(r'<path d="[^"]*"( clip-path="[^"]*")? style="fill: none"/>', "", text)
     text = _joined_dots(text)
-    text = re.sub(r"-?\d+\.\d{2,}", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), text)
+    text = re.sub(r"<[^>]*>", lambda tag: re.sub(r"-?\d+\.\d{2,}", _tenths, tag[0]), text)
     for colour, name in _VARIABLES.items():
         text = text.replace(colour, f"var(--{name})")
     text = re.sub(r"font: ([\d.]+px)[^;\"]*", r"font-size: \1", text)
     text = re.sub(r"font-family: [^;\"]*;?", "", text)
     return re.sub(r"\s*\n\s*", " ", text).strip()
+
+
+def _tenths(number: re.Match[str]) -> str:
+    return f"{float(number[0]):.1f}".removesuffix(".0")
 
 
 def _joined_dots(text: str) -> str:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sysid.report.numbers import (
-    MINUS,
     MISSING,
     Number,
     change,
+    fixed,
     raw_number,
     scale_for,
     significant,
@@ -194,7 +194,8 @@ def correlation_cells(names: Sequence[str], matrix: Sequence[Sequence[float]]) -
                 cells.append(CorrelationCell("1", None, names[i]))
                 continue
             known = value is not None and math.isfinite(value)
-            text = f"{value:.2f}".replace("-", MINUS) if known else MISSING
+            digits = 3 if known and 0.945 <= abs(value) < 0.9995 else 2
+            text = fixed(value, digits) if known else MISSING
             colour = max(-5, min(5, round(5 * value))) if known else 0
             cells.append(CorrelationCell(text, colour, f"{names[i]} and {names[k]}: {text}"))
         out.append(cells)

@@ -1,0 +1,318 @@
+"""The reports as files: complete, self-contained, and robust against results with gaps."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from report_examples import (
+    PROVENANCE,
+    REJECTED,
+    RUNS,
+    compliance,
+    gel_relaxation,
+    make_diagnosis,
+    make_errors,
+    make_fit,
+    make_series,
+    plasticity,
+)
+
+from sysid.fit.result import Estimate, FitResult
+from sysid.mismatch.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
+from sysid.report import write_diagnosis_report, write_fit_report
+
+NAN = float("nan")
+VOID = {"meta", "link", "br", "img", "input", "hr", "rect", "path", "use", "source"}
+
+
+class Page(HTMLParser):
+    """What a page holds; raises on tags that do not match."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.attributes: list[tuple[str, str, str]] = []
+        self.numbers: set[float] = set()
+        self.text = ""
+        self.scripts: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open, self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for key, value in attrs:
+            self.attributes.append((tag, key, value or ""))
+            if key == "id":
+                self.ids.append(value or "")
+            if (tag, key) == ("data", "value"):
+                self.numbers.add(float(value or "nan"))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in VOID:
+            assert self.open and self.open[-1] == tag, (tag, self.open[-3:], self.getpos())
+            self.open.pop()
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "script":
+            self.scripts.append(data)
+        elif not self.open or self.open[-1] != "style":
+            self.text += data
+
+    @property
+    def words(self) -> str:
+        return " ".join(self.text.split())
+
+
+def fit_page(tmp_path: Path, result: FitResult) -> Page:
+    path = write_fit_report(result, tmp_path / "fit.html")
+    assert path == tmp_path / "fit.html"
+    return checked(path)
+
+
+def diagnosis_page(tmp_path: Path, diagnosis: Diagnosis) -> Page:
+    return checked(write_diagnosis_report(diagnosis, tmp_path / "diagnosis.html"))
+
+
+def checked(path: Path) -> Page:
+    """What holds for every report."""
+    text = path.read_text(encoding="utf-8")
+    assert len(text.encode()) < 5_000_000
+    page = Page(text)
+    assert len(page.ids) == len(set(page.ids)), "an id occurs twice"
+    for tag, key, value in page.attributes:
+        if key in ("src", "href", "srcset", "data", "poster", "action"):
+            assert value.startswith(("#", "data:")), (tag, key, value)
+    for pattern in (r"https?://", r"@import", r"url\((?!#)"):
+        assert not re.search(pattern, text), pattern
+    assert not re.search(r"\b(nan|NaN|None(?! (is|was|of) )|inf|Infinity|Undefined)\b", page.words), page.words
+    targets = {v[1:] for _, k, v in page.attributes if k == "href" and v.startswith("#")}
+    clips = set(re.findall(r"url\(#([^)]*)\)", text))
+    assert targets | clips <= set(page.ids)
+    assert "#0a0b" not in text, "a colour was not replaced"
+    for tag, key, value in page.attributes:
+        assert (tag, key) != ("svg", "aria-label") or value
+    return page
+
+
+@pytest.fixture(scope="module")
+def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Page]:
+    """A page of each verdict."""
+    folder = tmp_path_factory.mktemp("verdicts")
+    return {v: checked(write_diagnosis_report(make_diagnosis(v), folder / f"{v}.html")) for v in VERDICTS}
+
+
+def test_the_fit_report_holds_every_number_of_its_parameters(tmp_path: Path) -> None:
+    result = make_fit()
+    page = fit_page(tmp_path, result)
+    for e in result.estimates:
+        assert {e.value, *e.ci95, e.start} <= page.numbers
+        assert e.name in page.words
+    for c in result.errors:
+        assert {c.before, c.after, c.noise} <= page.numbers
+    for shown in ("2.031", "1.981 to 2.083", "GPa", "at its bound", "not determined", "0.985"):
+        assert shown in page.words
+    for sentence in (*result.identifiability, *result.notes):
+        assert sentence in page.words
+    for bag in PROVENANCE["bags"]:  # type: ignore[attr-defined]
+        assert bag["sha256"][0] in page.words
+    for text in ("4 parameters", "2 recordings", "1 recording was held out", "gravity_m_s2", "seed", "3.11.7"):
+        assert text in page.words
+
+
+def test_the_fit_report_carries_its_json(tmp_path: Path) -> None:
+    result = make_fit()
+    data = json.loads(fit_page(tmp_path, result).scripts[0])
+    assert data == json.loads(json.dumps(result.to_json()))
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_the_diagnosis_holds_every_number_of_its_parameters(verdicts: dict[str, Page], verdict: str) -> None:
+    d = make_diagnosis(verdict)
+    page = verdicts[verdict]
+    for candidate in (*d.effects, *d.alternatives):
+        assert candidate.probability in page.numbers
+        assert candidate.title in page.words
+        assert candidate.rejected in page.words
+        for p in candidate.parameters:
+            assert {p.value, *p.ci95} <= page.numbers
+            assert p.words in page.words
+    for p in (*d.baseline_parameters, *d.amended_parameters):
+        assert {p.value, *p.ci95} <= page.numbers
+    assert {*d.upper_limits.values(), *d.discretisation.values(), *d.noise_floor.values()} <= page.numbers
+    assert d.sentence in page.words and d.next_experiment in page.words and d.not_explained in page.words
+    assert json.loads(page.scripts[0])["schema"] == "thinshell.diagnosis/1"
+
+
+def test_each_verdict_says_what_it_must(verdicts: dict[str, Page]) -> None:
+    words = {v: page.words for v, page in verdicts.items()}
+    assert "card.E_pa was 14 % too high without it: 2.31 GPa instead of 2.03 GPa." in words["named"]
+    assert "the error falls from 7.12 to 1.05 times the noise" in words["named"]
+    assert "71 % of the baseline's excess misfit is in wrench_gel force" in words["named"]
+    assert f"Rejected: {REJECTED}" in words["named"]
+    assert "What would separate them" in words["one_of"]
+    assert "do not tell them apart" in words["one_of"]
+    assert "Upper limits" in words["nothing_missing"]
+    assert "31.0 µm/N" in words["nothing_missing"] and "displacement per force" in words["nothing_missing"]
+    assert "What it changed" not in words["nothing_missing"]
+    assert "none of the effects that were tried accounts for it" in words["unknown"]
+    assert "Next experiment" in words["unknown"]
+
+
+def test_a_fit_without_anything(tmp_path: Path) -> None:
+    page = fit_page(
+        tmp_path,
+        make_fit(
+            estimates=[], correlation=[], identifiability=[], errors=[], noise={}, notes=[], provenance={},
+            series=[], reduced_chi2=NAN, seconds=NAN, message="",
+        ),
+    )  # fmt: skip
+    assert "No parameter was fitted." in page.words
+    assert "No time series were kept" in page.words
+
+
+def test_a_diagnosis_without_anything(tmp_path: Path) -> None:
+    page = diagnosis_page(
+        tmp_path,
+        make_diagnosis(
+            "unknown", alternatives=(), located=Located((), {}, ""), baseline=Misfit(NAN, None, ()), noise_floor={},
+            discretisation={}, baseline_parameters=(), not_explained="", next_experiment="", provenance={}, series=[],
+        ),
+    )  # fmt: skip
+    assert "None is proposed." in page.words
+    assert "No recording was held out" in page.words
+
+
+def test_missing_numbers_are_shown_as_missing(tmp_path: Path) -> None:
+    bad = Estimate("card.E_pa", "Pa", NAN, NAN, (NAN, math.inf), NAN, True, False)
+    errors = [replace(e, after=NAN, noise=0.0) for e in make_errors(RUNS, before=2.0, after=1.0)]
+    series = make_series(RUNS)
+    series[0] = replace(series[0], measured=[None] * len(series[0].t))
+    series[1] = replace(series[1], after=[NAN] * len(series[1].t))
+    series[2] = replace(series[2], t=[], measured=[], before=[], after=[])
+    series[3] = replace(series[3], t=[1.0], measured=[0.1], before=[0.2], after=[0.1])
+    flat = [0.0] * len(series[4].t)
+    series[4] = replace(series[4], measured=list(flat), before=flat, after=flat)
+    result = make_fit(
+        estimates=[bad], correlation=[[NAN]], errors=errors, series=series,
+        noise={"wrench_gel": {"sigma": NAN, "correlation": None}},
+    )  # fmt: skip
+    page = fit_page(tmp_path, result)
+    assert json.loads(page.scripts[0])["estimates"][0]["value"] is None
+
+
+def test_no_held_out_data(tmp_path: Path) -> None:
+    runs = RUNS[:1]
+    bags = PROVENANCE["bags"][:1]  # type: ignore[index]
+    page = fit_page(
+        tmp_path,
+        make_fit(
+            errors=make_errors(runs, before=9.0, after=1.0), series=make_series(runs),
+            provenance={**PROVENANCE, "bags": bags},
+        ),
+    )  # fmt: skip
+    assert "none was held out, so nothing here tests a prediction" in page.words
+    page = diagnosis_page(
+        tmp_path,
+        make_diagnosis(
+            "named", baseline=Misfit(48.0, None, tuple(make_errors(runs, before=9.0, after=7.0))),
+            amended=Misfit(1.1, None, tuple(make_errors(runs, before=7.0, after=1.0))), series=make_series(runs),
+            effects=(replace(gel_relaxation(0.99), held_out_gain=None),), provenance={**PROVENANCE, "bags": bags},
+        ),
+    )  # fmt: skip
+    assert "No recording was held out" in page.words
+
+
+@pytest.mark.slow
+def test_many_runs_stay_small_and_are_grouped(tmp_path: Path) -> None:
+    runs = tuple((f"run_{k:02d}", k >= 30) for k in range(40))
+    page = fit_page(
+        tmp_path,
+        make_fit(errors=make_errors(runs, before=9.0, after=1.0), series=make_series(runs, n=600)),
+    )
+    assert sum(t == "details" and k == "class" and v == "run" for t, k, v in page.attributes) == 40
+    assert "30 recordings" in page.words and "run_39" in page.words
+    assert "more columns fit better than those shown" in page.words
+
+
+def test_long_names_and_markup_in_names(tmp_path: Path) -> None:
+    name = "bodies.the_left_finger_of_the_gripper_with_the_soft_gel_pad<script>alert(1)</script>.E_pa"
+    run = "</script><b>2026-11-21_" + "very_long_name_of_a_recording_" * 6
+    runs = ((run, False),)
+    page = fit_page(
+        tmp_path,
+        make_fit(
+            rig="a & b <i>",
+            estimates=[Estimate(name, "N m", 1e-7, 3.3e-7, (3.1e-7, 3.5e-7), 0.1, True, False)],
+            correlation=[[1.0]],
+            identifiability=[],
+            errors=make_errors(runs, before=9.0, after=1.0),
+            series=make_series(runs),
+            notes=[run],
+        ),
+    )
+    assert name in page.words and run in page.words
+    assert "330" in page.words and "nN·m" in page.words
+    assert not any(tag in ("b", "i") and value for tag, _, value in page.attributes)
+
+
+def test_a_fit_that_failed_says_so_first(tmp_path: Path) -> None:
+    page = fit_page(tmp_path, make_fit(converged=False, message="interrupted", series=[]))
+    assert "did not converge" in page.words.split("Parameters")[0]
+    page = fit_page(tmp_path, make_fit(reduced_chi2=50.0, series=[]))
+    assert "does not explain the recordings" in page.words
+    errors = make_errors(RUNS[:2], before=9.0, after=1.0) + make_errors(RUNS[2:], before=9.0, after=6.0)
+    page = fit_page(tmp_path, make_fit(errors=errors, series=[]))
+    assert "but not those held out" in page.words
+
+
+def test_both_answers_and_rivals_may_share_a_name(tmp_path: Path) -> None:
+    twin = replace(compliance(0.2, ""), place="left finger")
+    d = make_diagnosis(
+        "one_of", effects=(compliance(0.5, ""), twin), alternatives=(plasticity(0.3, "worse"), twin), series=[]
+    )
+    page = diagnosis_page(tmp_path, d)
+    assert page.words.count("left finger") >= 2
+
+
+def test_windows_are_shaded_only_where_they_belong(tmp_path: Path) -> None:
+    d = make_diagnosis("named", series=make_series(RUNS[:1]))
+    text = write_diagnosis_report(d, tmp_path / "a.html").read_text()
+    shaded = text.count('style="fill: var(--window)')
+    d.located = Located(d.located.channels, {}, d.located.phase)
+    plain = write_diagnosis_report(d, tmp_path / "b.html").read_text()
+    assert shaded > 0 and plain.count('style="fill: var(--window)') == 0
+
+
+def test_a_parameter_without_a_counterpart(tmp_path: Path) -> None:
+    extra = NamedParameter("effects.gel_relaxation.tau_s", 0.49, (0.46, 0.53), "s", "time constant")
+    d = make_diagnosis("named", series=[])
+    d.amended_parameters = (*d.amended_parameters, extra)
+    page = diagnosis_page(tmp_path, d)
+    assert "not in this model" in page.words
+
+
+def test_files_are_written_into_new_folders(tmp_path: Path) -> None:
+    path = write_fit_report(make_fit(series=[]), tmp_path / "a" / "b" / "fit.html")
+    assert path.is_file()
+
+
+def test_reports_of_the_same_result_are_the_same(tmp_path: Path) -> None:
+    values: dict[str, Any] = {"series": make_series(RUNS[:1])}
+    one = write_fit_report(make_fit(**values), tmp_path / "one.html").read_bytes()
+    two = write_fit_report(make_fit(**values), tmp_path / "two.html").read_bytes()
+    assert one == two
