@@ -104,8 +104,10 @@ class SurfaceContact:
         self._second = np.zeros((16, 3, 3))
         self._seen = np.full_like(buffers.x, np.nan)
         now, lag, table = self._now, self._lag, buffers.pairs
-        laws = (buffers.x, self._x_start, self._own, self._weights, self._triangles, self._areas, self._c)
-        laws = (*laws, self._limit, lag.triangle, lag.weights, lag.direction, self._anchor, now.gap)
+        laws = (
+            *(buffers.x, self._x_start, self._own, self._weights, self._triangles, self._areas, self._c),
+            *(self._limit, lag.triangle, lag.weights, lag.direction, self._anchor, now.gap),
+        )
         here = (now.triangle, now.weights, now.direction)
         self._energy = BoundKernel(add_energy, *laws, buffers.energy)
         self._gradient = BoundKernel(add_gradient, *laws, *here, self._force, self._load, buffers.gradient)
@@ -118,8 +120,10 @@ class SurfaceContact:
 
     def _bind_search(self) -> None:
         found = self._candidates
-        surface = (self._own, self._weights, self._triangles, self._border, found.first, found.near)
-        surface = (*surface, self._normals, self._side, self._c)
+        surface = (
+            *(self._own, self._weights, self._triangles, self._border, found.first, found.near),
+            *(self._normals, self._side, self._c),
+        )
         self._measure = BoundKernel(measure, self._x, *surface, *self._now.arrays())
         self._start = BoundKernel(measure, self._x_start, *surface, *self._lag.arrays())
 

@@ -51,8 +51,7 @@ def curvature_operator(
             around[left].append(h)
             around[right].append(h)
     fits = [
-        None if rigid[t] else _fit(nodes, triangles, hinges, t, frames[t], around, rigid)
-        for t in range(len(triangles))
+        None if rigid[t] else _fit(nodes, triangles, hinges, t, frames[t], around, rigid) for t in range(len(triangles))
     ]
     rows: list[np.ndarray] = []
     columns: list[np.ndarray] = []
@@ -72,11 +71,13 @@ def curvature_operator(
         flat = (nodes[corners] - nodes[corners[0]]) @ frames[t]
         for k in range(3):
             normal, length, q = _edge(flat, k)
-            direction = length / areas[t] * np.array([normal[0] ** 2, normal[1] ** 2, 2 * normal[0] * normal[1]])
-            h = edge_hinge.get(frozenset((int(corners[k]), int(corners[(k + 1) % 3]))))
-            if h is None:
+            voigt = np.array([normal[0] ** 2, normal[1] ** 2, 2 * normal[0] * normal[1]])
+            direction = length / areas[t] * voigt
+            hinge = edge_hinge.get(frozenset((int(corners[k]), int(corners[(k + 1) % 3]))))
+            if hinge is None:
                 add(t, direction, own_fit[0], q @ own_fit[1])
                 continue
+            h = hinge
             sides = hinges.triangles[h]
             other = int(sides[0] if sides[1] == t else sides[1])
             other_fit = fits[other]
@@ -85,9 +86,7 @@ def curvature_operator(
                 continue
             there = (nodes[triangles[other]] - nodes[triangles[other, 0]]) @ frames[other]
             edge = {int(corners[k]), int(corners[(k + 1) % 3])}
-            at = next(
-                j for j in range(3) if {int(triangles[other, j]), int(triangles[other, (j + 1) % 3])} == edge
-            )
+            at = next(j for j in range(3) if {int(triangles[other, j]), int(triangles[other, (j + 1) % 3])} == edge)
             q_other = _edge(there, at)[2]
             add(t, direction, np.array([h]), np.array([0.5]))
             add(t, direction, own_fit[0], 0.5 * (q @ own_fit[1]))
@@ -145,9 +144,7 @@ def _fit(
     return np.asarray(stencil), fit
 
 
-def _openings(
-    hinges: Hinges, stencil: list[int], flat: dict[int, np.ndarray], rigid: np.ndarray
-) -> np.ndarray:
+def _openings(hinges: Hinges, stencil: list[int], flat: dict[int, np.ndarray], rigid: np.ndarray) -> np.ndarray:
     """Opening of each hinge per unit curvature (Voigt) [m], ``(k, 3)``: the sum of both sides' Q."""
     rows = np.zeros((len(stencil), 3))
     for row, h in zip(rows, stencil, strict=True):

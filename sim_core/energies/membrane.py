@@ -86,12 +86,28 @@ def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, out: F2):
 
 
 @ti.kernel
-def _hessian(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, exact: I1, slots: I2, out: F1):
+def _foresee(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, move: F2, out: F2):
+    """Stress [N/m] after ``move`` by the strain's linear part: C (eps + sym(F^T dF))."""
+    ti.loop_config(serialize=True)
+    for e in range(tri.shape[0]):
+        b = _shape(dm_inverse, e)
+        f1, f2 = _columns(x, tri, e, b)
+        d1, d2 = _columns(move, tri, e, b)
+        eps = _strain(f1, f2) + vec3(f1.dot(d1), f2.dot(d2), f1.dot(d2) + f2.dot(d1))
+        s = _stress(c, eps)
+        for i in ti.static(range(3)):
+            out[e, i] = s[i]
+
+
+@ti.kernel
+def _hessian(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, exact: I1, foreseen: I1, stress: F2, slots: I2, out: F1):
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
         f1, f2 = _columns(x, tri, e, b)
         s = _stress(c, _strain(f1, f2))
+        if foreseen[0] == 1:
+            s = vec3(stress[e, 0], stress[e, 1], stress[e, 2])
         if exact[0] == 0:
             mean = 0.5 * (s[0] + s[1])
             half = 0.5 * (s[0] - s[1])
@@ -150,7 +166,8 @@ class Membrane:
         self._dm_inverse = np.ascontiguousarray(np.linalg.inv(dm))
         self._area = 0.5 * np.linalg.det(dm)
         self._c = np.zeros((3, 3))
-        self._exact = np.zeros(1, dtype=np.int32)
+        self._exact, self._foreseen = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32)
+        self._stress = np.zeros((len(triangles), 3))
 
     def blocks(self) -> np.ndarray:
         pairs = np.asarray(_PAIRS)
@@ -160,11 +177,23 @@ class Membrane:
         mesh = (buffers.x, self._triangles, self._dm_inverse, self._area, self._c)
         self.add_energy = BoundKernel(_energy, *mesh, buffers.energy)
         self.add_gradient = BoundKernel(_gradient, *mesh, buffers.gradient)
-        self._add_hessian = BoundKernel(_hessian, *mesh, self._exact, slots, buffers.hessian)
+        self._move = np.zeros_like(buffers.x)
+        self._foresee = BoundKernel(_foresee, *mesh, self._move, self._stress)
+        self._add_hessian = BoundKernel(
+            _hessian, *mesh, self._exact, self._foreseen, self._stress, slots, buffers.hessian
+        )
 
     def add_hessian(self, exact: bool) -> None:
         self._exact[0] = exact
         self._add_hessian()
+
+    def foresee(self, move: np.ndarray | None) -> None:
+        """Until told otherwise, let the Hessian's stress part be that after ``move`` [m] ``(n, 3)`` from
+        here by linear extrapolation (None: that of the positions)."""
+        self._foreseen[0] = move is not None
+        if move is not None:
+            self._move[:] = move
+            self._foresee()
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._c[:] = parameters["thickness_m"] * plane_stress(parameters)

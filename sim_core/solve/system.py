@@ -8,7 +8,8 @@ place. Terms whose coupled nodes change (contact between deformable bodies) rene
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import cast
 
@@ -59,9 +60,9 @@ class System:
         self._static = [t for t in self.terms if not hasattr(t, "prepare")]
         self._number_unknowns(compliant)
         self._targets = np.zeros_like(self.nodes)
-        self._x = self.nodes.copy()
+        self._x: np.ndarray = self.nodes.copy()
         self._energy = np.zeros(1)
-        self._gradient = np.zeros_like(self._x)
+        self._gradient: np.ndarray = np.zeros_like(self._x)
         self._predicted = self._x.copy()
         self._dt = 1.0
         self._inertia_factor = np.zeros(1)
@@ -152,7 +153,7 @@ class System:
         unknown = self._number[self._moved]
         out: np.ndarray = np.bincount(unknown, weights=flat[self._moved], minlength=self.n_unknowns)
         out[len(self._own) :] += self._spring * self._deflection
-        return out
+        return np.asarray(out)
 
     def force_scale(self) -> float:
         """Largest force on any node at the last gradient [N]: reactions and imbalance."""
@@ -222,6 +223,17 @@ class System:
         for term in self.terms:
             term.begin_step(step, internals[term.name])
 
+    @contextmanager
+    def tethered(self, tau: float) -> Iterator[None]:
+        """Within this context inertia holds the system where it is now, over a time ``tau`` [s]."""
+        kept = self._dt, self.inertia, self._predicted.copy()
+        self._dt, self.inertia = tau, True
+        self._predicted[:] = self._x
+        try:
+            yield
+        finally:
+            self._dt, self.inertia, self._predicted[:] = kept
+
     def energy(self) -> float:
         """Incremental potential [J] at :attr:`x`."""
         self._energy[0] = 0.0
@@ -247,7 +259,7 @@ class System:
         self._gradient[:] = 0.0
         for term in self.terms:
             term.add_gradient()
-        return self._gradient.copy()
+        return np.array(self._gradient)
 
     def hessian_data(self, exact: bool = False, shift: float = 0.0) -> np.ndarray:
         """Entries of :meth:`hessian` in the order of its pattern."""
@@ -268,6 +280,13 @@ class System:
     def hessian(self, exact: bool = False, shift: float = 0.0) -> sp.csr_matrix:
         """Upper triangle over the unknowns; ``shift`` [N/m] is added to the diagonal."""
         return self._pattern.matrix(self.hessian_data(exact, shift))
+
+    def foresee(self, move: np.ndarray | None) -> None:
+        """Let the stress part of the next Hessians be that of a linear extrapolation by ``move`` [m]
+        ``(n, 3)`` from here, where a term can (None: the true one)."""
+        for term in self.terms:
+            if hasattr(term, "foresee"):
+                term.foresee(move)
 
     def follow(self, move: np.ndarray) -> np.ndarray:
         """Force [N] on the unknowns due to moves [m] ``(n, 3)`` of what is prescribed: H_fp dx_p, with the
