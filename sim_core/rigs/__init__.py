@@ -24,10 +24,11 @@ from sim_core.rigs.observers import (
     OrthographicCamera,
     PinholeCamera,
     Points,
+    Sight,
     WrenchSensor,
 )
 from sim_core.rigs.parameters import Parameter, list_parameters, resolve_name, with_parameters
-from sim_core.rigs.points import marker_positions, seen_points
+from sim_core.rigs.points import marker_positions, seen_points, track_ids
 from sim_core.rigs.schema import Clamp, Contact, EndEffector, Rig
 
 __all__ = [
@@ -55,6 +56,7 @@ __all__ = [
     "Rigid",
     "Sheet",
     "SheetMaterial",
+    "Sight",
     "Sphere",
     "WrenchSensor",
     "config_folder",
@@ -65,5 +67,6 @@ __all__ = [
     "resolve_name",
     "rig_to_yaml",
     "seen_points",
+    "track_ids",
     "with_parameters",
 ]

@@ -148,6 +148,17 @@ def _check_sensors(rig: Rig) -> None:
                     "sees",
                 )
             taken.update(ids or ())
+        origin = camera.origin_id if camera.model == "scaled_orthographic" else None
+        if origin is not None and (origin in taken or not taken):
+            raise trouble(
+                f"is {origin}, which is also a point of a body."
+                if taken
+                else f"is {origin}, but the points of the bodies have no ids.",
+                "It is a marker of its own: number the points on the bodies otherwise.",
+                "cameras",
+                name,
+                "origin_id",
+            )
 
 
 def _check_points(rig: Rig, body_name: str, points: Points, *path: str | int) -> None:
@@ -162,6 +173,14 @@ def _check_points(rig: Rig, body_name: str, points: Points, *path: str | int) ->
         raise trouble(given, f"Choose one of: {', '.join(faces)}.", *path, "points", "face")
     if body.type == "sheet" and points.face is not None:
         raise trouble("is given for a sheet.", "A sheet has no faces: leave it out.", *path, "points", "face")
+    if points.placed == "first_frame" and (path[0] != "cameras" or body.type != "sheet"):
+        raise trouble(
+            "is first_frame, which is for points of a sheet that a camera sees.",
+            "Leave it out, and give the positions.",
+            *path,
+            "points",
+            "placed",
+        )
     if points.positions_m is not None:
         low, high = body.shape.bounds()
         for index, position in enumerate(points.positions_m):

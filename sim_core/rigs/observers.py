@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -29,6 +29,11 @@ Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e4)]
 Latency = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10.0, le=10.0)]
 Focal = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e6)]
 Pixel = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
+WrenchComponent = Literal["force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z"]
+WRENCH_COMPONENTS: tuple[WrenchComponent, ...] = get_args(WrenchComponent)
+"""In the order of a reading."""
+
+MarkerId = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
 
 
 class Points(Strict):
@@ -38,13 +43,19 @@ class Points(Strict):
     the named face (a dome: n rings of m points) and counts row by row. Without ``margin_m`` each
     point is in the middle of its cell; with it the outermost points have that distance to the edge.
     ``ids`` numbers listed positions; otherwise numbers count up from 0 over all that a sensor sees.
+
+    ``placed: first_frame`` is for markers that are put on anew for each recording (pins, stickers): where
+    they are on the sheet is then taken from the first frame of the recording, with the sheet at rest
+    between its clamps as they stand in that frame. ``positions_m`` still says where they are when the rig
+    is simulated without a recording.
     """
 
     face: Text | None = None
     grid: Cells2 | None = None
     margin_m: NonNegative | None = None
     positions_m: tuple[Position, ...] | None = None
-    ids: tuple[Annotated[int, Field(strict=True, ge=0, lt=2**32)], ...] | None = None
+    ids: tuple[MarkerId, ...] | None = None
+    placed: Literal["rig", "first_frame"] = "rig"
 
     @model_validator(mode="after")
     def _one_kind(self) -> Points:
@@ -64,6 +75,12 @@ class Points(Strict):
                 )
             if len(set(self.ids)) != len(self.ids):
                 raise trouble("holds a number twice.", "Number each point once.", "ids")
+        if self.placed == "first_frame" and (self.positions_m is None or self.ids is None):
+            raise trouble(
+                "takes the places of markers from recordings, but does not say which markers.",
+                "Give ids, and positions_m for simulations without a recording.",
+                "placed",
+            )
         return self
 
     @property
@@ -96,7 +113,8 @@ class WrenchSensor(Strict):
 
     ``on`` is an end effector (all that it carries), a gel or rigid body, or a named clamp. ``pose``
     puts the sensor's frame into the frame of the end effector, the body's local frame, or the frame
-    of the clamp's mount.
+    of the clamp's mount. ``measures``: the components that a real sensor has (a gauge along one axis has
+    one); what a recording holds in the others is not compared.
     """
 
     type: Literal["wrench"]
@@ -106,6 +124,7 @@ class WrenchSensor(Strict):
     rate_hz: Rate = 100.0
     latency_s: Latency = 0.0
     noise: WrenchNoise = WrenchNoise()
+    measures: Annotated[tuple[WrenchComponent, ...], Field(min_length=1)] = WRENCH_COMPONENTS
     topic: Topic = "wrench"
 
 
@@ -192,7 +211,10 @@ class FisheyeCamera(_Lens):
 class OrthographicCamera(_Camera):
     """Scaled orthographic: one length per pixel at any depth, for pictures that only have a scale.
 
-    The origin of the camera's frame is at pixel (``cx_px``, ``cy_px``).
+    The origin of the camera's frame is at pixel (``cx_px``, ``cy_px``). Where the picture's crop differs
+    from recording to recording, or the camera shakes, ``origin_id`` names a tracked marker that sits at
+    that origin: positions in the picture are then counted from it, frame by frame (a recorded track
+    becomes ``uv - uv[origin_id] + (cx_px, cy_px)``), and the marker itself is not compared.
     """
 
     model: Literal["scaled_orthographic"]
@@ -201,6 +223,7 @@ class OrthographicCamera(_Camera):
     )
     cx_px: Pixel = 0.0
     cy_px: Pixel = 0.0
+    origin_id: MarkerId | None = None
 
 
 Camera = Annotated[PinholeCamera | FisheyeCamera | OrthographicCamera, Field(discriminator="model")]

@@ -7,7 +7,7 @@ import numpy as np
 from sim_core.errors import ConfigError
 from sim_core.rigs.bodies import Block, Dome, Gel, Outline, Rectangle, Sheet
 from sim_core.rigs.fields import FloatArray
-from sim_core.rigs.observers import Points, Sight
+from sim_core.rigs.observers import Camera, OrthographicCamera, Points, Sight
 
 IntArray = np.ndarray
 
@@ -73,6 +73,14 @@ def seen_points(
             offset += sight.points.count
         result.append((sight.body, positions, ids))
     return result
+
+
+def track_ids(camera: Camera, bodies: dict[str, Sheet | Gel]) -> IntArray:
+    """Numbers of all tracks of a camera, int64 ``(n,)``: of the points on bodies, then of the origin."""
+    ids = [ids for _, _, ids in seen_points(camera.sees, bodies)]
+    if isinstance(camera, OrthographicCamera) and camera.origin_id is not None:
+        ids.append(np.array([camera.origin_id], dtype=np.int64))
+    return np.concatenate(ids)
 
 
 def _stations(low: float, high: float, count: int, margin: float | None) -> FloatArray:

@@ -10,7 +10,17 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.contact.rigid import RigidContact
 from sim_core.geometry import sheets, solids
-from sim_core.rigs import MarkerSensor, Pose, Rig, Rigid, WrenchSensor, marker_positions, seen_points
+from sim_core.rigs import (
+    MarkerSensor,
+    OrthographicCamera,
+    Pose,
+    Rig,
+    Rigid,
+    WrenchSensor,
+    marker_positions,
+    seen_points,
+    track_ids,
+)
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.camera import project
 
@@ -61,7 +71,7 @@ class Observer:
             self.kinds[name] = "tracks"
             seen = seen_points(camera.sees, bodies)
             self._tracked[name] = [self._locate(body, local) for body, local, _ in seen]
-            self.ids[name] = np.concatenate([ids for _, _, ids in seen])
+            self.ids[name] = track_ids(camera, bodies)
         self._place()
 
     def _locate(self, body: str, local: np.ndarray) -> _Tracked:
@@ -122,6 +132,8 @@ class Observer:
             origin, rotation = _within(placed[camera.mount], self._poses[name])
             points = np.vstack([t.positions(x) for t in self._tracked[name]])
             out[name] = project(camera, (points - origin) @ rotation)
+            if isinstance(camera, OrthographicCamera) and camera.origin_id is not None:
+                out[name] = np.vstack([out[name], [camera.cx_px, camera.cy_px]])
         return out
 
     def _wrench(self, nodes: np.ndarray, frame: Placement, forces: np.ndarray) -> np.ndarray:

@@ -48,6 +48,7 @@ class Engine:
 
     def predict(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Prediction:
         """Predict one run."""
+        rig = run.seen_by(rig)
         scene = self.scene(rig, refine)
         trace = simulate(scene, run.poses, self._times(rig, run, dt))
         return Prediction(_at_stamps(trace, rig, run), {}, trace)
@@ -62,6 +63,7 @@ class Engine:
         self, rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray
     ) -> Prediction:
         """Predict one run at ``scaled`` values of the parameters, with derivatives."""
+        rig = run.seen_by(rig)
         here = rig_at(rig, parameters, scaled)
         neighbours, steps = [], []
         for k, p in enumerate(parameters):

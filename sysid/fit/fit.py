@@ -10,7 +10,7 @@ import numpy as np
 
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.engine import Engine
-from sysid.fit.noise import ChannelNoise, estimate_noise
+from sysid.fit.noise import channel_noise
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
@@ -22,12 +22,6 @@ Progress = Callable[[float, str], None]
 
 TYPICAL_EVALUATIONS = 10
 """Evaluations that a fit usually takes; the progress bar is scaled with it."""
-
-
-def channel_noise(runs: Sequence[Run]) -> dict[str, ChannelNoise]:
-    """Noise of every channel that the runs have."""
-    channels = sorted({m.channel for run in runs for m in run.measured})
-    return {c: estimate_noise(list(runs), c) for c in channels}
 
 
 def fit_runs(
@@ -56,7 +50,7 @@ def _fit_runs(
     start: np.ndarray | None,
     on_progress: Progress | None,
 ) -> tuple[FitResult, Rig]:
-    noise = channel_noise([*runs, *held_out])
+    noise = channel_noise(rig, [*runs, *held_out])
     parameters = fit_parameters(rig, names)
     problem = Problem(runs, noise, engine)
     first = start_of(rig, parameters) if start is None else start

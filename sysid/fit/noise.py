@@ -4,14 +4,19 @@ Where the robot stands still and nothing moves, the scatter about the mean of a 
 lag-one correlation there tells coloured from white. Without such a stretch the second differences do
 (var(x_{k-1} - 2 x_k + x_{k+1}) = 6 sigma^2 for white noise), which cannot see colour. Columns of a kind
 (forces, torques, markers) share their values by the median.
+
+What a rig declares as a sensor's noise is a lower bound: a recording shows how much neighbouring samples
+scatter, but not what was smoothed, interpolated or rounded away before it was written.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sysid.fit.runs import Measured, Run
 
 MIN_REST_SAMPLES = 15
@@ -22,6 +27,9 @@ REST_MARGIN_S = 0.15
 
 FLOOR_SHARE = 1e-5
 """Noise is not taken to be below this share of a column group's range (noise-free simulations)."""
+
+REPLACED_FROM = 2.0
+"""A declared noise of this many times the estimated one takes the place of the latter altogether."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +63,38 @@ def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:
     return [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= MIN_REST_SAMPLES]
 
 
+def channel_noise(rig: Rig, runs: Sequence[Run]) -> dict[str, ChannelNoise]:
+    """Noise of every channel that the runs have: estimated, and at least what the rig declares."""
+    channels = sorted({m.channel for run in runs for m in run.measured})
+    return {c: at_least(estimate_noise(list(runs), c), declared_noise(rig, c)) for c in channels}
+
+
+def declared_noise(rig: Rig, channel: str) -> np.ndarray:
+    """Standard deviation that a rig declares for a channel in its units: six components, or one number."""
+    if channel in rig.cameras:
+        return np.array([rig.cameras[channel].noise.position_px])
+    sensor = rig.sensors[channel]
+    if isinstance(sensor, WrenchSensor):
+        return np.repeat([sensor.noise.force_n, sensor.noise.torque_nm], 3)
+    assert isinstance(sensor, MarkerSensor)
+    return np.array([sensor.noise.position_m])
+
+
+def at_least(noise: ChannelNoise, declared: np.ndarray) -> ChannelNoise:
+    """Noise with the declared standard deviations as lower bounds.
+
+    A declared noise that is much larger than the estimate replaces it, and is white: the colour was then
+    found in a scatter (of interpolated or smoothed samples) that is not the noise.
+    """
+    floor = np.broadcast_to(declared, noise.sigma.shape)
+    higher = floor > noise.sigma
+    if not higher.any():
+        return noise
+    if (floor[higher] > REPLACED_FROM * noise.sigma[higher]).any():
+        return ChannelNoise(np.maximum(noise.sigma, floor), 0.0, "declared by the rig")
+    return ChannelNoise(np.maximum(noise.sigma, floor), noise.rho, f"{noise.source}, at least as declared")
+
+
 def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
     """Noise of one channel over all runs that have it."""
     found = [(r, m) for r in runs for m in r.measured if m.channel == channel]
@@ -68,7 +108,8 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
         extent = 0.0
         for run, measured in found:
             values = measured.values[:, group]
-            if not np.isfinite(values).any():
+            values = values[:, np.isfinite(values).any(axis=0)]
+            if not values.size:
                 continue
             extent = max(extent, float(np.nanmax(np.nanmax(values, axis=0) - np.nanmin(values, axis=0))))
             second = np.diff(values, n=2, axis=0)

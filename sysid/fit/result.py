@@ -94,11 +94,12 @@ class FitResult:
             mark = "  (at its bound)" if e.at_bound else ""
             lines.append(f"{e.name:<34}{e.value:>13.5g}  {f'{low:.5g} .. {high:.5g}':<27}{e.unit}{mark}")
         lines.append("")
-        lines.append(f"{'run':<26}{'channel':<22}{'before':>11}{'after':>11}{'noise':>11}  unit")
-        for c in self.errors:
-            role = " (held out)" if c.held_out else ""
+        runs = [c.run + (" (held out)" if c.held_out else "") for c in self.errors]
+        wide = max(24, *map(len, runs)) + 2 if runs else 26
+        lines.append(f"{'run':<{wide}}{'channel':<22}{'before':>11}{'after':>11}{'noise':>11}  unit")
+        for run, c in zip(runs, self.errors, strict=True):
             lines.append(
-                f"{c.run + role:<26}{c.channel + ' ' + c.quantity:<22}{c.before:>11.4g}{c.after:>11.4g}"
+                f"{run:<{wide}}{c.channel + ' ' + c.quantity:<22}{c.before:>11.4g}{c.after:>11.4g}"
                 f"{c.noise:>11.4g}  {c.unit}"
             )
         lines += ["", *self.identifiability]
@@ -167,8 +168,9 @@ def plot_series(problem: Problem, before: Fitted, after: Fitted, held_out: bool,
     out = []
     for i, run in enumerate(problem.runs):
         for m in run.measured:
-            spread = np.nan_to_num(np.nanstd(np.where(np.isfinite(m.values), m.values, np.nan), axis=0))
-            chosen = np.sort(np.argsort(-spread, kind="stable")[:most])
+            finite = [column[np.isfinite(column)] for column in m.values.T]
+            spread = np.array([np.std(column) if len(column) else -1.0 for column in finite])
+            chosen = np.sort(np.argsort(-spread, kind="stable")[: min(most, int(np.sum(spread >= 0.0)))])
             step = max(1, len(m.t) // 600)
             for k in chosen:
                 unit = UNITS[m.kind][1 if m.kind == "wrench" and k >= 3 else 0]

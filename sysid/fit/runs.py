@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from sim_core.errors import RecordingError
-from sim_core.rigs import MarkerSensor, Rig, Rigid, WrenchSensor, marker_positions, seen_points
+from sim_core.rigs import (
+    MarkerSensor,
+    OrthographicCamera,
+    Rig,
+    Rigid,
+    Sight,
+    WrenchSensor,
+    marker_positions,
+    track_ids,
+)
+from sim_core.rigs.observers import WRENCH_COMPONENTS
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.recording import EETopics, Recording, SensorTopic, TopicNames, read_recording
 from sysid.recording.bag import open_bag
 from sysid.recording.notes import Notes
-
-MAX_POSE_GAP_S = 1.0
-"""Longest gap in a pose stream that is bridged by interpolation."""
 
 UNITS = {"wrench": ("N", "N m"), "markers": ("m",), "tracks": ("px",)}
 
@@ -43,7 +50,11 @@ class Measured:
 
 @dataclass(frozen=True)
 class Run:
-    """One recording, ready to be compared. ``end`` [s]: time of its last measurement."""
+    """One recording, ready to be compared.
+
+    ``end`` [s]: time of its last measurement. ``sights``: what a camera sees in this recording, where the
+    rig leaves the places of markers to it (``placed: first_frame``).
+    """
 
     name: str
     path: str
@@ -52,6 +63,17 @@ class Run:
     measured: tuple[Measured, ...]
     end: float
     notes: tuple[str, ...] = field(default=())
+    sights: Mapping[str, tuple[Sight, ...]] = field(default_factory=dict)
+
+    def seen_by(self, rig: Rig) -> Rig:
+        """The rig with the markers where they are in this recording."""
+        if not self.sights:
+            return rig
+        cameras = {
+            name: camera.model_copy(update={"sees": self.sights.get(name, camera.sees)})
+            for name, camera in rig.cameras.items()
+        }
+        return rig.model_copy(update={"cameras": cameras})
 
 
 def topics_of(rig: Rig) -> TopicNames:
@@ -83,6 +105,8 @@ def topics_of(rig: Rig) -> TopicNames:
 
 def load_run(rig: Rig, path: Path) -> Run:
     """Read a bag and line it up with a rig. Raises ``RecordingError`` when nothing can be compared."""
+    from sysid.fit.placement import placed_sights
+
     recording = read_recording(path, _present(rig, path))
     poses = {}
     for name in rig.end_effectors:
@@ -96,7 +120,7 @@ def load_run(rig: Rig, path: Path) -> Run:
             stream.t,
             stream.position,
             stream.quaternion,
-            max_gap_s=MAX_POSE_GAP_S,
+            max_gap_s=rig.end_effectors[name].topics.max_gap_s,
             source=f"{path}: {stream.topic}",
         )
     measured = tuple(_measured(rig, recording))
@@ -105,6 +129,7 @@ def load_run(rig: Rig, path: Path) -> Run:
             f"{path}: none of the rig's sensors and cameras has data in this bag.",
             "Compare 'thinshell inspect' with the topics of the rig.",
         )
+    sights, missed = placed_sights(rig, poses, measured)
     return Run(
         name=Path(path).name,
         path=str(path),
@@ -112,7 +137,8 @@ def load_run(rig: Rig, path: Path) -> Run:
         poses=poses,
         measured=measured,
         end=float(max(m.t[-1] for m in measured)),
-        notes=tuple(f"{n.channel}: {n.text}" for n in recording.notes),
+        notes=(*(f"{n.channel}: {n.text}" for n in recording.notes), *missed),
+        sights=sights,
     )
 
 
@@ -145,8 +171,11 @@ def _present(rig: Rig, path: Path) -> TopicNames:
 def _measured(rig: Rig, recording: Recording) -> Sequence[Measured]:
     out = []
     for name, wrench in recording.wrenches.items():
-        values = np.hstack([wrench.force, wrench.torque])
-        labels = ("force x", "force y", "force z", "torque x", "torque y", "torque z")
+        gauge = rig.sensors[name]
+        assert isinstance(gauge, WrenchSensor)
+        measured = np.array([c in gauge.measures for c in WRENCH_COMPONENTS])
+        values = np.where(measured, np.hstack([wrench.force, wrench.torque]), np.nan)
+        labels = tuple(c.replace("_", " ") for c in WRENCH_COMPONENTS)
         out.append(Measured(name, "wrench", wrench.t, values, labels))
     for name, markers in recording.markers.items():
         sensor = rig.sensors[name]
@@ -158,10 +187,21 @@ def _measured(rig: Rig, recording: Recording) -> Sequence[Measured]:
         out.append(Measured(name, "markers", markers.t, values, _labels(ids, "xyz")))
     bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
     for name, tracks in recording.tracks.items():
-        ids = np.concatenate([i for _, _, i in seen_points(rig.cameras[name].sees, bodies)])
+        camera = rig.cameras[name]
+        ids = track_ids(camera, bodies)
         values = _by_id(tracks.uv, tracks.ids, ids, name, recording)
+        if isinstance(camera, OrthographicCamera) and camera.origin_id is not None:
+            values = _from_origin(values, camera)
         out.append(Measured(name, "tracks", tracks.t, values, _labels(ids, "uv")))
     return out
+
+
+def _from_origin(values: np.ndarray, camera: OrthographicCamera) -> np.ndarray:
+    """Tracks [px] ``(n, 2 m)`` counted from the last marker, which is then not compared (NaN)."""
+    uv = values.reshape(len(values), -1, 2)
+    out = uv - uv[:, -1:] + [camera.cx_px, camera.cy_px]
+    out[:, -1] = np.nan
+    return np.asarray(out.reshape(values.shape))
 
 
 def _labels(ids: np.ndarray, axes: str) -> tuple[str, ...]:

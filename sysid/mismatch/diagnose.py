@@ -13,7 +13,7 @@ import yaml
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
-from sysid.fit.fit import channel_noise
+from sysid.fit.noise import channel_noise
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Direction, Fitted, Problem
@@ -62,7 +62,7 @@ def diagnose_runs(
     """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none)."""
     started = time.monotonic()
     tell = _Steps(on_progress)
-    noise = channel_noise([*runs, *held_out])
+    noise = channel_noise(rig, [*runs, *held_out])
     with PooledEngine(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
         tell(0.0, "baseline fit")
         parameters = fit_parameters(rig, open_parameters(rig))
