@@ -88,7 +88,7 @@ def test_cases_differ_in_readings_and_poses_only(quick: None, tmp_path: Path) ->
         for run, kind in bench.KINDS.items():
             found = contents(case / run)
             messages = [m[:5] for m in found.pop("messages")]
-            seen.add((kind, repr(found), repr(messages)))
+            seen.add((kind, repr(found).replace(run, ""), repr(messages)))
     assert len(seen) == len(set(bench.KINDS.values()))
 
 
@@ -154,8 +154,8 @@ def test_runs_of_a_kind_last_equally_long() -> None:
     rig = load_rig(bench.RIG)
     rng = np.random.default_rng(0)
     for kind, duration in bench.DURATION_S.items():
-        ends = {float(p.times[-1]) for _ in range(200) for p in bench.draw_poses(rng, rig, kind).values()}
-        assert ends == {pytest.approx(duration)}
+        ends = [float(p.times[-1]) for _ in range(200) for p in bench.draw_poses(rng, rig, kind).values()]
+        assert ends == pytest.approx([duration] * len(ends))
 
 
 def test_noise_has_its_level_and_colour() -> None:

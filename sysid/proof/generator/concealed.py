@@ -61,8 +61,8 @@ def _compliance(rng: np.random.Generator) -> Amplitudes:
 def _offset(rng: np.random.Generator) -> Amplitudes:
     """A bias, a drift, or both, in random directions."""
     kind = rng.integers(3)
-    bias = _direction(rng) * (_between(0.05, 0.15)(rng) if kind != 1 else 0.0)
-    drift = _direction(rng) * (_between(0.06, 0.2)(rng) if kind != 0 else 0.0)
+    bias = _direction(rng) * _between(0.05, 0.15)(rng) if kind != 1 else np.zeros(3)
+    drift = _direction(rng) * _between(0.06, 0.2)(rng) if kind != 0 else np.zeros(3)
     return {
         **{f"bias_{a}_n": float(b) for a, b in zip("xyz", bias, strict=True)},
         **{f"drift_{a}_n_per_s": float(d) for a, d in zip("xyz", drift, strict=True)},
