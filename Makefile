@@ -9,7 +9,7 @@ LOCKER := $(VENV)/.locker
 .PHONY: help demo test test-all lint format lock clean
 
 help:
-	@echo "make demo      simulate, hide an effect, diagnose it, and write a report"
+	@echo "make demo      simulate a press, record it, fit it back, and write a report"
 	@echo "make test      the tests that take seconds"
 	@echo "make test-all  all tests"
 	@echo "make lint      style and types"

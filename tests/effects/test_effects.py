@@ -1,0 +1,127 @@
+"""Every effect vanishes bit for bit, shows when it is there, and follows its law."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim_core.effects import EFFECTS, active_effects, effect_by_name
+from sim_core.errors import ConfigError
+from sim_core.materials.elastic import plane_stress
+from sim_core.rigs import list_parameters
+from sim_core.scene import build_scene
+from sim_core.simulate import simulate, step_times
+from sysid.streams import predicted, total_delay
+
+TYPICAL = {
+    "gel_relaxation": {"share": 0.3, "tau_s": 0.2},
+    "sheet_orthotropy": {"modulus_ratio": 2.0, "grain_angle_rad": 0.4},
+    "bending_plasticity": {"yield_curvature_per_m": 1.0, "hardening_ratio": 0.2},
+    "air_drag": {"drag_coefficient": 1.0},
+    "static_friction": {"excess": 0.5},
+    "end_effector_compliance": {"compliance_m_per_n": 2e-4},
+    "wrench_offset": {**{f"bias_{a}_n": 0.1 for a in "xyz"}, **{f"drift_{a}_n_per_s": 0.05 for a in "xyz"}},
+    "stream_delay": {"wrench_s": 0.03, "vision_s": 0.05},
+}
+
+MOTION = (
+    [0.0, 0.1, 0.25, 0.4, 0.5, 0.6, 0.7, 0.8],
+    [[0, 0, 0], [0, 0, -0.01], [0, 0, 0], [0.055, 0, 0], [0.055, 0, -0.0008], [0.058, 0, -0.0008],
+     [0.055, 0, -0.0008], [0.055, 0, 0]],
+)  # fmt: skip
+
+
+def readings(rig, poses):
+    times = step_times(0.0, float(poses["finger"].times[-1]), rig.solver.dt_s)
+    trace = simulate(build_scene(rig), poses, times)
+    return {c: predicted(trace, rig, c, times) for c in trace.outputs}
+
+
+def test_every_effect_is_tried_here():
+    assert set(TYPICAL) == {e.name for e in EFFECTS}
+
+
+@pytest.mark.parametrize("name", sorted(TYPICAL))
+def test_vanishes_bit_for_bit_and_shows_otherwise(small_rig, visit, name):
+    effect = effect_by_name(name)
+    off = {p.name: TYPICAL[name][p.name] if p.vanishing is None else p.vanishing for p in effect.parameters}
+    plain = readings(small_rig(), visit(*MOTION))
+    rig = small_rig()
+    absent = readings(rig.model_copy(update={"effects": {name: off}}), visit(*MOTION))
+    present = readings(small_rig(effects={name: TYPICAL[name]}), visit(*MOTION))
+    for channel in plain:
+        assert np.array_equal(plain[channel], absent[channel]), channel
+    noise = {"wrench": 1e-3, "markers": 5e-6, "side": 0.1}
+    assert max(np.nanmax(np.abs(plain[c] - present[c])) / noise[c] for c in plain) > 3.0
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_says_what_it_is(effect, small_rig):
+    assert effect.title and effect.words.endswith(".") and effect.slot
+    assert effect.variants(small_rig()), "applies to a rig with a sheet, a gel, contact, sensors and a hand"
+    assert any(p.vanishing is not None for p in effect.parameters)
+    for variant in effect.variants(small_rig()):
+        assert set(variant) == {p.name for p in effect.parameters}
+
+
+def test_orthotropy_gives_the_two_moduli_and_their_mean():
+    c = plane_stress({"E_pa": 1e9, "nu": 0.3, "anisotropy_ratio": 4.0})
+    compliance = np.linalg.inv(c)
+    first, second = 1.0 / compliance[0, 0], 1.0 / compliance[1, 1]
+    assert first / second == pytest.approx(4.0)
+    assert np.sqrt(first * second) == pytest.approx(1e9)
+    turned = np.linalg.inv(
+        plane_stress({"E_pa": 1e9, "nu": 0.3, "anisotropy_ratio": 4.0, "grain_angle_rad": np.pi / 2})
+    )
+    assert 1.0 / turned[0, 0] == pytest.approx(second)
+
+
+def test_compliance_moves_the_gel_by_force_times_compliance(small_rig, visit):
+    compliance = 5e-4
+    rig = small_rig(effects={"end_effector_compliance": {"compliance_m_per_n": compliance}})
+    scene = build_scene(rig)
+    poses = visit([0.0, 0.2, 0.4, 0.8], [[0, 0, 0], [0.055, 0, 0], [0.055, 0, -0.0008], [0.055, 0, -0.0008]])
+    trace = simulate(scene, poses, step_times(0.0, 0.8, 0.02))
+    force = trace.outputs["wrench"][-1, :3]
+    assert force[2] > 0.1
+    assert scene.system.deflections[0] == pytest.approx(compliance * force, rel=1e-3, abs=1e-9)
+
+
+def test_static_friction_holds_by_its_excess_and_then_lets_go(small_rig, visit):
+    slow = visit([0.0, 0.2, 0.4, 0.6, 3.0],
+                 [[0, 0, 0], [0.055, 0, 0], [0.055, 0, -0.0006], [0.055, 0, -0.0006], [0.058, 0, -0.0006]])  # fmt: skip
+    plain = readings(small_rig(), slow)["wrench"]
+    sticky = readings(small_rig(effects={"static_friction": {"excess": 0.5}}), slow)["wrench"]
+    ratio = np.abs(plain[:, 0]) / np.maximum(plain[:, 2], 1e-6)
+    assert ratio[-1] == pytest.approx(0.4, rel=0.02)
+    held = np.abs(sticky[:, 0]) / np.maximum(sticky[:, 2], 1e-6)
+    assert held[40:].max() == pytest.approx(0.6, rel=0.08)
+
+
+def test_sensor_effects_change_readings_exactly(small_rig, visit):
+    poses = visit([0.0, 0.4], [[0, 0, 0], [0, 0, -0.002]])
+    times = step_times(0.0, 0.4, 0.02)
+    rig = small_rig(effects={"wrench_offset": TYPICAL["wrench_offset"], "stream_delay": TYPICAL["stream_delay"]})
+    trace = simulate(build_scene(rig), poses, times)
+    late = np.array([0.2, 0.3])
+    reading = predicted(trace, rig, "wrench", late)
+    expected = trace.at("wrench", late - 0.03)
+    expected[:, :3] += 0.1 + 0.05 * late[:, None]
+    assert np.allclose(reading, expected, atol=1e-15)
+    assert total_delay(rig, "side", "tracks") == pytest.approx(0.05)
+
+
+def test_names_and_values_are_checked(small_rig):
+    with pytest.raises(ConfigError, match="Did you mean 'air_drag'"):
+        active_effects(small_rig(effects={"air_drga": {"drag_coefficient": 1.0}}))
+    with pytest.raises(ConfigError, match="no parameter 'drag'"):
+        active_effects(small_rig(effects={"air_drag": {"drag": 1.0}}))
+    with pytest.raises(ConfigError, match="outside of"):
+        active_effects(small_rig(effects={"gel_relaxation": {"share": 2.0, "tau_s": 0.1}}))
+    with pytest.raises(ConfigError, match="needs the parameter"):
+        active_effects(small_rig(effects={"gel_relaxation": {"share": 0.2}}))
+
+
+def test_effect_parameters_are_listed_with_the_rig(small_rig):
+    rig = small_rig(effects={"air_drag": {"drag_coefficient": 1.0}})
+    assert "effects.air_drag.drag_coefficient" in {p.name for p in list_parameters(rig)}
