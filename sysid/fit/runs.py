@@ -21,9 +21,10 @@ from sim_core.rigs import (
 )
 from sim_core.rigs.observers import WRENCH_COMPONENTS
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.recording import EETopics, Recording, SensorTopic, TopicNames, read_recording
+from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
 from sysid.recording.notes import Notes
+from sysid.rig_topics import topics_of
 
 UNITS = {"wrench": ("N", "N m"), "markers": ("m",), "tracks": ("px",)}
 
@@ -76,38 +77,12 @@ class Run:
         return rig.model_copy(update={"cameras": cameras})
 
 
-def topics_of(rig: Rig) -> TopicNames:
-    """Where a rig's streams are in a bag."""
-    wrench, markers = {}, {}
-    for name, sensor in rig.sensors.items():
-        topic = SensorTopic(topic=sensor.topic)
-        if isinstance(sensor, WrenchSensor):
-            wrench[name] = topic
-        elif isinstance(sensor, MarkerSensor):
-            markers[name] = topic
-    return TopicNames(
-        ee={
-            n: EETopics(
-                current_pose=e.topics.current_pose,
-                target_pose=e.topics.target_pose,
-                length_unit=e.topics.length_unit,
-                quaternion_order=e.topics.quaternion_order,
-            )
-            for n, e in rig.end_effectors.items()
-        },
-        wrench=wrench,
-        markers=markers,
-        tracks={n: c.topics.marker_tracks for n, c in rig.cameras.items()},
-        camera_info={},
-        images={},
-    )
-
-
 def load_run(rig: Rig, path: Path) -> Run:
     """Read a bag and line it up with a rig. Raises ``RecordingError`` when nothing can be compared."""
     from sysid.fit.placement import placed_sights
 
-    recording = read_recording(path, _present(rig, path))
+    names, missing = topics_of(rig, open_bag(Path(path), Notes()).topics)
+    recording = read_recording(path, names)
     poses = {}
     for name in rig.end_effectors:
         stream = recording.poses.get(name)
@@ -137,34 +112,12 @@ def load_run(rig: Rig, path: Path) -> Run:
         poses=poses,
         measured=measured,
         end=float(max(m.t[-1] for m in measured)),
-        notes=(*(f"{n.channel}: {n.text}" for n in recording.notes), *missed),
+        notes=(
+            *(f"{n.channel}: {n.text}" for n in recording.notes),
+            *(f"{topic}: named by the rig, not in this recording" for topic in missing),
+            *missed,
+        ),
         sights=sights,
-    )
-
-
-def _present(rig: Rig, path: Path) -> TopicNames:
-    """The rig's topics without the optional streams that a bag does not have."""
-    wanted = topics_of(rig)
-    topics = set(open_bag(Path(path), Notes()).topics)
-
-    def has(topic: str | None) -> bool:
-        return topic is None or any(t == topic or t.endswith("/" + topic.lstrip("/")) for t in topics)
-
-    return TopicNames(
-        ee={
-            n: EETopics(
-                current_pose=e.current_pose if has(e.current_pose) else None,
-                target_pose=e.target_pose if has(e.target_pose) else None,
-                length_unit=e.length_unit,
-                quaternion_order=e.quaternion_order,
-            )
-            for n, e in wanted.ee.items()
-        },
-        wrench={n: s for n, s in wanted.wrench.items() if isinstance(s, SensorTopic) and has(s.topic)},
-        markers={n: s for n, s in wanted.markers.items() if isinstance(s, SensorTopic) and has(s.topic)},
-        tracks={n: t for n, t in wanted.tracks.items() if has(t)},
-        camera_info={},
-        images={},
     )
 
 
