@@ -171,7 +171,8 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
             f"These recordings do not determine {_listed(named)} on {'its' if len(named) == 1 else 'their'} own."
         )
     elif n and result.converged:
-        out.append("Every parameter is determined by these recordings.")
+        traded = ", though some are traded off against each other" if result.identifiability else ""
+        out.append(f"Every parameter is determined by these recordings{traded}.")
     if bounds:
         out.append(f"{_listed(bounds)} ended at a bound: the true value may lie beyond.")
     if not result.converged and result.message:

@@ -130,7 +130,9 @@ def percent(share: float | None, digits: int = 2) -> str:
 
 def times(ratio: float | None) -> str:
     """A ratio as a multiple."""
-    return MISSING if ratio is None or not math.isfinite(ratio) else f"{significant(ratio, 3)}{TIMES}"
+    if ratio is None or not math.isfinite(ratio):
+        return MISSING
+    return f"{fixed(ratio, 2) if 0.1 <= ratio < 10.0 else significant(ratio, 3)}{TIMES}"
 
 
 def change(start: float, end: float) -> str:

@@ -280,6 +280,18 @@ def test_a_fit_that_failed_says_so_first(tmp_path: Path) -> None:
     assert "but not those held out" in page.words
 
 
+def test_what_is_determined_is_said_first(tmp_path: Path) -> None:
+    pair = make_fit().identifiability[1]
+    together = "The data do not determine gel.E_pa and gel.nu separately, only in combination: both up. Fix one."
+    for sentences, words in (
+        ([], "Every parameter is determined by these recordings."),
+        ([pair], "determined by these recordings, though some are traded off"),
+        ([together], "do not determine gel.E_pa and gel.nu on their own"),
+    ):
+        page = fit_page(tmp_path, make_fit(identifiability=sentences, series=[]))
+        assert words in page.words.split("Reduced chi-square")[0]
+
+
 def test_both_answers_and_rivals_may_share_a_name(tmp_path: Path) -> None:
     twin = replace(compliance(0.2, ""), place="left finger")
     d = make_diagnosis(
