@@ -64,7 +64,7 @@ def folded_fraction(reference: Points, uv: Points) -> float:
     """Return the part of the reference's triangles that are turned over in a frame; NaN without triangles.
 
     Both ``(m, 2)`` [px]; rows of ``uv`` that are NaN are left out. A skin cannot fold, so anything above 0
-    is a wrong number.
+    is a wrong number; but a row that slipped along itself by one marker folds little: see the edges.
     """
     seen = np.isfinite(uv[:, 0])
     corners = triangles_of(reference[seen])

@@ -100,12 +100,11 @@ def detect_markers(image: NDArray[np.generic], parameters: DetectionParameters |
     found = segment(grey, polarity=parameters.polarity, diameter_px=parameters.diameter_px)
     if found.contrast < parameters.min_contrast:
         return _nothing(size, f"the strongest dots are {found.contrast:.1f} times the noise of the ground")
-    mask = cv2.morphologyEx(found.mask, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(found.mask, connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA].astype(float)
     typical = _typical_area(areas, parameters.diameter_px)
     if typical <= 0.0:
-        return _nothing(size, "no blob is left after specks are removed")
+        return _nothing(size, "there is nothing larger than a speck")
     blobs: list[_Blob] = []
     for label in range(1, count):
         if areas[label - 1] < parameters.min_area_ratio * typical:

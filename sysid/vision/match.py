@@ -24,8 +24,9 @@ _LOST_COST = 0.25
 class MatchParameters:
     """How far a marker may lie from the smooth field."""
 
-    max_residual_pitch: float = 0.35
-    """Largest distance [pitch] between a marker and the place its neighbours predict."""
+    max_residual_pitch: float = 0.32
+    """Largest distance [pitch] between a marker and the place its neighbours predict. A blob of no quality,
+    which may be glare beside the marker, is given half of it."""
     accept_cost: float = 0.012
     """A start whose match costs less than this is taken without trying others."""
     search_pitch: float = 4.0
@@ -60,6 +61,7 @@ def match_layout(
     *,
     starts: dict[str, Points] | None = None,
     search: bool = True,
+    whole: bool = True,
     view: tuple[int, int] | None = None,
     parameters: MatchParameters | None = None,
 ) -> LayoutMatch:
@@ -68,6 +70,8 @@ def match_layout(
     Main arguments: ``reference`` ``(n, 2)`` and ``uv`` ``(m, 2)`` [px], ``quality`` ``(m,)`` in 0..1.
     Other arguments: ``starts`` are predicted positions of all reference markers ``(n, 2)`` by name, tried
     in order (say, the previous frame); ``search`` adds whole-pattern starts that need no prediction;
+    ``whole`` says that the reference has all markers there are, so that a detection beside the pattern
+    speaks against a match (False when markers enter the image that the reference does not have);
     ``view`` is width and height [px] of the image: a marker that left it is not held against a match.
     """
     parameters = parameters or MatchParameters()
@@ -77,7 +81,7 @@ def match_layout(
         return LayoutMatch(lost, reference.copy(), np.full(len(reference), np.nan), float("inf"), "none")
 
     def refine(predicted: Points, name: str) -> LayoutMatch:
-        return _refine(reference, uv, quality, predicted, pitch, name, parameters, view)
+        return _refine(reference, uv, quality, predicted, pitch, name, parameters, view, whole)
 
     best: LayoutMatch | None = None
     for name, predicted in (starts or {}).items():
@@ -158,6 +162,7 @@ def _refine(
     start: str,
     parameters: MatchParameters,
     view: tuple[int, int] | None,
+    whole: bool,
 ) -> LayoutMatch:
     """Alternate assignment and smooth field from coarse to fine, then take out what does not fit."""
     limit = parameters.max_residual_pitch * pitch
@@ -184,12 +189,14 @@ def _refine(
         misfit = neighbour_residual(reference[rows], uv[index[rows]], pitch=pitch)
         residual[:] = np.nan
         residual[rows] = misfit
-        if (misfit <= limit).all():
+        excess = misfit / (limit * (0.5 + 0.5 * quality[index[rows]]))
+        if (excess <= 1.0).all():
             break
-        index[rows[misfit > np.maximum(limit, 0.5 * misfit.max())]] = -1
-    index[~(residual <= limit)] = -1
+        index[rows[excess > max(1.0, 0.5 * float(excess.max()))]] = -1
+    else:
+        index[~(residual <= limit)] = -1
     residual[index < 0] = np.nan
-    return _finish(reference, uv, quality, index, residual, predicted, pitch, start, view)
+    return _finish(reference, uv, quality, index, residual, predicted, pitch, start, view, whole)
 
 
 def _finish(
@@ -202,6 +209,7 @@ def _finish(
     pitch: float,
     start: str,
     view: tuple[int, int] | None,
+    whole: bool,
 ) -> LayoutMatch:
     rows = np.flatnonzero(index >= 0)
     place = predicted.copy()
@@ -210,7 +218,8 @@ def _finish(
     place[rows] = uv[index[rows]]
     unused = np.ones(len(uv), dtype=bool)
     unused[index[rows]] = False
-    outside = cKDTree(place).query(uv)[0] > 1.5 * pitch
+    reach = 1.5 * pitch if whole else 0.5 * pitch
+    outside = cKDTree(place).query(uv)[0] > reach
     lost = index < 0
     if view is not None:
         margin = 0.25 * pitch

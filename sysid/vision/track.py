@@ -12,7 +12,10 @@ from scipy.spatial import cKDTree
 from sysid.vision.detect import Detections
 from sysid.vision.field import Points
 from sysid.vision.match import LayoutMatch, MatchParameters, match_layout
-from sysid.vision.reference import CONTINUITY_PITCH, Reference, likeness
+from sysid.vision.reference import CONTINUITY_PITCH, Reference, follows_closely, likeness
+
+_FRAMES_TO_JUDGE = 10
+"""Fewer frames than this do not tell glare from a marker that is hidden now and then."""
 
 
 @dataclass(frozen=True)
@@ -72,15 +75,18 @@ def track_frames(
     number of frames done and to do.
     """
     parameters = parameters or TrackParameters()
+    continuous = follows_closely(detections)
     matches: list[LayoutMatch] = []
     for k, found in enumerate(detections):
-        matches.append(_match_next(reference, found, matches[-1] if matches else None, parameters))
+        matches.append(
+            _match_next(reference, found, matches[-1] if matches else None, continuous, parameters)
+        )
         if progress is not None:
             progress(k + 1, len(detections))
     _retry(reference, detections, matches, parameters)
-    seen = np.mean([match.found for match in matches], axis=0)
+    seen = _seen_rate(detections, matches, continuous)
     keep = seen >= parameters.min_seen * max(float(np.median(seen)), 1e-9)
-    if len(detections) < 10 or keep.sum() < 4:
+    if keep.sum() < 4:
         keep[:] = True
     dropped = reference.uv[~keep]
     if len(dropped):
@@ -93,14 +99,26 @@ def track_frames(
 
 
 def _match_next(
-    reference: Reference, found: Detections, before: LayoutMatch | None, parameters: TrackParameters
+    reference: Reference,
+    found: Detections,
+    before: LayoutMatch | None,
+    continuous: bool,
+    parameters: TrackParameters,
 ) -> LayoutMatch:
-    starts: dict[str, Points] = {}
+    """Match a frame from the one before if it is close to it, else from the whole pattern.
+
+    Only where the whole sequence is continuous may markers enter the image that the reference lacks; a
+    lone press that looks close to the one before may be one row further on a lattice.
+    """
     if before is not None and before.cost <= parameters.match.accept_cost and len(found) >= 4:
         gap = cKDTree(found.uv).query(before.uv[before.found])[0]
         if np.percentile(gap, 80) < CONTINUITY_PITCH * reference.pitch_px:
-            starts["previous frame"] = before.uv
-    return _match(reference, found, starts, True, parameters)
+            starts = {"previous frame": before.uv}
+            for whole in (True, False) if continuous else (True,):
+                match = _match(reference, found, starts, False, parameters, whole=whole)
+                if match.cost <= parameters.match.accept_cost:
+                    return match
+    return _match(reference, found, {}, True, parameters)
 
 
 def _match(
@@ -109,6 +127,8 @@ def _match(
     starts: dict[str, Points],
     search: bool,
     parameters: TrackParameters,
+    *,
+    whole: bool = True,
 ) -> LayoutMatch:
     return match_layout(
         reference.uv,
@@ -116,6 +136,7 @@ def _match(
         found.quality,
         starts=starts,
         search=search,
+        whole=whole,
         view=found.image_size,
         parameters=parameters.match,
     )
@@ -153,6 +174,24 @@ def similar_frames(
     others = [other for other in among if other != k and len(detections[other]) >= 4]
     gaps = [likeness(detections[k].uv, detections[other].uv, pitch) for other in others]
     return [others[place] for place in np.argsort(gaps)[:count]]
+
+
+def _seen_rate(
+    detections: Sequence[Detections], matches: Sequence[LayoutMatch], continuous: bool
+) -> NDArray[np.float64]:
+    """Return the part of the frames that show each marker, shape ``(m,)``.
+
+    In a continuous sequence markers may leave the image for good, so only frames count in which the marker
+    is inside; single presses show the whole pattern but for a rim. A marker that few frames can show counts
+    as seen.
+    """
+    found = np.array([match.found for match in matches])
+    count = np.full(found.shape[1], len(found))
+    if continuous:
+        place = np.array([match.uv for match in matches])
+        last = np.array([blobs.image_size for blobs in detections], dtype=float)[:, None, :] - 1.0
+        count = np.sum(((place >= 0.0) & (place <= last)).all(axis=2) | found, axis=0)
+    return np.where(count >= _FRAMES_TO_JUDGE, found.sum(axis=0) / np.maximum(count, 1), 1.0)
 
 
 def _collect(
