@@ -64,12 +64,12 @@ def draw_materials(rng: np.random.Generator) -> dict[str, float]:
 
 
 def draw_noise(rng: np.random.Generator) -> dict[str, Noise]:
-    """True noise: force and torque 0.5 to 1 % of their range, markers and pixels below a fifth of one px."""
+    """True noise: force, torque and gel markers about 0.5 to 1 % of their range, tracks 0.1 to 0.2 px."""
     level, colour = rng.uniform(0.5, 1.0), rng.uniform(0.3, 0.8)
     return {
         "force_n": Noise(0.025 * level, colour),
         "torque_nm": Noise(1.2e-4 * level, colour),
-        "position_m": Noise(rng.uniform(4e-6, 8e-6), rng.uniform(0.0, 0.3)),
+        "position_m": Noise(rng.uniform(8e-6, 1.5e-5), rng.uniform(0.0, 0.3)),
         "position_px": Noise(rng.uniform(0.1, 0.2), rng.uniform(0.0, 0.3)),
     }
 

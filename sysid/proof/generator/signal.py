@@ -20,7 +20,7 @@ from sysid.fit.runs import Measured, Run
 from sysid.proof.generator.bench import MATERIALS, Noise
 from sysid.proof.generator.noise import kinds
 
-ABSORBING = (*MATERIALS, "contacts.gel-strip.friction")
+ABSORBING = (*MATERIALS, "strip.density_kg_m3", "gel.nu", "contacts.gel-strip.friction")
 """Parameters that a fit may shift to explain an effect away."""
 
 
