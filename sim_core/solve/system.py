@@ -156,8 +156,8 @@ class System:
         return np.asarray(out)
 
     def force_scale(self) -> float:
-        """Largest force on any node at the last gradient [N]: reactions and imbalance."""
-        return float(np.abs(self._gradient).max(initial=0.0))
+        """Largest force on any node at the last gradient [N]: reactions, imbalance, weights and loads."""
+        return float(max(np.abs(self._gradient).max(initial=0.0), np.abs(self._external).max(initial=0.0)))
 
     def spread(self, direction: np.ndarray) -> np.ndarray:
         """Change of all nodes ``(n, 3)`` for a change of the unknowns."""
