@@ -104,7 +104,8 @@ def _choose(
         first = int(np.argmax(counts >= 0.9 * np.median(counts)))
         return first, "the first image with most markers, the images follow one another closely"
     if choice in ("auto", "typical"):
-        return _most_typical(detections), "the most typical image; no rest image and no depth known"
+        why = "; no rest image and no depth known" if choice == "auto" else ""
+        return _most_typical(detections), f"the most typical image{why}"
     raise RecordingError(
         f"The reference {choice!r} is not known.",
         "Use auto, first, typical, shallowest or the number of a frame.",
