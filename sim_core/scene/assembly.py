@@ -91,8 +91,8 @@ def _gel_mesh(spec: Gel, refine: int) -> solids.TetMesh:
         mesh = solids.block(shape.size_m, (a * refine, b * refine, c * refine))
         centre = 0.5 * (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0))
         return solids.TetMesh(mesh.nodes - centre, mesh.tets, mesh.surface, mesh.face_sets)
-    cells = (shape.cells[0] * refine, shape.cells[1] * refine)
-    return solids.dome(shape.radius_m, shape.cavity_radius_m, cells)
+    a, b, c = shape.cells
+    return solids.dome(shape.radius_m, shape.cavity_radius_m, (a * refine, b * refine, c * refine))
 
 
 def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray) -> None:
