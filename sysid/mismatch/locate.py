@@ -75,7 +75,9 @@ def discretisation_energy(problem: Problem, fitted: Fitted, directions: Sequence
     for i, run in enumerate(problem.runs):
         for m in run.measured:
             shift = corrected(fitted, directions, i, m.channel) - fitted.predictions[i].values[m.channel]
-            scores, _ = block_scores(run, m, whiten(np.nan_to_num(shift), problem.noise[m.channel]))
+            # What is not measured has no noise to compare with.
+            shift = np.where(np.isfinite(m.values), shift, np.nan)
+            scores, _ = block_scores(run, m, whiten(shift, problem.noise[m.channel]))
             energy += float(np.nansum(scores**2))
     return energy
 
