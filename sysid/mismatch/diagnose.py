@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +24,8 @@ from sysid.fit.uncertainty import uncertainty
 from sysid.mismatch import words
 from sysid.mismatch.baseline import discretisation, open_parameters
 from sysid.mismatch.candidates import Start, log_evidence, refit, screen
-from sysid.mismatch.decide import Trial, candidate, decide, named_parameters, probabilities
-from sysid.mismatch.locate import discretisation_energy, locate, structure
+from sysid.mismatch.decide import Trial, Verdict, candidate, decide, held_out_gain, named_parameters, probabilities
+from sysid.mismatch.locate import Structure, discretisation_energy, locate, structure
 from sysid.mismatch.result import Diagnosis, Misfit
 from sysid.provenance import provenance
 
@@ -36,8 +37,11 @@ REFITTED = 4
 WORTH_REFITTING_NATS = 4.0
 """Predicted improvement below which an effect is not refitted."""
 
-EVALUATIONS = 7
+EVALUATIONS = 6
 """Evaluations allowed to a refit."""
+
+POLISHING = 8
+"""Evaluations allowed to the last fit of the answer."""
 
 
 class _Steps:
@@ -83,7 +87,14 @@ def diagnose_runs(
         tell(0.95, "verdict")
         verdict = decide(trials, before.per_score, before.excess, own_error)
         answer = verdict.named[0].fitted if verdict.named and verdict.kind != "unknown" else None
-        amended = None if answer is None else _misfit(problem, check, base, answer)
+        amended = None
+        if answer is not None:
+            tell(0.9, "the answer fitted to the end")
+            exact, exact_check, answer = _polished(engine, problem, held_out, answer)
+            amended = _misfit(exact, exact_check, base, answer)
+            best = verdict.named[0]
+            verdict = Verdict(verdict.kind, (replace(best, fitted=answer), *verdict.named[1:]))
+            trials = [replace(t, fitted=answer) if t is best else t for t in trials]
         limits = _limits(starts, trials, base)
         diagnosis = _collect(rig, problem, check, base, answer, verdict, trials, limits, before, own_error)
         diagnosis.amended = amended
@@ -123,26 +134,33 @@ def _refits(problem: Problem, check: Problem, base: Fitted, chosen: list[Start])
     temper = max(1.0, lowest)
     reference = log_evidence(base, temper)
     excess = structure(problem, base).excess
-    plain = _held_out_misfit(check, base)
+    plain = _held_out(check, base)
     trials = []
     for start, fitted in done:
         after = structure(problem, fitted).excess
         explained = (excess - after) / excess if excess > 0.0 else 0.0
         held = None
-        if plain is not None:
-            there = _held_out_misfit(check, fitted)
-            assert there is not None
-            held = (plain[0] - there[0]) / max(plain[0] - plain[1], 1e-9)
+        there = _held_out(check, fitted)
+        if plain is not None and there is not None:
+            held = held_out_gain(plain.residual, there.residual)
         trials.append(Trial(start.effect, fitted, log_evidence(fitted, temper) - reference, explained, held))
     return sorted(trials, key=lambda t: -t.gain)
 
 
-def _held_out_misfit(check: Problem, fitted: Fitted) -> tuple[float, float] | None:
-    """Chi-square on held-out runs and the value that noise alone would give."""
-    if not check.runs:
-        return None
-    there = check.evaluate(fitted.rig, [], np.zeros(0))
-    return there.chi2, float(len(there.residual))
+def _held_out(check: Problem, fitted: Fitted) -> Fitted | None:
+    """A model on the held-out runs."""
+    return check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
+
+
+def _polished(
+    engine: PooledEngine, problem: Problem, held_out: Sequence[Run], answer: Fitted
+) -> tuple[Problem, Problem, Fitted]:
+    """Fit the answer to the end, with the simulator's own error measured where it now stands."""
+    everywhere = discretisation(engine, answer.rig, [*problem.runs, *held_out])
+    count = len(problem.runs)
+    there = Problem(problem.runs, problem.noise, engine, [_some(d, slice(0, count)) for d in everywhere], prior=True)
+    check = Problem(held_out, problem.noise, engine, [_some(d, slice(count, None)) for d in everywhere])
+    return there, check, there.fit(answer.rig, answer.parameters, start=answer.scaled, max_evaluations=POLISHING)
 
 
 def _misfit(problem: Problem, check: Problem, base: Fitted, fitted: Fitted) -> Misfit:
@@ -180,16 +198,12 @@ def _collect(
     check: Problem,
     base: Fitted,
     answer: Fitted | None,
-    verdict: object,
+    verdict: Verdict,
     trials: list[Trial],
     limits: dict[str, float],
-    before: object,
+    before: Structure,
     own_error: float,
 ) -> Diagnosis:
-    from sysid.mismatch.decide import Verdict
-    from sysid.mismatch.locate import Structure
-
-    assert isinstance(verdict, Verdict) and isinstance(before, Structure)
     located = locate(problem, base)
     chances = probabilities(trials)
     reported = [candidate(t, chances[t.effect.name]) for t in trials]

@@ -33,7 +33,7 @@ class NamedParameter:
 class Candidate:
     """One effect as an explanation. ``place``: where it acts; ``probability``: among all that were tried;
     ``log_evidence_gain``: natural logarithm of the evidence over the baseline's; ``held_out_gain``: share of
-    the excess error on held-out data that it removes (None without held-out data); ``rejected``: why it is
+    the robust misfit on held-out data that it removes (None without held-out data); ``rejected``: why it is
     not an answer, empty when it may be."""
 
     name: str
