@@ -70,7 +70,7 @@ class Sight:
                 keys = kinds(m.kind, by_channel[m.channel].shape[1])
                 sd = np.array([self._levels[k].sd for k in keys])
                 parts.append(whiten(by_channel[m.channel], ChannelNoise(sd, self._levels[keys[0]].rho, "")).ravel())
-        return np.nan_to_num(np.concatenate(parts))
+        return np.asarray(np.nan_to_num(np.concatenate(parts)))
 
     def _by_stream(self, change: np.ndarray) -> list[np.ndarray]:
         """A change of all readings as one column for each run and channel."""
