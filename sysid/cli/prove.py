@@ -19,7 +19,7 @@ CasesFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder made by
 @app.command("make")
 def make(
     out: FolderOption,
-    cases: Annotated[int, typer.Option("--cases", min=1, max=10_000, help="Number of cases.")] = 20,
+    cases: Annotated[int, typer.Option("--cases", min=1, max=10_000, help="Number of cases.")] = 12,
     seed: SeedOption = 0,
 ) -> None:
     """Simulate recordings with concealed effects; the truth is sealed beside them."""

@@ -50,7 +50,7 @@ def run_cases(folder: Path, *, on_progress: Progress | None = None) -> str:
             on_progress(k / len(cases), case.name)
         if not (answers / case.name / DIAGNOSIS_FILE).is_file():
             _diagnose(case, answers / case.name)
-    index = {"seal": _seal(folder), "cases": {case.name: _entry(answers / case.name) for case in cases}}
+    index: dict[str, Any] = {"seal": _seal(folder), "cases": {case.name: _entry(answers / case.name) for case in cases}}
     path = folder / ANSWERS_FILE
     path.write_text(json.dumps(index, indent=2) + "\n")
     digest = file_digest(path)
