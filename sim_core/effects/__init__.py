@@ -40,7 +40,7 @@ def effect_by_name(name: str) -> Effect:
 
 def active_effects(rig: Rig) -> list[tuple[Effect, Mapping[str, float]]]:
     """Effects that a rig names, with their parameters checked."""
-    found = []
+    found: list[tuple[Effect, Mapping[str, float]]] = []
     for name, given in rig.effects.items():
         effect = effect_by_name(name)
         known = {p.name: p for p in effect.parameters}

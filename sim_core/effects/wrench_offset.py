@@ -47,7 +47,7 @@ class WrenchOffset(Effect):
     ) -> np.ndarray:
         if kind != "wrench":
             return values
-        out = values.copy()
+        out: np.ndarray = values.copy()
         bias = np.array([given[f"bias_{a}_n"] for a in "xyz"])
         drift = np.array([given[f"drift_{a}_n_per_s"] for a in "xyz"])
         out[:, :3] += bias + drift * times[:, None]

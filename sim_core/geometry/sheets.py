@@ -154,7 +154,7 @@ def _jitter(
     for axis, places in enumerate(through):
         for place in places:
             move[np.isclose(grid[:, axis], place), axis] = 0.0
-    return grid + move
+    return np.asarray(grid + move)
 
 
 def _delaunay(points: np.ndarray) -> np.ndarray:
@@ -164,12 +164,10 @@ def _delaunay(points: np.ndarray) -> np.ndarray:
     doubled = (q[:, 0] - p[:, 0]) * (r[:, 1] - p[:, 1]) - (q[:, 1] - p[:, 1]) * (r[:, 0] - p[:, 0])
     longest = np.max([np.sum((u - v) ** 2, axis=1) for u, v in ((p, q), (q, r), (r, p))], axis=0)
     triangles = np.where(doubled[:, None] < 0, triangles[:, ::-1], triangles)
-    return triangles[np.abs(doubled) > 1e-3 * longest]
+    return np.asarray(triangles[np.abs(doubled) > 1e-3 * longest])
 
 
-def outline(
-    polygon_m: np.ndarray, edge_m: float, holes_m: tuple[np.ndarray, ...] = (), seed: int = 0
-) -> SheetMesh:
+def outline(polygon_m: np.ndarray, edge_m: float, holes_m: tuple[np.ndarray, ...] = (), seed: int = 0) -> SheetMesh:
     """Mesh a polygon with holes by points at about ``edge_m`` and Delaunay triangles.
 
     ``polygon_m`` and every hole: corners in order, m, shape ``(k, 2)``. Raises ``ConfigError`` when
@@ -183,8 +181,12 @@ def outline(
     rows = np.arange(low[1], high[1], edge_m * np.sqrt(3) / 2)
     inside = np.vstack(
         [
-            np.column_stack([np.arange(low[0] + (k % 2) * edge_m / 2, high[0], edge_m), np.full_like(
-                np.arange(low[0] + (k % 2) * edge_m / 2, high[0], edge_m), y)])
+            np.column_stack(
+                [
+                    np.arange(low[0] + (k % 2) * edge_m / 2, high[0], edge_m),
+                    np.full_like(np.arange(low[0] + (k % 2) * edge_m / 2, high[0], edge_m), y),
+                ]
+            )
             for k, y in enumerate(rows)
         ]
     )
@@ -205,9 +207,7 @@ def outline(
     triangles = triangles[within(points[triangles].mean(axis=1))]
     used = np.unique(triangles)
     if len(triangles) == 0 or len(used) < len(points):
-        raise ConfigError(
-            f"The outline cannot be meshed with edges of {edge_m:g} m.", "Give a shorter edge_m."
-        )
+        raise ConfigError(f"The outline cannot be meshed with edges of {edge_m:g} m.", "Give a shorter edge_m.")
     nodes = np.column_stack([points, np.zeros(len(points))])
     return SheetMesh(nodes, np.ascontiguousarray(triangles, dtype=np.int32))
 

@@ -249,7 +249,7 @@ class Scene:
 
         Also turns the rigid bodies, so call it just before the step.
         """
-        out = self.rest.copy()
+        out: np.ndarray = self.rest.copy()
         for follower in self.followers:
             origin, rotation = frames[follower.mount]
             out[follower.nodes] = origin + rotation.apply(follower.local)

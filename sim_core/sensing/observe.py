@@ -63,7 +63,9 @@ class Observer:
                 self.kinds[name] = "wrench"
             else:
                 self.kinds[name] = "markers"
-                local, ids = marker_positions(sensor.points, rig.bodies[sensor.body])
+                carrier = rig.bodies[sensor.body]
+                assert not isinstance(carrier, Rigid)
+                local, ids = marker_positions(sensor.points, carrier)
                 self._tracked[name] = [self._locate(sensor.body, local)]
                 self.ids[name] = ids
         bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
