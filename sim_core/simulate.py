@@ -20,6 +20,9 @@ MAX_HALVINGS = 5
 SETTLED_AFTER_S = 3.0
 """Length of a damped pseudo time step [s] beyond which rest is as good as reached."""
 
+FOREVER_S = 1e9
+"""Length of the last step of settling [s]: all that relaxes has relaxed."""
+
 
 @dataclass(frozen=True)
 class Trace:
@@ -138,7 +141,7 @@ def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSett
                     "Check that bodies do not overlap at the start, and that every body is held.",
                 )
         system.inertia = False
-        state, _ = advance(system, state, targets, 1.0, settings)
+        state, _ = advance(system, state, targets, FOREVER_S, settings)
     finally:
         system.inertia = inertia
     return State(0.0, state.x, np.zeros_like(state.x), state.internals)

@@ -37,7 +37,7 @@ def _energy(x: F2, start: F2, tri: I2, normal: F2, factor: F1, out: F1):
     """``factor``: rho C_D A / dt^2 of each triangle."""
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
-        s, n = _advance(x, start, tri, normal, e)
+        s, _ = _advance(x, start, tri, normal, e)
         out[0] = out[0] + factor[e] * ti.abs(s) ** 3 / 6.0
 
 

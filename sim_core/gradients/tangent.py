@@ -23,7 +23,7 @@ from sim_core.energies.term import Internals, StepContext
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene, Values
-from sim_core.simulate import Simulation, Trace, run
+from sim_core.simulate import FOREVER_S, Simulation, Trace, run
 from sim_core.solve.step import NewtonSettings, StepReport
 
 
@@ -61,7 +61,7 @@ class TangentSimulation(Simulation):
         if self._settle and self._all_held():
             inertia, self.scene.system.inertia = self.scene.system.inertia, False
             try:
-                self._propagate(StepContext(self.state.x, self.state.v, 1.0), self.state.internals, still=True)
+                self._propagate(StepContext(self.state.x, self.state.v, FOREVER_S), self.state.internals, still=True)
             finally:
                 self.scene.system.inertia = inertia
         else:

@@ -83,7 +83,8 @@ def test_compliance_moves_the_gel_by_force_times_compliance(small_rig, visit):
     trace = simulate(scene, poses, step_times(0.0, 0.8, 0.02))
     force = trace.outputs["wrench"][-1, :3]
     assert force[2] > 0.1
-    assert scene.system.deflections[0] == pytest.approx(compliance * force, rel=1e-3, abs=1e-9)
+    # The sensor does not feel the weight of the glued nodes (below 1 mN), the spring does.
+    assert scene.system.deflections[0] == pytest.approx(compliance * force, rel=1e-3, abs=compliance * 1e-3)
 
 
 def test_static_friction_holds_by_its_excess_and_then_lets_go(small_rig, visit):
