@@ -18,12 +18,11 @@ from sysid.fit.runs import Run
 def open_parameters(rig: Rig) -> list[str]:
     """Material parameters and friction coefficients that a baseline fit adjusts."""
     names: list[str] = []
-    moving = rig.solver.inertia or any(rig.gravity_m_s2)
     for name, body in rig.bodies.items():
         if isinstance(body, Sheet):
             names.append(f"{name}.E_pa")
-            if moving:
-                names.append(f"{name}.density_kg_m3")
+            # A quasi-static pull shows the lateral contraction, motion shows the mass.
+            names.append(f"{name}.density_kg_m3" if rig.solver.inertia else f"{name}.nu")
         elif isinstance(body, Gel):
             names += [f"{name}.E_pa", f"{name}.nu"]
     names += [f"contacts.{c.name}.friction" for c in rig.contacts if c.friction > 0.0]

@@ -78,7 +78,7 @@ def diagnose_runs(
         tell(0.35, "baseline fit with the simulator's own error")
         base = problem.fit(rig, parameters, start=first.scaled, max_evaluations=8)
         before = structure(problem, base)
-        own_error = discretisation_energy(problem, base, directions)
+        own_error = discretisation_energy(problem, directions)
         tell(0.45, "screening of effects")
         starts = screen(engine, problem, base)
         tell(0.65, "refits")

@@ -69,12 +69,15 @@ def structure(problem: Problem, fitted: Fitted) -> Structure:
     return Structure(excess, count)
 
 
-def discretisation_energy(problem: Problem, fitted: Fitted, directions: Sequence[Direction]) -> float:
-    """Structured energy of the simulator's own error, in the same units as :class:`Structure.excess`."""
+def discretisation_energy(problem: Problem, directions: Sequence[Direction]) -> float:
+    """Structured energy of the simulator's own error, in the same units as :class:`Structure.excess`.
+
+    With the sizes expected from refinement, not the fitted ones, which may have taken up missing physics.
+    """
     energy = 0.0
     for i, run in enumerate(problem.runs):
         for m in run.measured:
-            shift = corrected(fitted, directions, i, m.channel) - fitted.predictions[i].values[m.channel]
+            shift = sum((d.mean * d.shapes[i][m.channel] for d in directions), np.zeros_like(m.values))
             # What is not measured has no noise to compare with.
             shift = np.where(np.isfinite(m.values), shift, np.nan)
             scores, _ = block_scores(run, m, whiten(shift, problem.noise[m.channel]))
