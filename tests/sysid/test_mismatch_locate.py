@@ -32,4 +32,4 @@ def test_what_is_not_measured_does_not_count() -> None:
     )
     direction = Direction("mesh", ({"gauge": np.full((n, 6), 0.05)},))
     # Every block of about ten samples, each half a standard deviation off: (10 * 0.5)^2 / 10.
-    assert discretisation_energy(problem, fitted, [direction]) == pytest.approx(0.25 * n, rel=0.01)
+    assert discretisation_energy(problem, [direction]) == pytest.approx(0.25 * n, rel=0.01)
