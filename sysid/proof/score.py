@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import statistics
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -148,7 +149,7 @@ def summarise(scores: list[CaseScore]) -> dict[str, Any]:
         "held_out_lower": _rate(len(lower), len(right)),
         "parameters_recovered": _rate(sum(s.recovered[0] for s in right), sum(s.recovered[1] for s in right)),
         "materials_recovered": _rate(sum(s.materials[0] for s in scores), sum(s.materials[1] for s in scores)),
-        "seconds": {"median": times[len(times) // 2] if times else None, "longest": times[-1] if times else None},
+        "seconds": {"median": statistics.median(times) if times else None, "longest": times[-1] if times else None},
     }
 
 
