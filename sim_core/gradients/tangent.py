@@ -26,6 +26,9 @@ from sim_core.scene.scene import Frame, Scene, Values
 from sim_core.simulate import FOREVER_S, Simulation, Trace, run
 from sim_core.solve.step import NewtonSettings, StepReport
 
+LARGEST_REACH_M = 1e-7
+"""Farthest that the neighbouring state of a difference may be from the state itself [m]."""
+
 
 class TangentSimulation(Simulation):
     """A simulation that carries the derivative of its state along each of several rigs.
@@ -105,10 +108,25 @@ class TangentSimulation(Simulation):
                     }
                     self._dv[k] = (dx - self._dx[k]) / step.dt if system.inertia else np.zeros_like(dx)
                 self._dx[k] = dx
+                self._bound(k)
             scene.apply(self._nominal)
             system.begin_step(step, internals, search=False)
             system.set_unknowns(solution)
         self.derivatives = self._read_derivatives(derivatives)
+
+    def _bound(self, k: int) -> None:
+        """Keep the neighbouring state within reach of a difference.
+
+        At the verge of slipping or buckling the tangent can grow beyond what a difference resolves; it is
+        then scaled back, so that such a moment blurs the derivative instead of destroying it.
+        """
+        reach = abs(self._steps[k]) * float(np.abs(self._dx[k]).max(initial=0.0))
+        if reach <= LARGEST_REACH_M:
+            return
+        share = LARGEST_REACH_M / reach if np.isfinite(reach) else 0.0
+        self._dx[k] = np.nan_to_num(self._dx[k] * share)
+        self._dv[k] = np.nan_to_num(self._dv[k] * share)
+        self._dxi[k] = {t: {n: np.nan_to_num(a * share) for n, a in v.items()} for t, v in self._dxi[k].items()}
 
     def _enter(
         self, k: int, step: StepContext, internals: dict[str, Internals], still: bool

@@ -15,8 +15,8 @@ from sysid.fit.parameters import FitParameter, rig_at
 from sysid.fit.runs import Run
 from sysid.streams import predicted, predicted_derivatives
 
-PERTURBATION = 1e-6
-"""Step of the directional derivatives in the fitted scale."""
+PERTURBATION = 1e-8
+"""Step of the directional derivatives in the fitted scale: small beside the elastic slip of contacts."""
 
 
 @dataclass(frozen=True)

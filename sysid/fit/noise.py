@@ -64,9 +64,9 @@ def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:
 
 
 def channel_noise(rig: Rig, runs: Sequence[Run]) -> dict[str, ChannelNoise]:
-    """Noise of every channel that the runs have: estimated, and at least what the rig declares."""
+    """Noise of every channel that the runs have: estimated, or declared where that is much larger."""
     channels = sorted({m.channel for run in runs for m in run.measured})
-    return {c: at_least(estimate_noise(list(runs), c), declared_noise(rig, c)) for c in channels}
+    return {c: unless_larger(estimate_noise(list(runs), c), declared_noise(rig, c)) for c in channels}
 
 
 def declared_noise(rig: Rig, channel: str) -> np.ndarray:
@@ -80,19 +80,16 @@ def declared_noise(rig: Rig, channel: str) -> np.ndarray:
     return np.array([sensor.noise.position_m])
 
 
-def at_least(noise: ChannelNoise, declared: np.ndarray) -> ChannelNoise:
-    """Noise with the declared standard deviations as lower bounds.
+def unless_larger(noise: ChannelNoise, declared: np.ndarray) -> ChannelNoise:
+    """The estimated noise, unless the declared one is much larger.
 
-    A declared noise that is much larger than the estimate replaces it, and is white: the colour was then
+    A declared noise that is much larger than the estimate replaces it, and is white: the estimate was then
     found in a scatter (of interpolated or smoothed samples) that is not the noise.
     """
     floor = np.broadcast_to(declared, noise.sigma.shape)
-    higher = floor > noise.sigma
-    if not higher.any():
-        return noise
-    if (floor[higher] > REPLACED_FROM * noise.sigma[higher]).any():
+    if (floor > REPLACED_FROM * noise.sigma).any():
         return ChannelNoise(np.maximum(noise.sigma, floor), 0.0, "declared by the rig")
-    return ChannelNoise(np.maximum(noise.sigma, floor), noise.rho, f"{noise.source}, at least as declared")
+    return noise
 
 
 def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
@@ -103,6 +100,7 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
     correlations: list[float] = []
     source = "second differences"
     for group in column_groups(found[0][1]):
+        first: list[float] = []
         rest: list[float] = []
         jumps: list[float] = []
         extent = 0.0
@@ -119,9 +117,12 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
             for stretch in quiet(run, measured.t):
                 level, colour = _scatter(values[stretch])
                 if level is not None:
-                    rest.append(level)
+                    (first if stretch[0] == 0 else rest).append(level)
                     correlations.append(colour)
-        if rest:
+        if first:
+            level = float(np.sqrt(np.mean(np.square(first))))
+            source = "rest at the start"
+        elif rest:
             # Slow decay within a stretch adds to its scatter: the quieter half is the noise.
             level = float(np.quantile(rest, 0.25))
             source = "quiet stretches"

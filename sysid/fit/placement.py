@@ -84,9 +84,7 @@ def _placed(
     seen = sheets.SheetMesh(np.column_stack([picture, np.zeros(len(picture))]), body.mesh.triangles)
     for k, (marker, pixel) in enumerate(zip(ids, pixels, strict=True)):
         if not np.isfinite(pixel).all():
-            notes.append(
-                f"{camera}: marker {marker} is not in the first frame; it stays as the rig places it."
-            )
+            notes.append(f"{camera}: marker {marker} is not in the first frame; it stays as the rig places it.")
             continue
         try:
             triangle, weights = sheets.locate(seen, pixel[None])
