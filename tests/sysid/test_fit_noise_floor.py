@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_core.rigs import load_rig
-from sysid.fit.noise import ChannelNoise, unless_larger, declared_noise
+from sysid.fit.noise import ChannelNoise, declared_noise, unless_larger
 
 
 def test_declared_noise_has_the_units_of_the_channel() -> None:
