@@ -7,11 +7,9 @@ from typing import cast
 import numpy as np
 import pytest
 
-from sim_core.rigs import Rig
-from sim_core.simulate import Trace
-from sysid.fit.engine import Engine, Prediction
+from sysid.fit.engine import Engine
 from sysid.fit.noise import ChannelNoise
-from sysid.fit.problem import Direction, Fitted, Problem
+from sysid.fit.problem import Direction, Problem
 from sysid.fit.runs import Measured, Run
 from sysid.mismatch.locate import BLOCKS, discretisation_energy
 
@@ -26,10 +24,6 @@ def test_what_is_not_measured_does_not_count() -> None:
     # Nothing is known of the noise of the other components, and the simulator moves there too.
     noise = ChannelNoise(np.array([0.1, 0.1, 0.1, 1e-12, 1e-12, 1e-12]), 0.0, "test")
     problem = Problem([run], {"gauge": noise}, cast(Engine, None))
-    prediction = Prediction({"gauge": np.zeros((n, 6))}, {}, cast(Trace, None))
-    fitted = Fitted(
-        [], np.zeros(0), cast(Rig, None), np.zeros(0), np.zeros((0, 0)), [], [prediction], 1, True, "", 0.0
-    )
     direction = Direction("mesh", ({"gauge": np.full((n, 6), 0.05)},))
     # Every block of about ten samples, each half a standard deviation off: (10 * 0.5)^2 / 10.
     assert discretisation_energy(problem, [direction]) == pytest.approx(0.25 * n, rel=0.01)

@@ -42,9 +42,7 @@ def pose(stamp_ns: int, p=(0.0, 0.0, 0.1), q=(0.0, 0.0, 0.0, 1.0), frame: str = 
 
 
 def wrench(stamp_ns: int, f=(0.0, 0.0, 1.0), m=(0.0, 0.0, 0.0), frame: str = "gel") -> Any:
-    force, torque = (
-        make("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, v), strict=True))) for v in (f, m)
-    )
+    force, torque = (make("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, v), strict=True))) for v in (f, m))
     body = make("geometry_msgs/msg/Wrench", force=force, torque=torque)
     return make(WRENCH, header=header(stamp_ns, frame), wrench=body)
 
@@ -64,9 +62,7 @@ def cloud(
     formats = [order + kinds[name] for name in columns]
     sizes = [np.dtype(f).itemsize + gap for f in formats]
     offsets = np.concatenate(([0], np.cumsum(sizes)[:-1])).tolist()
-    dtype = np.dtype(
-        {"names": list(columns), "formats": formats, "offsets": offsets, "itemsize": int(sum(sizes))}
-    )
+    dtype = np.dtype({"names": list(columns), "formats": formats, "offsets": offsets, "itemsize": int(sum(sizes))})
     points = np.zeros(len(next(iter(columns.values()))), dtype=dtype)
     for name, values in columns.items():
         points[name] = values
@@ -79,9 +75,7 @@ def cloud(
         height=rows,
         width=width,
         fields=[
-            make(
-                "sensor_msgs/msg/PointField", name=name, offset=int(at), datatype=KINDS[kinds[name]], count=1
-            )
+            make("sensor_msgs/msg/PointField", name=name, offset=int(at), datatype=KINDS[kinds[name]], count=1)
             for name, at in zip(columns, offsets, strict=True)
         ],
         is_bigendian=order == ">",
@@ -109,15 +103,12 @@ def log_time(k: int) -> int:
 
 def poses(count: int = 20, **options: Any) -> list[Item]:
     return [
-        ("/current_pose", POSE, log_time(k), pose(log_time(k), (1e-4 * k, 0, 0.1), **options))
-        for k in range(count)
+        ("/current_pose", POSE, log_time(k), pose(log_time(k), (1e-4 * k, 0, 0.1), **options)) for k in range(count)
     ]
 
 
 def wrenches(count: int = 20, stamp: Callable[[int], int] = log_time, **options: Any) -> list[Item]:
-    return [
-        ("/wrench", WRENCH, log_time(k), wrench(stamp(k), (0, 0, 0.1 * k), **options)) for k in range(count)
-    ]
+    return [("/wrench", WRENCH, log_time(k), wrench(stamp(k), (0, 0, 0.1 * k), **options)) for k in range(count)]
 
 
 def read(tmp_path: Path, items: list[Item], topics: TopicNames | None = None, **options: Any) -> Recording:
@@ -151,9 +142,9 @@ def test_a_single_unset_first_stamp_is_dropped(tmp_path: Path) -> None:
 
 
 def test_a_clock_that_starts_at_zero_keeps_its_first_message(tmp_path: Path) -> None:
-    items = [
-        ("/current_pose", POSE, log_time(k), pose(10 * MS * k, (1e-4 * k, 0, 0))) for k in range(20)
-    ] + wrenches(stamp=lambda k: 10 * MS * k)
+    items = [("/current_pose", POSE, log_time(k), pose(10 * MS * k, (1e-4 * k, 0, 0))) for k in range(20)] + wrenches(
+        stamp=lambda k: 10 * MS * k
+    )
     recording = read(tmp_path, items)
     assert len(recording.wrenches["sensor"]) == len(recording.poses["ee"]) == 20
     assert recording.t0_ns == 0 and recording.notes == ()
@@ -182,9 +173,7 @@ def test_a_clock_set_back_is_refused(tmp_path: Path, step_ms: int) -> None:
     base = 10_000_000_000_000
     items = poses() + wrenches(stamp=lambda k: base + log_time(k) - (step_ms * MS if k >= 10 else 0))
     path = store(tmp_path / "bag", items)
-    with pytest.raises(
-        RecordingError, match=r"/wrench: the stamps go back by .* at message 10 .*`time: log`"
-    ):
+    with pytest.raises(RecordingError, match=r"/wrench: the stamps go back by .* at message 10 .*`time: log`"):
         read_recording(path)
     recording = read_recording(path, TopicNames(time="log"))
     np.testing.assert_allclose(recording.wrenches["sensor"].t, 0.01 * np.arange(20), atol=1e-12)
@@ -192,18 +181,14 @@ def test_a_clock_set_back_is_refused(tmp_path: Path, step_ms: int) -> None:
 
 
 def test_a_single_stamp_in_the_future_is_dropped(tmp_path: Path) -> None:
-    recording = read(
-        tmp_path, poses() + wrenches(stamp=lambda k: log_time(k) + (90_000 * MS if k == 7 else 0))
-    )
+    recording = read(tmp_path, poses() + wrenches(stamp=lambda k: log_time(k) + (90_000 * MS if k == 7 else 0)))
     kept = [k for k in range(20) if k != 7]
     np.testing.assert_allclose(recording.wrenches["sensor"].force[:, 2], 0.1 * np.array(kept))
     assert "1 message stamped up to 89.99 s in the future dropped" in notes(recording)
 
 
 def test_a_gap_is_said(tmp_path: Path) -> None:
-    recording = read(
-        tmp_path, poses() + wrenches(stamp=lambda k: log_time(k) + (1200 * MS if k >= 10 else 0))
-    )
+    recording = read(tmp_path, poses() + wrenches(stamp=lambda k: log_time(k) + (1200 * MS if k >= 10 else 0)))
     assert "warning: /wrench: gap of 1.21 s at t=0.09 s (usual interval 0.01 s)" in notes(recording)
 
 
@@ -400,8 +385,7 @@ def test_one_of_two_pose_topics_w_first_is_refused(tmp_path: Path, wrong: str) -
 
 def test_sign_flips_are_removed(tmp_path: Path) -> None:
     items = [
-        ("/current_pose", POSE, log_time(k), pose(log_time(k), q=(0, 0, 0, -1 if 5 <= k < 9 else 1)))
-        for k in range(20)
+        ("/current_pose", POSE, log_time(k), pose(log_time(k), q=(0, 0, 0, -1 if 5 <= k < 9 else 1))) for k in range(20)
     ]
     recording = read(tmp_path, items + wrenches())
     np.testing.assert_array_equal(recording.poses["ee"].quaternion[:, 3], 1.0)
@@ -450,10 +434,7 @@ IDS = np.array([4, 9, 2])
 
 
 def markers(columns: Callable[[int], dict[str, Any]], count: int = 6, **options: Any) -> list[Item]:
-    return [
-        ("/markers", CLOUD, t, cloud(t, columns(k), **options))
-        for k, t in enumerate(map(log_time, range(count)))
-    ]
+    return [("/markers", CLOUD, t, cloud(t, columns(k), **options)) for k, t in enumerate(map(log_time, range(count)))]
 
 
 def assert_markers(recording: Recording) -> None:
@@ -579,9 +560,7 @@ def test_tracks_without_confidence(tmp_path: Path) -> None:
 
 
 def test_confidence_outside_its_range(tmp_path: Path) -> None:
-    recording = read(
-        tmp_path, poses(6) + tracks({**UV, "id": IDS, "confidence": np.array([-1.0, 0.5, 100.0])})
-    )
+    recording = read(tmp_path, poses(6) + tracks({**UV, "id": IDS, "confidence": np.array([-1.0, 0.5, 100.0])}))
     np.testing.assert_array_equal(recording.tracks["camera"].confidence[0], [1.0, 0.0, 0.5])
     assert "confidence from -1 to 100 limited to 0..1" in notes(recording)
 
@@ -608,9 +587,7 @@ def info(stamp_ns: int, focal: float = 300.0, model: str = "plumb_bob", d: Any =
         p=np.zeros(12),
         binning_x=0,
         binning_y=0,
-        roi=make(
-            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-        ),
+        roi=make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
     )
 
 
@@ -684,9 +661,7 @@ def test_raw_images(tmp_path: Path, encoding: str, pixels: Any, expected: Any, p
 
 
 def compressed(stamp_ns: int, data: bytes, fmt: str) -> Any:
-    return make(
-        COMPRESSED, header=header(stamp_ns, "optical"), format=fmt, data=np.frombuffer(data, dtype=np.uint8)
-    )
+    return make(COMPRESSED, header=header(stamp_ns, "optical"), format=fmt, data=np.frombuffer(data, dtype=np.uint8))
 
 
 def test_raw_images_are_preferred_to_their_compressed_twins(tmp_path: Path) -> None:

@@ -130,9 +130,7 @@ def test_quality_of_service_in_the_metadata_loses_no_messages(bag: Path, tmp_pat
         if (plugin, mode) != (StoragePlugin.SQLITE3, CompressionMode.STORAGE)
     ],
 )
-def test_storages_and_compressions(
-    bag: Path, tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode
-) -> None:
+def test_storages_and_compressions(bag: Path, tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode) -> None:
     made = rewrite(bag, tmp_path / "made", plugin, mode)
     recording = read_recording(made)
     assert_whole(recording)
@@ -218,9 +216,7 @@ def test_an_unlisted_file_is_said(bag: Path) -> None:
     assert "files beside the listed ones are not read: older.mcap" in notes(recording)
 
 
-@pytest.mark.parametrize(
-    "text", ["{[", "other: 1", "rosbag2_bagfile_information: {relative_file_paths: 3}", ""]
-)
+@pytest.mark.parametrize("text", ["{[", "other: 1", "rosbag2_bagfile_information: {relative_file_paths: 3}", ""])
 def test_unusable_metadata_falls_back_to_the_files(bag: Path, text: str) -> None:
     (bag / "metadata.yaml").write_text(text)
     recording = read_recording(bag)
@@ -241,9 +237,7 @@ def test_fewer_messages_than_the_metadata_counts_is_said(bag: Path) -> None:
 
 
 def test_fewer_messages_than_the_summary_counts_is_said(bag: Path, tmp_path: Path) -> None:
-    path = repack(
-        bag / "press.mcap", tmp_path / "x.mcap", compression=CompressionType.NONE, use_chunking=False
-    )
+    path = repack(bag / "press.mcap", tmp_path / "x.mcap", compression=CompressionType.NONE, use_chunking=False)
     content = path.read_bytes()
     # Overwrite the opcode of the last message by one that readers must skip (metadata).
     at = content.rfind(bytes([5]) + (22 + 84).to_bytes(8, "little"))
@@ -254,9 +248,7 @@ def test_fewer_messages_than_the_summary_counts_is_said(bag: Path, tmp_path: Pat
 
 @pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.STORAGE])
 @pytest.mark.parametrize("part", [0.3, 0.5, 0.7])
-def test_a_truncated_file_is_read_up_to_the_cut(
-    bag: Path, tmp_path: Path, mode: CompressionMode, part: float
-) -> None:
+def test_a_truncated_file_is_read_up_to_the_cut(bag: Path, tmp_path: Path, mode: CompressionMode, part: float) -> None:
     """The plain recording is a single chunk: nothing would be left without reading inside a cut one."""
     path = rewrite(bag, tmp_path / "made", StoragePlugin.MCAP, mode) / "made.mcap"
     content = path.read_bytes()
@@ -286,9 +278,7 @@ def test_a_missing_last_byte_costs_nothing(bag: Path) -> None:
 def test_a_truncated_compressed_file(bag: Path, tmp_path: Path) -> None:
     made = rewrite(bag, tmp_path / "made", StoragePlugin.MCAP, CompressionMode.NONE)
     plain = (made / "made.mcap").read_bytes()
-    packed = b"".join(
-        zstandard.ZstdCompressor().compress(plain[k : k + 20_000]) for k in range(0, len(plain), 20_000)
-    )
+    packed = b"".join(zstandard.ZstdCompressor().compress(plain[k : k + 20_000]) for k in range(0, len(plain), 20_000))
     (tmp_path / "cut.mcap.zstd").write_bytes(packed[: len(packed) // 2])
     recording = read_recording(tmp_path / "cut.mcap.zstd")
     assert 20 < len(recording.poses["ee"]) < COUNT
@@ -303,9 +293,7 @@ def test_nothing_left_to_recover(bag: Path) -> None:
 
 
 def test_a_damaged_chunk_is_left_out(bag: Path, tmp_path: Path) -> None:
-    path = repack(
-        bag / "press.mcap", tmp_path / "x.mcap", compression=CompressionType.NONE, chunk_size=20_000
-    )
+    path = repack(bag / "press.mcap", tmp_path / "x.mcap", compression=CompressionType.NONE, chunk_size=20_000)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 0xFF
     path.write_bytes(content)
@@ -411,9 +399,7 @@ def test_an_old_database_without_quality_of_service(bag: Path, tmp_path: Path) -
     db = sqlite3.connect(tmp_path / "old.db3")
     db.execute("ATTACH DATABASE ? AS new", (str(made / "made.db3"),))
     db.execute("CREATE TABLE topics AS SELECT id, name, type, serialization_format FROM new.topics")
-    db.execute(
-        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
-    )
+    db.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)")
     db.execute("INSERT INTO messages SELECT * FROM new.messages")
     db.commit()
     db.close()

@@ -40,9 +40,7 @@ def notes(recording) -> str:
 
 
 def test_contract_names_are_found_in_any_namespace(tmp_path: Path) -> None:
-    path = write(
-        tmp_path / "bag", pose=["arm/current_pose"], wrench=["a/b/wrench"], markers=["tactile/left/markers"]
-    )
+    path = write(tmp_path / "bag", pose=["arm/current_pose"], wrench=["a/b/wrench"], markers=["tactile/left/markers"])
     recording = read_recording(path)
     assert recording.poses["ee"].topic == "/arm/current_pose"
     assert recording.wrenches["sensor"].topic == "/a/b/wrench"
@@ -122,9 +120,7 @@ def test_an_absent_topic_names_the_nearest(tmp_path: Path) -> None:
 
 def test_a_named_topic_of_a_wrong_type(tmp_path: Path) -> None:
     path = write(tmp_path / "bag", wrench=["wrench"])
-    with pytest.raises(
-        RecordingError, match=r"/wrench is of type .*WrenchStamped where markers needs .*Cloud2"
-    ):
+    with pytest.raises(RecordingError, match=r"/wrench is of type .*WrenchStamped where markers needs .*Cloud2"):
         read_recording(path, TopicNames(markers={"gel": "/wrench"}))
 
 
@@ -153,9 +149,7 @@ def test_unknown_types_are_ignored_and_said(tmp_path: Path) -> None:
         odd = writer.register_schema("control_msgs/msg/Odd", "ros2msg", b"int32 x")
         writer.add_message(writer.register_channel("/odd", "cdr", odd), 3, bytes(8), 3)
         foxglove = writer.register_schema("foxglove.Log", "jsonschema", b"{}")
-        writer.add_message(
-            writer.register_channel("/x/wrench", "json", foxglove), 3, json.dumps({}).encode(), 3
-        )
+        writer.add_message(writer.register_channel("/x/wrench", "json", foxglove), 3, json.dumps({}).encode(), 3)
         writer.finish()
     recording = read_recording(tmp_path / "more.mcap")
     assert len(recording.wrenches["sensor"]) == len(recording.poses["ee"]) == 5

@@ -54,9 +54,7 @@ def write(path: Path, data: dict[str, np.ndarray], *, backwards: bool = False) -
             bag.pose("current_pose", t, data["position"][k], data["quaternion"][k], "base_link")
             bag.pose("target_pose", t + MS, data["position"][k] + 1e-3, data["quaternion"][k], "base_link")
             bag.wrench("tactile/left/wrench", t, data["force"][k], data["torque"][k], "gel")
-            bag.markers(
-                "tactile/left/markers", t, data["moved"][k], data["rest"], ids, "gel", forces=data["nodal"][k]
-            )
+            bag.markers("tactile/left/markers", t, data["moved"][k], data["rest"], ids, "gel", forces=data["nodal"][k])
             bag.tracks("cam/marker_tracks", t, data["uv"][k], ids, np.full(5, 0.5), "optical")
             bag.image_compressed("cam/image/compressed", t, data["image"][k], "optical")
     return path
@@ -171,9 +169,7 @@ def test_cloud_without_forces_is_not_dense(tmp_path: Path) -> None:
     assert recording.markers["sensor"].force is None
     store = get_typestore(Stores.ROS2_JAZZY)
     with Reader(tmp_path / "bag") as bag:
-        (first, *_) = [
-            store.deserialize_cdr(raw, c.msgtype) for c, _, raw in bag.messages() if c.topic == "/markers"
-        ]
+        (first, *_) = [store.deserialize_cdr(raw, c.msgtype) for c, _, raw in bag.messages() if c.topic == "/markers"]
     assert not first.is_dense
 
 

@@ -41,9 +41,7 @@ def pressed(points: np.ndarray, shift: np.ndarray, depth: float) -> np.ndarray:
     return np.asarray(points + weight * (depth * shift + 0.03 * depth * arm))
 
 
-def press_bag(
-    path: Path, *, presses: int = 11, blank: int | None = None, missing: int | None = None
-) -> np.ndarray:
+def press_bag(path: Path, *, presses: int = 11, blank: int | None = None, missing: int | None = None) -> np.ndarray:
     """Write a rest image and presses with poses; return the true dot positions, shape (n, 72, 2)."""
     rng, points = np.random.default_rng(2), layout()
     truth = [points]
@@ -94,9 +92,7 @@ def test_a_recording_with_images_becomes_one_with_tracks(tmp_path: Path) -> None
     assert {p.name: p.read_bytes() for p in (tmp_path / "source").iterdir()} == before
 
 
-def test_the_command_writes_bag_report_and_overlay(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_bag_report_and_overlay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     press_bag(tmp_path / "source", blank=4)
     track(tmp_path / "source", tmp_path / "out", depth_axis="z", pictures=3)
     text = capsys.readouterr().out

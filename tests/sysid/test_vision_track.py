@@ -60,9 +60,7 @@ def press(
     return np.asarray(points + weight * moved)
 
 
-def seen(
-    uv: np.ndarray, rng: np.random.Generator, *, noise: float = 0.15, quality: float = 0.95
-) -> Detections:
+def seen(uv: np.ndarray, rng: np.random.Generator, *, noise: float = 0.15, quality: float = 0.95) -> Detections:
     """Return detections of ``uv`` with noise, as they are (not shuffled)."""
     n = len(uv)
     return Detections(
@@ -182,9 +180,7 @@ def still_frames(count: int, seed: int) -> tuple[np.ndarray, list[Detections], l
     for _ in range(count):
         shift, turn, depth = rng.uniform(-18, 18, 2), rng.uniform(-6, 6), rng.uniform(0.05, 0.25)
         spot = rng.uniform(-30, 30, 2)
-        target = press(
-            layout, shift=tuple(shift), rotation_deg=turn, depth=depth, spot=tuple(spot), reach=110.0
-        )
+        target = press(layout, shift=tuple(shift), rotation_deg=turn, depth=depth, spot=tuple(spot), reach=110.0)
         found, truth = shuffled(seen(target, rng), rng)
         frames.append(found)
         truths.append(truth)
@@ -353,9 +349,7 @@ def test_the_neighbour_residual_blames_the_marker_that_is_off() -> None:
 def test_the_sense_of_a_labelled_slide_is_found_whatever_the_camera(sense: float, mirror: float) -> None:
     layout, rng = hexagonal(), np.random.default_rng(21)
     angle = np.radians(rng.uniform(0, 360))
-    camera = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ np.diag(
-        [1.0, mirror]
-    )
+    camera = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ np.diag([1.0, mirror])
     labels, uv = [], []
     for _ in range(150):
         x, y, depth = rng.uniform(-4, 4), rng.uniform(-4, 4), rng.uniform(1, 5)
@@ -363,14 +357,10 @@ def test_the_sense_of_a_labelled_slide_is_found_whatever_the_camera(sense: float
         slide = -sense * 2.0 * depth / 3.0 * camera @ [x, y]
         spot = camera @ (250.0 * np.array([-ry, rx]))
         turn = -sense * mirror * np.degrees(rz) * 0.5
-        moved = press(
-            layout, shift=tuple(slide), rotation_deg=turn, depth=0.05 * depth, spot=tuple(spot), reach=60.0
-        )
+        moved = press(layout, shift=tuple(slide), rotation_deg=turn, depth=0.05 * depth, spot=tuple(spot), reach=60.0)
         uv.append(moved + rng.normal(0, 0.1, moved.shape))
         labels.append([1e-3 * x, 1e-3 * y, 1e-3 * depth, rx, ry, rz])
-    check = explain_by_poses(
-        pattern_motion(layout, np.array(uv)), np.array(labels), np.arange(150) % 5 == 0, depth=2
-    )
+    check = explain_by_poses(pattern_motion(layout, np.array(uv)), np.array(labels), np.arange(150) % 5 == 0, depth=2)
     assert check.r_squared["displacement_u"] > 0.9
     assert check.r_squared["displacement_v"] > 0.9
     verdict = slide_sign(check)

@@ -1,0 +1,77 @@
+"""Simulate with known values, record, fit from several starts: the truth comes back with its interval."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim_core.errors import ConfigError, RecordingError
+from sim_core.rigs import with_parameters
+from sim_core.rigs.motion import Experiment
+from sysid.fit import fit_runs
+from sysid.fit.parameters import fit_parameters
+from sysid.fit.runs import load_run
+from sysid.simulate import simulate_to_bag
+
+TRUTH = {"card.E_pa": 2.6e9, "gel.E_pa": 1.3e5, "contacts.gel-post.friction": 0.5}
+STARTS = (
+    {"card.E_pa": 1.8e9, "gel.E_pa": 0.9e5, "contacts.gel-post.friction": 0.35},
+    {"card.E_pa": 3.8e9, "gel.E_pa": 1.8e5, "contacts.gel-post.friction": 0.7},
+    {"card.E_pa": 2.0e9, "gel.E_pa": 2.0e5, "contacts.gel-post.friction": 0.3},
+)
+MOTION = [
+    {"type": "wait", "duration_s": 0.4},
+    {"type": "waypoints", "speed_m_s": 0.1, "hold_s": 0.1,
+     "poses": [{"position_m": [0.0, 0.0, -0.012]}, {"position_m": [0.0, 0.0, 0.0]},
+               {"position_m": [0.055, 0.0, 0.0]}]},
+    {"type": "waypoints", "speed_m_s": 0.02, "hold_s": 0.1,
+     "poses": [{"position_m": [0.055, 0.0, -0.0008]}, {"position_m": [0.059, 0.0, -0.0008]},
+               {"position_m": [0.055, 0.0, 0.0]}]},
+]  # fmt: skip
+
+
+@pytest.fixture
+def recorded(small_rig, tmp_path):
+    rig = small_rig()
+    experiment = Experiment.model_validate({"name": "visit", "seed": 4, "motions": {"finger": MOTION}})
+    simulate_to_bag(with_parameters(rig, TRUTH), experiment, tmp_path / "bag", seed=4)
+    return rig, load_run(rig, tmp_path / "bag")
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_truth_comes_back_within_a_narrow_interval(recorded, start):
+    rig, run = recorded
+    result, fitted = fit_runs(with_parameters(rig, start), [run], list(start))
+    assert result.converged
+    assert result.reduced_chi2 == pytest.approx(1.0, abs=0.15)
+    for estimate in result.estimates:
+        low, high = estimate.ci95
+        assert low <= TRUTH[estimate.name] <= high, estimate
+        assert high - low < 0.2 * TRUTH[estimate.name], estimate
+    assert fitted.bodies["gel"].material.E_pa == pytest.approx(TRUTH["gel.E_pa"], rel=0.05)
+
+
+def test_what_the_data_cannot_tell_is_said(recorded):
+    """Without force on the card only stiffness over weight shows; the friction of the card never acts."""
+    rig, run = recorded
+    seen_only = type(run)(**{**run.__dict__, "measured": tuple(m for m in run.measured if m.kind == "tracks")})
+    result, _ = fit_runs(rig, [seen_only], ["gel.E", "gel.nu"])
+    assert any("do not determine" in s for s in result.identifiability)
+    assert any("gel." in s for s in result.identifiability)
+    assert max(np.log(e.ci95[1] / e.ci95[0]) for e in result.estimates if e.log) > 0.5
+
+
+def test_parameters_are_checked(small_rig):
+    with pytest.raises(ConfigError, match="twice"):
+        fit_parameters(small_rig(), ["card.E", "card.E_pa"])
+    with pytest.raises(ConfigError, match=r"no parameter 'card\.Epa'"):
+        fit_parameters(small_rig(), ["card.Epa"])
+
+
+def test_a_bag_without_poses_is_refused(small_rig, recorded, tmp_path):
+    rig, _ = recorded
+    other = rig.model_copy(update={"end_effectors": {"hand": rig.end_effectors["finger"].model_copy(
+        update={"topics": rig.end_effectors["finger"].topics.model_copy(
+            update={"target_pose": "hand/target", "current_pose": "hand/current"})})}})  # fmt: skip
+    with pytest.raises(RecordingError, match="pose"):
+        load_run(other, tmp_path / "bag")

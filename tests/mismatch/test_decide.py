@@ -1,0 +1,74 @@
+"""Verdicts from the outcome of fits, and the whitening and noise they rest on."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from sim_core.effects import effect_by_name
+from sysid.fit.noise import ChannelNoise, whiten
+from sysid.fit.problem import Fitted
+from sysid.mismatch.decide import Trial, decide, held_out_gain, probabilities
+
+
+def trial(name: str, gain: float, explained: float = 0.95, held_out: float | None = 0.3) -> Trial:
+    return Trial(effect_by_name(name), cast(Fitted, SimpleNamespace()), gain, explained, held_out)
+
+
+QUIET = (1.1, 100.0, 1000.0)
+LOUD = (5.0, 5000.0, 1000.0)
+
+
+@pytest.mark.parametrize(
+    ("trials", "evidence", "kind"),
+    [
+        ([], QUIET, "nothing_missing"),
+        ([], LOUD, "unknown"),
+        ([trial("air_drag", 3.0)], QUIET, "nothing_missing"),
+        ([trial("air_drag", 3.0)], LOUD, "unknown"),
+        ([trial("air_drag", 40.0)], QUIET, "named"),
+        ([trial("air_drag", 40.0, held_out=-0.1)], QUIET, "nothing_missing"),
+        ([trial("air_drag", 40.0, held_out=-0.1)], LOUD, "unknown"),
+        ([trial("air_drag", 400.0, explained=0.3)], LOUD, "unknown"),
+        ([trial("air_drag", 40.0), trial("stream_delay", 38.0)], LOUD, "one_of"),
+        ([trial("air_drag", 40.0), trial("stream_delay", 20.0)], LOUD, "named"),
+        # Structure that the simulator's own error could leave is not blamed on physics.
+        ([], (5.0, 5000.0, 20000.0), "nothing_missing"),
+    ],
+)
+def test_verdicts(trials, evidence, kind):
+    assert decide(trials, *evidence).kind == kind
+
+
+def test_the_best_comes_first_and_probabilities_follow_the_evidence():
+    trials = [trial("air_drag", 20.0), trial("stream_delay", 23.0), trial("gel_relaxation", 2.0)]
+    verdict = decide(trials, *LOUD)
+    assert [t.effect.name for t in verdict.named] == ["stream_delay", "air_drag"]
+    chances = probabilities(trials)
+    assert chances["stream_delay"] / chances["air_drag"] == pytest.approx(np.exp(3.0))
+    assert sum(chances.values()) < 1.0 + 1e-12
+
+
+def test_held_out_gain_is_not_decided_by_a_few_samples():
+    rng = np.random.default_rng(0)
+    plain = rng.standard_normal(2000) * 1.5
+    better = plain / 1.5
+    assert held_out_gain(plain, better) > 0.3
+    spiked = better.copy()
+    spiked[:2] = 30.0
+    assert held_out_gain(plain, spiked) > 0.2
+    assert held_out_gain(better, plain) < 0.0
+
+
+def test_whitening_makes_coloured_noise_white():
+    rng = np.random.default_rng(1)
+    rho, sigma = 0.7, 0.02
+    noise = np.zeros((20000, 1))
+    for k in range(1, len(noise)):
+        noise[k] = rho * noise[k - 1] + sigma * np.sqrt(1 - rho**2) * rng.standard_normal(1)
+    white = whiten(noise, ChannelNoise(np.array([sigma]), rho, "test"))
+    assert np.std(white) == pytest.approx(1.0, abs=0.02)
+    assert np.mean(white[1:] * white[:-1]) == pytest.approx(0.0, abs=0.03)
