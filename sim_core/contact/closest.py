@@ -58,8 +58,7 @@ def closest_point(p, a, b, c):
 def distance_second_derivative(p, y0, y1, y2, b, kind: ti.i32, sign: ti.f64, out: ti.template()):
     """Write sign * hess |p - sum b_j y_j| minimised over b, as 4 x 4 blocks in (p, y0, y1, y2).
 
-    ``kind``: 3 face, 2 edge, 1 corner. ``out``: ``(16, 3, 3)``. On a face the sign of the height is
-    that of the side; the distance itself is always positive.
+    ``kind``: 3 face, 2 edge, 1 corner. ``out``: ``(16, 3, 3)``.
     """
     r = p - (b[0] * y0 + b[1] * y1 + b[2] * y2)
     d = ti.max(r.norm(), 1e-12)
@@ -90,11 +89,6 @@ def distance_second_derivative(p, y0, y1, y2, b, kind: ti.i32, sign: ti.f64, out
         i22 = a11 / det
     elif kind == 2:
         i11 = 1.0 / a11
-    flip = sign
-    if kind == 3:
-        flip = 1.0
-        if sign * (y1 - y0).cross(y2 - y0).dot(r) < 0.0:
-            flip = -1.0
     for q in range(4):
         # d2E/dz_q db_k = -(c_q e_k + s_k(q) r), a 3-vector for each free direction.
         f1 = c[q] * e1 + s1[q] * r
@@ -107,4 +101,4 @@ def distance_second_derivative(p, y0, y1, y2, b, kind: ti.i32, sign: ti.f64, out
                     value = -c[q] * c[w] * n[i] * n[j] - f1[i] * h1[j] - f2[i] * h2[j]
                     if i == j:
                         value += c[q] * c[w]
-                    out[4 * q + w, i, j] = flip * value / d
+                    out[4 * q + w, i, j] = sign * value / d

@@ -15,6 +15,10 @@ the derivatives of d follow from the Schur complement of that small problem:
     grad d = r/d . dr,    hess(1/2 d^2) = E_zz - E_zb E_bb^-1 E_bz,
     hess d = (hess(1/2 d^2) - grad d grad d^T) / d
 
+Where triangles meet at a concave crease the smallest distance has a kink on which a sample may come to rest
+without any balance of forces. The distances of neighbouring triangles are therefore blended over a width e,
+d = min over shares w of sum w_k d_k + e/2 (sum w_k^2 - 1), which is smooth and at most e/2 too small.
+
 Friction acts on the relative motion of the sample and the point of the triangle below it at the start
 of the step. Laws: :mod:`sim_core.contact.law`.
 """
@@ -24,12 +28,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import scipy.sparse as sp
 
 from sim_core.contact.candidates import Candidates
 from sim_core.contact.samples import Samples
 from sim_core.contact.surface_kernels import (
+    BLEND,
     EXCESS,
     FAR,
+    MOST,
     MU,
     OFFSET,
     SLIP_SCALE,
@@ -42,6 +49,9 @@ from sim_core.contact.surface_kernels import (
 )
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.kernels import BoundKernel
+
+CREASE_ROUNDING = 0.1
+"""Width over which the distances to several triangles are blended, as a share of the pressure's rounding."""
 
 
 class SurfaceContact:
@@ -74,7 +84,7 @@ class SurfaceContact:
         self._own = np.ascontiguousarray(samples.nodes, dtype=np.int32)
         self._weights = np.ascontiguousarray(samples.weights)
         self._areas = np.ascontiguousarray(samples.areas)
-        self._c = np.zeros(6)
+        self._c = np.zeros(7)
         self._c[OFFSET] = offset
         self._limit, self._load = np.zeros(count), np.zeros(count)
         self._anchor, self._force = np.zeros((count, 3)), np.zeros((count, 3))
@@ -83,16 +93,25 @@ class SurfaceContact:
         self._exact = np.zeros(1, dtype=np.int32)
 
     def blocks(self) -> np.ndarray:
-        """Pairs of the samples' nodes and of the corners of all triangles in the wider search."""
+        """Pairs of the samples' nodes and of the corners of all triangles in the wider search, and of the
+        corners of triangles around one node, which may share in a gap."""
         sample, triangle = self._candidates.coupled
+        if not len(sample):
+            return np.empty((0, 2), dtype=np.int32)
         own, corner = self._own[sample], self._triangles[triangle]
-        left = [np.repeat(own, 3, axis=1), own[:, [0]], corner[:, [0, 0, 1]]]
-        right = [np.tile(corner, (1, own.shape[1])), own[:, [0]], corner[:, [1, 2, 2]]]
-        inner = np.triu_indices(own.shape[1])
-        members = np.unique(sample)
-        left.append(self._own[members][:, inner[0]].reshape(-1, 1))
-        right.append(self._own[members][:, inner[1]].reshape(-1, 1))
-        return np.column_stack([np.concatenate([a.ravel() for a in left]), np.concatenate([a.ravel() for a in right])])
+        mixed = np.stack([np.repeat(own, 3, axis=1), np.tile(corner, (1, own.shape[1]))], axis=-1)
+        members = self._own[np.unique(sample)]
+        i, j = np.triu_indices(own.shape[1])
+        inner = np.stack([members[:, i], members[:, j]], axis=-1)
+        near = self._triangles[np.unique(triangle)]
+        incidence = sp.csr_matrix(
+            (np.ones(near.size), (near.ravel(), np.repeat(np.arange(len(near)), 3))),
+            shape=(int(near.max()) + 1, len(near)),
+        )
+        # Nodes of triangles that share a node: two steps over triangles.
+        around = sp.triu((incidence @ incidence.T) @ (incidence @ incidence.T)).tocoo()
+        star = np.column_stack([around.row, around.col])
+        return np.concatenate([mixed.reshape(-1, 2), inner.reshape(-1, 2), star])
 
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
         del slots
@@ -101,20 +120,21 @@ class SurfaceContact:
         self._x = buffers.x
         self._x_start = np.zeros_like(buffers.x)
         self._normals = np.zeros_like(buffers.x)
-        self._second = np.zeros((16, 3, 3))
+        second = np.zeros((16, 3, 3))
+        slopes = np.zeros((MOST + 2, self._own.shape[1] + 3 * MOST, 3))
         self._seen = np.full_like(buffers.x, np.nan)
         now, lag, table = self._now, self._lag, buffers.pairs
         laws = (
             *(buffers.x, self._x_start, self._own, self._weights, self._triangles, self._areas, self._c),
-            *(self._limit, lag.triangle, lag.weights, lag.direction, self._anchor, now.gap),
+            *(self._limit, lag.triangles, lag.weights, lag.directions, self._anchor, now.gap),
         )
-        here = (now.triangle, now.weights, now.direction)
+        here = (now.number, now.triangles, now.weights, now.directions, now.share)
         self._energy = BoundKernel(add_energy, *laws, buffers.energy)
         self._gradient = BoundKernel(add_gradient, *laws, *here, self._force, self._load, buffers.gradient)
         self._hessian = BoundKernel(
             add_hessian,
-            *(*laws, *here, now.sign, now.kind, self._exact),
-            *(table.start, table.column, table.place, self._second, buffers.hessian),
+            *(*laws, *here, now.kind, now.sign, self._exact),
+            *(table.start, table.column, table.place, slopes, second, buffers.hessian),
         )
         self._bind_search()
 
@@ -130,6 +150,7 @@ class SurfaceContact:
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._c[STIFFNESS] = parameters["stiffness_pa_per_m"]
         self._c[WIDTH] = parameters["rounding_m"]
+        self._c[BLEND] = CREASE_ROUNDING * parameters["rounding_m"]
         self._c[MU] = parameters["friction"]
         self._c[EXCESS] = parameters.get("static_excess", 0.0)
         self._c[SLIP_SCALE] = parameters.get("slip_speed_scale_m_s", 1.0)
@@ -169,7 +190,7 @@ class SurfaceContact:
         mu = self._c[MU] * np.ones(len(self._areas))
         if self._c[EXCESS] > 0.0:
             mu *= 1.0 + self._c[EXCESS] * np.exp(-((internals["slip_speed"] / self._c[SLIP_SCALE]) ** 2))
-        self._limit[:] = np.where(self._lag.triangle >= 0, mu * internals["load"], 0.0)
+        self._limit[:] = np.where(self._lag.number > 0, mu * internals["load"], 0.0)
 
     def _look(self) -> bool:
         """Bring the gaps up to date with the positions; False when there is nothing to touch."""
@@ -197,11 +218,11 @@ class SurfaceContact:
         """Carry elastic slip, load, slip speed and side; zero where nothing touches or is near."""
         if not self._look():
             return self.initial_internals()
-        nodes = self._triangles[np.maximum(self._lag.triangle, 0)]
+        nodes = self._triangles[self._lag.triangles[:, 0]]
         move = self._x - self._x_start
-        relative = self._samples.positions(move) - np.einsum("sk,skj->sj", self._lag.weights, move[nodes])
+        relative = self._samples.positions(move) - np.einsum("sk,skj->sj", self._lag.weights[:, :3], move[nodes])
         slip = self._anchor + relative
-        normal = self._lag.direction
+        normal = self._lag.directions[:, :3]
         slip -= normal * np.einsum("sj,sj->s", slip, normal)[:, None]
         length = np.linalg.norm(slip, axis=1)
         longest = self._limit / (self._c[STIFFNESS] * self._areas)
@@ -237,14 +258,17 @@ class _Closest:
     """Where samples are nearest to the triangles: arrays that the kernel ``measure`` writes."""
 
     def __init__(self, count: int) -> None:
-        self.triangle = np.full(count, -1, dtype=np.int32)
-        self.weights, self.direction = np.zeros((count, 3)), np.zeros((count, 3))
-        self.gap, self.sign, self.height = np.full(count, FAR), np.ones(count), np.zeros(count)
-        self.kind = np.zeros(count, dtype=np.int32)
+        self.number = np.zeros(count, dtype=np.int32)
+        self.triangles = np.zeros((count, MOST), dtype=np.int32)
+        self.weights, self.directions = np.zeros((count, 3 * MOST)), np.zeros((count, 3 * MOST))
+        self.share, self.distance = np.zeros((count, MOST)), np.zeros((count, MOST))
+        self.kind = np.zeros((count, MOST), dtype=np.int32)
+        self.sign, self.gap, self.height = np.ones(count), np.full(count, FAR), np.zeros(count)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
         """In the order of the kernel's arguments."""
-        return self.triangle, self.weights, self.direction, self.gap, self.sign, self.kind, self.height
+        shares = (self.number, self.triangles, self.weights, self.directions, self.share, self.kind)
+        return *shares, self.distance, self.sign, self.gap, self.height
 
 
 def _free_features(triangles: np.ndarray, two_sided: bool) -> np.ndarray:

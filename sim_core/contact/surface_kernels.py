@@ -18,7 +18,9 @@ from sim_core.contact.law import (
 )
 from sim_core.kernels import F1, F2, F3, I1, I2, add_block, vec3
 
-STIFFNESS, WIDTH, MU, EXCESS, SLIP_SCALE, OFFSET = range(6)
+STIFFNESS, WIDTH, MU, EXCESS, SLIP_SCALE, OFFSET, BLEND = range(7)
+MOST = 8
+"""Triangles that may share in the gap of one sample."""
 FAR = 1e30
 """Gap [m] of a sample without candidates."""
 
@@ -36,61 +38,109 @@ def _sample(x: ti.template(), own: ti.template(), weights: ti.template(), s: ti.
     return p
 
 
+@ti.func
+def _closest(x: ti.template(), p, triangles: ti.template(), t: ti.i32):
+    """Barycentric weights of the point of triangle ``t`` closest to ``p``, its feature, p minus it."""
+    y0, y1, y2 = _row(x, triangles[t, 0]), _row(x, triangles[t, 1]), _row(x, triangles[t, 2])
+    b, feature = closest_point(p, y0, y1, y2)
+    return b, feature, p - b[0] * y0 - b[1] * y1 - b[2] * y2
+
+
+@ti.func
+def _neighbours(triangles: ti.template(), t: ti.i32, u: ti.i32):
+    """Whether two triangles share a node."""
+    found = 0
+    for i in range(3):
+        for j in range(3):
+            if triangles[t, i] == triangles[u, j]:
+                found = 1
+    return found
+
+
 @ti.kernel
 def measure(
     x: F2, own: I2, weights: F2, triangles: I2, border: I2, first: I1, near: I1, normals: F2, side: F1, c: F1,
-    chosen: I1, at: F2, direction: F2, gap: F1, sign: F1, kind: I1, height: F1,
+    number: I1, chosen: I2, at: F2, direction: F2, share: F2, kind: I2, distance: F2, sign: F1, gap: F1,
+    height: F1,
 ):  # fmt: skip
-    """Nearest triangle of every sample (-1: none), barycentric weights on it, gap [m] and its gradient.
+    """Triangles that every sample is nearest to (the nearest first), how they share in the gap, and the gap.
 
-    ``sign`` of the distance; ``kind``: 3 face, 2 edge, 1 corner; ``height``: over the face, any scale.
+    ``number``: of them; ``at``, ``direction``: three columns for each, barycentric weights and gradient of
+    its own gap; ``kind``: 3 face, 2 edge, 1 corner; ``sign``: of the distance; ``height``: over the nearest
+    face.
     """
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
-        chosen[s] = -1
+        number[s] = 0
         gap[s] = FAR
         height[s] = 0.0
+        sign[s] = 1.0
         if first[s] < first[s + 1]:
             p = _sample(x, own, weights, s)
             best = FAR
+            nearest = -1
             for k in range(first[s], first[s + 1]):
-                t = near[k]
-                y0, y1, y2 = _row(x, triangles[t, 0]), _row(x, triangles[t, 1]), _row(x, triangles[t, 2])
-                b, feature = closest_point(p, y0, y1, y2)
-                d = (p - b[0] * y0 - b[1] * y1 - b[2] * y2).norm()
-                if d < best - 1e-15:
-                    best = d
-                    chosen[s] = t
-                    kind[s] = feature
-                    for j in range(3):
-                        at[s, j] = b[j]
-            t = chosen[s]
-            feature = kind[s]
-            y0, y1, y2 = _row(x, triangles[t, 0]), _row(x, triangles[t, 1]), _row(x, triangles[t, 2])
-            r = p - at[s, 0] * y0 - at[s, 1] * y1 - at[s, 2] * y2
-            d = r.norm()
-            face = (y1 - y0).cross(y2 - y0).normalized()
-            height[s] = face.dot(p - y0)
-            sign[s] = side[s]
-            kind[s] = 3
-            along = side[s] * face
-            gap[s] = along.dot(r) - c[OFFSET]
-            if feature < 6:
-                kind[s] = 2
-                if feature < 3:
-                    kind[s] = 1
-                sign[s] = 1.0
-                if border[t, feature] == 0:
-                    m = vec3(0.0, 0.0, 0.0)
-                    for j in range(3):
-                        m += at[s, j] * _row(normals, triangles[t, j])
-                    if side[s] * m.dot(r) < 0.0:
-                        sign[s] = -1.0
-                if d > 1e-12:
-                    along = sign[s] * r / d
-                gap[s] = sign[s] * d - c[OFFSET]
-            for j in ti.static(range(3)):
-                direction[s, j] = along[j]
+                b, feature, r = _closest(x, p, triangles, near[k])
+                if r.norm() < best - 1e-15:
+                    best = r.norm()
+                    nearest = near[k]
+            for k in range(first[s] - 1, first[s + 1]):
+                t = nearest
+                if k >= first[s]:
+                    t = near[k]
+                m = number[s]
+                if m == 0 or (m < MOST and t != nearest and _neighbours(triangles, t, nearest) == 1):
+                    b, feature, r = _closest(x, p, triangles, t)
+                    d = r.norm()
+                    if d < best + c[BLEND]:
+                        y0 = _row(x, triangles[t, 0])
+                        face = (_row(x, triangles[t, 1]) - y0).cross(_row(x, triangles[t, 2]) - y0).normalized()
+                        along = side[s] * face
+                        outside = 1.0
+                        if along.dot(r) < 0.0:
+                            outside = -1.0
+                        part = 3
+                        if feature < 6:
+                            part = 2
+                            if feature < 3:
+                                part = 1
+                            outside = 1.0
+                            if border[t, feature] == 0:
+                                n = vec3(0.0, 0.0, 0.0)
+                                for j in range(3):
+                                    n += b[j] * _row(normals, triangles[t, j])
+                                if side[s] * n.dot(r) < 0.0:
+                                    outside = -1.0
+                            if d > 1e-12:
+                                along = outside * r / d
+                        if m == 0:
+                            sign[s] = outside
+                            height[s] = face.dot(r)
+                        if outside == sign[s]:
+                            chosen[s, m] = t
+                            kind[s, m] = part
+                            distance[s, m] = d
+                            for j in range(3):
+                                at[s, 3 * m + j] = b[j]
+                                direction[s, 3 * m + j] = along[j]
+                            number[s] = m + 1
+            # Smallest distance, smoothed over the width c[BLEND]: shares in proportion to level - distance.
+            members = number[s]
+            level = FAR
+            for _ in range(MOST):
+                total = c[BLEND]
+                members = 0
+                for m in range(number[s]):
+                    if distance[s, m] < level:
+                        total += distance[s, m]
+                        members += 1
+                level = total / members
+            smooth = -0.5 * c[BLEND]
+            for m in range(number[s]):
+                w = ti.max(0.0, (level - distance[s, m]) / c[BLEND])
+                share[s, m] = w
+                smooth += w * distance[s, m] + 0.5 * c[BLEND] * w * w
+            gap[s] = sign[s] * smooth - c[OFFSET]
 
 
 @ti.func
@@ -102,7 +152,7 @@ def _elastic_slip(
     """Elastic slip [m] and projector, against the triangle under the sample at the start."""
     move = _sample(x, own, weights, s) - _sample(x_start, own, weights, s)
     for j in range(3):
-        i = triangles[lag[s], j]
+        i = triangles[lag[s, 0], j]
         move -= lag_b[s, j] * (_row(x, i) - _row(x_start, i))
     t = tangent_projector(_row(lag_n, s))
     return t @ (_row(anchor, s) + move), t
@@ -110,7 +160,7 @@ def _elastic_slip(
 
 @ti.kernel
 def add_energy(
-    x: F2, x_start: F2, own: I2, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I1, lag_b: F2,
+    x: F2, x_start: F2, own: I2, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
     lag_n: F2, anchor: F2, gap: F1, out: F1,
 ):  # fmt: skip
     ti.loop_config(serialize=True)
@@ -124,31 +174,34 @@ def add_energy(
 
 @ti.kernel
 def add_gradient(
-    x: F2, x_start: F2, own: I2, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I1, lag_b: F2,
-    lag_n: F2, anchor: F2, gap: F1, chosen: I1, at: F2, direction: F2, force: F2, load: F1, out: F2,
+    x: F2, x_start: F2, own: I2, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
+    lag_n: F2, anchor: F2, gap: F1, number: I1, chosen: I2, at: F2, direction: F2, share: F2,
+    force: F2, load: F1, out: F2,
 ):  # fmt: skip
     """Also write the force on each sample [N] and its normal part [N]."""
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
         load[s] = areas[s] * pressure(gap[s], c[STIFFNESS], c[WIDTH])
-        rub = vec3(0.0, 0.0, 0.0)
+        for j in range(3):
+            force[s, j] = 0.0
+        if load[s] > 0.0:
+            for m in range(number[s]):
+                push = share[s, m] * load[s]
+                for j in range(3):
+                    force[s, j] = force[s, j] + push * direction[s, 3 * m + j]
+                for k in range(3):
+                    i = triangles[chosen[s, m], k]
+                    for j in range(3):
+                        out[i, j] = out[i, j] + at[s, 3 * m + k] * push * direction[s, 3 * m + j]
         if limit[s] > 0.0:
             u, _t = _elastic_slip(x, x_start, own, weights, triangles, lag, lag_b, lag_n, anchor, s)
-            rub = -friction_force(u, limit[s], c[STIFFNESS] * areas[s])
-        for j in range(3):
-            force[s, j] = rub[j]
-        if load[s] > 0.0:
-            for k in range(3):
-                i = triangles[chosen[s], k]
-                for j in range(3):
-                    out[i, j] = out[i, j] + at[s, k] * load[s] * direction[s, j]
+            rub = friction_force(u, limit[s], c[STIFFNESS] * areas[s])
             for j in range(3):
-                force[s, j] = load[s] * direction[s, j] + rub[j]
-        if limit[s] > 0.0:
+                force[s, j] = force[s, j] - rub[j]
             for k in range(3):
-                i = triangles[lag[s], k]
+                i = triangles[lag[s, 0], k]
                 for j in range(3):
-                    out[i, j] = out[i, j] + lag_b[s, k] * rub[j]
+                    out[i, j] = out[i, j] - lag_b[s, k] * rub[j]
         if load[s] > 0.0 or limit[s] > 0.0:
             for a in range(weights.shape[1]):
                 for j in range(3):
@@ -169,53 +222,97 @@ def _participant(own: ti.template(), weights: ti.template(), triangles: ti.templ
     return node, block, weight
 
 
+@ti.func
+def _node(own: ti.template(), triangles: ti.template(), chosen: ti.template(), s: ti.i32, a: ti.i32):
+    """Node of the a-th participant: own nodes, then the corners of each triangle that shares in the gap."""
+    count = own.shape[1]
+    node = own[s, ti.min(a, count - 1)]
+    if a >= count:
+        node = triangles[chosen[s, (a - count) // 3], (a - count) % 3]
+    return node
+
+
 @ti.kernel
 def add_hessian(
-    x: F2, x_start: F2, own: I2, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I1, lag_b: F2,
-    lag_n: F2, anchor: F2, gap: F1, chosen: I1, at: F2, direction: F2, sign: F1, kind: I1, exact: I1,
-    start: I1, column: I1, place: I1, second: F3, out: F1,
+    x: F2, x_start: F2, own: I2, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
+    lag_n: F2, anchor: F2, gap: F1, number: I1, chosen: I2, at: F2, direction: F2, share: F2, kind: I2,
+    sign: F1, exact: I1, start: I1, column: I1, place: I1, slopes: F3, second: F3, out: F1,
 ):  # fmt: skip
-    """``second``: scratch, blocks (4 x 4) of the second derivative of the gap in (p, y0, y1, y2), [1/m]."""
+    """``slopes``: scratch, gradients of the gap of each triangle with respect to all participants (own nodes,
+    then the corners of each triangle), the last row their mean with their shares; ``second``: scratch,
+    blocks (4 x 4) of the second derivative of a gap in (p, y0, y1, y2) [1/m]."""
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
-        count = weights.shape[1] + 3
-        for law in range(2):
-            # First the pressure on the triangle that is nearest now, then friction on that of the start.
-            active = gap[s] < c[WIDTH]
-            if law == 1:
-                active = limit[s] > 0.0
-            if active:
-                t = chosen[s]
-                b = vec3(0.0, 0.0, 0.0)
-                bend = 0.0
-                stiff = ti.Matrix.zero(ti.f64, 3, 3)
-                if law == 0:
-                    b = _row(at, s)
-                    n = _row(direction, s)
-                    stiff = (areas[s] * slope(gap[s], c[STIFFNESS], c[WIDTH])) * n.outer_product(n)
-                    if exact[0] == 1:
-                        bend = -areas[s] * pressure(gap[s], c[STIFFNESS], c[WIDTH])
+        count = weights.shape[1]
+        if gap[s] < c[WIDTH]:
+            total = count + 3 * number[s]
+            load = areas[s] * pressure(gap[s], c[STIFFNESS], c[WIDTH])
+            stiff = areas[s] * slope(gap[s], c[STIFFNESS], c[WIDTH])
+            members = 0
+            for a in range(total):
+                for r in range(3):
+                    slopes[MOST, a, r] = 0.0
+                    slopes[MOST + 1, a, r] = 0.0
+            for m in range(number[s]):
+                if share[s, m] > 0.0:
+                    members += 1
+                    for a in range(total):
+                        weight = 0.0
+                        if a < count:
+                            weight = weights[s, a]
+                        elif (a - count) // 3 == m:
+                            weight = -at[s, a - count]
+                        for r in range(3):
+                            slopes[m, a, r] = weight * direction[s, 3 * m + r]
+                            slopes[MOST, a, r] += share[s, m] * slopes[m, a, r]
+                            slopes[MOST + 1, a, r] += slopes[m, a, r]
+            # The smoothing stiffens against leaving the crease: curvature of the smallest distance.
+            crease = 0.0
+            if members > 1 and (sign[s] > 0.0 or exact[0] == 1):
+                crease = sign[s] * load / c[BLEND]
+            for a in range(total):
+                i = _node(own, triangles, chosen, s, a)
+                for d in range(a, total):
+                    j = _node(own, triangles, chosen, s, d)
+                    h = ti.Matrix.zero(ti.f64, 3, 3)
+                    for r in range(3):
+                        for q in range(3):
+                            h[r, q] = stiff * slopes[MOST, a, r] * slopes[MOST, d, q]
+                            if crease != 0.0:
+                                h[r, q] -= crease * slopes[MOST + 1, a, r] * slopes[MOST + 1, d, q] / members
+                                for m in range(number[s]):
+                                    if share[s, m] > 0.0:
+                                        h[r, q] += crease * slopes[m, a, r] * slopes[m, d, q]
+                    if a != d and i == j:
+                        h = h + h.transpose()
+                    add_block(start, column, place, out, i, j, h)
+            if exact[0] == 1 and load > 0.0:
+                p = _sample(x, own, weights, s)
+                for m in range(number[s]):
+                    if share[s, m] > 0.0:
+                        t = chosen[s, m]
+                        b = vec3(at[s, 3 * m], at[s, 3 * m + 1], at[s, 3 * m + 2])
                         y0, y1, y2 = _row(x, triangles[t, 0]), _row(x, triangles[t, 1]), _row(x, triangles[t, 2])
-                        p = _sample(x, own, weights, s)
-                        distance_second_derivative(p, y0, y1, y2, b, kind[s], sign[s], second)
-                else:
-                    t = lag[s]
-                    b = _row(lag_b, s)
-                    u, projector = _elastic_slip(x, x_start, own, weights, triangles, lag, lag_b, lag_n, anchor, s)
-                    stiff = friction_stiffness(u, limit[s], c[STIFFNESS] * areas[s], projector)
-                for a in range(count):
-                    i, qa, wa = _participant(own, weights, triangles, s, t, a)
-                    ca = wa
-                    if qa > 0:
-                        ca = -b[qa - 1]
-                    for d in range(a, count):
-                        j, qd, wd = _participant(own, weights, triangles, s, t, d)
-                        cd = wd
-                        if qd > 0:
-                            cd = -b[qd - 1]
-                        m = (ca * cd) * stiff
-                        if bend != 0.0:
-                            for r in range(3):
-                                for q in range(3):
-                                    m[r, q] += bend * wa * wd * second[4 * qa + qd, r, q]
-                        add_block(start, column, place, out, i, j, m)
+                        distance_second_derivative(p, y0, y1, y2, b, kind[s, m], sign[s], second)
+                        for a in range(count + 3):
+                            i, qa, wa = _participant(own, weights, triangles, s, t, a)
+                            for d in range(a, count + 3):
+                                j, qd, wd = _participant(own, weights, triangles, s, t, d)
+                                h = ti.Matrix.zero(ti.f64, 3, 3)
+                                for r in range(3):
+                                    for q in range(3):
+                                        h[r, q] = -load * share[s, m] * wa * wd * second[4 * qa + qd, r, q]
+                                add_block(start, column, place, out, i, j, h)
+        if limit[s] > 0.0:
+            u, projector = _elastic_slip(x, x_start, own, weights, triangles, lag, lag_b, lag_n, anchor, s)
+            stiff = friction_stiffness(u, limit[s], c[STIFFNESS] * areas[s], projector)
+            t = lag[s, 0]
+            for a in range(count + 3):
+                i, qa, wa = _participant(own, weights, triangles, s, t, a)
+                if qa > 0:
+                    wa = -lag_b[s, qa - 1]
+                for d in range(a, count + 3):
+                    j, qd, wd = _participant(own, weights, triangles, s, t, d)
+                    if qd > 0:
+                        wd = -lag_b[s, qd - 1]
+                    add_block(start, column, place, out, i, j, (wa * wd) * stiff)

@@ -166,6 +166,8 @@ def _fast(
             if iteration > best_at + PATIENCE:
                 break
             direction, definite = _direction(system, g, move)
+            if direction is None:
+                break
             step = system.spread(direction)
             system.foresee(step if move is None else step + move)
             unknowns = system.unknowns()
@@ -197,6 +199,11 @@ def _slow(system: System, settings: NewtonSettings) -> StepReport:
             result = Result.CONVERGED
             break
         direction, definite = _direction(system, g, None)
+        if direction is None:
+            raise ConvergenceError(
+                "The stiffness matrix cannot be factorised.",
+                "Check that every body is held by a clamp, a mount or contact, or switch inertia on.",
+            )
         update = float(np.abs(direction).max(initial=0.0))
         descent = float(g @ direction)
         start = system.unknowns()
@@ -210,7 +217,7 @@ def _slow(system: System, settings: NewtonSettings) -> StepReport:
                 accepted = True
                 break
             fraction *= 0.5
-        while accepted and not definite and fraction >= 1.0:
+        while accepted and not definite and 1.0 <= fraction < 64.0:
             # The projected matrix is too stiff along what is unstable: go on while that pays.
             searches += 1
             system.set_unknowns(start + 2.0 * fraction * direction)
@@ -244,9 +251,10 @@ def _report(
     return StepReport(result, iteration, searches, residual, update, contacts, gap)
 
 
-def _direction(system: System, g: np.ndarray, move: np.ndarray | None) -> tuple[np.ndarray, bool]:
+def _direction(system: System, g: np.ndarray, move: np.ndarray | None) -> tuple[np.ndarray | None, bool]:
     """Newton direction from the true Hessian where it is positive definite, else from the positive
-    semidefinite one, else from that with a diagonal shift; and whether it was the true one.
+    semidefinite one, else from that with a diagonal shift; and whether it was the true one. None when
+    nothing holds the system.
 
     ``move``: of what is prescribed [m] ``(n, 3)``, answered to first order.
     """
@@ -264,13 +272,10 @@ def _direction(system: System, g: np.ndarray, move: np.ndarray | None) -> tuple[
         return direction, True
     data = system.hessian_data()
     largest, shift = system.largest_stiffness(data), 0.0
-    while shift <= 1e3 * largest:
+    while largest > 0.0 and shift <= 1e3 * largest:
         direction = answer(data)
         if direction is not None:
             return direction, False
         shift = max(10.0 * shift, 1e-12 * largest)
         data = system.hessian_data(shift=shift)
-    raise ConvergenceError(
-        "The stiffness matrix cannot be factorised.",
-        "Check that every body is held by a clamp, a mount or contact, or switch inertia on.",
-    )
+    return None, False

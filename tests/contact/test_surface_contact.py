@@ -20,7 +20,7 @@ def test_derivatives_match_differences(slip):
     moved = x.copy()
     moved[two.upper] += slip * np.array([0.6, -0.8, 0.0])
     assert check_derivatives(two.system, moved) > 100.0
-    kinds = np.concatenate([t._now.kind[t._load > 0] for t in two.contact])
+    kinds = np.concatenate([t._now.kind[t._load > 0, 0] for t in two.contact])
     assert {2, 3} <= set(kinds.tolist())
 
 
@@ -188,3 +188,34 @@ def test_side_is_remembered_through_a_deep_overlap_and_forgotten_far_away():
     after = two.system.end_step(step, internals)
     assert not after["down"]["side"].any()
     assert SHEET["thickness_m"] < 9e-4
+
+
+def trough(angle, load):
+    """A point pressed by ``load`` [N] into a fixed V of two triangles, each at ``angle`` to the horizontal."""
+    c, s = 0.01 * np.cos(angle), 0.01 * np.sin(angle)
+    nodes = np.array([[-0.01, 0, 0], [0.01, 0, 0], [0, c, s], [0, -c, s], [0, 0, 2e-4 / np.cos(angle)]])
+    samples = Samples(np.array([[4]], dtype=np.int32), np.ones((1, 1)), np.array([1e-6]), 0.0)
+    triangles = np.array([[0, 1, 2], [1, 0, 3]])
+    term = SurfaceContact("c", samples, triangles, True, 2e-4, 1e-3)
+    term.configure({**LAW, "friction": 0.0})
+    prescribed = np.ones((5, 3), dtype=bool)
+    prescribed[4] = False
+    mass = sp.diags([0.0, 0.0, 0.0, 0.0, 1e-4]).tocsr()
+    system = System(nodes, mass, prescribed, [term], np.zeros(3))
+    system.loads[4] = load
+    state = State(0.0, nodes, np.zeros_like(nodes), system.initial_internals())
+    for _ in range(30):
+        state, report = advance(system, state, nodes, 1e-3)
+        assert report.converged
+    return state, term
+
+
+@pytest.mark.parametrize("aside", [0.0, 2e-3, -6e-3])
+def test_a_point_comes_to_rest_in_a_concave_crease(aside):
+    """Both faces push; between them they balance any load within the cone of their normals."""
+    state, term = trough(0.6, [0.0, aside, -1.5e-2])
+    _, force = term.sample_forces()
+    np.testing.assert_allclose(force[0], [0.0, -aside, 1.5e-2], atol=1e-7)
+    overlap = 1.5e-2 / (LAW["stiffness_pa_per_m"] * 1e-6)
+    bottom = 2e-4 / np.cos(0.6)
+    assert state.x[4, 2] == pytest.approx(bottom - overlap, abs=0.6 * overlap)
