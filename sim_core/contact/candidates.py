@@ -1,8 +1,8 @@
 """Which triangles a sample may touch: searched at the start of every step, in two rings.
 
 The inner ring is what the contact law looks at; it is found anew for every step. The outer ring, wider,
-decides which nodes the Hessian couples; it is renewed only when the inner ring is no longer part of it, so
-that the matrix keeps its pattern for many steps. Triangles are taken by their circumscribing spheres, so
+decides which nodes the Hessian couples; it is renewed only when the inner ring is no longer part of it (or
+when it is far too wide after a violent step), so that the matrix keeps its pattern for many steps. Triangles are taken by their circumscribing spheres, so
 none is missed however large it is.
 """
 
@@ -29,6 +29,7 @@ class Candidates:
         self._members = np.unique(samples.nodes)
         self._corners = np.unique(triangles)
         self._reach = 0.0
+        self._coupled_reach = 0.0
         self._searched_at: np.ndarray | None = None
         self.first = np.zeros(len(samples.areas) + 1, dtype=np.int32)
         self.near = np.zeros(16 * len(samples.areas), dtype=np.int32)
@@ -52,7 +53,9 @@ class Candidates:
         inner = self._within(points, centres, radii, reach)
         at = np.searchsorted(self._coupled_keys, inner)
         inside = bool(np.all(at < len(self._coupled_keys))) and bool(np.all(self._coupled_keys[at] == inner))
+        inside &= self._coupled_reach <= 2.0 * (reach + margin) or not len(self._coupled_keys)
         if not inside:
+            self._coupled_reach = reach + margin
             outer = self._within(points, centres, radii, reach + margin)
             self._coupled_keys = outer
             self.coupled = tuple(np.divmod(outer, len(self._triangles)))  # type: ignore[assignment]

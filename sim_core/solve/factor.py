@@ -7,7 +7,7 @@ Both take the upper triangle in CSR form.
 from __future__ import annotations
 
 import os
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import qdldl
@@ -42,11 +42,24 @@ class PardisoFactor:
 
     def __init__(self, upper: sp.csr_matrix, definite: bool) -> None:
         kind = pymklpardiso.MTYPE_REAL_SYM_POSDEF if definite else pymklpardiso.MTYPE_REAL_SYM_INDEF
-        self._shape = upper.shape
         try:
-            self._solver = pymklpardiso.PardisoSolver(upper, kind)
+            self._solver = self._analyse(upper, kind)
         except RuntimeError as error:
             raise NotPositiveDefinite(str(error)) from error
+
+    @staticmethod
+    def _analyse(upper: sp.csr_matrix, kind: int) -> Any:
+        """The public constructor, without its row-by-row check that the matrix is upper triangular."""
+        bare = getattr(pymklpardiso, "_PardisoSolver", None)
+        if bare is None:
+            return pymklpardiso.PardisoSolver(upper, kind)
+        solver = pymklpardiso.PardisoSolver.__new__(pymklpardiso.PardisoSolver)
+        solver._dtype = np.float64
+        solver._solver = bare(kind, 0)
+        indptr, indices = upper.indptr.astype(np.int64), upper.indices.astype(np.int64)
+        solver._solver.set_pattern(ia=indptr, ja=indices, n=upper.shape[0])
+        solver._solver.factor(upper.data)
+        return solver
 
     def refactor(self, values: np.ndarray) -> None:
         try:
