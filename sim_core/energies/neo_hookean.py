@@ -60,9 +60,7 @@ _MU, _BULK, _OWN, _SHARE, _RELAXING, _EXACT = range(6)
 
 
 @ti.func
-def _displacement_gradient(
-    x: ti.template(), rest: ti.template(), tets: ti.template(), grad: ti.template(), p
-):
+def _displacement_gradient(x: ti.template(), rest: ti.template(), tets: ti.template(), grad: ti.template(), p):
     """G = F - 1 at quadrature point ``p``, from displacements so that small strains keep their digits."""
     g = mat3(0.0)
     for a in range(10):
@@ -147,9 +145,7 @@ def _energy(deformation: F3, dilatation: F1, history: F2, weight: F2, constants:
 
 
 @ti.kernel
-def _gradient(
-    deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, constants: F1, out: F2
-):
+def _gradient(deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, constants: F1, out: F2):
     mu, bulk, share = constants[_MU], constants[_BULK], constants[_SHARE]
     one = ti.Matrix.identity(ti.f64, 3)
     ti.loop_config(serialize=True)
@@ -167,9 +163,7 @@ def _gradient(
         for a in range(10):
             n = tets[p // 4, a]
             for i in ti.static(range(3)):
-                force = (
-                    stress[i, 0] * grad[p, a, 0] + stress[i, 1] * grad[p, a, 1] + stress[i, 2] * grad[p, a, 2]
-                )
+                force = stress[i, 0] * grad[p, a, 0] + stress[i, 1] * grad[p, a, 1] + stress[i, 2] * grad[p, a, 2]
                 out[n, i] = out[n, i] + force
 
 
@@ -202,11 +196,7 @@ def _tangent(deformation: F3, dilatation: F1, history: F2, constants: F1, modes:
                     if ti.static(j == n):
                         value += same * alpha
                     else:
-                        value += (
-                            turn
-                            * ti.static((n - j) * (3 - n - 2 * j) * (3 - 2 * n - j) // 2)
-                            * f[m, 3 - j - n]
-                        )
+                        value += turn * ti.static((n - j) * (3 - n - 2 * j) * (3 - 2 * n - j) // 2) * f[m, 3 - j - n]
                     out[p, 3 * i + j, 3 * k + n] = value
         if constants[_EXACT] == 0.0:
             negative_modes(modes, f, alpha, slope, curvature, memory, constants[_RELAXING] > 0.0)
@@ -247,9 +237,7 @@ def _assemble(
                 for b in range(10):
                     b0, b1, b2 = grad[p, b, 0], grad[p, b, 1], grad[p, b, 2]
                     for k in ti.static(range(3)):
-                        columns[3 * b + k, 9 * q + r] = (
-                            row[3 * k] * b0 + row[3 * k + 1] * b1 + row[3 * k + 2] * b2
-                        )
+                        columns[3 * b + k, 9 * q + r] = row[3 * k] * b0 + row[3 * k + 1] * b1 + row[3 * k + 2] * b2
         for c in range(30):
             volume[c] = 0.0
         whole = 0.0
@@ -349,8 +337,7 @@ class NeoHookean:
         # Entry (i, k) of block (a, b) is read from the upper triangle of the element matrix.
         row, column = np.divmod(np.arange(900), 30)
         a, b, i, k = (
-            g.ravel()
-            for g in np.meshgrid(np.arange(10), np.arange(10), np.arange(3), np.arange(3), indexing="ij")
+            g.ravel() for g in np.meshgrid(np.arange(10), np.arange(10), np.arange(3), np.arange(3), indexing="ij")
         )
         row, column = 3 * a + i, 3 * b + k
         local = 30 * np.minimum(row, column) + np.maximum(row, column)

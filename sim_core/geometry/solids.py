@@ -205,9 +205,7 @@ def cylinder(radius_m: float, height_m: float, cells: tuple[int, int, int], curv
     return _extrude(layers, quads, parity, middle, sets)
 
 
-def dome(
-    radius_m: float, cavity_radius_m: float, cells: tuple[int, int, int], curved: bool = True
-) -> TetMesh:
+def dome(radius_m: float, cavity_radius_m: float, cells: tuple[int, int, int], curved: bool = True) -> TetMesh:
     """A hollow half ball, like a tactile fingertip: flat rim at z = 0, pole on +z.
 
     Half of a cubed sphere (Ronchi, Iacono and Paolucci, J. Comput. Phys. 124, 1996): a square cap

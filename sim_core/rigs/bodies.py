@@ -196,9 +196,7 @@ class Sheet(Strict):
     """A thin shell. Its pose is in the base frame; it lies in its local xy plane at rest."""
 
     type: Literal["sheet"]
-    shape: Annotated[Rectangle | Outline, Field(discriminator="type")] = Field(
-        description="rectangle or outline"
-    )
+    shape: Annotated[Rectangle | Outline, Field(discriminator="type")] = Field(description="rectangle or outline")
     pose: Pose = Pose()
     material: SheetMaterial = Field(description="E_pa, nu, thickness_m, density_kg_m3, or a preset")
 
@@ -217,9 +215,7 @@ class Gel(Strict):
     def _bond(self) -> Gel:
         if (self.bonded is None) != (self.mount is None):
             given, other = ("mount", "bonded") if self.bonded is None else ("bonded", "mount")
-            raise trouble(
-                f"has {given} but no {other}.", "Give both (which face is glued, and to what), or neither."
-            )
+            raise trouble(f"has {given} but no {other}.", "Give both (which face is glued, and to what), or neither.")
         if self.bonded is not None and self.bonded not in self.shape.faces:
             raise trouble(
                 f"is {self.bonded!r}, which is no face of a {self.shape.type}.",

@@ -93,9 +93,7 @@ def _load(path: Path, chain: tuple[Path, ...]) -> Rig:
     resolved = path.resolve()
     if resolved in chain:
         circle = " -> ".join(p.name for p in (*chain, resolved))
-        raise ConfigError(
-            f"{path}: overlay_of goes in a circle ({circle}).", "Name a rig that is no overlay."
-        )
+        raise ConfigError(f"{path}: overlay_of goes in a circle ({circle}).", "Name a rig that is no overlay.")
     overlay = validate(Overlay, data, str(path))
     base = _load(find_config(overlay.overlay_of, "rigs", beside=path.parent), (*chain, resolved))
     try:

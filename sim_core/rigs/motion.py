@@ -80,9 +80,7 @@ class Move:
         distance, angle = float(np.linalg.norm(self.shift)), float(self.turn.magnitude())
         if self.acceleration is None:
             return MINIMUM_JERK_PEAK * max(distance / self.speed, angle / self.turn_speed), minimum_jerk
-        duration, ramp = (
-            trapezoidal_timing(distance, self.speed, self.acceleration) if distance else (0.0, 0.5)
-        )
+        duration, ramp = trapezoidal_timing(distance, self.speed, self.acceleration) if distance else (0.0, 0.5)
         turning, turn_ramp = 0.0, 0.5
         if angle:
             turn_acceleration = self.turn_speed * self.acceleration / self.speed
@@ -272,9 +270,7 @@ class Experiment(Strict):
     @model_validator(mode="after")
     def _lasts(self) -> Experiment:
         if not any(self.motions.values()) and not self.duration_s:
-            raise trouble(
-                "has neither motions nor duration_s.", "Say what moves, or how long to watch.", "motions"
-            )
+            raise trouble("has neither motions nor duration_s.", "Say what moves, or how long to watch.", "motions")
         return self
 
 
@@ -297,10 +293,7 @@ def compile_experiment(experiment: Experiment, rig: Rig) -> dict[str, PoseTrajec
                 "end effector.",
                 nearest_match(name, known) if known else "This rig has no end effectors.",
             )
-    paths = {
-        name: _Path.of(effector, experiment.motions.get(name, ()))
-        for name, effector in rig.end_effectors.items()
-    }
+    paths = {name: _Path.of(effector, experiment.motions.get(name, ())) for name, effector in rig.end_effectors.items()}
     duration = max([experiment.duration_s or 0.0, *(path.end for path in paths.values())])
     count = max(math.ceil(duration * experiment.command_rate_hz - 1e-9), 1)
     if count > MAX_SAMPLES:
@@ -384,7 +377,5 @@ class _Path:
             start, stop = self.positions[index], self.positions[index + 1]
             positions[mine] = start + share[:, None] * (stop - start)
             turn = (self.rotations[index + 1] * self.rotations[index].inv()).as_rotvec()
-            quaternions[mine] = (
-                Rotation.from_rotvec(share[:, None] * turn) * self.rotations[index]
-            ).as_quat()
+            quaternions[mine] = (Rotation.from_rotvec(share[:, None] * turn) * self.rotations[index]).as_quat()
         return PoseTrajectory.from_samples(times, positions, quaternions)

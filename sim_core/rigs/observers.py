@@ -70,9 +70,7 @@ class Points(Strict):
             raise trouble("has face or margin_m without a grid.", "They place a grid; leave them out.")
         if self.ids is not None:
             if self.positions_m is None or len(self.ids) != len(self.positions_m):
-                raise trouble(
-                    "does not number the positions.", "Give positions_m and one id for each.", "ids"
-                )
+                raise trouble("does not number the positions.", "Give positions_m and one id for each.", "ids")
             if len(set(self.ids)) != len(self.ids):
                 raise trouble("holds a number twice.", "Number each point once.", "ids")
         if self.placed == "first_frame" and (self.positions_m is None or self.ids is None):

@@ -39,8 +39,7 @@ def marker_positions(points: Points, body: Sheet | Gel) -> tuple[FloatArray, Int
     low, high = shape.bounds()
     normal, end, axes = _BLOCK_FACES[points.face or "top"] if isinstance(shape, Block) else (2, 1, (0, 1))
     first, second = (
-        _stations(low[axis], high[axis], n, points.margin_m)
-        for axis, n in zip(axes, points.grid, strict=True)
+        _stations(low[axis], high[axis], n, points.margin_m) for axis, n in zip(axes, points.grid, strict=True)
     )
     positions = np.zeros((len(ids), 3))
     positions[:, axes[0]] = np.repeat(first, len(second))
@@ -49,17 +48,13 @@ def marker_positions(points: Points, body: Sheet | Gel) -> tuple[FloatArray, Int
     if isinstance(shape, Outline):
         inside = _inside(positions[:, :2], shape)
         if not inside.any():
-            raise ConfigError(
-                "No point of the marker grid lies on the sheet.", "Use a finer grid, or positions_m."
-            )
+            raise ConfigError("No point of the marker grid lies on the sheet.", "Use a finer grid, or positions_m.")
         return positions[inside], ids[inside]
     assert isinstance(shape, Rectangle | Block)
     return positions, ids
 
 
-def seen_points(
-    sees: tuple[Sight, ...], bodies: dict[str, Sheet | Gel]
-) -> list[tuple[str, FloatArray, IntArray]]:
+def seen_points(sees: tuple[Sight, ...], bodies: dict[str, Sheet | Gel]) -> list[tuple[str, FloatArray, IntArray]]:
     """Body, local rest positions [m] ``(n, 3)`` and ids of everything that a camera follows.
 
     Without given ids the numbers count on from one body to the next.

@@ -50,13 +50,10 @@ class PoseTrajectory:
             raise RecordingError(f"{source} holds no pose.", "Record at least one.")
         if times.shape != (n,) or positions.shape != (n, 3) or quaternions.shape != (n, 4):
             raise RecordingError(
-                f"{source} has times {times.shape}, positions {positions.shape} and quaternions "
-                f"{quaternions.shape}.",
+                f"{source} has times {times.shape}, positions {positions.shape} and quaternions {quaternions.shape}.",
                 "Give shapes (n,), (n, 3) and (n, 4).",
             )
-        finite = (
-            np.isfinite(times) & np.isfinite(positions).all(axis=1) & np.isfinite(quaternions).all(axis=1)
-        )
+        finite = np.isfinite(times) & np.isfinite(positions).all(axis=1) & np.isfinite(quaternions).all(axis=1)
         if not finite.all():
             raise RecordingError(
                 f"{source} holds a value that is not finite in sample {int(np.argmin(finite))}.",
@@ -73,8 +70,7 @@ class PoseTrajectory:
         if max_gap_s is not None and n > 1 and steps.max() > max_gap_s:
             index = int(np.argmax(steps))
             raise RecordingError(
-                f"{source} has a gap of {steps[index]:.3g} s at {times[index]:.3f} s, "
-                f"more than {max_gap_s:g} s.",
+                f"{source} has a gap of {steps[index]:.3g} s at {times[index]:.3f} s, more than {max_gap_s:g} s.",
                 "Cut the recording at the gap, or allow longer gaps.",
             )
         norms = np.linalg.norm(quaternions, axis=1)

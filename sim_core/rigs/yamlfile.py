@@ -81,9 +81,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise ConfigError(f"{path} is not a text file in UTF-8.", "Name a YAML file.") from None
     except OSError as error:
-        raise ConfigError(
-            f"{path} cannot be read: {error.strerror}.", "Check the path and its permissions."
-        ) from None
+        raise ConfigError(f"{path} cannot be read: {error.strerror}.", "Check the path and its permissions.") from None
     return parse_mapping(text, str(path))
 
 
@@ -99,9 +97,7 @@ def parse_mapping(text: str, source: str) -> dict[str, Any]:
             remedy = "The line holds a tab; YAML indents with spaces."
         raise ConfigError(f"{source}{place}: {error.problem}.", remedy) from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(
-            f"{source} is not YAML: {' '.join(str(error).split())}.", "Correct the file."
-        ) from None
+        raise ConfigError(f"{source} is not YAML: {' '.join(str(error).split())}.", "Correct the file.") from None
     if data is None:
         raise ConfigError(f"{source} is empty.", "Write a rig or an experiment as 'key: value' lines.")
     if not isinstance(data, dict):
@@ -198,9 +194,7 @@ def _explain(error: ErrorDetails, data: Mapping[str, Any]) -> tuple[str, str]:
             "Write a name; put quotation marks around a number or a date.",
         )
     if kind == "string_pattern_mismatch":
-        return f"{where} is {describe(value)}, which cannot be used as a name here.", _pattern_hint(
-            context["pattern"]
-        )
+        return f"{where} is {describe(value)}, which cannot be used as a name here.", _pattern_hint(context["pattern"])
     if kind == "literal_error":
         return f"{where} is {describe(value)}.", f"Choose one of: {context['expected']}."
     if kind in {"too_short", "too_long", "tuple_type", "list_type"}:
