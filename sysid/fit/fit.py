@@ -11,14 +11,21 @@ import numpy as np
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.engine import Engine
 from sysid.fit.noise import channel_noise
-from sysid.fit.parameters import fit_parameters, start_of
+from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Problem
+from sysid.fit.problem import Fitted, Problem
 from sysid.fit.result import FitResult, estimates_of, plot_series, rms_errors
 from sysid.fit.runs import Run, load_run
 from sysid.provenance import provenance
 
 Progress = Callable[[float, str], None]
+
+MOST_RESTARTS = 4
+RESTART_WIDTH = 0.05
+"""Restarts start this far (standard deviations, in units of the fitted scale) from the best so far."""
+
+GOOD_MISFIT = 1.5
+"""Misfit over noise below which a fit is not tried again."""
 
 TYPICAL_EVALUATIONS = 10
 """Evaluations that a fit usually takes; the progress bar is scaled with it."""
@@ -38,6 +45,37 @@ def fit_runs(
     with PooledEngine(min(len(runs), os.cpu_count() or 1)) as pool:
         engine: Engine | PooledEngine = pool if len(runs) > 1 else Engine()
         return _fit_runs(engine, rig, runs, names, held_out, seed, start, on_progress)
+
+
+def _best_of_restarts(
+    problem: Problem,
+    rig: Rig,
+    parameters: list[FitParameter],
+    first: np.ndarray,
+    seed: int,
+    on_evaluation: Callable[[int, float], None],
+) -> Fitted:
+    """Fit, and while the misfit stays above noise try again from near the best.
+
+    Sticking and sliding make the misfit rough, so a search can end on a kink; restarts stop as soon as
+    one brings nothing.
+    """
+    fitted = problem.fit(rig, parameters, start=first, on_evaluation=on_evaluation)
+    rng = np.random.default_rng(seed)
+    width = np.array([min(p.prior_sd, 1.0) for p in parameters])
+    for _ in range(MOST_RESTARTS):
+        if not parameters or fitted.interrupted or fitted.chi2 < GOOD_MISFIT * len(fitted.residual):
+            break
+        near = fitted.scaled + RESTART_WIDTH * width * rng.standard_normal(len(width))
+        again = problem.fit(rig, parameters, start=near, on_evaluation=on_evaluation)
+        better = again.chi2 < 0.98 * fitted.chi2
+        if again.chi2 < fitted.chi2:
+            again.evaluations += fitted.evaluations
+            again.seconds += fitted.seconds
+            fitted = again
+        if again.interrupted or not better:
+            break
+    return fitted
 
 
 def _fit_runs(
@@ -61,7 +99,7 @@ def _fit_runs(
             on_progress(0.9 * share, f"evaluation {count}, misfit {chi2:.4g}")
 
     before = problem.evaluate(rig, [], np.zeros(0))
-    fitted = problem.fit(rig, parameters, start=first, on_evaluation=on_evaluation)
+    fitted = _best_of_restarts(problem, rig, parameters, first, seed, on_evaluation)
     estimates, correlation, sentences, reduced = estimates_of(fitted, first)
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False)

