@@ -1,0 +1,23 @@
+"""From live topics to fitted parameters: a session recorded from the simulator node is fitted."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from ros_live import RIG
+
+from sim_core.rigs import load_rig, with_parameters
+from sysid.fit import fit_runs
+from sysid.fit.runs import load_run
+
+pytestmark = pytest.mark.ros
+
+
+def test_a_recorded_session_gives_back_the_gel(record_press: Callable[[Path], dict[str, int]], tmp_path: Path) -> None:
+    record_press(tmp_path / "press")
+    rig = load_rig(RIG)
+    wrong = with_parameters(rig, {"pad.E_pa": 2.9e5})
+    result, _ = fit_runs(wrong, [load_run(wrong, tmp_path / "press")], ["pad.E"])
+    (stiffness,) = result.estimates
+    assert stiffness.value == pytest.approx(2.0e5, rel=0.03)
+    assert stiffness.ci95[1] - stiffness.ci95[0] < 0.2e5
