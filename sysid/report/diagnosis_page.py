@@ -193,7 +193,7 @@ def tiles(d: Diagnosis) -> list[Tile]:
         out.append(Tile(label, shown, "mean square over noise; 1 = noise", level(math.sqrt(max(last, 0.0)))))
     gains = [c.held_out_gain for c in d.effects if c.held_out_gain is not None]
     if gains and d.verdict == "named":
-        out.append(Tile("Held-out gain", percent(max(gains)), "of the excess error is removed"))
+        out.append(Tile("Held-out gain", percent(max(gains)), "of the misfit is removed"))
     if d.located.phase and d.located.channels:
         out.append(Tile("Mostly while", d.located.phase, "phase of the motion"))
     out.append(Tile("Took", seconds(d.seconds), "for the whole search"))
