@@ -10,7 +10,7 @@ import numpy as np
 
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.engine import Engine
-from sysid.fit.noise import channel_noise
+from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
 from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Fitted, Problem
@@ -45,6 +45,16 @@ def fit_runs(
     with PooledEngine(min(len(runs), os.cpu_count() or 1)) as pool:
         engine: Engine | PooledEngine = pool if len(runs) > 1 else Engine()
         return _fit_runs(engine, rig, runs, names, held_out, seed, start, on_progress)
+
+
+def _shown_sigma(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> float:
+    """Standard deviation of the measured columns of a channel (a wrench: of its forces, if it has any)."""
+    measured = next(m for run in runs for m in run.measured if m.channel == channel)
+    for group in column_groups(measured):
+        seen = group[np.isfinite(measured.values[:, group]).any(axis=0)]
+        if len(seen):
+            return float(np.median(noise.sigma[seen]))
+    return float(np.median(noise.sigma))
 
 
 def _best_of_restarts(
@@ -123,7 +133,8 @@ def _fit_runs(
         evaluations=fitted.evaluations,
         seconds=fitted.seconds,
         noise={
-            c: {"sigma": float(np.median(n.sigma)), "correlation": n.rho, "from": n.source} for c, n in noise.items()
+            c: {"sigma": _shown_sigma([*runs, *held_out], c, n), "correlation": n.rho, "from": n.source}
+            for c, n in noise.items()
         },
         notes=[f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes],
         provenance=provenance(rig, list(runs), list(held_out), seed),
