@@ -7,6 +7,8 @@ A plain Taichi call inspects every argument and costs 100 to 300 us for the smal
 :class:`BoundKernel` prepares the launch once for a fixed set of arrays and repeats it in about 3 us.
 """
 
+import contextlib
+import io
 from collections.abc import Callable
 from typing import Any
 
@@ -52,16 +54,17 @@ def add_block(start: ti.template(), column: ti.template(), place: ti.template(),
 def start() -> None:
     """Start Taichi on the CPU in double precision, once a process. Further calls do nothing."""
     if impl.get_runtime().prog is None:
-        ti.init(
-            arch=ti.cpu,
-            default_fp=ti.f64,
-            default_ip=ti.i32,
-            cpu_max_num_threads=1,
-            offline_cache=True,
-            fast_math=False,
-            log_level=ti.ERROR,
-            verbose=False,
-        )
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints a greeting
+            ti.init(
+                arch=ti.cpu,
+                default_fp=ti.f64,
+                default_ip=ti.i32,
+                cpu_max_num_threads=1,
+                offline_cache=True,
+                fast_math=False,
+                log_level=ti.ERROR,
+                verbose=False,
+            )
 
 
 class BoundKernel:

@@ -1,0 +1,70 @@
+"""Physics with known answers, and that the simulator gets nearer to them on finer meshes."""
+
+import numpy as np
+import pytest
+
+from sim_core.validation import run_validation
+from sim_core.validation.case import Case
+from sim_core.validation.gels import LAYER, sphere_on_layer
+from sim_core.validation.sheets import HEAVY, PLATE, TIP, heavy_strip, square_plate, tip_loaded_strip
+
+
+@pytest.mark.parametrize("gamma", HEAVY)
+@pytest.mark.parametrize(("pattern", "cells"), [("regular", (40, 4)), ("irregular", (40, 4)), ("crossed", (80, 2))])
+def test_a_heavy_strip_sags_as_an_elastica(pattern, cells, gamma):
+    """One material, any mesh: the droop does not depend on the pattern (D2)."""
+    np.testing.assert_allclose(heavy_strip(gamma, pattern, cells), HEAVY[gamma], rtol=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gamma", [10.0, 100.0])
+@pytest.mark.parametrize("pattern", ["regular", "crossed"])
+def test_the_heavy_strip_converges_with_the_mesh(pattern, gamma):
+    """At least in proportion to the cell, from errors that are not yet round-off."""
+    errors = [abs(heavy_strip(gamma, pattern, (n, 4))[1] / HEAVY[gamma][1] - 1.0) for n in (20, 40, 80)]
+    order = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert (order > 1.0).all(), errors
+
+
+@pytest.mark.parametrize("alpha", TIP)
+def test_a_strip_under_a_tip_load(alpha):
+    np.testing.assert_allclose(tip_loaded_strip(alpha, "regular", (40, 4)), TIP[alpha], rtol=0.01)
+
+
+@pytest.mark.parametrize("pattern", ["regular", "crossed", "irregular"])
+def test_a_supported_plate_sags_as_plate_theory_says(pattern):
+    assert square_plate("supported", pattern, 20) == pytest.approx(PLATE["supported"], rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pattern", ["regular", "crossed", "irregular"])
+def test_a_clamped_plate_converges_to_plate_theory(pattern):
+    errors = [abs(square_plate("clamped", pattern, n) / PLATE["clamped"] - 1.0) for n in (10, 20, 40)]
+    assert errors[-1] < 0.01
+    assert (np.log2(np.array(errors[:-1]) / np.array(errors[1:])) > 1.0).all(), errors
+
+
+@pytest.mark.parametrize("nu", LAYER)
+def test_a_sphere_on_a_bonded_layer(nu):
+    """Force within 5 % of the exact contact solution, compressible and nearly incompressible alike (D1)."""
+    assert sphere_on_layer(nu, (9, 4)) == pytest.approx(LAYER[nu][1], rel=0.05)
+
+
+def test_the_answer_for_another_poisson_ratio_is_missed():
+    """The tolerance tells the two layers apart."""
+    assert sphere_on_layer(0.3, (6, 3)) != pytest.approx(LAYER[0.45][1], rel=0.05)
+
+
+def test_a_case_passes_within_its_tolerance_only():
+    case = Case("c", "q", "1", 2.0, 2.03, 0.02, "m", "s")
+    assert case.error == pytest.approx(0.015)
+    assert case.passed
+    assert not Case("c", "q", "1", 2.0, 2.1, 0.02, "m", "s").passed
+
+
+@pytest.mark.slow
+def test_the_table_names_every_case_and_all_pass():
+    passed, text = run_validation()
+    assert passed, text
+    assert "MISSED" not in text
+    assert text.count("pass") >= 30
