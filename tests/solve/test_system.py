@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.spatial.transform import Rotation
 from sheet_systems import DENSITY, FILM, both_ends, film, left, nothing
 
 import sim_core.solve.pattern as pattern_module
@@ -115,13 +116,20 @@ def test_storage_grows_when_contact_needs_more_than_was_spared(monkeypatch):
     np.testing.assert_allclose(pressed(rig), reference, atol=1e-12)
 
 
-def pressed_rig():
+def pressed_rig(turn=None):
+    """A gel finger over a card; ``turn``: of the whole scene, gravity included."""
+    turn = Rotation.identity() if turn is None else turn
+    rpy = [float(a) for a in turn.as_euler("xyz", degrees=True)]
+    down = [float(c) for c in turn.apply([0.0, 0.0, -9.81])]
+    above = [float(c) for c in turn.apply([0.01, 0.0, 0.0045])]
     return parse_rig(
         {
             "name": "press",
+            "gravity_m_s2": down,
             "solver": {"dt_s": 0.01},
             "bodies": {
                 "card": {
+                    "pose": {"rpy_deg": rpy},
                     "type": "sheet",
                     "shape": {"type": "rectangle", "length_m": 0.05, "width_m": 0.02, "cells": [8, 3]},
                     "material": {"preset": "card_200gsm"},
@@ -136,7 +144,7 @@ def pressed_rig():
                 },
             },
             "clamps": [{"name": "vice", "body": "card", "region": {"x_m": [-0.025, -0.02]}, "mount": "world"}],
-            "end_effectors": {"finger": {"start": {"position_m": [0.01, 0.0, 0.0045]}}},
+            "end_effectors": {"finger": {"start": {"position_m": above, "rpy_deg": rpy}}},
             "contacts": [{"between": ["gel", "card"], "friction": 0.3}],
         },
         "test",
@@ -150,7 +158,7 @@ def pressed(rig, steps=10):
     origin, rotation = scene.start["finger"]
     path, contacts = [], 0
     for k in range(1, steps + 1):
-        shift = np.array([2e-4 * max(0, k - 6), 0.0, -4e-4 * min(k, 6)])
+        shift = rotation.apply([2e-4 * max(0, k - 6), 0.0, -4e-4 * min(k, 6)])
         contacts += simulation.step({"finger": (origin + shift, rotation)}, 0.01).contacts
         path.append(simulation.state.x)
     assert contacts > 0
@@ -164,6 +172,14 @@ def test_two_runs_are_equal_bit_for_bit():
     system, _ = film(left)
     begin(system, system.nodes)
     assert np.array_equal(pressed(rig), first)
+
+
+@pytest.mark.parametrize("turn", Rotation.random(2, random_state=12), ids=["one way", "another way"])
+def test_turning_the_whole_scene_turns_its_motion(turn):
+    """Elasticity, contact and friction know no preferred direction (D8)."""
+    upright, turned = pressed(pressed_rig()), pressed(pressed_rig(turn))
+    expected = turn.apply(upright.reshape(-1, 3)).reshape(upright.shape)
+    np.testing.assert_allclose(turned, expected, atol=2e-7)
 
 
 def test_mass_of_another_pattern_is_refused():
