@@ -60,9 +60,7 @@ class Body:
             step = np.zeros(3 * self.n)
             step[free] = -splu(self.hessian(x, exact)[free][:, free]).solve(gradient)
             scale, before = 1.0, self.energy(x)
-            while (
-                self.energy(x + scale * step.reshape(-1, 3)) > before + 1e-12 * abs(before) and scale > 1e-6
-            ):
+            while self.energy(x + scale * step.reshape(-1, 3)) > before + 1e-12 * abs(before) and scale > 1e-6:
                 scale *= 0.5
             x += scale * step.reshape(-1, 3)
             if np.abs(step).max() < 1e-13 * np.ptp(self.mesh.nodes):
@@ -329,10 +327,7 @@ BONDED = {
 @pytest.mark.parametrize(("shape_factor", "nu"), BONDED)
 def test_bonded_disc_does_not_lock(shape_factor, nu):
     reference = BONDED[shape_factor, nu]
-    error = [
-        apparent_modulus(shape_factor, nu, cells) / reference - 1.0
-        for cells in ((2, 1, 1), (2, 1, 2), (4, 2, 3))
-    ]
+    error = [apparent_modulus(shape_factor, nu, cells) / reference - 1.0 for cells in ((2, 1, 1), (2, 1, 2), (4, 2, 3))]
     assert abs(error[0]) < 0.40
     assert abs(error[1]) < 0.065
     assert abs(error[2]) < 0.045

@@ -25,9 +25,7 @@ def _modes(f: F2, numbers: F2, memory: F2, modes: F2):
     ti.loop_config(serialize=True)
     for k in range(numbers.shape[0]):
         relaxing = numbers[k, 3] > 0.0
-        negative_modes(
-            modes, _matrix(f), numbers[k, 0], numbers[k, 1], numbers[k, 2], _matrix(memory), relaxing
-        )
+        negative_modes(modes, _matrix(f), numbers[k, 0], numbers[k, 1], numbers[k, 2], _matrix(memory), relaxing)
 
 
 @ti.kernel
