@@ -70,7 +70,7 @@ SMALL: dict[str, Any] = {
 }
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def small_rig() -> Callable[..., Rig]:
     """Build the small rig, with effects and other top-level keys replaced."""
 
@@ -80,7 +80,7 @@ def small_rig() -> Callable[..., Rig]:
     return build
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def visit() -> Callable[..., dict[str, PoseTrajectory]]:
     """Poses of the finger through offsets [m] from its start at times [s]."""
 

@@ -79,7 +79,7 @@ class Rectangle(Strict):
     length_m: Length = Field(description="extent along local x in m")
     width_m: Length = Field(description="extent along local y in m")
     cells: Cells2 = Field(description="number of cells along x and y")
-    pattern: Literal["regular", "crossed", "irregular"] = "crossed"
+    pattern: Literal["regular", "crossed", "irregular"] = "regular"
 
     def bounds(self) -> FloatArray:
         """Corners of the box around it [m], shape ``(2, 3)``."""

@@ -30,17 +30,18 @@ MOTION = [
 ]  # fmt: skip
 
 
-@pytest.fixture
-def recorded(small_rig, tmp_path):
+@pytest.fixture(scope="module")
+def recorded(small_rig, tmp_path_factory):
     rig = small_rig()
+    bag = tmp_path_factory.mktemp("visit") / "bag"
     experiment = Experiment.model_validate({"name": "visit", "seed": 4, "motions": {"finger": MOTION}})
-    simulate_to_bag(with_parameters(rig, TRUTH), experiment, tmp_path / "bag", seed=4)
-    return rig, load_run(rig, tmp_path / "bag")
+    simulate_to_bag(with_parameters(rig, TRUTH), experiment, bag, seed=4)
+    return rig, load_run(rig, bag), bag
 
 
 @pytest.mark.parametrize("start", STARTS)
 def test_truth_comes_back_within_a_narrow_interval(recorded, start):
-    rig, run = recorded
+    rig, run, _ = recorded
     result, fitted = fit_runs(with_parameters(rig, start), [run], list(start))
     assert result.converged
     assert 0.6 < result.reduced_chi2 < 1.3
@@ -53,7 +54,7 @@ def test_truth_comes_back_within_a_narrow_interval(recorded, start):
 
 def test_what_the_data_cannot_tell_is_said(recorded):
     """The camera sees the card only, which the gel's stiffness does not reach."""
-    rig, run = recorded
+    rig, run, _ = recorded
     seen_only = type(run)(**{**run.__dict__, "measured": tuple(m for m in run.measured if m.kind == "tracks")})
     result, _ = fit_runs(rig, [seen_only], ["gel.E", "gel.nu"])
     assert any("do not determine" in s for s in result.identifiability)
@@ -68,10 +69,10 @@ def test_parameters_are_checked(small_rig):
         fit_parameters(small_rig(), ["card.Epa"])
 
 
-def test_a_bag_without_poses_is_refused(small_rig, recorded, tmp_path):
-    rig, _ = recorded
+def test_a_bag_without_poses_is_refused(recorded):
+    rig, _, bag = recorded
     other = rig.model_copy(update={"end_effectors": {"hand": rig.end_effectors["finger"].model_copy(
         update={"topics": rig.end_effectors["finger"].topics.model_copy(
             update={"target_pose": "hand/target", "current_pose": "hand/current"})})}})  # fmt: skip
     with pytest.raises(RecordingError, match="pose"):
-        load_run(other, tmp_path / "bag")
+        load_run(other, bag)
