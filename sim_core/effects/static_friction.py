@@ -23,13 +23,15 @@ class StaticFriction(Effect):
         "and then let go."
     )
     parameters = (
-        EffectParameter("excess", "-", 0.0, 5.0, (0.4,), 0.0, False, 0.5, "static over kinetic friction, less one"),
+        EffectParameter(
+            "excess", "-", 0.0, 5.0, (0.1, 0.2, 0.4, 0.8), 0.0, False, 0.5, "static over kinetic friction, less one"
+        ),
     )
 
     def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:
         if not any(c.friction > 0.0 for c in rig.contacts):
             return ()
-        return ({"excess": (0.4,)},)
+        return ({"excess": (0.1, 0.2, 0.4, 0.8)},)
 
     def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
         for name, terms in values.terms.items():

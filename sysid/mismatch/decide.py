@@ -14,6 +14,10 @@ from sysid.mismatch.result import Candidate, NamedParameter
 MIN_GAIN_NATS = 12.0
 """Evidence over the baseline that an effect must have to be named."""
 
+MIN_SIGNIFICANCE = 3.0
+"""Standard deviations (the larger of the noise's and the sandwich estimate) that an amplitude must have:
+what a smooth error of the simulator fakes is strong in evidence but not stable over blocks of time."""
+
 TIE_NATS = 5.0
 """Effects within this of the best are reported together."""
 
@@ -34,13 +38,15 @@ DISCRETISATION_SHARE = 0.5
 class Trial:
     """One effect refitted. ``gain``: log evidence over the baseline; ``explained``: share of the baseline's
     structured misfit; ``held_out``: share of the robust misfit on held-out data that it removes (negative:
-    it predicts worse)."""
+    it predicts worse). ``significance``: amplitude over its standard deviation, the largest of its amplitudes
+    (infinite for an effect whose amplitude has no finite rest in the fitted scale)."""
 
     effect: Effect
     fitted: Fitted
     gain: float
     explained: float
     held_out: float | None
+    significance: float = np.inf
 
     @property
     def rejected(self) -> str:
@@ -49,6 +55,8 @@ class Trial:
             return f"it improves the fit too little ({self.gain:.1f} of {MIN_GAIN_NATS:g} nats)"
         if self.held_out is not None and self.held_out <= 0.0:
             return f"it predicts held-out recordings worse, by {-100 * self.held_out:.2g} %"
+        if self.significance < MIN_SIGNIFICANCE:
+            return f"its amplitude is {self.significance:.1f} standard deviations from none at all"
         return ""
 
 
@@ -89,6 +97,22 @@ def held_out_gain(plain: np.ndarray, amended: np.ndarray) -> float:
 
     before = loss(plain)
     return (before - loss(amended)) / before
+
+
+def significance(effect: Effect, fitted: Fitted) -> float:
+    """Largest distance of an amplitude from its vanishing value, in standard deviations."""
+    known = uncertainty(fitted)
+    found = []
+    for p, scaled, sd in zip(fitted.parameters, fitted.scaled, known.sd, strict=True):
+        if not p.name.startswith(f"effects.{effect.name}."):
+            continue
+        vanishing = next(q.vanishing for q in effect.parameters if p.name.endswith("." + q.name))
+        if vanishing is None:
+            continue
+        if not np.isfinite(vanishing) or (p.log and vanishing <= 0.0):
+            return np.inf
+        found.append(abs(scaled - p.scaled(vanishing)) / max(float(sd), 1e-300))
+    return float(max(found, default=np.inf))
 
 
 def probabilities(trials: list[Trial]) -> dict[str, float]:

@@ -24,7 +24,16 @@ from sysid.fit.uncertainty import uncertainty
 from sysid.mismatch import words
 from sysid.mismatch.baseline import discretisation, open_parameters
 from sysid.mismatch.candidates import Start, log_evidence, refit, screen
-from sysid.mismatch.decide import Trial, Verdict, candidate, decide, held_out_gain, named_parameters, probabilities
+from sysid.mismatch.decide import (
+    Trial,
+    Verdict,
+    candidate,
+    decide,
+    held_out_gain,
+    named_parameters,
+    probabilities,
+    significance,
+)
 from sysid.mismatch.locate import Structure, discretisation_energy, locate, structure
 from sysid.mismatch.result import Diagnosis, Misfit
 from sysid.provenance import provenance
@@ -143,7 +152,8 @@ def _refits(problem: Problem, check: Problem, base: Fitted, chosen: list[Start])
         there = _held_out(check, fitted)
         if plain is not None and there is not None:
             held = held_out_gain(plain.residual, there.residual)
-        trials.append(Trial(start.effect, fitted, log_evidence(fitted, temper) - reference, explained, held))
+        gain = log_evidence(fitted, temper) - reference
+        trials.append(Trial(start.effect, fitted, gain, explained, held, significance(start.effect, fitted)))
     return sorted(trials, key=lambda t: -t.gain)
 
 

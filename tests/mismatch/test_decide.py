@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -10,8 +11,10 @@ import pytest
 
 from sim_core.effects import effect_by_name
 from sysid.fit.noise import ChannelNoise, whiten
+from sysid.fit.parameters import FitParameter
 from sysid.fit.problem import Fitted
-from sysid.mismatch.decide import Trial, decide, held_out_gain, probabilities
+from sysid.mismatch import decide as decide_module
+from sysid.mismatch.decide import Trial, decide, held_out_gain, probabilities, significance
 
 
 def trial(name: str, gain: float, explained: float = 0.95, held_out: float | None = 0.3) -> Trial:
@@ -41,6 +44,31 @@ LOUD = (5.0, 5000.0, 1000.0)
 )
 def test_verdicts(trials, evidence, kind):
     assert decide(trials, *evidence).kind == kind
+
+
+def test_an_amplitude_that_may_be_none_is_no_answer():
+    shaky = replace(trial("sheet_orthotropy", 95.0), significance=1.8)
+    assert decide([shaky], *QUIET).kind == "nothing_missing"
+    assert "standard deviations" in shaky.rejected
+    assert decide([replace(shaky, significance=4.0)], *QUIET).kind == "named"
+
+
+@pytest.mark.parametrize(
+    ("name", "own", "scaled", "sd", "expected"),
+    [
+        ("air_drag", ["drag_coefficient"], [0.8], [0.2], 4.0),
+        ("sheet_orthotropy", ["modulus_ratio", "grain_angle_rad"], [np.log(1.2), 0.3], [np.log(1.2), 0.01], 1.0),
+        ("stream_delay", ["wrench_s", "vision_s"], [0.01, 0.0], [0.002, 0.001], 5.0),
+        ("end_effector_compliance", ["compliance_m_per_n"], [-9.0], [50.0], np.inf),
+    ],
+)
+def test_significance_is_that_of_the_strongest_amplitude(monkeypatch, name, own, scaled, sd, expected):
+    effect = effect_by_name(name)
+    logs = {p.name: p.log for p in effect.parameters}
+    parameters = [FitParameter(f"effects.{name}.{k}", "", logs[k], 1e-9, 1e9, 1.0, "") for k in own]
+    fitted = cast(Fitted, SimpleNamespace(parameters=parameters, scaled=np.array(scaled)))
+    monkeypatch.setattr(decide_module, "uncertainty", lambda _: SimpleNamespace(sd=np.array(sd)))
+    assert significance(effect, fitted) == pytest.approx(expected)
 
 
 def test_the_best_comes_first_and_probabilities_follow_the_evidence():
