@@ -2,8 +2,8 @@
 
 The inner ring is what the contact law looks at; it is found anew for every step. The outer ring, wider,
 decides which nodes the Hessian couples; it is renewed only when the inner ring is no longer part of it (or
-when it is far too wide after a violent step), so that the matrix keeps its pattern for many steps. Triangles are taken by their circumscribing spheres, so
-none is missed however large it is.
+when it is far too wide after a violent step), so that the matrix keeps its pattern for many steps.
+Triangles are taken by their circumscribing spheres, so none is missed however large it is.
 """
 
 from __future__ import annotations

@@ -101,9 +101,7 @@ def examine() -> Iterator[Finding]:
     """All checks, one after the other, each as soon as it is done."""
     yield _python()
     yield from _dependencies()
-    yield _child(
-        "Taichi", _TAICHI, "starts and compiles a kernel", "pip install --force-reinstall taichi", core=True
-    )
+    yield _child("Taichi", _TAICHI, "starts and compiles a kernel", "pip install --force-reinstall taichi", core=True)
     yield from _factorisation()
     yield from _ros()
     yield _chromium()
@@ -123,9 +121,7 @@ def _dependencies() -> Iterator[Finding]:
     try:
         wanted = requires("thinshell_ros") or []
     except PackageNotFoundError:
-        yield Finding(
-            "thinshell_ros", "warn", "not installed, running from the source tree", "pip install -e ."
-        )
+        yield Finding("thinshell_ros", "warn", "not installed, running from the source tree", "pip install -e .")
         return
     try:
         from packaging.requirements import Requirement
@@ -148,15 +144,11 @@ def _dependencies() -> Iterator[Finding]:
             yield Finding(label, state, f"not installed, {needed}", remedy, core=not optional)
             continue
         fits = requirement.specifier.contains(found, prereleases=True)
-        yield Finding(
-            label, "ok" if fits else "warn", f"{found}, {needed}", "" if fits else remedy, core=not optional
-        )
+        yield Finding(label, "ok" if fits else "warn", f"{found}, {needed}", "" if fits else remedy, core=not optional)
 
 
 def _factorisation() -> Iterator[Finding]:
-    fallback = _child(
-        "qdldl", _FACTOR.format(factor="QdldlFactor"), "factorises", "pip install qdldl", core=True
-    )
+    fallback = _child("qdldl", _FACTOR.format(factor="QdldlFactor"), "factorises", "pip install qdldl", core=True)
     if importlib.util.find_spec("pymklpardiso") is None:
         detail = "no wheel for this platform; the slower qdldl is used"
         yield Finding("MKL PARDISO", "warn", detail, "On Linux x86-64: pip install py-mkl-pardiso.")
@@ -169,16 +161,12 @@ def _factorisation() -> Iterator[Finding]:
 def _ros() -> Iterator[Finding]:
     if importlib.util.find_spec("rclpy") is None:
         detail = "not installed (optional: only the nodes need it)"
-        remedy = (
-            "On Linux x86-64: pip install 'thinshell_ros[ros]', or source the setup file of a ROS 2 Jazzy."
-        )
+        remedy = "On Linux x86-64: pip install 'thinshell_ros[ros]', or source the setup file of a ROS 2 Jazzy."
         yield Finding("ROS 2", "warn", detail, remedy)
         return
     yield from _ros_traps(os.environ)
     remedy = "Mend what is said of ROS above; else reinstall it, or source its setup file again."
-    imported = _child(
-        "ROS 2 import", "import rclpy, geometry_msgs.msg, sensor_msgs.msg", "rclpy loads", remedy
-    )
+    imported = _child("ROS 2 import", "import rclpy, geometry_msgs.msg, sensor_msgs.msg", "rclpy loads", remedy)
     yield imported
     if imported.state == "ok":
         remedy = "Check that the firewall lets this machine talk to itself (UDP on the loopback interface)."
@@ -195,12 +183,8 @@ def _ros_traps(environment: Mapping[str, str]) -> Iterator[Finding]:
     chosen = environment.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
     folders = [library, *environment.get("LD_LIBRARY_PATH", "").split(":")]
     if not any((Path(folder) / f"lib{chosen}.so").exists() for folder in folders if folder):
-        detail = (
-            f"RMW_IMPLEMENTATION is {chosen}, which is not installed: nodes exit with code 102 and no message"
-        )
-        yield Finding(
-            "ROS 2 middleware", "warn", detail, "unset RMW_IMPLEMENTATION, or install that middleware."
-        )
+        detail = f"RMW_IMPLEMENTATION is {chosen}, which is not installed: nodes exit with code 102 and no message"
+        yield Finding("ROS 2 middleware", "warn", detail, "unset RMW_IMPLEMENTATION, or install that middleware.")
 
 
 def _chromium() -> Finding:

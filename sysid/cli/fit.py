@@ -24,9 +24,7 @@ def fit(
     bags: BagsArgument,
     params: Annotated[
         str,
-        typer.Option(
-            "--params", metavar="A,B", help="Parameters to estimate, as 'thinshell params' lists them."
-        ),
+        typer.Option("--params", metavar="A,B", help="Parameters to estimate, as 'thinshell params' lists them."),
     ],
     out: FolderOption,
     held_out: HeldOutOption = None,
@@ -45,7 +43,5 @@ def fit(
     from sysid.fit import fit_bags
 
     with progress("fit") as report:
-        summary = fit_bags(
-            chosen, bags, names, held_out=held_out or [], out=out, seed=seed, on_progress=report
-        )
+        summary = fit_bags(chosen, bags, names, held_out=held_out or [], out=out, seed=seed, on_progress=report)
     print(summary)

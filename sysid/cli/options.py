@@ -33,9 +33,7 @@ def parse_settings(settings: Sequence[str]) -> dict[str, float]:
         name, sign, text = word.partition("=")
         name = name.strip()
         if not sign or not name:
-            raise ConfigError(
-                f"--set {word!r} is not of the form name=value.", "Write for example --set card.E=1e9."
-            )
+            raise ConfigError(f"--set {word!r} is not of the form name=value.", "Write for example --set card.E=1e9.")
         try:
             value = float(text)
         except ValueError:
@@ -54,9 +52,7 @@ def parse_names(text: str, option: str) -> list[str]:
     """Names from a comma-separated list."""
     names = [name.strip() for name in text.split(",")]
     if not all(names):
-        raise ConfigError(
-            f"{option} {text!r} holds an empty name.", f"Write for example {option} card.E,gel.E."
-        )
+        raise ConfigError(f"{option} {text!r} holds an empty name.", f"Write for example {option} card.E,gel.E.")
     return names
 
 
@@ -76,16 +72,12 @@ def check_bags(bags: Iterable[Path], held_out: Iterable[Path] = ()) -> None:
 def check_new(path: Path, what: str) -> None:
     """A place to write that does not exist yet, in a folder that does and that can be written."""
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        raise ConfigError(
-            f"The {what} {path} already exists.", "Name a new one with --out; nothing is overwritten."
-        )
+        raise ConfigError(f"The {what} {path} already exists.", "Name a new one with --out; nothing is overwritten.")
     parent = path.absolute().parent
     while not parent.exists():
         parent = parent.parent
     if not parent.is_dir():
-        raise ConfigError(
-            f"The {what} {path} cannot be made: {parent} is a file.", "Name another place with --out."
-        )
+        raise ConfigError(f"The {what} {path} cannot be made: {parent} is a file.", "Name another place with --out.")
 
 
 def library(module: str, function: str) -> Callable[..., Any]:

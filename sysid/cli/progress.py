@@ -34,9 +34,7 @@ def _bar(title: str) -> Iterator[ProgressCallback]:
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=1.0)
-        yield lambda share, text: bar.update(
-            task, completed=share, description=f"{title}: {text}" if text else title
-        )
+        yield lambda share, text: bar.update(task, completed=share, description=f"{title}: {text}" if text else title)
 
 
 def _lines(title: str) -> ProgressCallback:

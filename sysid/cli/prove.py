@@ -45,6 +45,4 @@ def score(folder: CasesFolder) -> None:
 
 def _check_cases(folder: Path) -> None:
     if not folder.is_dir():
-        raise ConfigError(
-            f"The folder {folder} does not exist.", "Make one with 'thinshell prove make --out DIR'."
-        )
+        raise ConfigError(f"The folder {folder} does not exist.", "Make one with 'thinshell prove make --out DIR'.")

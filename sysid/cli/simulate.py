@@ -44,7 +44,5 @@ def simulate(
     from sysid.simulate import simulate_to_bag
 
     with progress("simulate") as report:
-        summary = simulate_to_bag(
-            chosen, plan, out, seed=plan.seed if seed is None else seed, on_progress=report
-        )
+        summary = simulate_to_bag(chosen, plan, out, seed=plan.seed if seed is None else seed, on_progress=report)
     print(summary)

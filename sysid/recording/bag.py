@@ -164,9 +164,7 @@ def _files_of(path: Path, notes: Notes) -> tuple[list[Path], Mapping[str, Any]]:
                 "Copy the storage files beside metadata.yaml.",
             )
         if missing:
-            notes.warning(
-                METADATA, f"{plural(len(missing), 'split')} of {len(listed)} missing: {', '.join(missing)}"
-            )
+            notes.warning(METADATA, f"{plural(len(missing), 'split')} of {len(listed)} missing: {', '.join(missing)}")
         unlisted = [p.name for p in here if p not in listed]
         if unlisted:
             notes.warning(METADATA, f"files beside the listed ones are not read: {', '.join(unlisted)}")
@@ -182,9 +180,7 @@ def _files_of(path: Path, notes: Notes) -> tuple[list[Path], Mapping[str, Any]]:
             f"{path} is not a recording: it holds no {METADATA} and no .mcap or .db3 file.",
             "Give a rosbag2 directory, an .mcap file or a .db3 file.",
         )
-    notes.warning(
-        METADATA, f"missing or unusable; {plural(len(here), 'storage file')} read in the order of names"
-    )
+    notes.warning(METADATA, f"missing or unusable; {plural(len(here), 'storage file')} read in the order of names")
     return here, {}
 
 

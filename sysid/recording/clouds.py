@@ -105,9 +105,7 @@ def track_stream(series: Series, camera: CameraInfo | None, t0_ns: int, notes: N
     if "confidence" in clouds:
         confidence[row, column] = np.nan_to_num(clouds["confidence"])
         if confidence.min() < 0.0 or confidence.max() > 1.0:
-            notes.warning(
-                topic, f"confidence from {confidence.min():.4g} to {confidence.max():.4g} limited to 0..1"
-            )
+            notes.warning(topic, f"confidence from {confidence.min():.4g} to {confidence.max():.4g} limited to 0..1")
             confidence = np.clip(confidence, 0.0, 1.0)
     else:
         notes.info(topic, "no confidence given: taken as 1")
@@ -140,9 +138,7 @@ def _assign(series: Series, needed: tuple[str, ...], notes: Notes) -> tuple[Ints
     if "id" in points:
         number = points["id"].astype(np.float64)
         if not (np.isfinite(number).all() and (number == np.round(number)).all()):
-            raise RecordingError(
-                f"{topic}: the field id holds numbers that are not whole.", "Write the id as UINT32."
-            )
+            raise RecordingError(f"{topic}: the field id holds numbers that are not whole.", "Write the id as UINT32.")
         name = points["id"].astype(np.int64)
     elif len(set(sizes.tolist())) == 1:
         notes.warning(topic, "no field id: markers are told apart by their row")
@@ -182,9 +178,7 @@ def _fill(clouds: Cloud, names: tuple[str, ...], row: Ints, column: Ints, shape:
     return out
 
 
-def _scale(
-    topic: str, position: Floats, displacement: Floats | None, declared: SensorTopic, notes: Notes
-) -> float:
+def _scale(topic: str, position: Floats, displacement: Floats | None, declared: SensorTopic, notes: Notes) -> float:
     if declared.length_unit == "mm":
         notes.info(topic, "positions scaled from mm to m, as declared")
         return 1e-3
@@ -198,7 +192,6 @@ def _scale(
             raise RecordingError(
                 f"{topic}: markers spread over {spread:.4g} m and move by up to {moved:.4g} m (plausible: "
                 f"{WIDEST_M:g} m); they look like millimetres.",
-                "Declare `length_unit: mm` for this sensor in the topic map, or `length_unit: m` if metres "
-                "are right.",
+                "Declare `length_unit: mm` for this sensor in the topic map, or `length_unit: m` if metres are right.",
             )
     return 1.0

@@ -102,7 +102,5 @@ def _is_sqlite(plain: Path, shown: Path) -> bool:
     with plain.open("rb") as file:
         magic = file.read(16)
     if magic.startswith(b"#ROSBAG V"):
-        raise RecordingError(
-            f"{shown} is a ROS 1 bag.", "Convert it to ROS 2 first, for example with rosbags-convert."
-        )
+        raise RecordingError(f"{shown} is a ROS 1 bag.", "Convert it to ROS 2 first, for example with rosbags-convert.")
     return magic == storage_sqlite.MAGIC

@@ -128,9 +128,7 @@ def read_series(
     return Series(topic, frame, table.source, table.rows, times_ns)
 
 
-def read_table(
-    topic: str, msgtype: str, source: MessageSet, content: Callable[[Any], Any], notes: Notes
-) -> Table:
+def read_table(topic: str, msgtype: str, source: MessageSet, content: Callable[[Any], Any], notes: Notes) -> Table:
     """Deserialise the messages of one topic.
 
     Args:

@@ -28,9 +28,7 @@ _CONTENT: dict[str, Callable[[Any], Any]] = {
 _MEASUREMENTS = ("wrench", "markers", "tracks", "images")
 
 
-def read_recording(
-    path: str | Path, topics: TopicNames | None = None, *, need_pose: bool = True
-) -> Recording:
+def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_pose: bool = True) -> Recording:
     """Read a recording that follows the bag contract, or that ``topics`` maps onto it.
 
     Args:
@@ -66,12 +64,8 @@ def read_recording(
         camera: None if topic is None else sensors.read_camera_info(topic, bag.messages(topic), notes)
         for camera, topic in calibrations.items()
     }
-    targets = {
-        name: poses.pose_stream(s, names.ee[name], t0_ns, notes) for name, s in of("target_pose").items()
-    }
-    measured = {
-        name: poses.pose_stream(s, names.ee[name], t0_ns, notes) for name, s in of("current_pose").items()
-    }
+    targets = {name: poses.pose_stream(s, names.ee[name], t0_ns, notes) for name, s in of("target_pose").items()}
+    measured = {name: poses.pose_stream(s, names.ee[name], t0_ns, notes) for name, s in of("current_pose").items()}
     recording = Recording(
         poses=_inputs(names, measured, targets, notes),
         target_poses=targets,
@@ -83,9 +77,7 @@ def read_recording(
             name: clouds.marker_stream(s, sensor_topic(names.markers[name]), t0_ns, notes)
             for name, s in of("markers").items()
         },
-        tracks={
-            name: clouds.track_stream(s, cameras[name], t0_ns, notes) for name, s in of("tracks").items()
-        },
+        tracks={name: clouds.track_stream(s, cameras[name], t0_ns, notes) for name, s in of("tracks").items()},
         images={
             name: sensors.image_stream(s, bag.topics[s.topic].msgtypes[0], cameras[name], t0_ns, notes)
             for name, s in of("images").items()
@@ -137,9 +129,7 @@ def _series(role: str, name: str, topic: str, names: TopicNames, bag: Bag, notes
     info = bag.topics[topic]
     if not info.count:
         raise RecordingError(f"Topic {topic} ({role}) has no messages.", "Leave it out of the topic map.")
-    series = read_series(
-        topic, info.msgtypes[0], bag.messages(topic), _CONTENT[role], frame_id, names.time, notes
-    )
+    series = read_series(topic, info.msgtypes[0], bag.messages(topic), _CONTENT[role], frame_id, names.time, notes)
     if len(series.rows) == 1:
         notes.warning(topic, "a single message (latched?): taken as constant")
     return series
@@ -205,9 +195,7 @@ def _provenance(bag: Bag, t0_ns: int) -> Provenance:
     last = max(int(index.log_ns.max()) for index in bag.files if len(index.log_ns))
     return Provenance(
         path=str(bag.path),
-        files=tuple(
-            FileRecord(index.path.name, sha256(index.path), index.path.stat().st_size) for index in bag.files
-        ),
+        files=tuple(FileRecord(index.path.name, sha256(index.path), index.path.stat().st_size) for index in bag.files),
         message_counts={name: topic.count for name, topic in bag.topics.items()},
         topic_types={name: " | ".join(topic.msgtypes) for name, topic in bag.topics.items()},
         duration=(last - first) * 1e-9,

@@ -108,9 +108,7 @@ class Recording:
             RecordingError: the window is empty, or no sample of any stream lies in it.
         """
         if not t_start < t_end:
-            raise RecordingError(
-                f"The window from {t_start:g} s to {t_end:g} s is empty.", "Give start < end."
-            )
+            raise RecordingError(f"The window from {t_start:g} s to {t_end:g} s is empty.", "Give start < end.")
         cut = replace(
             self,
             poses=_cut(self.poses, t_start, t_end),
@@ -136,10 +134,7 @@ class Recording:
             times = (f"{stream.t[0]:.3f}", f"{stream.t[-1]:.3f}")
             rows.append((role, name, stream.topic, str(len(stream)), *times, rate, stream.frame_id or "-"))
         widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-        table = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in rows
-        ]
+        table = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
         source = self.provenance
         packed = f", {source.compression}" if source.compression else ""
         files = plural(len(source.files), "file")

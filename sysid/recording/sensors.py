@@ -90,9 +90,7 @@ def read_camera_info(topic: str, source: MessageSet, notes: Notes) -> CameraInfo
     return first
 
 
-def image_stream(
-    series: Series, msgtype: str, camera: CameraInfo | None, t0_ns: int, notes: Notes
-) -> ImageStream:
+def image_stream(series: Series, msgtype: str, camera: CameraInfo | None, t0_ns: int, notes: Notes) -> ImageStream:
     """Keep where the images are; of the pixels only the first image is read, as a check.
 
     Raises:

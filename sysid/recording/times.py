@@ -19,9 +19,7 @@ _GAP = 5.0
 """A gap is an interval longer than this many median intervals."""
 
 
-def order_in_time(
-    topic: str, stamps_ns: Ints, log_ns: Ints, source: TimeSource, notes: Notes
-) -> tuple[Ints, Ints]:
+def order_in_time(topic: str, stamps_ns: Ints, log_ns: Ints, source: TimeSource, notes: Notes) -> tuple[Ints, Ints]:
     """Choose the clock of a stream and put its messages in strictly increasing order.
 
     Args:

@@ -118,8 +118,7 @@ class TopicNames:
                 )
             part: type[EETopics] | type[SensorTopic] = EETopics if role == "ee" else SensorTopic
             values[role] = {
-                str(name): _entry(part, value, f"topics.{role}.{name}", role)
-                for name, value in entries.items()
+                str(name): _entry(part, value, f"topics.{role}.{name}", role) for name, value in entries.items()
             }
         return cls(**values)
 
@@ -129,9 +128,7 @@ def sensor_topic(value: Sensor) -> SensorTopic:
     return value if isinstance(value, SensorTopic) else SensorTopic(topic=value)
 
 
-def resolve(
-    role: str, wanted: Mapping[str, str | None], bag: Mapping[str, TopicInfo], notes: Notes
-) -> dict[str, str]:
+def resolve(role: str, wanted: Mapping[str, str | None], bag: Mapping[str, TopicInfo], notes: Notes) -> dict[str, str]:
     """Find the topic of each name in one role.
 
     Args:
@@ -198,9 +195,7 @@ def _named(role: str, name: str, bag: Mapping[str, TopicInfo], notes: Notes) -> 
     matches = [absolute] if absolute in bag else [t for t in bag if t.endswith(absolute)]
     if not matches:
         near = nearest_match(absolute, bag) if bag else ""
-        everything = (
-            "" if near.startswith("Known") else f" Topics in the recording: {', '.join(sorted(bag))}."
-        )
+        everything = "" if near.startswith("Known") else f" Topics in the recording: {', '.join(sorted(bag))}."
         raise RecordingError(f"Topic {absolute} ({role}) is not in the recording.", near + everything)
     if len(matches) > 1:
         raise RecordingError(
@@ -210,9 +205,7 @@ def _named(role: str, name: str, bag: Mapping[str, TopicInfo], notes: Notes) -> 
     topic = matches[0]
     fault = _unfit(role, bag[topic])
     if fault:
-        raise RecordingError(
-            f"Topic {topic} {fault}.", f"Name another topic for {role}, or record it as that type."
-        )
+        raise RecordingError(f"Topic {topic} {fault}.", f"Name another topic for {role}, or record it as that type.")
     if topic != absolute:
         notes.info(topic, f"taken for {name}")
     return topic

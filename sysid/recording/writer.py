@@ -59,9 +59,7 @@ class RecordingWriter:
     def __enter__(self) -> RecordingWriter:
         self._refuse_existing()
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._folder = Path(
-            tempfile.mkdtemp(prefix=f".{self.path.name}.", suffix=".partial", dir=self.path.parent)
-        )
+        self._folder = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", suffix=".partial", dir=self.path.parent))
         self._spool = (self._folder / "spool").open("w+b")
         return self
 
@@ -168,9 +166,7 @@ class RecordingWriter:
         where, name = _rows(topic, "uv", uv, 2), _ids(topic, ids)
         trust = _vector(topic, "confidence", confidence, len(where))
         if len(name) != len(where):
-            raise RecordingError(
-                f"{topic}: {len(where)} positions and {len(name)} ids.", "Give one id a marker."
-            )
+            raise RecordingError(f"{topic}: {len(where)} positions and {len(name)} ids.", "Give one id a marker.")
         if not ((trust >= 0.0) & (trust <= 1.0)).all():
             raise RecordingError(
                 f"{topic}: confidence from {trust.min():g} to {trust.max():g}.", "Give numbers in 0..1."
@@ -247,9 +243,7 @@ class RecordingWriter:
             COMPRESSED,
             header=_header(topic, t_ns, frame_id),
             format=fmt,
-            data=np.frombuffer(image, dtype=np.uint8)
-            if isinstance(image, bytes)
-            else _encode(topic, image, fmt),
+            data=np.frombuffer(image, dtype=np.uint8) if isinstance(image, bytes) else _encode(topic, image, fmt),
         )
         self._add(topic, t_ns, COMPRESSED, message)
 
@@ -284,9 +278,7 @@ class RecordingWriter:
 
     def _add(self, topic: str, t_ns: int, msgtype: str, message: Any) -> None:
         if self._folder is None:
-            raise RecordingError(
-                f"{self.path} is not open.", "Write inside `with RecordingWriter(path) as bag:`."
-            )
+            raise RecordingError(f"{self.path} is not open.", "Write inside `with RecordingWriter(path) as bag:`.")
         name = "/" + topic.strip("/")
         known = self._types.setdefault(name, msgtype)
         if known != msgtype:
@@ -300,8 +292,7 @@ class RecordingWriter:
             raise RecordingError(f"{self.path}: nothing was written.", "Add messages before the block ends.")
         with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
             connections = {
-                name: bag.add_connection(name, msgtype, typestore=TYPESTORE)
-                for name, msgtype in self._types.items()
+                name: bag.add_connection(name, msgtype, typestore=TYPESTORE) for name, msgtype in self._types.items()
             }
             for t_ns, name, offset, size in sorted(self._index, key=lambda item: item[0]):
                 self._spool.seek(offset)
@@ -309,9 +300,7 @@ class RecordingWriter:
 
     def _refuse_existing(self) -> None:
         if self.path.exists() or self.path.is_symlink():
-            raise RecordingError(
-                f"{self.path} exists already.", "Choose another path, or move it away first."
-            )
+            raise RecordingError(f"{self.path} exists already.", "Choose another path, or move it away first.")
 
 
 def _make(msgtype: str, **values: Any) -> Any:
@@ -346,9 +335,7 @@ def _rows(topic: str, what: str, values: ArrayLike, size: int) -> NDArray[np.flo
 
 def _ids(topic: str, ids: ArrayLike) -> NDArray[np.int64]:
     name = np.asarray(ids)
-    fit = name.ndim == 1 and (
-        name.size == 0 or (name.dtype.kind in "iu" and name.min() >= 0 and name.max() < 2**32)
-    )
+    fit = name.ndim == 1 and (name.size == 0 or (name.dtype.kind in "iu" and name.min() >= 0 and name.max() < 2**32))
     if not fit or len(np.unique(name)) != len(name):
         raise RecordingError(f"{topic}: ids {name!r}.", "Give whole numbers in 0..2^32-1, each once.")
     return name.astype(np.int64)

@@ -207,9 +207,7 @@ def _take_apart(inside: NDArray[np.bool_], typical: float) -> list[NDArray[np.bo
     smooth = cv2.GaussianBlur(depth, (0, 0), 1.0)
     radius = float(np.sqrt(typical / np.pi))
     reach = 2 * round(0.8 * radius) + 1
-    summit = (smooth >= cv2.dilate(smooth, np.ones((reach, reach), np.uint8)) - 1e-6) & (
-        smooth > 0.4 * radius
-    )
+    summit = (smooth >= cv2.dilate(smooth, np.ones((reach, reach), np.uint8)) - 1e-6) & (smooth > 0.4 * radius)
     count, _, _, centres = cv2.connectedComponentsWithStats(summit.astype(np.uint8), connectivity=8)
     if count <= 2:
         return [inside]
@@ -248,9 +246,7 @@ def _measure(
     centre = cv2.moments(weight)
     uv = (centre["m10"] / centre["m00"] + left, centre["m01"] / centre["m00"] + top)
     log_ratio = np.log(area / typical)
-    quality = float(
-        np.exp(-((log_ratio / 0.9) ** 2)) * min(1.0, 1.6 / elongation) * min(1.0, solidity / 0.87)
-    )
+    quality = float(np.exp(-((log_ratio / 0.9) ** 2)) * min(1.0, 1.6 / elongation) * min(1.0, solidity / 0.87))
     image_height, image_width = found.mask.shape
     at_border = left == 0 or top == 0 or left + width == image_width or top + height == image_height
     if merged:

@@ -38,9 +38,7 @@ def thin_plate_map(source: Points, target: Points, at: Points, *, pitch: float, 
     """
     if len(source) < 6:
         return affine_map(source, target, at)
-    spline = RBFInterpolator(
-        source / pitch, (target - source) / pitch, kernel="thin_plate_spline", smoothing=smoothing
-    )
+    spline = RBFInterpolator(source / pitch, (target - source) / pitch, kernel="thin_plate_spline", smoothing=smoothing)
     return np.asarray(at + pitch * spline(at / pitch), dtype=float)
 
 

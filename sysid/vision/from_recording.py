@@ -130,9 +130,7 @@ def write_tracked_recording(recording: Recording, results: list[TrackingResult],
                 continue
             for k, stamp in enumerate(stamps(cloud.t)):
                 forces = None if cloud.force is None else cloud.force[k]
-                bag.markers(
-                    cloud.topic, stamp, cloud.position[k], rest, cloud.ids, cloud.frame_id, forces=forces
-                )
+                bag.markers(cloud.topic, stamp, cloud.position[k], rest, cloud.ids, cloud.frame_id, forces=forces)
         for result in results:
             _write_tracks(bag, result, stamps(result.stream.t))
     return Path(out)
@@ -174,9 +172,7 @@ def _camera(recording: Recording, camera: str | None) -> tuple[str, ImageStream]
     return camera, images[camera]
 
 
-def _detect(
-    images: ImageStream, parameters: DetectionParameters | None, progress: Progress | None
-) -> list[Detections]:
+def _detect(images: ImageStream, parameters: DetectionParameters | None, progress: Progress | None) -> list[Detections]:
     found = []
     for k, (_, image) in enumerate(images):
         found.append(detect_markers(image, parameters))
@@ -189,9 +185,7 @@ def _effector(recording: Recording, effector: str | None) -> PoseStream | None:
     if effector is None:
         return next(iter(recording.poses.values())) if len(recording.poses) == 1 else None
     if effector not in recording.poses:
-        raise RecordingError(
-            f"There is no end effector {effector!r}.", nearest_match(effector, recording.poses)
-        )
+        raise RecordingError(f"There is no end effector {effector!r}.", nearest_match(effector, recording.poses))
     return recording.poses[effector]
 
 

@@ -177,9 +177,7 @@ def _refine(
             break
         misfit = neighbour_residual(reference[rows], uv[index[rows]], pitch=pitch)
         trusted = rows[misfit <= max(limit, float(np.percentile(misfit, 60)))]
-        predicted = thin_plate_map(
-            reference[trusted], uv[index[trusted]], reference, pitch=pitch, smoothing=smoothing
-        )
+        predicted = thin_plate_map(reference[trusted], uv[index[trusted]], reference, pitch=pitch, smoothing=smoothing)
     residual = np.full(len(reference), np.nan)
     for _ in range(4):
         rows = np.flatnonzero(index >= 0)

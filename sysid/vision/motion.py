@@ -118,9 +118,7 @@ def explain_by_poses(
         missed = np.sum((values[test] - basis[test] @ slope) ** 2)
         r_squared[name] = float(1.0 - missed / max(np.sum((values[test] - values[test].mean()) ** 2), 1e-30))
         coefficients[name] = dict(zip(POSE_NAMES, map(float, slope[1:7]), strict=True))
-    return PoseCheck(
-        r_squared, coefficients, (int((usable & ~held_out).sum()), int((usable & held_out).sum()))
-    )
+    return PoseCheck(r_squared, coefficients, (int((usable & ~held_out).sum()), int((usable & held_out).sum())))
 
 
 @dataclass(frozen=True)
@@ -155,9 +153,7 @@ def slide_sign(check: PoseCheck) -> SlideSign:
     """
     slopes = check.coefficients
     camera = np.array([[-slopes[name]["ry"], slopes[name]["rx"]] for name in ("contact_u", "contact_v")])
-    markers = np.array(
-        [[slopes[name][axis] for axis in "xy"] for name in ("displacement_u", "displacement_v")]
-    )
+    markers = np.array([[slopes[name][axis] for axis in "xy"] for name in ("displacement_u", "displacement_v")])
     size = max(float(np.linalg.norm(camera) * np.linalg.norm(markers)), 1e-30)
     upright = bool(np.linalg.det(camera) > 0.0)
     twist = -slopes["rotation"]["rz"] * (1.0 if upright else -1.0)

@@ -57,9 +57,7 @@ def overlay(
         cv2.circle(canvas, tip, 2, colour, -1, cv2.LINE_AA)
         if number_every and k % number_every == 0:
             corner = (tip[0] + 3, tip[1] - 2)
-            cv2.putText(
-                canvas, str(int(numbers[k])), corner, cv2.FONT_HERSHEY_SIMPLEX, 0.33, _CYAN, 1, cv2.LINE_AA
-            )
+            cv2.putText(canvas, str(int(numbers[k])), corner, cv2.FONT_HERSHEY_SIMPLEX, 0.33, _CYAN, 1, cv2.LINE_AA)
     if title:
         cv2.putText(canvas, title, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _WHITE, 1, cv2.LINE_AA)
     return np.asarray(canvas, dtype=np.uint8)

@@ -83,9 +83,7 @@ def _choose(
         )
     if isinstance(choice, int):
         if not 0 <= choice < len(detections):
-            raise RecordingError(
-                f"Reference frame {choice} does not exist.", f"Give 0 to {len(detections) - 1}."
-            )
+            raise RecordingError(f"Reference frame {choice} does not exist.", f"Give 0 to {len(detections) - 1}.")
         return choice, "chosen by number"
     depths_known = depth is not None and bool(np.isfinite(depth).any())
     if choice == "shallowest" and not depths_known:

@@ -110,13 +110,9 @@ class TrackingReport:
         ):
             if check is not None:
                 parts = ", ".join(f"{name} {value:.3f}" for name, value in check.r_squared.items())
-                lines.append(
-                    f"Explained by the pose{what} on {check.frames[1]} held-out images (R^2): {parts}."
-                )
+                lines.append(f"Explained by the pose{what} on {check.frames[1]} held-out images (R^2): {parts}.")
         if self.pose_check_by_depth is not None:
-            lines.append(
-                f"If this is a dome pressed on a flat plate, {slide_sign(self.pose_check_by_depth)}."
-            )
+            lines.append(f"If this is a dome pressed on a flat plate, {slide_sign(self.pose_check_by_depth)}.")
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
@@ -179,17 +175,13 @@ def make_report(
         merged[k] = int(blobs.merged.sum())
         unexplained[k] = len(blobs) - int(match.found.sum())
         if tracks.failed[k]:
-            failures.append(
-                FrameRemark(k, float(times_s[k]), count, _why_failed(blobs, match.cost, parameters))
-            )
+            failures.append(FrameRemark(k, float(times_s[k]), count, _why_failed(blobs, match.cost, parameters)))
         elif count < len(reference):
             reason = _why_lost(tracks.place[k][~found[k]], blobs, reference.pitch_px)
             incomplete.append(FrameRemark(k, float(times_s[k]), count, reason))
     good = ~tracks.failed
     seen = found[good].mean(axis=0) if good.any() else np.zeros(len(reference))
-    residual = [
-        np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in tracks.residual_px
-    ]
+    residual = [np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in tracks.residual_px]
     starts = Counter(match.start.rstrip(" 0123456789") for match in tracks.matches)
     return TrackingReport(
         camera=camera,

@@ -78,9 +78,7 @@ def track_frames(
     continuous = follows_closely(detections)
     matches: list[LayoutMatch] = []
     for k, found in enumerate(detections):
-        matches.append(
-            _match_next(reference, found, matches[-1] if matches else None, continuous, parameters)
-        )
+        matches.append(_match_next(reference, found, matches[-1] if matches else None, continuous, parameters))
         if progress is not None:
             progress(k + 1, len(detections))
     _retry(reference, detections, matches, parameters)

@@ -71,9 +71,7 @@ def test_a_defect_is_one_sentence_and_a_traceback_only_on_demand(
     assert "Traceback" in capsys.readouterr().err
 
 
-def test_a_missing_package_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def broken(kind: str) -> list[str]:
         raise ModuleNotFoundError("No module named 'taichi'", name="taichi")
 
@@ -91,16 +89,20 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     assert child.wait(timeout=60) == 141
 
 
-def test_an_interrupt_ends_it_with_130() -> None:
+def test_an_interrupt_ends_it_with_130_and_leaves_nothing(tmp_path: Path) -> None:
     child = subprocess.Popen(
-        [*THINSHELL, "doctor"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*THINSHELL, "simulate", "card_press", "press_hold_release", "--out", str(tmp_path / "bag")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
-    assert child.stdout is not None
-    child.stdout.readline()
+    assert child.stderr is not None
+    assert "10 %" in child.stderr.readline()
     child.send_signal(signal.SIGINT)
     _, errors = child.communicate(timeout=60)
     assert child.returncode == 130
     assert "Traceback" not in errors
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture(scope="module")

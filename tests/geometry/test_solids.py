@@ -144,8 +144,7 @@ def test_dome_sets_lie_on_their_surfaces():
 
 def test_cylinder_volume():
     error = [
-        1.0 - solids.volume(solids.cylinder(0.01, 0.004, (2 * k, k, k))) / (np.pi * 0.01**2 * 0.004)
-        for k in (1, 2, 4)
+        1.0 - solids.volume(solids.cylinder(0.01, 0.004, (2 * k, k, k))) / (np.pi * 0.01**2 * 0.004) for k in (1, 2, 4)
     ]
     assert error[0] < 0.001
     assert np.all(np.log2(np.divide(error[:-1], error[1:])) > 3.5)

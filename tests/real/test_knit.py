@@ -54,9 +54,7 @@ def rms(values: np.ndarray) -> float:
 
 def thinned(run: Run, step: int) -> Run:
     """Every so many samples of a run."""
-    return replace(
-        run, measured=tuple(replace(m, t=m.t[::step], values=m.values[::step]) for m in run.measured)
-    )
+    return replace(run, measured=tuple(replace(m, t=m.t[::step], values=m.values[::step]) for m in run.measured))
 
 
 @pytest.mark.parametrize("sheet", SHEETS)
@@ -65,8 +63,7 @@ def test_rigs_agree_with_the_recordings(sheet: str) -> None:
     run = load_run(rig, DATA / f"{sheet}_pull1")
     # The rig was written from the first frame of this pull: the pins are where it says.
     given, found = (
-        np.array(c.sees[0].points.positions_m)
-        for c in (rig.cameras["video"], run.seen_by(rig).cameras["video"])
+        np.array(c.sees[0].points.positions_m) for c in (rig.cameras["video"], run.seen_by(rig).cameras["video"])
     )
     np.testing.assert_allclose(found, given, atol=3e-4)
     start = run.poses["puller"].positions[0]

@@ -27,18 +27,14 @@ def run(*motions: dict[str, Any], rig: Rig = RIG, **keys: Any) -> PoseTrajectory
 @pytest.mark.parametrize("name", names_in("experiments"))
 def test_experiments_of_the_package_run_on_a_rig_of_the_package(name: str) -> None:
     experiment = load_experiment(name)
-    fitting = [
-        rig for rig in map(load_rig, names_in("rigs")) if set(experiment.motions) <= set(rig.end_effectors)
-    ]
+    fitting = [rig for rig in map(load_rig, names_in("rigs")) if set(experiment.motions) <= set(rig.end_effectors)]
     assert experiment.name == name
     assert fitting
     for path in compile_experiment(experiment, fitting[0]).values():
         assert path.duration < 60.0
         np.testing.assert_allclose(
             path.positions[0],
-            fitting[0]
-            .end_effectors["gripper" if "gripper" in experiment.motions else "finger"]
-            .start.position(),
+            fitting[0].end_effectors["gripper" if "gripper" in experiment.motions else "finger"].start.position(),
         )
 
 
@@ -158,9 +154,7 @@ def test_a_faulty_motion_is_refused(fault: str) -> None:
 
 
 def test_an_experiment_for_another_rig_is_refused() -> None:
-    with pytest.raises(
-        ConfigError, match=r"moves 'gripper', but the rig 'card_press' has no such end effector"
-    ):
+    with pytest.raises(ConfigError, match=r"moves 'gripper', but the rig 'card_press' has no such end effector"):
         compile_experiment(load_experiment("drop"), RIG)
 
 

@@ -170,9 +170,7 @@ FAULTS: dict[str, tuple[Edit, str]] = {
         r"must be less than radius_m",
     ),
     "outline without area": (
-        lambda d: card(d).update(
-            shape={"type": "outline", "polygon_m": [[0, 0], [1, 1], [2, 2]], "edge_m": 0.1}
-        ),
+        lambda d: card(d).update(shape={"type": "outline", "polygon_m": [[0, 0], [1, 1], [2, 2]], "edge_m": 0.1}),
         r"encloses no area",
     ),
 }
@@ -237,8 +235,7 @@ def test_missing_file_names_a_similar_one(tmp_path: Path) -> None:
 def test_overlay_changes_values_and_switches_effects_on(tmp_path: Path) -> None:
     path = tmp_path / "soft.yaml"
     path.write_text(
-        "overlay_of: card_press\nname: soft\nparameters: {card.E: 1.0e9}\n"
-        "effects: {sheet_damping: {time_s: 0.1}}\n"
+        "overlay_of: card_press\nname: soft\nparameters: {card.E: 1.0e9}\neffects: {sheet_damping: {time_s: 0.1}}\n"
     )
     second = tmp_path / "softer.yaml"
     second.write_text("overlay_of: soft\nparameters: {gel.E: 1.0e5}\n")

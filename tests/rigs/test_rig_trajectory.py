@@ -56,9 +56,7 @@ def test_the_result_does_not_depend_on_the_base_frame() -> None:
 
 
 def test_one_pose_is_a_trajectory() -> None:
-    path = PoseTrajectory.from_samples(
-        np.array([3.0]), np.array([[1.0, 2.0, 3.0]]), np.array([[0, 0, 0, 1.0]])
-    )
+    path = PoseTrajectory.from_samples(np.array([3.0]), np.array([[1.0, 2.0, 3.0]]), np.array([[0, 0, 0, 1.0]]))
     np.testing.assert_allclose(path.at(0.0)[0], [1, 2, 3])
     assert path.duration == 0.0
 
