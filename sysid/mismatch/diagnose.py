@@ -95,15 +95,26 @@ def diagnose_runs(
         trials = _refits(problem, check, base, _chosen(starts, base))
         tell(0.95, "verdict")
         verdict = decide(trials, before.per_score, before.excess, own_error)
-        answer = verdict.named[0].fitted if verdict.named and verdict.kind != "unknown" else None
+        answer: Fitted | None = None
         amended = None
-        if answer is not None:
+        finished: set[str] = set()
+        while verdict.named and verdict.named[0].effect.name not in finished:
             tell(0.9, "the answer fitted to the end")
-            exact, exact_check, answer = _polished(engine, problem, held_out, answer)
-            amended = _misfit(exact, exact_check, base, answer)
             best = verdict.named[0]
-            verdict = Verdict(verdict.kind, (replace(best, fitted=answer), *verdict.named[1:]))
-            trials = [replace(t, fitted=answer) if t is best else t for t in trials]
+            finished.add(best.effect.name)
+            exact, exact_check, polished = _polished(engine, problem, held_out, best.fitted)
+            left = structure(exact, polished).excess
+            final = replace(
+                best,
+                fitted=polished,
+                explained=1.0 - left / before.excess if before.excess > 0.0 else 0.0,
+                significance=significance(best.effect, polished),
+            )
+            trials = [final if t is best else t for t in trials]
+            verdict = decide(trials, before.per_score, before.excess, own_error)
+            if verdict.kind in ("named", "one_of") and verdict.named[0] is final:
+                answer = polished
+                amended = _misfit(exact, exact_check, base, answer)
         limits = _limits(starts, trials, base)
         diagnosis = _collect(rig, problem, check, base, answer, verdict, trials, limits, before, own_error)
         diagnosis.amended = amended
@@ -153,7 +164,7 @@ def _refits(problem: Problem, check: Problem, base: Fitted, chosen: list[Start])
         if plain is not None and there is not None:
             held = held_out_gain(plain.residual, there.residual)
         gain = log_evidence(fitted, temper) - reference
-        trials.append(Trial(start.effect, fitted, gain, explained, held, significance(start.effect, fitted)))
+        trials.append(Trial(start.effect, fitted, gain, explained, held))
     return sorted(trials, key=lambda t: -t.gain)
 
 
