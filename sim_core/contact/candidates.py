@@ -1,100 +1,184 @@
-"""Which triangles a sample may touch: searched at the start of every step, in two rings.
+"""Which primitives may touch: pairs of points, edges or triangles, searched at the start of a step, in two rings.
 
-The inner ring is what the contact law looks at; it is found anew for every step. The outer ring, wider,
-decides which nodes the Hessian couples; it is renewed only when the inner ring is no longer part of it (or
-when it is far too wide after a violent step), so that the matrix keeps its pattern for many steps.
-Triangles are taken by their circumscribing spheres, so none is missed however large it is.
+The inner ring is what the contact law and the collision test look at: what is near at the start, and what the
+foreseen motion may bring together. It is wider than a step needs, so that it serves several steps; it is
+searched anew when the primitives have moved by more than the surplus. The outer ring, wider again, decides
+which nodes the Hessian couples; it is renewed only when the inner ring is no longer part of it (or when it is
+far too wide after a violent step), so that the matrix keeps its pattern for many steps.
+
+Primitives are taken by the spheres around them, so none is missed however large it is; then their distances
+decide. A pair i, j at the distance d cannot come within the range while d - range > |m_i - m_j| + e_i + e_j, with the
+mean moves m of their nodes and the largest deviations e from them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
-from sim_core.contact.samples import Samples
+SURPLUS = 0.5
+"""Share of the margin between the rings by which the inner ring is wider than a step needs."""
+
+MOST_COUPLED, FEW_COUPLED = 2, 256
+"""How many times as many pairs as are near, and how many more, the outer ring may have."""
+
+Distance = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""Distances [m] of pairs: positions of all nodes, first and second member of each pair, int32."""
+
+
+class Primitives:
+    """Points, edges or triangles. ``nodes``: int32 ``(n, k)``; ``weights``: ``(n, k)`` of points that lie
+    between nodes, else None."""
+
+    def __init__(self, nodes: np.ndarray, weights: np.ndarray | None = None) -> None:
+        self.nodes = nodes
+        self._weights = weights
+        self.members = np.unique(nodes)
+
+    def spheres(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Centres [m] ``(n, 3)`` and radii [m] ``(n,)`` of spheres around them."""
+        corners = x[self.nodes]
+        if self._weights is not None:
+            return np.einsum("nk,nkj->nj", self._weights, corners), np.zeros(len(corners))
+        return _around(corners)
+
+    def moves(self, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean of the nodes' moves [m] ``(n, 3)`` and the largest deviation from it [m] ``(n,)``."""
+        if self._weights is not None:
+            return np.einsum("nk,nkj->nj", self._weights, move[self.nodes]), np.zeros(len(self.nodes))
+        return _around(move[self.nodes])
 
 
 class Candidates:
-    """Candidates of one ordered pair of surfaces.
+    """Candidates of one ordered pair of sets of primitives, which may be the same set or share nodes.
 
-    ``first``: int32 ``(n + 1,)``, ``near``: the triangles of sample ``s`` are
-    ``near[first[s]:first[s + 1]]``, ascending. ``coupled``: samples and triangles of the outer ring.
-    ``offset``: [m], distance of the sampled surfaces at which the real ones touch.
+    ``pairs``: first and second members of the inner ring, ascending; ``coupled``: of the outer ring.
+    ``offset``: [m], distance of the primitives at which the surfaces touch. ``once``: both sets are the same,
+    and every pair is listed once only. Primitives that share a node are no pair.
     """
 
-    def __init__(self, samples: Samples, triangles: np.ndarray, offset: float) -> None:
-        self._samples = samples
-        self._triangles = triangles
+    def __init__(
+        self, ours: Primitives, theirs: Primitives, offset: float, distance: Distance, once: bool = False
+    ) -> None:
+        self._ours, self._theirs = ours, theirs
         self._offset = offset
-        self._members = np.unique(samples.nodes)
-        self._corners = np.unique(triangles)
-        self._reach = 0.0
-        self._coupled_reach = 0.0
+        self._distance = distance
+        self._once = once
+        self._surplus = 0.0
+        self._range = 0.0
         self._searched_at: np.ndarray | None = None
-        self.first = np.zeros(len(samples.areas) + 1, dtype=np.int32)
-        self.near = np.zeros(16 * len(samples.areas), dtype=np.int32)
-        self.coupled = (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
+        nothing = np.empty(0, dtype=np.int32)
+        self.pairs = (nothing, nothing)
+        self.coupled = (nothing, nothing)
         self._coupled_keys = np.empty(0, dtype=np.int64)
+        self._joined = self._sharing_nodes()
+
+    def _sharing_nodes(self) -> np.ndarray:
+        """Keys of the pairs that share a node, ascending."""
+        sides = []
+        count = 1 + max(int(part.nodes.max(initial=-1)) for part in (self._ours, self._theirs))
+        for part in (self._ours, self._theirs):
+            rows = np.repeat(np.arange(len(part.nodes)), part.nodes.shape[1])
+            ones = np.ones(part.nodes.size, dtype=np.int32)
+            sides.append(sp.csr_matrix((ones, (rows, part.nodes.ravel())), shape=(len(part.nodes), count)))
+        found = (sides[0] @ sides[1].T).tocoo()
+        return np.sort(found.row * np.int64(len(self._theirs.nodes)) + found.col)
 
     @property
     def any(self) -> bool:
         """True when there is at least one candidate."""
-        return bool(self.first[-1])
+        return bool(len(self.pairs[0]))
 
-    def search(self, x: np.ndarray, reach: float, margin: float) -> tuple[bool, bool]:
-        """Look for triangles within ``reach`` [m] beyond the offset of samples at node positions ``x``.
+    @property
+    def keys(self) -> np.ndarray:
+        """First member times number of second primitives plus second member, of the inner ring, ascending."""
+        first, second = self.pairs
+        return np.asarray(first * np.int64(len(self._theirs.nodes)) + second)
 
-        The outer ring is wider by ``margin`` [m]. Returns whether the outer ring changed, and whether
-        :attr:`near` is a new array because the old one was too small.
+    def search(self, x: np.ndarray, towards: np.ndarray, within: float, margin: float) -> tuple[bool, bool]:
+        """Look for pairs that come within ``within`` [m] beyond the offset while nodes move from ``x`` to
+        ``towards`` or thereabouts, unless those at hand do.
+
+        The outer ring is wider by ``margin`` [m], the inner by a part of it. Returns whether the inner and the
+        outer ring changed.
         """
+        if self._searched_at is not None and self._range == within and self._surplus <= SURPLUS * margin:
+            if max(self._motion(x), self._motion(towards)) <= self._surplus:
+                return False, False
         self._searched_at = x.copy()
-        self._reach = reach
-        points, centres, radii = self._spheres(x)
-        inner = self._within(points, centres, radii, reach)
+        self._range, self._surplus = within, SURPLUS * margin
+        near, gap = self._within(x, within + margin)
+        bound = self._bound(x, towards, within)
+        inner = np.union1d(near[gap <= within + self._surplus], bound)
         at = np.searchsorted(self._coupled_keys, inner)
         inside = bool(np.all(at < len(self._coupled_keys))) and bool(np.all(self._coupled_keys[at] == inner))
-        inside &= self._coupled_reach <= 2.0 * (reach + margin) or not len(self._coupled_keys)
+        inside &= len(self._coupled_keys) <= MOST_COUPLED * (len(near) + len(bound)) + FEW_COUPLED
         if not inside:
-            self._coupled_reach = reach + margin
-            outer = self._within(points, centres, radii, reach + margin)
-            self._coupled_keys = outer
-            self.coupled = tuple(np.divmod(outer, len(self._triangles)))  # type: ignore[assignment]
-        sample, triangle = np.divmod(inner, len(self._triangles))
-        grown = len(inner) > len(self.near)
-        if grown:
-            self.near = np.zeros(2 * len(inner), dtype=np.int32)
-        self.near[: len(inner)] = triangle
-        self.first[:] = np.searchsorted(sample, np.arange(len(self.first)))
-        return not inside, grown
+            self._coupled_keys = np.union1d(near, bound)
+            self.coupled = self._split(self._coupled_keys)
+        self.pairs = self._split(inner)
+        return True, not inside
 
     def outran(self, x: np.ndarray) -> bool:
-        """True when samples and triangles may have moved towards each other by more than the reach."""
-        if self._searched_at is None:
+        """True when a pair that is no candidate may have come within the range on the way to ``x``."""
+        if self._searched_at is None or self._motion(x) <= self._surplus:
             return False
-        moved = x - self._searched_at
-        ours, theirs = moved[self._members], moved[self._corners]
+        return not bool(np.isin(self._bound(self._searched_at, x, self._range), self.keys).all())
+
+    def _motion(self, x: np.ndarray) -> float:
+        """By how much any primitives may have approached each other since the search [m]."""
+        assert self._searched_at is not None
+        ours, theirs = (x[m] - self._searched_at[m] for m in (self._ours.members, self._theirs.members))
         middle = 0.5 * (ours.mean(axis=0) + theirs.mean(axis=0))
-        furthest = sum(float(np.linalg.norm(part - middle, axis=1).max()) for part in (ours, theirs))
-        return furthest > self._reach
+        return float(sum(np.sqrt(((part - middle) ** 2).sum(axis=1).max()) for part in (ours, theirs)))
 
-    def _spheres(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        corners = x[self._triangles]
-        centres = corners.mean(axis=1)
-        radii = np.sqrt(((corners - centres[:, None]) ** 2).sum(axis=-1).max(axis=1))
-        return self._samples.positions(x), centres, radii
+    def _bound(self, x: np.ndarray, to: np.ndarray, within: float) -> np.ndarray:
+        """Keys of the pairs that may come within ``within`` between ``x`` and ``to``, ascending."""
+        move = to - x
+        (points, r), (centres, s) = self._ours.spheres(x), self._theirs.spheres(x)
+        (m, e), (n, f) = self._ours.moves(move), self._theirs.moves(move)
+        a, b = r + e + 0.5 * np.linalg.norm(m, axis=1), s + f + 0.5 * np.linalg.norm(n, axis=1)
+        keys = self._near(points + 0.5 * m, a, centres + 0.5 * n, b, self._offset + within)
+        first, second = self._split(keys)
+        slack = self._offset + within + e[first] + f[second] + np.linalg.norm(m[first] - n[second], axis=1)
+        kept = np.linalg.norm(points[first] - centres[second], axis=1) - r[first] - s[second] <= slack
+        keys, slack = keys[kept], slack[kept]
+        return np.asarray(keys[self._distance(x, *self._split(keys)) <= slack])
 
-    def _within(self, points: np.ndarray, centres: np.ndarray, radii: np.ndarray, reach: float) -> np.ndarray:
-        """Pairs as sample * number of triangles + triangle, ascending."""
-        distance = self._offset + reach
-        largest = distance + float(radii.max())
+    def _split(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        first, second = np.divmod(keys, len(self._theirs.nodes))
+        return first.astype(np.int32), second.astype(np.int32)
+
+    def _within(self, x: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+        """Keys of the pairs within ``reach``, ascending, and their distances less the offset [m]."""
+        keys = self._near(*self._ours.spheres(x), *self._theirs.spheres(x), self._offset + reach)
+        gap = self._distance(x, *self._split(keys)) - self._offset
+        kept = gap <= reach
+        return keys[kept], gap[kept]
+
+    def _near(self, points: np.ndarray, r: np.ndarray, centres: np.ndarray, s: np.ndarray, apart: float) -> np.ndarray:
+        """Keys of the pairs whose spheres are nearer than ``apart``, ascending."""
+        largest = apart + float(r.max(initial=0.0)) + float(s.max(initial=0.0))
         some = np.flatnonzero(_in_box(points, centres, largest))
         others = np.flatnonzero(_in_box(centres, points[some], largest)) if len(some) else some
         if not len(others):
             return np.empty(0, dtype=np.int64)
-        pairs = cKDTree(points[some]).sparse_distance_matrix(cKDTree(centres[others]), largest, output_type="ndarray")
-        sample, triangle = some[pairs["i"]], others[pairs["j"]]
-        kept = pairs["v"] <= distance + radii[triangle]
-        return np.sort(sample[kept] * np.int64(len(centres)) + triangle[kept])
+        close = cKDTree(points[some]).sparse_distance_matrix(cKDTree(centres[others]), largest, output_type="ndarray")
+        first, second = some[close["i"]], others[close["j"]]
+        kept = close["v"] <= apart + r[first] + s[second]
+        if self._once:
+            kept &= first < second
+        keys = np.sort(first[kept] * np.int64(len(centres)) + second[kept])
+        return np.asarray(keys[~np.isin(keys, self._joined, assume_unique=True)])
+
+
+def _around(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means of corners ``(n, k, 3)`` and the largest distances from them."""
+    centres = corners.mean(axis=1)
+    return centres, np.sqrt(((corners - centres[:, None]) ** 2).sum(axis=-1).max(axis=1))
 
 
 def _in_box(points: np.ndarray, others: np.ndarray, margin: float) -> np.ndarray:

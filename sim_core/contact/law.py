@@ -1,11 +1,14 @@
 """Contact and friction laws, per unit area of the touching surface.
 
-Normal pressure against the gap g (negative = overlap), linear with stiffness k [Pa/m] and rounded over
-the half width w so that it is differentiable:
+Normal pressure against the gap g > 0, with stiffness k [Pa/m] and range w [m], s = g / w:
 
-    p(g) = 0                     g >= w
-           k (w - g)^2 / (4 w)   |g| < w
-           -k g                  g <= -w
+    psi(g) = k w^2 (-ln s + 2 s - s^2/2 - 3/2),   p(g) = -psi' = k w (1 - s)^2 / s   for s < 1, else 0
+
+Surfaces feel each other from the range on, softly at first (p and p' vanish there); the slope passes k at
+s = 0.71, and without bound towards g = 0, so no load closes the gap: a log barrier (Li et al., Incremental
+Potential Contact, ACM Trans. Graph. 39(4), 2020) in units of a pressure. Below the share ``core`` of the range
+the law goes on straight, with the slope that it has there; the core is as good as zero unless an iteration
+may overlap on its way (:mod:`sim_core.solve.newton`).
 
 Friction is Coulomb's law with an elastic pre-sliding spring (Prandtl's element): the tangential
 traction follows the elastic slip u with stiffness k until it reaches mu times the normal pressure of
@@ -20,41 +23,104 @@ and 10.5 (elastic slip, return mapping). Static above kinetic friction:
 mu = mu_k (1 + a exp(-(v/v_s)^2)) with the slip speed v of the last step.
 """
 
+from collections.abc import Mapping
+
+import numpy as np
 import taichi as ti
 
 from sim_core.kernels import mat3, vec3
 
+STIFFNESS, RANGE, CORE, MU, EXCESS, SLIP_SCALE, OFFSET, BLEND, GUARD = range(9)
+"""Layout of the coefficient array of every contact term. ``OFFSET`` [m]: distance at which the gap is zero;
+``BLEND`` [m]: width over which distances to several triangles are blended; ``GUARD``: 1 where distances have
+no sign, because nothing has crossed."""
+
+CORE_GUARDED, CORE_FREE = 1e-3, 0.1
+"""Share of the range below which the law is straight: where nothing crosses, and where iterates may overlap."""
+
+
+def coefficients(offset: float) -> np.ndarray:
+    """Coefficient array of a term whose gap is zero at the distance ``offset`` [m]."""
+    c = np.zeros(9)
+    c[OFFSET] = offset
+    set_guard(c, True)
+    return c
+
+
+def set_guard(c: np.ndarray, on: bool) -> None:
+    """Switch between the law itself and the one whose iterates may overlap."""
+    c[GUARD] = on
+    c[CORE] = CORE_GUARDED if on else CORE_FREE
+
+
+def set_law(c: np.ndarray, parameters: Mapping[str, float]) -> None:
+    """Take stiffness, range and friction by name."""
+    c[STIFFNESS] = parameters["stiffness_pa_per_m"]
+    c[RANGE] = parameters["range_m"]
+    c[MU] = parameters["friction"]
+    c[EXCESS] = parameters.get("static_excess", 0.0)
+    c[SLIP_SCALE] = parameters.get("slip_speed_scale_m_s", 1.0)
+
+
+def friction_coefficient(c: np.ndarray, slip_speed: np.ndarray) -> np.ndarray:
+    """mu after a step in which points slid at ``slip_speed`` [m/s]."""
+    mu = np.full(len(slip_speed), c[MU])
+    if c[EXCESS] > 0.0:
+        mu *= 1.0 + c[EXCESS] * np.exp(-((slip_speed / c[SLIP_SCALE]) ** 2))
+    return mu
+
+
+def slide(
+    slip: np.ndarray, normal: np.ndarray, limit: np.ndarray, stiffness: np.ndarray, dt: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mapping: elastic slip [m] ``(n, 3)`` and slip speed [m/s] ``(n,)`` after a step.
+
+    ``slip``: what it would be without sliding; ``limit`` = mu lambda_n [N]; ``stiffness`` = k A [N/m].
+    """
+    tangential = slip - normal * np.einsum("nj,nj->n", slip, normal)[:, None]
+    length = np.linalg.norm(tangential, axis=1)
+    longest = limit / np.maximum(stiffness, 1e-300)
+    beyond = length > longest
+    shrink = np.where(beyond, longest / np.where(length > 0.0, length, 1.0), 1.0)
+    return tangential * shrink[:, None], np.where(beyond, (length - longest) / dt, 0.0)
+
 
 @ti.func
-def potential(g: ti.f64, k: ti.f64, w: ti.f64):
+def potential(g: ti.f64, c: ti.template()):
     """Energy per area [J/m^2]."""
     out = 0.0
-    if g <= -w:
-        out = k * (0.5 * g * g + w * w / 6.0)
-    elif g < w:
-        out = k * (w - g) ** 3 / (12.0 * w)
+    w = c[RANGE]
+    s = g / w
+    if s < 1.0:
+        e = ti.max(s, c[CORE])
+        k = c[STIFFNESS]
+        out = k * w * w * (-ti.log(e) + 2.0 * e - 0.5 * e * e - 1.5)
+        if s < e:
+            over = (e - s) * w
+            out += k * over * (w * (1.0 - e) ** 2 / e + 0.5 * over * (1.0 / (e * e) - 1.0))
     return out
 
 
 @ti.func
-def pressure(g: ti.f64, k: ti.f64, w: ti.f64):
+def pressure(g: ti.f64, c: ti.template()):
     """Pressure [Pa], not negative."""
     out = 0.0
-    if g <= -w:
-        out = -k * g
-    elif g < w:
-        out = k * (w - g) ** 2 / (4.0 * w)
+    w = c[RANGE]
+    s = g / w
+    if s < 1.0:
+        e = ti.max(s, c[CORE])
+        out = c[STIFFNESS] * w * ((1.0 - e) ** 2 / e + (e - s) * (1.0 / (e * e) - 1.0))
     return out
 
 
 @ti.func
-def slope(g: ti.f64, k: ti.f64, w: ti.f64):
+def slope(g: ti.f64, c: ti.template()):
     """-dp/dg [Pa/m], not negative."""
     out = 0.0
-    if g <= -w:
-        out = k
-    elif g < w:
-        out = k * (w - g) / (2.0 * w)
+    s = g / c[RANGE]
+    if s < 1.0:
+        e = ti.max(s, c[CORE])
+        out = c[STIFFNESS] * (1.0 / (e * e) - 1.0)
     return out
 
 

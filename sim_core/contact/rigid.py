@@ -8,20 +8,31 @@ sample position p = sum_i w_i x_i, body origin c, rotation R and the shape's sig
 
 where y_n is the body point under the sample at the start of the step, T the projector on the tangent
 plane there and e_n the elastic slip carried over from the last step, in the body frame. Laws:
-:mod:`sim_core.contact.law`.
+:mod:`sim_core.contact.law`. What lies between the samples (a box's corner under the middle of a triangle) is
+left to :class:`SurfaceContact` and :class:`EdgeContact` with the shape's core (:mod:`sim_core.contact.cores`).
 """
 
 from collections.abc import Mapping
 
 import numpy as np
 import taichi as ti
+from scipy.spatial.transform import Rotation
 
+from sim_core.contact.advancement import point_shape_way
 from sim_core.contact.law import (
+    OFFSET,
+    RANGE,
+    STIFFNESS,
+    coefficients,
+    friction_coefficient,
     friction_force,
     friction_potential,
     friction_stiffness,
     potential,
     pressure,
+    set_guard,
+    set_law,
+    slide,
     slope,
     tangent_projector,
 )
@@ -29,9 +40,6 @@ from sim_core.contact.samples import Samples
 from sim_core.contact.shapes import signed_distance
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.kernels import F1, F2, I1, I2, BoundKernel, mat3, vec3
-
-# Layout of the coefficient array.
-STIFFNESS, WIDTH, MU, EXCESS, SLIP_SCALE, OFFSET, DT = range(7)
 
 
 @ti.func
@@ -101,7 +109,7 @@ def _energy(
         r = _rotation(rotation)
         d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
         distance, _n, _second = signed_distance(r.transpose() @ d, shape)
-        e = areas[s] * potential(distance - c[OFFSET], c[STIFFNESS], c[WIDTH])
+        e = areas[s] * potential(distance - c[OFFSET], c)
         if limit[s] > 0.0:
             u, _t = _slip(d, r, s, y_start, anchor, normal)
             e += friction_potential(u, limit[s], c[STIFFNESS] * areas[s])
@@ -132,7 +140,7 @@ def _forces(
         d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
         distance, n, _second = signed_distance(r.transpose() @ d, shape)
         gap[s] = distance - c[OFFSET]
-        load[s] = areas[s] * pressure(gap[s], c[STIFFNESS], c[WIDTH])
+        load[s] = areas[s] * pressure(gap[s], c)
         f = load[s] * (r @ n)
         if limit[s] > 0.0:
             u, _t = _slip(d, r, s, y_start, anchor, normal)
@@ -174,12 +182,12 @@ def _hessian(
         d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
         distance, n, second = signed_distance(r.transpose() @ d, shape)
         g = distance - c[OFFSET]
-        touching = g < c[WIDTH]
+        touching = g < c[RANGE]
         if touching or limit[s] > 0.0:
             m = r @ n
-            k = areas[s] * slope(g, c[STIFFNESS], c[WIDTH]) * m.outer_product(m)
+            k = areas[s] * slope(g, c) * m.outer_product(m)
             if exact[0] == 1:
-                k -= areas[s] * pressure(g, c[STIFFNESS], c[WIDTH]) * (r @ second @ r.transpose())
+                k -= areas[s] * pressure(g, c) * (r @ second @ r.transpose())
             if limit[s] > 0.0:
                 u, t = _slip(d, r, s, y_start, anchor, normal)
                 stiff = friction_stiffness(u, limit[s], c[STIFFNESS] * areas[s], t)
@@ -190,12 +198,21 @@ def _hessian(
                 for b in range(a, count):
                     w = weights[s, a] * weights[s, b]
                     at_block = s * (count * (count + 1) // 2) + n_block
-                    for i in range(3):
-                        for j in range(3):
-                            if a != b or i <= j:
-                                at = slots[at_block, 3 * i + j]
-                                out[at] = out[at] + w * k[i, j]
+                    if w != 0.0:
+                        for i in range(3):
+                            for j in range(3):
+                                if a != b or i <= j:
+                                    at = slots[at_block, 3 * i + j]
+                                    out[at] = out[at] + w * k[i, j]
                     n_block += 1
+
+
+@ti.kernel
+def _free_way(y: F2, dy: F2, shape: F1, c: F1, keep: F1, way: F1):
+    """Shorten ``way`` to the share of ``dy`` from ``y`` on (in the body frame) that is free for all points."""
+    ti.loop_config(serialize=True)
+    for s in range(y.shape[0]):
+        way[0] = ti.min(way[0], point_shape_way(_row(y, s), _row(dy, s), shape, c[OFFSET], keep[0]))
 
 
 class RigidContact:
@@ -217,10 +234,12 @@ class RigidContact:
         self._weights = np.ascontiguousarray(np.hstack([samples.weights, -np.ones((count, 1))]))
         self._areas = np.ascontiguousarray(samples.areas)
         self._shape = np.ascontiguousarray(shape, dtype=float)
-        self._rotation = rotation
+        self._target = rotation
+        self._rotation = rotation.copy()
         self._rotation_start = rotation.copy()
-        self._c = np.zeros(7)
-        self._c[OFFSET] = samples.offset
+        self._c = coefficients(samples.offset)
+        self._keep, self._way = np.zeros(1), np.ones(1)
+        self._y, self._dy = np.zeros((count, 3)), np.zeros((count, 3))
         self._limit, self._load, self._gap = np.zeros(count), np.zeros(count), np.zeros(count)
         self._y_start, self._anchor = np.zeros((count, 3)), np.zeros((count, 3))
         self._normal, self._force = np.zeros((count, 3)), np.zeros((count, 3))
@@ -243,24 +262,44 @@ class RigidContact:
         self._forces = BoundKernel(_forces, buffers.x, *surface, *laws, self._force, self._load, self._gap)
         self._gradient = BoundKernel(_gradient, self._nodes, self._weights, self._force, buffers.gradient)
         self._hessian = BoundKernel(_hessian, buffers.x, *surface, *laws, self._exact, slots, buffers.hessian)
+        self._free = BoundKernel(_free_way, self._y, self._dy, self._shape, self._c, self._keep, self._way)
 
     def configure(self, parameters: Mapping[str, float]) -> None:
-        self._c[STIFFNESS] = parameters["stiffness_pa_per_m"]
-        self._c[WIDTH] = parameters["rounding_m"]
-        self._c[MU] = parameters["friction"]
-        self._c[EXCESS] = parameters.get("static_excess", 0.0)
-        self._c[SLIP_SCALE] = parameters.get("slip_speed_scale_m_s", 1.0)
+        set_law(self._c, parameters)
+
+    def guard(self, on: bool) -> None:
+        """The law itself, or one that bears overlap."""
+        set_guard(self._c, on)
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
-        self._c[DT] = step.dt
         self._x_start[:] = step.x_start
+        self._rotation[:] = self._target
         self._rotation_start[:] = internals["rotation"]
         self._anchor[:] = internals["anchor"]
         self._start()
-        mu = self._c[MU] * np.ones(len(self._areas))
-        if self._c[EXCESS] > 0.0:
-            mu *= 1.0 + self._c[EXCESS] * np.exp(-((internals["slip_speed"] / self._c[SLIP_SCALE]) ** 2))
-        self._limit[:] = mu * internals["load"]
+        self._limit[:] = friction_coefficient(self._c, internals["slip_speed"]) * internals["load"]
+
+    def turn(self, share: float) -> None:
+        """Turn the body to where it is after ``share`` of the step."""
+        self._rotation[:] = self._turned(share)
+
+    def _turned(self, share: float) -> np.ndarray:
+        if share >= 1.0:
+            return self._target
+        start = Rotation.from_matrix(self._rotation_start)
+        whole = (start.inv() * Rotation.from_matrix(self._target)).as_rotvec()
+        return np.asarray((start * Rotation.from_rotvec(share * whole)).as_matrix())
+
+    def free_way(self, start: np.ndarray, move: np.ndarray, keep: float, turn: tuple[float, float]) -> float:
+        """Share of ``move`` from ``start`` on (both [m] ``(n, 3)``) on which gaps keep the share ``keep``, while
+        the body turns from one share of the step to another. Paths are straight in the body's frame."""
+        nodes, weights = self._nodes, self._weights
+        since, till = (self._turned(share) for share in turn)
+        self._y[:] = np.einsum("nk,nkj->nj", weights, start[nodes]) @ since
+        self._dy[:] = np.einsum("nk,nkj->nj", weights, (start + move)[nodes]) @ till - self._y
+        self._keep[0], self._way[0] = keep, 1.0
+        self._free()
+        return float(self._way[0])
 
     def add_gradient(self) -> None:
         self._forces()
@@ -275,26 +314,22 @@ class RigidContact:
         self._forces()
         position = np.einsum("nk,nkj->nj", self._weights, self._x[self._nodes])
         rotation = self._rotation
-        normal = self._normal
         moved = position - self._y_start @ rotation.T
         slip = self._anchor @ rotation.T + moved
-        slip -= normal * np.einsum("nj,nj->n", slip, normal)[:, None]
-        length = np.linalg.norm(slip, axis=1)
-        longest = self._limit / (self._c[STIFFNESS] * self._areas)
-        beyond = length > longest
-        shrink = np.where(beyond, longest / np.where(length > 0.0, length, 1.0), 1.0)
+        stiffness = self._c[STIFFNESS] * self._areas
+        anchor, speed = slide(slip, self._normal, self._limit, stiffness, step.dt)
         touching = self._load > 0.0
         return {
             "rotation": rotation.copy(),
-            "anchor": np.where(touching[:, None], (slip * shrink[:, None]) @ rotation, 0.0),
+            "anchor": np.where(touching[:, None], anchor @ rotation, 0.0),
             "load": self._load.copy(),
-            "slip_speed": np.where(touching & beyond, (length - longest) / step.dt, 0.0),
+            "slip_speed": np.where(touching, speed, 0.0),
         }
 
     def initial_internals(self) -> Internals:
         count = len(self._areas)
         return {
-            "rotation": self._rotation.copy(),
+            "rotation": self._target.copy(),
             "anchor": np.zeros((count, 3)),
             "load": np.zeros(count),
             "slip_speed": np.zeros(count),

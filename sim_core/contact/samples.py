@@ -1,7 +1,8 @@
 """Where a deformable surface is tested for contact: quadrature points with their areas.
 
-Sheets are sampled at their nodes (area: a third of the triangles around), gels at six points of each
-quadratic face (Dunavant's rule of degree 4), so that uniform pressure gives consistent nodal forces.
+Sheets are sampled at their nodes (area: a third of the triangles around), gels at the nodes and the centres
+of their quadratic faces (seven-point rule of degree 3: Stroud, Approximate Calculation of Multiple Integrals,
+1971, T2:3-3), so that every node of a surface is a sample and uniform pressure gives consistent nodal forces.
 """
 
 from __future__ import annotations
@@ -12,18 +13,8 @@ import numpy as np
 
 from sim_core.geometry.sheets import SheetMesh
 
-_A, _B = 0.445948490915965, 0.091576213509771
-_RULE = np.array(
-    [
-        (_A, _A, 1 - 2 * _A),
-        (_A, 1 - 2 * _A, _A),
-        (1 - 2 * _A, _A, _A),
-        (_B, _B, 1 - 2 * _B),
-        (_B, 1 - 2 * _B, _B),
-        (1 - 2 * _B, _B, _B),
-    ]
-)
-_RULE_WEIGHTS = np.array([0.223381589678011] * 3 + [0.109951743655322] * 3)
+_CORNER, _MIDDLE, _CENTRE = 1.0 / 20.0, 2.0 / 15.0, 9.0 / 20.0
+"""Shares of a face's area at its corners, edge midpoints and centre (exact to degree 3)."""
 
 
 @dataclass(frozen=True)
@@ -49,18 +40,17 @@ def sheet_samples(mesh: SheetMesh, node_offset: int, thickness_m: float) -> Samp
 
 
 def face_samples(faces: np.ndarray, nodes: np.ndarray) -> Samples:
-    """Quadrature points of quadratic faces ``(m, 6)`` (corners a b c, midpoints ab bc ca)."""
-    a, b, c = _RULE.T
-    shape = np.column_stack([a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a])
+    """Nodes and centres of quadratic faces ``(m, 6)`` (corners a b c, midpoints ab bc ca)."""
     corner = nodes[faces[:, :3]]
     area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    count = len(_RULE_WEIGHTS)
-    return Samples(
-        np.ascontiguousarray(np.repeat(faces, count, axis=0), dtype=np.int32),
-        np.tile(shape, (len(faces), 1)),
-        np.outer(area, _RULE_WEIGHTS).ravel(),
-        0.0,
+    members, place = np.unique(faces, return_inverse=True)
+    shares = np.outer(area, [_CORNER] * 3 + [_MIDDLE] * 3)
+    at_nodes = np.bincount(place.ravel(), weights=shares.ravel(), minlength=len(members))
+    own = np.vstack([np.repeat(members[:, None], 6, axis=1), faces])
+    weights = np.vstack(
+        [np.tile([1.0, 0, 0, 0, 0, 0], (len(members), 1)), np.tile([-1 / 9] * 3 + [4 / 9] * 3, (len(faces), 1))]
     )
+    return Samples(np.ascontiguousarray(own, dtype=np.int32), weights, np.concatenate([at_nodes, _CENTRE * area]), 0.0)
 
 
 def face_triangles(faces: np.ndarray) -> np.ndarray:
@@ -68,3 +58,13 @@ def face_triangles(faces: np.ndarray) -> np.ndarray:
     a, b, c, ab, bc, ca = faces.T
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     return np.ascontiguousarray(np.vstack([np.column_stack(p) for p in parts]), dtype=np.int32)
+
+
+def triangle_edges(triangles: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges of a triangle mesh once each, int32 ``(k, 2)``, and their areas [m^2]: a third of the triangles beside."""
+    corner = nodes[triangles]
+    area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=-1).reshape(-1, 2)
+    edges, inverse = np.unique(sides, axis=0, return_inverse=True)
+    areas = np.bincount(inverse.ravel(), weights=np.repeat(area / 3.0, 3), minlength=len(edges))
+    return np.ascontiguousarray(edges, dtype=np.int32), areas

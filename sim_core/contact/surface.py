@@ -1,23 +1,21 @@
-"""Contact and friction between the samples of one deformable surface and the triangles of another.
+"""Contact and friction between the samples of one deformable surface and the triangles of another, or its own.
 
 A sample p = sum_i w_i x_i is tested against the nearest of its candidate triangles, closest point
-c = sum_j b_j y_j. Between faces the gap is the height over the face; over edges and corners it is the
-distance, so nothing is felt beyond the border of a sheet by more than the offset:
+c = sum_j b_j y_j, at the distance d = |p - c| and with the gap
 
-    g = s n . (p - c) - offset   (closest point inside the face)
-    g = s' |p - c| - offset      (on an edge or a corner)
+    g = d - offset
 
-n is the face normal. On a closed surface s = 1. A sheet has two sides and s = +-1 is the side that the
-sample came from, remembered for as long as it is near; s' is s times the sign against the averaged
-normal, and +1 on free borders. With r = p - c, d = |r| and 1/2 d^2 = min over b of 1/2 |p - sum b y|^2
-the derivatives of d follow from the Schur complement of that small problem:
+The distance has no sign: surfaces have two sides and no need of an orientation, because the solver never lets
+them cross. (While an iteration may overlap on its way, d carries a sign: negative on the other side of the
+triangle than at the start of the step.) With r = p - c and 1/2 d^2 = min over b of 1/2 |p - sum b y|^2 the
+derivatives of d follow from the Schur complement of that small problem:
 
     grad d = r/d . dr,    hess(1/2 d^2) = E_zz - E_zb E_bb^-1 E_bz,
     hess d = (hess(1/2 d^2) - grad d grad d^T) / d
 
-Where triangles meet at a concave crease the smallest distance has a kink on which a sample may come to rest
-without any balance of forces. The distances of neighbouring triangles are therefore blended over a width e,
-d = min over shares w of sum w_k d_k + e/2 (sum w_k^2 - 1), which is smooth and at most e/2 too small.
+Where a sample is as near to two triangles (a concave crease, or between two layers) the smallest distance has a
+kink on which it may come to rest without any balance of forces. The distances are therefore blended over a
+width e, d = min over shares w of sum w_k d_k + e/2 (sum w_k^2 - 1), which is smooth and at most e/2 too small.
 
 Friction acts on the relative motion of the sample and the point of the triangle below it at the start
 of the step. Laws: :mod:`sim_core.contact.law`.
@@ -30,36 +28,36 @@ from collections.abc import Mapping
 import numpy as np
 import scipy.sparse as sp
 
-from sim_core.contact.candidates import Candidates
+from sim_core.contact.candidates import Candidates, Primitives
+from sim_core.contact.law import BLEND, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
 from sim_core.contact.samples import Samples
 from sim_core.contact.surface_kernels import (
-    BLEND,
-    EXCESS,
     FAR,
     MOST,
-    MU,
-    OFFSET,
-    SLIP_SCALE,
-    STIFFNESS,
-    WIDTH,
     add_energy,
     add_gradient,
     add_hessian,
+    distances,
+    free_way,
     measure,
+    sides,
 )
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.kernels import BoundKernel
 
-CREASE_ROUNDING = 0.1
-"""Width over which the distances to several triangles are blended, as a share of the pressure's rounding."""
+CREASE_ROUNDING = 0.05
+"""Width over which the distances to several triangles are blended, as a share of the pressure's range."""
+
+SPARE = 16
+"""Places for candidates a sample at the start; doubled whenever they do not suffice."""
 
 
 class SurfaceContact:
-    """Term for one ordered pair: samples of one surface against the triangles of another.
+    """Term for one ordered pair: samples of one surface against the triangles of another (or of the same).
 
-    ``triangles``: int32 ``(m, 3)``, node indices. ``two_sided``: the triangles are a sheet.
-    ``offset``: [m], samples' and sheet's half thickness together. ``reach_m``: how far beyond the
-    offset partners are looked for at least, and within which a sample remembers its side of a sheet.
+    ``triangles``: int32 ``(m, 3)``, node indices. ``offset``: [m], half thicknesses of both surfaces
+    together. ``margin_m``: how much wider than a step needs partners are looked for. ``bearing``: share of the
+    law's range, less than one for samples that are to bear only where others fail.
     """
 
     mirrored = True
@@ -69,28 +67,40 @@ class SurfaceContact:
         name: str,
         samples: Samples,
         triangles: np.ndarray,
-        two_sided: bool,
         offset: float,
-        reach_m: float,
+        margin_m: float,
+        bearing: float = 1.0,
     ) -> None:
         self.name = name
+        self._bearing = bearing
         self._samples = samples
         self._triangles = np.ascontiguousarray(triangles, dtype=np.int32)
-        self._two_sided = two_sided
-        self._reach = reach_m
-        self._candidates = Candidates(samples, self._triangles, offset)
-        self._border = _free_features(self._triangles, two_sided)
-        count = len(samples.areas)
+        self._margin = margin_m
         self._own = np.ascontiguousarray(samples.nodes, dtype=np.int32)
         self._weights = np.ascontiguousarray(samples.weights)
+        self._used = np.count_nonzero(self._weights, axis=1).astype(np.int32)
+        self._candidates = Candidates(
+            Primitives(self._own, self._weights), Primitives(self._triangles), offset, self._distance
+        )
+        self._border = _free_features(self._triangles)
+        count = len(samples.areas)
         self._areas = np.ascontiguousarray(samples.areas)
-        self._c = np.zeros(7)
-        self._c[OFFSET] = offset
+        self._c = coefficients(offset)
         self._limit, self._load = np.zeros(count), np.zeros(count)
         self._anchor, self._force = np.zeros((count, 3)), np.zeros((count, 3))
-        self._side = np.ones(count)
+        self._first = np.zeros(count + 1, dtype=np.int32)
+        self._near, self._side = np.zeros(SPARE * count, dtype=np.int32), np.ones(SPARE * count)
         self._now, self._lag = _Closest(count), _Closest(count)
         self._exact = np.zeros(1, dtype=np.int32)
+        self._keep, self._way = np.zeros(1), np.ones(1)
+
+    def _distance(self, x: np.ndarray, sample: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+        out = np.zeros(len(sample))
+        if len(sample):
+            distances(
+                np.ascontiguousarray(x), self._own, self._used, self._weights, self._triangles, sample, triangle, out
+            )
+        return out
 
     def blocks(self) -> np.ndarray:
         """Pairs of the samples' nodes and of the corners of all triangles in the wider search, and of the
@@ -116,16 +126,15 @@ class SurfaceContact:
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
         del slots
         assert buffers.pairs is not None
-        self._buffers = buffers
         self._x = buffers.x
-        self._x_start = np.zeros_like(buffers.x)
+        self._x_start, self._move = np.zeros_like(buffers.x), np.zeros_like(buffers.x)
         self._normals = np.zeros_like(buffers.x)
         second = np.zeros((16, 3, 3))
         slopes = np.zeros((MOST + 2, self._own.shape[1] + 3 * MOST, 3))
         self._seen = np.full_like(buffers.x, np.nan)
         now, lag, table = self._now, self._lag, buffers.pairs
         laws = (
-            *(buffers.x, self._x_start, self._own, self._weights, self._triangles, self._areas, self._c),
+            *(buffers.x, self._x_start, self._own, self._used, self._weights, self._triangles, self._areas, self._c),
             *(self._limit, lag.triangles, lag.weights, lag.directions, self._anchor, now.gap),
         )
         here = (now.number, now.triangles, now.weights, now.directions, now.share)
@@ -139,29 +148,43 @@ class SurfaceContact:
         self._bind_search()
 
     def _bind_search(self) -> None:
-        found = self._candidates
-        surface = (
-            *(self._own, self._weights, self._triangles, self._border, found.first, found.near),
-            *(self._normals, self._side, self._c),
-        )
+        points = (self._own, self._used, self._weights, self._triangles)
+        found = (self._first, self._near)
+        surface = (*points, self._border, *found, self._normals, self._side, self._c)
         self._measure = BoundKernel(measure, self._x, *surface, *self._now.arrays())
         self._start = BoundKernel(measure, self._x_start, *surface, *self._lag.arrays())
+        self._sides = BoundKernel(sides, self._x_start, *points, *found, self._normals, self._side)
+        self._from = np.zeros_like(self._x)
+        self._free = BoundKernel(
+            free_way, self._from, self._move, *points, *found, self._c, self._keep, self._way
+        )  # fmt: skip
 
     def configure(self, parameters: Mapping[str, float]) -> None:
-        self._c[STIFFNESS] = parameters["stiffness_pa_per_m"]
-        self._c[WIDTH] = parameters["rounding_m"]
-        self._c[BLEND] = CREASE_ROUNDING * parameters["rounding_m"]
-        self._c[MU] = parameters["friction"]
-        self._c[EXCESS] = parameters.get("static_excess", 0.0)
-        self._c[SLIP_SCALE] = parameters.get("slip_speed_scale_m_s", 1.0)
+        set_law(self._c, parameters)
+        self._c[RANGE] *= self._bearing
+        self._c[BLEND] = CREASE_ROUNDING * self._c[RANGE]
+        self._seen_nothing()
 
-    def prepare(self, step: StepContext, motion: float) -> bool:
-        """Look for candidates around the start of a step; True when the coupled nodes changed."""
-        reach = max(self._reach, motion)
-        changed, grown = self._candidates.search(step.x_start, reach, self._reach)
-        if grown:
-            self._bind_search()
-        return changed
+    def guard(self, on: bool) -> None:
+        """Distances without sign and the law itself, or with sign and a law that bears overlap."""
+        set_guard(self._c, on)
+        self._seen_nothing()
+
+    def _seen_nothing(self) -> None:
+        if hasattr(self, "_seen"):
+            self._seen[:] = np.nan
+
+    def prepare(self, step: StepContext, towards: np.ndarray) -> bool:
+        """Look for candidates from the start of a step on; True when the coupled nodes changed."""
+        inner, outer = self._candidates.search(step.x_start, towards, self._c[RANGE], self._margin)
+        if inner:
+            sample, triangle = self._candidates.pairs
+            if len(triangle) > len(self._near):
+                self._near, self._side = np.zeros(2 * len(triangle), dtype=np.int32), np.ones(2 * len(triangle))
+                self._bind_search()
+            self._near[: len(triangle)] = triangle
+            self._first[:] = np.searchsorted(sample, np.arange(len(self._first)))
+        return outer
 
     def outran(self) -> bool:
         """True when something may have come into contact that was not looked at."""
@@ -170,7 +193,7 @@ class SurfaceContact:
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         self._x_start[:] = step.x_start
         self._anchor[:] = internals["anchor"]
-        self._seen[:] = np.nan
+        self._seen_nothing()
         if not self._candidates.any:
             self._limit[:], self._load[:], self._force[:] = 0.0, 0.0, 0.0
             self._now.gap[:] = FAR
@@ -180,16 +203,9 @@ class SurfaceContact:
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         for k in range(3):
             np.add.at(self._normals, self._triangles[:, k], normal)
-        known = internals["side"] if self._two_sided else np.ones(len(self._areas))
-        self._side[:] = np.where(known == 0.0, 1.0, known)
+        self._sides()
         self._start()
-        fresh = (known == 0.0) & (self._lag.height < 0.0)
-        if fresh.any():
-            self._side[fresh] = -1.0
-            self._start()
-        mu = self._c[MU] * np.ones(len(self._areas))
-        if self._c[EXCESS] > 0.0:
-            mu *= 1.0 + self._c[EXCESS] * np.exp(-((internals["slip_speed"] / self._c[SLIP_SCALE]) ** 2))
+        mu = friction_coefficient(self._c, internals["slip_speed"])
         self._limit[:] = np.where(self._lag.number > 0, mu * internals["load"], 0.0)
 
     def _look(self) -> bool:
@@ -214,36 +230,35 @@ class SurfaceContact:
             self._exact[0] = exact
             self._hessian()
 
+    def free_way(self, start: np.ndarray, move: np.ndarray, keep: float, turn: tuple[float, float]) -> float:
+        """Share of ``move`` from ``start`` on (both [m] ``(n, 3)``) on which gaps keep the share ``keep``."""
+        del turn
+        if not self._candidates.any:
+            return 1.0
+        self._from[:], self._move[:], self._keep[0], self._way[0] = start, move, keep, 1.0
+        self._free()
+        return float(self._way[0])
+
     def end_step(self, step: StepContext, internals: Internals) -> Internals:
-        """Carry elastic slip, load, slip speed and side; zero where nothing touches or is near."""
+        """Carry elastic slip, load and slip speed; zero where nothing touches."""
         if not self._look():
             return self.initial_internals()
         nodes = self._triangles[self._lag.triangles[:, 0]]
         move = self._x - self._x_start
         relative = self._samples.positions(move) - np.einsum("sk,skj->sj", self._lag.weights[:, :3], move[nodes])
-        slip = self._anchor + relative
+        stiffness = self._c[STIFFNESS] * self._areas
         normal = self._lag.directions[:, :3]
-        slip -= normal * np.einsum("sj,sj->s", slip, normal)[:, None]
-        length = np.linalg.norm(slip, axis=1)
-        longest = self._limit / (self._c[STIFFNESS] * self._areas)
-        beyond = length > longest
-        shrink = np.where(beyond, longest / np.where(length > 0.0, length, 1.0), 1.0)
+        anchor, speed = slide(self._anchor + relative, normal, self._limit, stiffness, step.dt)
         touching = self._load > 0.0
         return {
-            "anchor": np.where(touching[:, None], slip * shrink[:, None], 0.0),
+            "anchor": np.where(touching[:, None], anchor, 0.0),
             "load": self._load.copy(),
-            "slip_speed": np.where(touching & beyond, (length - longest) / step.dt, 0.0),
-            "side": np.where(self._now.gap < self._reach, self._side, 0.0),
+            "slip_speed": np.where(touching, speed, 0.0),
         }
 
     def initial_internals(self) -> Internals:
         count = len(self._areas)
-        return {
-            "anchor": np.zeros((count, 3)),
-            "load": np.zeros(count),
-            "slip_speed": np.zeros(count),
-            "side": np.zeros(count),
-        }
+        return {"anchor": np.zeros((count, 3)), "load": np.zeros(count), "slip_speed": np.zeros(count)}
 
     def sample_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Sample positions [m] and the force on each sample [N] at the last gradient, ``(n, 3)`` each."""
@@ -263,19 +278,17 @@ class _Closest:
         self.weights, self.directions = np.zeros((count, 3 * MOST)), np.zeros((count, 3 * MOST))
         self.share, self.distance = np.zeros((count, MOST)), np.zeros((count, MOST))
         self.kind = np.zeros((count, MOST), dtype=np.int32)
-        self.sign, self.gap, self.height = np.ones(count), np.full(count, FAR), np.zeros(count)
+        self.sign, self.gap = np.ones(count), np.full(count, FAR)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
         """In the order of the kernel's arguments."""
         shares = (self.number, self.triangles, self.weights, self.directions, self.share, self.kind)
-        return *shares, self.distance, self.sign, self.gap, self.height
+        return *shares, self.distance, self.sign, self.gap
 
 
-def _free_features(triangles: np.ndarray, two_sided: bool) -> np.ndarray:
+def _free_features(triangles: np.ndarray) -> np.ndarray:
     """For each triangle: corners 0..2 and edges 3..5 (01, 12, 20) on a free border, int32 ``(m, 6)``."""
     border = np.zeros((len(triangles), 6), dtype=np.int32)
-    if not two_sided:
-        return border
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=-1)
     unique, inverse, counts = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True, return_counts=True)
     border[:, 3:] = (counts == 1)[inverse.reshape(-1)].reshape(-1, 3)

@@ -1,13 +1,19 @@
 """Kernels of :mod:`sim_core.contact.surface`: the gap of every sample, then energy and derivatives from it.
 
-A sample ``s`` has the nodes ``own[s]`` with ``weights[s]`` and the candidate triangles
-``near[first[s]:first[s + 1]]``.
+A sample ``s`` has the nodes ``own[s, :used[s]]`` with ``weights[s]`` and the candidate triangles
+``near[first[s]:first[s + 1]]``; ``side``: of each candidate on which the sample was at the start of the step.
 """
 
 import taichi as ti
 
+from sim_core.contact.advancement import point_triangle_way
 from sim_core.contact.closest import closest_point, distance_second_derivative
 from sim_core.contact.law import (
+    BLEND,
+    GUARD,
+    OFFSET,
+    RANGE,
+    STIFFNESS,
     friction_force,
     friction_potential,
     friction_stiffness,
@@ -18,8 +24,7 @@ from sim_core.contact.law import (
 )
 from sim_core.kernels import F1, F2, F3, I1, I2, add_block, vec3
 
-STIFFNESS, WIDTH, MU, EXCESS, SLIP_SCALE, OFFSET, BLEND = range(7)
-MOST = 8
+MOST = 12
 """Triangles that may share in the gap of one sample."""
 FAR = 1e30
 """Gap [m] of a sample without candidates."""
@@ -31,9 +36,9 @@ def _row(x: ti.template(), i: ti.i32):
 
 
 @ti.func
-def _sample(x: ti.template(), own: ti.template(), weights: ti.template(), s: ti.i32):
+def _sample(x: ti.template(), own: ti.template(), used: ti.template(), weights: ti.template(), s: ti.i32):
     p = vec3(0.0, 0.0, 0.0)
-    for a in range(weights.shape[1]):
+    for a in range(used[s]):
         p += weights[s, a] * _row(x, own[s, a])
     return p
 
@@ -46,59 +51,93 @@ def _closest(x: ti.template(), p, triangles: ti.template(), t: ti.i32):
     return b, feature, p - b[0] * y0 - b[1] * y1 - b[2] * y2
 
 
-@ti.func
-def _neighbours(triangles: ti.template(), t: ti.i32, u: ti.i32):
-    """Whether two triangles share a node."""
-    found = 0
-    for i in range(3):
-        for j in range(3):
-            if triangles[t, i] == triangles[u, j]:
-                found = 1
-    return found
+@ti.kernel
+def distances(x: F2, own: I2, used: I1, weights: F2, triangles: I2, sample: I1, triangle: I1, out: F1):
+    """Distance [m] of pairs of samples and triangles."""
+    ti.loop_config(serialize=True)
+    for k in range(sample.shape[0]):
+        p = _sample(x, own, used, weights, sample[k])
+        _b, _feature, r = _closest(x, p, triangles, triangle[k])
+        out[k] = r.norm()
+
+
+@ti.kernel
+def sides(x: F2, own: I2, used: I1, weights: F2, triangles: I2, first: I1, near: I1, normals: F2, side: F1):
+    """On which side of every candidate its sample is: +1 where the normal points."""
+    ti.loop_config(serialize=True)
+    for s in range(weights.shape[0]):
+        if first[s] < first[s + 1]:
+            p = _sample(x, own, used, weights, s)
+            for k in range(first[s], first[s + 1]):
+                b, _feature, r = _closest(x, p, triangles, near[k])
+                n = vec3(0.0, 0.0, 0.0)
+                for j in range(3):
+                    n += b[j] * _row(normals, triangles[near[k], j])
+                side[k] = 1.0
+                if n.dot(r) < 0.0:
+                    side[k] = -1.0
+
+
+@ti.kernel
+def free_way(
+    x: F2, move: F2, own: I2, used: I1, weights: F2, triangles: I2, first: I1, near: I1, c: F1, keep: F1, way: F1
+):  # fmt: skip
+    """Shorten ``way`` to the share of ``move`` from ``x`` on that no sample ends at a triangle."""
+    ti.loop_config(serialize=True)
+    for s in range(weights.shape[0]):
+        if first[s] < first[s + 1]:
+            p = _sample(x, own, used, weights, s)
+            d = _sample(move, own, used, weights, s)
+            for k in range(first[s], first[s + 1]):
+                i, j, m = triangles[near[k], 0], triangles[near[k], 1], triangles[near[k], 2]
+                free = point_triangle_way(
+                    p, _row(x, i), _row(x, j), _row(x, m), d, _row(move, i), _row(move, j), _row(move, m),
+                    c[OFFSET], keep[0],
+                )  # fmt: skip
+                way[0] = ti.min(way[0], free)
 
 
 @ti.kernel
 def measure(
-    x: F2, own: I2, weights: F2, triangles: I2, border: I2, first: I1, near: I1, normals: F2, side: F1, c: F1,
-    number: I1, chosen: I2, at: F2, direction: F2, share: F2, kind: I2, distance: F2, sign: F1, gap: F1,
-    height: F1,
+    x: F2, own: I2, used: I1, weights: F2, triangles: I2, border: I2, first: I1, near: I1, normals: F2, side: F1,
+    c: F1, number: I1, chosen: I2, at: F2, direction: F2, share: F2, kind: I2, distance: F2, sign: F1, gap: F1,
 ):  # fmt: skip
     """Triangles that every sample is nearest to (the nearest first), how they share in the gap, and the gap.
 
     ``number``: of them; ``at``, ``direction``: three columns for each, barycentric weights and gradient of
-    its own gap; ``kind``: 3 face, 2 edge, 1 corner; ``sign``: of the distance; ``height``: over the nearest
-    face.
+    its own gap; ``kind``: 3 face, 2 edge, 1 corner; ``sign``: of the distance.
     """
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
         number[s] = 0
         gap[s] = FAR
-        height[s] = 0.0
         sign[s] = 1.0
         if first[s] < first[s + 1]:
-            p = _sample(x, own, weights, s)
+            p = _sample(x, own, used, weights, s)
             best = FAR
-            nearest = -1
+            nearest = first[s]
             for k in range(first[s], first[s + 1]):
-                b, feature, r = _closest(x, p, triangles, near[k])
+                _b, _feature, r = _closest(x, p, triangles, near[k])
                 if r.norm() < best - 1e-15:
                     best = r.norm()
-                    nearest = near[k]
-            for k in range(first[s] - 1, first[s + 1]):
-                t = nearest
-                if k >= first[s]:
-                    t = near[k]
+                    nearest = k
+            for q in range(first[s] - 1, first[s + 1]):
+                k = nearest
+                if q >= first[s]:
+                    k = q
+                t = near[k]
                 m = number[s]
-                if m == 0 or (m < MOST and t != nearest and _neighbours(triangles, t, nearest) == 1):
+                if m == 0 or (m < MOST and k != nearest):
                     b, feature, r = _closest(x, p, triangles, t)
                     d = r.norm()
                     if d < best + c[BLEND]:
                         y0 = _row(x, triangles[t, 0])
                         face = (_row(x, triangles[t, 1]) - y0).cross(_row(x, triangles[t, 2]) - y0).normalized()
-                        along = side[s] * face
-                        outside = 1.0
-                        if along.dot(r) < 0.0:
-                            outside = -1.0
+                        up = 1.0
+                        if face.dot(r) < 0.0:
+                            up = -1.0
+                        outside = side[k] * up
+                        along = up * face
                         part = 3
                         if feature < 6:
                             part = 2
@@ -109,13 +148,15 @@ def measure(
                                 n = vec3(0.0, 0.0, 0.0)
                                 for j in range(3):
                                     n += b[j] * _row(normals, triangles[t, j])
-                                if side[s] * n.dot(r) < 0.0:
+                                if side[k] * n.dot(r) < 0.0:
                                     outside = -1.0
                             if d > 1e-12:
-                                along = outside * r / d
+                                along = r / d
+                        if c[GUARD] > 0.0:
+                            outside = 1.0
+                        along = outside * along
                         if m == 0:
                             sign[s] = outside
-                            height[s] = face.dot(r)
                         if outside == sign[s]:
                             chosen[s, m] = t
                             kind[s, m] = part
@@ -145,12 +186,12 @@ def measure(
 
 @ti.func
 def _elastic_slip(
-    x: ti.template(), x_start: ti.template(), own: ti.template(), weights: ti.template(),
+    x: ti.template(), x_start: ti.template(), own: ti.template(), used: ti.template(), weights: ti.template(),
     triangles: ti.template(), lag: ti.template(), lag_b: ti.template(), lag_n: ti.template(),
     anchor: ti.template(), s: ti.i32,
 ):  # fmt: skip
     """Elastic slip [m] and projector, against the triangle under the sample at the start."""
-    move = _sample(x, own, weights, s) - _sample(x_start, own, weights, s)
+    move = _sample(x, own, used, weights, s) - _sample(x_start, own, used, weights, s)
     for j in range(3):
         i = triangles[lag[s, 0], j]
         move -= lag_b[s, j] * (_row(x, i) - _row(x_start, i))
@@ -160,28 +201,28 @@ def _elastic_slip(
 
 @ti.kernel
 def add_energy(
-    x: F2, x_start: F2, own: I2, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
+    x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
     lag_n: F2, anchor: F2, gap: F1, out: F1,
 ):  # fmt: skip
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
-        e = areas[s] * potential(gap[s], c[STIFFNESS], c[WIDTH])
+        e = areas[s] * potential(gap[s], c)
         if limit[s] > 0.0:
-            u, _t = _elastic_slip(x, x_start, own, weights, triangles, lag, lag_b, lag_n, anchor, s)
+            u, _t = _elastic_slip(x, x_start, own, used, weights, triangles, lag, lag_b, lag_n, anchor, s)
             e += friction_potential(u, limit[s], c[STIFFNESS] * areas[s])
         out[0] = out[0] + e
 
 
 @ti.kernel
 def add_gradient(
-    x: F2, x_start: F2, own: I2, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
+    x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
     lag_n: F2, anchor: F2, gap: F1, number: I1, chosen: I2, at: F2, direction: F2, share: F2,
     force: F2, load: F1, out: F2,
 ):  # fmt: skip
     """Also write the force on each sample [N] and its normal part [N]."""
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
-        load[s] = areas[s] * pressure(gap[s], c[STIFFNESS], c[WIDTH])
+        load[s] = areas[s] * pressure(gap[s], c)
         for j in range(3):
             force[s, j] = 0.0
         if load[s] > 0.0:
@@ -194,7 +235,7 @@ def add_gradient(
                     for j in range(3):
                         out[i, j] = out[i, j] + at[s, 3 * m + k] * push * direction[s, 3 * m + j]
         if limit[s] > 0.0:
-            u, _t = _elastic_slip(x, x_start, own, weights, triangles, lag, lag_b, lag_n, anchor, s)
+            u, _t = _elastic_slip(x, x_start, own, used, weights, triangles, lag, lag_b, lag_n, anchor, s)
             rub = friction_force(u, limit[s], c[STIFFNESS] * areas[s])
             for j in range(3):
                 force[s, j] = force[s, j] - rub[j]
@@ -203,15 +244,16 @@ def add_gradient(
                 for j in range(3):
                     out[i, j] = out[i, j] - lag_b[s, k] * rub[j]
         if load[s] > 0.0 or limit[s] > 0.0:
-            for a in range(weights.shape[1]):
+            for a in range(used[s]):
                 for j in range(3):
                     out[own[s, a], j] = out[own[s, a], j] - weights[s, a] * force[s, j]
 
 
 @ti.func
-def _participant(own: ti.template(), weights: ti.template(), triangles: ti.template(), s: ti.i32, t: ti.i32, a: ti.i32):
-    """Node, block of the second derivative, and weight in it of the a-th participant in a contact."""
-    count = weights.shape[1]
+def _participant(
+    own: ti.template(), weights: ti.template(), triangles: ti.template(), s: ti.i32, t: ti.i32, a: ti.i32, count: ti.i32
+):
+    """Node, block of the second derivative, and weight in it of the a-th of ``count + 3`` participants."""
     node = triangles[t, ti.max(a - count, 0)]
     block = a - count + 1
     weight = 1.0
@@ -223,9 +265,8 @@ def _participant(own: ti.template(), weights: ti.template(), triangles: ti.templ
 
 
 @ti.func
-def _node(own: ti.template(), triangles: ti.template(), chosen: ti.template(), s: ti.i32, a: ti.i32):
-    """Node of the a-th participant: own nodes, then the corners of each triangle that shares in the gap."""
-    count = own.shape[1]
+def _node(own: ti.template(), triangles: ti.template(), chosen: ti.template(), s: ti.i32, a: ti.i32, count: ti.i32):
+    """Node of the a-th participant: ``count`` own, then the corners of each triangle that shares in the gap."""
     node = own[s, ti.min(a, count - 1)]
     if a >= count:
         node = triangles[chosen[s, (a - count) // 3], (a - count) % 3]
@@ -234,7 +275,7 @@ def _node(own: ti.template(), triangles: ti.template(), chosen: ti.template(), s
 
 @ti.kernel
 def add_hessian(
-    x: F2, x_start: F2, own: I2, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
+    x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
     lag_n: F2, anchor: F2, gap: F1, number: I1, chosen: I2, at: F2, direction: F2, share: F2, kind: I2,
     sign: F1, exact: I1, start: I1, column: I1, place: I1, slopes: F3, second: F3, out: F1,
 ):  # fmt: skip
@@ -243,11 +284,11 @@ def add_hessian(
     blocks (4 x 4) of the second derivative of a gap in (p, y0, y1, y2) [1/m]."""
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
-        count = weights.shape[1]
-        if gap[s] < c[WIDTH]:
+        count = used[s]
+        if gap[s] < c[RANGE]:
             total = count + 3 * number[s]
-            load = areas[s] * pressure(gap[s], c[STIFFNESS], c[WIDTH])
-            stiff = areas[s] * slope(gap[s], c[STIFFNESS], c[WIDTH])
+            load = areas[s] * pressure(gap[s], c)
+            stiff = areas[s] * slope(gap[s], c)
             members = 0
             for a in range(total):
                 for r in range(3):
@@ -271,9 +312,9 @@ def add_hessian(
             if members > 1 and (sign[s] > 0.0 or exact[0] == 1):
                 crease = sign[s] * load / c[BLEND]
             for a in range(total):
-                i = _node(own, triangles, chosen, s, a)
+                i = _node(own, triangles, chosen, s, a, count)
                 for d in range(a, total):
-                    j = _node(own, triangles, chosen, s, d)
+                    j = _node(own, triangles, chosen, s, d, count)
                     h = ti.Matrix.zero(ti.f64, 3, 3)
                     for r in range(3):
                         for q in range(3):
@@ -287,7 +328,7 @@ def add_hessian(
                         h = h + h.transpose()
                     add_block(start, column, place, out, i, j, h)
             if exact[0] == 1 and load > 0.0:
-                p = _sample(x, own, weights, s)
+                p = _sample(x, own, used, weights, s)
                 for m in range(number[s]):
                     if share[s, m] > 0.0:
                         t = chosen[s, m]
@@ -295,24 +336,24 @@ def add_hessian(
                         y0, y1, y2 = _row(x, triangles[t, 0]), _row(x, triangles[t, 1]), _row(x, triangles[t, 2])
                         distance_second_derivative(p, y0, y1, y2, b, kind[s, m], sign[s], second)
                         for a in range(count + 3):
-                            i, qa, wa = _participant(own, weights, triangles, s, t, a)
+                            i, qa, wa = _participant(own, weights, triangles, s, t, a, count)
                             for d in range(a, count + 3):
-                                j, qd, wd = _participant(own, weights, triangles, s, t, d)
+                                j, qd, wd = _participant(own, weights, triangles, s, t, d, count)
                                 h = ti.Matrix.zero(ti.f64, 3, 3)
                                 for r in range(3):
                                     for q in range(3):
                                         h[r, q] = -load * share[s, m] * wa * wd * second[4 * qa + qd, r, q]
                                 add_block(start, column, place, out, i, j, h)
         if limit[s] > 0.0:
-            u, projector = _elastic_slip(x, x_start, own, weights, triangles, lag, lag_b, lag_n, anchor, s)
+            u, projector = _elastic_slip(x, x_start, own, used, weights, triangles, lag, lag_b, lag_n, anchor, s)
             stiff = friction_stiffness(u, limit[s], c[STIFFNESS] * areas[s], projector)
             t = lag[s, 0]
             for a in range(count + 3):
-                i, qa, wa = _participant(own, weights, triangles, s, t, a)
+                i, qa, wa = _participant(own, weights, triangles, s, t, a, count)
                 if qa > 0:
                     wa = -lag_b[s, qa - 1]
                 for d in range(a, count + 3):
-                    j, qd, wd = _participant(own, weights, triangles, s, t, d)
+                    j, qd, wd = _participant(own, weights, triangles, s, t, d, count)
                     if qd > 0:
                         wd = -lag_b[s, qd - 1]
                     add_block(start, column, place, out, i, j, (wa * wd) * stiff)

@@ -117,11 +117,28 @@ class DynamicTerm(Term, Protocol):
     ``buffers.pairs`` says (:func:`sim_core.kernels.add_block`).
     """
 
-    def prepare(self, step: StepContext, motion: float) -> bool:
-        """Look for partners around the start of a step in which surfaces may approach each other by
-        ``motion`` [m]; True when ``blocks`` changed."""
+    def prepare(self, step: StepContext, towards: np.ndarray) -> bool:
+        """Look for partners from the start of a step on, in which nodes are foreseen to go to ``towards`` [m]
+        ``(n, 3)``; True when ``blocks`` changed."""
         ...
 
     def outran(self) -> bool:
         """True when the step has moved further than partners were looked for."""
+        ...
+
+
+class GuardedTerm(Term, Protocol):
+    """A term whose surfaces never cross: every kind of contact."""
+
+    def guard(self, on: bool) -> None:
+        """Off: bear positions in which surfaces overlap, with forces that part them again."""
+        ...
+
+    def free_way(self, start: np.ndarray, move: np.ndarray, keep: float, turn: tuple[float, float]) -> float:
+        """Share of ``move`` from ``start`` on, straight paths of all nodes [m] ``(n, 3)``, on which every gap keeps
+        the share ``keep`` of what it was, while rigid bodies turn from one share of the step to another."""
+        ...
+
+    def contacts(self) -> tuple[int, float]:
+        """Number of loaded points and smallest gap [m] at the last gradient."""
         ...

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
+from sim_core.contact.cores import cores
 from sim_core.contact.samples import Samples, face_samples, face_triangles, sheet_samples
 from sim_core.contact.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE
 from sim_core.energies.bending import Bending
@@ -29,7 +30,8 @@ class BuiltBody:
 
     ``nodes``: indices among all nodes; ``local``: rest coordinates in the body's frame [m]; ``rest``:
     world positions at the start [m]. ``unit_mass``: csr over the body's nodes, per unit density
-    (a sheet: per unit density and thickness); None for rigid bodies.
+    (a sheet: per unit density and thickness); None for rigid bodies, whose nodes are the origin and the points
+    of their cores (:mod:`sim_core.contact.cores`).
     """
 
     name: str
@@ -64,7 +66,7 @@ def build_body(rig: Rig, name: str, carrier: tuple[np.ndarray, Rotation], offset
         local = mesh.nodes
         unit_mass = solids.consistent_mass(mesh)
     else:
-        mesh, local = None, np.zeros((1, 3))
+        mesh, local = None, np.vstack([np.zeros((1, 3)), *(c.points for c in cores(rigid_shape(spec)))])
     rest = origin + rotation.apply(local)
     nodes = np.arange(offset, offset + len(local))
     body = BuiltBody(name, spec, nodes, local, rest, mesh, unit_mass)

@@ -9,29 +9,24 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
-from sim_core.contact.rigid import RigidContact
-from sim_core.contact.surface import SurfaceContact
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
-from sim_core.geometry import sheets
 from sim_core.rigs import WORLD, Gel, Rig, Rigid, Sheet
 from sim_core.scene.assembly import (
     BuiltBody,
     add_terms,
     build_body,
-    contact_samples,
-    contact_triangles,
     held_nodes,
-    rigid_shape,
     world_pose,
 )
+from sim_core.scene.touching import ContactTerm, contact_of_surfaces, contact_with_rigid
 from sim_core.solve.system import Compliant, System
 
 CONTACT_STIFFNESS_PA_PER_M = 5e9
-"""Contact pressure per overlap where a rig names none: 50 kPa overlap by 10 um."""
+"""Contact pressure per approach where a rig names none."""
 
-CONTACT_ROUNDING_M = 1e-5
-"""Half width over which contact pressure sets in."""
+CONTACT_RANGE_M = 2e-5
+"""Gap over which contact pressure sets in; 50 kPa leave half of it."""
 
 Frame = tuple[np.ndarray, Rotation]
 """Origin [m] ``(3,)`` and rotation of a frame in the world."""
@@ -80,7 +75,7 @@ class Scene:
         self.holders: dict[str, np.ndarray] = {}
         self._prescribed = np.zeros((count, 3), dtype=bool)
         self._hold()
-        self.contacts: dict[str, list[RigidContact | SurfaceContact]] = {}
+        self.contacts: dict[str, list[ContactTerm]] = {}
         terms = self._terms()
         self.extra = self._effect_terms()
         values = self.values(rig)
@@ -139,9 +134,7 @@ class Scene:
             terms += built
         return terms
 
-    def _contact(self, name: str, a: BuiltBody, b: BuiltBody) -> list[RigidContact | SurfaceContact]:
-        if a.name == b.name:
-            raise ConfigError(f"The contact {name} is of a body with itself, which is not simulated.", "Remove it.")
+    def _contact(self, name: str, a: BuiltBody, b: BuiltBody) -> list[ContactTerm]:
         if isinstance(a.spec, Rigid) and isinstance(b.spec, Rigid):
             raise ConfigError(
                 f"The contact {name} is between two rigid bodies, which are moved, not simulated.",
@@ -149,35 +142,9 @@ class Scene:
             )
         if isinstance(a.spec, Rigid):
             a, b = b, a
-        samples = contact_samples(a, self.rest)
         if isinstance(b.spec, Rigid):
-            shape = rigid_shape(b.spec)
-            return [RigidContact(f"contact.{name}", samples, int(b.nodes[0]), shape, b.rotation)]
-        others = contact_samples(b, self.rest)
-        offset = samples.offset + others.offset
-        terms: list[RigidContact | SurfaceContact] = []
-        for order, (one, two, points) in enumerate(((a, b, samples), (b, a, others))):
-            terms.append(
-                SurfaceContact(
-                    f"contact.{name}.{order}",
-                    points,
-                    contact_triangles(two),
-                    isinstance(two.mesh, sheets.SheetMesh),
-                    offset,
-                    reach_m=self._reach(one, two),
-                )
-            )
-        return terms
-
-    @staticmethod
-    def _reach(a: BuiltBody, b: BuiltBody) -> float:
-        """Distance within which candidates are collected: a few steps of motion, in mesh sizes."""
-        sizes = []
-        for body in (a, b):
-            assert body.mesh is not None
-            corners = body.local[contact_triangles(body) - body.nodes[0]]
-            sizes.append(float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))))
-        return 0.6 * min(sizes)
+            return contact_with_rigid(f"contact.{name}", a, b, self.rest)
+        return contact_of_surfaces(f"contact.{name}", a, b, self.rest)
 
     def _effect_terms(self) -> list[Term]:
         from sim_core.effects import active_effects
@@ -186,7 +153,7 @@ class Scene:
 
     def _mass(self, values: Values) -> sp.csr_matrix:
         blocks = [
-            b.unit_mass * values.density[b.name] if b.unit_mass is not None else sp.csr_matrix((1, 1))
+            b.unit_mass * values.density[b.name] if b.unit_mass is not None else sp.csr_matrix((len(b.nodes),) * 2)
             for b in self.bodies.values()
         ]
         return sp.block_diag(blocks).tocsr()
@@ -207,12 +174,13 @@ class Scene:
                 values.terms[f"{name}.elastic"] = {"E_pa": spec.material.E_pa, "nu": spec.material.nu}
                 values.density[name] = spec.material.density_kg_m3
         for contact in rig.contacts:
+            rigid = any(isinstance(rig.bodies[b], Rigid) for b in contact.between)
+            sides = 1 if rigid else 2  # both surfaces bring points
             for term in self.contacts[contact.name]:
                 values.terms[term.name] = {
                     "friction": contact.friction,
-                    "stiffness_pa_per_m": (contact.stiffness_pa_per_m or CONTACT_STIFFNESS_PA_PER_M)
-                    / len(self.contacts[contact.name]),
-                    "rounding_m": CONTACT_ROUNDING_M,
+                    "stiffness_pa_per_m": (contact.stiffness_pa_per_m or CONTACT_STIFFNESS_PA_PER_M) / sides,
+                    "range_m": CONTACT_RANGE_M,
                 }
         for effect, given in active_effects(rig):
             effect.amend_values(rig, values, given)

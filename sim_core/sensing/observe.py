@@ -102,7 +102,7 @@ class Observer:
                 nodes, mount, carrier = scene.carried(sensor.on), sensor.on, _placement(Pose())
             elif sensor.on in scene.bodies:
                 body = scene.bodies[sensor.on]
-                held = scene.held(sensor.on) if body.mesh is not None else np.ones(1, dtype=bool)
+                held = scene.held(sensor.on) if body.mesh is not None else np.ones(len(body.nodes), dtype=bool)
                 nodes, mount, carrier = body.nodes[held], self._mounts[sensor.on], self._body_poses[sensor.on]
             else:
                 clamp = next(c for c in rig.clamps if c.name == sensor.on)

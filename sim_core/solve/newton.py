@@ -35,6 +35,7 @@ class Result(str, Enum):
     CONVERGED = "converged"
     ITERATION_LIMIT = "iteration limit reached"
     LINE_SEARCH_FAILED = "line search found no lower energy"
+    BLOCKED = "contact leaves no way"
     NOT_FINITE = "positions or forces are not finite"
 
 
@@ -54,7 +55,8 @@ class NewtonSettings:
 @dataclass(frozen=True)
 class StepReport:
     """What happened in a step. ``iterations``: of both Newtons; ``residual_n``: largest free force
-    imbalance [N]; ``min_gap_m``: smallest contact gap, negative = overlap."""
+    imbalance [N]; ``min_gap_m``: smallest contact gap; ``tightest``: contact term that has it; ``left_m``: part of
+    the prescribed motion that was not made."""
 
     result: Result
     iterations: int
@@ -63,6 +65,8 @@ class StepReport:
     update_m: float
     contacts: int
     min_gap_m: float
+    tightest: str = ""
+    left_m: float = 0.0
 
     @property
     def converged(self) -> bool:
@@ -248,7 +252,7 @@ def _report(
     system: System, result: Result, iteration: int, searches: int, residual: float, update: float
 ) -> StepReport:
     contacts, gap = system.contacts()
-    return StepReport(result, iteration, searches, residual, update, contacts, gap)
+    return StepReport(result, iteration, searches, residual, update, contacts, gap, system.tightest())
 
 
 def _direction(system: System, g: np.ndarray, move: np.ndarray | None) -> tuple[np.ndarray | None, bool]:

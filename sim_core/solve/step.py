@@ -8,7 +8,8 @@ import numpy as np
 
 from sim_core.energies.term import Internals, StepContext
 from sim_core.errors import ConvergenceError
-from sim_core.solve.newton import NewtonSettings, Result, StepReport, solve
+from sim_core.solve import guarded, newton
+from sim_core.solve.newton import NewtonSettings, Result, StepReport
 from sim_core.solve.system import System
 
 __all__ = ["NewtonSettings", "Result", "State", "StepReport", "advance"]
@@ -45,10 +46,10 @@ def advance(
     system.set_targets(targets)
     x[:] = state.x
     system.begin_step(step, state.internals)
-    while True:
-        report = solve(system, state.x, targets, settings, guess)
-        if not report.converged or not system.widen(step, state.internals):
-            break
+    solve = guarded.solve if system.touchable else newton.solve
+    report = solve(system, state.x, targets, settings, guess)
+    if check and report.result is Result.BLOCKED:
+        raise guarded.blocked(report, state.t, dt)
     if check and not report.converged:
         raise ConvergenceError(
             f"The step from t = {state.t:.4f} s (dt = {dt:g} s) did not converge: {report.result.value} "

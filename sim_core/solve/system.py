@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import scipy.sparse as sp
 
-from sim_core.energies.term import Buffers, DynamicTerm, Internals, StepContext, Term
+from sim_core.energies.term import Buffers, DynamicTerm, GuardedTerm, Internals, StepContext, Term
 from sim_core.kernels import BoundKernel
 from sim_core.solve.factor import Factor, factorise
 from sim_core.solve.inertia import inertia_energy, inertia_gradient
@@ -58,6 +58,8 @@ class System:
         self.inertia = inertia
         self._dynamic = [cast(DynamicTerm, t) for t in self.terms if hasattr(t, "prepare")]
         self._static = [t for t in self.terms if not hasattr(t, "prepare")]
+        self._guarded = [cast(GuardedTerm, t) for t in self.terms if hasattr(t, "free_way")]
+        self._turning: list[Any] = [t for t in self.terms if hasattr(t, "turn")]
         self._number_unknowns(compliant)
         self._targets = np.zeros_like(self.nodes)
         self._x: np.ndarray = self.nodes.copy()
@@ -194,26 +196,47 @@ class System:
     def begin_step(self, step: StepContext, internals: dict[str, Internals], search: bool = True) -> None:
         """Freeze the constants of a step in all terms and predict inertial motion.
 
-        Contact is looked for as far as velocities and the targets (when set before) let things move.
+        Contact is looked for on the way that velocities and the targets (set before) let nodes go.
         Without ``search`` the candidates of contact stay as they are (replay of a neighbouring state).
         """
-        moves = max(
-            step.dt * float(np.abs(step.v_start).max(initial=0.0)),
-            float(np.abs(self._targets - step.x_start)[self.prescribed].max(initial=0.0)),
-        )
-        self._begin(step, internals, 2.0 * moves if search else None)
+        self._step, self._internals = step, internals
+        towards = None
+        if search:
+            towards = step.x_start + step.dt * step.v_start
+            towards[self.prescribed] = self._targets[self.prescribed]
+        self._begin(step, internals, towards)
 
-    def widen(self, step: StepContext, internals: dict[str, Internals]) -> bool:
-        """Begin the step again with a wider search if it has outrun the search for contact."""
+    @property
+    def touchable(self) -> bool:
+        """Whether there is any contact."""
+        return bool(self._guarded)
+
+    def guard(self, on: bool) -> None:
+        """Let contact insist that nothing crosses, or bear overlap on the way to a solution."""
+        for term in self._guarded:
+            term.guard(on)
+
+    def turn(self, share: float) -> None:
+        """Turn rigid bodies to where they are after ``share`` of the step."""
+        for term in self._turning:
+            term.turn(share)
+
+    def free_way(self, start: np.ndarray, move: np.ndarray, keep: float, turn: tuple[float, float]) -> float:
+        """Share of ``move`` from ``start`` on (both [m] ``(n, 3)``) on which nothing touches
+        (:class:`GuardedTerm`)."""
+        return min((term.free_way(start, move, keep, turn) for term in self._guarded), default=1.0)
+
+    def cover(self) -> bool:
+        """Look for contact again if the way to :attr:`x` leads beyond what was looked at; True when it does."""
         if not any(term.outran() for term in self._dynamic):
             return False
-        self._begin(step, internals, 4.1 * float(np.linalg.norm(self._x - step.x_start, axis=1).max()))
+        self._begin(self._step, self._internals, self._x.copy())
         return True
 
-    def _begin(self, step: StepContext, internals: dict[str, Internals], motion: float | None) -> None:
+    def _begin(self, step: StepContext, internals: dict[str, Internals], towards: np.ndarray | None) -> None:
         self._dt = step.dt
-        if motion is not None:
-            changed = [term.prepare(step, motion) for term in self._dynamic]
+        if towards is not None:
+            changed = [term.prepare(step, towards) for term in self._dynamic]
             if any(changed):
                 self._factor.clear()
                 if self._pattern.renew([term.blocks() for term in self._dynamic]):
@@ -319,5 +342,10 @@ class System:
 
     def contacts(self) -> tuple[int, float]:
         """Loaded contact samples and smallest gap [m] at the last gradient."""
-        found = [term.contacts() for term in self.terms if hasattr(term, "contacts")]
+        found = [term.contacts() for term in self._guarded]
         return sum(c for c, _ in found), min((g for _, g in found), default=np.inf)
+
+    def tightest(self) -> str:
+        """Name of the contact with the smallest gap at the last gradient, empty without any."""
+        gaps = [(term.contacts()[1], term.name) for term in self._guarded]
+        return min(gaps, default=(0.0, ""))[1]

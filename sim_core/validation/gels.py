@@ -24,7 +24,7 @@ LAYER = {0.3: (0.43556, 1.59091), 0.45: (0.424178, 1.75048)}
 """Poisson's ratio: sqrt(R d)/h and F/F_Hertz at a/h = 0.5."""
 
 THICKNESS, HALF_SIDE, RADIUS, MODULUS = 4e-3, 20e-3, 40e-3, 2e5
-CONTACT = {"stiffness_pa_per_m": 2e11, "rounding_m": 2e-7, "friction": 0.0}
+CONTACT = {"stiffness_pa_per_m": 2e11, "range_m": 4e-7, "friction": 0.0}
 SOURCE = "Lebedev-Ufliand equation"
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 import scipy.sparse as sp
 
+from sim_core.contact.edges import EdgeContact
 from sim_core.contact.rigid import RigidContact
-from sim_core.contact.samples import sheet_samples
+from sim_core.contact.samples import sheet_samples, triangle_edges
 from sim_core.contact.surface import SurfaceContact
 from sim_core.energies.bending import Bending
 from sim_core.energies.membrane import Membrane
@@ -12,7 +13,7 @@ from sim_core.energies.term import StepContext
 from sim_core.geometry.sheets import SheetMesh, rectangle
 from sim_core.solve.system import System
 
-LAW = {"stiffness_pa_per_m": 1e9, "rounding_m": 2e-5, "friction": 0.4}
+LAW = {"stiffness_pa_per_m": 1e9, "range_m": 2e-4, "friction": 0.4}
 SHEET = {"E_pa": 5e7, "nu": 0.3, "thickness_m": 4e-4}
 X_AXIS = np.array([1.0, 0.0, 0.0])
 
@@ -28,9 +29,9 @@ def sheet_terms(name, mesh, nodes, offset):
 
 
 class Two:
-    """Two sheets one above the other, of different meshes; ``contact`` has both orders of the pair."""
+    """Two sheets one above the other, of different meshes; ``contact`` has both orders of the pair, and the edges."""
 
-    def __init__(self, gap, law=LAW, cells=((6, 4), (5, 3)), shift=(0.0013, 0.0007), reach=5e-3, elastic=True):
+    def __init__(self, gap, law=LAW, cells=((6, 4), (5, 3)), shift=(0.0013, 0.0007), margin=5e-3, elastic=True):
         lower = rectangle(0.04, 0.03, cells[0], "irregular")
         upper = rectangle(0.03, 0.02, cells[1], "crossed")
         top = upper.nodes + [*shift, SHEET["thickness_m"] + gap]
@@ -42,9 +43,11 @@ class Two:
         samples = [sheet_samples(lower, 0, SHEET["thickness_m"]), sheet_samples(upper, offset, SHEET["thickness_m"])]
         triangles = [lower.triangles, upper.triangles + offset]
         thickness = SHEET["thickness_m"]
+        edges = [triangle_edges(t, self.nodes) for t in triangles]
         self.contact = [
-            SurfaceContact("down", samples[1], triangles[0], True, thickness, reach),
-            SurfaceContact("up", samples[0], triangles[1], True, thickness, reach),
+            SurfaceContact("down", samples[1], triangles[0], thickness, margin),
+            SurfaceContact("up", samples[0], triangles[1], thickness, margin),
+            EdgeContact("edges", *edges[0], *edges[1], self.nodes, thickness, margin),
         ]
         for term in self.contact:
             term.configure(law)

@@ -1,17 +1,10 @@
 import numpy as np
 import pytest
 
-from sim_core.contact.candidates import Candidates
-from sim_core.contact.samples import sheet_samples
+from sim_core.contact.candidates import Candidates, Primitives
 from sim_core.geometry.sheets import rectangle
 
-
-def two_sheets(gap):
-    lower, upper = rectangle(0.1, 0.05, (12, 6), "irregular"), rectangle(0.03, 0.02, (6, 4), "crossed")
-    offset = len(lower.nodes)
-    samples = sheet_samples(upper, offset, 1e-4)
-    x = np.vstack([lower.nodes, upper.nodes + [0.0, 0.0, gap]])
-    return Candidates(samples, lower.triangles, 1e-4), samples, lower.triangles, x
+OFFSET = 1e-4
 
 
 def distance(p, corners):
@@ -22,45 +15,89 @@ def distance(p, corners):
     return np.linalg.norm(w @ corners - p, axis=1).min()
 
 
+def two_sheets(gap):
+    """Nodes of an upper sheet against the triangles of a lower one."""
+    lower, upper = rectangle(0.1, 0.05, (12, 6), "irregular"), rectangle(0.03, 0.02, (6, 4), "crossed")
+    x = np.vstack([lower.nodes, upper.nodes + [0.0, 0.0, gap]])
+    points = np.arange(len(lower.nodes), len(x), dtype=np.int32)[:, None]
+
+    def distances(x, first, second):
+        return np.array([distance(x[points[i, 0]], x[lower.triangles[t]]) for i, t in zip(first, second, strict=True)])
+
+    return Candidates(Primitives(points), Primitives(lower.triangles), OFFSET, distances), points, lower.triangles, x
+
+
 @pytest.mark.parametrize("gap", [5e-4, 3e-3])
 def test_every_triangle_within_reach_is_found(gap):
-    found, samples, triangles, x = two_sheets(gap)
+    found, points, triangles, x = two_sheets(gap)
     reach = 2e-3
-    found.search(x, reach, 1e-3)
-    points = samples.positions(x)
-    for s, p in enumerate(points):
-        near = set(found.near[found.first[s] : found.first[s + 1]].tolist())
+    found.search(x, x, reach, 1e-3)
+    pairs = set(zip(*(p.tolist() for p in found.pairs), strict=True))
+    for s, p in enumerate(x[points[:, 0]]):
         for t, corners in enumerate(x[triangles]):
-            if t not in near:
-                assert distance(p, corners) > reach + 1e-4
-    assert found.any
+            if (s, t) not in pairs:
+                assert distance(p, corners) > reach + OFFSET
+    assert found.any == (gap < reach)
+
+
+def test_a_search_serves_until_its_surplus_is_used_up():
+    found, _, _, x = two_sheets(5e-4)
+    assert found.search(x, x, 1e-3, 2e-3) == (True, True)
+    x[-50:, 0] += 5e-4
+    assert found.search(x, x, 1e-3, 2e-3) == (False, False)
+    x[-50:, 0] += 2e-3
+    assert found.search(x, x, 1e-3, 2e-3)[0]
 
 
 def test_the_coupled_pairs_stay_while_they_cover_what_is_near():
     found, _, _, x = two_sheets(5e-4)
-    assert found.search(x, 1e-3, 2e-3)[0]
+    found.search(x, x, 1e-3, 2e-3)
     coupled = found.coupled
-    x[-50:, 0] += 5e-4
-    assert not found.search(x, 1e-3, 2e-3)[0]
+    found.search(x, x, 1.9e-3, 1e-4)
     assert found.coupled is coupled
     x[-50:, 0] += 0.01
-    assert found.search(x, 1e-3, 2e-3)[0]
+    assert found.search(x, x, 1e-3, 2e-3) == (True, True)
 
 
 def test_pairs_of_a_violent_step_are_given_up_afterwards():
     """Otherwise every later factorisation pays for couplings that can no longer come."""
     found, _, _, x = two_sheets(5e-4)
-    found.search(x, 0.02, 1e-3)
+    found.search(x, x, 0.05, 1e-3)
     many = found.coupled[0].size
-    assert found.search(x, 1e-3, 1e-3)[0]
+    assert found.search(x, x, 1e-3, 1e-3) == (True, True)
     assert found.coupled[0].size < 0.2 * many
+
+
+def test_what_the_foreseen_motion_brings_together_is_found_and_nothing_else_far_away():
+    found, points, _, x = two_sheets(5e-3)
+    towards = x.copy()
+    towards[points[:10, 0], 2] -= 8e-3
+    found.search(x, towards, 2e-5, 1e-3)
+    assert set(found.pairs[0].tolist()) == set(range(10))
+    assert not found.outran(towards)
+    towards[points[10:, 0], 2] -= 8e-3
+    assert found.outran(towards)
 
 
 def test_what_is_far_away_has_no_candidates_and_motion_is_measured_between_the_surfaces():
     found, _, _, x = two_sheets(0.05)
-    found.search(x, 1e-3, 1e-3)
+    found.search(x, x, 1e-3, 1e-3)
     assert not found.any
     assert not found.outran(x + [0.3, 0.0, 0.0])
     moved = x.copy()
-    moved[-1, 2] -= 3e-3
+    moved[-1, 2] -= 0.04
+    assert not found.outran(moved)
+    moved[-1, 2] -= 0.01
     assert found.outran(moved)
+
+
+def test_primitives_of_one_mesh_that_share_a_node_are_no_pair():
+    mesh = rectangle(0.02, 0.02, (4, 4))
+    every = Primitives(mesh.triangles)
+    found = Candidates(every, every, OFFSET, lambda x, first, second: np.zeros(len(first)), once=True)
+    found.search(mesh.nodes, mesh.nodes, 0.05, 1e-3)
+    first, second = found.pairs
+    assert (first < second).all()
+    joined = (mesh.triangles[:, None, :, None] == mesh.triangles[None, :, None, :]).any(axis=(2, 3))
+    assert len(first) == np.count_nonzero(np.triu(~joined))
+    assert not joined[first, second].any()

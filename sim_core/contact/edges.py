@@ -1,0 +1,254 @@
+"""Contact and friction between the edges of two surfaces, or of one with itself.
+
+Points held by faces need no more; but edges that cross, and the sharp edges of rigid bodies, meet between the
+points. Two edges with the closest points p and q at the distance d = |p - q| have the energy
+
+    E = A m psi(d - offset),    A = half the sum of the two edges' areas (a third of the triangles beside each)
+
+with the mollifier m against nearly parallel edges (:mod:`sim_core.contact.segments`). The range of this law is
+half that of the points' (:class:`SurfaceContact`): edges bear only where points have let the surfaces come too
+near, so that what a smooth contact carries depends on no mesh. Friction acts on the relative motion of the
+points that were closest at the start of the step, with the mollifier on its stiffness too. Laws:
+:mod:`sim_core.contact.law`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim_core.contact.candidates import Candidates, Primitives
+from sim_core.contact.edge_kernels import (
+    add_energy,
+    add_gradient,
+    add_hessian,
+    distances,
+    free_way,
+    measure,
+    sides,
+)
+from sim_core.contact.law import RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
+from sim_core.contact.segments import PARALLEL
+from sim_core.energies.term import Buffers, Internals, StepContext
+from sim_core.kernels import BoundKernel
+
+EDGE_RANGE = 0.5
+"""Range of the edges' law as a share of the points'."""
+
+SPARE = 1024
+"""Places for pairs at the start; doubled whenever they do not suffice."""
+
+
+class EdgeContact:
+    """Term for one pair of sets of edges.
+
+    ``ours``, ``theirs``: int32 ``(n, 2)``, node indices, or ``theirs`` None: all pairs of ours. ``areas``: [m^2]
+    of our edges, ``their_areas``: of theirs, None for rigid edges, which count as much as ours. ``rest``: [m]
+    ``(n_nodes, 3)``. ``offset``: [m], half thicknesses of both surfaces together. ``margin_m``: how much wider
+    than a step needs partners are looked for.
+    """
+
+    mirrored = True
+
+    def __init__(
+        self,
+        name: str,
+        ours: np.ndarray,
+        areas: np.ndarray,
+        theirs: np.ndarray | None,
+        their_areas: np.ndarray | None,
+        rest: np.ndarray,
+        offset: float,
+        margin_m: float,
+    ) -> None:
+        self.name = name
+        self._ours = np.ascontiguousarray(ours, dtype=np.int32)
+        self._theirs = self._ours if theirs is None else np.ascontiguousarray(theirs, dtype=np.int32)
+        self._areas = areas
+        self._their_areas = areas if theirs is None else their_areas
+        self._squares = [((rest[e[:, 1]] - rest[e[:, 0]]) ** 2).sum(axis=1) for e in (self._ours, self._theirs)]
+        self._margin = margin_m
+        self._candidates = Candidates(
+            Primitives(self._ours), Primitives(self._theirs), offset, self._distance, once=theirs is None
+        )
+        self._keys = np.empty(0, dtype=np.int64)
+        self._c = coefficients(offset)
+        self._count = np.zeros(1, dtype=np.int32)
+        self._exact = np.zeros(1, dtype=np.int32)
+        self._keep, self._way = np.zeros(1), np.ones(1)
+        self._allocate(SPARE)
+
+    def _allocate(self, capacity: int) -> None:
+        self._ends = np.zeros((capacity, 4), dtype=np.int32)
+        self._area, self._parallel, self._side = np.zeros(capacity), np.zeros(capacity), np.ones(capacity)
+        self._limit, self._load, self._spring = (np.zeros(capacity) for _ in range(3))
+        self._anchor = np.zeros((capacity, 3))
+        self._now, self._lag = _Closest(capacity), _Closest(capacity)
+
+    def _distance(self, x: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        out = np.zeros(len(first))
+        if len(first):
+            distances(np.ascontiguousarray(x), self._ours, self._theirs, first, second, out)
+        return out
+
+    def blocks(self) -> np.ndarray:
+        """Pairs of the ends of all pairs of edges in the wider search."""
+        first, second = self._candidates.coupled
+        ends = np.hstack([self._ours[first], self._theirs[second]])
+        a, b = np.triu_indices(4)
+        return np.stack([ends[:, a], ends[:, b]], axis=-1).reshape(-1, 2)
+
+    def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
+        del slots
+        assert buffers.pairs is not None
+        self._buffers = buffers
+        self._x = buffers.x
+        self._x_start, self._from, self._move = (np.zeros_like(buffers.x) for _ in range(3))
+        self._seen = np.full_like(buffers.x, np.nan)
+        self._bind_pairs()
+
+    def _bind_pairs(self) -> None:
+        buffers, now, lag = self._buffers, self._now, self._lag
+        table = buffers.pairs
+        assert table is not None
+        first, second, curved = np.zeros((4, 3)), np.zeros((16, 3, 3)), np.zeros((16, 3, 3))
+        pairs = (self._count, self._ends)
+        rubbing = (self._limit, self._spring, lag.at, lag.direction, self._anchor)
+        laws = (self._x, self._x_start, *pairs, self._area, self._c, *rubbing)
+        here = (now.fade, now.gap)
+        self._energy = BoundKernel(add_energy, *laws, *here, buffers.energy)
+        self._gradient = BoundKernel(
+            add_gradient, *laws, *here, now.at, now.direction, self._load, first, second, buffers.gradient
+        )
+        self._hessian = BoundKernel(
+            add_hessian,
+            *(*laws, *here, now.at, now.direction, now.sign, self._parallel, self._exact),
+            *(table.start, table.column, table.place, first, second, curved, buffers.hessian),
+        )
+        shape = (*pairs, self._parallel, self._side, self._c)
+        self._measure = BoundKernel(measure, self._x, *shape, *now.arrays())
+        self._start = BoundKernel(measure, self._x_start, *shape, *lag.arrays())
+        self._sides = BoundKernel(sides, self._x_start, *pairs, self._side)
+        self._free = BoundKernel(free_way, self._from, self._move, *pairs, self._c, self._keep, self._way)
+
+    def configure(self, parameters: Mapping[str, float]) -> None:
+        set_law(self._c, parameters)
+        self._c[RANGE] *= EDGE_RANGE
+
+    def guard(self, on: bool) -> None:
+        """Distances without sign and the law itself, or with sign and a law that bears overlap."""
+        set_guard(self._c, on)
+        self._seen[:] = np.nan
+
+    def prepare(self, step: StepContext, towards: np.ndarray) -> bool:
+        """Look for candidates from the start of a step on; True when the coupled nodes changed."""
+        inner, outer = self._candidates.search(step.x_start, towards, self._c[RANGE], self._margin)
+        if inner:
+            first, second = self._candidates.pairs
+            count = len(first)
+            if count > len(self._area):
+                self._allocate(2 * count)
+                self._bind_pairs()
+            self._count[0] = count
+            self._keys = self._candidates.keys
+            self._ends[:count] = np.hstack([self._ours[first], self._theirs[second]])
+            areas = self._areas[first]
+            if self._their_areas is not None:
+                areas = 0.5 * (areas + self._their_areas[second])
+            self._area[:count] = areas
+            self._parallel[:count] = PARALLEL * self._squares[0][first] * self._squares[1][second]
+        return outer
+
+    def outran(self) -> bool:
+        """True when something may have come into contact that was not looked at."""
+        return self._candidates.outran(self._x)
+
+    def begin_step(self, step: StepContext, internals: Internals) -> None:
+        self._x_start[:] = step.x_start
+        self._seen[:] = np.nan
+        count = self._count[0]
+        self._anchor[:count], load, speed = self._remembered(internals)
+        self._sides()
+        self._start()
+        self._limit[:count] = friction_coefficient(self._c, speed) * load
+        self._spring[:count] = self._c[STIFFNESS] * self._area[:count] * self._lag.fade[:count, 0]
+
+    def _remembered(self, internals: Internals) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Elastic slip, load and slip speed of the candidates that were candidates before, else zero."""
+        known = np.rint(internals["pair"]).astype(np.int64)
+        anchor, load, speed = np.zeros((len(self._keys), 3)), np.zeros(len(self._keys)), np.zeros(len(self._keys))
+        _, old, new = np.intersect1d(known, self._keys, assume_unique=True, return_indices=True)
+        anchor[new], load[new], speed[new] = (internals[n][old] for n in ("anchor", "load", "slip_speed"))
+        return anchor, load, speed
+
+    def _look(self) -> bool:
+        """Bring the gaps up to date with the positions; False when there is nothing to touch."""
+        if not self._count[0]:
+            return False
+        if not np.array_equal(self._seen, self._x):
+            self._measure()
+            self._seen[:] = self._x
+        return True
+
+    def add_energy(self) -> None:
+        if self._look():
+            self._energy()
+
+    def add_gradient(self) -> None:
+        if self._look():
+            self._gradient()
+
+    def add_hessian(self, exact: bool) -> None:
+        if self._look():
+            self._exact[0] = exact
+            self._hessian()
+
+    def free_way(self, start: np.ndarray, move: np.ndarray, keep: float, turn: tuple[float, float]) -> float:
+        """Share of ``move`` from ``start`` on (both [m] ``(n, 3)``) on which gaps keep the share ``keep``."""
+        del turn
+        if not self._count[0]:
+            return 1.0
+        self._from[:], self._move[:], self._keep[0], self._way[0] = start, move, keep, 1.0
+        self._free()
+        return float(self._way[0])
+
+    def end_step(self, step: StepContext, internals: Internals) -> Internals:
+        """Carry elastic slip, load and slip speed of every candidate; zero where nothing touches."""
+        del internals
+        count = self._count[0]
+        if not self._look():
+            return self.initial_internals()
+        s, t = self._lag.at[:count, :1], self._lag.at[:count, 1:]
+        move = (self._x - self._x_start)[self._ends[:count]]
+        relative = (1.0 - s) * move[:, 0] + s * move[:, 1] - (1.0 - t) * move[:, 2] - t * move[:, 3]
+        slip = self._anchor[:count] + relative
+        anchor, speed = slide(slip, self._lag.direction[:count], self._limit[:count], self._spring[:count], step.dt)
+        load = self._load[:count].copy()
+        touching = load > 0.0
+        return {
+            "pair": self._keys.astype(float),
+            "anchor": np.where(touching[:, None], anchor, 0.0),
+            "load": load,
+            "slip_speed": np.where(touching, speed, 0.0),
+        }
+
+    def initial_internals(self) -> Internals:
+        return {"pair": np.empty(0), "anchor": np.empty((0, 3)), "load": np.empty(0), "slip_speed": np.empty(0)}
+
+    def contacts(self) -> tuple[int, float]:
+        """Number of loaded pairs and smallest gap [m] at the last gradient."""
+        count = self._count[0]
+        return int(np.count_nonzero(self._load[:count])), float(self._now.gap[:count].min(initial=np.inf))
+
+
+class _Closest:
+    """Where edges are nearest to each other: arrays that the kernel ``measure`` writes."""
+
+    def __init__(self, capacity: int) -> None:
+        self.at, self.direction = np.zeros((capacity, 2)), np.zeros((capacity, 3))
+        self.sign, self.fade, self.gap = np.ones(capacity), np.zeros((capacity, 2)), np.zeros(capacity)
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """In the order of the kernel's arguments."""
+        return self.at, self.direction, self.sign, self.fade, self.gap

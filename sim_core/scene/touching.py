@@ -1,0 +1,88 @@
+"""The terms that make a contact of two bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim_core.contact.cores import cores
+from sim_core.contact.edges import EDGE_RANGE, EdgeContact
+from sim_core.contact.rigid import RigidContact
+from sim_core.contact.samples import Samples, triangle_edges
+from sim_core.contact.surface import SurfaceContact
+from sim_core.errors import ConfigError
+from sim_core.geometry import sheets
+from sim_core.rigs import Rigid
+from sim_core.scene.assembly import BuiltBody, contact_samples, contact_triangles, rigid_shape
+
+ContactTerm = RigidContact | SurfaceContact | EdgeContact
+
+MARGIN = 0.5
+"""How much wider than a step needs partners are looked for, in mesh sizes: a few steps of motion."""
+
+
+def contact_of_surfaces(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray) -> list[ContactTerm]:
+    """Contact of two deformable bodies, or of one with itself: points and faces both ways, edges and edges."""
+    ours, theirs = contact_samples(a, rest), contact_samples(b, rest)
+    triangles, their_triangles = contact_triangles(a), contact_triangles(b)
+    edges, areas = triangle_edges(triangles, rest)
+    offset, margin = ours.offset + theirs.offset, MARGIN * min(_cell(triangles, rest), _cell(their_triangles, rest))
+    if a is b:
+        _check_cells(a, triangles, rest, offset)
+        return [
+            SurfaceContact(f"{name}.faces", ours, triangles, offset, margin),
+            EdgeContact(f"{name}.edges", edges, areas, None, None, rest, offset, margin),
+        ]
+    their_edges, their_areas = triangle_edges(their_triangles, rest)
+    return [
+        SurfaceContact(f"{name}.0", ours, their_triangles, offset, margin),
+        SurfaceContact(f"{name}.1", theirs, triangles, offset, margin),
+        EdgeContact(f"{name}.edges", edges, areas, their_edges, their_areas, rest, offset, margin),
+    ]
+
+
+def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray) -> list[ContactTerm]:
+    """Contact of a deformable body with a rigid one: its points with the shape, its faces and edges with the core."""
+    assert isinstance(b.spec, Rigid)
+    samples, triangles, shape = contact_samples(a, rest), contact_triangles(a), rigid_shape(b.spec)
+    edges, areas = triangle_edges(triangles, rest)
+    cell = _cell(triangles, rest)
+    terms: list[ContactTerm] = [RigidContact(name, samples, int(b.nodes[0]), shape, b.rotation)]
+    first = int(b.nodes[0]) + 1
+    for k, core in enumerate(cores(shape)):
+        offset = samples.offset + core.reach(0.0 if isinstance(a.mesh, sheets.SheetMesh) else cell)
+        count = len(core.points)
+        points = Samples(
+            np.arange(first, first + count, dtype=np.int32)[:, None],
+            np.ones((count, 1)),
+            np.full(count, float(np.median(samples.areas))),
+            0.0,
+        )
+        terms.append(SurfaceContact(f"{name}.core{k}.points", points, triangles, offset, MARGIN * cell, EDGE_RANGE))
+        if len(core.edges):
+            terms.append(
+                EdgeContact(
+                    f"{name}.core{k}.edges", edges, areas, core.edges + first, None, rest, offset, MARGIN * cell
+                )
+            )
+        first += count
+    return terms
+
+
+def _cell(triangles: np.ndarray, rest: np.ndarray) -> float:
+    """Typical length [m] of the edges of a surface."""
+    corners = rest[triangles]
+    return float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
+
+
+def _check_cells(body: BuiltBody, triangles: np.ndarray, rest: np.ndarray, offset: float) -> None:
+    """Points of a sheet that are neighbours must be further apart than it is thick, or it would touch itself flat."""
+    corners = rest[triangles]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    height = float((area / sides.max(axis=1)).min())
+    if height <= 1.5 * offset:
+        raise ConfigError(
+            f"The contact of {body.name} with itself needs cells that are larger than it is thick: the "
+            f"lowest triangle is {1e3 * height:.3g} mm high, the sheet {1e3 * offset:.3g} mm thick.",
+            "Use fewer cells, or leave this contact out.",
+        )

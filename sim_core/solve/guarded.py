@@ -1,0 +1,229 @@
+"""The step of a system with contact: nothing ever crosses.
+
+The fast Newton of :mod:`sim_core.solve.newton` may overlap on its way. What it finds is accepted if the
+straight path to it from the last equilibrium is free of touch, and if it balances the forces of the contact law
+itself. Otherwise a guarded Newton goes on from there, or starts at the last equilibrium again: every move
+ends short of the first touch (:mod:`sim_core.contact.advancement`), and then goes down in energy. It also makes the
+motion of what is prescribed in parts: the free nodes answer the rest of that motion to first order, and both go
+as far as contact lets them. A motion that nothing can give way to ends as ``BLOCKED``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sim_core.errors import ConvergenceError
+from sim_core.solve.newton import (
+    NewtonSettings,
+    Result,
+    StepReport,
+    _converged,
+    _creep,
+    _direction,
+    _fast,
+    _noise,
+    _place,
+    _report,
+)
+from sim_core.solve.system import System
+
+KEEP = 0.1
+"""Share of its gap that a pair keeps in one move."""
+
+ANY = 1e-6
+"""The same on the path to a solution, where any gap will do."""
+
+FARTHEST_M = 5e-3
+"""Longest move of a node at once."""
+
+SHORTEST = 1e-4
+"""Share of the prescribed motion below which a part of it does not count as progress."""
+
+RELAXATIONS = 6
+"""Most moves between two parts of the prescribed motion."""
+
+PATIENCE = 3
+"""Parts of the prescribed motion without progress before it is given up."""
+
+ITERATIONS = 4
+"""Moves of the guarded Newton, as a multiple of ``max_iterations``."""
+
+
+def solve(
+    system: System, x_start: np.ndarray, targets: np.ndarray, settings: NewtonSettings, guess: np.ndarray | None
+) -> StepReport:
+    """As :func:`sim_core.solve.newton.solve`."""
+    deflection = system.deflections.copy()
+    spent, start = 0, x_start
+    if settings.fast_iterations:
+        report, sound = _try(system, x_start, targets, settings, guess)
+        if report.converged:
+            return report
+        spent = report.iterations
+        start = system.x.copy() if sound else x_start
+    report = _guarded(system, settings, x_start, start, targets, deflection)
+    spent += report.iterations
+    if not (report.converged or report.left_m or system.inertia):
+        kept = system.x.copy()
+        system.guard(False)
+        report = _creep(system, settings, targets)
+        spent += report.iterations
+        if report.converged and not _holds(system, kept, settings)[1]:
+            report = replace(report, result=Result.ITERATION_LIMIT)
+    return replace(report, iterations=spent)
+
+
+def blocked(report: StepReport, t: float, dt: float) -> ConvergenceError:
+    """What to say when prescribed motion runs into something that cannot give way."""
+    bodies = report.tightest.removeprefix("contact.").split(".")[0].replace("-", " and ")
+    return ConvergenceError(
+        f"In the step from t = {t:.4f} s (dt = {dt:g} s) the motion that is prescribed would press {bodies} "
+        f"{1e3 * report.left_m:.3g} mm deeper than they can give way: their gap is {report.min_gap_m:.2g} m and must "
+        "stay above 0.",
+        f"End the motion at least {1e3 * report.left_m:.3g} mm earlier, or leave more room between what is held and "
+        "what moves.",
+    )
+
+
+def _try(
+    system: System, x_start: np.ndarray, targets: np.ndarray, settings: NewtonSettings, guess: np.ndarray | None
+) -> tuple[StepReport, bool]:
+    """The fast Newton; also whether what it found can be reached freely."""
+    system.guard(False)
+    _place(system, x_start if guess is None else guess, targets, system.deflections.copy())
+    energy = system.energy()
+    move = None
+    if guess is None and not system.deflections.size:
+        move = np.where(system.prescribed, system.x - x_start, 0.0)
+        system.x[:] = x_start
+    report, definite = _fast(system, settings, targets, move)
+    if not (report.converged and definite and system.energy() <= energy + _noise(energy)):
+        return replace(report, result=Result.ITERATION_LIMIT), False
+    reached, balanced = _holds(system, x_start, settings)
+    if not (reached and balanced):
+        return replace(report, result=Result.ITERATION_LIMIT), reached
+    return _report(system, Result.CONVERGED, report.iterations, 0, report.residual_n, report.update_m), True
+
+
+def _holds(system: System, start: np.ndarray, settings: NewtonSettings) -> tuple[bool, bool]:
+    """Whether the straight path from ``start`` to where the system is is free, and whether it is in balance."""
+    system.cover()
+    system.guard(True)
+    if system.free_way(start, system.x - start, ANY, (0.0, 1.0)) < 1.0:
+        return False, False
+    residual = float(np.abs(system.residual()).max(initial=0.0))
+    return True, _converged(system, settings, 0.0, residual)
+
+
+def _guarded(
+    system: System,
+    settings: NewtonSettings,
+    x_start: np.ndarray,
+    start: np.ndarray,
+    targets: np.ndarray,
+    deflection: np.ndarray,
+) -> StepReport:
+    """Newton of which every move is free of touch. ``start``: ``x_start``, where the prescribed motion has yet
+    to be made, or a state that has it behind it."""
+    held = np.concatenate([np.zeros(system.n_unknowns - deflection.size), deflection.ravel()])
+    base = x_start - system.spread(held)
+    whole = np.where(system.prescribed, targets - base, 0.0)
+    left = 0.0
+    if start is x_start:
+        left = 1.0 if np.any(whole) else 0.0
+        _place(system, x_start, base, deflection)
+    system.guard(True)
+    system.turn(1.0 - left)
+    searches, update, residual, result = 0, np.inf, np.inf, Result.ITERATION_LIMIT
+    moving, relaxed, stuck, iteration = True, 0, 0, 0
+    length = float(np.abs(whole).max(initial=0.0))
+    for iteration in range(1, ITERATIONS * settings.max_iterations + 1):  # noqa: B007  (reported)
+        g = system.residual()
+        residual = float(np.abs(g).max(initial=0.0))
+        if not np.isfinite(residual):
+            result = Result.NOT_FINITE
+            break
+        if left == 0.0 and _converged(system, settings, update, residual):
+            result = Result.CONVERGED
+            break
+        move = left * whole if left and moving else None
+        direction, _definite = _direction(system, g, move)
+        if direction is None:
+            raise ConvergenceError(
+                "The stiffness matrix cannot be factorised.",
+                "Check that every body is held by a clamp, a mount or contact, or switch inertia on.",
+            )
+        update = float(np.abs(direction).max(initial=0.0))
+        step = system.spread(direction)
+        if move is not None:
+            step = step + move
+        fraction = _way(system, direction, step, left, base, whole, move is not None)
+        unknowns = system.unknowns()
+        if move is not None:
+            stuck = stuck + 1 if left * fraction < SHORTEST else 0
+            if stuck == PATIENCE:
+                result = Result.BLOCKED
+                break
+            left = 0.0 if fraction == 1.0 else left * (1.0 - fraction)
+            _advance(system, unknowns + fraction * direction, left, base, whole)
+            moving, relaxed = fraction > 0.5, 0
+            continue
+        accepted, tried = _descend(system, unknowns, direction, fraction, float(g @ direction))
+        searches += tried
+        if not accepted:
+            result = (
+                Result.CONVERGED if update < settings.step_tolerance_m and left == 0.0 else Result.LINE_SEARCH_FAILED
+            )
+            break
+        if left == 0.0 and update < 1e-3 * settings.step_tolerance_m:
+            residual = float(np.abs(system.residual()).max(initial=0.0))
+            result = Result.CONVERGED
+            break
+        relaxed += 1
+        moving = moving or relaxed == RELAXATIONS or update < 1e-2 * left * length
+    if left and result is not Result.NOT_FINITE:
+        result = Result.BLOCKED
+    return replace(_report(system, result, iteration, searches, residual, update), left_m=left * length)
+
+
+def _way(
+    system: System,
+    direction: np.ndarray,
+    step: np.ndarray,
+    left: float,
+    base: np.ndarray,
+    whole: np.ndarray,
+    moving: bool,
+) -> float:
+    """Share of a move that is free. The system stays where it is."""
+    here, unknowns = system.x.copy(), system.unknowns()
+    fraction = min(1.0, FARTHEST_M / max(float(np.abs(step).max(initial=0.0)), 1e-300))
+    then = left * (1.0 - fraction) if moving else left
+    _advance(system, unknowns + fraction * direction, then, base, whole)
+    system.cover()
+    _advance(system, unknowns, left, base, whole)
+    return fraction * system.free_way(here, fraction * step, KEEP, (1.0 - left, 1.0 - then))
+
+
+def _advance(system: System, unknowns: np.ndarray, left: float, base: np.ndarray, whole: np.ndarray) -> None:
+    """Go to where the unknowns are, and what is prescribed is but for the part ``left`` of its motion."""
+    system.turn(1.0 - left)
+    system.set_targets(base + (1.0 - left) * whole)
+    system.set_unknowns(unknowns)
+
+
+def _descend(
+    system: System, unknowns: np.ndarray, direction: np.ndarray, fraction: float, descent: float
+) -> tuple[bool, int]:
+    """Halve the move until the energy falls; whether it did, and after how many trials."""
+    energy = system.energy()
+    noise = 1e-13 * (abs(energy) + abs(descent)) + 1e-30
+    for tried in range(1, 40):
+        system.set_unknowns(unknowns + fraction * direction)
+        if system.energy() <= energy + 1e-4 * fraction * descent + noise:
+            return True, tried
+        fraction *= 0.5
+    system.set_unknowns(unknowns)
+    return False, 40
