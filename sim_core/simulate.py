@@ -87,8 +87,20 @@ class Simulation:
 
     def step(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
         """Move the mounts to ``frames`` within ``dt`` [s]; halve the step where it does not converge."""
-        target = {**self.frames, **frames}
-        return self._step(self.frames, target, dt, MAX_HALVINGS)
+        begin, target = self.frames, {**self.frames, **frames}
+        try:
+            return self._step(begin, target, dt, MAX_HALVINGS)
+        except ConvergenceError as error:
+            raise ConvergenceError(f"{error.problem} {self._unmade(begin, target)}".strip(), error.remedy) from error
+
+    def _unmade(self, begin: Mapping[str, Frame], target: Mapping[str, Frame]) -> str:
+        """How much of the mounts' motion in a step that failed was made, in words."""
+        parts = []
+        for mount, (end, _) in target.items():
+            whole, left = (1e3 * float(np.linalg.norm(end - frames[mount][0])) for frames in (begin, self.frames))
+            if whole > 0.0:
+                parts.append(f"{mount} has made {whole - left:.3g} of the {whole:.3g} mm of this step.")
+        return " ".join(parts)
 
     def _step(self, start: Mapping[str, Frame], end: Mapping[str, Frame], dt: float, halvings: int) -> StepReport:
         try:

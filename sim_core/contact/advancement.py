@@ -17,7 +17,7 @@ from sim_core.contact.shapes import signed_distance
 MOST_ADVANCES = 20000
 ADVANCE = 0.8
 """Share of the safe time that is stepped; less than 1 - ``keep``, or the first step could end a path."""
-NEAREST_M = 1e-7
+NEAREST_M = 1e-9
 """Gap that primitives which overlap at the start are taken to have."""
 
 
@@ -45,7 +45,9 @@ def point_triangle_way(p, y0, y1, y2, dp, d0, d1, d2, offset: ti.f64, keep: ti.f
     way = 1.0
     distance = _point_triangle(p, y0, y1, y2)
     if distance - offset < reach:
-        start = ti.max(distance - offset, NEAREST_M)
+        start = distance - offset
+        if start <= 0.0:
+            start = NEAREST_M
         zero = distance - start
         gap = start
         way = 0.0
@@ -73,7 +75,9 @@ def segments_way(p0, p1, q0, q1, a0, a1, b0, b1, offset: ti.f64, keep: ti.f64):
     way = 1.0
     distance = _segments(p0, p1, q0, q1)
     if distance - offset < reach:
-        start = ti.max(distance - offset, NEAREST_M)
+        start = distance - offset
+        if start <= 0.0:
+            start = NEAREST_M
         zero = distance - start
         gap = start
         way = 0.0
@@ -96,7 +100,9 @@ def point_shape_way(y, dy, shape: ti.template(), offset: ti.f64, keep: ti.f64):
     way = 1.0
     distance, _n, _second = signed_distance(y, shape)
     if distance - offset < reach:
-        start = ti.max(distance - offset, NEAREST_M)
+        start = distance - offset
+        if start <= 0.0:
+            start = NEAREST_M
         zero = distance - start
         gap = start
         way = 0.0

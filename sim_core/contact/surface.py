@@ -198,11 +198,6 @@ class SurfaceContact:
             self._limit[:], self._load[:], self._force[:] = 0.0, 0.0, 0.0
             self._now.gap[:] = FAR
             return
-        self._normals[:] = 0.0
-        corners = step.x_start[self._triangles]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        for k in range(3):
-            np.add.at(self._normals, self._triangles[:, k], normal)
         self._sides()
         self._start()
         mu = friction_coefficient(self._c, internals["slip_speed"])

@@ -63,7 +63,20 @@ def distances(x: F2, own: I2, used: I1, weights: F2, triangles: I2, sample: I1, 
 
 @ti.kernel
 def sides(x: F2, own: I2, used: I1, weights: F2, triangles: I2, first: I1, near: I1, normals: F2, side: F1):
-    """On which side of every candidate its sample is: +1 where the normal points."""
+    """On which side of every candidate its sample is: +1 where the normal points. Also write ``normals``: of the
+    nodes, sums over the triangles around, weighted with their areas."""
+    ti.loop_config(serialize=True)
+    for t in range(triangles.shape[0]):
+        for k in range(3):
+            for j in ti.static(range(3)):
+                normals[triangles[t, k], j] = 0.0
+    ti.loop_config(serialize=True)
+    for t in range(triangles.shape[0]):
+        y0 = _row(x, triangles[t, 0])
+        n = (_row(x, triangles[t, 1]) - y0).cross(_row(x, triangles[t, 2]) - y0)
+        for k in range(3):
+            for j in ti.static(range(3)):
+                normals[triangles[t, k], j] = normals[triangles[t, k], j] + n[j]
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
         if first[s] < first[s + 1]:

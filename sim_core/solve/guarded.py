@@ -75,15 +75,13 @@ def solve(
     return replace(report, iterations=spent)
 
 
-def blocked(report: StepReport, t: float, dt: float) -> ConvergenceError:
+def blocked(report: StepReport, t: float) -> ConvergenceError:
     """What to say when prescribed motion runs into something that cannot give way."""
     bodies = report.tightest.removeprefix("contact.").split(".")[0].replace("-", " and ")
     return ConvergenceError(
-        f"In the step from t = {t:.4f} s (dt = {dt:g} s) the motion that is prescribed would press {bodies} "
-        f"{1e3 * report.left_m:.3g} mm deeper than they can give way: their gap is {report.min_gap_m:.2g} m and must "
-        "stay above 0.",
-        f"End the motion at least {1e3 * report.left_m:.3g} mm earlier, or leave more room between what is held and "
-        "what moves.",
+        f"From t = {t:.4f} s on, {bodies} cannot give way any further to the motion that is prescribed: their gap is "
+        f"{max(report.min_gap_m, 0.0):.1g} m and must stay above 0.",
+        "End the motion there, or leave more room between what is held and what moves.",
     )
 
 

@@ -49,7 +49,7 @@ def advance(
     solve = guarded.solve if system.touchable else newton.solve
     report = solve(system, state.x, targets, settings, guess)
     if check and report.result is Result.BLOCKED:
-        raise guarded.blocked(report, state.t, dt)
+        raise guarded.blocked(report, state.t)
     if check and not report.converged:
         raise ConvergenceError(
             f"The step from t = {state.t:.4f} s (dt = {dt:g} s) did not converge: {report.result.value} "

@@ -10,8 +10,8 @@ def edges_of(triangles):
 def crossings(x, edges, triangles):
     """Number of pairs of an edge and a triangle, without a node in common, that intersect at ``x`` ``(n, 3)``.
 
-    The ends of the edge are on both sides of the triangle's plane (by 1 nm, which rounding stays below), and the line through them is on the same
-    side of all three of its edges (signed volumes).
+    The ends of the edge are on both sides of the triangle's plane (by 1 nm, which rounding stays below), and the
+    line through them is on the same side of all three of its edges (signed volumes).
     """
     p, q = x[edges[:, 0]][:, None], x[edges[:, 1]][:, None]
     a, b, c = (x[triangles[:, k]][None] for k in range(3))
