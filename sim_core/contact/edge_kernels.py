@@ -26,7 +26,7 @@ from sim_core.contact.segments import (
     parallel_derivatives,
     segment_second_derivative,
 )
-from sim_core.kernels import F1, F2, F3, I1, I2, add_block, vec3
+from sim_core.kernels import F1, F2, F3, I1, I2, add_block, mat3, vec3
 
 
 @ti.func
@@ -116,18 +116,6 @@ def free_way(x: F2, move: F2, count: I1, ends: I2, c: F1, keep: F1, way: F1):
 
 
 @ti.func
-def _elastic_slip(
-    x: ti.template(), x_start: ti.template(), ends: ti.template(), lag_at: ti.template(), lag_n: ti.template(),
-    anchor: ti.template(), k: ti.i32,
-):  # fmt: skip
-    """Elastic slip [m] and projector, of the points that were closest at the start."""
-    s, t = lag_at[k, 0], lag_at[k, 1]
-    projector = tangent_projector(_row(lag_n, k))
-    move = _apart(x, ends, k, s, t) - _apart(x_start, ends, k, s, t)
-    return projector @ (_row(anchor, k) + move), projector
-
-
-@ti.func
 def _weight(at: ti.template(), k: ti.i32, a: ti.i32):
     """Weight of the a-th end in the vector between the points."""
     out = 1.0 - at[k, 0]
@@ -141,22 +129,79 @@ def _weight(at: ti.template(), k: ti.i32, a: ti.i32):
 
 
 @ti.kernel
+def frames(x: F2, count: I1, ends: I2, at: F2, out: F2):
+    """How the slip moves with the ends: du = sum_a A_a dz_a, ``out[k, 9 a:]``.
+
+    The slip is that of p - q beyond h n, the distance along the normal n = u x v / |u x v|, which turns with
+    the edges: A_a = w_a 1 - h dn/dz_a. Where an edge ends it has no such frame, and h is taken as zero.
+    """
+    ti.loop_config(serialize=True)
+    for k in range(count[0]):
+        s, t = at[k, 0], at[k, 1]
+        u = _end(x, ends, k, 1) - _end(x, ends, k, 0)
+        v = _end(x, ends, k, 3) - _end(x, ends, k, 2)
+        n = u.cross(v)
+        length = n.norm()
+        h = 0.0
+        if s > 0.0 and s < 1.0 and t > 0.0 and t < 1.0 and length > 0.0:
+            h = n.dot(_apart(x, ends, k, s, t)) / (length * length)
+        for a in ti.static(range(4)):
+            # dn = (du x v + u x dv) / |u x v|, within the tangent plane to which the slip is projected.
+            arm = v
+            if ti.static(a > 1):
+                arm = -u
+            if ti.static(a == 0 or a == 2):
+                arm = -arm
+            for i in ti.static(range(3)):
+                out[k, 9 * a + 4 * i] = _weight(at, k, a)
+            out[k, 9 * a + 1] = -h * arm[2]
+            out[k, 9 * a + 2] = h * arm[1]
+            out[k, 9 * a + 3] = h * arm[2]
+            out[k, 9 * a + 5] = -h * arm[0]
+            out[k, 9 * a + 6] = -h * arm[1]
+            out[k, 9 * a + 7] = h * arm[0]
+
+
+@ti.func
+def _frame(lag_a: ti.template(), k: ti.i32, a: ti.i32):
+    b = 9 * a
+    return mat3(
+        lag_a[k, b], lag_a[k, b + 1], lag_a[k, b + 2],
+        lag_a[k, b + 3], lag_a[k, b + 4], lag_a[k, b + 5],
+        lag_a[k, b + 6], lag_a[k, b + 7], lag_a[k, b + 8],
+    )  # fmt: skip
+
+
+@ti.func
+def _elastic_slip(
+    x: ti.template(), x_start: ti.template(), ends: ti.template(), lag_a: ti.template(), lag_n: ti.template(),
+    anchor: ti.template(), k: ti.i32,
+):  # fmt: skip
+    """Elastic slip [m] and projector, of the points that were closest at the start."""
+    projector = tangent_projector(_row(lag_n, k))
+    move = _row(anchor, k)
+    for a in ti.static(range(4)):
+        move += _frame(lag_a, k, a) @ (_end(x, ends, k, a) - _end(x_start, ends, k, a))
+    return projector @ move, projector
+
+
+@ti.kernel
 def add_energy(
-    x: F2, x_start: F2, count: I1, ends: I2, areas: F1, c: F1, limit: F1, spring: F1, lag_at: F2, lag_n: F2, anchor: F2,
+    x: F2, x_start: F2, count: I1, ends: I2, areas: F1, c: F1, limit: F1, spring: F1, lag_a: F2, lag_n: F2, anchor: F2,
     fade: F2, gap: F1, out: F1,
 ):  # fmt: skip
     ti.loop_config(serialize=True)
     for k in range(count[0]):
         e = fade[k, 0] * areas[k] * potential(gap[k], c)
         if limit[k] > 0.0:
-            u, _t = _elastic_slip(x, x_start, ends, lag_at, lag_n, anchor, k)
+            u, _t = _elastic_slip(x, x_start, ends, lag_a, lag_n, anchor, k)
             e += friction_potential(u, limit[k], spring[k])
         out[0] = out[0] + e
 
 
 @ti.kernel
 def add_gradient(
-    x: F2, x_start: F2, count: I1, ends: I2, areas: F1, c: F1, limit: F1, spring: F1, lag_at: F2, lag_n: F2, anchor: F2,
+    x: F2, x_start: F2, count: I1, ends: I2, areas: F1, c: F1, limit: F1, spring: F1, lag_a: F2, lag_n: F2, anchor: F2,
     fade: F2, gap: F1, at: F2, direction: F2, load: F1, first: F2, second: F3, out: F2,
 ):  # fmt: skip
     """Also write the normal force of each pair [N]."""
@@ -179,17 +224,18 @@ def add_gradient(
                         i = ends[k, a]
                         out[i, j] = out[i, j] + turning * first[a, j]
         if limit[k] > 0.0:
-            u, _t = _elastic_slip(x, x_start, ends, lag_at, lag_n, anchor, k)
+            u, _t = _elastic_slip(x, x_start, ends, lag_a, lag_n, anchor, k)
             rub = friction_force(u, limit[k], spring[k])
             for a in range(4):
+                push = _frame(lag_a, k, a).transpose() @ rub
                 for j in range(3):
                     i = ends[k, a]
-                    out[i, j] = out[i, j] + _weight(lag_at, k, a) * rub[j]
+                    out[i, j] = out[i, j] + push[j]
 
 
 @ti.kernel
 def add_hessian(
-    x: F2, x_start: F2, count: I1, ends: I2, areas: F1, c: F1, limit: F1, spring: F1, lag_at: F2, lag_n: F2, anchor: F2,
+    x: F2, x_start: F2, count: I1, ends: I2, areas: F1, c: F1, limit: F1, spring: F1, lag_a: F2, lag_n: F2, anchor: F2,
     fade: F2, gap: F1, at: F2, direction: F2, sign: F1, parallel: F1, exact: I1, start: I1, column: I1, place: I1,
     first: F2, second: F3, curved: F3, out: F1,
 ):  # fmt: skip
@@ -217,13 +263,14 @@ def add_hessian(
                         bending = -2.0 / (parallel[k] * parallel[k]) * areas[k] * potential(gap[k], c)
                         mixed = -fade[k, 1] * areas[k] * pressure(gap[k], c)
             if limit[k] > 0.0:
-                u, projector = _elastic_slip(x, x_start, ends, lag_at, lag_n, anchor, k)
+                u, projector = _elastic_slip(x, x_start, ends, lag_a, lag_n, anchor, k)
                 rub = friction_stiffness(u, limit[k], spring[k], projector)
             for a in range(4):
-                wa, la = _weight(at, k, a), _weight(lag_at, k, a)
+                wa = _weight(at, k, a)
+                left = _frame(lag_a, k, a).transpose() @ rub
                 for b in range(a, 4):
-                    wb, lb = _weight(at, k, b), _weight(lag_at, k, b)
-                    h = la * lb * rub
+                    wb = _weight(at, k, b)
+                    h = left @ _frame(lag_a, k, b)
                     if touching:
                         for i in range(3):
                             for j in range(3):

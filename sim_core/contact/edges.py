@@ -8,7 +8,8 @@ points. Two edges with the closest points p and q at the distance d = |p - q| ha
 with the mollifier m against nearly parallel edges (:mod:`sim_core.contact.segments`). The range of this law is
 half that of the points' (:class:`SurfaceContact`): edges bear only where points have let the surfaces come too
 near, so that what a smooth contact carries depends on no mesh. Friction acts on the relative motion of the
-points that were closest at the start of the step, with the mollifier on its stiffness too. Laws:
+points that were closest at the start of the step, less the turning of their common normal, with the mollifier
+on its stiffness too. Laws:
 :mod:`sim_core.contact.law`.
 """
 
@@ -24,6 +25,7 @@ from sim_core.contact.edge_kernels import (
     add_gradient,
     add_hessian,
     distances,
+    frames,
     free_way,
     measure,
     sides,
@@ -83,7 +85,7 @@ class EdgeContact:
         self._ends = np.zeros((capacity, 4), dtype=np.int32)
         self._area, self._parallel, self._side = np.zeros(capacity), np.zeros(capacity), np.ones(capacity)
         self._limit, self._load, self._spring = (np.zeros(capacity) for _ in range(3))
-        self._anchor = np.zeros((capacity, 3))
+        self._anchor, self._frame = np.zeros((capacity, 3)), np.zeros((capacity, 36))
         self._now, self._lag = _Closest(capacity), _Closest(capacity)
 
     def _distance(self, x: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -114,7 +116,7 @@ class EdgeContact:
         assert table is not None
         first, second, curved = np.zeros((4, 3)), np.zeros((16, 3, 3)), np.zeros((16, 3, 3))
         pairs = (self._count, self._ends)
-        rubbing = (self._limit, self._spring, lag.at, lag.direction, self._anchor)
+        rubbing = (self._limit, self._spring, self._frame, lag.direction, self._anchor)
         laws = (self._x, self._x_start, *pairs, self._area, self._c, *rubbing)
         here = (now.fade, now.gap)
         self._energy = BoundKernel(add_energy, *laws, *here, buffers.energy)
@@ -129,6 +131,7 @@ class EdgeContact:
         shape = (*pairs, self._parallel, self._side, self._c)
         self._measure = BoundKernel(measure, self._x, *shape, *now.arrays())
         self._start = BoundKernel(measure, self._x_start, *shape, *lag.arrays())
+        self._frames = BoundKernel(frames, self._x_start, *pairs, lag.at, self._frame)
         self._sides = BoundKernel(sides, self._x_start, *pairs, self._side)
         self._free = BoundKernel(free_way, self._from, self._move, *pairs, self._c, self._keep, self._way)
 
@@ -171,6 +174,7 @@ class EdgeContact:
         self._anchor[:count], load, speed = self._remembered(internals)
         self._sides()
         self._start()
+        self._frames()
         self._limit[:count] = friction_coefficient(self._c, speed) * load
         self._spring[:count] = self._c[STIFFNESS] * self._area[:count] * self._lag.fade[:count, 0]
 
@@ -219,9 +223,8 @@ class EdgeContact:
         count = self._count[0]
         if not self._look():
             return self.initial_internals()
-        s, t = self._lag.at[:count, :1], self._lag.at[:count, 1:]
         move = (self._x - self._x_start)[self._ends[:count]]
-        relative = (1.0 - s) * move[:, 0] + s * move[:, 1] - (1.0 - t) * move[:, 2] - t * move[:, 3]
+        relative = np.einsum("skij,skj->si", self._frame[:count].reshape(-1, 4, 3, 3), move)
         slip = self._anchor[:count] + relative
         anchor, speed = slide(slip, self._lag.direction[:count], self._limit[:count], self._spring[:count], step.dt)
         load = self._load[:count].copy()

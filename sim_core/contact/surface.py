@@ -17,8 +17,9 @@ Where a sample is as near to two triangles (a concave crease, or between two lay
 kink on which it may come to rest without any balance of forces. The distances are therefore blended over a
 width e, d = min over shares w of sum w_k d_k + e/2 (sum w_k^2 - 1), which is smooth and at most e/2 too small.
 
-Friction acts on the relative motion of the sample and the point of the triangle below it at the start
-of the step. Laws: :mod:`sim_core.contact.law`.
+Friction acts on the motion of the sample relative to the frame of the nearest triangle at the start of the
+step: to the point in that frame where the sample then was, so that the forces on both sides have no moment
+although the surfaces are half their thicknesses apart. Laws: :mod:`sim_core.contact.law`.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from sim_core.contact.surface_kernels import (
     add_gradient,
     add_hessian,
     distances,
+    frames,
     free_way,
     measure,
     sides,
@@ -88,6 +90,7 @@ class SurfaceContact:
         self._c = coefficients(offset)
         self._limit, self._load = np.zeros(count), np.zeros(count)
         self._anchor, self._force = np.zeros((count, 3)), np.zeros((count, 3))
+        self._frame = np.zeros((count, 27))
         self._first = np.zeros(count + 1, dtype=np.int32)
         self._near, self._side = np.zeros(SPARE * count, dtype=np.int32), np.ones(SPARE * count)
         self._now, self._lag = _Closest(count), _Closest(count)
@@ -135,7 +138,7 @@ class SurfaceContact:
         now, lag, table = self._now, self._lag, buffers.pairs
         laws = (
             *(buffers.x, self._x_start, self._own, self._used, self._weights, self._triangles, self._areas, self._c),
-            *(self._limit, lag.triangles, lag.weights, lag.directions, self._anchor, now.gap),
+            *(self._limit, lag.triangles, self._frame, lag.directions, self._anchor, now.gap),
         )
         here = (now.number, now.triangles, now.weights, now.directions, now.share)
         self._energy = BoundKernel(add_energy, *laws, buffers.energy)
@@ -153,6 +156,7 @@ class SurfaceContact:
         surface = (*points, self._border, *found, self._normals, self._side, self._c)
         self._measure = BoundKernel(measure, self._x, *surface, *self._now.arrays())
         self._start = BoundKernel(measure, self._x_start, *surface, *self._lag.arrays())
+        self._frames = BoundKernel(frames, self._x_start, *points, self._lag.number, self._lag.triangles, self._frame)
         self._sides = BoundKernel(sides, self._x_start, *points, *found, self._normals, self._side)
         self._from = np.zeros_like(self._x)
         self._free = BoundKernel(
@@ -200,6 +204,7 @@ class SurfaceContact:
             return
         self._sides()
         self._start()
+        self._frames()
         mu = friction_coefficient(self._c, internals["slip_speed"])
         self._limit[:] = np.where(self._lag.number > 0, mu * internals["load"], 0.0)
 
@@ -240,10 +245,12 @@ class SurfaceContact:
             return self.initial_internals()
         nodes = self._triangles[self._lag.triangles[:, 0]]
         move = self._x - self._x_start
-        relative = self._samples.positions(move) - np.einsum("sk,skj->sj", self._lag.weights[:, :3], move[nodes])
+        below = np.einsum("skij,skj->si", self._frame.reshape(-1, 3, 3, 3), move[nodes])
         stiffness = self._c[STIFFNESS] * self._areas
         normal = self._lag.directions[:, :3]
-        anchor, speed = slide(self._anchor + relative, normal, self._limit, stiffness, step.dt)
+        anchor, speed = slide(
+            self._anchor + self._samples.positions(move) - below, normal, self._limit, stiffness, step.dt
+        )
         touching = self._load > 0.0
         return {
             "anchor": np.where(touching[:, None], anchor, 0.0),

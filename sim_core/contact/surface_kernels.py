@@ -22,7 +22,7 @@ from sim_core.contact.law import (
     slope,
     tangent_projector,
 )
-from sim_core.kernels import F1, F2, F3, I1, I2, add_block, vec3
+from sim_core.kernels import F1, F2, F3, I1, I2, add_block, mat3, vec3
 
 MOST = 12
 """Triangles that may share in the gap of one sample."""
@@ -197,38 +197,81 @@ def measure(
             gap[s] = sign[s] * smooth - c[OFFSET]
 
 
+@ti.kernel
+def frames(x: F2, own: I2, used: I1, weights: F2, triangles: I2, number: I1, lag: I2, out: F2):
+    """How the point of the triangle's frame in which the sample is moves with the corners: A_j, ``out[s, 9 j:]``.
+
+    c' = sum_j beta_j y_j + h n with the height h over the plane, the normal n and the (unclamped) barycentric
+    coordinates beta: dc' = sum_j A_j dy_j,  A_j = beta_j 1 - h grad(beta_j) n^T.
+    """
+    ti.loop_config(serialize=True)
+    for s in range(weights.shape[0]):
+        if number[s] > 0:
+            t = lag[s, 0]
+            y0 = _row(x, triangles[t, 0])
+            e1 = _row(x, triangles[t, 1]) - y0
+            e2 = _row(x, triangles[t, 2]) - y0
+            n = e1.cross(e2)
+            g1 = e2.cross(n) / n.norm_sqr()
+            g2 = n.cross(e1) / n.norm_sqr()
+            n = n.normalized()
+            r = _sample(x, own, used, weights, s) - y0
+            h = n.dot(r)
+            beta = vec3(1.0 - g1.dot(r) - g2.dot(r), g1.dot(r), g2.dot(r))
+            for j in ti.static(range(3)):
+                g = -g1 - g2
+                if ti.static(j == 1):
+                    g = g1
+                elif ti.static(j == 2):
+                    g = g2
+                for i in ti.static(range(3)):
+                    for k in ti.static(range(3)):
+                        out[s, 9 * j + 3 * i + k] = -h * g[i] * n[k]
+                    out[s, 9 * j + 4 * i] = out[s, 9 * j + 4 * i] + beta[j]
+
+
+@ti.func
+def _frame(lag_a: ti.template(), s: ti.i32, j: ti.i32):
+    b = 9 * j
+    return mat3(
+        lag_a[s, b], lag_a[s, b + 1], lag_a[s, b + 2],
+        lag_a[s, b + 3], lag_a[s, b + 4], lag_a[s, b + 5],
+        lag_a[s, b + 6], lag_a[s, b + 7], lag_a[s, b + 8],
+    )  # fmt: skip
+
+
 @ti.func
 def _elastic_slip(
     x: ti.template(), x_start: ti.template(), own: ti.template(), used: ti.template(), weights: ti.template(),
-    triangles: ti.template(), lag: ti.template(), lag_b: ti.template(), lag_n: ti.template(),
+    triangles: ti.template(), lag: ti.template(), lag_a: ti.template(), lag_n: ti.template(),
     anchor: ti.template(), s: ti.i32,
 ):  # fmt: skip
-    """Elastic slip [m] and projector, against the triangle under the sample at the start."""
+    """Elastic slip [m] and projector, against the frame of the triangle under the sample at the start."""
     move = _sample(x, own, used, weights, s) - _sample(x_start, own, used, weights, s)
     for j in range(3):
         i = triangles[lag[s, 0], j]
-        move -= lag_b[s, j] * (_row(x, i) - _row(x_start, i))
+        move -= _frame(lag_a, s, j) @ (_row(x, i) - _row(x_start, i))
     t = tangent_projector(_row(lag_n, s))
     return t @ (_row(anchor, s) + move), t
 
 
 @ti.kernel
 def add_energy(
-    x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
+    x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_a: F2,
     lag_n: F2, anchor: F2, gap: F1, out: F1,
 ):  # fmt: skip
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
         e = areas[s] * potential(gap[s], c)
         if limit[s] > 0.0:
-            u, _t = _elastic_slip(x, x_start, own, used, weights, triangles, lag, lag_b, lag_n, anchor, s)
+            u, _t = _elastic_slip(x, x_start, own, used, weights, triangles, lag, lag_a, lag_n, anchor, s)
             e += friction_potential(u, limit[s], c[STIFFNESS] * areas[s])
         out[0] = out[0] + e
 
 
 @ti.kernel
 def add_gradient(
-    x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
+    x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_a: F2,
     lag_n: F2, anchor: F2, gap: F1, number: I1, chosen: I2, at: F2, direction: F2, share: F2,
     force: F2, load: F1, out: F2,
 ):  # fmt: skip
@@ -248,14 +291,15 @@ def add_gradient(
                     for j in range(3):
                         out[i, j] = out[i, j] + at[s, 3 * m + k] * push * direction[s, 3 * m + j]
         if limit[s] > 0.0:
-            u, _t = _elastic_slip(x, x_start, own, used, weights, triangles, lag, lag_b, lag_n, anchor, s)
+            u, _t = _elastic_slip(x, x_start, own, used, weights, triangles, lag, lag_a, lag_n, anchor, s)
             rub = friction_force(u, limit[s], c[STIFFNESS] * areas[s])
             for j in range(3):
                 force[s, j] = force[s, j] - rub[j]
             for k in range(3):
                 i = triangles[lag[s, 0], k]
+                back = _frame(lag_a, s, k).transpose() @ rub
                 for j in range(3):
-                    out[i, j] = out[i, j] - lag_b[s, k] * rub[j]
+                    out[i, j] = out[i, j] - back[j]
         if load[s] > 0.0 or limit[s] > 0.0:
             for a in range(used[s]):
                 for j in range(3):
@@ -288,7 +332,7 @@ def _node(own: ti.template(), triangles: ti.template(), chosen: ti.template(), s
 
 @ti.kernel
 def add_hessian(
-    x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_b: F2,
+    x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_a: F2,
     lag_n: F2, anchor: F2, gap: F1, number: I1, chosen: I2, at: F2, direction: F2, share: F2, kind: I2,
     sign: F1, exact: I1, start: I1, column: I1, place: I1, slopes: F3, second: F3, out: F1,
 ):  # fmt: skip
@@ -358,15 +402,17 @@ def add_hessian(
                                         h[r, q] = -load * share[s, m] * wa * wd * second[4 * qa + qd, r, q]
                                 add_block(start, column, place, out, i, j, h)
         if limit[s] > 0.0:
-            u, projector = _elastic_slip(x, x_start, own, used, weights, triangles, lag, lag_b, lag_n, anchor, s)
+            u, projector = _elastic_slip(x, x_start, own, used, weights, triangles, lag, lag_a, lag_n, anchor, s)
             stiff = friction_stiffness(u, limit[s], c[STIFFNESS] * areas[s], projector)
             t = lag[s, 0]
             for a in range(count + 3):
                 i, qa, wa = _participant(own, weights, triangles, s, t, a, count)
+                left = wa * stiff
                 if qa > 0:
-                    wa = -lag_b[s, qa - 1]
+                    left = -_frame(lag_a, s, qa - 1).transpose() @ stiff
                 for d in range(a, count + 3):
                     j, qd, wd = _participant(own, weights, triangles, s, t, d, count)
+                    h = wd * left
                     if qd > 0:
-                        wd = -lag_b[s, qd - 1]
-                    add_block(start, column, place, out, i, j, (wa * wd) * stiff)
+                        h = -left @ _frame(lag_a, s, qd - 1)
+                    add_block(start, column, place, out, i, j, h)

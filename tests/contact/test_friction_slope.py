@@ -129,3 +129,44 @@ def test_a_card_on_a_gel_slips_if_and_only_if_the_slope_exceeds_the_friction():
     slope = np.arctan(1.3 * MU)
     expected = G * (np.sin(slope) - MU * np.cos(slope)) * 12 * DT
     assert velocity(1.3) == pytest.approx(expected, rel=0.05)
+
+
+def card_on_card(turn):
+    """A free card on the held part of another one, the whole scene turned."""
+    rpy = [float(a) for a in turn.as_euler("xyz", degrees=True)]
+    thickness = 2e-4
+    material = {"E_pa": 1e9, "nu": 0.3, "thickness_m": thickness, "density_kg_m3": 800.0}
+
+    def card(length, width, cells, height, aside=0.0):
+        place = turn.apply([aside, 0.3 * aside, height])
+        shape = {"type": "rectangle", "length_m": length, "width_m": width, "cells": cells, "pattern": "crossed"}
+        pose = {"position_m": [float(p) for p in place], "rpy_deg": rpy}
+        return {"type": "sheet", "shape": shape, "pose": pose, "material": material}
+
+    return build_scene(
+        parse_rig(
+            {
+                "name": "cards",
+                "solver": {"dt_s": DT},
+                "bodies": {"held": card(0.04, 0.03, [5, 4], 0.0), "block": card(0.016, 0.012, [4, 3], 2.28e-4, 7e-4)},
+                "clamps": [{"body": "held", "region": {"x_m": [-0.02, 0.0125]}}],
+                "contacts": [{"between": ["held", "block"], "friction": MU}],
+            },
+            "test",
+        )
+    )
+
+
+@pytest.mark.parametrize("turn", TURNS, ids=["upright", "turned", "turned again"])
+def test_a_card_on_a_card_slips_within_one_percent_of_the_friction(turn):
+    """Points on faces both ways and edges on edges share the load; together they hold mu times it."""
+    scene = card_on_card(turn)
+    for heading in (0.3, 2.5):
+        still, _ = slide(scene, turn, 0.99, heading, steps=30)
+        assert np.abs(np.diff(still[-5:])).max() < 1e-8
+        moving, slope = slide(scene, turn, 1.01, heading, steps=30)
+        assert moving[-1] - moving[-10] > 1e-5
+        moving, slope = slide(scene, turn, 1.2, heading, steps=30)
+        acceleration = np.diff(moving[10:], 2).mean() / DT**2
+        expected = G * (np.sin(slope) - MU * np.cos(slope))
+        assert acceleration == pytest.approx(expected, rel=0.02)

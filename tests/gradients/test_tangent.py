@@ -40,7 +40,8 @@ def compare(rig, poses, name, tolerance, wide=1e-4):
 
 @pytest.mark.parametrize("name", ["card.E_pa", "card.density_kg_m3"])
 def test_sheet_parameters_through_contact_and_motion(small_rig, visit, name):
-    compare(small_rig(), visit(*PRESS), name, 1e-3)
+    """Wide differences: a step's tolerance, pm where the card is first touched, shows in narrow ones."""
+    compare(small_rig(), visit(*PRESS), name, 1e-3, wide=1e-3)
 
 
 @pytest.mark.parametrize("name", ["gel.E_pa", "gel.nu", "contacts.gel-post.friction"])
