@@ -10,16 +10,17 @@ Potential Contact, ACM Trans. Graph. 39(4), 2020) in units of a pressure. Below 
 the law goes on straight, with the slope that it has there; the core is as good as zero unless an iteration
 may overlap on its way (:mod:`sim_core.solve.newton`).
 
-Friction is Coulomb's law with an elastic pre-sliding spring (Prandtl's element): the tangential
-traction follows the elastic slip u with stiffness k until it reaches mu times the normal pressure of
-the start of the step, lambda_n,
+Friction is Coulomb's law with an elastic pre-sliding spring: the tangential traction follows the elastic slip
+u, at first with the stiffness k, until it reaches mu times the normal pressure of the start of the step,
+lambda_n, at |u| = u_c = 2 mu lambda_n / (k A), y = |u| / u_c:
 
-    D(u) = k A |u|^2 / 2                          k A |u| <= mu lambda_n
-           mu lambda_n |u| - (mu lambda_n)^2 / (2 k A)   beyond
+    D(u) = mu lambda_n u_c (y^2 - y^3/3)     y <= 1,    |dD/du| = mu lambda_n (2 y - y^2)
+           mu lambda_n (|u| - u_c/3)         beyond,    |dD/du| = mu lambda_n
 
 so a resting contact holds its load without creep (a velocity-regularised law creeps) and the
-threshold does not depend on direction. Wriggers, Computational Contact Mechanics, 2nd ed., sec. 4.2
-and 10.5 (elastic slip, return mapping). Static above kinetic friction:
+threshold does not depend on direction. The force has no kink where sliding begins (it is IPC's f_1, of the
+slip instead of the velocity), so a contact that stops at its limit has one tangent. Wriggers, Computational
+Contact Mechanics, 2nd ed., sec. 4.2 and 10.5 (elastic slip, return mapping). Static above kinetic friction:
 mu = mu_k (1 + a exp(-(v/v_s)^2)) with the slip speed v of the last step.
 """
 
@@ -79,7 +80,7 @@ def slide(
     """
     tangential = slip - normal * np.einsum("nj,nj->n", slip, normal)[:, None]
     length = np.linalg.norm(tangential, axis=1)
-    longest = limit / np.maximum(stiffness, 1e-300)
+    longest = 2.0 * limit / np.maximum(stiffness, 1e-300)
     beyond = length > longest
     shrink = np.where(beyond, longest / np.where(length > 0.0, length, 1.0), 1.0)
     return tangential * shrink[:, None], np.where(beyond, (length - longest) / dt, 0.0)
@@ -128,9 +129,10 @@ def slope(g: ti.f64, c: ti.template()):
 def friction_potential(u, limit: ti.f64, stiffness: ti.f64):
     """Energy [J] of the elastic slip u [m]; ``limit`` = mu lambda_n [N], ``stiffness`` = k A [N/m]."""
     length = u.norm()
-    out = 0.5 * stiffness * length * length
-    if stiffness * length > limit:
-        out = limit * length - 0.5 * limit * limit / stiffness
+    longest = 2.0 * limit / stiffness
+    out = limit * (length - longest / 3.0)
+    if length < longest:
+        out = 0.5 * stiffness * length * length * (1.0 - length / (3.0 * longest))
     return out
 
 
@@ -138,8 +140,9 @@ def friction_potential(u, limit: ti.f64, stiffness: ti.f64):
 def friction_force(u, limit: ti.f64, stiffness: ti.f64):
     """dD/du [N]."""
     length = u.norm()
-    out = stiffness * u
-    if stiffness * length > limit:
+    longest = 2.0 * limit / stiffness
+    out = (stiffness * (1.0 - 0.5 * length / longest)) * u
+    if length >= longest:
         out = u * (limit / length)
     return out
 
@@ -148,10 +151,16 @@ def friction_force(u, limit: ti.f64, stiffness: ti.f64):
 def friction_stiffness(u, limit: ti.f64, stiffness: ti.f64, projector):
     """d2D/du2 [N/m] within the tangent plane of ``projector``; positive semidefinite."""
     length = u.norm()
+    longest = 2.0 * limit / stiffness
     out = stiffness * projector
-    if stiffness * length > limit:
+    if length > 0.0:
         unit = u / length
-        out = (projector - unit.outer_product(unit)) * (limit / length)
+        along = unit.outer_product(unit)
+        if length < longest:
+            y = length / longest
+            out = stiffness * ((1.0 - 0.5 * y) * (projector - along) + (1.0 - y) * along)
+        else:
+            out = (projector - along) * (limit / length)
     return out
 
 

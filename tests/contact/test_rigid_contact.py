@@ -94,8 +94,10 @@ def test_friction_threshold_does_not_depend_on_the_orientation():
 def test_stick_is_a_spring_until_the_limit_and_returns_to_where_it_was():
     system, term, x, tangent = resting("half space")
     area, k = term._areas.sum(), LAW["stiffness_pa_per_m"]
-    system.x[:-1] = x[:-1] + 1e-6 * tangent
-    assert -system.gradient()[-1] @ tangent == pytest.approx(k * area * 1e-6, rel=1e-9)
+    system.x[:-1] = x[:-1] + 1e-9 * tangent
+    assert -system.gradient()[-1] @ tangent == pytest.approx(k * area * 1e-9, rel=1e-4)
+    system.x[:-1] = x[:-1] + term._limit.sum() / (k * area) * tangent
+    assert -system.gradient()[-1] @ tangent == pytest.approx(0.75 * term._limit.sum(), rel=1e-6)
     system.x[:] = x
     assert abs(system.gradient()[-1] @ tangent) < 1e-12
 
