@@ -111,8 +111,10 @@ class Candidates:
         self._searched_at = x.copy()
         self._range, self._surplus = within, SURPLUS * margin
         near, gap = self._within(x, within + margin)
-        bound = self._bound(x, towards, within)
-        inner = np.union1d(near[gap <= within + self._surplus], bound)
+        inner, bound = near[gap <= within + self._surplus], near[:0]
+        if self._motion(towards) > self._surplus:
+            bound = self._bound(x, towards, within)
+            inner = np.union1d(inner, bound)
         at = np.searchsorted(self._coupled_keys, inner)
         inside = bool(np.all(at < len(self._coupled_keys))) and bool(np.all(self._coupled_keys[at] == inner))
         inside &= len(self._coupled_keys) <= MOST_COUPLED * (len(near) + len(bound)) + FEW_COUPLED

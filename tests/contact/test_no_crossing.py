@@ -192,6 +192,33 @@ def test_the_corner_of_a_box_does_not_come_through_a_large_triangle():
     assert min(heights) > tip[2]
 
 
+@pytest.mark.parametrize(
+    ("shape", "size", "rpy", "round_m"),
+    [
+        ("sphere", {"radius_m": 1.5e-3}, (0, 0, 0), 1.5e-3),
+        ("cylinder", {"radius_m": 1e-3, "length_m": 0.02}, (90, 0, 30), 1e-3),
+    ],
+)
+def test_a_peg_smaller_than_a_cell_does_not_come_through(shape, size, rpy, round_m):
+    """It meets the sheet between its nodes; no point of the sheet ends within it."""
+    scene = scene_of(
+        {"sheet": sheet(0.06, 0.06, [4, 4], (0, 0, 0.004)), "peg": rigid(shape, rpy=rpy, mount="hand", **size)},
+        [("sheet", "peg")],
+        [clamp("left", "sheet", [-0.03, -0.018]), clamp("right", "sheet", [0.018, 0.03])],
+        (4e-3, 2.5e-3, 0.0),
+    )
+    watch = Watch(scene)
+    for k in range(1, 5):
+        watch.step([4e-3, 2.5e-3, STEP * k])
+    share = np.random.default_rng(3).dirichlet([1.0, 1.0, 1.0], 4000)
+    points = np.einsum("pk,tkj->tpj", share, watch.simulation.state.x[watch.triangles[0]]).reshape(-1, 3)
+    local = Rotation.from_euler("xyz", rpy, degrees=True).inv().apply(points - [4e-3, 2.5e-3, STEP * 4])
+    if shape == "cylinder":
+        local[:, 2] -= np.clip(local[:, 2], -0.009, 0.009)
+    assert np.linalg.norm(local, axis=1).min() > round_m + 1e-4
+    assert watch.most >= 1
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_sheets_dropped_at_random_never_cross(seed):
     rng = np.random.default_rng(seed)
