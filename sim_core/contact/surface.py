@@ -268,7 +268,8 @@ class SurfaceContact:
 
     def contacts(self) -> tuple[int, float]:
         """Number of loaded samples and smallest gap [m] at the last gradient."""
-        return int(np.count_nonzero(self._load)), float(self._now.gap.min(initial=np.inf))
+        smallest = float(self._now.gap.min(initial=np.inf))
+        return int(np.count_nonzero(self._load)), smallest if smallest < FAR else np.inf
 
 
 class _Closest:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim_core.contact.cores import cores
+from sim_core.contact.crossing import cross
 from sim_core.contact.edges import EDGE_RANGE, EdgeContact
 from sim_core.contact.rigid import RigidContact
 from sim_core.contact.samples import Samples, triangle_edges
@@ -33,6 +34,11 @@ def contact_of_surfaces(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray)
             EdgeContact(f"{name}.edges", edges, areas, None, None, rest, offset, margin),
         ]
     their_edges, their_areas = triangle_edges(their_triangles, rest)
+    if cross(rest, edges, their_triangles) or cross(rest, their_edges, triangles):
+        raise ConfigError(
+            f"{a.name} and {b.name} go through each other at the start, and their contact could not part them.",
+            "Move one of them until they are apart.",
+        )
     return [
         SurfaceContact(f"{name}.0", ours, their_triangles, offset, margin),
         SurfaceContact(f"{name}.1", theirs, triangles, offset, margin),

@@ -274,3 +274,11 @@ def test_the_same_bits_twice():
 def test_cells_smaller_than_the_thickness_are_refused_for_self_contact():
     with pytest.raises(ConfigError, match="Use fewer cells"):
         scene_of({"sheet": sheet(0.004, 0.004, [20, 20])}, [("sheet", "sheet")])
+
+
+def test_bodies_that_go_through_each_other_at_the_start_are_refused():
+    pair = {"a": sheet(0.02, 0.02, [3, 3]), "b": sheet(0.02, 0.02, [3, 3], (1e-3, 0, 5e-3), (60, 0, 0))}
+    with pytest.raises(ConfigError, match="a and b go through each other"):
+        scene_of(pair, [("a", "b")])
+    pair["b"]["pose"]["position_m"][2] = 0.0205
+    scene_of(pair, [("a", "b")])
