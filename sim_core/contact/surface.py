@@ -32,18 +32,8 @@ import scipy.sparse as sp
 from sim_core.contact.candidates import Candidates, Primitives
 from sim_core.contact.law import BLEND, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
 from sim_core.contact.samples import Samples
-from sim_core.contact.surface_kernels import (
-    FAR,
-    MOST,
-    add_energy,
-    add_gradient,
-    add_hessian,
-    distances,
-    frames,
-    free_way,
-    measure,
-    sides,
-)
+from sim_core.contact.surface_geometry import distances, frames, free_way, sides
+from sim_core.contact.surface_kernels import FAR, MOST, add_energy, add_gradient, add_hessian, measure
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.kernels import BoundKernel
 

@@ -6,8 +6,7 @@ A sample ``s`` has the nodes ``own[s, :used[s]]`` with ``weights[s]`` and the ca
 
 import taichi as ti
 
-from sim_core.contact.advancement import point_triangle_way
-from sim_core.contact.closest import closest_point, distance_second_derivative
+from sim_core.contact.closest import distance_second_derivative
 from sim_core.contact.law import (
     BLEND,
     GUARD,
@@ -22,92 +21,13 @@ from sim_core.contact.law import (
     slope,
     tangent_projector,
 )
+from sim_core.contact.surface_geometry import closest_on, row, sample_at
 from sim_core.kernels import F1, F2, F3, I1, I2, add_block, mat3, vec3
 
 MOST = 12
 """Triangles that may share in the gap of one sample."""
 FAR = 1e30
 """Gap [m] of a sample without candidates."""
-
-
-@ti.func
-def _row(x: ti.template(), i: ti.i32):
-    return vec3(x[i, 0], x[i, 1], x[i, 2])
-
-
-@ti.func
-def _sample(x: ti.template(), own: ti.template(), used: ti.template(), weights: ti.template(), s: ti.i32):
-    p = vec3(0.0, 0.0, 0.0)
-    for a in range(used[s]):
-        p += weights[s, a] * _row(x, own[s, a])
-    return p
-
-
-@ti.func
-def _closest(x: ti.template(), p, triangles: ti.template(), t: ti.i32):
-    """Barycentric weights of the point of triangle ``t`` closest to ``p``, its feature, p minus it."""
-    y0, y1, y2 = _row(x, triangles[t, 0]), _row(x, triangles[t, 1]), _row(x, triangles[t, 2])
-    b, feature = closest_point(p, y0, y1, y2)
-    return b, feature, p - b[0] * y0 - b[1] * y1 - b[2] * y2
-
-
-@ti.kernel
-def distances(x: F2, own: I2, used: I1, weights: F2, triangles: I2, sample: I1, triangle: I1, out: F1):
-    """Distance [m] of pairs of samples and triangles."""
-    ti.loop_config(serialize=True)
-    for k in range(sample.shape[0]):
-        p = _sample(x, own, used, weights, sample[k])
-        _b, _feature, r = _closest(x, p, triangles, triangle[k])
-        out[k] = r.norm()
-
-
-@ti.kernel
-def sides(x: F2, own: I2, used: I1, weights: F2, triangles: I2, first: I1, near: I1, normals: F2, side: F1):
-    """On which side of every candidate its sample is: +1 where the normal points. Also write ``normals``: of the
-    nodes, sums over the triangles around, weighted with their areas."""
-    ti.loop_config(serialize=True)
-    for t in range(triangles.shape[0]):
-        for k in range(3):
-            for j in ti.static(range(3)):
-                normals[triangles[t, k], j] = 0.0
-    ti.loop_config(serialize=True)
-    for t in range(triangles.shape[0]):
-        y0 = _row(x, triangles[t, 0])
-        n = (_row(x, triangles[t, 1]) - y0).cross(_row(x, triangles[t, 2]) - y0)
-        for k in range(3):
-            for j in ti.static(range(3)):
-                normals[triangles[t, k], j] = normals[triangles[t, k], j] + n[j]
-    ti.loop_config(serialize=True)
-    for s in range(weights.shape[0]):
-        if first[s] < first[s + 1]:
-            p = _sample(x, own, used, weights, s)
-            for k in range(first[s], first[s + 1]):
-                b, _feature, r = _closest(x, p, triangles, near[k])
-                n = vec3(0.0, 0.0, 0.0)
-                for j in range(3):
-                    n += b[j] * _row(normals, triangles[near[k], j])
-                side[k] = 1.0
-                if n.dot(r) < 0.0:
-                    side[k] = -1.0
-
-
-@ti.kernel
-def free_way(
-    x: F2, move: F2, own: I2, used: I1, weights: F2, triangles: I2, first: I1, near: I1, c: F1, keep: F1, way: F1
-):  # fmt: skip
-    """Shorten ``way`` to the share of ``move`` from ``x`` on that no sample ends at a triangle."""
-    ti.loop_config(serialize=True)
-    for s in range(weights.shape[0]):
-        if first[s] < first[s + 1]:
-            p = _sample(x, own, used, weights, s)
-            d = _sample(move, own, used, weights, s)
-            for k in range(first[s], first[s + 1]):
-                i, j, m = triangles[near[k], 0], triangles[near[k], 1], triangles[near[k], 2]
-                free = point_triangle_way(
-                    p, _row(x, i), _row(x, j), _row(x, m), d, _row(move, i), _row(move, j), _row(move, m),
-                    c[OFFSET], keep[0],
-                )  # fmt: skip
-                way[0] = ti.min(way[0], free)
 
 
 @ti.kernel
@@ -126,11 +46,11 @@ def measure(
         gap[s] = FAR
         sign[s] = 1.0
         if first[s] < first[s + 1]:
-            p = _sample(x, own, used, weights, s)
+            p = sample_at(x, own, used, weights, s)
             best = FAR
             nearest = first[s]
             for k in range(first[s], first[s + 1]):
-                _b, _feature, r = _closest(x, p, triangles, near[k])
+                _b, _feature, r = closest_on(x, p, triangles, near[k])
                 if r.norm() < best - 1e-15:
                     best = r.norm()
                     nearest = k
@@ -141,11 +61,11 @@ def measure(
                 t = near[k]
                 m = number[s]
                 if m == 0 or (m < MOST and k != nearest):
-                    b, feature, r = _closest(x, p, triangles, t)
+                    b, feature, r = closest_on(x, p, triangles, t)
                     d = r.norm()
                     if d < best + c[BLEND]:
-                        y0 = _row(x, triangles[t, 0])
-                        face = (_row(x, triangles[t, 1]) - y0).cross(_row(x, triangles[t, 2]) - y0).normalized()
+                        y0 = row(x, triangles[t, 0])
+                        face = (row(x, triangles[t, 1]) - y0).cross(row(x, triangles[t, 2]) - y0).normalized()
                         up = 1.0
                         if face.dot(r) < 0.0:
                             up = -1.0
@@ -160,7 +80,7 @@ def measure(
                             if border[t, feature] == 0:
                                 n = vec3(0.0, 0.0, 0.0)
                                 for j in range(3):
-                                    n += b[j] * _row(normals, triangles[t, j])
+                                    n += b[j] * row(normals, triangles[t, j])
                                 if side[k] * n.dot(r) < 0.0:
                                     outside = -1.0
                             if d > 1e-12:
@@ -197,39 +117,6 @@ def measure(
             gap[s] = sign[s] * smooth - c[OFFSET]
 
 
-@ti.kernel
-def frames(x: F2, own: I2, used: I1, weights: F2, triangles: I2, number: I1, lag: I2, out: F2):
-    """How the point of the triangle's frame in which the sample is moves with the corners: A_j, ``out[s, 9 j:]``.
-
-    c' = sum_j beta_j y_j + h n with the height h over the plane, the normal n and the (unclamped) barycentric
-    coordinates beta: dc' = sum_j A_j dy_j,  A_j = beta_j 1 - h grad(beta_j) n^T.
-    """
-    ti.loop_config(serialize=True)
-    for s in range(weights.shape[0]):
-        if number[s] > 0:
-            t = lag[s, 0]
-            y0 = _row(x, triangles[t, 0])
-            e1 = _row(x, triangles[t, 1]) - y0
-            e2 = _row(x, triangles[t, 2]) - y0
-            n = e1.cross(e2)
-            g1 = e2.cross(n) / n.norm_sqr()
-            g2 = n.cross(e1) / n.norm_sqr()
-            n = n.normalized()
-            r = _sample(x, own, used, weights, s) - y0
-            h = n.dot(r)
-            beta = vec3(1.0 - g1.dot(r) - g2.dot(r), g1.dot(r), g2.dot(r))
-            for j in ti.static(range(3)):
-                g = -g1 - g2
-                if ti.static(j == 1):
-                    g = g1
-                elif ti.static(j == 2):
-                    g = g2
-                for i in ti.static(range(3)):
-                    for k in ti.static(range(3)):
-                        out[s, 9 * j + 3 * i + k] = -h * g[i] * n[k]
-                    out[s, 9 * j + 4 * i] = out[s, 9 * j + 4 * i] + beta[j]
-
-
 @ti.func
 def _frame(lag_a: ti.template(), s: ti.i32, j: ti.i32):
     b = 9 * j
@@ -247,12 +134,12 @@ def _elastic_slip(
     anchor: ti.template(), s: ti.i32,
 ):  # fmt: skip
     """Elastic slip [m] and projector, against the frame of the triangle under the sample at the start."""
-    move = _sample(x, own, used, weights, s) - _sample(x_start, own, used, weights, s)
+    move = sample_at(x, own, used, weights, s) - sample_at(x_start, own, used, weights, s)
     for j in range(3):
         i = triangles[lag[s, 0], j]
-        move -= _frame(lag_a, s, j) @ (_row(x, i) - _row(x_start, i))
-    t = tangent_projector(_row(lag_n, s))
-    return t @ (_row(anchor, s) + move), t
+        move -= _frame(lag_a, s, j) @ (row(x, i) - row(x_start, i))
+    t = tangent_projector(row(lag_n, s))
+    return t @ (row(anchor, s) + move), t
 
 
 @ti.kernel
@@ -385,12 +272,12 @@ def add_hessian(
                         h = h + h.transpose()
                     add_block(start, column, place, out, i, j, h)
             if exact[0] == 1 and load > 0.0:
-                p = _sample(x, own, used, weights, s)
+                p = sample_at(x, own, used, weights, s)
                 for m in range(number[s]):
                     if share[s, m] > 0.0:
                         t = chosen[s, m]
                         b = vec3(at[s, 3 * m], at[s, 3 * m + 1], at[s, 3 * m + 2])
-                        y0, y1, y2 = _row(x, triangles[t, 0]), _row(x, triangles[t, 1]), _row(x, triangles[t, 2])
+                        y0, y1, y2 = row(x, triangles[t, 0]), row(x, triangles[t, 1]), row(x, triangles[t, 2])
                         distance_second_derivative(p, y0, y1, y2, b, kind[s, m], sign[s], second)
                         for a in range(count + 3):
                             i, qa, wa = _participant(own, weights, triangles, s, t, a, count)
