@@ -53,6 +53,10 @@ class Effect:
         """Sets of starting values to try on this rig, by parameter; empty when it does not apply."""
         raise NotImplementedError
 
+    def equivalents(self, given: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
+        """Other values of the parameters that describe the very same law."""
+        return ()
+
     def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
         """Change what the terms of the scene are configured with."""
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from sim_core.rigs import Rig, rig_to_yaml
-from sysid.fit.engine import Engine
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
+from sysid.fit.own_error import fit_beside_own_error
 from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Fitted, Problem
@@ -42,8 +42,7 @@ def fit_runs(
     on_progress: Progress | None = None,
 ) -> tuple[FitResult, Rig]:
     """Fit ``names`` to ``runs``; the result and the rig with the fitted values."""
-    with PooledEngine(min(len(runs), os.cpu_count() or 1)) as pool:
-        engine: Engine | PooledEngine = pool if len(runs) > 1 else Engine()
+    with PooledEngine(os.cpu_count()) as engine:
         return _fit_runs(engine, rig, runs, names, held_out, seed, start, on_progress)
 
 
@@ -74,7 +73,7 @@ def _best_of_restarts(
     rng = np.random.default_rng(seed)
     width = np.array([min(p.prior_sd, 1.0) for p in parameters])
     for _ in range(MOST_RESTARTS):
-        if not parameters or fitted.interrupted or fitted.chi2 < GOOD_MISFIT * len(fitted.residual):
+        if not parameters or fitted.interrupted or fitted.misfit < GOOD_MISFIT:
             break
         near = fitted.scaled + RESTART_WIDTH * width * rng.standard_normal(len(width))
         again = problem.fit(rig, parameters, start=near, on_evaluation=on_evaluation)
@@ -89,7 +88,7 @@ def _best_of_restarts(
 
 
 def _fit_runs(
-    engine: Engine | PooledEngine,
+    engine: PooledEngine,
     rig: Rig,
     runs: Sequence[Run],
     names: Sequence[str],
@@ -100,7 +99,6 @@ def _fit_runs(
 ) -> tuple[FitResult, Rig]:
     noise = channel_noise(rig, [*runs, *held_out])
     parameters = fit_parameters(rig, names)
-    problem = Problem(runs, noise, engine)
     first = start_of(rig, parameters) if start is None else start
 
     def on_evaluation(count: int, chi2: float) -> None:
@@ -108,8 +106,11 @@ def _fit_runs(
             share = 1.0 - np.exp(-count / TYPICAL_EVALUATIONS)
             on_progress(0.9 * share, f"evaluation {count}, misfit {chi2:.4g}")
 
+    def search(problem: Problem, at: np.ndarray) -> Fitted:
+        return _best_of_restarts(problem, rig, parameters, at, seed, on_evaluation)
+
+    problem, fitted = fit_beside_own_error(engine, runs, noise, rig, parameters, start=first, search=search)
     before = problem.evaluate(rig, [], np.zeros(0))
-    fitted = _best_of_restarts(problem, rig, parameters, first, seed, on_evaluation)
     estimates, correlation, sentences, reduced = estimates_of(fitted, first)
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False)

@@ -4,45 +4,30 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
+from sysid.fit.directions import Basis, Direction, basis_of
 from sysid.fit.engine import Engine, Prediction
 from sysid.fit.noise import ChannelNoise, whiten
 from sysid.fit.parameters import FitParameter, rig_at, start_of
 from sysid.fit.pool import PooledEngine
-from sysid.fit.runs import Run
-
-RIGHT_SD = 0.5
-"""Standard deviation of the coefficient of a discretisation direction about its expected value one."""
+from sysid.fit.runs import Measured, Run
 
 COST_OF_FAILURE = 1e3
 """Whitened residual charged to every sample of a run that could not be simulated."""
 
 
-@dataclass(frozen=True)
-class Direction:
-    """A known shape of error for each run and channel (measured units), with an uncertain size.
-
-    ``shapes[run index][channel]``: ``(n, m)``. Size: normal with ``mean`` and ``sd``, one number a run
-    and channel.
-    """
-
-    label: str
-    shapes: tuple[dict[str, np.ndarray], ...]
-    mean: float = 1.0
-    sd: float = RIGHT_SD
-
-
 @dataclass
 class Fitted:
     """Outcome of one minimisation. ``scaled``: best values; ``residual`` and ``jacobian``: whitened,
-    ``(n,)`` and ``(n, p)``, nuisance sizes eliminated; ``blocks``: sample ranges of the run and channel
-    of each residual; ``predictions``: by run."""
+    ``(n,)`` and ``(n, p)``, nuisance sizes eliminated; ``labels``: run, channel and times of the residuals;
+    ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable coefficients of the simulator's own error by run and
+    channel (:mod:`sysid.fit.directions`)."""
 
     parameters: list[FitParameter]
     scaled: np.ndarray
@@ -51,11 +36,12 @@ class Fitted:
     jacobian: np.ndarray
     labels: list[tuple[int, str, np.ndarray]]
     predictions: list[Prediction]
+    centre: Rig
     evaluations: int
     converged: bool
     message: str
     seconds: float
-    sizes: dict[tuple[str, int, str], float] = field(default_factory=dict)
+    sizes: dict[tuple[int, str], np.ndarray] = field(default_factory=dict)
 
     @property
     def interrupted(self) -> bool:
@@ -65,6 +51,17 @@ class Fitted:
     @property
     def chi2(self) -> float:
         return float(self.residual @ self.residual)
+
+    @property
+    def samples(self) -> int:
+        """Number of measured values compared (the residual also has a row for each nuisance size and prior)."""
+        pulls = sum(len(c) for c in self.sizes.values())
+        return len(self.residual) - pulls - sum(len(t) for run, _, t in self.labels if run < 0)
+
+    @property
+    def misfit(self) -> float:
+        """Mean squared whitened residual: 1 for a model that is right."""
+        return self.chi2 / max(self.samples, 1)
 
     @property
     def values(self) -> dict[str, float]:
@@ -91,17 +88,41 @@ class Problem:
         self.engine = engine
         self.directions = list(directions)
         self.prior = prior
+        self._bases: dict[tuple[int, str], tuple[Basis, Basis]] = {}
+
+    def basis(self, index: int, measured: Measured) -> Basis:
+        """The simulator's own error in one channel of run number ``index``."""
+        return self._both_bases(index, measured)[0]
+
+    def _both_bases(self, index: int, measured: Measured) -> tuple[Basis, Basis]:
+        """The basis in measured units, and whitened."""
+        key = (index, measured.channel)
+        if key not in self._bases:
+            basis = basis_of(self.directions, index, self.runs[index], measured)
+            noise = self.noise[measured.channel]
+            parts = {k: whiten(getattr(basis, k), noise) for k in ("expected", "slopes", "columns")}
+            self._bases[key] = (basis, replace(basis, **parts))
+        return self._bases[key]
+
+    def corrected(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
+        """Prediction of a channel with the most probable own error added, measured units ``(n, m)``."""
+        basis = self.basis(index, measured)
+        sizes = fitted.sizes.get((index, measured.channel), np.zeros(len(basis.times)))
+        known = len(basis.at)
+        error = basis.expected + basis.slopes @ (fitted.scaled[:known] - basis.at) + basis.columns @ sizes
+        return np.asarray(fitted.predictions[index].values[measured.channel] + error)
 
     def assemble(
-        self, predictions: Sequence[Prediction], p: int
-    ) -> tuple[np.ndarray, np.ndarray, list[tuple[int, str, np.ndarray]], dict[tuple[str, int, str], float]]:
+        self, predictions: Sequence[Prediction], p: int, scaled: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, list[tuple[int, str, np.ndarray]], dict[tuple[int, str], np.ndarray]]:
         """Whitened residual, jacobian, labels (run, channel, times of the samples), sizes of directions.
 
-        Directions are eliminated channel by channel: r <- r - D c with the most probable sizes c, whose
-        prior pull (c - mean)/sd joins as further residuals, so that derivatives stay exact.
+        The simulator's own error is eliminated channel by channel: r <- r - D c with the most probable
+        coefficients c, whose pull to zero joins as further residuals, so that derivatives stay exact.
+        ``scaled``: where the predictions stand, for errors that change with the parameters.
         """
         residuals, jacobians, labels = [], [], []
-        sizes: dict[tuple[str, int, str], float] = {}
+        sizes: dict[tuple[int, str], np.ndarray] = {}
         for i, (run, prediction) in enumerate(zip(self.runs, predictions, strict=True)):
             for m in run.measured:
                 noise = self.noise[m.channel]
@@ -116,26 +137,22 @@ class Problem:
                     j = -whiten(prediction.derivatives[m.channel], noise)[good]
                     columns = [np.nan_to_num(j)]
                 times = np.broadcast_to(m.t[:, None], white.shape)[good]
-                shapes = [
-                    np.nan_to_num(whiten(d.shapes[i][m.channel], noise)[good])
-                    for d in self.directions
-                    if m.channel in d.shapes[i]
-                ]
-                if shapes and any(np.any(s) for s in shapes):
-                    basis = np.column_stack(shapes)
-                    mean = np.array([d.mean for d in self.directions])
-                    sd = np.array([d.sd for d in self.directions])
-                    root = basis * sd
-                    gram = np.linalg.inv(np.eye(len(sd)) + root.T @ root)
-                    r0 = r - basis @ mean
+                basis = self._both_bases(i, m)[1]
+                if len(basis.times):
+                    root = np.nan_to_num(basis.columns[good])
+                    gram = np.linalg.inv(np.eye(root.shape[1]) + root.T @ root)
+                    r0 = r - np.nan_to_num(basis.expected[good])
+                    if scaled is not None and len(basis.at):
+                        slopes = np.nan_to_num(basis.slopes[good])
+                        r0 = r0 - slopes @ (scaled - basis.at)
+                        columns[0] = columns[0] - slopes
                     c = gram @ (root.T @ r0)
                     rows = [r0 - root @ c, -c]
-                    for d, size in zip(self.directions, mean + sd * c, strict=True):
-                        sizes[(d.label, i, m.channel)] = float(size)
+                    sizes[(i, m.channel)] = c
                     if p:
                         back = gram @ (root.T @ columns[0])
                         columns = [columns[0] - root @ back, -back]
-                    times = np.concatenate([times, np.full(len(c), m.t[-1])])
+                    times = np.concatenate([times, basis.times])
                 residuals += rows
                 if p:
                     jacobians += columns
@@ -147,14 +164,14 @@ class Problem:
         """Residuals and derivatives at given values, without fitting."""
         started = time.monotonic()
         predictions = self.engine.predict_all(rig, self.runs, parameters, scaled)
-        r, j, labels, sizes = self.assemble(predictions, len(parameters))
+        r, j, labels, sizes = self.assemble(predictions, len(parameters), scaled if len(parameters) else None)
         if self.prior and parameters:
             width = np.array([p.prior_sd for p in parameters])
             r = np.concatenate([r, (scaled - start_of(rig, parameters)) / width])
             j = np.vstack([j, np.diag(1.0 / width)])
             labels = [*labels, (-1, "prior", np.zeros(len(width)))]
         return Fitted(
-            list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, 1, True,
+            list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, rig, 1, True,
             "evaluated", time.monotonic() - started, sizes,
         )  # fmt: skip
 
@@ -164,12 +181,13 @@ class Problem:
         parameters: Sequence[FitParameter],
         start: np.ndarray | None = None,
         max_evaluations: int = 30,
-        tolerance: float = 1e-3,
+        tolerance: float = 0.5,
         on_evaluation: Callable[[int, float], None] | None = None,
     ) -> Fitted:
         """Minimise the whitened residuals (trust region, bounds, analytic derivatives).
 
-        ``tolerance``: relative change of the cost that ends the search. Ctrl-C keeps the best so far.
+        ``tolerance``: improvement of chi-square, in units of the misfit, below which the search ends.
+        Ctrl-C keeps the best so far.
         """
         started = time.monotonic()
         start = start_of(rig, parameters) if start is None else np.asarray(start, dtype=float)
@@ -177,6 +195,7 @@ class Problem:
         last: list[Fitted] = []
         count = 0
         size = 0
+        samples = sum(int(np.isfinite(m.values).sum()) for run in self.runs for m in run.measured)
 
         def evaluate(scaled: np.ndarray) -> np.ndarray:
             nonlocal count, size
@@ -212,8 +231,8 @@ class Problem:
                     jac=jacobian,
                     bounds=(low, high),
                     x_scale=np.array([min(p.prior_sd, 1.0) for p in parameters]),
-                    ftol=tolerance,
-                    xtol=1e-5,
+                    ftol=tolerance / max(samples, 1),
+                    xtol=1e-7,
                     gtol=1e-12,
                     max_nfev=max_evaluations,
                 )

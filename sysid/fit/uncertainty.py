@@ -40,8 +40,7 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     """Uncertainty of a fit in its scaled parameters."""
     parameters = fitted.parameters
     p = len(parameters)
-    n = len(fitted.residual)
-    reduced = fitted.chi2 / max(n - p, 1)
+    reduced = fitted.chi2 / max(fitted.samples - p, 1)
     if p == 0:
         return Uncertainty(np.zeros(0), np.zeros((0, 0)), (), reduced)
     j, r = fitted.jacobian, fitted.residual

@@ -21,12 +21,16 @@ from sim_core.effects import EFFECTS, Effect
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.engine import Prediction
-from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
+from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Fitted, Problem
 
 LARGEST_STEP = 1.0
 """Longest step of the linear prediction in a logarithm, or in prior widths of a linear parameter."""
+
+
+REFIT_TOLERANCE = 5.0
+"""Improvement of chi-square, in units of the misfit, below which a refit ends."""
 
 
 @dataclass(frozen=True)
@@ -124,15 +128,12 @@ def refit(problem: Problem, base: Fitted, start: Start, evaluations: int) -> Fit
     """Fit baseline and effect parameters together from a screened start."""
     parameters = [*base.parameters, *start.own]
     centred = _centred(start, base)
-    return problem.fit(centred, parameters, start=start.scaled, max_evaluations=evaluations, tolerance=2e-3)
+    return problem.fit(centred, parameters, start=start.scaled, max_evaluations=evaluations, tolerance=REFIT_TOLERANCE)
 
 
 def _centred(start: Start, base: Fitted) -> Rig:
     """The rig whose values the priors pull to: the baseline's prior centre, the effect at rest."""
-    shared = len(base.parameters)
-    width = np.array([p.prior_sd for p in base.parameters])
-    pull = base.residual[len(base.residual) - shared :] if shared else np.zeros(0)
-    centre = rig_at(start.rig, base.parameters, base.scaled - pull * width)
+    centre = with_effect(base.centre, start.effect, dict(start.rig.effects[start.effect.name]))
     values = dict(centre.effects[start.effect.name])
     for p, scaled in zip(start.own, start_of(start.rig, start.own), strict=True):
         rest = _rest(start.effect, p, float(scaled))

@@ -15,14 +15,15 @@ import yaml
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.noise import channel_noise
+from sysid.fit.own_error import discretisation, fit_beside_own_error
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Direction, Fitted, Problem
+from sysid.fit.problem import Fitted, Problem
 from sysid.fit.result import plot_series, rms_errors
 from sysid.fit.runs import Run, load_run
 from sysid.fit.uncertainty import uncertainty
 from sysid.mismatch import words
-from sysid.mismatch.baseline import discretisation, open_parameters
+from sysid.mismatch.baseline import open_parameters
 from sysid.mismatch.candidates import Start, log_evidence, refit, screen
 from sysid.mismatch.decide import (
     Trial,
@@ -49,8 +50,11 @@ WORTH_REFITTING_NATS = 4.0
 EVALUATIONS = 6
 """Evaluations allowed to a refit."""
 
-POLISHING = 8
-"""Evaluations allowed to the last fit of the answer."""
+BASELINE = 5
+"""Rounds allowed to the baseline fit."""
+
+POLISHING = 5
+"""Rounds allowed to the last fit of the answer."""
 
 
 class _Steps:
@@ -79,19 +83,13 @@ def diagnose_runs(
     with PooledEngine(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
         tell(0.0, "baseline fit")
         parameters = fit_parameters(rig, open_parameters(rig))
-        first = Problem(runs, noise, engine, prior=True).fit(rig, parameters)
-        tell(0.2, "refined mesh and time step")
-        everywhere = discretisation(engine, first.rig, [*runs, *held_out])
-        directions = [_some(d, slice(0, len(runs))) for d in everywhere]
-        problem = Problem(runs, noise, engine, directions, prior=True)
-        tell(0.35, "baseline fit with the simulator's own error")
-        base = problem.fit(rig, parameters, start=first.scaled, max_evaluations=8)
+        problem, base = fit_beside_own_error(engine, runs, noise, rig, parameters, prior=True, rounds=BASELINE)
         before = structure(problem, base)
-        own_error = discretisation_energy(problem, directions)
+        own_error = discretisation_energy(problem)
         tell(0.45, "screening of effects")
         starts = screen(engine, problem, base)
         tell(0.65, "refits")
-        check = Problem(held_out, noise, engine, [_some(d, slice(len(runs), None)) for d in everywhere])
+        check = Problem(held_out, noise, engine, discretisation(engine, base.rig, held_out))
         trials = _refits(problem, check, base, _chosen(starts, base))
         tell(0.95, "verdict")
         verdict = decide(trials, before.per_score, before.excess, own_error)
@@ -108,6 +106,7 @@ def diagnose_runs(
                 best,
                 fitted=polished,
                 explained=1.0 - left / before.excess if before.excess > 0.0 else 0.0,
+                held_out=_gain(_held_out(check, base), _held_out(exact_check, polished)),
                 significance=significance(best.effect, polished),
             )
             trials = [final if t is best else t for t in trials]
@@ -122,10 +121,6 @@ def diagnose_runs(
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
     return diagnosis, (answer or base).rig
-
-
-def _some(direction: Direction, which: slice) -> Direction:
-    return Direction(direction.label, direction.shapes[which], direction.mean, direction.sd)
 
 
 def _chosen(starts: list[Start], base: Fitted) -> list[Start]:
@@ -150,7 +145,7 @@ def _refits(problem: Problem, check: Problem, base: Fitted, chosen: list[Start])
         done = [(s, f) for s, f in threads.map(attempt, chosen) if f is not None]
     if not done:
         return []
-    lowest = min(f.chi2 / max(len(f.residual), 1) for _, f in done)
+    lowest = min(f.misfit for _, f in done)
     temper = max(1.0, lowest)
     reference = log_evidence(base, temper)
     excess = structure(problem, base).excess
@@ -159,10 +154,7 @@ def _refits(problem: Problem, check: Problem, base: Fitted, chosen: list[Start])
     for start, fitted in done:
         after = structure(problem, fitted).excess
         explained = (excess - after) / excess if excess > 0.0 else 0.0
-        held = None
-        there = _held_out(check, fitted)
-        if plain is not None and there is not None:
-            held = held_out_gain(plain.residual, there.residual)
+        held = _gain(plain, _held_out(check, fitted))
         gain = log_evidence(fitted, temper) - reference
         trials.append(Trial(start.effect, fitted, gain, explained, held))
     return sorted(trials, key=lambda t: -t.gain)
@@ -173,15 +165,27 @@ def _held_out(check: Problem, fitted: Fitted) -> Fitted | None:
     return check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
 
 
+def _gain(plain: Fitted | None, amended: Fitted | None) -> float | None:
+    """Share of the robust misfit on held-out data that an amendment removes."""
+    return None if plain is None or amended is None else held_out_gain(plain.residual, amended.residual)
+
+
 def _polished(
     engine: PooledEngine, problem: Problem, held_out: Sequence[Run], answer: Fitted
 ) -> tuple[Problem, Problem, Fitted]:
     """Fit the answer to the end, with the simulator's own error measured where it now stands."""
-    everywhere = discretisation(engine, answer.rig, [*problem.runs, *held_out])
-    count = len(problem.runs)
-    there = Problem(problem.runs, problem.noise, engine, [_some(d, slice(0, count)) for d in everywhere], prior=True)
-    check = Problem(held_out, problem.noise, engine, [_some(d, slice(count, None)) for d in everywhere])
-    return there, check, there.fit(answer.rig, answer.parameters, start=answer.scaled, max_evaluations=POLISHING)
+    there, fitted = fit_beside_own_error(
+        engine,
+        problem.runs,
+        problem.noise,
+        answer.centre,
+        answer.parameters,
+        start=answer.scaled,
+        prior=True,
+        rounds=POLISHING,
+    )
+    check = Problem(held_out, problem.noise, engine, discretisation(engine, fitted.rig, held_out))
+    return there, check, fitted
 
 
 def _misfit(problem: Problem, check: Problem, base: Fitted, fitted: Fitted) -> Misfit:
@@ -192,8 +196,8 @@ def _misfit(problem: Problem, check: Problem, base: Fitted, fitted: Fitted) -> M
         plain = check.evaluate(base.rig, [], np.zeros(0))
         there = check.evaluate(fitted.rig, [], np.zeros(0))
         errors += rms_errors(check, plain, there, held_out=True)
-        held = there.chi2 / max(len(there.residual), 1)
-    return Misfit(fitted.chi2 / max(len(fitted.residual), 1), held, tuple(errors))
+        held = there.misfit
+    return Misfit(fitted.misfit, held, tuple(errors))
 
 
 def _limits(starts: list[Start], trials: list[Trial], base: Fitted) -> dict[str, float]:

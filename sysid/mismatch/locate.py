@@ -7,15 +7,13 @@ missing law leaves behind is smooth in time and adds up.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sysid.fit.noise import column_groups, whiten
-from sysid.fit.problem import Direction, Fitted, Problem
+from sysid.fit.problem import Fitted, Problem
 from sysid.fit.runs import Measured, Run
-from sysid.mismatch.baseline import corrected
 from sysid.mismatch.result import Located, LocatedChannel
 
 BLOCKS = 24
@@ -53,7 +51,7 @@ def block_scores(run: Run, measured: Measured, white: np.ndarray) -> tuple[np.nd
 
 def whitened(problem: Problem, fitted: Fitted, run: int, measured: Measured) -> np.ndarray:
     """Whitened residual of one channel with the simulator's own error taken out, ``(n, m)``."""
-    miss = measured.values - corrected(fitted, problem.directions, run, measured.channel)
+    miss = measured.values - problem.corrected(fitted, run, measured)
     return whiten(miss, problem.noise[measured.channel])
 
 
@@ -69,7 +67,7 @@ def structure(problem: Problem, fitted: Fitted) -> Structure:
     return Structure(excess, count)
 
 
-def discretisation_energy(problem: Problem, directions: Sequence[Direction]) -> float:
+def discretisation_energy(problem: Problem) -> float:
     """Structured energy of the simulator's own error, in the same units as :class:`Structure.excess`.
 
     With the sizes expected from refinement, not the fitted ones, which may have taken up missing physics.
@@ -77,9 +75,8 @@ def discretisation_energy(problem: Problem, directions: Sequence[Direction]) -> 
     energy = 0.0
     for i, run in enumerate(problem.runs):
         for m in run.measured:
-            shift = sum((d.mean * d.shapes[i][m.channel] for d in directions), np.zeros_like(m.values))
             # What is not measured has no noise to compare with.
-            shift = np.where(np.isfinite(m.values), shift, np.nan)
+            shift = np.where(np.isfinite(m.values), problem.basis(i, m).expected, np.nan)
             scores, _ = block_scores(run, m, whiten(shift, problem.noise[m.channel]))
             energy += float(np.nansum(scores**2))
     return energy

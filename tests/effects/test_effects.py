@@ -139,3 +139,13 @@ def test_names_and_values_are_checked(small_rig):
 def test_effect_parameters_are_listed_with_the_rig(small_rig):
     rig = small_rig(effects={"air_drag": {"drag_coefficient": 1.0}})
     assert "effects.air_drag.drag_coefficient" in {p.name for p in list_parameters(rig)}
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_equivalent_descriptions_read_the_same(effect, small_rig, visit):
+    for same in effect.equivalents(TYPICAL[effect.name]):
+        given = readings(small_rig(effects={effect.name: TYPICAL[effect.name]}), visit(*MOTION))
+        other = readings(small_rig(effects={effect.name: dict(same)}), visit(*MOTION))
+        for channel in given:
+            size = np.nanmax(np.abs(given[channel]))
+            assert np.allclose(given[channel], other[channel], rtol=0, atol=1e-6 * size, equal_nan=True), channel
