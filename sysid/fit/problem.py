@@ -26,8 +26,8 @@ COST_OF_FAILURE = 1e3
 class Fitted:
     """Outcome of one minimisation. ``scaled``: best values; ``residual`` and ``jacobian``: whitened,
     ``(n,)`` and ``(n, p)``, nuisance sizes eliminated; ``labels``: run, channel and times of the residuals;
-    ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable coefficients of the simulator's own error by run and
-    channel (:mod:`sysid.fit.directions`)."""
+    ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable
+    coefficients of the simulator's own error by run and channel (:mod:`sysid.fit.directions`)."""
 
     parameters: list[FitParameter]
     scaled: np.ndarray
