@@ -44,6 +44,9 @@ Progress = Callable[[float, str], None]
 REFITTED = 4
 """Effects that are refitted in full after the screening."""
 
+SECOND_STARTS = 3
+"""Further starts of these effects that are refitted as well."""
+
 WORTH_REFITTING_NATS = 4.0
 """Predicted improvement below which an effect is not refitted."""
 
@@ -124,12 +127,18 @@ def diagnose_runs(
 
 
 def _chosen(starts: list[Start], base: Fitted) -> list[Start]:
-    """The best start of each promising effect."""
-    best: dict[str, Start] = {}
-    for start in starts:
-        if base.chi2 - start.predicted > 2.0 * WORTH_REFITTING_NATS:
-            best.setdefault(start.effect.name, start)
-    return list(best.values())[:REFITTED]
+    """The best start of each promising effect, and the next best of these effects.
+
+    A law with a threshold has a misfit with several minima, so one start of it is not enough.
+    """
+    promising = [s for s in starts if base.chi2 - s.predicted > 2.0 * WORTH_REFITTING_NATS]
+    first: dict[str, Start] = {}
+    for start in promising:
+        first.setdefault(start.effect.name, start)
+    leading = list(first.values())[:REFITTED]
+    names = {f.effect.name for f in leading}
+    others = [s for s in promising if s.effect.name in names and s is not first[s.effect.name]]
+    return leading + others[:SECOND_STARTS]
 
 
 def _refits(problem: Problem, check: Problem, base: Fitted, chosen: list[Start]) -> list[Trial]:
@@ -143,6 +152,11 @@ def _refits(problem: Problem, check: Problem, base: Fitted, chosen: list[Start])
 
     with ThreadPoolExecutor(max(1, len(chosen))) as threads:
         done = [(s, f) for s, f in threads.map(attempt, chosen) if f is not None]
+    best: dict[str, tuple[Start, Fitted]] = {}
+    for start, fitted in done:
+        if start.effect.name not in best or fitted.chi2 < best[start.effect.name][1].chi2:
+            best[start.effect.name] = (start, fitted)
+    done = list(best.values())
     if not done:
         return []
     lowest = min(f.misfit for _, f in done)
