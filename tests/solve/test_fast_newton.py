@@ -67,7 +67,7 @@ def test_a_kept_tangent_learns_a_contact_that_was_not_in_it():
     np.testing.assert_allclose(x, np.linalg.solve(true, load), atol=1e-9)
 
 
-@pytest.mark.parametrize("kink", [0.2, 0.7, 0.9])
+@pytest.mark.parametrize("kink", [0.2, 0.9])
 def test_an_overshoot_is_shortened_to_where_the_residual_along_it_is_small(kink):
     """Soft up to the kink and ten times stiffer beyond, as where contact closes within a step."""
     step = np.array([1.0, 0.5])
