@@ -118,31 +118,20 @@ class NeoHookean:
         self._gradient = BoundKernel(
             add_gradient, *state, self._tets, self._grad, self._weight, self._constants, buffers.gradient
         )
-        # Entry (i, k) of block (a, b) is read from the upper triangle of the element matrix.
-        row, column = np.divmod(np.arange(900), 30)
-        a, b, i, k = (
-            g.ravel() for g in np.meshgrid(np.arange(10), np.arange(10), np.arange(3), np.arange(3), indexing="ij")
-        )
-        row, column = 3 * a + i, 3 * b + k
-        local = 30 * np.minimum(row, column) + np.maximum(row, column)
-        slot = np.ascontiguousarray(slots).reshape(m, 900)
-        kept = slot != len(buffers.hessian) - 1
-        first = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int32)
-        place = np.column_stack([slot[kept], np.broadcast_to(local, slot.shape)[kept]]).astype(np.int32)
-        first_place = (first, np.ascontiguousarray(place))
+        places = _places(slots.reshape(m, 10, 10, 3, 3), len(buffers.hessian) - 1)
         tangent, local = np.zeros((4 * m, 9, 9)), np.zeros(900)
         solid = self._grad, self._weight, self._constants
         self._projected_tangent = BoundKernel(projected_tangent, *state, self._constants, np.zeros((9, 10)), tangent)
         self._add_projected = BoundKernel(
             add_projected,
-            *(tangent, deformation, *solid, *first_place),
+            *(tangent, deformation, *solid, places),
             *(np.zeros((30, 36)), np.zeros(30), local, buffers.hessian),
         )
         kept_part = np.zeros((m, 55))
         self._isotropic = BoundKernel(isotropic, self._history, *solid, kept_part)
         self._add_exact = BoundKernel(
             exact_hessian,
-            *(deformation, dilatation, *solid, kept_part, *first_place, np.zeros((5, 30)), local, buffers.hessian),
+            *(deformation, dilatation, *solid, kept_part, places, np.zeros((5, 30)), buffers.hessian),
         )
         self._isotropic_known = False
 
@@ -227,3 +216,15 @@ class NeoHookean:
         self._deform_stored()
         self._deviatoric_stress()
         return self._stress
+
+
+def _places(slots: np.ndarray, nowhere: int) -> np.ndarray:
+    """Place of each entry of each block a <= b of the elements, -1 where there is none: int32 ``(m, 495)``.
+
+    ``slots``: of all ordered pairs, ``(m, 10, 10, 3, 3)``; an entry has its place in one of the two orders.
+    """
+    mirrored = slots.transpose(0, 2, 1, 4, 3)
+    a, b = np.triu_indices(10)
+    both = np.where(slots == nowhere, mirrored, slots)[:, a, b]
+    below = np.tril(np.ones((3, 3), dtype=bool), -1) & (a == b)[:, None, None]
+    return np.ascontiguousarray(np.where((both == nowhere) | below, -1, both).reshape(len(slots), -1), dtype=np.int32)

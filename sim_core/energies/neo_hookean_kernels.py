@@ -3,7 +3,7 @@
 import taichi as ti
 
 from sim_core.energies.projection import negative_modes
-from sim_core.kernels import F1, F2, F3, I1, I2, mat3, vec3
+from sim_core.kernels import F1, F2, F3, I2, mat3, vec3
 
 HISTORY_J = 0.1
 """S_dev grows like 1/J; the memory of a point crushed below this J is taken as if it were at this J."""
@@ -173,8 +173,7 @@ def add_projected(
     grad: F3,
     weight: F2,
     constants: F1,
-    first: I1,
-    place: I2,
+    slots: I2,
     columns: F2,
     volume: F1,
     local: F1,
@@ -217,8 +216,14 @@ def add_projected(
                         entry[i] += ga[q, j] * columns[c, 9 * q + 3 * i + j]
                 for i in ti.static(range(3)):
                     local[30 * (3 * a + i) + c] = entry[i]
-        for k in range(first[e], first[e + 1]):
-            out[place[k, 0]] = out[place[k, 0]] + local[place[k, 1]]
+        block = 0
+        for a in range(10):
+            for b in range(a, 10):
+                for i, k in ti.static(ti.ndrange(3, 3)):
+                    at = slots[e, 9 * block + 3 * i + k]
+                    if at >= 0:
+                        out[at] = out[at] + local[90 * a + 30 * i + 3 * b + k]
+                block += 1
 
 
 @ti.kernel
@@ -248,13 +253,14 @@ def isotropic(history: F2, grad: F3, weight: F2, constants: F1, out: F2):
 
 @ti.kernel
 def exact_hessian(
-    deformation: F3, dilatation: F1, grad: F3, weight: F2, constants: F1, isotropic_part: F2, first: I1, place: I2,
-    volume: F2, local: F1, out: F1,
+    deformation: F3, dilatation: F1, grad: F3, weight: F2, constants: F1, isotropic_part: F2, slots: I2,
+    volume: F2, out: F1,
 ):  # fmt: skip
     """Add the unprojected Hessian of each element, block by block, to the kept entries.
 
     With v_a = cof(F) g_a the block of J's second derivative is the skew matrix of F (g_a x g_b) = v_a x v_b / J.
-    ``volume``: scratch, v_a at the four points and its mean; ``local``: scratch, the element's matrix.
+    ``slots``: place of each entry of each block a <= b, -1 where nobody needs it; ``volume``: scratch, v_a at the
+    four points and its mean.
     """
     mu, bulk, share = constants[MU], constants[BULK], constants[SHARE]
     ti.loop_config(serialize=True)
@@ -307,10 +313,10 @@ def exact_hessian(
                     m[j, k] += w[i]
                     m[k, j] -= w[i]
                 for i, k in ti.static(ti.ndrange(3, 3)):
-                    local[90 * a + 30 * i + 3 * b + k] = m[i, k]
+                    at = slots[e, 9 * block + 3 * i + k]
+                    if at >= 0:
+                        out[at] = out[at] + m[i, k]
                 block += 1
-        for k in range(first[e], first[e + 1]):
-            out[place[k, 0]] = out[place[k, 0]] + local[place[k, 1]]
 
 
 @ti.func

@@ -50,6 +50,11 @@ class Pattern:
         """Length of the array of values, the swallowing one included."""
         return 9 * (len(self._static) + self._capacity) + 1
 
+    @property
+    def n_used(self) -> int:
+        """Length of the part of the array of values that the matrix is read from."""
+        return 9 * (len(self._static) + len(self._dynamic))
+
     def _keys(self, blocks: np.ndarray) -> np.ndarray:
         blocks = np.asarray(blocks, dtype=np.int64).reshape(-1, 2)
         return np.asarray(blocks.min(axis=1) * self._n_nodes + blocks.max(axis=1))
