@@ -1,9 +1,10 @@
-"""Which triangles a sample may touch: searched at the start of every step, in two rings.
+"""Which triangles a sample may touch, in two rings.
 
-The inner ring is what the contact law looks at; it is found anew for every step. The outer ring, wider,
-decides which nodes the Hessian couples; it is renewed only when the inner ring is no longer part of it (or
-when it is far too wide after a violent step), so that the matrix keeps its pattern for many steps.
-Triangles are taken by their circumscribing spheres, so none is missed however large it is.
+The inner ring is what the contact law looks at. It is wider than one step needs and is found anew only when
+the surfaces have moved by more than the surplus. The outer ring, wider again, decides which nodes the Hessian
+couples; it is renewed only when the inner ring is no longer part of it (or when it is far too wide after a
+violent step), so that the matrix keeps its pattern for many steps. Triangles are first taken by their
+circumscribing spheres, so none is missed however large it is; then their distances decide.
 """
 
 from __future__ import annotations
@@ -12,6 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sim_core.contact.samples import Samples
+
+SURPLUS = 0.5
+"""Share of the margin between the rings by which the inner ring is wider than a step needs."""
 
 
 class Candidates:
@@ -47,18 +51,20 @@ class Candidates:
         The outer ring is wider by ``margin`` [m]. Returns whether the outer ring changed, and whether
         :attr:`near` is a new array because the old one was too small.
         """
+        known = self._searched_at is not None and self._reach <= 4.0 * (reach + margin)
+        if known and reach + self._motion(x) <= self._reach:
+            return False, False
         self._searched_at = x.copy()
-        self._reach = reach
-        points, centres, radii = self._spheres(x)
-        inner = self._within(points, centres, radii, reach)
+        self._reach = reach + SURPLUS * margin
+        near, distance = self._within(x, reach + margin)
+        inner = near[distance <= self._reach]
         at = np.searchsorted(self._coupled_keys, inner)
         inside = bool(np.all(at < len(self._coupled_keys))) and bool(np.all(self._coupled_keys[at] == inner))
         inside &= self._coupled_reach <= 2.0 * (reach + margin) or not len(self._coupled_keys)
         if not inside:
             self._coupled_reach = reach + margin
-            outer = self._within(points, centres, radii, reach + margin)
-            self._coupled_keys = outer
-            self.coupled = tuple(np.divmod(outer, len(self._triangles)))  # type: ignore[assignment]
+            self._coupled_keys = near
+            self.coupled = tuple(np.divmod(near, len(self._triangles)))  # type: ignore[assignment]
         sample, triangle = np.divmod(inner, len(self._triangles))
         grown = len(inner) > len(self.near)
         if grown:
@@ -68,33 +74,50 @@ class Candidates:
         return not inside, grown
 
     def outran(self, x: np.ndarray) -> bool:
-        """True when samples and triangles may have moved towards each other by more than the reach."""
-        if self._searched_at is None:
-            return False
-        moved = x - self._searched_at
-        ours, theirs = moved[self._members], moved[self._corners]
-        middle = 0.5 * (ours.mean(axis=0) + theirs.mean(axis=0))
-        furthest = sum(float(np.linalg.norm(part - middle, axis=1).max()) for part in (ours, theirs))
-        return furthest > self._reach
+        """True when samples and triangles may have moved towards each other by more than the inner ring is wide."""
+        return self._searched_at is not None and self._motion(x) > self._reach
 
-    def _spheres(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        corners = x[self._triangles]
+    def _motion(self, x: np.ndarray) -> float:
+        """By how much samples and triangles may have approached each other since the search [m]."""
+        assert self._searched_at is not None
+        ours, theirs = (x[m] - self._searched_at[m] for m in (self._members, self._corners))
+        middle = 0.5 * (ours.mean(axis=0) + theirs.mean(axis=0))
+        return float(sum(np.sqrt(((part - middle) ** 2).sum(axis=1).max()) for part in (ours, theirs)))
+
+    def _within(self, x: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs as sample * number of triangles + triangle, ascending, and their distances less the offset [m]."""
+        corners, points = x[self._triangles], self._samples.positions(x)
         centres = corners.mean(axis=1)
         radii = np.sqrt(((corners - centres[:, None]) ** 2).sum(axis=-1).max(axis=1))
-        return self._samples.positions(x), centres, radii
-
-    def _within(self, points: np.ndarray, centres: np.ndarray, radii: np.ndarray, reach: float) -> np.ndarray:
-        """Pairs as sample * number of triangles + triangle, ascending."""
         distance = self._offset + reach
         largest = distance + float(radii.max())
         some = np.flatnonzero(_in_box(points, centres, largest))
         others = np.flatnonzero(_in_box(centres, points[some], largest)) if len(some) else some
         if not len(others):
-            return np.empty(0, dtype=np.int64)
+            return np.empty(0, dtype=np.int64), np.empty(0)
         pairs = cKDTree(points[some]).sparse_distance_matrix(cKDTree(centres[others]), largest, output_type="ndarray")
         sample, triangle = some[pairs["i"]], others[pairs["j"]]
-        kept = pairs["v"] <= distance + radii[triangle]
-        return np.sort(sample[kept] * np.int64(len(centres)) + triangle[kept])
+        close = pairs["v"] <= distance + radii[triangle]
+        keys = np.sort(sample[close] * np.int64(len(centres)) + triangle[close])
+        sample, triangle = np.divmod(keys, len(centres))
+        gap = distance_to_triangles(points[sample], corners[triangle]) - self._offset
+        return keys[gap <= reach], gap[gap <= reach]
+
+
+def distance_to_triangles(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Distances [m] of points ``(n, 3)`` to one triangle each ``(n, 3, 3)``: over the face or to its border."""
+    out = np.full(len(points), np.inf)
+    inside = np.ones(len(points), dtype=bool)
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    normal = np.cross(b - a, c - a)
+    for p, q in ((a, b), (b, c), (c, a)):
+        edge, to = q - p, points - p
+        inside &= np.einsum("nj,nj->n", np.cross(edge, to), normal) >= 0.0
+        share = np.einsum("nj,nj->n", to, edge) / np.einsum("nj,nj->n", edge, edge)
+        border = np.linalg.norm(to - np.clip(share, 0.0, 1.0)[:, None] * edge, axis=1)
+        np.minimum(out, border, out=out)
+    height = np.abs(np.einsum("nj,nj->n", points - a, normal)) / np.linalg.norm(normal, axis=1)
+    return np.where(inside, height, out)
 
 
 def _in_box(points: np.ndarray, others: np.ndarray, margin: float) -> np.ndarray:

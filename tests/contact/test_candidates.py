@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sim_core.contact.candidates import Candidates
+from sim_core.contact.candidates import Candidates, distance_to_triangles
 from sim_core.contact.samples import sheet_samples
 from sim_core.geometry.sheets import rectangle
 
@@ -22,7 +22,7 @@ def distance(p, corners):
     return np.linalg.norm(w @ corners - p, axis=1).min()
 
 
-@pytest.mark.parametrize("gap", [5e-4, 3e-3])
+@pytest.mark.parametrize("gap", [5e-4, 2e-3])
 def test_every_triangle_within_reach_is_found(gap):
     found, samples, triangles, x = two_sheets(gap)
     reach = 2e-3
@@ -34,6 +34,29 @@ def test_every_triangle_within_reach_is_found(gap):
             if t not in near:
                 assert distance(p, corners) > reach + 1e-4
     assert found.any
+
+
+def test_distance_to_a_triangle_over_its_face_its_edges_and_its_corners():
+    rng = np.random.default_rng(4)
+    corners = rng.standard_normal((200, 3, 3))
+    points = 2.0 * rng.standard_normal((200, 3))
+    expected = [distance(p, c) for p, c in zip(points, corners, strict=True)]
+    np.testing.assert_allclose(distance_to_triangles(points, corners), expected, atol=0.05, rtol=0.02)
+    over = corners.mean(axis=1) + 0.1 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    heights = np.linalg.norm(over - corners.mean(axis=1), axis=1)
+    np.testing.assert_allclose(distance_to_triangles(over, corners), heights)
+
+
+def test_a_search_serves_until_the_surfaces_have_moved_by_its_surplus():
+    found, _, _, x = two_sheets(5e-4)
+    found.search(x, 1e-3, 1e-3)
+    first, near = found.first.copy(), found.near.copy()
+    x[-50:, 0] += 2e-4
+    found.search(x, 1e-3, 1e-3)
+    assert np.array_equal(found.first, first) and np.array_equal(found.near, near)
+    x[-50:, 0] += 4e-4
+    found.search(x, 1e-3, 1e-3)
+    assert not np.array_equal(found.first, first)
 
 
 def test_the_coupled_pairs_stay_while_they_cover_what_is_near():
