@@ -22,7 +22,8 @@ TIE_NATS = 5.0
 """Effects within this of the best are reported together."""
 
 MIN_EXPLAINED = 0.6
-"""Share of the structured misfit that an answer must explain; less leaves something unknown."""
+"""Share of the structured misfit that an answer must explain, unless what it leaves may be the simulator's
+own error; less leaves something unknown."""
 
 ROBUST_WIDTH = 3.0
 """Whitened residual from which held-out samples count linearly, so that a few do not decide."""
@@ -74,12 +75,17 @@ def decide(trials: list[Trial], structure_per_score: float, excess: float, discr
     ``structure_per_score``, ``excess``: structured misfit of the baseline; ``discretisation``: structured
     energy of the simulator's own error.
     """
+
+    def plain(share: float) -> bool:
+        """Whether this share of the structured misfit is more than the simulator's own error could leave."""
+        per_score = 1.0 + share * (structure_per_score - 1.0)
+        return per_score > STRUCTURE_PER_SCORE and share * excess > DISCRETISATION_SHARE * discretisation
+
     fit = sorted((t for t in trials if not t.rejected), key=lambda t: -t.gain)
-    plain = structure_per_score > STRUCTURE_PER_SCORE and excess > DISCRETISATION_SHARE * discretisation
     if not fit:
-        return Verdict("unknown" if plain else "nothing_missing", ())
+        return Verdict("unknown" if plain(1.0) else "nothing_missing", ())
     best = fit[0]
-    if plain and best.explained < MIN_EXPLAINED:
+    if best.explained < MIN_EXPLAINED and plain(1.0 - best.explained):
         return Verdict("unknown", tuple(fit))
     ties = tuple(t for t in fit if best.gain - t.gain < TIE_NATS and t.explained > best.explained - 0.1)
     return Verdict("named" if len(ties) == 1 else "one_of", ties)

@@ -39,6 +39,8 @@ LOUD = (5.0, 5000.0, 1000.0)
         ([trial("air_drag", 40.0), trial("stream_delay", 38.0)], LOUD, "one_of"),
         ([trial("air_drag", 40.0), trial("stream_delay", 20.0)], LOUD, "named"),
         # Structure that the simulator's own error could leave is not blamed on physics.
+        ([trial("air_drag", 400.0, explained=0.4)], (2.6, 5000.0, 7000.0), "named"),
+        ([trial("air_drag", 400.0, explained=0.4)], (2.6, 5000.0, 5000.0), "unknown"),
         ([], (5.0, 5000.0, 20000.0), "nothing_missing"),
     ],
 )
