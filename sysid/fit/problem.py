@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
-from sysid.fit.directions import Basis, Direction, basis_of
+from sysid.fit.directions import Basis, Direction, Sizes, basis_of
 from sysid.fit.engine import Engine, Prediction
 from sysid.fit.noise import ChannelNoise, whiten
 from sysid.fit.parameters import FitParameter, rig_at, start_of
@@ -41,7 +41,7 @@ class Fitted:
     converged: bool
     message: str
     seconds: float
-    sizes: dict[tuple[int, str], np.ndarray] = field(default_factory=dict)
+    sizes: dict[tuple[int, str], Sizes] = field(default_factory=dict)
 
     @property
     def interrupted(self) -> bool:
@@ -55,7 +55,7 @@ class Fitted:
     @property
     def samples(self) -> int:
         """Number of measured values compared (the residual also has a row for each nuisance size and prior)."""
-        pulls = sum(len(c) for c in self.sizes.values())
+        pulls = sum(c.number for c in self.sizes.values())
         return len(self.residual) - pulls - sum(len(t) for run, _, t in self.labels if run < 0)
 
     @property
@@ -99,30 +99,27 @@ class Problem:
         key = (index, measured.channel)
         if key not in self._bases:
             basis = basis_of(self.directions, index, self.runs[index], measured)
-            noise = self.noise[measured.channel]
-            parts = {k: whiten(getattr(basis, k), noise) for k in ("expected", "slopes", "columns")}
-            self._bases[key] = (basis, replace(basis, **parts))
+            self._bases[key] = (basis, basis.whitened(self.noise[measured.channel]))
         return self._bases[key]
 
     def corrected(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
         """Prediction of a channel with the most probable own error added, measured units ``(n, m)``."""
-        basis = self.basis(index, measured)
-        sizes = fitted.sizes.get((index, measured.channel), np.zeros(len(basis.times)))
-        known = len(basis.at)
-        error = basis.expected + basis.slopes @ (fitted.scaled[:known] - basis.at) + basis.columns @ sizes
-        return np.asarray(fitted.predictions[index].values[measured.channel] + error)
+        prediction = fitted.predictions[index].values[measured.channel]
+        if not self.directions:
+            return prediction
+        error = self.basis(index, measured).error(fitted.scaled, fitted.sizes[(index, measured.channel)])
+        return np.asarray(prediction + error)
 
     def assemble(
         self, predictions: Sequence[Prediction], p: int, scaled: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, list[tuple[int, str, np.ndarray]], dict[tuple[int, str], np.ndarray]]:
+    ) -> tuple[np.ndarray, np.ndarray, list[tuple[int, str, np.ndarray]], dict[tuple[int, str], Sizes]]:
         """Whitened residual, jacobian, labels (run, channel, times of the samples), sizes of directions.
 
-        The simulator's own error is eliminated channel by channel: r <- r - D c with the most probable
-        coefficients c, whose pull to zero joins as further residuals, so that derivatives stay exact.
+        The simulator's own error is eliminated channel by channel (:meth:`Basis.eliminate`).
         ``scaled``: where the predictions stand, for errors that change with the parameters.
         """
-        residuals, jacobians, labels = [], [], []
-        sizes: dict[tuple[int, str], np.ndarray] = {}
+        assembled, labels = [], []
+        sizes: dict[tuple[int, str], Sizes] = {}
         for i, (run, prediction) in enumerate(zip(self.runs, predictions, strict=True)):
             for m in run.measured:
                 noise = self.noise[m.channel]
@@ -131,34 +128,27 @@ class Problem:
                 miss = np.where(unseen, 0.0 * m.values, m.values - prediction.values[m.channel])
                 white = whiten(miss, noise)
                 good = np.isfinite(white)
-                r = white[good]
-                rows = [r]
+                vectors = [white]
                 if p:
-                    j = -whiten(prediction.derivatives[m.channel], noise)[good]
-                    columns = [np.nan_to_num(j)]
+                    slopes = np.nan_to_num(-whiten(prediction.derivatives[m.channel], noise))
+                    vectors += [slopes[:, :, k] for k in range(p)]
+                stacked = np.stack(vectors, axis=2)
                 times = np.broadcast_to(m.t[:, None], white.shape)[good]
-                basis = self._both_bases(i, m)[1]
-                if len(basis.times):
-                    root = np.nan_to_num(basis.columns[good])
-                    gram = np.linalg.inv(np.eye(root.shape[1]) + root.T @ root)
-                    r0 = r - np.nan_to_num(basis.expected[good])
-                    if scaled is not None and len(basis.at):
-                        slopes = np.nan_to_num(basis.slopes[good])
-                        r0 = r0 - slopes @ (scaled - basis.at)
-                        columns[0] = columns[0] - slopes
-                    c = gram @ (root.T @ r0)
-                    rows = [r0 - root @ c, -c]
-                    sizes[(i, m.channel)] = c
-                    if p:
-                        back = gram @ (root.T @ columns[0])
-                        columns = [columns[0] - root @ back, -back]
-                    times = np.concatenate([times, basis.times])
-                residuals += rows
-                if p:
-                    jacobians += columns
+                if self.directions:
+                    basis = self._both_bases(i, m)[1]
+                    if scaled is None:
+                        stacked[:, :, 0] -= basis.expected
+                    else:
+                        stacked[:, :, 0] -= basis.mean_error(scaled)
+                        stacked[:, :, 1 : 1 + len(basis.at)] -= basis.slopes
+                    rows, sizes[(i, m.channel)], pulls = basis.eliminate(stacked, good)
+                    times = np.concatenate([times, pulls])
+                else:
+                    rows = stacked[good]
+                assembled.append(rows)
                 labels.append((i, m.channel, times))
-        jacobian = np.vstack(jacobians) if p else np.zeros((sum(len(r) for r in residuals), 0))
-        return np.concatenate(residuals), jacobian, labels, sizes
+        rows = np.concatenate(assembled)
+        return rows[:, 0], rows[:, 1:], labels, sizes
 
     def evaluate(self, rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray) -> Fitted:
         """Residuals and derivatives at given values, without fitting."""

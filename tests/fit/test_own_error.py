@@ -160,8 +160,9 @@ def test_intervals_hold_the_truth_as_often_as_they_say(vectors: None) -> None:
     hats = np.clip(1.0 - np.abs(T[:, None] - knots) * (KNOTS - 1), 0.0, None)
     inside = np.zeros(2)
     for _ in range(300):
-        size = 0.5 + RIGHT_SD * (rng.standard_normal() + hats @ rng.standard_normal(KNOTS))
-        values = coarse(TRUTH) + size[:, None] * shape + SIGMA * rng.standard_normal((len(T), 2))
+        drifts = [rng.standard_normal() + hats @ rng.standard_normal(KNOTS) for _ in range(3)]
+        size = 0.5 + RIGHT_SD * (drifts[0][:, None] + np.column_stack(drifts[1:]))
+        values = coarse(TRUTH) + size * shape + SIGMA * rng.standard_normal((len(T), 2))
         problem = Problem([run_of(values)], NOISE, cast(PooledEngine, Linear()), [direction])
         fitted = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS)
         inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
