@@ -5,7 +5,7 @@ the change of all readings is simulated (a secant). From there one linear least-
 parameters and the baseline's predicts how well it could fit; the best are refitted in full.
 
 Evidence after Laplace: log p = -chi2/2 - log det(J^T J)/2 - sum log(prior widths), with the priors as
-rows of J; chi2 is divided by the misfit of the best model where that exceeds noise.
+rows of J; the data's part of chi2 is divided by the misfit of the best model where that exceeds noise.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ def starting_values(effect: Effect, rig: Rig) -> list[dict[str, float]]:
     return out
 
 
-def screen(engine: PooledEngine, problem: Problem, base: Fitted, excluded: tuple[str, ...] = ()) -> list[Start]:
-    """Predict, for every effect and start, how well it would fit; best first."""
+def screen(engine: PooledEngine, problem: Problem, base: Fitted) -> tuple[list[Start], dict[str, str]]:
+    """Predict, for every effect and start, how well it would fit, best first; and what failed, by effect."""
     pending: list[tuple[Effect, Rig, list[FitParameter], np.ndarray, list[Future[Prediction]]]] = []
     for effect in EFFECTS:
-        if effect.name in base.rig.effects or effect.name in excluded:
+        if effect.name in base.rig.effects:
             continue
         for values in starting_values(effect, base.rig):
             rig = with_effect(base.rig, effect, values)
@@ -72,13 +72,15 @@ def screen(engine: PooledEngine, problem: Problem, base: Fitted, excluded: tuple
             jobs = [engine.submit_with_derivatives(rig, run, own, scaled) for run in problem.runs]
             pending.append((effect, rig, own, scaled, jobs))
     starts = []
+    failed: dict[str, str] = {}
     for effect, rig, own, scaled, jobs in pending:
         try:
             predictions = [job.result() for job in jobs]
-        except ThinshellError:
+        except ThinshellError as error:
+            failed[effect.name] = str(error)
             continue
         starts.append(_predict(problem, base, effect, rig, own, scaled, predictions))
-    return sorted(starts, key=lambda s: s.predicted)
+    return sorted(starts, key=lambda s: s.predicted), failed
 
 
 def _predict(
@@ -142,8 +144,16 @@ def _centred(start: Start, base: Fitted) -> Rig:
 
 
 def log_evidence(fitted: Fitted, temper: float) -> float:
-    """Laplace evidence of a fit with prior rows, up to a constant common to all models."""
-    sign, volume = np.linalg.slogdet(fitted.jacobian.T @ fitted.jacobian / temper)
-    del sign
+    """Laplace evidence of a fit with prior rows, up to a constant common to all models.
+
+    ``temper`` divides the weight of the data, not that of the priors, so that a parameter which the data do
+    not touch changes nothing.
+    """
+    count = len(fitted.parameters)
+    data = slice(0, len(fitted.residual) - count)
+    j, prior = fitted.jacobian[data], fitted.jacobian[len(fitted.residual) - count :]
+    pull = fitted.residual[len(fitted.residual) - count :]
+    volume = np.linalg.slogdet(j.T @ j / temper + prior.T @ prior)[1]
     widths = float(sum(np.log(p.prior_sd) for p in fitted.parameters))
-    return -0.5 * fitted.chi2 / temper - 0.5 * float(volume) - widths
+    misfit = (fitted.chi2 - float(pull @ pull)) / temper + float(pull @ pull)
+    return -0.5 * misfit - 0.5 * float(volume) - widths

@@ -9,6 +9,7 @@ import numpy as np
 from sim_core.effects import Effect
 from sysid.fit.problem import Fitted
 from sysid.fit.uncertainty import interval, uncertainty
+from sysid.mismatch.locate import Structure
 from sysid.mismatch.result import Candidate, NamedParameter
 
 MIN_GAIN_NATS = 12.0
@@ -28,30 +29,30 @@ own error; less leaves something unknown."""
 ROBUST_WIDTH = 3.0
 """Whitened residual from which held-out samples count linearly, so that a few do not decide."""
 
-STRUCTURE_PER_SCORE = 1.6
-"""Structured misfit per score above which something is missing even without a name."""
-
-DISCRETISATION_SHARE = 0.5
-"""Structured misfit below this share of the simulator's own error is not blamed on physics."""
-
 
 @dataclass(frozen=True)
 class Trial:
     """One effect refitted. ``gain``: log evidence over the baseline; ``explained``: share of the baseline's
-    structured misfit; ``held_out``: share of the robust misfit on held-out data that it removes (negative:
-    it predicts worse). ``significance``: amplitude over its standard deviation, the largest of its amplitudes
-    (infinite for an effect whose amplitude has no finite rest in the fitted scale)."""
+    structured misfit; ``left``: what it leaves of it; ``held_out``: share of the robust misfit on held-out
+    data that it removes (negative: it predicts worse). ``significance``: amplitude over its standard
+    deviation, the largest of its amplitudes (infinite for an effect whose amplitude has no finite rest in
+    the fitted scale). ``finished``: fitted to the end; ``failure``: why that could not be simulated."""
 
     effect: Effect
     fitted: Fitted
     gain: float
     explained: float
+    left: Structure
     held_out: float | None
     significance: float = np.inf
+    finished: bool = False
+    failure: str = ""
 
     @property
     def rejected(self) -> str:
         """Why the effect is no answer; empty when it may be one."""
+        if self.failure:
+            return f"it could not be simulated where it fits best: {self.failure}"
         if self.gain < MIN_GAIN_NATS:
             return f"it improves the fit too little ({self.gain:.1f} of {MIN_GAIN_NATS:g} nats)"
         if self.held_out is not None and self.held_out <= 0.0:
@@ -69,23 +70,14 @@ class Verdict:
     named: tuple[Trial, ...]
 
 
-def decide(trials: list[Trial], structure_per_score: float, excess: float, discretisation: float) -> Verdict:
-    """Choose the verdict.
-
-    ``structure_per_score``, ``excess``: structured misfit of the baseline; ``discretisation``: structured
-    energy of the simulator's own error.
-    """
-
-    def plain(share: float) -> bool:
-        """Whether this share of the structured misfit is more than the simulator's own error could leave."""
-        per_score = 1.0 + share * (structure_per_score - 1.0)
-        return per_score > STRUCTURE_PER_SCORE and share * excess > DISCRETISATION_SHARE * discretisation
-
+def decide(trials: list[Trial], before: Structure, on_held_out: Structure | None = None) -> Verdict:
+    """Choose the verdict. ``before``: structured misfit of the baseline, and on held-out recordings."""
     fit = sorted((t for t in trials if not t.rejected), key=lambda t: -t.gain)
     if not fit:
-        return Verdict("unknown" if plain(1.0) else "nothing_missing", ())
+        missing = before.missing or (on_held_out is not None and on_held_out.missing)
+        return Verdict("unknown" if missing else "nothing_missing", ())
     best = fit[0]
-    if best.explained < MIN_EXPLAINED and plain(1.0 - best.explained):
+    if best.explained < MIN_EXPLAINED and best.left.missing:
         return Verdict("unknown", tuple(fit))
     ties = tuple(t for t in fit if best.gain - t.gain < TIE_NATS and t.explained > best.explained - 0.1)
     return Verdict("named" if len(ties) == 1 else "one_of", ties)

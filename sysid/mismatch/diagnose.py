@@ -21,8 +21,8 @@ from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Fitted, Problem
 from sysid.fit.result import plot_series, rms_errors
 from sysid.fit.runs import Run, load_run
-from sysid.fit.uncertainty import uncertainty
 from sysid.mismatch import words
+from sysid.mismatch.account import fates, limits, notes
 from sysid.mismatch.baseline import open_parameters
 from sysid.mismatch.candidates import Start, log_evidence, refit, screen
 from sysid.mismatch.decide import (
@@ -35,7 +35,7 @@ from sysid.mismatch.decide import (
     probabilities,
     significance,
 )
-from sysid.mismatch.locate import Structure, discretisation_energy, locate, structure
+from sysid.mismatch.locate import Structure, locate, structure
 from sysid.mismatch.result import Diagnosis, Misfit
 from sysid.provenance import provenance
 
@@ -87,38 +87,28 @@ def diagnose_runs(
         tell(0.0, "baseline fit")
         parameters = fit_parameters(rig, open_parameters(rig))
         problem, base = fit_beside_own_error(engine, runs, noise, rig, parameters, prior=True, rounds=BASELINE)
+        if base.interrupted:
+            raise KeyboardInterrupt
         before = structure(problem, base)
-        own_error = discretisation_energy(problem)
         tell(0.45, "screening of effects")
-        starts = screen(engine, problem, base)
+        starts, failed = screen(engine, problem, base)
         tell(0.65, "refits")
         check = Problem(held_out, noise, engine, discretisation(engine, base.rig, held_out))
-        trials = _refits(problem, check, base, _chosen(starts, base))
-        tell(0.95, "verdict")
-        verdict = decide(trials, before.per_score, before.excess, own_error)
+        plain = _held_out(check, base)
+        on_held_out = structure(check, plain) if plain is not None else None
+        trials = _refits(problem, check, plain, base, _chosen(starts, base), failed)
+        verdict = decide(trials, before, on_held_out)
         answer: Fitted | None = None
         amended = None
-        finished: set[str] = set()
-        while verdict.named and verdict.named[0].effect.name not in finished:
-            tell(0.9, "the answer fitted to the end")
-            best = verdict.named[0]
-            finished.add(best.effect.name)
-            exact, exact_check, polished = _polished(engine, problem, held_out, best.fitted)
-            left = structure(exact, polished).excess
-            final = replace(
-                best,
-                fitted=polished,
-                explained=1.0 - left / before.excess if before.excess > 0.0 else 0.0,
-                held_out=_gain(_held_out(check, base), _held_out(exact_check, polished)),
-                significance=significance(best.effect, polished),
-            )
-            trials = [final if t is best else t for t in trials]
-            verdict = decide(trials, before.per_score, before.excess, own_error)
+        while unfinished := [t for t in verdict.named if not t.finished]:
+            tell(0.85, "the answer fitted to the end")
+            final, exact, exact_check = _polished(engine, problem, held_out, plain, before, unfinished[0])
+            trials = [final if t is unfinished[0] else t for t in trials]
+            verdict = decide(trials, before, on_held_out)
             if verdict.kind in ("named", "one_of") and verdict.named[0] is final:
-                answer = polished
+                answer = final.fitted
                 amended = _misfit(exact, exact_check, base, answer)
-        limits = _limits(starts, trials, base)
-        diagnosis = _collect(rig, problem, check, base, answer, verdict, trials, limits, before, own_error)
+        diagnosis = _collect(rig, problem, check, base, answer, verdict, trials, before, failed)
         diagnosis.amended = amended
     diagnosis.provenance = provenance(rig, list(runs), list(held_out), seed)
     diagnosis.seconds = time.monotonic() - started
@@ -141,37 +131,42 @@ def _chosen(starts: list[Start], base: Fitted) -> list[Start]:
     return leading + others[:SECOND_STARTS]
 
 
-def _refits(problem: Problem, check: Problem, base: Fitted, chosen: list[Start]) -> list[Trial]:
-    """Refit the chosen effects side by side and score them."""
+def _refits(
+    problem: Problem, check: Problem, plain: Fitted | None, base: Fitted, chosen: list[Start], failed: dict[str, str]
+) -> list[Trial]:
+    """Refit the chosen effects side by side and score them; ``plain``: the baseline on the held-out runs."""
 
-    def attempt(start: Start) -> tuple[Start, Fitted | None]:
+    def attempt(start: Start) -> tuple[Start, Fitted, Fitted | None] | None:
         try:
-            return start, refit(problem, base, start, EVALUATIONS)
-        except ThinshellError:
-            return start, None
+            fitted = refit(problem, base, start, EVALUATIONS)
+            return start, fitted, _held_out(check, fitted)
+        except ThinshellError as error:
+            failed[start.effect.name] = str(error)
+            return None
 
     with ThreadPoolExecutor(max(1, len(chosen))) as threads:
-        done = [(s, f) for s, f in threads.map(attempt, chosen) if f is not None]
-    best: dict[str, tuple[Start, Fitted]] = {}
-    for start, fitted in done:
+        done = [found for found in threads.map(attempt, chosen) if found is not None]
+    best: dict[str, tuple[Start, Fitted, Fitted | None]] = {}
+    for start, fitted, there in done:
+        failed.pop(start.effect.name, None)
         if start.effect.name not in best or fitted.chi2 < best[start.effect.name][1].chi2:
-            best[start.effect.name] = (start, fitted)
-    done = list(best.values())
-    if not done:
+            best[start.effect.name] = (start, fitted, there)
+    if not best:
         return []
-    lowest = min(f.misfit for _, f in done)
-    temper = max(1.0, lowest)
+    temper = max(1.0, min(fitted.misfit for _, fitted, _ in best.values()))
     reference = log_evidence(base, temper)
-    excess = structure(problem, base).excess
-    plain = _held_out(check, base)
+    excess = structure(problem, base).whole.excess
     trials = []
-    for start, fitted in done:
-        after = structure(problem, fitted).excess
-        explained = (excess - after) / excess if excess > 0.0 else 0.0
-        held = _gain(plain, _held_out(check, fitted))
+    for start, fitted, there in best.values():
+        left = structure(problem, fitted)
         gain = log_evidence(fitted, temper) - reference
-        trials.append(Trial(start.effect, fitted, gain, explained, held))
+        trials.append(Trial(start.effect, fitted, gain, _explained(excess, left), left, _gain(plain, there)))
     return sorted(trials, key=lambda t: -t.gain)
+
+
+def _explained(excess: float, left: Structure) -> float:
+    """Share of the structured misfit that is gone."""
+    return 1.0 - left.whole.excess / excess if excess > 0.0 else 0.0
 
 
 def _held_out(check: Problem, fitted: Fitted) -> Fitted | None:
@@ -185,21 +180,46 @@ def _gain(plain: Fitted | None, amended: Fitted | None) -> float | None:
 
 
 def _polished(
-    engine: PooledEngine, problem: Problem, held_out: Sequence[Run], answer: Fitted
-) -> tuple[Problem, Problem, Fitted]:
-    """Fit the answer to the end, with the simulator's own error measured where it now stands."""
-    there, fitted = fit_beside_own_error(
-        engine,
-        problem.runs,
-        problem.noise,
-        answer.centre,
-        answer.parameters,
-        start=answer.scaled,
-        prior=True,
-        rounds=POLISHING,
+    engine: PooledEngine,
+    problem: Problem,
+    held_out: Sequence[Run],
+    plain: Fitted | None,
+    before: Structure,
+    trial: Trial,
+) -> tuple[Trial, Problem, Problem]:
+    """Fit an answer to the end, with the simulator's own error measured where it now stands.
+
+    A trial that cannot be simulated there is rejected.
+    """
+    answer = trial.fitted
+    try:
+        there, fitted = fit_beside_own_error(
+            engine,
+            problem.runs,
+            problem.noise,
+            answer.centre,
+            answer.parameters,
+            start=answer.scaled,
+            prior=True,
+            rounds=POLISHING,
+        )
+        check = Problem(held_out, problem.noise, engine, discretisation(engine, fitted.rig, held_out))
+        predicted = _held_out(check, fitted)
+    except ThinshellError as error:
+        return replace(trial, finished=True, failure=str(error)), problem, Problem([], problem.noise, engine)
+    if fitted.interrupted:
+        raise KeyboardInterrupt
+    left = structure(there, fitted)
+    final = replace(
+        trial,
+        fitted=fitted,
+        explained=_explained(before.whole.excess, left),
+        left=left,
+        held_out=_gain(plain, predicted),
+        significance=significance(trial.effect, fitted),
+        finished=True,
     )
-    check = Problem(held_out, problem.noise, engine, discretisation(engine, fitted.rig, held_out))
-    return there, check, fitted
+    return final, there, check
 
 
 def _misfit(problem: Problem, check: Problem, base: Fitted, fitted: Fitted) -> Misfit:
@@ -214,23 +234,6 @@ def _misfit(problem: Problem, check: Problem, base: Fitted, fitted: Fitted) -> M
     return Misfit(fitted.misfit, held, tuple(errors))
 
 
-def _limits(starts: list[Start], trials: list[Trial], base: Fitted) -> dict[str, float]:
-    """Largest amplitude of each effect that the recordings still allow (95 %), by parameter."""
-    limits: dict[str, float] = {}
-    for trial in trials:
-        known = uncertainty(trial.fitted)
-        for k, p in enumerate(trial.fitted.parameters):
-            if p.name.startswith("effects."):
-                limits[p.name] = p.physical(trial.fitted.scaled[k] + 1.645 * known.sd[k])
-                break
-    shared = len(base.parameters)
-    for start in starts:
-        name = start.own[0].name
-        if name not in limits:
-            limits[name] = start.own[0].physical(float(start.scaled[shared]))
-    return limits
-
-
 def _collect(
     rig: Rig,
     problem: Problem,
@@ -239,14 +242,14 @@ def _collect(
     answer: Fitted | None,
     verdict: Verdict,
     trials: list[Trial],
-    limits: dict[str, float],
     before: Structure,
-    own_error: float,
+    failed: dict[str, str],
 ) -> Diagnosis:
     located = locate(problem, base)
     chances = probabilities(trials)
     reported = [candidate(t, chances[t.effect.name]) for t in trials]
     names = {t.effect.name for t in verdict.named} if verdict.kind in ("named", "one_of") else set()
+    became = fates(trials, failed, names)
     shown = answer or base
     series = plot_series(problem, base, shown, held_out=False)
     if check.runs:
@@ -255,7 +258,7 @@ def _collect(
         series += plot_series(check, plain, there, held_out=True)
     return Diagnosis(
         verdict=verdict.kind,
-        sentence=words.sentence(verdict, located, limits),
+        sentence=words.sentence(verdict, located, became, before.hidden),
         rig=rig.name,
         effects=tuple(c for c in reported if c.name in names),
         alternatives=tuple(c for c in reported if c.name not in names),
@@ -264,17 +267,19 @@ def _collect(
         amended=None,
         noise_floor={c: float(np.median(n.sigma)) for c, n in problem.noise.items()},
         discretisation={
-            "structured_energy": own_error,
-            "structured_misfit": before.excess,
-            "structured_misfit_per_score": before.per_score,
+            "structured_energy": before.whole.own,
+            "structured_misfit": before.whole.excess,
+            "structured_misfit_per_score": before.whole.per_score,
         },
-        upper_limits=limits,
+        upper_limits=limits(trials, names),
         baseline_parameters=named_parameters(base),
         amended_parameters=named_parameters(answer) if answer is not None else (),
-        not_explained=words.not_explained(verdict, before.excess),
-        next_experiment=words.next_experiment(verdict, trials),
+        not_explained=words.not_explained(verdict, before.whole.excess),
+        next_experiment=words.next_experiment(verdict, before.hidden),
         provenance={},
         seconds=0.0,
+        tried=became,
+        notes=notes(base, problem, before),
         series=series,
     )
 
@@ -310,7 +315,7 @@ def diagnose_bags(
     }
     (out / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))
     report = write_diagnosis_report(diagnosis, out / "report.html")
-    lines = [diagnosis.sentence, ""]
+    lines = [diagnosis.sentence, *diagnosis.notes, ""]
     for effect in diagnosis.effects:
         for p in effect.parameters:
             lines.append(f"  {p.name} = {p.value:.4g} ({p.ci95[0]:.4g} .. {p.ci95[1]:.4g}) {p.unit}")

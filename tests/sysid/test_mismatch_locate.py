@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
 
-from sysid.fit.directions import Direction
+from sysid.fit.directions import Direction, Sizes
 from sysid.fit.engine import Engine
 from sysid.fit.noise import ChannelNoise
-from sysid.fit.problem import Problem
+from sysid.fit.problem import Fitted, Problem
 from sysid.fit.runs import Measured, Run
-from sysid.mismatch.locate import BLOCKS, discretisation_energy
+from sysid.mismatch.locate import BLOCKS, structure
 
 
 def test_what_is_not_measured_does_not_count() -> None:
@@ -27,4 +28,11 @@ def test_what_is_not_measured_does_not_count() -> None:
     direction = Direction("mesh", ({"gauge": np.full((n, 6), 0.05)},), mean=1.0)
     problem = Problem([run], {"gauge": noise}, cast(Engine, None), [direction])
     # Every block of about ten samples, each half a standard deviation off: (10 * 0.5)^2 / 10.
-    assert discretisation_energy(problem) == pytest.approx(0.25 * n, rel=0.01)
+    basis = problem.basis(0, gauge)
+    none = Sizes(np.zeros(basis.common.shape[2]), np.zeros((6, basis.own.shape[2])))
+    prediction = SimpleNamespace(values={"gauge": np.zeros((n, 6))})
+    fitted = SimpleNamespace(scaled=np.zeros(0), sizes={(0, "gauge"): none}, predictions=[prediction])
+    forces, torques = structure(problem, cast(Fitted, fitted)).parts
+    assert forces.own == pytest.approx(0.25 * n, rel=0.01)
+    assert forces.count == BLOCKS
+    assert (torques.own, torques.count) == (0.0, 0)
