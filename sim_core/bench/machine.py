@@ -1,0 +1,25 @@
+"""What the figures were measured on."""
+
+from __future__ import annotations
+
+import platform
+import resource
+import sys
+
+
+def machine_name() -> str:
+    """Model of the processor, or what the platform calls it."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as lines:
+            for line in lines:
+                if line.lower().startswith("model name"):
+                    return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def peak_memory_mb() -> float:
+    """Most memory that this process has held so far [MB]."""
+    unit = 1.0 if sys.platform == "darwin" else 1024.0
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
