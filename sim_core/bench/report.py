@@ -5,20 +5,22 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 
-from sim_core.bench.forming import Benchmark, measure
+from sim_core.bench.forming import Benchmark, measure, measure_side_by_side
 from sim_core.bench.scale import Scaling, measure_scaling
 
 
 def run_benchmarks(as_json: bool = False, quick: bool = False) -> str:
-    """Measure, and say it. ``quick``: the forming rig only, not the sizes."""
+    """Measure, and say it. ``quick``: the forming rig in one process only."""
     forming = measure()
-    scaling = None if quick else measure_scaling()
+    if quick:
+        return json.dumps(asdict(forming), indent=2) if as_json else "\n".join(forming_lines(forming))
+    processes, together = measure_side_by_side()
+    scaling = measure_scaling()
     if as_json:
-        return json.dumps({**asdict(forming), "scaling": None if scaling is None else asdict(scaling)}, indent=2)
-    lines = forming_lines(forming)
-    if scaling is not None:
-        lines += ["", *scaling_lines(scaling)]
-    return "\n".join(lines)
+        batch = {"processes": processes, "steps_per_s": together}
+        return json.dumps({**asdict(forming), "side_by_side": batch, "scaling": asdict(scaling)}, indent=2)
+    side = f"{processes} processes side by side: {together:.1f} steps/s together"
+    return "\n".join([*forming_lines(forming), "", side, "", *scaling_lines(scaling)])
 
 
 def forming_lines(found: Benchmark) -> list[str]:

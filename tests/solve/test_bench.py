@@ -1,10 +1,13 @@
 import json
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 from sim_core.bench import measure
+from sim_core.bench.machine import peak_memory_mb
 from sim_core.bench.report import scaling_lines
 from sim_core.bench.scale import DIFFCLOTH, MESHES, Mesh, Scaling, Size, growth, measure_size
 
@@ -59,3 +62,11 @@ def test_published_figures_stand_beside_ours_with_the_ratio():
     assert "unknowns^1.50" in lines[0]
     assert lines[3].endswith(f"DiffCloth: 7.14 steps/s, here {2.0 / 7.14:.2g} times as many")
     assert np.isfinite(json.loads(json.dumps(asdict(found)))["exponent"])
+
+
+def test_peak_memory_of_a_process_is_its_own():
+    before = peak_memory_mb()
+    np.ones(50_000_000)
+    assert peak_memory_mb() > before + 300.0
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        assert pool.submit(peak_memory_mb).result() < peak_memory_mb() - 200.0
