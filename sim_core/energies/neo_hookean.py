@@ -95,6 +95,7 @@ class NeoHookean:
         self._start_stress = np.zeros((4 * m, 6))
         self._g, self._tau, self._blend = 0.0, 1.0, 1.0
         self._isotropic_known = False
+        self._seen = np.full((0, 3), np.nan)
 
     def blocks(self) -> np.ndarray:
         """Return all ordered pairs of the ten nodes of each element, ``(100 m, 2)``."""
@@ -110,6 +111,7 @@ class NeoHookean:
         deformation, dilatation = np.zeros((4 * m, 3, 3)), np.zeros(4 * m)
         mesh = self._rest, self._tets, self._grad, self._weight, self._constants
         state = deformation, dilatation, self._history
+        self._seen = np.full_like(buffers.x, np.nan)
         self._deform = BoundKernel(deform, buffers.x, *mesh, deformation, dilatation)
         self._deform_stored = BoundKernel(deform, self._positions, *mesh, deformation, dilatation)
         self._stress = np.zeros((4 * m, 6))
@@ -165,6 +167,7 @@ class NeoHookean:
         self._constants[SHARE] = 1.0
         self._g, self._tau = g, tau
         self._isotropic_known = False
+        self._seen[:] = np.nan
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         """Freeze the memory stress H_n of the step."""
@@ -177,19 +180,25 @@ class NeoHookean:
         self._start_stress[:] = self._stress_at(step.x_start)
         self._history[:] = fade * internals["Q"].reshape(-1, 6) - self._blend * self._g * self._start_stress
 
+    def _measure(self) -> None:
+        """Bring strains up to date with the positions."""
+        if not np.array_equal(self._seen, self._x):
+            self._deform()
+            self._seen[:] = self._x
+
     def add_energy(self) -> None:
         """Add the incremental energy [J]."""
-        self._deform()
+        self._measure()
         self._energy()
 
     def add_gradient(self) -> None:
         """Add dE/dx [N]."""
-        self._deform()
+        self._measure()
         self._gradient()
 
     def add_hessian(self, exact: bool) -> None:
         """Add d2E/dx2 [N/m], each quadrature point made positive semidefinite unless ``exact``."""
-        self._deform()
+        self._measure()
         if not exact:
             self._projected_tangent()
             self._add_projected()
@@ -214,6 +223,7 @@ class NeoHookean:
         """S_dev [Pa] at positions ``x`` [m], ``(4 m, 6)``; valid until the next call."""
         self._positions[:] = x
         self._deform_stored()
+        self._seen[:] = np.nan
         self._deviatoric_stress()
         return self._stress
 

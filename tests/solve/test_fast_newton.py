@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from sheet_systems import film, left
+from sheet_systems import both_ends, film, left
 
 from sim_core.rigs import load_rig
 from sim_core.scene import build_scene
@@ -136,3 +136,22 @@ def test_points_that_stick_and_slip_in_turn_do_not_stop_the_fast_newton():
         assert report.converged
     assert report.contacts > 50
     assert most <= 15
+
+
+def test_a_static_solution_is_judged_by_a_tangent_of_its_own():
+    """The last Hessian that is factorised, and found positive definite, is the one at the solution."""
+    system, mesh = film(both_ends, inertia=False, cells=(16, 2))
+    factorised = []
+    plain = system.factor_data
+
+    def factor_data(data, definite):
+        factorised.append(system.x.copy())
+        return plain(data, definite)
+
+    system.factor_data = factor_data
+    targets = mesh.nodes.copy()
+    targets[mesh.nodes[:, 0] > 0.031] += [-0.001, 0.0, 0.002]
+    state = State(0.0, mesh.nodes, np.zeros_like(mesh.nodes), system.initial_internals())
+    found, report = advance(system, state, targets, 1.0)
+    assert report.factorisations < report.iterations - 1
+    assert np.abs(factorised[-1] - found.x).max() < NewtonSettings().step_tolerance_m
