@@ -108,9 +108,15 @@ def fit_beside_own_error(
 
 
 def _learnt(old: Direction, new: Direction, step: np.ndarray, fitted: Fitted) -> Direction:
-    """The newly measured direction with what the step has taught of its slope."""
+    """The newly measured direction with what the step has taught of its slope.
+
+    A step that changes no reading teaches nothing; the direction is then as measured.
+    """
     metric = fitted.jacobian.T @ (fitted.jacobian @ step)
-    weight = metric / float(metric @ step)
+    length = float(metric @ step)
+    if not (np.isfinite(length) and length > 0.0):
+        return new
+    weight = metric / length
     slopes = []
     for i, (before, after) in enumerate(zip(old.shapes, new.shapes, strict=True)):
         known = old.slopes[i] if old.slopes else {c: np.zeros((*a.shape, len(step))) for c, a in after.items()}
