@@ -113,8 +113,6 @@ def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], lis
     known = uncertainty(fitted)
     out = []
     for k, p in enumerate(fitted.parameters):
-        low, high = p.scaled_bounds
-        margin = 1e-3 * (high - low) if np.isfinite(high - low) else 0.0
         out.append(
             Estimate(
                 p.name,
@@ -124,7 +122,7 @@ def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], lis
                 interval(p, fitted.scaled[k], known.sd[k]),
                 float(known.sd[k]),
                 p.log,
-                bool(min(fitted.scaled[k] - low, high - fitted.scaled[k]) < margin),
+                p.at_bound(float(fitted.scaled[k]), float(known.sd[k])),
             )
         )
     return out, known.correlation.tolist(), list(known.sentences), known.reduced_chi2
