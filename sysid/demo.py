@@ -11,7 +11,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from sim_core.errors import ThinshellError
+from sim_core.errors import ConfigError, ThinshellError
 from sim_core.rigs import Rig, list_parameters, load_rig, with_parameters
 from sim_core.rigs.motion import load_experiment
 from sysid.cli.progress import progress
@@ -26,13 +26,13 @@ START = {"card.E_pa": 2.0e9, "gel.E_pa": 2.4e5, "contacts.gel-post.friction": 0.
 REFINE = 2
 TRAINING = ("press_hold_release", "press_post")
 HELD_OUT = ("press_post_deeper",)
+DEFAULT = Path("out/demo")
+"""Folder of the demonstration where none is given."""
 
 
-def main(folder: Path) -> int:
-    """Run the demonstration in ``folder``, which is replaced when it exists."""
-    if folder.exists():
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True)
+def main(folder: Path = DEFAULT) -> int:
+    """Run the demonstration in ``folder``. What an earlier one left in the default folder is replaced."""
+    _prepare(folder)
     rig = load_rig("card_press")
     truth = with_parameters(rig, TRUTH)
     for name in (*TRAINING, *HELD_OUT):
@@ -53,6 +53,19 @@ def main(folder: Path) -> int:
     return 0
 
 
+def _prepare(folder: Path) -> None:
+    """An empty folder. Raises ``ConfigError`` where something would be lost that is not the default's."""
+    if folder == DEFAULT:
+        if folder.exists():
+            shutil.rmtree(folder)
+    elif folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise ConfigError(
+            f"The folder {folder} already exists and is not empty.",
+            f"Name a new one; only the default, {DEFAULT}, is replaced.",
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+
+
 def _comparison(truth: Rig, estimates: list[Estimate]) -> str:
     """Fitted values beside the true ones."""
     true = {p.name: p.value for p in list_parameters(truth)}
@@ -67,6 +80,6 @@ def _comparison(truth: Rig, estimates: list[Estimate]) -> str:
 
 if __name__ == "__main__":
     try:
-        sys.exit(main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/demo")))
+        sys.exit(main(*map(Path, sys.argv[1:2])))
     except ThinshellError as error:
         sys.exit(f"demo: {error}")

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
 from sysid.fit.own_error import fit_beside_own_error
 from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Fitted, Problem
-from sysid.fit.result import FitResult, estimates_of, plot_series, rms_errors
+from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series, rms_errors
 from sysid.fit.runs import Run, load_run
 from sysid.provenance import provenance
 
@@ -67,7 +68,7 @@ def _best_of_restarts(
     """Fit, and while the misfit stays above noise try again from near the best.
 
     Sticking and sliding make the misfit rough, so a search can end on a kink; restarts stop as soon as
-    one brings nothing.
+    one brings nothing. One that starts where the rig cannot be simulated is left out.
     """
     fitted = problem.fit(rig, parameters, start=first, on_evaluation=on_evaluation)
     rng = np.random.default_rng(seed)
@@ -76,7 +77,10 @@ def _best_of_restarts(
         if not parameters or fitted.interrupted or fitted.misfit < GOOD_MISFIT:
             break
         near = fitted.scaled + RESTART_WIDTH * width * rng.standard_normal(len(width))
-        again = problem.fit(rig, parameters, start=near, on_evaluation=on_evaluation)
+        try:
+            again = problem.fit(rig, parameters, start=near, on_evaluation=on_evaluation)
+        except ThinshellError:
+            continue
         better = again.chi2 < 0.98 * fitted.chi2
         if again.chi2 < fitted.chi2:
             again.evaluations += fitted.evaluations
@@ -114,13 +118,20 @@ def _fit_runs(
     estimates, correlation, sentences, reduced = estimates_of(fitted, first)
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False)
-    if held_out:
-        if on_progress is not None:
-            on_progress(0.92, "held-out recordings")
-        check = Problem(held_out, noise, engine)
-        there = check.evaluate(rig, [], np.zeros(0))
-        scored = check.evaluate(fitted.rig, [], np.zeros(0))
+    notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
+    notes += out_of_sight(problem, before, fitted)
+    if held_out and on_progress is not None:
+        on_progress(0.92, "held-out recordings")
+    for run in held_out:
+        check = Problem([run], noise, engine)
+        try:
+            there = check.evaluate(rig, [], np.zeros(0))
+            scored = check.evaluate(fitted.rig, [], np.zeros(0))
+        except ThinshellError as error:
+            notes.append(f"{run.name}: could not be simulated: {error}")
+            continue
         errors += rms_errors(check, there, scored, held_out=True)
+        notes += out_of_sight(check, there, scored)
         series += plot_series(check, there, scored, held_out=True)
     result = FitResult(
         rig=rig.name,
@@ -137,7 +148,7 @@ def _fit_runs(
             c: {"sigma": _shown_sigma([*runs, *held_out], c, n), "correlation": n.rho, "from": n.source}
             for c, n in noise.items()
         },
-        notes=[f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes],
+        notes=notes,
         provenance=provenance(rig, list(runs), list(held_out), seed),
         series=series,
     )

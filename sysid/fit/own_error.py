@@ -13,10 +13,12 @@ in the metric of the data, and the fit uses d(theta) = d(theta_k) + D (theta - t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
 
 import numpy as np
 
+from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.directions import Direction
 from sysid.fit.engine import Prediction
@@ -46,11 +48,25 @@ def discretisation(engine: PooledEngine, rig: Rig, runs: Sequence[Run]) -> list[
     plain = [engine.submit(rig, run) for run in runs]
     fine = [engine.submit(rig, run, 2) for run in runs]
     short = [engine.submit(rig, run, 1, 0.5 * rig.solver.dt_s) for run in runs]
-    base = [f.result() for f in plain]
+    base = [_outcome(f, run, "as it is") for f, run in zip(plain, runs, strict=True)]
+    finer = [_outcome(f, run, "on a finer mesh") for f, run in zip(fine, runs, strict=True)]
+    shorter = [_outcome(f, run, "with half the time step") for f, run in zip(short, runs, strict=True)]
     return [
-        Direction("mesh", tuple(_difference(f.result(), b, 4.0 / 3.0) for f, b in zip(fine, base, strict=True))),
-        Direction("time step", tuple(_difference(s.result(), b, 2.0) for s, b in zip(short, base, strict=True))),
+        Direction("mesh", tuple(_difference(f, b, 4.0 / 3.0) for f, b in zip(finer, base, strict=True))),
+        Direction("time step", tuple(_difference(s, b, 2.0) for s, b in zip(shorter, base, strict=True))),
     ]
+
+
+def _outcome(future: Future[Prediction], run: Run, how: str) -> Prediction:
+    """The prediction; a failure says what it was for."""
+    try:
+        return future.result()
+    except ThinshellError as error:
+        raise type(error)(
+            f"While measuring the error of mesh and time step, {run.name} could not be simulated {how}: "
+            f"{error.problem}",
+            error.remedy,
+        ) from error
 
 
 def _difference(refined: Prediction, base: Prediction, factor: float) -> dict[str, np.ndarray]:
@@ -108,9 +124,15 @@ def fit_beside_own_error(
 
 
 def _learnt(old: Direction, new: Direction, step: np.ndarray, fitted: Fitted) -> Direction:
-    """The newly measured direction with what the step has taught of its slope."""
+    """The newly measured direction with what the step has taught of its slope.
+
+    A step that changes no reading teaches nothing; the direction is then as measured.
+    """
     metric = fitted.jacobian.T @ (fitted.jacobian @ step)
-    weight = metric / float(metric @ step)
+    length = float(metric @ step)
+    if not (np.isfinite(length) and length > 0.0):
+        return new
+    weight = metric / length
     slopes = []
     for i, (before, after) in enumerate(zip(old.shapes, new.shapes, strict=True)):
         known = old.slopes[i] if old.slopes else {c: np.zeros((*a.shape, len(step))) for c, a in after.items()}

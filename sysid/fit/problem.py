@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import least_squares
 
-from sim_core.errors import ThinshellError
+from sim_core.errors import ConvergenceError, ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.directions import Basis, Direction, Sizes, basis_of
 from sysid.fit.engine import Engine, Prediction
@@ -17,9 +17,6 @@ from sysid.fit.noise import ChannelNoise, whiten
 from sysid.fit.parameters import FitParameter, rig_at, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.runs import Measured, Run
-
-COST_OF_FAILURE = 1e3
-"""Whitened residual charged to every sample of a run that could not be simulated."""
 
 
 @dataclass
@@ -184,31 +181,37 @@ class Problem:
         best: list[Fitted] = []
         last: list[Fitted] = []
         count = 0
-        size = 0
         samples = sum(int(np.isfinite(m.values).sum()) for run in self.runs for m in run.measured)
 
-        def evaluate(scaled: np.ndarray) -> np.ndarray:
-            nonlocal count, size
+        def look(scaled: np.ndarray) -> Fitted | None:
+            """The problem at these values; None where they cannot be simulated."""
+            nonlocal count
             if last and np.array_equal(last[0].scaled, scaled):
-                return last[0].residual
+                return last[0]
             count += 1
             try:
                 here = self.evaluate(rig, parameters, scaled.copy())
             except ThinshellError:
                 if not best:
                     raise
-                return np.full(size, COST_OF_FAILURE)
-            size = len(here.residual)
+                return None
             last[:] = [here]
             if not best or here.chi2 < best[0].chi2:
                 best[:] = [here]
             if on_evaluation is not None:
                 on_evaluation(count, best[0].chi2)
-            return here.residual
+            return here
+
+        def residual(scaled: np.ndarray) -> np.ndarray:
+            here = look(scaled)
+            # Infinitely bad: the search takes a shorter step from where it stands.
+            return np.full(len(best[0].residual), np.inf) if here is None else here.residual
 
         def jacobian(scaled: np.ndarray) -> np.ndarray:
-            evaluate(scaled)
-            return last[0].jacobian
+            here = look(scaled)
+            if here is None:
+                raise ConvergenceError("The search asked for derivatives where the rig cannot be simulated.")
+            return here.jacobian
 
         message, converged = "", True
         if parameters:
@@ -216,7 +219,7 @@ class Problem:
             inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
             try:
                 result = least_squares(
-                    evaluate,
+                    residual,
                     inside,
                     jac=jacobian,
                     bounds=(low, high),
@@ -232,7 +235,7 @@ class Problem:
                     raise
                 message, converged = "interrupted; the best values so far are kept", False
         else:
-            evaluate(start)
+            look(start)
             message = "nothing to fit"
         found = best[0]
         found.evaluations, found.converged, found.message = count, converged, message

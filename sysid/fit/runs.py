@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -98,11 +98,17 @@ def load_run(rig: Rig, path: Path) -> Run:
             max_gap_s=rig.end_effectors[name].topics.max_gap_s,
             source=f"{path}: {stream.topic}",
         )
-    measured = tuple(_measured(rig, recording))
-    if not measured:
+    recorded = tuple(_measured(rig, recording))
+    if not recorded:
         raise RecordingError(
             f"{path}: none of the rig's sensors and cameras has data in this bag.",
             "Compare 'thinshell inspect' with the topics of the rig.",
+        )
+    measured, blanked = while_posed(rig, poses, recorded)
+    if not measured:
+        raise RecordingError(
+            f"{path}: nothing was measured while the poses of the end effectors were recorded.",
+            "Record poses and sensors together, with one clock.",
         )
     sights, missed = placed_sights(rig, poses, measured)
     return Run(
@@ -115,10 +121,48 @@ def load_run(rig: Rig, path: Path) -> Run:
         notes=(
             *(f"{n.channel}: {n.text}" for n in recording.notes),
             *(f"{topic}: named by the rig, not in this recording" for topic in missing),
+            *blanked,
             *missed,
         ),
         sights=sights,
     )
+
+
+def while_posed(
+    rig: Rig, poses: Mapping[str, PoseTrajectory], measured: Sequence[Measured]
+) -> tuple[tuple[Measured, ...], tuple[str, ...]]:
+    """The channels with samples that no pose belongs to as NaN, and a note for each such stretch.
+
+    A stretch is before the first pose of an end effector or more than its ``max_gap_s`` after the last; a
+    single pose is that of something that stands still. Channels without any other sample are left out.
+    """
+    kept, notes = [], []
+    for m in measured:
+        had = np.isfinite(m.values).any(axis=1)
+        covered = np.ones(len(m.t), dtype=bool)
+        for name, trajectory in poses.items():
+            if len(trajectory.times) < 2:
+                continue
+            begin, end = float(trajectory.times[0]), float(trajectory.times[-1])
+            gap = rig.end_effectors[name].topics.max_gap_s
+            for outside, words, remedy in (
+                (m.t < begin, f"before the first pose of {name} at {begin:.3f} s", "Start recording poses first."),
+                (
+                    m.t > end + gap,
+                    f"more than {gap:g} s after the last pose of {name} at {end:.3f} s",
+                    "Record poses to the end, or raise topics.max_gap_s where it stands still.",
+                ),
+            ):
+                covered &= ~outside
+                lost = m.t[outside & had]
+                if len(lost):
+                    notes.append(
+                        f"{m.channel}: {len(lost)} samples from {lost[0]:.3f} to {lost[-1]:.3f} s are not compared, "
+                        f"{words}. {remedy}"
+                    )
+        if (covered & had).any():
+            kept.append(replace(m, values=np.where(covered[:, None], m.values, np.nan)))
+    return tuple(kept), tuple(notes)
 
 
 def _measured(rig: Rig, recording: Recording) -> Sequence[Measured]:
