@@ -339,13 +339,26 @@ def test_a_fit_that_failed_says_so_first(tmp_path: Path) -> None:
 def test_what_is_determined_is_said_first(tmp_path: Path) -> None:
     pair = make_fit().identifiability[1]
     together = "The data do not determine gel.E_pa and gel.nu separately, only in combination: both up. Fix one."
+    inside = [replace(e, at_bound=False) for e in make_fit().estimates]
+    page = fit_page(tmp_path, make_fit(identifiability=[], estimates=inside, series=[]))
+    assert "Every parameter is determined by these recordings." in page.words and "4 of 4" in page.words
+    outside = [replace(e, at_bound=True) for e in inside]
+    page = fit_page(tmp_path, make_fit(identifiability=[], estimates=outside, series=[]))
+    assert "is determined by these recordings" not in page.words and "0 of 4" in page.words
     for sentences, words in (
-        ([], "Every parameter is determined by these recordings."),
+        ([], "Every other parameter is determined by these recordings."),
         ([pair], "determined by these recordings, though some are traded off"),
         ([together], "do not determine gel.E_pa and gel.nu on their own"),
     ):
         page = fit_page(tmp_path, make_fit(identifiability=sentences, series=[]))
         assert words in page.words.split("Reduced chi-square")[0]
+
+
+@pytest.mark.parametrize(("after", "verb"), [(1.0, "fell from"), (3.0, "rose from"), (2.0, "stayed at 2.00")])
+def test_the_verb_follows_the_error(tmp_path: Path, after: float, verb: str) -> None:
+    errors = [replace(e, before=2.0 * e.noise, after=after * e.noise) for e in make_errors(RUNS, before=2.0, after=1.0)]
+    words = fit_page(tmp_path, make_fit(errors=errors, series=[])).words
+    assert f"The error {verb}" in words and f"on held-out recordings it {verb}" in words
 
 
 def test_both_answers_and_rivals_may_share_a_name(tmp_path: Path) -> None:
