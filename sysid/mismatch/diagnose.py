@@ -20,7 +20,7 @@ from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Fitted, Problem
 from sysid.fit.result import plot_series, rms_errors
-from sysid.fit.runs import Run, load_run
+from sysid.fit.runs import Run, load_runs
 from sysid.fit.uncertainty import uncertainty
 from sysid.mismatch import words
 from sysid.mismatch.baseline import open_parameters
@@ -291,8 +291,7 @@ def diagnose_bags(
     """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``baseline_rig.yaml``, ``amended_rig.yaml``."""
     from sysid.report import write_diagnosis_report
 
-    runs = [load_run(rig, bag) for bag in bags]
-    kept = [load_run(rig, bag) for bag in held_out]
+    runs, kept = load_runs(rig, bags, held_out)
     diagnosis, amended = diagnose_runs(rig, runs, kept, seed=seed, on_progress=on_progress)
     out.mkdir(parents=True, exist_ok=True)
     diagnosis.write(out / "diagnosis.json")
