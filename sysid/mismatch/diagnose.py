@@ -76,7 +76,6 @@ def diagnose_runs(
     runs: Sequence[Run],
     held_out: Sequence[Run] = (),
     *,
-    seed: int = 0,
     on_progress: Progress | None = None,
 ) -> tuple[Diagnosis, Rig]:
     """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none)."""
@@ -120,7 +119,7 @@ def diagnose_runs(
         limits = _limits(starts, trials, base)
         diagnosis = _collect(rig, problem, check, base, answer, verdict, trials, limits, before, own_error)
         diagnosis.amended = amended
-    diagnosis.provenance = provenance(rig, list(runs), list(held_out), seed)
+    diagnosis.provenance = provenance(rig, list(runs), list(held_out))
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
     return diagnosis, (answer or base).rig
@@ -285,19 +284,18 @@ def diagnose_bags(
     *,
     held_out: Sequence[Path] = (),
     out: Path,
-    seed: int = 0,
     on_progress: Progress | None = None,
 ) -> str:
-    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``baseline_rig.yaml``, ``amended_rig.yaml``."""
+    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``."""
     from sysid.report import write_diagnosis_report
 
     runs, kept = load_runs(rig, bags, held_out)
-    diagnosis, amended = diagnose_runs(rig, runs, kept, seed=seed, on_progress=on_progress)
+    diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
     out.mkdir(parents=True, exist_ok=True)
     diagnosis.write(out / "diagnosis.json")
-    (out / "baseline_rig.yaml").write_text(rig_to_yaml(rig))
+    (out / "rig.yaml").write_text(rig_to_yaml(rig))
     overlay = {
-        "overlay_of": "baseline_rig.yaml",
+        "overlay_of": "rig.yaml",
         "name": f"{rig.name}_amended",
         "description": diagnosis.sentence,
         "parameters": {

@@ -227,7 +227,10 @@ def make_diagnosis(verdict: str, **changes: object) -> Diagnosis:
         "amended_parameters": amended,
         "not_explained": "",
         "next_experiment": "Press and hold at three depths for 5 s each: it would narrow the time constant by half.",
-        "provenance": {**PROVENANCE, "command": "thinshell diagnose card_press bags/press_1 --out diagnosis"},
+        "provenance": {
+            **{k: v for k, v in PROVENANCE.items() if k != "seed"},
+            "command": "thinshell diagnose card_press bags/press_1 --out diagnosis",
+        },
         "seconds": 1812.0,
         "series": make_series(RUNS),
     }
