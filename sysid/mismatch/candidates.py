@@ -59,11 +59,11 @@ def starting_values(effect: Effect, rig: Rig) -> list[dict[str, float]]:
     return out
 
 
-def screen(engine: PooledEngine, problem: Problem, base: Fitted, excluded: tuple[str, ...] = ()) -> list[Start]:
+def screen(engine: PooledEngine, problem: Problem, base: Fitted) -> list[Start]:
     """Predict, for every effect and start, how well it would fit; best first."""
     pending: list[tuple[Effect, Rig, list[FitParameter], np.ndarray, list[Future[Prediction]]]] = []
     for effect in EFFECTS:
-        if effect.name in base.rig.effects or effect.name in excluded:
+        if effect.name in base.rig.effects:
             continue
         for values in starting_values(effect, base.rig):
             rig = with_effect(base.rig, effect, values)
@@ -109,8 +109,7 @@ def _predict(
     at = np.concatenate([base.scaled, scaled])
     reach = LARGEST_STEP * np.array([1.0 if p.log else 4.0 * p.prior_sd for p in (*base.parameters, *own)])
     low, high = np.maximum(low - at, -reach), np.minimum(high - at, reach)
-    q, upper = np.linalg.qr(np.column_stack([matrix, target]))
-    del q
+    upper = np.linalg.qr(np.column_stack([matrix, target]))[1]
     small, goal = upper[:, :-1], upper[:, -1]
     step = lsq_linear(small, goal, bounds=(np.minimum(low, -1e-12), np.maximum(high, 1e-12)))
     misfit = goal - small @ step.x
@@ -143,7 +142,6 @@ def _centred(start: Start, base: Fitted) -> Rig:
 
 def log_evidence(fitted: Fitted, temper: float) -> float:
     """Laplace evidence of a fit with prior rows, up to a constant common to all models."""
-    sign, volume = np.linalg.slogdet(fitted.jacobian.T @ fitted.jacobian / temper)
-    del sign
+    volume = np.linalg.slogdet(fitted.jacobian.T @ fitted.jacobian / temper)[1]
     widths = float(sum(np.log(p.prior_sd) for p in fitted.parameters))
     return -0.5 * fitted.chi2 / temper - 0.5 * float(volume) - widths

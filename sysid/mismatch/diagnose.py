@@ -60,17 +60,6 @@ POLISHING = 5
 """Rounds allowed to the last fit of the answer."""
 
 
-class _Steps:
-    """Progress by stages with known shares."""
-
-    def __init__(self, report: Progress | None) -> None:
-        self._report = report
-
-    def __call__(self, share: float, text: str) -> None:
-        if self._report is not None:
-            self._report(share, text)
-
-
 def diagnose_runs(
     rig: Rig,
     runs: Sequence[Run],
@@ -80,7 +69,7 @@ def diagnose_runs(
 ) -> tuple[Diagnosis, Rig]:
     """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none)."""
     started = time.monotonic()
-    tell = _Steps(on_progress)
+    tell = on_progress or (lambda share, text: None)
     noise = channel_noise(rig, [*runs, *held_out])
     with PooledEngine(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
         tell(0.0, "baseline fit")
@@ -271,7 +260,7 @@ def _collect(
         baseline_parameters=named_parameters(base),
         amended_parameters=named_parameters(answer) if answer is not None else (),
         not_explained=words.not_explained(verdict, before.excess),
-        next_experiment=words.next_experiment(verdict, trials),
+        next_experiment=words.next_experiment(verdict),
         provenance={},
         seconds=0.0,
         series=series,

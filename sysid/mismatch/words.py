@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sysid.mismatch.decide import MIN_EXPLAINED, Trial, Verdict
+from sysid.mismatch.decide import MIN_EXPLAINED, Verdict
 from sysid.mismatch.result import Located
 
 _SEPARATE = {
@@ -54,7 +54,7 @@ def not_explained(verdict: Verdict, baseline_excess: float) -> str:
     return text
 
 
-def next_experiment(verdict: Verdict, trials: list[Trial]) -> str:
+def next_experiment(verdict: Verdict) -> str:
     """What to record next."""
     if verdict.kind == "nothing_missing":
         return "None needed; faster, deeper or longer motions would lower the limits."
@@ -69,5 +69,4 @@ def next_experiment(verdict: Verdict, trials: list[Trial]) -> str:
     for pair, words in _SEPARATE.items():
         if pair <= set(names):
             return words[0].upper() + words[1:] + "."
-    del trials
     return "Vary speed, depth and holding time one at a time; the candidates differ in what they follow."
