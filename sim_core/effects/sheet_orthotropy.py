@@ -26,10 +26,8 @@ class SheetOrthotropy(Effect):
         EffectParameter("grain_angle_rad", "rad", -1.6, 1.6, (0.0, 0.6), None, False, 0.8, "direction 1 against x"),
     )
 
-    def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:
-        if not any(isinstance(b, Sheet) for b in rig.bodies.values()):
-            return ()
-        return ({"modulus_ratio": (2.0, 0.5), "grain_angle_rad": (0.0, 0.6)},)
+    def applies(self, rig: Rig) -> bool:
+        return any(isinstance(b, Sheet) for b in rig.bodies.values())
 
     def equivalents(self, given: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
         """Direction 2 called direction 1, and either direction turned round."""

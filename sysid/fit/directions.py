@@ -52,10 +52,6 @@ class Direction:
     slopes: tuple[dict[str, np.ndarray], ...] = ()
     at: np.ndarray | None = None
 
-    def of_runs(self, which: slice) -> Direction:
-        """The same direction for some of the runs."""
-        return replace(self, shapes=self.shapes[which], slopes=self.slopes[which])
-
 
 class Sizes(NamedTuple):
     """Most probable coefficients in one channel of one run: ``common`` ``(k,)``, ``own`` ``(m, l)``."""

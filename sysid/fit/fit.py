@@ -16,7 +16,7 @@ from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Fitted, Problem
 from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series, rms_errors
-from sysid.fit.runs import Run, load_run
+from sysid.fit.runs import Run, load_runs
 from sysid.provenance import provenance
 
 Progress = Callable[[float, str], None]
@@ -168,8 +168,7 @@ def fit_bags(
     """Fit bags and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``."""
     from sysid.report import write_fit_report
 
-    runs = [load_run(rig, bag) for bag in bags]
-    kept = [load_run(rig, bag) for bag in held_out]
+    runs, kept = load_runs(rig, bags, held_out)
     result, fitted = fit_runs(rig, runs, names, held_out=kept, seed=seed, on_progress=on_progress)
     out.mkdir(parents=True, exist_ok=True)
     result.write(out / "fit.json")

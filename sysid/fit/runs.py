@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -75,6 +76,27 @@ class Run:
             for name, camera in rig.cameras.items()
         }
         return rig.model_copy(update={"cameras": cameras})
+
+
+def load_runs(rig: Rig, bags: Sequence[Path], held_out: Sequence[Path] = ()) -> tuple[list[Run], list[Run]]:
+    """Read the bags to use and those held out (:func:`load_run`), under names that tell all of them apart."""
+    paths = [*bags, *held_out]
+    runs = [replace(load_run(rig, p), name=n) for p, n in zip(paths, distinct_names(paths), strict=True)]
+    return runs[: len(bags)], runs[len(bags) :]
+
+
+def distinct_names(paths: Sequence[Path]) -> list[str]:
+    """The shortest end of each path, in whole parts, in which no other path ends.
+
+    Paths of the same place have no such end: their names are the whole path.
+    """
+    parts = [Path(os.path.abspath(p)).parts for p in paths]
+    names = []
+    for k, own in enumerate(parts):
+        others = parts[:k] + parts[k + 1 :]
+        enough = (n for n in range(1, len(own)) if all(own[-n:] != other[-n:] for other in others))
+        names.append(str(Path(*own[-next(enough, len(own)) :])))
+    return names
 
 
 def load_run(rig: Rig, path: Path) -> Run:

@@ -111,8 +111,7 @@ def _predict(
     at = np.concatenate([base.scaled, scaled])
     reach = LARGEST_STEP * np.array([1.0 if p.log else 4.0 * p.prior_sd for p in (*base.parameters, *own)])
     low, high = np.maximum(low - at, -reach), np.minimum(high - at, reach)
-    q, upper = np.linalg.qr(np.column_stack([matrix, target]))
-    del q
+    upper = np.linalg.qr(np.column_stack([matrix, target]))[1]
     small, goal = upper[:, :-1], upper[:, -1]
     step = lsq_linear(small, goal, bounds=(np.minimum(low, -1e-12), np.maximum(high, 1e-12)))
     misfit = goal - small @ step.x

@@ -20,7 +20,7 @@ from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Fitted, Problem
 from sysid.fit.result import plot_series, rms_errors
-from sysid.fit.runs import Run, load_run
+from sysid.fit.runs import Run, load_runs
 from sysid.mismatch import words
 from sysid.mismatch.account import fates, limits, notes
 from sysid.mismatch.baseline import open_parameters
@@ -60,28 +60,16 @@ POLISHING = 5
 """Rounds allowed to the last fit of the answer."""
 
 
-class _Steps:
-    """Progress by stages with known shares."""
-
-    def __init__(self, report: Progress | None) -> None:
-        self._report = report
-
-    def __call__(self, share: float, text: str) -> None:
-        if self._report is not None:
-            self._report(share, text)
-
-
 def diagnose_runs(
     rig: Rig,
     runs: Sequence[Run],
     held_out: Sequence[Run] = (),
     *,
-    seed: int = 0,
     on_progress: Progress | None = None,
 ) -> tuple[Diagnosis, Rig]:
     """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none)."""
     started = time.monotonic()
-    tell = _Steps(on_progress)
+    tell = on_progress or (lambda share, text: None)
     noise = channel_noise(rig, [*runs, *held_out])
     with PooledEngine(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
         tell(0.0, "baseline fit")
@@ -108,9 +96,11 @@ def diagnose_runs(
             if verdict.kind in ("named", "one_of") and verdict.named[0] is final:
                 answer = final.fitted
                 amended = _misfit(exact, exact_check, base, answer)
+        if verdict.kind not in ("named", "one_of"):
+            answer, amended = None, None
         diagnosis = _collect(rig, problem, check, base, answer, verdict, trials, before, failed)
         diagnosis.amended = amended
-    diagnosis.provenance = provenance(rig, list(runs), list(held_out), seed)
+    diagnosis.provenance = provenance(rig, list(runs), list(held_out))
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
     return diagnosis, (answer or base).rig
@@ -290,20 +280,18 @@ def diagnose_bags(
     *,
     held_out: Sequence[Path] = (),
     out: Path,
-    seed: int = 0,
     on_progress: Progress | None = None,
 ) -> str:
-    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``baseline_rig.yaml``, ``amended_rig.yaml``."""
+    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``."""
     from sysid.report import write_diagnosis_report
 
-    runs = [load_run(rig, bag) for bag in bags]
-    kept = [load_run(rig, bag) for bag in held_out]
-    diagnosis, amended = diagnose_runs(rig, runs, kept, seed=seed, on_progress=on_progress)
+    runs, kept = load_runs(rig, bags, held_out)
+    diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
     out.mkdir(parents=True, exist_ok=True)
     diagnosis.write(out / "diagnosis.json")
-    (out / "baseline_rig.yaml").write_text(rig_to_yaml(rig))
+    (out / "rig.yaml").write_text(rig_to_yaml(rig))
     overlay = {
-        "overlay_of": "baseline_rig.yaml",
+        "overlay_of": "rig.yaml",
         "name": f"{rig.name}_amended",
         "description": diagnosis.sentence,
         "parameters": {

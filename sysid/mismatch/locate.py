@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.fit.noise import column_groups, whiten
 from sysid.fit.problem import Fitted, Problem
 from sysid.fit.runs import Measured, Run
@@ -31,6 +32,12 @@ MIN_SIGMAS = 6.0
 
 OWN_SHARE = 0.5
 """Structured misfit below this share of the simulator's own error is not blamed on physics."""
+
+STILL_M_S, STILL_RAD_S = 1e-4, 1e-3
+"""Speeds up to which an end effector stands still, as where the noise is estimated (:mod:`sysid.fit.noise`)."""
+
+PARTS = 8
+"""Parts of a window whose speeds are told apart."""
 
 
 @dataclass(frozen=True)
@@ -158,10 +165,14 @@ def _phase(run: Run, fitted: Fitted, index: int, start: float, end: float) -> st
     trace = fitted.predictions[index].trace
     inside = (trace.times[1:] > start) & (trace.times[1:] <= end)
     touching = any(r.contacts > 0 for r, k in zip(trace.reports, inside, strict=True) if k)
-    moving = False
-    for trajectory in run.poses.values():
-        positions, _ = trajectory.sample(np.linspace(start, end, 5))
-        moving |= bool(np.ptp(positions, axis=0).max() > 1e-4)
+    moving = any(_moves(trajectory, start, end) for trajectory in run.poses.values())
     if touching:
         return "moving in contact" if moving else "holding in contact"
     return "moving freely" if moving else "at rest without contact"
+
+
+def _moves(trajectory: PoseTrajectory, start: float, end: float) -> bool:
+    """Whether an end effector moves or turns for at least half of a window."""
+    times = np.linspace(start, end, PARTS + 1)
+    linear, angular = PoseTrajectory(times, *trajectory.sample(times)).speeds()
+    return bool(np.mean((linear > STILL_M_S) | (angular > STILL_RAD_S)) >= 0.5)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import Experiment
+from sysid.mismatch import diagnose as diagnosing
 from sysid.mismatch import diagnose_bags
+from sysid.mismatch.result import NamedParameter
 from sysid.simulate import simulate_to_bag
 
 PRESS = [
@@ -40,7 +43,7 @@ def test_a_hidden_law_is_named_and_none_where_there_is_none(small_rig, tmp_path:
     said = diagnose_bags(rig, [tmp_path / "press"], held_out=[tmp_path / "deeper"], out=out)
     data = json.loads((out / "diagnosis.json").read_text())
     assert data["schema"] == "thinshell.diagnosis/1"
-    assert {f.name for f in out.iterdir()} == {"diagnosis.json", "report.html", "baseline_rig.yaml", "amended_rig.yaml"}
+    assert {f.name for f in out.iterdir()} == {"diagnosis.json", "report.html", "rig.yaml", "amended_rig.yaml"}
     amended = load_rig(out / "amended_rig.yaml")
     if effect is None:
         assert data["verdict"] == "nothing_missing", said
@@ -54,3 +57,23 @@ def test_a_hidden_law_is_named_and_none_where_there_is_none(small_rig, tmp_path:
     assert values["tau_s"][0] <= 0.15 <= values["tau_s"][1]
     assert data["fit"]["amended"]["held_out"] < data["fit"]["baseline"]["held_out"]
     assert amended.effects["gel_relaxation"]["share"] == pytest.approx(0.25, rel=0.3)
+
+
+def test_the_answer_is_an_overlay_of_the_rig_as_given(small_rig, tmp_path: Path, monkeypatch) -> None:
+    rig = small_rig()
+    amended = with_parameters(rig, {"gel.E_pa": 1.3e5}).model_copy(
+        update={"effects": {"air_drag": {"drag_coefficient": 1.0}}}
+    )
+    found = SimpleNamespace(
+        sentence="Air is missing.", write=lambda path: path.write_text("{}"), effects=(), not_explained="",
+        next_experiment="", baseline_parameters=(),
+        amended_parameters=(NamedParameter("gel.E_pa", 1.3e5, (1.2e5, 1.4e5), "Pa", "modulus"),),
+    )  # fmt: skip
+    monkeypatch.setattr(diagnosing, "load_runs", lambda *_: ([], []))
+    monkeypatch.setattr(diagnosing, "diagnose_runs", lambda *_, **__: (found, amended))
+    monkeypatch.setattr("sysid.report.write_diagnosis_report", lambda _, path: path)
+    diagnose_bags(rig, [], out=tmp_path)
+    assert {f.name for f in tmp_path.iterdir()} == {"diagnosis.json", "rig.yaml", "amended_rig.yaml"}
+    assert load_rig(tmp_path / "rig.yaml").bodies == rig.bodies
+    answer = load_rig(tmp_path / "amended_rig.yaml")
+    assert answer.bodies == amended.bodies and answer.effects == amended.effects
