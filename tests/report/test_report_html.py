@@ -34,9 +34,9 @@ from sysid.fit.parameters import fit_parameters
 from sysid.fit.problem import Fitted, Problem
 from sysid.fit.result import Estimate, FitResult
 from sysid.fit.runs import Measured, Run
-from sysid.mismatch.candidates import Start, with_effect
-from sysid.mismatch.decide import Verdict
-from sysid.mismatch.diagnose import _collect, _limits
+from sysid.mismatch.candidates import with_effect
+from sysid.mismatch.decide import Trial, Verdict
+from sysid.mismatch.diagnose import _collect
 from sysid.mismatch.locate import structure
 from sysid.mismatch.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
 from sysid.report import write_diagnosis_report, write_fit_report
@@ -198,7 +198,7 @@ def test_the_simulators_own_error_is_told_in_plain_numbers(verdicts: dict[str, P
 
 
 def test_what_was_found_has_no_upper_limit(verdicts: dict[str, Page]) -> None:
-    limits = verdicts["named"].words.split("no larger than this")[1].split("Left open")[0]
+    limits = verdicts["named"].words.split("no stronger than this")[1].split("Left open")[0]
     assert "end_effector_compliance" in limits and "gel_relaxation" not in limits
 
 
@@ -215,18 +215,25 @@ def empty_diagnosis() -> Diagnosis:
         [], np.zeros(0), rig, white.ravel(), np.zeros((360, 0)), [(0, "gauge", np.repeat(t, 6))], [prediction], rig,
         1, True, "", 0.0,
     )  # fmt: skip
-    own = fit_parameters(with_effect(rig, EFFECTS[0], {"share": 0.1, "tau_s": 0.2}), ["effects.gel_relaxation.share"])
-    limits = _limits([Start(EFFECTS[0], rig, own, 0.0, np.array([0.1]))], [], base)
+    with_gel = with_effect(rig, EFFECTS[0], {"share": 0.1, "tau_s": 0.2})
+    own = fit_parameters(with_gel, ["effects.gel_relaxation.share"])
+    tried = replace(
+        base, parameters=own, scaled=np.array([0.1]), rig=with_gel, jacobian=np.full((360, 1), 0.5), centre=with_gel
+    )
+    left = structure(problem, base)
+    trial = Trial(EFFECTS[0], tried, 1.0, 0.0, left, None)
     check = Problem([], noise, cast(Engine, None))
     verdict = Verdict("nothing_missing", ())
-    return _collect(rig, problem, check, base, None, verdict, [], limits, structure(problem, base), 1.0)
+    return _collect(rig, problem, check, base, None, verdict, [trial], left, {})
 
 
 def test_the_examples_have_the_keys_of_real_diagnoses(tmp_path: Path) -> None:
     real, example = empty_diagnosis(), make_diagnosis("nothing_missing")
     assert list(real.discretisation) == list(example.discretisation)
     assert set(real.upper_limits) <= set(example.upper_limits) and real.upper_limits
-    assert "Misfit over own error" in diagnosis_page(tmp_path, real).words
+    words = diagnosis_page(tmp_path, real).words
+    assert "Misfit over own error" in words
+    assert "each of the 8 effects" in words and "promised no better fit" in words
 
 
 def test_a_fit_without_anything(tmp_path: Path) -> None:
