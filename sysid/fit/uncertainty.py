@@ -71,7 +71,8 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlation = np.clip(inverse / np.outer(spread, spread), -1.0, 1.0)
     widen = float(np.sqrt(max(1.0, reduced)))
-    sentences = _undetermined(parameters, values, vectors, widen) + _together(parameters, correlation, sd)
+    sentences = _undetermined(parameters, values, vectors, widen)
+    sentences += _anywhere(fitted, sd, sentences) + _together(parameters, correlation, sd)
     return Uncertainty(sd, correlation, tuple(sentences), reduced)
 
 
@@ -115,6 +116,19 @@ def _undetermined(parameters: list[FitParameter], values: np.ndarray, vectors: n
             + ", ".join(changes)
             + " together leave every reading as it is. Fix one of them, or record a motion that separates them."
         )
+    return out
+
+
+def _anywhere(fitted: Fitted, sd: np.ndarray, said: list[str]) -> list[str]:
+    """One sentence for each parameter whose interval spans all that is possible, unless it was named before."""
+    out = []
+    for p, scaled, spread in zip(fitted.parameters, fitted.scaled, sd, strict=True):
+        low, high = p.scaled_bounds
+        if scaled - 1.96 * spread <= low and scaled + 1.96 * spread >= high and not any(p.name in s for s in said):
+            out.append(
+                f"The data do not determine {p.name}: its 95 % interval spans all possible values, "
+                f"{p.lower:g} to {p.upper:g} {p.unit}. Record a motion that depends on it, or fix it."
+            )
     return out
 
 

@@ -14,7 +14,7 @@ import yaml
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
-from sysid.fit.noise import channel_noise
+from sysid.fit.noise import ChannelNoise, channel_noise
 from sysid.fit.own_error import discretisation, fit_beside_own_error
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
@@ -81,7 +81,7 @@ def diagnose_runs(
         tell(0.45, "screening of effects")
         starts, failed = screen(engine, problem, base)
         tell(0.65, "refits")
-        check = Problem(held_out, noise, engine, discretisation(engine, base.rig, held_out))
+        check, lost = _check(engine, base.rig, noise, held_out)
         plain = _held_out(check, base)
         on_held_out = structure(check, plain) if plain is not None else None
         trials = _refits(problem, check, plain, base, _chosen(starts, base), failed)
@@ -90,7 +90,7 @@ def diagnose_runs(
         amended = None
         while unfinished := [t for t in verdict.named if not t.finished]:
             tell(0.85, "the answer fitted to the end")
-            final, exact, exact_check = _polished(engine, problem, held_out, plain, before, unfinished[0])
+            final, exact, exact_check = _polished(engine, problem, check.runs, plain, before, unfinished[0])
             trials = [final if t is unfinished[0] else t for t in trials]
             verdict = decide(trials, before, on_held_out)
             if verdict.kind in ("named", "one_of") and verdict.named[0] is final:
@@ -100,6 +100,7 @@ def diagnose_runs(
             answer, amended = None, None
         diagnosis = _collect(rig, problem, check, base, answer, verdict, trials, before, failed)
         diagnosis.amended = amended
+        diagnosis.notes += lost
     diagnosis.provenance = provenance(rig, list(runs), list(held_out))
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
@@ -157,6 +158,23 @@ def _refits(
 def _explained(excess: float, left: Structure) -> float:
     """Share of the structured misfit that is gone."""
     return 1.0 - left.whole.excess / excess if excess > 0.0 else 0.0
+
+
+def _check(
+    engine: PooledEngine, rig: Rig, noise: dict[str, ChannelNoise], held_out: Sequence[Run]
+) -> tuple[Problem, tuple[str, ...]]:
+    """The held-out runs that the fitted rig can follow, and a note for each that it cannot."""
+    try:
+        return Problem(held_out, noise, engine, discretisation(engine, rig, held_out)), ()
+    except ThinshellError:
+        kept, lost = [], []
+        for run in held_out:
+            try:
+                discretisation(engine, rig, [run])
+                kept.append(run)
+            except ThinshellError as error:
+                lost.append(f"{run.name} is left out, it could not be simulated: {error}")
+        return Problem(kept, noise, engine, discretisation(engine, rig, kept)), tuple(lost)
 
 
 def _held_out(check: Problem, fitted: Fitted) -> Fitted | None:
