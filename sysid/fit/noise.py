@@ -37,6 +37,9 @@ FLOOR_SHARE = 1e-5
 COARSEST_SHARE = 0.2
 """Readings with fewer distinct values than this share of their number come in steps."""
 
+LONGEST_EXACT = 400
+"""Samples of a stretch up to which it matters what a line takes away from coloured noise."""
+
 REPLACED_FROM = 2.0
 """A declared noise of this many times the estimated one takes the place of the latter altogether."""
 
@@ -192,7 +195,18 @@ def _scatter(values: np.ndarray) -> tuple[float | None, float]:
     product = np.sum(residual[1:] * residual[:-1]) / ((n - 3) * values.shape[1])
     # Removing a line biases the correlation down by about 2 (1 + rho) / n.
     rho = product / variance
-    return float(np.sqrt(variance)), float(rho + 2.0 * (1.0 + rho) / n)
+    rho = min(float(rho + 2.0 * (1.0 + rho) / n), 0.98)
+    return float(np.sqrt(variance / _share_left(n, max(rho, 0.0), base))), rho
+
+
+def _share_left(n: int, rho: float, base: np.ndarray) -> float:
+    """Share of the variance of noise with lag-one correlation ``rho`` that is left beside the columns of
+    ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
+    if rho == 0.0 or n > LONGEST_EXACT:
+        return 1.0
+    correlation = rho ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    q = np.linalg.qr(base)[0]
+    return float((n - np.sum(q * (correlation @ q))) / (n - 2))
 
 
 def whiten(residual: np.ndarray, noise: ChannelNoise) -> np.ndarray:

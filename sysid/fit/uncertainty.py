@@ -30,10 +30,12 @@ TOGETHER = 0.97
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """``sd``: in the fitted scale ``(p,)``; ``correlation``: ``(p, p)``; ``sentences``: what the data cannot
-    determine, in words; ``reduced_chi2``: misfit over noise."""
+    """``sd``: in the fitted scale ``(p,)``; ``inflation``: by how much the sandwich estimate exceeds what the
+    noise model alone says, 1 where it does not ``(p,)``; ``correlation``: ``(p, p)``; ``sentences``: what the
+    data cannot determine, in words; ``reduced_chi2``: misfit over noise."""
 
     sd: np.ndarray
+    inflation: np.ndarray
     correlation: np.ndarray
     sentences: tuple[str, ...]
     reduced_chi2: float
@@ -45,7 +47,7 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     p = len(parameters)
     reduced = fitted.chi2 / max(fitted.samples - p, 1)
     if p == 0:
-        return Uncertainty(np.zeros(0), np.zeros((0, 0)), (), reduced)
+        return Uncertainty(np.zeros(0), np.ones(0), np.zeros((0, 0)), (), reduced)
     j, r = fitted.jacobian, fitted.residual
     prior = np.array([q.prior_sd for q in parameters])
     values, vectors = _information(j * prior)
@@ -73,7 +75,8 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     widen = float(np.sqrt(max(1.0, reduced)))
     sentences = _undetermined(parameters, values, vectors, widen)
     sentences += _anywhere(fitted, sd, sentences) + _together(parameters, correlation, sd)
-    return Uncertainty(sd, correlation, tuple(sentences), reduced)
+    inflation = np.sqrt(variance / np.maximum(np.diag(plain), 1e-300))
+    return Uncertainty(sd, inflation, correlation, tuple(sentences), reduced)
 
 
 def _information(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

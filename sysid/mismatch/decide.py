@@ -16,8 +16,8 @@ MIN_GAIN_NATS = 12.0
 """Evidence over the baseline that an effect must have to be named."""
 
 MIN_SIGNIFICANCE = 3.0
-"""Standard deviations (the larger of the noise's and the sandwich estimate) that an amplitude must have:
-what a smooth error of the simulator fakes is strong in evidence but not stable over blocks of time."""
+"""Standard deviations that the improvement must be worth, judged by its stability over blocks of time: what a
+smooth error of the simulator fakes is strong in evidence but not stable."""
 
 TIE_NATS = 5.0
 """Effects within this of the best are reported together."""
@@ -34,9 +34,8 @@ ROBUST_WIDTH = 3.0
 class Trial:
     """One effect refitted. ``gain``: log evidence over the baseline; ``explained``: share of the baseline's
     structured misfit; ``left``: what it leaves of it; ``held_out``: share of the robust misfit on held-out
-    data that it removes (negative: it predicts worse). ``significance``: amplitude over its standard
-    deviation, the largest of its amplitudes (infinite for an effect whose amplitude has no finite rest in
-    the fitted scale). ``finished``: fitted to the end; ``failure``: why that could not be simulated."""
+    data that it removes (negative: it predicts worse). ``significance``: see :func:`significance`, infinite
+    before the trial is ``finished``, fitted to the end; ``failure``: why that could not be simulated."""
 
     effect: Effect
     fitted: Fitted
@@ -58,7 +57,7 @@ class Trial:
         if self.held_out is not None and self.held_out <= 0.0:
             return f"it predicts held-out recordings worse, by {-100 * self.held_out:.2g} %"
         if self.significance < MIN_SIGNIFICANCE:
-            return f"its amplitude is {self.significance:.1f} standard deviations from none at all"
+            return f"over time its improvement is worth {self.significance:.1f} of {MIN_SIGNIFICANCE:g} deviations"
         return ""
 
 
@@ -97,20 +96,15 @@ def held_out_gain(plain: np.ndarray, amended: np.ndarray) -> float:
     return (before - loss(amended)) / before
 
 
-def significance(effect: Effect, fitted: Fitted) -> float:
-    """Largest distance of an amplitude from its vanishing value, in standard deviations."""
+def significance(effect: Effect, fitted: Fitted, gain: float) -> float:
+    """Standard deviations that a gain [nats] is worth: the square root of the likelihood ratio 2 gain, over
+    the inflation of the best known amplitude by the sandwich estimate (the adjusted likelihood of Chandler &
+    Bate 2007). The amplitude's own distance from none would not do: it is short where only its ratio to
+    another parameter is determined."""
     known = uncertainty(fitted)
-    found = []
-    for p, scaled, sd in zip(fitted.parameters, fitted.scaled, known.sd, strict=True):
-        if not p.name.startswith(f"effects.{effect.name}."):
-            continue
-        vanishing = next(q.vanishing for q in effect.parameters if p.name.endswith("." + q.name))
-        if vanishing is None:
-            continue
-        if not np.isfinite(vanishing) or (p.log and vanishing <= 0.0):
-            return np.inf
-        found.append(abs(scaled - p.scaled(vanishing)) / max(float(sd), 1e-300))
-    return float(max(found, default=np.inf))
+    amplitudes = {f"effects.{effect.name}.{q.name}" for q in effect.parameters if q.vanishing is not None}
+    inflation = [f for p, f in zip(fitted.parameters, known.inflation, strict=True) if p.name in amplitudes]
+    return float(np.sqrt(max(2.0 * gain, 0.0)) / min(inflation, default=1.0))
 
 
 def probabilities(trials: list[Trial]) -> dict[str, float]:

@@ -224,7 +224,7 @@ def _polished(
         explained=_explained(before.whole.excess, left),
         left=left,
         held_out=_gain(plain, predicted),
-        significance=significance(trial.effect, fitted),
+        significance=significance(trial.effect, fitted, trial.gain),
         finished=True,
     )
     return final, there, check
