@@ -1,7 +1,8 @@
 """The demonstration behind ``make demo``: simulate a gripper, record it, fit it back, compare, report.
 
-A gel finger presses and bends a card and rubs on a post. Two recordings are fitted from a start that is
-30 to 60 % off, a third is only predicted. Run with ``python -m sysid.demo [FOLDER]``.
+A gel finger presses and bends a card and rubs on a post. The recordings are simulated on a finer mesh with
+a shorter time step than the fit uses. Two are fitted from a start that is 30 to 60 % off, a third is only
+predicted. Run with ``python -m sysid.demo [FOLDER]``.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from sim_core.errors import ThinshellError
+from sim_core.errors import ConfigError, ThinshellError
 from sim_core.rigs import Rig, list_parameters, load_rig, with_parameters
 from sim_core.rigs.motion import load_experiment
 from sysid.cli.progress import progress
@@ -22,21 +23,23 @@ from sysid.simulate import simulate_to_bag
 
 TRUTH = {"card.E_pa": 3.1e9, "gel.E_pa": 1.6e5, "contacts.gel-post.friction": 0.55}
 START = {"card.E_pa": 2.0e9, "gel.E_pa": 2.4e5, "contacts.gel-post.friction": 0.35}
+REFINE = 2
 TRAINING = ("press_hold_release", "press_post")
 HELD_OUT = ("press_post_deeper",)
+DEFAULT = Path("out/demo")
+"""Folder of the demonstration where none is given."""
 
 
-def main(folder: Path) -> int:
-    """Run the demonstration in ``folder``, which is replaced when it exists."""
-    if folder.exists():
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True)
+def main(folder: Path = DEFAULT) -> int:
+    """Run the demonstration in ``folder``. What an earlier one left in the default folder is replaced."""
+    _prepare(folder)
     rig = load_rig("card_press")
     truth = with_parameters(rig, TRUTH)
     for name in (*TRAINING, *HELD_OUT):
         experiment = load_experiment(name)
         with progress(f"simulate {name}") as report:
-            print(simulate_to_bag(truth, experiment, folder / f"{name}.bag", seed=experiment.seed, on_progress=report))
+            bag = folder / f"{name}.bag"
+            print(simulate_to_bag(truth, experiment, bag, seed=experiment.seed, refine=REFINE, on_progress=report))
     start = with_parameters(rig, START)
     runs, held_out = ([load_run(start, folder / f"{n}.bag") for n in names] for names in (TRAINING, HELD_OUT))
     with progress("fit") as report:
@@ -48,6 +51,19 @@ def main(folder: Path) -> int:
     print(_comparison(truth, result.estimates))
     print(f"Report: {page.resolve()}")
     return 0
+
+
+def _prepare(folder: Path) -> None:
+    """An empty folder. Raises ``ConfigError`` where something would be lost that is not the default's."""
+    if folder == DEFAULT:
+        if folder.exists():
+            shutil.rmtree(folder)
+    elif folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise ConfigError(
+            f"The folder {folder} already exists and is not empty.",
+            f"Name a new one; only the default, {DEFAULT}, is replaced.",
+        )
+    folder.mkdir(parents=True, exist_ok=True)
 
 
 def _comparison(truth: Rig, estimates: list[Estimate]) -> str:
@@ -64,6 +80,6 @@ def _comparison(truth: Rig, estimates: list[Estimate]) -> str:
 
 if __name__ == "__main__":
     try:
-        sys.exit(main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/demo")))
+        sys.exit(main(*map(Path, sys.argv[1:2])))
     except ThinshellError as error:
         sys.exit(f"demo: {error}")

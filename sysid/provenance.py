@@ -13,8 +13,8 @@ from sysid.fit.runs import Run
 _PACKAGES = ("numpy", "scipy", "taichi", "rosbags", "mcap", "opencv-python-headless")
 
 
-def provenance(rig: Rig, runs: list[Run], held_out: list[Run], seed: int) -> dict[str, Any]:
-    """What is needed to do it again."""
+def provenance(rig: Rig, runs: list[Run], held_out: list[Run], seed: int | None = None) -> dict[str, Any]:
+    """What is needed to do it again; ``seed``: None where nothing is random."""
     versions = {}
     for package in ("thinshell_ros", *_PACKAGES):
         try:
@@ -30,6 +30,6 @@ def provenance(rig: Rig, runs: list[Run], held_out: list[Run], seed: int) -> dic
         ],
         "versions": {"python": platform.python_version(), **versions},
         "machine": f"{platform.system()} {platform.machine()}",
-        "seed": seed,
+        **({} if seed is None else {"seed": seed}),
         "command": " ".join(["thinshell", *sys.argv[1:]]),
     }

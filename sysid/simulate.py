@@ -51,15 +51,20 @@ def simulate_to_bag(
     out: Path,
     *,
     seed: int,
+    refine: int = 1,
     on_progress: Callable[[float, str], None] | None = None,
 ) -> str:
-    """Simulate and write a contract bag; the returned text says what was written."""
+    """Simulate and write a contract bag; the returned text says what was written.
+
+    ``refine``: cells in each direction and steps in time, as a multiple of the rig's, so that the recording
+    carries less of the error of mesh and time step.
+    """
     poses = compile_experiment(experiment, rig)
     duration = max((p.times[-1] for p in poses.values()), default=0.0)
     if duration <= 0.0:
         raise ConfigError(f"The experiment {experiment.name!r} moves nothing.", "Give it motions or waits.")
-    times = step_times(0.0, float(duration), rig.solver.dt_s)
-    scene = build_scene(rig)
+    times = step_times(0.0, float(duration), rig.solver.dt_s / refine)
+    scene = build_scene(rig, refine)
 
     def on_step(done: int, total: int) -> None:
         if on_progress is not None:

@@ -123,10 +123,8 @@ class AirDrag(Effect):
         EffectParameter("drag_coefficient", "-", 0.0, 20.0, (1.0,), 0.0, False, 1.0, "C_D on the sheet's area"),
     )
 
-    def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:
-        if not rig.solver.inertia or not any(isinstance(b, Sheet) for b in rig.bodies.values()):
-            return ()
-        return ({"drag_coefficient": (1.0,)},)
+    def applies(self, rig: Rig) -> bool:
+        return rig.solver.inertia and any(isinstance(b, Sheet) for b in rig.bodies.values())
 
     def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
         for name, body in rig.bodies.items():

@@ -28,10 +28,8 @@ class BendingPlasticity(Effect):
         EffectParameter("hardening_ratio", "-", 0.0, 5.0, (0.2,), None, False, 0.5, "hardening over bending stiffness"),
     )  # fmt: skip
 
-    def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:
-        if not any(isinstance(b, Sheet) for b in rig.bodies.values()):
-            return ()
-        return ({"yield_curvature_per_m": (2.0, 5.0, 10.0, 20.0, 40.0), "hardening_ratio": (0.2,)},)
+    def applies(self, rig: Rig) -> bool:
+        return any(isinstance(b, Sheet) for b in rig.bodies.values())
 
     def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
         for name, body in rig.bodies.items():

@@ -49,9 +49,17 @@ class Effect:
     words: str = ""
     parameters: tuple[EffectParameter, ...] = ()
 
+    def applies(self, rig: Rig) -> bool:
+        """Whether the rig has what the effect acts on."""
+        raise NotImplementedError
+
     def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:
         """Sets of starting values to try on this rig, by parameter; empty when it does not apply."""
-        raise NotImplementedError
+        return ({p.name: p.typical for p in self.parameters},) if self.applies(rig) else ()
+
+    def equivalents(self, given: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
+        """Other values of the parameters that describe the very same law."""
+        return ()
 
     def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
         """Change what the terms of the scene are configured with."""

@@ -25,10 +25,8 @@ class EndEffectorCompliance(Effect):
         EffectParameter("compliance_m_per_n", "m/N", 1e-8, 0.1, (1e-4, 2e-3), 0.0, True, 2.5, "displacement per force"),
     )
 
-    def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:
-        if not rig.end_effectors:
-            return ()
-        return ({"compliance_m_per_n": (1e-4, 2e-3)},)
+    def applies(self, rig: Rig) -> bool:
+        return bool(rig.end_effectors)
 
     def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
         if given["compliance_m_per_n"] > 0.0:

@@ -24,10 +24,8 @@ class GelRelaxation(Effect):
         EffectParameter("tau_s", "s", 0.01, 100.0, (0.05, 0.25, 1.0), None, True, 2.0, "time constant"),
     )
 
-    def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:
-        if not any(isinstance(b, Gel) for b in rig.bodies.values()):
-            return ()
-        return ({"share": (0.25,), "tau_s": (0.05, 0.25, 1.0)},)
+    def applies(self, rig: Rig) -> bool:
+        return any(isinstance(b, Gel) for b in rig.bodies.values())
 
     def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
         for name, body in rig.bodies.items():

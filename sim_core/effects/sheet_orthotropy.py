@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from sim_core.effects.effect import Effect, EffectParameter
 from sim_core.rigs import Rig, Sheet
 from sim_core.scene.scene import Values
@@ -24,10 +26,16 @@ class SheetOrthotropy(Effect):
         EffectParameter("grain_angle_rad", "rad", -1.6, 1.6, (0.0, 0.6), None, False, 0.8, "direction 1 against x"),
     )
 
-    def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:
-        if not any(isinstance(b, Sheet) for b in rig.bodies.values()):
-            return ()
-        return ({"modulus_ratio": (2.0, 0.5), "grain_angle_rad": (0.0, 0.6)},)
+    def applies(self, rig: Rig) -> bool:
+        return any(isinstance(b, Sheet) for b in rig.bodies.values())
+
+    def equivalents(self, given: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
+        """Direction 2 called direction 1, and either direction turned round."""
+        ratio, angle = given["modulus_ratio"], given["grain_angle_rad"]
+        return (
+            *({"modulus_ratio": 1.0 / ratio, "grain_angle_rad": angle + s * np.pi / 2} for s in (-1.0, 1.0)),
+            *({"modulus_ratio": ratio, "grain_angle_rad": angle + s * np.pi} for s in (-1.0, 1.0)),
+        )
 
     def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
         for name, body in rig.bodies.items():

@@ -28,10 +28,8 @@ class StaticFriction(Effect):
         ),
     )
 
-    def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:
-        if not any(c.friction > 0.0 for c in rig.contacts):
-            return ()
-        return ({"excess": (0.1, 0.2, 0.4, 0.8)},)
+    def applies(self, rig: Rig) -> bool:
+        return any(c.friction > 0.0 for c in rig.contacts)
 
     def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
         for name, terms in values.terms.items():

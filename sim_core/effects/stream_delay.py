@@ -19,17 +19,19 @@ class StreamDelay(Effect):
         "belongs to another moment of the motion."
     )
     parameters = (
-        EffectParameter("wrench_s", "s", -2.0, 2.0, (0.0,), 0.0, False, 0.05, "delay of the force readings"),
-        EffectParameter("vision_s", "s", -2.0, 2.0, (0.0,), 0.0, False, 0.05, "delay of markers and tracks"),
+        EffectParameter("wrench_s", "s", -2.0, 2.0, (0.01,), 0.0, False, 0.05, "delay of the force readings"),
+        EffectParameter("vision_s", "s", -2.0, 2.0, (0.01,), 0.0, False, 0.05, "delay of markers and tracks"),
     )
 
+    def applies(self, rig: Rig) -> bool:
+        return bool(rig.sensors or rig.cameras)
+
     def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:
-        found = []
-        if any(isinstance(s, WrenchSensor) for s in rig.sensors.values()):
-            found.append({"wrench_s": (0.01,), "vision_s": (0.0,)})
-        if rig.cameras or any(not isinstance(s, WrenchSensor) for s in rig.sensors.values()):
-            found.append({"wrench_s": (0.0,), "vision_s": (0.01,)})
-        return tuple(found)
+        """One stream late at a time, of those that the rig has."""
+        felt = any(isinstance(s, WrenchSensor) for s in rig.sensors.values())
+        seen = bool(rig.cameras) or any(not isinstance(s, WrenchSensor) for s in rig.sensors.values())
+        late = [name for name, there in (("wrench_s", felt), ("vision_s", seen)) if there]
+        return tuple({p.name: p.typical if p.name == name else (0.0,) for p in self.parameters} for name in late)
 
     def delay(self, rig: Rig, channel: str, kind: str, given: Mapping[str, float]) -> float:
         return given["wrench_s"] if kind == "wrench" else given["vision_s"]

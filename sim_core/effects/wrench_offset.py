@@ -31,10 +31,8 @@ class WrenchOffset(Effect):
         ),
     )
 
-    def variants(self, rig: Rig) -> tuple[Mapping[str, tuple[float, ...]], ...]:
-        if not any(isinstance(s, WrenchSensor) for s in rig.sensors.values()):
-            return ()
-        return ({p.name: (0.0,) for p in self.parameters},)
+    def applies(self, rig: Rig) -> bool:
+        return any(isinstance(s, WrenchSensor) for s in rig.sensors.values())
 
     def amend_output(
         self,

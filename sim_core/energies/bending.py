@@ -25,7 +25,7 @@ from sim_core.energies.dihedral import angle, angle_gradient, corner, side_curva
 from sim_core.energies.membrane import material_frames
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.geometry.sheets import SheetMesh, find_hinges
-from sim_core.kernels import F1, F2, I1, I2, BoundKernel, vec3
+from sim_core.kernels import F1, F2, I1, I2, BoundKernel, mat3, vec3
 from sim_core.materials.elastic import plane_stress
 
 _SIDE_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -135,14 +135,22 @@ def _gauss_newton(
                 row[n, 3 + r] = area[t] * (c[r, 0] * row[n, 0] + c[r, 1] * row[n, 1] + c[r, 2] * row[n, 2])
         block = start[t]
         for p in range(nodes[t]):
+            left = mat3(0.0)
+            for i, r in ti.static(ti.ndrange(3, 3)):
+                left[i, r] = row[3 * p + i, r]
             for q in range(p, nodes[t]):
-                for i in range(3):
-                    l0, l1, l2 = row[3 * p + i, 0], row[3 * p + i, 1], row[3 * p + i, 2]
-                    for j in ti.static(range(3)):
-                        if p != q or i <= j:
-                            m = 3 * q + j
-                            at = slots[block, 3 * i + j]
-                            out[at] = out[at] + l0 * row[m, 3] + l1 * row[m, 4] + l2 * row[m, 5]
+                right = mat3(0.0)
+                for r, j in ti.static(ti.ndrange(3, 3)):
+                    right[r, j] = row[3 * q + j, 3 + r]
+                m = left @ right
+                if p == q:
+                    for i, j in ti.static(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
+                        at = slots[block, 3 * i + j]
+                        out[at] = out[at] + m[i, j]
+                else:
+                    for i, j in ti.static(ti.ndrange(3, 3)):
+                        at = slots[block, 3 * i + j]
+                        out[at] = out[at] + m[i, j]
                 block += 1
 
 

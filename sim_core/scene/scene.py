@@ -219,6 +219,8 @@ class Scene:
         """
         out: np.ndarray = self.rest.copy()
         for follower in self.followers:
+            if frames[follower.mount] is self.start[follower.mount]:
+                continue  # it rests
             origin, rotation = frames[follower.mount]
             out[follower.nodes] = origin + rotation.apply(follower.local)
         for body in self.bodies.values():

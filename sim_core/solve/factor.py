@@ -1,7 +1,7 @@
 """Sparse symmetric factorisation behind one interface: analyse once, refactor often, solve.
 
-MKL PARDISO (through its MIT-licensed wheel) where the platform has it, qdldl (Apache-2.0) elsewhere.
-Both take the upper triangle in CSR form.
+MKL PARDISO (through its MIT-licensed wheel) where the platform has it, else qdldl (Apache-2.0), else scipy's
+SuperLU. All take the upper triangle in CSR form.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import os
 from typing import Any, Protocol
 
 import numpy as np
-import qdldl
 import scipy.sparse as sp
+from scipy.sparse.linalg import splu
 
 os.environ.setdefault("MKL_NUM_THREADS", "1")  # one process a core is the parallelism
 
@@ -19,6 +19,11 @@ try:
     import pymklpardiso
 except ImportError:  # no wheel for this platform
     pymklpardiso = None
+
+try:
+    import qdldl
+except ImportError:
+    qdldl = None
 
 
 class NotPositiveDefinite(Exception):
@@ -71,24 +76,39 @@ class PardisoFactor:
         return np.asarray(self._solver.solve(np.asfortranarray(rhs) if rhs.ndim == 2 else rhs))
 
 
+class _Columns:
+    """From values in rows of the upper triangle to a matrix in columns, without sorting anew."""
+
+    def __init__(self, upper: sp.csr_matrix) -> None:
+        numbered = sp.csr_matrix((np.arange(1.0, upper.nnz + 1.0), upper.indices, upper.indptr), upper.shape)
+        self._pattern = numbered.tocsc()
+        self._order = self._pattern.data.astype(np.int64) - 1
+
+    def upper(self, values: np.ndarray) -> sp.csc_matrix:
+        pattern = self._pattern
+        return sp.csc_matrix((values[self._order], pattern.indices, pattern.indptr), pattern.shape)
+
+
 class QdldlFactor:
-    """LDL^T for quasi-definite matrices; the fallback on every platform."""
+    """LDL^T for quasi-definite matrices."""
 
     def __init__(self, upper: sp.csr_matrix, definite: bool) -> None:
-        self._pattern = upper.copy()
+        self._columns = _Columns(upper)
         self._definite = definite
-        self._solver = qdldl.Solver(self._symmetric(upper.data))
-
-    def _symmetric(self, values: np.ndarray) -> sp.csc_matrix:
-        upper = sp.csr_matrix((values, self._pattern.indices, self._pattern.indptr), self._pattern.shape)
-        return (upper + sp.triu(upper, 1).T).tocsc()
+        self._solver: Any = None
+        self.refactor(upper.data)
 
     def refactor(self, values: np.ndarray) -> None:
+        matrix = self._columns.upper(values)
         try:
-            self._solver = qdldl.Solver(self._symmetric(values))
-        except RuntimeError as error:
+            if self._solver is None:
+                self._solver = qdldl.Solver(matrix, upper=True)
+            else:
+                self._solver.update(matrix, upper=True)
+        except (RuntimeError, ValueError) as error:
+            self._solver = None
             raise NotPositiveDefinite(str(error)) from error
-        if self._definite and np.any(self._solver.factors()[1] <= 0.0):
+        if self._definite and not np.all(self._solver.factors()[1] > 0.0):
             raise NotPositiveDefinite("a pivot is not positive")
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
@@ -97,8 +117,35 @@ class QdldlFactor:
         return np.asarray(self._solver.solve(rhs))
 
 
+class SuperluFactor:
+    """LU of scipy, without pivoting where a positive definite matrix is wanted; works everywhere."""
+
+    def __init__(self, upper: sp.csr_matrix, definite: bool) -> None:
+        self._columns = _Columns(upper)
+        self._definite = definite
+        self.refactor(upper.data)
+
+    def refactor(self, values: np.ndarray) -> None:
+        upper = self._columns.upper(values)
+        matrix = (upper + sp.triu(upper, 1).T).tocsc()
+        symmetric = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}} if self._definite else {}
+        try:
+            self._solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", **symmetric)
+        except RuntimeError as error:
+            raise NotPositiveDefinite(str(error)) from error
+        if self._definite:
+            on_diagonal = np.array_equal(self._solver.perm_r, self._solver.perm_c)
+            if not on_diagonal or not np.all(self._solver.U.diagonal() > 0.0):
+                raise NotPositiveDefinite("a pivot is not positive")
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        return np.asarray(self._solver.solve(rhs))
+
+
 def factorise(upper: sp.csr_matrix, definite: bool = True) -> Factor:
     """Analyse and factorise. ``definite``: insist on a positive definite matrix."""
     if pymklpardiso is not None:
         return PardisoFactor(upper, definite)
-    return QdldlFactor(upper, definite)
+    if qdldl is not None:
+        return QdldlFactor(upper, definite)
+    return SuperluFactor(upper, definite)

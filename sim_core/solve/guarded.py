@@ -15,19 +15,11 @@ from dataclasses import replace
 import numpy as np
 
 from sim_core.errors import ConvergenceError
-from sim_core.solve.newton import (
-    NewtonSettings,
-    Result,
-    StepReport,
-    _converged,
-    _creep,
-    _direction,
-    _fast,
-    _noise,
-    _place,
-    _report,
-)
+from sim_core.solve.fast import FastNewton
+from sim_core.solve.newton import after, begin, creep, noise_of, place
+from sim_core.solve.report import NewtonSettings, Result, StepReport, converged, report
 from sim_core.solve.system import System
+from sim_core.solve.tangent import newton_direction
 
 KEEP = 0.1
 """Share of its gap that a pair keeps in one move."""
@@ -52,57 +44,70 @@ ITERATIONS = 4
 
 
 def solve(
-    system: System, x_start: np.ndarray, targets: np.ndarray, settings: NewtonSettings, guess: np.ndarray | None
+    system: System,
+    x_start: np.ndarray,
+    drift: np.ndarray,
+    targets: np.ndarray,
+    settings: NewtonSettings,
+    guess: np.ndarray | None,
 ) -> StepReport:
     """As :func:`sim_core.solve.newton.solve`."""
     deflection = system.deflections.copy()
-    spent, start = 0, x_start
+    spent, start = (0, 0), x_start
     if settings.fast_iterations:
-        report, sound = _try(system, x_start, targets, settings, guess)
-        if report.converged:
-            return report
-        spent = report.iterations
-        start = system.x.copy() if sound else x_start
-    report = _guarded(system, settings, x_start, start, targets, deflection)
-    spent += report.iterations
-    if not (report.converged or report.left_m or system.inertia):
+        leads: list[np.ndarray | float | None] = [drift, 0.0] if drift.any() else [0.0]
+        for lead in leads if guess is None else [None]:
+            found, sound = _try(system, x_start, lead, targets, deflection, settings, guess)
+            if found.converged:
+                return after(found, spent)
+            spent = spent[0] + found.iterations, spent[1] + found.factorisations
+            if sound:
+                start = system.x.copy()
+                break
+    found = _guarded(system, settings, x_start, start, targets, deflection)
+    if not (found.converged or found.left_m or system.inertia):
+        spent = spent[0] + found.iterations, spent[1] + found.factorisations
         kept = system.x.copy()
         system.guard(False)
-        report = _creep(system, settings, targets)
-        spent += report.iterations
-        if report.converged and not _holds(system, kept, settings)[1]:
-            report = replace(report, result=Result.ITERATION_LIMIT)
-    return replace(report, iterations=spent)
+        found = creep(system, settings, targets)
+        if found.converged and not _holds(system, kept, settings)[1]:
+            found = replace(found, result=Result.ITERATION_LIMIT)
+    return after(found, spent)
 
 
-def blocked(report: StepReport, t: float) -> ConvergenceError:
+def blocked(found: StepReport, t: float) -> ConvergenceError:
     """What to say when prescribed motion runs into something that cannot give way."""
-    bodies = report.tightest.removeprefix("contact.").split(".")[0].replace("-", " and ")
+    bodies = found.tightest.removeprefix("contact.").split(".")[0].replace("-", " and ")
     return ConvergenceError(
         f"From t = {t:.4f} s on, {bodies} cannot give way any further to the motion that is prescribed: their gap is "
-        f"{max(report.min_gap_m, 0.0):.1g} m and must stay above 0.",
+        f"{max(found.min_gap_m, 0.0):.1g} m and must stay above 0.",
         "End the motion there, or leave more room between what is held and what moves.",
     )
 
 
 def _try(
-    system: System, x_start: np.ndarray, targets: np.ndarray, settings: NewtonSettings, guess: np.ndarray | None
+    system: System,
+    x_start: np.ndarray,
+    lead: np.ndarray | float | None,
+    targets: np.ndarray,
+    deflection: np.ndarray,
+    settings: NewtonSettings,
+    guess: np.ndarray | None,
 ) -> tuple[StepReport, bool]:
-    """The fast Newton; also whether what it found can be reached freely."""
+    """The fast Newton; also whether what it found can be reached freely. ``lead``: from where the step starts to
+    where the search does [m], None with a guess."""
     system.guard(False)
-    _place(system, x_start if guess is None else guess, targets, system.deflections.copy())
+    place(system, x_start if guess is None else guess, targets, deflection)
     energy = system.energy()
-    move = None
-    if guess is None and not system.deflections.size:
-        move = np.where(system.prescribed, system.x - x_start, 0.0)
-        system.x[:] = x_start
-    report, definite = _fast(system, settings, targets, move)
-    if not (report.converged and definite and system.energy() <= energy + _noise(energy)):
-        return replace(report, result=Result.ITERATION_LIMIT), False
+    move = None if lead is None else begin(system, x_start + lead, targets, deflection, settings)
+    found, definite = FastNewton(system, settings, targets, move).run()
+    if not (found.converged and definite and system.energy() <= energy + noise_of(energy)):
+        return replace(found, result=Result.ITERATION_LIMIT), False
     reached, balanced = _holds(system, x_start, settings)
     if not (reached and balanced):
-        return replace(report, result=Result.ITERATION_LIMIT), reached
-    return _report(system, Result.CONVERGED, report.iterations, 0, report.residual_n, report.update_m), True
+        return replace(found, result=Result.ITERATION_LIMIT), reached
+    counts = (found.iterations, found.factorisations, found.line_searches)
+    return report(system, Result.CONVERGED, counts, found.residual_n, found.update_m), True
 
 
 def _holds(system: System, start: np.ndarray, settings: NewtonSettings) -> tuple[bool, bool]:
@@ -112,7 +117,7 @@ def _holds(system: System, start: np.ndarray, settings: NewtonSettings) -> tuple
     if system.free_way(start, system.x - start, ANY, (0.0, 1.0)) < 1.0:
         return False, False
     residual = float(np.abs(system.residual()).max(initial=0.0))
-    return True, _converged(system, settings, 0.0, residual)
+    return True, converged(system, settings, 0.0, residual)
 
 
 def _guarded(
@@ -131,10 +136,10 @@ def _guarded(
     left = 0.0
     if start is x_start:
         left = 1.0 if np.any(whole) else 0.0
-        _place(system, x_start, base, deflection)
+        place(system, x_start, base, deflection)
     system.guard(True)
     system.turn(1.0 - left)
-    searches, update, residual, result = 0, np.inf, np.inf, Result.ITERATION_LIMIT
+    searches, factorisations, update, residual, result = 0, 0, np.inf, np.inf, Result.ITERATION_LIMIT
     moving, relaxed, stuck, iteration = True, 0, 0, 0
     length = float(np.abs(whole).max(initial=0.0))
     for iteration in range(1, ITERATIONS * settings.max_iterations + 1):  # noqa: B007  (reported)
@@ -143,11 +148,12 @@ def _guarded(
         if not np.isfinite(residual):
             result = Result.NOT_FINITE
             break
-        if left == 0.0 and _converged(system, settings, update, residual):
+        if left == 0.0 and converged(system, settings, update, residual):
             result = Result.CONVERGED
             break
         move = left * whole if left and moving else None
-        direction, _definite = _direction(system, g, move)
+        direction = newton_direction(system, g, move)[0]
+        factorisations += 1
         if direction is None:
             raise ConvergenceError(
                 "The stiffness matrix cannot be factorised.",
@@ -183,7 +189,8 @@ def _guarded(
         moving = moving or relaxed == RELAXATIONS or update < 1e-2 * left * length
     if left and result is not Result.NOT_FINITE:
         result = Result.BLOCKED
-    return replace(_report(system, result, iteration, searches, residual, update), left_m=left * length)
+    counts = (iteration, factorisations, searches)
+    return replace(report(system, result, counts, residual, update), left_m=left * length)
 
 
 def _way(

@@ -41,6 +41,7 @@ class Pattern:
         self._blocks = static
         self._places = [np.searchsorted(self._static, k) for k in keys]
         self._dynamic = np.empty(0, dtype=np.int64)
+        self._static_entries = _Entries(self._number, n_unknowns, self._static, self._n_nodes, 0)
         self._allocate()
         self._gather()
 
@@ -48,6 +49,11 @@ class Pattern:
     def n_values(self) -> int:
         """Length of the array of values, the swallowing one included."""
         return 9 * (len(self._static) + self._capacity) + 1
+
+    @property
+    def n_used(self) -> int:
+        """Length of the part of the array of values that the matrix is read from."""
+        return 9 * (len(self._static) + len(self._dynamic))
 
     def _keys(self, blocks: np.ndarray) -> np.ndarray:
         blocks = np.asarray(blocks, dtype=np.int64).reshape(-1, 2)
@@ -94,36 +100,35 @@ class Pattern:
 
     def _gather(self) -> None:
         """Write the table of pairs and the order in which values make up the matrix."""
-        keys = np.concatenate([self._static, self._dynamic])
-        node, other = np.divmod(keys, self._n_nodes)
-        order = np.argsort(keys, kind="stable")
-        table = self.table
-        table.start[:] = np.searchsorted(keys[order], np.arange(self._n_nodes + 1) * self._n_nodes)
-        table.column[: len(keys)] = other[order]
-        table.place[: len(keys)] = order
-        left = self._number[3 * node[:, None] + _ROW]
-        right = self._number[3 * other[:, None] + _COLUMN]
-        on_diagonal = (node == other)[:, None] & (_ROW > _COLUMN)
-        rows, columns = np.minimum(left, right), np.maximum(left, right)
-        kept = np.flatnonzero(((rows >= 0) & ~on_diagonal).ravel())
-        matrix_key = rows.ravel()[kept] * self.n_unknowns + columns.ravel()[kept]
-        by_key = np.argsort(matrix_key, kind="stable")
-        sorted_key = matrix_key[by_key]
-        self._order = kept[by_key]
-        first = np.concatenate([[True], sorted_key[1:] != sorted_key[:-1]])
-        self._starts = np.flatnonzero(first)
-        unique = sorted_key[self._starts]
-        twice = (node != other)[:, None] & (left == right)
-        self._weights = np.where(twice.ravel()[self._order], 2.0, 1.0)
-        self._plain = len(unique) == len(sorted_key) and not twice.ravel()[self._order].any()
-        row = unique // self.n_unknowns
-        self.indices = (unique % self.n_unknowns).astype(np.int32)
-        self.indptr = np.searchsorted(row, np.arange(self.n_unknowns + 1)).astype(np.int32)
-        coupled = np.flatnonzero((((left < 0) != (right < 0)) & ~on_diagonal).ravel())
-        self._coupled = coupled
-        self._coupled_unknown = columns.ravel()[coupled]
-        fixed = np.where(left < 0, 3 * node[:, None] + _ROW, 3 * other[:, None] + _COLUMN)
-        self._coupled_fixed = fixed.ravel()[coupled]
+        static, dynamic = self._static, self._dynamic
+        at = _merged(static, dynamic)
+        table, count = self.table, len(static) + len(dynamic)
+        keys = np.concatenate([static, dynamic])
+        table.place[at] = np.arange(count)
+        table.column[at] = keys % self._n_nodes
+        rows = np.bincount(keys // self._n_nodes, minlength=self._n_nodes)
+        table.start[1:] = np.cumsum(rows)
+        entries = _Entries(self._number, self.n_unknowns, dynamic, self._n_nodes, 9 * len(static))
+        known = self._static_entries
+        self._plain = known.plain and entries.plain
+        at = _merged(known.keys, entries.keys)
+        matrix_key = np.empty(len(at), dtype=np.int64)
+        self._order = np.empty(len(at), dtype=np.int64)
+        matrix_key[at] = np.concatenate([known.keys, entries.keys])
+        self._order[at] = np.concatenate([known.places, entries.places])
+        if not self._plain:
+            twice = np.empty(len(at))
+            twice[at] = np.concatenate([known.weights, entries.weights])
+            first = np.concatenate([[True], matrix_key[1:] != matrix_key[:-1]])
+            self._starts = np.flatnonzero(first)
+            self._weights = twice
+            matrix_key = matrix_key[self._starts]
+        row = matrix_key // self.n_unknowns
+        self.indices = (matrix_key - row * self.n_unknowns).astype(np.int32)
+        self.indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=self.n_unknowns))]).astype(np.int32)
+        self._coupled = np.concatenate([known.coupled, entries.coupled])
+        self._coupled_unknown = np.concatenate([known.coupled_unknown, entries.coupled_unknown])
+        self._coupled_fixed = np.concatenate([known.coupled_fixed, entries.coupled_fixed])
 
     def data(self, values: np.ndarray) -> np.ndarray:
         """Entries of the upper triangle over the unknowns, in the order of ``indices``; a new array."""
@@ -146,3 +151,40 @@ class Pattern:
         place = 9 * np.searchsorted(self._static, self._keys(blocks))
         for k in (0, 4, 8):
             np.add.at(out, place + k, values)
+
+
+class _Entries:
+    """Matrix entries of some node pairs, sorted.
+
+    ``keys``: row times number of unknowns plus column; ``places``: of their values; ``weights``: 2 where an
+    entry stands for its mirror image as well. ``coupled``: places of entries between an unknown
+    (``coupled_unknown``) and a prescribed component (``coupled_fixed``). ``plain``: no two entries are at one
+    place of the matrix and all weights are 1.
+    """
+
+    def __init__(self, number: np.ndarray, n_unknowns: int, pairs: np.ndarray, n_nodes: int, offset: int) -> None:
+        node, other = np.divmod(pairs, n_nodes)
+        left = number[3 * node[:, None] + _ROW]
+        right = number[3 * other[:, None] + _COLUMN]
+        upper = (node != other)[:, None] | (_ROW <= _COLUMN)
+        rows, columns = np.minimum(left, right), np.maximum(left, right)
+        kept = np.flatnonzero(((rows >= 0) & upper).ravel())
+        keys = rows.ravel()[kept] * n_unknowns + columns.ravel()[kept]
+        by_key = np.argsort(keys, kind="stable")
+        self.keys, self.places = keys[by_key], kept[by_key] + offset
+        twice = ((node != other)[:, None] & (left == right)).ravel()[kept[by_key]]
+        self.weights = np.where(twice, 2.0, 1.0)
+        self.plain = not twice.any() and not (self.keys[1:] == self.keys[:-1]).any()
+        coupled = np.flatnonzero((((left < 0) != (right < 0)) & upper).ravel())
+        self.coupled = coupled + offset
+        self.coupled_unknown = columns.ravel()[coupled]
+        fixed = np.where(left < 0, 3 * node[:, None] + _ROW, 3 * other[:, None] + _COLUMN)
+        self.coupled_fixed = fixed.ravel()[coupled]
+
+
+def _merged(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Places of the entries of two ascending arrays, one after the other, in their ascending union."""
+    second = np.searchsorted(a, b, side="right") + np.arange(len(b))
+    taken = np.zeros(len(a) + len(b), dtype=bool)
+    taken[second] = True
+    return np.concatenate([np.flatnonzero(~taken), second])

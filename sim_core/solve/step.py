@@ -9,7 +9,7 @@ import numpy as np
 from sim_core.energies.term import Internals, StepContext
 from sim_core.errors import ConvergenceError
 from sim_core.solve import guarded, newton
-from sim_core.solve.newton import NewtonSettings, Result, StepReport
+from sim_core.solve.report import NewtonSettings, Result, StepReport
 from sim_core.solve.system import System
 
 __all__ = ["NewtonSettings", "Result", "State", "StepReport", "advance"]
@@ -46,8 +46,9 @@ def advance(
     system.set_targets(targets)
     x[:] = state.x
     system.begin_step(step, state.internals)
+    drift = dt * state.v if system.inertia else np.zeros_like(x)
     solve = guarded.solve if system.touchable else newton.solve
-    report = solve(system, state.x, targets, settings, guess)
+    report = solve(system, state.x, drift, targets, settings, guess)
     if check and report.result is Result.BLOCKED:
         raise guarded.blocked(report, state.t)
     if check and not report.converged:

@@ -286,10 +286,11 @@ class System:
 
     def hessian_data(self, exact: bool = False, shift: float = 0.0) -> np.ndarray:
         """Entries of :meth:`hessian` in the order of its pattern."""
+        used = self._pattern.n_used
         if self.inertia:
-            np.multiply(self._mass_values, 1.0 / self._dt**2, out=self._hessian)
+            np.multiply(self._mass_values[:used], 1.0 / self._dt**2, out=self._hessian[:used])
         else:
-            self._hessian[:] = 0.0
+            self._hessian[:used] = 0.0
         for term in self.terms:
             term.add_hessian(exact)
         data: np.ndarray = self._pattern.data(self._hessian)

@@ -11,6 +11,7 @@ from sysid.cli.options import library
 
 def bench(
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Only the forming rig in one process.")] = False,
 ) -> None:
-    """Measure steps per second and the share of each part of a step."""
-    print(library("sim_core.bench", "run_benchmarks")(as_json=as_json))
+    """Measure steps per second, the share of each part of a step, and how both grow with the mesh."""
+    print(library("sim_core.bench", "run_benchmarks")(as_json=as_json, quick=quick))

@@ -7,7 +7,6 @@ from sysid.cli.options import (
     FolderOption,
     HeldOutOption,
     RigArgument,
-    SeedOption,
     check_bags,
     check_new,
     library,
@@ -20,7 +19,6 @@ def diagnose(
     bags: BagsArgument,
     out: FolderOption,
     held_out: HeldOutOption = None,
-    seed: SeedOption = 0,
 ) -> None:
     """Find out whether the rig explains the recordings, and name the physics that is missing.
 
@@ -33,5 +31,5 @@ def diagnose(
     check_new(out, "folder")
     find = library("sysid.mismatch", "diagnose_bags")
     with progress("diagnose") as report:
-        summary = find(chosen, bags, held_out=held_out or [], out=out, seed=seed, on_progress=report)
+        summary = find(chosen, bags, held_out=held_out or [], out=out, on_progress=report)
     print(summary)

@@ -21,6 +21,15 @@ def simulate(
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Seed of the noise; default: the experiment's.")
     ] = None,
+    refine: Annotated[
+        int,
+        typer.Option(
+            "--refine",
+            min=1,
+            max=8,
+            help="Cells in each direction and steps in time, as a multiple of the rig's: less error of mesh and step.",
+        ),
+    ] = 1,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -44,5 +53,7 @@ def simulate(
     from sysid.simulate import simulate_to_bag
 
     with progress("simulate") as report:
-        summary = simulate_to_bag(chosen, plan, out, seed=plan.seed if seed is None else seed, on_progress=report)
+        summary = simulate_to_bag(
+            chosen, plan, out, seed=plan.seed if seed is None else seed, refine=refine, on_progress=report
+        )
     print(summary)

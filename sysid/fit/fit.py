@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
-from sysid.fit.engine import Engine
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
+from sysid.fit.own_error import fit_beside_own_error
 from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Fitted, Problem
-from sysid.fit.result import FitResult, estimates_of, plot_series, rms_errors
-from sysid.fit.runs import Run, load_run
+from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series, rms_errors
+from sysid.fit.runs import Run, load_runs
 from sysid.provenance import provenance
 
 Progress = Callable[[float, str], None]
@@ -42,8 +43,7 @@ def fit_runs(
     on_progress: Progress | None = None,
 ) -> tuple[FitResult, Rig]:
     """Fit ``names`` to ``runs``; the result and the rig with the fitted values."""
-    with PooledEngine(min(len(runs), os.cpu_count() or 1)) as pool:
-        engine: Engine | PooledEngine = pool if len(runs) > 1 else Engine()
+    with PooledEngine(os.cpu_count()) as engine:
         return _fit_runs(engine, rig, runs, names, held_out, seed, start, on_progress)
 
 
@@ -68,16 +68,19 @@ def _best_of_restarts(
     """Fit, and while the misfit stays above noise try again from near the best.
 
     Sticking and sliding make the misfit rough, so a search can end on a kink; restarts stop as soon as
-    one brings nothing.
+    one brings nothing. One that starts where the rig cannot be simulated is left out.
     """
     fitted = problem.fit(rig, parameters, start=first, on_evaluation=on_evaluation)
     rng = np.random.default_rng(seed)
     width = np.array([min(p.prior_sd, 1.0) for p in parameters])
     for _ in range(MOST_RESTARTS):
-        if not parameters or fitted.interrupted or fitted.chi2 < GOOD_MISFIT * len(fitted.residual):
+        if not parameters or fitted.interrupted or fitted.misfit < GOOD_MISFIT:
             break
         near = fitted.scaled + RESTART_WIDTH * width * rng.standard_normal(len(width))
-        again = problem.fit(rig, parameters, start=near, on_evaluation=on_evaluation)
+        try:
+            again = problem.fit(rig, parameters, start=near, on_evaluation=on_evaluation)
+        except ThinshellError:
+            continue
         better = again.chi2 < 0.98 * fitted.chi2
         if again.chi2 < fitted.chi2:
             again.evaluations += fitted.evaluations
@@ -89,7 +92,7 @@ def _best_of_restarts(
 
 
 def _fit_runs(
-    engine: Engine | PooledEngine,
+    engine: PooledEngine,
     rig: Rig,
     runs: Sequence[Run],
     names: Sequence[str],
@@ -100,7 +103,6 @@ def _fit_runs(
 ) -> tuple[FitResult, Rig]:
     noise = channel_noise(rig, [*runs, *held_out])
     parameters = fit_parameters(rig, names)
-    problem = Problem(runs, noise, engine)
     first = start_of(rig, parameters) if start is None else start
 
     def on_evaluation(count: int, chi2: float) -> None:
@@ -108,18 +110,28 @@ def _fit_runs(
             share = 1.0 - np.exp(-count / TYPICAL_EVALUATIONS)
             on_progress(0.9 * share, f"evaluation {count}, misfit {chi2:.4g}")
 
+    def search(problem: Problem, at: np.ndarray) -> Fitted:
+        return _best_of_restarts(problem, rig, parameters, at, seed, on_evaluation)
+
+    problem, fitted = fit_beside_own_error(engine, runs, noise, rig, parameters, start=first, search=search)
     before = problem.evaluate(rig, [], np.zeros(0))
-    fitted = _best_of_restarts(problem, rig, parameters, first, seed, on_evaluation)
     estimates, correlation, sentences, reduced = estimates_of(fitted, first)
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False)
-    if held_out:
-        if on_progress is not None:
-            on_progress(0.92, "held-out recordings")
-        check = Problem(held_out, noise, engine)
-        there = check.evaluate(rig, [], np.zeros(0))
-        scored = check.evaluate(fitted.rig, [], np.zeros(0))
+    notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
+    notes += out_of_sight(problem, before, fitted)
+    if held_out and on_progress is not None:
+        on_progress(0.92, "held-out recordings")
+    for run in held_out:
+        check = Problem([run], noise, engine)
+        try:
+            there = check.evaluate(rig, [], np.zeros(0))
+            scored = check.evaluate(fitted.rig, [], np.zeros(0))
+        except ThinshellError as error:
+            notes.append(f"{run.name}: could not be simulated: {error}")
+            continue
         errors += rms_errors(check, there, scored, held_out=True)
+        notes += out_of_sight(check, there, scored)
         series += plot_series(check, there, scored, held_out=True)
     result = FitResult(
         rig=rig.name,
@@ -136,7 +148,7 @@ def _fit_runs(
             c: {"sigma": _shown_sigma([*runs, *held_out], c, n), "correlation": n.rho, "from": n.source}
             for c, n in noise.items()
         },
-        notes=[f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes],
+        notes=notes,
         provenance=provenance(rig, list(runs), list(held_out), seed),
         series=series,
     )
@@ -156,8 +168,7 @@ def fit_bags(
     """Fit bags and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``."""
     from sysid.report import write_fit_report
 
-    runs = [load_run(rig, bag) for bag in bags]
-    kept = [load_run(rig, bag) for bag in held_out]
+    runs, kept = load_runs(rig, bags, held_out)
     result, fitted = fit_runs(rig, runs, names, held_out=kept, seed=seed, on_progress=on_progress)
     out.mkdir(parents=True, exist_ok=True)
     result.write(out / "fit.json")

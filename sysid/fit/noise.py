@@ -3,10 +3,11 @@
 Where the robot stands still and nothing moves, the scatter about the mean of a column is its noise; the
 lag-one correlation there tells coloured from white. Without such a stretch the second differences do
 (var(x_{k-1} - 2 x_k + x_{k+1}) = 6 sigma^2 for white noise), which cannot see colour. Columns of a kind
-(forces, torques, markers) share their values by the median.
+(forces, torques, markers) share one value. Readings that come in steps have at least the noise of their
+rounding, step / sqrt(12).
 
-What a rig declares as a sensor's noise is a lower bound: a recording shows how much neighbouring samples
-scatter, but not what was smoothed, interpolated or rounded away before it was written.
+A recording shows how much neighbouring samples scatter, but not what was smoothed, interpolated or rounded
+away before it was written: a much larger noise that the rig declares takes its place.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
+from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.fit.runs import Measured, Run
 
 MIN_REST_SAMPLES = 15
@@ -25,8 +28,17 @@ MIN_REST_SAMPLES = 15
 REST_MARGIN_S = 0.15
 """Time after the end of a motion that is not counted as quiet."""
 
+STILL_WINDOW_S = 0.1
+"""Time over which noisy poses are averaged to see whether they move."""
+
 FLOOR_SHARE = 1e-5
 """Noise is not taken to be below this share of a column group's range (noise-free simulations)."""
+
+COARSEST_SHARE = 0.2
+"""Readings with fewer distinct values than this share of their number come in steps."""
+
+LONGEST_EXACT = 400
+"""Samples of a stretch up to which it matters what a line takes away from coloured noise."""
 
 REPLACED_FROM = 2.0
 """A declared noise of this many times the estimated one takes the place of the latter altogether."""
@@ -55,12 +67,38 @@ def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:
     for trajectory in run.poses.values():
         if len(trajectory.times) < 2:
             continue
-        linear, angular = trajectory.speeds()
-        busy = (linear > 1e-4) | (angular > 1e-3)
-        for k in np.flatnonzero(busy):
-            still &= (t < trajectory.times[k]) | (t > trajectory.times[k + 1] + REST_MARGIN_S)
+        for start, end in moving(trajectory):
+            still &= (t < start) | (t > end + REST_MARGIN_S)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
     return [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= MIN_REST_SAMPLES]
+
+
+def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
+    """Spans of time [s] in which an end effector moves, faster than 0.1 mm/s or 1 mrad/s.
+
+    A measured pose has noise, which looks like speed between neighbouring samples. Where it does, the means
+    of :data:`STILL_WINDOW_S` before and after an instant are compared instead.
+    """
+    t = trajectory.times
+    rotation = Rotation.from_quat(trajectory.quaternions)
+    turned = (rotation * rotation[0].inv()).as_rotvec()
+    path = np.column_stack([trajectory.positions, turned])
+    limit = np.repeat([1e-4, 1e-3], 3)
+    second = np.diff(path, n=2, axis=0)
+    noise = 1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0) if len(second) else np.zeros(6)
+    pause = float(np.median(np.diff(t)))
+    if np.all(noise < limit * pause):
+        busy = (np.abs(np.diff(path, axis=0)) > limit * np.diff(t)[:, None]).any(axis=1)
+        return [(float(t[k]), float(t[k + 1])) for k in np.flatnonzero(busy)]
+    total = np.concatenate([np.zeros((1, 6)), np.cumsum(path, axis=0)])
+    first, last = np.searchsorted(t, t - STILL_WINDOW_S), np.searchsorted(t, t + STILL_WINDOW_S, side="right")
+    here = np.arange(len(t))
+    before = (total[here + 1] - total[first]) / (here + 1 - first)[:, None]
+    after = (total[last] - total[here]) / (last - here)[:, None]
+    fewest = np.minimum(here + 1 - first, last - here)[:, None]
+    change = np.abs(after - before)
+    busy = (change > limit * STILL_WINDOW_S + 4.0 * noise * np.sqrt(2.0 / fewest)).any(axis=1)
+    return [(float(t[k]) - pause, float(t[k]) + pause) for k in np.flatnonzero(busy)]
 
 
 def channel_noise(rig: Rig, runs: Sequence[Run]) -> dict[str, ChannelNoise]:
@@ -128,9 +166,18 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
             source = "quiet stretches"
         else:
             level = float(np.median(jumps)) if jumps else 0.0
-        sigma[group] = max(level, FLOOR_SHARE * extent, 1e-12)
+        rounding = min((_step(m.values[:, group]) for _, m in found), default=0.0) / np.sqrt(12.0)
+        sigma[group] = max(level, rounding, FLOOR_SHARE * extent, 1e-12)
     rho = float(np.clip(np.median(correlations), 0.0, 0.98)) if correlations else 0.0
     return ChannelNoise(sigma, rho if rho > 0.1 else 0.0, source)
+
+
+def _step(values: np.ndarray) -> float:
+    """Step of readings that repeat a few values over and over (0 where they do not)."""
+    finite = np.unique(values[np.isfinite(values)])
+    if len(finite) < 2 or len(finite) > COARSEST_SHARE * np.isfinite(values).sum():
+        return 0.0
+    return float(np.min(np.diff(finite)))
 
 
 def _scatter(values: np.ndarray) -> tuple[float | None, float]:
@@ -148,7 +195,18 @@ def _scatter(values: np.ndarray) -> tuple[float | None, float]:
     product = np.sum(residual[1:] * residual[:-1]) / ((n - 3) * values.shape[1])
     # Removing a line biases the correlation down by about 2 (1 + rho) / n.
     rho = product / variance
-    return float(np.sqrt(variance)), float(rho + 2.0 * (1.0 + rho) / n)
+    rho = min(float(rho + 2.0 * (1.0 + rho) / n), 0.98)
+    return float(np.sqrt(variance / _share_left(n, max(rho, 0.0), base))), rho
+
+
+def _share_left(n: int, rho: float, base: np.ndarray) -> float:
+    """Share of the variance of noise with lag-one correlation ``rho`` that is left beside the columns of
+    ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
+    if rho == 0.0 or n > LONGEST_EXACT:
+        return 1.0
+    correlation = rho ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    q = np.linalg.qr(base)[0]
+    return float((n - np.sum(q * (correlation @ q))) / (n - 2))
 
 
 def whiten(residual: np.ndarray, noise: ChannelNoise) -> np.ndarray:

@@ -11,11 +11,39 @@ from sim_core.effects import effect_by_name
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, list_parameters, resolve_name, with_parameters
 
-LINEAR = ("nu", "latency_s", "cx_px", "cy_px", "friction")
-"""Quantities fitted as they are; all other positive ones are fitted as their logarithm."""
-
 PRIOR_SD_LOG = 2.0
 """Width of the plausible range of a logarithm: a factor of e^2 either way."""
+
+AT_BOUND = 0.01
+"""A value this close to a bound, in units of its standard deviation or of its range, is at the bound."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How a quantity is fitted. ``log``: as its logarithm; ``width``: plausible width in the fitted scale;
+    ``lower``, ``upper``: bounds in its own unit that keep a fit away from singular values."""
+
+    log: bool
+    width: float
+    lower: float
+    upper: float
+
+
+SCALES = {
+    "E_pa": Scale(True, PRIOR_SD_LOG, 1.0, 1e13),
+    "nu": Scale(False, 0.2, -0.3, 0.495),
+    "thickness_m": Scale(True, PRIOR_SD_LOG, 1e-7, 0.02),
+    "density_kg_m3": Scale(True, PRIOR_SD_LOG, 1.0, 3e4),
+    "friction": Scale(False, 0.5, 0.0, 3.0),
+    "stiffness_pa_per_m": Scale(True, PRIOR_SD_LOG, 1.0, 1e15),
+    "latency_s": Scale(False, 0.05, -10.0, 10.0),
+    "fx_px": Scale(True, 0.2, 1.0, 1e6),
+    "fy_px": Scale(True, 0.2, 1.0, 1e6),
+    "cx_px": Scale(False, 50.0, -1e6, 1e6),
+    "cy_px": Scale(False, 50.0, -1e6, 1e6),
+    "scale_m_per_px": Scale(True, 0.2, 1e-9, 1.0),
+}
+"""The quantities of a rig that can be fitted, beside the parameters of effects, which say it themselves."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +69,15 @@ class FitParameter:
 
     @property
     def scaled_bounds(self) -> tuple[float, float]:
+        """Bounds in the fitted scale."""
         if self.log:
             return float(np.log(max(self.lower, 1e-300))), float(np.log(self.upper))
         return self.lower, self.upper
+
+    def at_bound(self, scaled: float, sd: float) -> bool:
+        """Whether a fitted value stands at a bound, as far as its standard deviation and range tell."""
+        low, high = self.scaled_bounds
+        return min(scaled - low, high - scaled) <= AT_BOUND * min(high - low, sd)
 
 
 def fit_parameters(rig: Rig, names: Sequence[str]) -> list[FitParameter]:
@@ -58,16 +92,15 @@ def fit_parameters(rig: Rig, names: Sequence[str]) -> list[FitParameter]:
                 f"The parameter {full} has no value in the rig {rig.name!r}, so a fit has no start.",
                 "Write a value into the rig file.",
             )
-        if full.startswith("effects."):
-            _, effect, key = full.split(".")
-            p = next(p for p in effect_by_name(effect).parameters if p.name == key)
-            found.append(FitParameter(full, p.unit, p.log, p.lower, p.upper, p.prior_sd, p.words))
-            continue
         quantity = full.rsplit(".", 1)[1]
-        lower, upper = _physical(quantity, parameter.lower, parameter.upper)
-        log = quantity not in LINEAR and lower > 0.0
-        width = PRIOR_SD_LOG if log else {"nu": 0.2, "friction": 0.5}.get(quantity, 1.0)
-        found.append(FitParameter(full, parameter.unit, log, lower, upper, width, parameter.description))
+        if full.startswith("effects."):
+            p = next(p for p in effect_by_name(full.split(".")[1]).parameters if p.name == quantity)
+            fitted = FitParameter(full, p.unit, p.log, p.lower, p.upper, p.prior_sd, p.words)
+        else:
+            scale = SCALES[quantity]
+            lower, upper = max(scale.lower, parameter.lower), min(scale.upper, parameter.upper)
+            fitted = FitParameter(full, parameter.unit, scale.log, lower, upper, scale.width, parameter.description)
+        found.append(_within(fitted, rig, parameter.value))
     names_found = [p.name for p in found]
     for name in names_found:
         if names_found.count(name) > 1:
@@ -75,17 +108,17 @@ def fit_parameters(rig: Rig, names: Sequence[str]) -> list[FitParameter]:
     return found
 
 
-def _physical(quantity: str, lower: float, upper: float) -> tuple[float, float]:
-    """Bounds that keep a fit away from singular values."""
-    if quantity == "nu":
-        return -0.3, 0.495
-    if quantity == "friction":
-        return 0.0, 3.0
-    if not np.isfinite(lower):
-        lower = -10.0
-    if not np.isfinite(upper):
-        upper = 1e15
-    return lower, upper
+def _within(parameter: FitParameter, rig: Rig, value: float) -> FitParameter:
+    """The parameter, if a fit can start at ``value``. Raises ``ConfigError``."""
+    low, high = parameter.lower, parameter.upper
+    if low <= value <= high:
+        return parameter
+    unit = f" {parameter.unit}" if parameter.unit else ""
+    side, bound = ("below", low) if value < low else ("above", high)
+    raise ConfigError(
+        f"{parameter.name} is {value:g}{unit} in the rig {rig.name!r}, {side} {bound:g}{unit}, the bound of a fit.",
+        f"Write a value between {low:g} and {high:g}{unit} into the rig, or leave the parameter out of the fit.",
+    )
 
 
 def rig_at(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray) -> Rig:
@@ -101,5 +134,5 @@ def start_of(rig: Rig, parameters: Sequence[FitParameter]) -> np.ndarray:
     for p in parameters:
         value = known[p.name]
         assert value is not None
-        out.append(p.scaled(min(max(value, p.lower), p.upper)))
+        out.append(_within(p, rig, value).scaled(value))
     return np.asarray(out)

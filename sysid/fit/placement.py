@@ -1,7 +1,7 @@
 """Where markers are on a sheet, from the first frame of a recording.
 
 Pins and stickers are put on anew for each recording. The sheet is brought to rest between its clamps as
-they stand when the recording begins, its mesh is projected into the picture, and each marker belongs to
+they stand at the first frame that shows any marker, its mesh is projected into the picture, and each marker belongs to
 the triangle that it is seen on. A sheet that lies over itself in the picture has no such triangle that is
 sure; the one with the marker deepest inside is taken.
 """
@@ -23,6 +23,7 @@ from sim_core.sensing.camera import project
 from sim_core.sensing.observe import frame_of
 from sim_core.simulate import Simulation
 from sysid.fit.runs import Measured
+from sysid.streams import total_delay
 
 Places = dict[str, tuple[Sight, ...]]
 
@@ -45,15 +46,16 @@ def placed_sights(
         return {}, ()
     scene = build_scene(rig)
     simulation = Simulation(scene)
-    frames: dict[str, Frame] = {}
-    for name, trajectory in poses.items():
-        positions, quaternions = trajectory.sample(np.zeros(1))
-        frames[name] = frame_of(positions[0], quaternions[0])
-    simulation.reset(frames)
     notes: list[str] = []
     out: Places = {}
     for name, m in wanted.items():
-        first = m.values[0].reshape(-1, 2)
+        shown = int(np.argmax(np.isfinite(m.values).any(axis=1)))
+        when = float(m.t[shown]) - total_delay(rig, name, m.kind)
+        frames: dict[str, Frame] = {}
+        for mount, trajectory in poses.items():
+            frames[mount] = frame_of(*trajectory.at(when))
+        simulation.reset(frames)
+        first = m.values[shown].reshape(-1, 2)
         start, sights = 0, []
         for sight in rig.cameras[name].sees:
             here = first[start : start + sight.points.count]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sysid.fit.problem import Fitted, Problem
-from sysid.fit.runs import UNITS
+from sysid.fit.runs import UNITS, Measured
 from sysid.fit.uncertainty import interval, uncertainty
 
 
@@ -44,7 +44,8 @@ class ChannelError:
 
 @dataclass(frozen=True)
 class Series:
-    """One column of a channel for plotting: measured, predicted before and after the fit."""
+    """One column of a channel for plotting: measured (None where missing), predicted before and after the
+    fit (NaN where out of sight)."""
 
     run: str
     channel: str
@@ -113,8 +114,6 @@ def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], lis
     known = uncertainty(fitted)
     out = []
     for k, p in enumerate(fitted.parameters):
-        low, high = p.scaled_bounds
-        margin = 1e-3 * (high - low) if np.isfinite(high - low) else 0.0
         out.append(
             Estimate(
                 p.name,
@@ -124,25 +123,23 @@ def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], lis
                 interval(p, fitted.scaled[k], known.sd[k]),
                 float(known.sd[k]),
                 p.log,
-                bool(min(fitted.scaled[k] - low, high - fitted.scaled[k]) < margin),
+                p.at_bound(float(fitted.scaled[k]), float(known.sd[k])),
             )
         )
     return out, known.correlation.tolist(), list(known.sentences), known.reduced_chi2
 
 
 def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) -> list[ChannelError]:
-    """Root-mean-square errors by run, channel and quantity."""
+    """Root-mean-square errors by run, channel and quantity, over the samples that both models have in sight.
+
+    A quantity without such a sample is left out (:func:`out_of_sight` says so).
+    """
     out = []
     for i, run in enumerate(problem.runs):
         for m in run.measured:
-            quantities = (
-                [("force", slice(0, 3), 0), ("torque", slice(3, 6), 1)]
-                if m.kind == "wrench"
-                else [("", slice(None), 0)]
-            )
-            for quantity, columns, unit in quantities:
-                measured = m.values[:, columns]
-                if not np.isfinite(measured).any():
+            for quantity, columns, unit in _quantities(m):
+                misses = _misses(m, columns, i, before, after)
+                if misses is None:
                     continue
                 out.append(
                     ChannelError(
@@ -150,8 +147,8 @@ def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) 
                         m.channel,
                         quantity,
                         UNITS[m.kind][unit],
-                        _rms(measured - before.predictions[i].values[m.channel][:, columns]),
-                        _rms(measured - after.predictions[i].values[m.channel][:, columns]),
+                        _rms(misses[0]),
+                        _rms(misses[1]),
                         float(np.sqrt(np.mean(problem.noise[m.channel].sigma[columns] ** 2))),
                         held_out,
                     )
@@ -159,8 +156,39 @@ def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) 
     return out
 
 
+def out_of_sight(problem: Problem, before: Fitted, after: Fitted) -> list[str]:
+    """A note for each channel that is measured but nowhere in sight of both models."""
+    return [
+        f"{run.name}: {m.channel}: the simulated points are out of sight where they are measured, so no error is "
+        "given. Check the pose and the intrinsics of the camera."
+        for i, run in enumerate(problem.runs)
+        for m in run.measured
+        for _, columns, _ in _quantities(m)
+        if np.isfinite(m.values[:, columns]).any() and _misses(m, columns, i, before, after) is None
+    ]
+
+
+def _quantities(measured: Measured) -> list[tuple[str, slice, int]]:
+    """Name, columns and number of the unit of what shares a unit."""
+    if measured.kind == "wrench":
+        return [("force", slice(0, 3), 0), ("torque", slice(3, 6), 1)]
+    return [("", slice(None), 0)]
+
+
+def _misses(
+    measured: Measured, columns: slice, index: int, before: Fitted, after: Fitted
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Measured minus predicted where both models predict something; None where they nowhere do."""
+    was, now = (
+        measured.values[:, columns] - fitted.predictions[index].values[measured.channel][:, columns]
+        for fitted in (before, after)
+    )
+    both = np.isfinite(was) & np.isfinite(now)
+    return (was[both], now[both]) if both.any() else None
+
+
 def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def plot_series(problem: Problem, before: Fitted, after: Fitted, held_out: bool, most: int = 6) -> list[Series]:

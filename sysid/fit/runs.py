@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,27 @@ class Run:
         return rig.model_copy(update={"cameras": cameras})
 
 
+def load_runs(rig: Rig, bags: Sequence[Path], held_out: Sequence[Path] = ()) -> tuple[list[Run], list[Run]]:
+    """Read the bags to use and those held out (:func:`load_run`), under names that tell all of them apart."""
+    paths = [*bags, *held_out]
+    runs = [replace(load_run(rig, p), name=n) for p, n in zip(paths, distinct_names(paths), strict=True)]
+    return runs[: len(bags)], runs[len(bags) :]
+
+
+def distinct_names(paths: Sequence[Path]) -> list[str]:
+    """The shortest end of each path, in whole parts, in which no other path ends.
+
+    Paths of the same place have no such end: their names are the whole path.
+    """
+    parts = [Path(os.path.abspath(p)).parts for p in paths]
+    names = []
+    for k, own in enumerate(parts):
+        others = parts[:k] + parts[k + 1 :]
+        enough = (n for n in range(1, len(own)) if all(own[-n:] != other[-n:] for other in others))
+        names.append(str(Path(*own[-next(enough, len(own)) :])))
+    return names
+
+
 def load_run(rig: Rig, path: Path) -> Run:
     """Read a bag and line it up with a rig. Raises ``RecordingError`` when nothing can be compared."""
     from sysid.fit.placement import placed_sights
@@ -98,11 +120,17 @@ def load_run(rig: Rig, path: Path) -> Run:
             max_gap_s=rig.end_effectors[name].topics.max_gap_s,
             source=f"{path}: {stream.topic}",
         )
-    measured = tuple(_measured(rig, recording))
-    if not measured:
+    recorded = tuple(_measured(rig, recording))
+    if not recorded:
         raise RecordingError(
             f"{path}: none of the rig's sensors and cameras has data in this bag.",
             "Compare 'thinshell inspect' with the topics of the rig.",
+        )
+    measured, blanked = while_posed(rig, poses, recorded)
+    if not measured:
+        raise RecordingError(
+            f"{path}: nothing was measured while the poses of the end effectors were recorded.",
+            "Record poses and sensors together, with one clock.",
         )
     sights, missed = placed_sights(rig, poses, measured)
     return Run(
@@ -115,10 +143,48 @@ def load_run(rig: Rig, path: Path) -> Run:
         notes=(
             *(f"{n.channel}: {n.text}" for n in recording.notes),
             *(f"{topic}: named by the rig, not in this recording" for topic in missing),
+            *blanked,
             *missed,
         ),
         sights=sights,
     )
+
+
+def while_posed(
+    rig: Rig, poses: Mapping[str, PoseTrajectory], measured: Sequence[Measured]
+) -> tuple[tuple[Measured, ...], tuple[str, ...]]:
+    """The channels with samples that no pose belongs to as NaN, and a note for each such stretch.
+
+    A stretch is before the first pose of an end effector or more than its ``max_gap_s`` after the last; a
+    single pose is that of something that stands still. Channels without any other sample are left out.
+    """
+    kept, notes = [], []
+    for m in measured:
+        had = np.isfinite(m.values).any(axis=1)
+        covered = np.ones(len(m.t), dtype=bool)
+        for name, trajectory in poses.items():
+            if len(trajectory.times) < 2:
+                continue
+            begin, end = float(trajectory.times[0]), float(trajectory.times[-1])
+            gap = rig.end_effectors[name].topics.max_gap_s
+            for outside, words, remedy in (
+                (m.t < begin, f"before the first pose of {name} at {begin:.3f} s", "Start recording poses first."),
+                (
+                    m.t > end + gap,
+                    f"more than {gap:g} s after the last pose of {name} at {end:.3f} s",
+                    "Record poses to the end, or raise topics.max_gap_s where it stands still.",
+                ),
+            ):
+                covered &= ~outside
+                lost = m.t[outside & had]
+                if len(lost):
+                    notes.append(
+                        f"{m.channel}: {len(lost)} samples from {lost[0]:.3f} to {lost[-1]:.3f} s are not compared, "
+                        f"{words}. {remedy}"
+                    )
+        if (covered & had).any():
+            kept.append(replace(m, values=np.where(covered[:, None], m.values, np.nan)))
+    return tuple(kept), tuple(notes)
 
 
 def _measured(rig: Rig, recording: Recording) -> Sequence[Measured]:

@@ -21,16 +21,21 @@ BLOCKS_PER_CHANNEL = 12
 UNDETERMINED_SHARE = 0.5
 """A direction whose standard deviation exceeds this share of the plausible range is not determined."""
 
+WIDEST = 10.0
+"""Largest standard deviation that is reported, in plausible ranges: beyond it nothing is known anyway."""
+
 TOGETHER = 0.97
 """Correlation from which two parameters are reported as known only in combination."""
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """``sd``: in the fitted scale ``(p,)``; ``correlation``: ``(p, p)``; ``sentences``: what the data cannot
-    determine, in words; ``reduced_chi2``: misfit over noise."""
+    """``sd``: in the fitted scale ``(p,)``; ``inflation``: by how much the sandwich estimate exceeds what the
+    noise model alone says, 1 where it does not ``(p,)``; ``correlation``: ``(p, p)``; ``sentences``: what the
+    data cannot determine, in words; ``reduced_chi2``: misfit over noise."""
 
     sd: np.ndarray
+    inflation: np.ndarray
     correlation: np.ndarray
     sentences: tuple[str, ...]
     reduced_chi2: float
@@ -40,22 +45,13 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     """Uncertainty of a fit in its scaled parameters."""
     parameters = fitted.parameters
     p = len(parameters)
-    n = len(fitted.residual)
-    reduced = fitted.chi2 / max(n - p, 1)
+    reduced = fitted.chi2 / max(fitted.samples - p, 1)
     if p == 0:
-        return Uncertainty(np.zeros(0), np.zeros((0, 0)), (), reduced)
+        return Uncertainty(np.zeros(0), np.ones(0), np.zeros((0, 0)), (), reduced)
     j, r = fitted.jacobian, fitted.residual
     prior = np.array([q.prior_sd for q in parameters])
-    fisher = j.T @ j
-    scaled = fisher * np.outer(prior, prior)
-    values, vectors = np.linalg.eigh(scaled)
-    # A direction without information is as uncertain as its plausible range.
-    floor = 1.0
-    inverse = (
-        (vectors / np.maximum(values, 1e-300)) @ vectors.T
-        if values[0] > 1e-12 * values[-1]
-        else (vectors / np.maximum(values, 1e-12 * max(values[-1], 1e-300))) @ vectors.T
-    )
+    values, vectors = _information(j * prior)
+    inverse = (vectors / np.maximum(values, WIDEST**-2)) @ vectors.T
     inverse = inverse * np.outer(prior, prior)
     plain = inverse * max(1.0, reduced)
     meat = np.zeros((p, p))
@@ -63,6 +59,8 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     for _, _, times in fitted.labels:
         rows = slice(at, at + len(times))
         at += len(times)
+        if not len(times):
+            continue
         edges = np.linspace(times.min(), times.max() + 1e-9, BLOCKS_PER_CHANNEL + 1)
         block = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, BLOCKS_PER_CHANNEL - 1)
         weighted = j[rows] * r[rows, None]
@@ -71,22 +69,31 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
         meat += scores.T @ scores
     sandwich = inverse @ meat @ inverse
     variance = np.maximum(np.diag(plain), np.diag(sandwich))
-    sd = np.sqrt(np.maximum(variance, 0.0))
+    sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)), WIDEST * prior)
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlation = np.clip(inverse / np.outer(spread, spread), -1.0, 1.0)
     widen = float(np.sqrt(max(1.0, reduced)))
-    sentences = _undetermined(parameters, values, vectors, widen, floor) + _together(parameters, correlation, sd)
-    return Uncertainty(sd, correlation, tuple(sentences), reduced)
+    sentences = _undetermined(parameters, values, vectors, widen)
+    sentences += _anywhere(fitted, sd, sentences) + _together(parameters, correlation, sd)
+    inflation = np.sqrt(variance / np.maximum(np.diag(plain), 1e-300))
+    return Uncertainty(sd, inflation, correlation, tuple(sentences), reduced)
 
 
-def _undetermined(
-    parameters: list[FitParameter], values: np.ndarray, vectors: np.ndarray, widen: float, floor: float
-) -> list[str]:
+def _information(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Information in each direction of the parameters, least first ``(p,)``, and the directions as columns
+    ``(p, p)``. What is below the round-off of the most informative direction is none at all."""
+    p = jacobian.shape[1]
+    _, singular, rows = np.linalg.svd(np.vstack([jacobian, np.zeros((p, p))]), full_matrices=False)
+    singular[singular <= 1e-12 * singular[0]] = 0.0
+    return singular[::-1] ** 2, rows[::-1].T
+
+
+def _undetermined(parameters: list[FitParameter], values: np.ndarray, vectors: np.ndarray, widen: float) -> list[str]:
     """One sentence for each direction whose uncertainty fills the plausible range."""
     out = []
     for value, vector in zip(values, vectors.T, strict=True):
         sd = widen / np.sqrt(max(value, 1e-300))
-        if sd < UNDETERMINED_SHARE * floor:
+        if sd < UNDETERMINED_SHARE:
             continue
         strong = np.flatnonzero(np.abs(vector) > 0.25)
         if len(strong) == 1:
@@ -112,6 +119,19 @@ def _undetermined(
             + ", ".join(changes)
             + " together leave every reading as it is. Fix one of them, or record a motion that separates them."
         )
+    return out
+
+
+def _anywhere(fitted: Fitted, sd: np.ndarray, said: list[str]) -> list[str]:
+    """One sentence for each parameter whose interval spans all that is possible, unless it was named before."""
+    out = []
+    for p, scaled, spread in zip(fitted.parameters, fitted.scaled, sd, strict=True):
+        low, high = p.scaled_bounds
+        if scaled - 1.96 * spread <= low and scaled + 1.96 * spread >= high and not any(p.name in s for s in said):
+            out.append(
+                f"The data do not determine {p.name}: its 95 % interval spans all possible values, "
+                f"{p.lower:g} to {p.upper:g} {p.unit}. Record a motion that depends on it, or fix it."
+            )
     return out
 
 

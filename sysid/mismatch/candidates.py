@@ -5,7 +5,7 @@ the change of all readings is simulated (a secant). From there one linear least-
 parameters and the baseline's predicts how well it could fit; the best are refitted in full.
 
 Evidence after Laplace: log p = -chi2/2 - log det(J^T J)/2 - sum log(prior widths), with the priors as
-rows of J; chi2 is divided by the misfit of the best model where that exceeds noise.
+rows of J; the data's part of chi2 is divided by the misfit of the best model where that exceeds noise.
 """
 
 from __future__ import annotations
@@ -21,12 +21,16 @@ from sim_core.effects import EFFECTS, Effect
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.engine import Prediction
-from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
+from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Fitted, Problem
 
 LARGEST_STEP = 1.0
 """Longest step of the linear prediction in a logarithm, or in prior widths of a linear parameter."""
+
+
+REFIT_TOLERANCE = 5.0
+"""Improvement of chi-square, in units of the misfit, below which a refit ends."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +59,11 @@ def starting_values(effect: Effect, rig: Rig) -> list[dict[str, float]]:
     return out
 
 
-def screen(engine: PooledEngine, problem: Problem, base: Fitted, excluded: tuple[str, ...] = ()) -> list[Start]:
-    """Predict, for every effect and start, how well it would fit; best first."""
+def screen(engine: PooledEngine, problem: Problem, base: Fitted) -> tuple[list[Start], dict[str, str]]:
+    """Predict, for every effect and start, how well it would fit, best first; and what failed, by effect."""
     pending: list[tuple[Effect, Rig, list[FitParameter], np.ndarray, list[Future[Prediction]]]] = []
     for effect in EFFECTS:
-        if effect.name in base.rig.effects or effect.name in excluded:
+        if effect.name in base.rig.effects:
             continue
         for values in starting_values(effect, base.rig):
             rig = with_effect(base.rig, effect, values)
@@ -68,13 +72,15 @@ def screen(engine: PooledEngine, problem: Problem, base: Fitted, excluded: tuple
             jobs = [engine.submit_with_derivatives(rig, run, own, scaled) for run in problem.runs]
             pending.append((effect, rig, own, scaled, jobs))
     starts = []
+    failed: dict[str, str] = {}
     for effect, rig, own, scaled, jobs in pending:
         try:
             predictions = [job.result() for job in jobs]
-        except ThinshellError:
+        except ThinshellError as error:
+            failed[effect.name] = str(error)
             continue
         starts.append(_predict(problem, base, effect, rig, own, scaled, predictions))
-    return sorted(starts, key=lambda s: s.predicted)
+    return sorted(starts, key=lambda s: s.predicted), failed
 
 
 def _predict(
@@ -105,8 +111,7 @@ def _predict(
     at = np.concatenate([base.scaled, scaled])
     reach = LARGEST_STEP * np.array([1.0 if p.log else 4.0 * p.prior_sd for p in (*base.parameters, *own)])
     low, high = np.maximum(low - at, -reach), np.minimum(high - at, reach)
-    q, upper = np.linalg.qr(np.column_stack([matrix, target]))
-    del q
+    upper = np.linalg.qr(np.column_stack([matrix, target]))[1]
     small, goal = upper[:, :-1], upper[:, -1]
     step = lsq_linear(small, goal, bounds=(np.minimum(low, -1e-12), np.maximum(high, 1e-12)))
     misfit = goal - small @ step.x
@@ -124,15 +129,12 @@ def refit(problem: Problem, base: Fitted, start: Start, evaluations: int) -> Fit
     """Fit baseline and effect parameters together from a screened start."""
     parameters = [*base.parameters, *start.own]
     centred = _centred(start, base)
-    return problem.fit(centred, parameters, start=start.scaled, max_evaluations=evaluations, tolerance=2e-3)
+    return problem.fit(centred, parameters, start=start.scaled, max_evaluations=evaluations, tolerance=REFIT_TOLERANCE)
 
 
 def _centred(start: Start, base: Fitted) -> Rig:
     """The rig whose values the priors pull to: the baseline's prior centre, the effect at rest."""
-    shared = len(base.parameters)
-    width = np.array([p.prior_sd for p in base.parameters])
-    pull = base.residual[len(base.residual) - shared :] if shared else np.zeros(0)
-    centre = rig_at(start.rig, base.parameters, base.scaled - pull * width)
+    centre = with_effect(base.centre, start.effect, dict(start.rig.effects[start.effect.name]))
     values = dict(centre.effects[start.effect.name])
     for p, scaled in zip(start.own, start_of(start.rig, start.own), strict=True):
         rest = _rest(start.effect, p, float(scaled))
@@ -141,8 +143,16 @@ def _centred(start: Start, base: Fitted) -> Rig:
 
 
 def log_evidence(fitted: Fitted, temper: float) -> float:
-    """Laplace evidence of a fit with prior rows, up to a constant common to all models."""
-    sign, volume = np.linalg.slogdet(fitted.jacobian.T @ fitted.jacobian / temper)
-    del sign
+    """Laplace evidence of a fit with prior rows, up to a constant common to all models.
+
+    ``temper`` divides the weight of the data, not that of the priors, so that a parameter which the data do
+    not touch changes nothing.
+    """
+    count = len(fitted.parameters)
+    data = slice(0, len(fitted.residual) - count)
+    j, prior = fitted.jacobian[data], fitted.jacobian[len(fitted.residual) - count :]
+    pull = fitted.residual[len(fitted.residual) - count :]
+    volume = np.linalg.slogdet(j.T @ j / temper + prior.T @ prior)[1]
     widths = float(sum(np.log(p.prior_sd) for p in fitted.parameters))
-    return -0.5 * fitted.chi2 / temper - 0.5 * float(volume) - widths
+    misfit = (fitted.chi2 - float(pull @ pull)) / temper + float(pull @ pull)
+    return -0.5 * misfit - 0.5 * float(volume) - widths

@@ -9,54 +9,55 @@ import numpy as np
 from sim_core.effects import Effect
 from sysid.fit.problem import Fitted
 from sysid.fit.uncertainty import interval, uncertainty
+from sysid.mismatch.locate import Structure
 from sysid.mismatch.result import Candidate, NamedParameter
 
 MIN_GAIN_NATS = 12.0
 """Evidence over the baseline that an effect must have to be named."""
 
 MIN_SIGNIFICANCE = 3.0
-"""Standard deviations (the larger of the noise's and the sandwich estimate) that an amplitude must have:
-what a smooth error of the simulator fakes is strong in evidence but not stable over blocks of time."""
+"""Standard deviations that the improvement must be worth, judged by its stability over blocks of time: what a
+smooth error of the simulator fakes is strong in evidence but not stable."""
 
 TIE_NATS = 5.0
 """Effects within this of the best are reported together."""
 
 MIN_EXPLAINED = 0.6
-"""Share of the structured misfit that an answer must explain; less leaves something unknown."""
+"""Share of the structured misfit that an answer must explain, unless what it leaves may be the simulator's
+own error; less leaves something unknown."""
 
 ROBUST_WIDTH = 3.0
 """Whitened residual from which held-out samples count linearly, so that a few do not decide."""
-
-STRUCTURE_PER_SCORE = 1.6
-"""Structured misfit per score above which something is missing even without a name."""
-
-DISCRETISATION_SHARE = 0.5
-"""Structured misfit below this share of the simulator's own error is not blamed on physics."""
 
 
 @dataclass(frozen=True)
 class Trial:
     """One effect refitted. ``gain``: log evidence over the baseline; ``explained``: share of the baseline's
-    structured misfit; ``held_out``: share of the robust misfit on held-out data that it removes (negative:
-    it predicts worse). ``significance``: amplitude over its standard deviation, the largest of its amplitudes
-    (infinite for an effect whose amplitude has no finite rest in the fitted scale)."""
+    structured misfit; ``left``: what it leaves of it; ``held_out``: share of the robust misfit on held-out
+    data that it removes (negative: it predicts worse). ``significance``: see :func:`significance`, infinite
+    before the trial is ``finished``, fitted to the end; ``failure``: why that could not be simulated."""
 
     effect: Effect
     fitted: Fitted
     gain: float
     explained: float
+    left: Structure
     held_out: float | None
     significance: float = np.inf
+    finished: bool = False
+    failure: str = ""
 
     @property
     def rejected(self) -> str:
         """Why the effect is no answer; empty when it may be one."""
+        if self.failure:
+            return f"it could not be simulated where it fits best: {self.failure}"
         if self.gain < MIN_GAIN_NATS:
             return f"it improves the fit too little ({self.gain:.1f} of {MIN_GAIN_NATS:g} nats)"
         if self.held_out is not None and self.held_out <= 0.0:
             return f"it predicts held-out recordings worse, by {-100 * self.held_out:.2g} %"
         if self.significance < MIN_SIGNIFICANCE:
-            return f"its amplitude is {self.significance:.1f} standard deviations from none at all"
+            return f"over time its improvement is worth {self.significance:.1f} of {MIN_SIGNIFICANCE:g} deviations"
         return ""
 
 
@@ -68,18 +69,14 @@ class Verdict:
     named: tuple[Trial, ...]
 
 
-def decide(trials: list[Trial], structure_per_score: float, excess: float, discretisation: float) -> Verdict:
-    """Choose the verdict.
-
-    ``structure_per_score``, ``excess``: structured misfit of the baseline; ``discretisation``: structured
-    energy of the simulator's own error.
-    """
+def decide(trials: list[Trial], before: Structure, on_held_out: Structure | None = None) -> Verdict:
+    """Choose the verdict. ``before``: structured misfit of the baseline, and on held-out recordings."""
     fit = sorted((t for t in trials if not t.rejected), key=lambda t: -t.gain)
-    plain = structure_per_score > STRUCTURE_PER_SCORE and excess > DISCRETISATION_SHARE * discretisation
     if not fit:
-        return Verdict("unknown" if plain else "nothing_missing", ())
+        missing = before.missing or (on_held_out is not None and on_held_out.missing)
+        return Verdict("unknown" if missing else "nothing_missing", ())
     best = fit[0]
-    if plain and best.explained < MIN_EXPLAINED:
+    if best.explained < MIN_EXPLAINED and best.left.missing:
         return Verdict("unknown", tuple(fit))
     ties = tuple(t for t in fit if best.gain - t.gain < TIE_NATS and t.explained > best.explained - 0.1)
     return Verdict("named" if len(ties) == 1 else "one_of", ties)
@@ -99,20 +96,15 @@ def held_out_gain(plain: np.ndarray, amended: np.ndarray) -> float:
     return (before - loss(amended)) / before
 
 
-def significance(effect: Effect, fitted: Fitted) -> float:
-    """Largest distance of an amplitude from its vanishing value, in standard deviations."""
+def significance(effect: Effect, fitted: Fitted, gain: float) -> float:
+    """Standard deviations that a gain [nats] is worth: the square root of the likelihood ratio 2 gain, over
+    the inflation of the best known amplitude by the sandwich estimate (the adjusted likelihood of Chandler &
+    Bate 2007). The amplitude's own distance from none would not do: it is short where only its ratio to
+    another parameter is determined."""
     known = uncertainty(fitted)
-    found = []
-    for p, scaled, sd in zip(fitted.parameters, fitted.scaled, known.sd, strict=True):
-        if not p.name.startswith(f"effects.{effect.name}."):
-            continue
-        vanishing = next(q.vanishing for q in effect.parameters if p.name.endswith("." + q.name))
-        if vanishing is None:
-            continue
-        if not np.isfinite(vanishing) or (p.log and vanishing <= 0.0):
-            return np.inf
-        found.append(abs(scaled - p.scaled(vanishing)) / max(float(sd), 1e-300))
-    return float(max(found, default=np.inf))
+    amplitudes = {f"effects.{effect.name}.{q.name}" for q in effect.parameters if q.vanishing is not None}
+    inflation = [f for p, f in zip(fitted.parameters, known.inflation, strict=True) if p.name in amplitudes]
+    return float(np.sqrt(max(2.0 * gain, 0.0)) / min(inflation, default=1.0))
 
 
 def probabilities(trials: list[Trial]) -> dict[str, float]:

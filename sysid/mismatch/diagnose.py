@@ -14,15 +14,16 @@ import yaml
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
-from sysid.fit.noise import channel_noise
+from sysid.fit.noise import ChannelNoise, channel_noise
+from sysid.fit.own_error import discretisation, fit_beside_own_error
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Direction, Fitted, Problem
+from sysid.fit.problem import Fitted, Problem
 from sysid.fit.result import plot_series, rms_errors
-from sysid.fit.runs import Run, load_run
-from sysid.fit.uncertainty import uncertainty
+from sysid.fit.runs import Run, load_runs
 from sysid.mismatch import words
-from sysid.mismatch.baseline import discretisation, open_parameters
+from sysid.mismatch.account import fates, limits, notes
+from sysid.mismatch.baseline import open_parameters
 from sysid.mismatch.candidates import Start, log_evidence, refit, screen
 from sysid.mismatch.decide import (
     Trial,
@@ -34,7 +35,7 @@ from sysid.mismatch.decide import (
     probabilities,
     significance,
 )
-from sysid.mismatch.locate import Structure, discretisation_energy, locate, structure
+from sysid.mismatch.locate import Structure, locate, structure
 from sysid.mismatch.result import Diagnosis, Misfit
 from sysid.provenance import provenance
 
@@ -43,25 +44,20 @@ Progress = Callable[[float, str], None]
 REFITTED = 4
 """Effects that are refitted in full after the screening."""
 
+SECOND_STARTS = 3
+"""Further starts of these effects that are refitted as well."""
+
 WORTH_REFITTING_NATS = 4.0
 """Predicted improvement below which an effect is not refitted."""
 
 EVALUATIONS = 6
 """Evaluations allowed to a refit."""
 
-POLISHING = 8
-"""Evaluations allowed to the last fit of the answer."""
+BASELINE = 5
+"""Rounds allowed to the baseline fit."""
 
-
-class _Steps:
-    """Progress by stages with known shares."""
-
-    def __init__(self, report: Progress | None) -> None:
-        self._report = report
-
-    def __call__(self, share: float, text: str) -> None:
-        if self._report is not None:
-            self._report(share, text)
+POLISHING = 5
+"""Rounds allowed to the last fit of the answer."""
 
 
 def diagnose_runs(
@@ -69,103 +65,116 @@ def diagnose_runs(
     runs: Sequence[Run],
     held_out: Sequence[Run] = (),
     *,
-    seed: int = 0,
     on_progress: Progress | None = None,
 ) -> tuple[Diagnosis, Rig]:
     """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none)."""
     started = time.monotonic()
-    tell = _Steps(on_progress)
+    tell = on_progress or (lambda share, text: None)
     noise = channel_noise(rig, [*runs, *held_out])
     with PooledEngine(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
         tell(0.0, "baseline fit")
         parameters = fit_parameters(rig, open_parameters(rig))
-        first = Problem(runs, noise, engine, prior=True).fit(rig, parameters)
-        tell(0.2, "refined mesh and time step")
-        everywhere = discretisation(engine, first.rig, [*runs, *held_out])
-        directions = [_some(d, slice(0, len(runs))) for d in everywhere]
-        problem = Problem(runs, noise, engine, directions, prior=True)
-        tell(0.35, "baseline fit with the simulator's own error")
-        base = problem.fit(rig, parameters, start=first.scaled, max_evaluations=8)
+        problem, base = fit_beside_own_error(engine, runs, noise, rig, parameters, prior=True, rounds=BASELINE)
+        if base.interrupted:
+            raise KeyboardInterrupt
         before = structure(problem, base)
-        own_error = discretisation_energy(problem, directions)
         tell(0.45, "screening of effects")
-        starts = screen(engine, problem, base)
+        starts, failed = screen(engine, problem, base)
         tell(0.65, "refits")
-        check = Problem(held_out, noise, engine, [_some(d, slice(len(runs), None)) for d in everywhere])
-        trials = _refits(problem, check, base, _chosen(starts, base))
-        tell(0.95, "verdict")
-        verdict = decide(trials, before.per_score, before.excess, own_error)
+        check, lost = _check(engine, base.rig, noise, held_out)
+        plain = _held_out(check, base)
+        on_held_out = structure(check, plain) if plain is not None else None
+        trials = _refits(problem, check, plain, base, _chosen(starts, base), failed)
+        verdict = decide(trials, before, on_held_out)
         answer: Fitted | None = None
         amended = None
-        finished: set[str] = set()
-        while verdict.named and verdict.named[0].effect.name not in finished:
-            tell(0.9, "the answer fitted to the end")
-            best = verdict.named[0]
-            finished.add(best.effect.name)
-            exact, exact_check, polished = _polished(engine, problem, held_out, best.fitted)
-            left = structure(exact, polished).excess
-            final = replace(
-                best,
-                fitted=polished,
-                explained=1.0 - left / before.excess if before.excess > 0.0 else 0.0,
-                significance=significance(best.effect, polished),
-            )
-            trials = [final if t is best else t for t in trials]
-            verdict = decide(trials, before.per_score, before.excess, own_error)
+        while unfinished := [t for t in verdict.named if not t.finished]:
+            tell(0.85, "the answer fitted to the end")
+            final, exact, exact_check = _polished(engine, problem, check.runs, plain, before, unfinished[0])
+            trials = [final if t is unfinished[0] else t for t in trials]
+            verdict = decide(trials, before, on_held_out)
             if verdict.kind in ("named", "one_of") and verdict.named[0] is final:
-                answer = polished
+                answer = final.fitted
                 amended = _misfit(exact, exact_check, base, answer)
-        limits = _limits(starts, trials, base)
-        diagnosis = _collect(rig, problem, check, base, answer, verdict, trials, limits, before, own_error)
+        if verdict.kind not in ("named", "one_of"):
+            answer, amended = None, None
+        diagnosis = _collect(rig, problem, check, base, answer, verdict, trials, before, failed)
         diagnosis.amended = amended
-    diagnosis.provenance = provenance(rig, list(runs), list(held_out), seed)
+        diagnosis.notes += lost
+    diagnosis.provenance = provenance(rig, list(runs), list(held_out))
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
     return diagnosis, (answer or base).rig
 
 
-def _some(direction: Direction, which: slice) -> Direction:
-    return Direction(direction.label, direction.shapes[which], direction.mean, direction.sd)
-
-
 def _chosen(starts: list[Start], base: Fitted) -> list[Start]:
-    """The best start of each promising effect."""
-    best: dict[str, Start] = {}
-    for start in starts:
-        if base.chi2 - start.predicted > 2.0 * WORTH_REFITTING_NATS:
-            best.setdefault(start.effect.name, start)
-    return list(best.values())[:REFITTED]
+    """The best start of each promising effect, and the next best of these effects.
+
+    A law with a threshold has a misfit with several minima, so one start of it is not enough.
+    """
+    promising = [s for s in starts if base.chi2 - s.predicted > 2.0 * WORTH_REFITTING_NATS]
+    first: dict[str, Start] = {}
+    for start in promising:
+        first.setdefault(start.effect.name, start)
+    leading = list(first.values())[:REFITTED]
+    names = {f.effect.name for f in leading}
+    others = [s for s in promising if s.effect.name in names and s is not first[s.effect.name]]
+    return leading + others[:SECOND_STARTS]
 
 
-def _refits(problem: Problem, check: Problem, base: Fitted, chosen: list[Start]) -> list[Trial]:
-    """Refit the chosen effects side by side and score them."""
+def _refits(
+    problem: Problem, check: Problem, plain: Fitted | None, base: Fitted, chosen: list[Start], failed: dict[str, str]
+) -> list[Trial]:
+    """Refit the chosen effects side by side and score them; ``plain``: the baseline on the held-out runs."""
 
-    def attempt(start: Start) -> tuple[Start, Fitted | None]:
+    def attempt(start: Start) -> tuple[Start, Fitted, Fitted | None] | None:
         try:
-            return start, refit(problem, base, start, EVALUATIONS)
-        except ThinshellError:
-            return start, None
+            fitted = refit(problem, base, start, EVALUATIONS)
+            return start, fitted, _held_out(check, fitted)
+        except ThinshellError as error:
+            failed[start.effect.name] = str(error)
+            return None
 
     with ThreadPoolExecutor(max(1, len(chosen))) as threads:
-        done = [(s, f) for s, f in threads.map(attempt, chosen) if f is not None]
-    if not done:
+        done = [found for found in threads.map(attempt, chosen) if found is not None]
+    best: dict[str, tuple[Start, Fitted, Fitted | None]] = {}
+    for start, fitted, there in done:
+        failed.pop(start.effect.name, None)
+        if start.effect.name not in best or fitted.chi2 < best[start.effect.name][1].chi2:
+            best[start.effect.name] = (start, fitted, there)
+    if not best:
         return []
-    lowest = min(f.chi2 / max(len(f.residual), 1) for _, f in done)
-    temper = max(1.0, lowest)
+    temper = max(1.0, min(fitted.misfit for _, fitted, _ in best.values()))
     reference = log_evidence(base, temper)
-    excess = structure(problem, base).excess
-    plain = _held_out(check, base)
+    excess = structure(problem, base).whole.excess
     trials = []
-    for start, fitted in done:
-        after = structure(problem, fitted).excess
-        explained = (excess - after) / excess if excess > 0.0 else 0.0
-        held = None
-        there = _held_out(check, fitted)
-        if plain is not None and there is not None:
-            held = held_out_gain(plain.residual, there.residual)
+    for start, fitted, there in best.values():
+        left = structure(problem, fitted)
         gain = log_evidence(fitted, temper) - reference
-        trials.append(Trial(start.effect, fitted, gain, explained, held))
+        trials.append(Trial(start.effect, fitted, gain, _explained(excess, left), left, _gain(plain, there)))
     return sorted(trials, key=lambda t: -t.gain)
+
+
+def _explained(excess: float, left: Structure) -> float:
+    """Share of the structured misfit that is gone."""
+    return 1.0 - left.whole.excess / excess if excess > 0.0 else 0.0
+
+
+def _check(
+    engine: PooledEngine, rig: Rig, noise: dict[str, ChannelNoise], held_out: Sequence[Run]
+) -> tuple[Problem, tuple[str, ...]]:
+    """The held-out runs that the fitted rig can follow, and a note for each that it cannot."""
+    try:
+        return Problem(held_out, noise, engine, discretisation(engine, rig, held_out)), ()
+    except ThinshellError:
+        kept, lost = [], []
+        for run in held_out:
+            try:
+                discretisation(engine, rig, [run])
+                kept.append(run)
+            except ThinshellError as error:
+                lost.append(f"{run.name} is left out, it could not be simulated: {error}")
+        return Problem(kept, noise, engine, discretisation(engine, rig, kept)), tuple(lost)
 
 
 def _held_out(check: Problem, fitted: Fitted) -> Fitted | None:
@@ -173,15 +182,52 @@ def _held_out(check: Problem, fitted: Fitted) -> Fitted | None:
     return check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
 
 
+def _gain(plain: Fitted | None, amended: Fitted | None) -> float | None:
+    """Share of the robust misfit on held-out data that an amendment removes."""
+    return None if plain is None or amended is None else held_out_gain(plain.residual, amended.residual)
+
+
 def _polished(
-    engine: PooledEngine, problem: Problem, held_out: Sequence[Run], answer: Fitted
-) -> tuple[Problem, Problem, Fitted]:
-    """Fit the answer to the end, with the simulator's own error measured where it now stands."""
-    everywhere = discretisation(engine, answer.rig, [*problem.runs, *held_out])
-    count = len(problem.runs)
-    there = Problem(problem.runs, problem.noise, engine, [_some(d, slice(0, count)) for d in everywhere], prior=True)
-    check = Problem(held_out, problem.noise, engine, [_some(d, slice(count, None)) for d in everywhere])
-    return there, check, there.fit(answer.rig, answer.parameters, start=answer.scaled, max_evaluations=POLISHING)
+    engine: PooledEngine,
+    problem: Problem,
+    held_out: Sequence[Run],
+    plain: Fitted | None,
+    before: Structure,
+    trial: Trial,
+) -> tuple[Trial, Problem, Problem]:
+    """Fit an answer to the end, with the simulator's own error measured where it now stands.
+
+    A trial that cannot be simulated there is rejected.
+    """
+    answer = trial.fitted
+    try:
+        there, fitted = fit_beside_own_error(
+            engine,
+            problem.runs,
+            problem.noise,
+            answer.centre,
+            answer.parameters,
+            start=answer.scaled,
+            prior=True,
+            rounds=POLISHING,
+        )
+        check = Problem(held_out, problem.noise, engine, discretisation(engine, fitted.rig, held_out))
+        predicted = _held_out(check, fitted)
+    except ThinshellError as error:
+        return replace(trial, finished=True, failure=str(error)), problem, Problem([], problem.noise, engine)
+    if fitted.interrupted:
+        raise KeyboardInterrupt
+    left = structure(there, fitted)
+    final = replace(
+        trial,
+        fitted=fitted,
+        explained=_explained(before.whole.excess, left),
+        left=left,
+        held_out=_gain(plain, predicted),
+        significance=significance(trial.effect, fitted, trial.gain),
+        finished=True,
+    )
+    return final, there, check
 
 
 def _misfit(problem: Problem, check: Problem, base: Fitted, fitted: Fitted) -> Misfit:
@@ -192,25 +238,8 @@ def _misfit(problem: Problem, check: Problem, base: Fitted, fitted: Fitted) -> M
         plain = check.evaluate(base.rig, [], np.zeros(0))
         there = check.evaluate(fitted.rig, [], np.zeros(0))
         errors += rms_errors(check, plain, there, held_out=True)
-        held = there.chi2 / max(len(there.residual), 1)
-    return Misfit(fitted.chi2 / max(len(fitted.residual), 1), held, tuple(errors))
-
-
-def _limits(starts: list[Start], trials: list[Trial], base: Fitted) -> dict[str, float]:
-    """Largest amplitude of each effect that the recordings still allow (95 %), by parameter."""
-    limits: dict[str, float] = {}
-    for trial in trials:
-        known = uncertainty(trial.fitted)
-        for k, p in enumerate(trial.fitted.parameters):
-            if p.name.startswith("effects."):
-                limits[p.name] = p.physical(trial.fitted.scaled[k] + 1.645 * known.sd[k])
-                break
-    shared = len(base.parameters)
-    for start in starts:
-        name = start.own[0].name
-        if name not in limits:
-            limits[name] = start.own[0].physical(float(start.scaled[shared]))
-    return limits
+        held = there.misfit
+    return Misfit(fitted.misfit, held, tuple(errors))
 
 
 def _collect(
@@ -221,14 +250,14 @@ def _collect(
     answer: Fitted | None,
     verdict: Verdict,
     trials: list[Trial],
-    limits: dict[str, float],
     before: Structure,
-    own_error: float,
+    failed: dict[str, str],
 ) -> Diagnosis:
     located = locate(problem, base)
     chances = probabilities(trials)
     reported = [candidate(t, chances[t.effect.name]) for t in trials]
     names = {t.effect.name for t in verdict.named} if verdict.kind in ("named", "one_of") else set()
+    became = fates(trials, failed, names)
     shown = answer or base
     series = plot_series(problem, base, shown, held_out=False)
     if check.runs:
@@ -237,7 +266,7 @@ def _collect(
         series += plot_series(check, plain, there, held_out=True)
     return Diagnosis(
         verdict=verdict.kind,
-        sentence=words.sentence(verdict, located, limits),
+        sentence=words.sentence(verdict, located, became, before.hidden),
         rig=rig.name,
         effects=tuple(c for c in reported if c.name in names),
         alternatives=tuple(c for c in reported if c.name not in names),
@@ -246,17 +275,19 @@ def _collect(
         amended=None,
         noise_floor={c: float(np.median(n.sigma)) for c, n in problem.noise.items()},
         discretisation={
-            "structured_energy": own_error,
-            "structured_misfit": before.excess,
-            "structured_misfit_per_score": before.per_score,
+            "structured_energy": before.whole.own,
+            "structured_misfit": before.whole.excess,
+            "structured_misfit_per_score": before.whole.per_score,
         },
-        upper_limits=limits,
+        upper_limits=limits(trials, names),
         baseline_parameters=named_parameters(base),
         amended_parameters=named_parameters(answer) if answer is not None else (),
-        not_explained=words.not_explained(verdict, before.excess),
-        next_experiment=words.next_experiment(verdict, trials),
+        not_explained=words.not_explained(verdict, before.whole.excess),
+        next_experiment=words.next_experiment(verdict, before.hidden),
         provenance={},
         seconds=0.0,
+        tried=became,
+        notes=notes(base, problem, before),
         series=series,
     )
 
@@ -267,20 +298,18 @@ def diagnose_bags(
     *,
     held_out: Sequence[Path] = (),
     out: Path,
-    seed: int = 0,
     on_progress: Progress | None = None,
 ) -> str:
-    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``baseline_rig.yaml``, ``amended_rig.yaml``."""
+    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``."""
     from sysid.report import write_diagnosis_report
 
-    runs = [load_run(rig, bag) for bag in bags]
-    kept = [load_run(rig, bag) for bag in held_out]
-    diagnosis, amended = diagnose_runs(rig, runs, kept, seed=seed, on_progress=on_progress)
+    runs, kept = load_runs(rig, bags, held_out)
+    diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
     out.mkdir(parents=True, exist_ok=True)
     diagnosis.write(out / "diagnosis.json")
-    (out / "baseline_rig.yaml").write_text(rig_to_yaml(rig))
+    (out / "rig.yaml").write_text(rig_to_yaml(rig))
     overlay = {
-        "overlay_of": "baseline_rig.yaml",
+        "overlay_of": "rig.yaml",
         "name": f"{rig.name}_amended",
         "description": diagnosis.sentence,
         "parameters": {
@@ -292,7 +321,7 @@ def diagnose_bags(
     }
     (out / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))
     report = write_diagnosis_report(diagnosis, out / "report.html")
-    lines = [diagnosis.sentence, ""]
+    lines = [diagnosis.sentence, *diagnosis.notes, ""]
     for effect in diagnosis.effects:
         for p in effect.parameters:
             lines.append(f"  {p.name} = {p.value:.4g} ({p.ci95[0]:.4g} .. {p.ci95[1]:.4g}) {p.unit}")

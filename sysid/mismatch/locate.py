@@ -7,15 +7,14 @@ missing law leaves behind is smooth in time and adds up.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.fit.noise import column_groups, whiten
-from sysid.fit.problem import Direction, Fitted, Problem
+from sysid.fit.problem import Fitted, Problem
 from sysid.fit.runs import Measured, Run
-from sysid.mismatch.baseline import corrected
 from sysid.mismatch.result import Located, LocatedChannel
 
 BLOCKS = 24
@@ -25,17 +24,66 @@ WINDOW_SIGMAS = 5.0
 """A block belongs to a mismatch window when its energy exceeds the noise's by this many deviations."""
 
 
+MIN_PER_SCORE = 1.6
+"""Structured misfit per score (1 = noise) above which something is missing even without a name."""
+
+MIN_SIGMAS = 6.0
+"""Deviations above noise that the structured misfit of a quantity with few scores must have as well."""
+
+OWN_SHARE = 0.5
+"""Structured misfit below this share of the simulator's own error is not blamed on physics."""
+
+STILL_M_S, STILL_RAD_S = 1e-4, 1e-3
+"""Speeds up to which an end effector stands still, as where the noise is estimated (:mod:`sysid.fit.noise`)."""
+
+PARTS = 8
+"""Parts of a window whose speeds are told apart."""
+
+
 @dataclass(frozen=True)
-class Structure:
-    """``excess``: structured energy beyond noise, sum of squared block scores less their number; ``count``:
-    number of scores; ``per_score``: mean squared score (1 = noise)."""
+class Part:
+    """Structured misfit of one quantity of one channel in one run. ``excess``: sum of squared block scores
+    less their number; ``count``: number of scores; ``own``: the same sum for the simulator's own error."""
 
     excess: float
     count: int
+    own: float
 
     @property
     def per_score(self) -> float:
+        """Mean squared score (1 = noise)."""
         return 1.0 + self.excess / max(self.count, 1)
+
+    @property
+    def stands_out(self) -> bool:
+        """More than noise leaves: squared scores have mean 1 and standard deviation sqrt(2)."""
+        return self.per_score > MIN_PER_SCORE and self.excess > MIN_SIGMAS * np.sqrt(2.0 * self.count)
+
+    @property
+    def beyond_own_error(self) -> bool:
+        """More than noise and the simulator's own error leave."""
+        return self.stands_out and self.excess > OWN_SHARE * self.own
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Structured misfit by quantity (see :class:`Part`), so that a loud one is not drowned by quiet ones."""
+
+    parts: tuple[Part, ...]
+
+    @property
+    def whole(self) -> Part:
+        return Part(sum(p.excess for p in self.parts), sum(p.count for p in self.parts), sum(p.own for p in self.parts))
+
+    @property
+    def missing(self) -> bool:
+        """Something is missing: the whole, or some quantity, is beyond noise and the simulator's own error."""
+        return self.whole.beyond_own_error or any(p.beyond_own_error for p in self.parts)
+
+    @property
+    def hidden(self) -> bool:
+        """There is misfit, but none that the simulator's own error could not leave."""
+        return not self.missing and (self.whole.stands_out or any(p.stands_out for p in self.parts))
 
 
 def block_scores(run: Run, measured: Measured, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -53,36 +101,28 @@ def block_scores(run: Run, measured: Measured, white: np.ndarray) -> tuple[np.nd
 
 def whitened(problem: Problem, fitted: Fitted, run: int, measured: Measured) -> np.ndarray:
     """Whitened residual of one channel with the simulator's own error taken out, ``(n, m)``."""
-    miss = measured.values - corrected(fitted, problem.directions, run, measured.channel)
+    miss = measured.values - problem.corrected(fitted, run, measured)
     return whiten(miss, problem.noise[measured.channel])
 
 
 def structure(problem: Problem, fitted: Fitted) -> Structure:
-    """Structured misfit over all runs and channels."""
-    excess, count = 0.0, 0
+    """Structured misfit of a model.
+
+    The simulator's own error enters with the sizes expected from refinement, not the fitted ones, which may
+    have taken up missing physics.
+    """
+    parts = []
     for i, run in enumerate(problem.runs):
         for m in run.measured:
             scores, _ = block_scores(run, m, whitened(problem, fitted, i, m))
-            good = np.isfinite(scores)
-            excess += float(np.sum(scores[good] ** 2 - 1.0))
-            count += int(good.sum())
-    return Structure(excess, count)
-
-
-def discretisation_energy(problem: Problem, directions: Sequence[Direction]) -> float:
-    """Structured energy of the simulator's own error, in the same units as :class:`Structure.excess`.
-
-    With the sizes expected from refinement, not the fitted ones, which may have taken up missing physics.
-    """
-    energy = 0.0
-    for i, run in enumerate(problem.runs):
-        for m in run.measured:
-            shift = sum((d.mean * d.shapes[i][m.channel] for d in directions), np.zeros_like(m.values))
             # What is not measured has no noise to compare with.
-            shift = np.where(np.isfinite(m.values), shift, np.nan)
-            scores, _ = block_scores(run, m, whiten(shift, problem.noise[m.channel]))
-            energy += float(np.nansum(scores**2))
-    return energy
+            shift = np.where(np.isfinite(m.values), problem.basis(i, m).expected, np.nan)
+            own, _ = block_scores(run, m, whiten(shift, problem.noise[m.channel]))
+            for group in column_groups(m):
+                good = np.isfinite(scores[:, group])
+                excess = float(np.sum(scores[:, group][good] ** 2 - 1.0))
+                parts.append(Part(excess, int(good.sum()), float(np.nansum(own[:, group] ** 2))))
+    return Structure(tuple(parts))
 
 
 def locate(problem: Problem, fitted: Fitted) -> Located:
@@ -125,10 +165,14 @@ def _phase(run: Run, fitted: Fitted, index: int, start: float, end: float) -> st
     trace = fitted.predictions[index].trace
     inside = (trace.times[1:] > start) & (trace.times[1:] <= end)
     touching = any(r.contacts > 0 for r, k in zip(trace.reports, inside, strict=True) if k)
-    moving = False
-    for trajectory in run.poses.values():
-        positions, _ = trajectory.sample(np.linspace(start, end, 5))
-        moving |= bool(np.ptp(positions, axis=0).max() > 1e-4)
+    moving = any(_moves(trajectory, start, end) for trajectory in run.poses.values())
     if touching:
         return "moving in contact" if moving else "holding in contact"
     return "moving freely" if moving else "at rest without contact"
+
+
+def _moves(trajectory: PoseTrajectory, start: float, end: float) -> bool:
+    """Whether an end effector moves or turns for at least half of a window."""
+    times = np.linspace(start, end, PARTS + 1)
+    linear, angular = PoseTrajectory(times, *trajectory.sample(times)).speeds()
+    return bool(np.mean((linear > STILL_M_S) | (angular > STILL_RAD_S)) >= 0.5)

@@ -77,7 +77,12 @@ class Misfit:
 
 @dataclass
 class Diagnosis:
-    """The answer, what it rests on, and what it leaves open."""
+    """The answer, what it rests on, and what it leaves open.
+
+    ``upper_limits``: by amplitude, the farthest from none at all that the recordings still allow (95 %), of
+    effects that were refitted and are not the answer; ``tried``: what became of each effect; ``notes``: what
+    a reader should know of the fit.
+    """
 
     verdict: str
     sentence: str
@@ -96,6 +101,8 @@ class Diagnosis:
     next_experiment: str
     provenance: dict[str, Any]
     seconds: float
+    tried: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
     series: list[Series] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sysid.mismatch.decide import MIN_EXPLAINED, Trial, Verdict
+from sysid.mismatch.decide import MIN_EXPLAINED, Verdict
 from sysid.mismatch.result import Located
 
 _SEPARATE = {
@@ -14,13 +14,18 @@ _SEPARATE = {
 }
 
 
-def sentence(verdict: Verdict, located: Located, limits: dict[str, float]) -> str:
-    """The answer in one or two sentences."""
+def sentence(verdict: Verdict, located: Located, fates: dict[str, str], hidden: bool) -> str:
+    """The answer in one or two sentences. ``hidden``: the simulator's own error may hide something."""
     where = _where(located)
+    if verdict.kind == "nothing_missing" and hidden:
+        return (
+            "Nothing can be said to be missing: the misfit is beyond the noise, but no larger than the "
+            f"simulator's own error could leave; it shows {where}. Refine the mesh or the time step."
+        )
     if verdict.kind == "nothing_missing":
         return (
             "Nothing is missing: the rig explains the recordings down to their noise and the simulator's own "
-            f"error. {len(limits)} effects were looked for and not found."
+            f"error. {len(fates)} effects were looked for and not found."
         )
     if verdict.kind == "unknown":
         tried = (
@@ -54,8 +59,10 @@ def not_explained(verdict: Verdict, baseline_excess: float) -> str:
     return text
 
 
-def next_experiment(verdict: Verdict, trials: list[Trial]) -> str:
-    """What to record next."""
+def next_experiment(verdict: Verdict, hidden: bool) -> str:
+    """What to record or to do next."""
+    if verdict.kind == "nothing_missing" and hidden:
+        return "No new recording: repeat the diagnosis with finer cells or a shorter solver.dt_s in the rig."
     if verdict.kind == "nothing_missing":
         return "None needed; faster, deeper or longer motions would lower the limits."
     if verdict.kind == "unknown":
@@ -69,5 +76,4 @@ def next_experiment(verdict: Verdict, trials: list[Trial]) -> str:
     for pair, words in _SEPARATE.items():
         if pair <= set(names):
             return words[0].upper() + words[1:] + "."
-    del trials
     return "Vary speed, depth and holding time one at a time; the candidates differ in what they follow."

@@ -29,7 +29,6 @@ ANSWERS_FILE = "answers.json"
 ANSWERS_FOLDER = "answers"
 DIAGNOSIS_FILE = "diagnosis.json"
 RUN_FILE = "run.json"
-SEED = 0
 TIME_LIMIT_S = 3600.0
 
 
@@ -70,7 +69,7 @@ def _diagnose(case: Path, answer: Path) -> None:
         started = time.monotonic()
         try:
             done = subprocess.run(
-                [*command, "--seed", str(SEED)],
+                command,
                 cwd=here,
                 env=_environment(),
                 capture_output=True,

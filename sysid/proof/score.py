@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from sim_core.effects import effect_by_name
 from sim_core.errors import ConfigError
 from sysid.proof.run import ANSWERS_FILE, ANSWERS_FOLDER, DIAGNOSIS_FILE
 from sysid.proof.seal import file_digest, open_seal
@@ -89,7 +90,7 @@ def _score(folder: Path, truth: dict[str, Any], entries: dict[str, Any]) -> Case
         outcome(effect, diagnosis["verdict"], entry["effects"]),
         fit["baseline"]["held_out"],
         amended["held_out"] if amended else None,
-        within(truth["parameters"], said),
+        _recovered(effect, truth["parameters"], said),
         within(truth["materials"], materials),
         entry["seconds"],
     )
@@ -106,6 +107,14 @@ def outcome(effect: str | None, verdict: str, answer: list[str]) -> str:
     if verdict == "named":
         return "named" if answer == [effect] else "wrong"
     return "right set" if effect in answer else "wrong"
+
+
+def _recovered(effect: str | None, truth: dict[str, float], said: list[dict[str, Any]]) -> tuple[int, int]:
+    """:func:`within` for the description of the effect's law that the answer comes closest to."""
+    if effect is None:
+        return within(truth, said)
+    same = [truth, *(dict(e) for e in effect_by_name(effect).equivalents(truth))]
+    return max(within(values, said) for values in same)
 
 
 def within(truth: dict[str, float], said: list[dict[str, Any]]) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sysid.report.fit_page import ErrorTables, Tile, plural, recordings
-from sysid.report.numbers import MISSING, TIMES, Number, percent, raw_number, seconds, significant, with_unit
+from sysid.report.numbers import MISSING, TIMES, Number, percent, raw_number, seconds, significant, times, with_unit
 from sysid.report.page import embedded_json, write_page
 from sysid.report.panels import run_views, showcase
 from sysid.report.strips import LEVELS
@@ -73,7 +73,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
         held_out_sentence=held_out_sentence(d),
         budget=budget(d),
         limits=limits(d),
-        discretisation=[(k.replace("_", " "), percent(v), raw_number(v)) for k, v in d.discretisation.items()],
+        discretisation=own_error(d),
         noise=[(k, significant(v), raw_number(v)) for k, v in d.noise_floor.items()],
         runs=run_views(d.series, errors, windows=windows, both=both, names=names, held_out_first=True),
         level_edges=LEVELS,
@@ -300,6 +300,37 @@ def budget(d: Diagnosis) -> list[Bar]:
 
 
 @dataclass(frozen=True)
+class Fact:
+    """One number with what it says. ``raw``: as computed, None where there is none."""
+
+    label: str
+    text: str
+    raw: float | None
+    meaning: str
+
+
+def own_error(d: Diagnosis) -> list[Fact]:
+    """The simulator's own error beside the baseline's misfit, both as structured energies."""
+    energy, misfit = d.discretisation.get("structured_energy"), d.discretisation.get("structured_misfit")
+    per_score = d.discretisation.get("structured_misfit_per_score")
+    if energy is None or misfit is None or per_score is None:
+        return []
+    ratio = misfit / energy if energy > 0.0 else math.nan
+    squares = "squared noise units, summed over blocks of time and all columns"
+    return [
+        Fact("Error of mesh and time step", significant(energy), raw_number(energy), squares),
+        Fact("Baseline's misfit beyond noise", significant(misfit), raw_number(misfit), squares),
+        Fact(
+            "Misfit over own error",
+            times(ratio),
+            raw_number(ratio),
+            "far below 1: the simulator itself may be to blame; far above: something is missing",
+        ),
+        Fact("Baseline's misfit per score", significant(per_score), raw_number(per_score), "mean square; 1 = noise"),
+    ]
+
+
+@dataclass(frozen=True)
 class Limit:
     """An effect that was not found, and how large it can be at most."""
 
@@ -311,9 +342,12 @@ class Limit:
 
 
 def limits(d: Diagnosis) -> list[Limit]:
-    """Upper limits with the words and units of the effects they belong to."""
+    """Upper limits of what is not an answer, with the words and units of the effects they belong to."""
+    answers = {c.name for c in d.effects}
     out = []
     for key, value in d.upper_limits.items():
+        if key.removeprefix("effects.").split(".")[0] in answers:
+            continue
         title, words, unit = _effect_words(key)
         text = with_unit(value, unit)
         out.append(Limit(title, key, words, Number(raw_number(value), text), ""))

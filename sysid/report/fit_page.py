@@ -158,11 +158,11 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
     training = [e for e in result.errors if not e.held_out]
     a, b = over_noise(training, after=False), over_noise(training, after=True)
     if a is not None and b is not None:
-        sentence = f"The error fell from {times(a)} to {times(b)} the noise"
+        sentence = f"The error {_went(a, b)} the noise"
         held_out = [e for e in result.errors if e.held_out]
         c, d = over_noise(held_out, after=False), over_noise(held_out, after=True)
         if c is not None and d is not None:
-            sentence += f", and on held-out recordings from {times(c)} to {times(d)}"
+            sentence += f"; on held-out recordings it {_went(c, d)}"
         out.append(sentence + ".")
     bounds = [e.name for e in result.estimates if e.at_bound]
     if undetermined:
@@ -172,7 +172,9 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
         )
     elif n and result.converged:
         traded = ", though some are traded off against each other" if result.identifiability else ""
-        out.append(f"Every parameter is determined by these recordings{traded}.")
+        every = "Every parameter" if not bounds else "Every other parameter" if len(bounds) < n else ""
+        if every:
+            out.append(f"{every} is determined by these recordings{traded}.")
     if bounds:
         out.append(f"{_listed(bounds)} ended at a bound: the true value may lie beyond.")
     if not result.converged and result.message:
@@ -185,12 +187,20 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
     return out
 
 
+def _went(start: float, end: float) -> str:
+    """How an error changed, by what is shown of it."""
+    if times(start) == times(end):
+        return f"stayed at {times(end)}"
+    return f"{'fell' if end < start else 'rose'} from {times(start)} to {times(end)}"
+
+
 def tiles(result: FitResult, undetermined: set[str]) -> list[Tile]:
     """The numbers that sum the fit up."""
     chi2 = result.reduced_chi2
     training = over_noise([e for e in result.errors if not e.held_out], after=True)
     held_out = over_noise([e for e in result.errors if e.held_out], after=True)
     n = len(result.estimates)
+    open_ended = undetermined | {e.name for e in result.estimates if e.at_bound}
     out = [
         Tile("Error, training", times(training), "the noise", level(training)),
         Tile(
@@ -207,9 +217,9 @@ def tiles(result: FitResult, undetermined: set[str]) -> list[Tile]:
         ),
         Tile(
             "Determined",
-            f"{n - len(undetermined)} of {n}",
+            f"{n - len(open_ended)} of {n}",
             "parameters",
-            "good" if n and not undetermined else "fair" if n else "",
+            "good" if n and not open_ended else "fair" if n else "",
         ),
         Tile(
             "Search",

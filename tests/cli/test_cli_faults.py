@@ -51,6 +51,7 @@ FAULTS: dict[str, Fault] = {
     "no such option": Fault("rigs --fast", "No such option"),
     "rig left out": Fault("simulate", "Missing argument"),
     "output left out": Fault("simulate card_press slide", "--out"),
+    "a diagnosis has no seed": Fault("diagnose card_press a.mcap --out o --seed 1", "--seed"),
     "seed is a word": Fault("simulate card_press slide --out o --seed one", "--seed"),
     "no cases": Fault("prove make --out o --cases 0", "--cases"),
     # files

@@ -11,6 +11,7 @@ from sim_core.materials.elastic import plane_stress
 from sim_core.rigs import list_parameters
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, simulate, step_times
+from sysid.mismatch.candidates import starting_values
 from sysid.streams import predicted, total_delay
 
 TYPICAL = {
@@ -61,6 +62,25 @@ def test_says_what_it_is(effect, small_rig):
     assert any(p.vanishing is not None for p in effect.parameters)
     for variant in effect.variants(small_rig()):
         assert set(variant) == {p.name for p in effect.parameters}
+
+
+def test_starting_values_are_the_typical_ones(small_rig):
+    starts = {e.name: starting_values(e, small_rig()) for e in EFFECTS}
+    assert {name: len(found) for name, found in starts.items()} == {
+        "gel_relaxation": 3, "sheet_orthotropy": 4, "bending_plasticity": 5, "air_drag": 1, "static_friction": 4,
+        "end_effector_compliance": 2, "wrench_offset": 1, "stream_delay": 2,
+    }  # fmt: skip
+    assert starts["stream_delay"] == [{"wrench_s": 0.01, "vision_s": 0.0}, {"wrench_s": 0.0, "vision_s": 0.01}]
+    for effect in EFFECTS:
+        for p in effect.parameters:
+            assert set(p.typical) <= {s[p.name] for s in starts[effect.name]}
+
+
+def test_what_a_rig_does_not_have_is_not_tried(small_rig):
+    empty = small_rig().model_copy(
+        update={"bodies": {}, "clamps": (), "contacts": (), "sensors": {}, "cameras": {}, "end_effectors": {}}
+    )
+    assert not [e.name for e in EFFECTS if e.applies(empty) or e.variants(empty)]
 
 
 def test_orthotropy_gives_the_two_moduli_and_their_mean():
@@ -139,3 +159,16 @@ def test_names_and_values_are_checked(small_rig):
 def test_effect_parameters_are_listed_with_the_rig(small_rig):
     rig = small_rig(effects={"air_drag": {"drag_coefficient": 1.0}})
     assert "effects.air_drag.drag_coefficient" in {p.name for p in list_parameters(rig)}
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_equivalent_descriptions_read_the_same(effect, small_rig, visit):
+    bounds = {p.name: (p.lower, p.upper) for p in effect.parameters}
+    for same in effect.equivalents(TYPICAL[effect.name]):
+        if not all(bounds[k][0] <= v <= bounds[k][1] for k, v in same.items()):
+            continue
+        given = readings(small_rig(effects={effect.name: TYPICAL[effect.name]}), visit(*MOTION))
+        other = readings(small_rig(effects={effect.name: dict(same)}), visit(*MOTION))
+        for channel in given:
+            size = np.nanmax(np.abs(given[channel]))
+            assert np.allclose(given[channel], other[channel], rtol=0, atol=1e-6 * size, equal_nan=True), channel

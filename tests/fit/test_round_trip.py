@@ -30,13 +30,22 @@ MOTION = [
 ]  # fmt: skip
 
 
+def record(rig, folder, refine):
+    experiment = Experiment.model_validate({"name": "visit", "seed": 4, "motions": {"finger": MOTION}})
+    simulate_to_bag(with_parameters(rig, TRUTH), experiment, folder / "bag", seed=4, refine=refine)
+    return rig, load_run(rig, folder / "bag"), folder / "bag"
+
+
 @pytest.fixture(scope="module")
 def recorded(small_rig, tmp_path_factory):
-    rig = small_rig()
-    bag = tmp_path_factory.mktemp("visit") / "bag"
-    experiment = Experiment.model_validate({"name": "visit", "seed": 4, "motions": {"finger": MOTION}})
-    simulate_to_bag(with_parameters(rig, TRUTH), experiment, bag, seed=4)
-    return rig, load_run(rig, bag), bag
+    """Made by the very simulator that is fitted."""
+    return record(small_rig(), tmp_path_factory.mktemp("visit"), 1)
+
+
+@pytest.fixture(scope="module")
+def recorded_finer(small_rig, tmp_path_factory):
+    """Made on a finer mesh with a shorter step, as reality is finer than any mesh."""
+    return record(small_rig(), tmp_path_factory.mktemp("visit"), 2)
 
 
 @pytest.mark.parametrize("start", STARTS)
@@ -50,6 +59,15 @@ def test_truth_comes_back_within_a_narrow_interval(recorded, start):
         assert low <= TRUTH[estimate.name] <= high, estimate
         assert high - low < 0.2 * TRUTH[estimate.name], estimate
     assert fitted.bodies["gel"].material.E_pa == pytest.approx(TRUTH["gel.E_pa"], rel=0.05)
+
+
+def test_truth_comes_back_from_a_finer_simulation(recorded_finer):
+    """The coarse mesh is off by far more than the noise, and the intervals know it."""
+    rig, run, _ = recorded_finer
+    result, _ = fit_runs(with_parameters(rig, STARTS[0]), [run], list(TRUTH))
+    for estimate in result.estimates:
+        low, high = estimate.ci95
+        assert low <= TRUTH[estimate.name] <= high, estimate
 
 
 def test_what_the_data_cannot_tell_is_said(recorded):

@@ -55,7 +55,7 @@ def test_a_diagnosis_sees_a_copy_of_its_case_and_nothing_else(folder: Path, call
         assert not [word for word in call["command"][1:] if str(folder) in word or "case_0" in word]
         assert not call["cwd"].exists()
     words = calls[0]["command"][3:]
-    assert words[:5] == ["diagnose", "case/rig.yaml", "case/run_a", "--held-out", "case/run_b"]
+    assert words == ["diagnose", "case/rig.yaml", "case/run_a", "--held-out", "case/run_b", "--out", "answer"]
 
 
 def test_errors_are_recorded_and_tried_again(folder: Path, calls: list[dict[str, Any]]) -> None:

@@ -134,8 +134,10 @@ def gel_relaxation(probability: float, rejected: str = "") -> Candidate:
         "constant tau (a Maxwell element beside the spring).",
         probability,
         (
-            NamedParameter("share", 0.2987, (0.2911, 0.3063), "-", "share of the shear stress that fades"),
-            NamedParameter("tau_s", 0.4921, (0.4605, 0.5259), "s", "time constant"),
+            NamedParameter(
+                "effects.gel_relaxation.share", 0.2987, (0.2911, 0.3063), "-", "share of the shear stress that fades"
+            ),
+            NamedParameter("effects.gel_relaxation.tau_s", 0.4921, (0.4605, 0.5259), "s", "time constant"),
         ),
         812.4, 0.974, rejected,
     )  # fmt: skip
@@ -149,8 +151,13 @@ def plasticity(probability: float, rejected: str) -> Candidate:
         "curvature, whatever the speed.",
         probability,
         (
-            NamedParameter("yield_curvature_per_m", 8.31, (6.9, 10.2), "1/m", "curvature at which flow begins"),
-            NamedParameter("hardening_ratio", 0.2, (0.05, 0.6), "-", "hardening over bending stiffness"),
+            NamedParameter(
+                "effects.bending_plasticity.yield_curvature_per_m", 8.31, (6.9, 10.2), "1/m",
+                "curvature at which flow begins",
+            ),
+            NamedParameter(
+                "effects.bending_plasticity.hardening_ratio", 0.2, (0.05, 0.6), "-", "hardening over bending stiffness"
+            ),
         ),
         214.0, 0.31, rejected,
     )  # fmt: skip
@@ -162,7 +169,12 @@ def compliance(probability: float, rejected: str, held_out_gain: float | None = 
         "end_effector_compliance", "the end effector gives way", "robot",
         "The hand is not where the robot says: mount, wrist or gripper yield in proportion to the force.",
         probability,
-        (NamedParameter("compliance_m_per_n", 2.31e-4, (1.1e-4, 4.8e-4), "m/N", "displacement per force"),),
+        (
+            NamedParameter(
+                "effects.end_effector_compliance.compliance_m_per_n", 2.31e-4, (1.1e-4, 4.8e-4), "m/N",
+                "displacement per force",
+            ),
+        ),
         38.5, held_out_gain, rejected,
     )  # fmt: skip
 
@@ -202,13 +214,23 @@ def make_diagnosis(verdict: str, **changes: object) -> Diagnosis:
         "baseline": Misfit(48.2, 51.7, tuple(make_errors(RUNS, before=9.0, after=7.1))),
         "amended": Misfit(1.06, 1.11, tuple(make_errors(RUNS, before=7.1, after=1.03))),
         "noise_floor": {"wrench_gel": 2e-3, "gel_markers": 1e-5, "outside": 0.1},
-        "discretisation": {"mesh": 0.034, "time step": 0.0004},
-        "upper_limits": {},
+        "discretisation": {
+            "structured_energy": 412.5,
+            "structured_misfit": 7326.0,
+            "structured_misfit_per_score": 13.7,
+        },
+        "upper_limits": {
+            "effects.gel_relaxation.share": 0.3051,
+            "effects.end_effector_compliance.compliance_m_per_n": 3.1e-5,
+        },
         "baseline_parameters": baseline,
         "amended_parameters": amended,
         "not_explained": "",
         "next_experiment": "Press and hold at three depths for 5 s each: it would narrow the time constant by half.",
-        "provenance": {**PROVENANCE, "command": "thinshell diagnose card_press bags/press_1 --out diagnosis"},
+        "provenance": {
+            **{k: v for k, v in PROVENANCE.items() if k != "seed"},
+            "command": "thinshell diagnose card_press bags/press_1 --out diagnosis",
+        },
         "seconds": 1812.0,
         "series": make_series(RUNS),
     }
@@ -232,7 +254,15 @@ def make_diagnosis(verdict: str, **changes: object) -> Diagnosis:
             "located": Located((), {"press_1": (), "press_2": (), "slide_1": ()}, "nowhere in particular"),
             "baseline": Misfit(1.04, 1.07, tuple(make_errors(RUNS, before=9.0, after=1.01))),
             "amended": None,
-            "upper_limits": {"gel_relaxation.share": 0.021, "end_effector_compliance.compliance_m_per_n": 3.1e-5},
+            "discretisation": {
+                "structured_energy": 412.5,
+                "structured_misfit": -18.25,
+                "structured_misfit_per_score": 0.968,
+            },
+            "upper_limits": {
+                "effects.gel_relaxation.share": 0.021,
+                "effects.end_effector_compliance.compliance_m_per_n": 3.1e-5,
+            },
             "amended_parameters": (),
             "next_experiment": "",
             "series": make_series(RUNS, before=0.0),

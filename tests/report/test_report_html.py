@@ -8,8 +8,9 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
 import pytest
 from report_examples import (
     PROVENANCE,
@@ -24,9 +25,22 @@ from report_examples import (
     plasticity,
 )
 
+from sim_core.effects import EFFECTS
+from sim_core.rigs import load_rig
+from sim_core.simulate import Trace
+from sysid.fit.engine import Engine, Prediction
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.parameters import fit_parameters
+from sysid.fit.problem import Fitted, Problem
 from sysid.fit.result import Estimate, FitResult
+from sysid.fit.runs import Measured, Run
+from sysid.mismatch.candidates import with_effect
+from sysid.mismatch.decide import Trial, Verdict
+from sysid.mismatch.diagnose import _collect
+from sysid.mismatch.locate import structure
 from sysid.mismatch.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
 from sysid.report import write_diagnosis_report, write_fit_report
+from sysid.report.numbers import TIMES
 
 NAN = float("nan")
 VOID = {"meta", "link", "br", "img", "input", "hr", "rect", "path", "use", "source"}
@@ -153,7 +167,9 @@ def test_the_diagnosis_holds_every_number_of_its_parameters(verdicts: dict[str, 
             assert p.words in page.words
     for p in (*d.baseline_parameters, *d.amended_parameters):
         assert {p.value, *p.ci95} <= page.numbers
-    assert {*d.upper_limits.values(), *d.discretisation.values(), *d.noise_floor.values()} <= page.numbers
+    assert {*d.discretisation.values(), *d.noise_floor.values()} <= page.numbers
+    found = {c.name for c in d.effects}
+    assert {v for k, v in d.upper_limits.items() if k.split(".")[1] not in found} <= page.numbers
     assert d.sentence in page.words and d.next_experiment in page.words and d.not_explained in page.words
     assert json.loads(page.scripts[0])["schema"] == "thinshell.diagnosis/1"
 
@@ -171,6 +187,53 @@ def test_each_verdict_says_what_it_must(verdicts: dict[str, Page]) -> None:
     assert "What it changed" not in words["nothing_missing"]
     assert "none of the effects that were tried accounts for it" in words["unknown"]
     assert "Next experiment" in words["unknown"]
+
+
+def test_the_simulators_own_error_is_told_in_plain_numbers(verdicts: dict[str, Page]) -> None:
+    words = verdicts["named"].words.split("The simulator's own error")[-1].split("Noise floor")[0]
+    assert "Error of mesh and time step 412 squared noise units" in words
+    assert f"Misfit over own error 17.8{TIMES}" in words
+    assert "Baseline's misfit per score 13.7 mean square; 1 = noise" in words
+    assert "%" not in words
+
+
+def test_what_was_found_has_no_upper_limit(verdicts: dict[str, Page]) -> None:
+    limits = verdicts["named"].words.split("no stronger than this")[1].split("Left open")[0]
+    assert "end_effector_compliance" in limits and "gel_relaxation" not in limits
+
+
+def empty_diagnosis() -> Diagnosis:
+    """What the diagnosis collects of one recording that the baseline explains, and one effect that was tried."""
+    t = np.linspace(0.0, 1.0, 60)
+    white = np.random.default_rng(0).standard_normal((60, 6))
+    gauge = Measured("gauge", "wrench", t, white, tuple("abcdef"))
+    noise = {"gauge": ChannelNoise(np.ones(6), 0.0, "test")}
+    problem = Problem([Run("pull", "", (), {}, (gauge,), 1.0)], noise, cast(Engine, None))
+    prediction = Prediction({"gauge": np.zeros((60, 6))}, {}, cast(Trace, None))
+    rig = load_rig("card_press")
+    base = Fitted(
+        [], np.zeros(0), rig, white.ravel(), np.zeros((360, 0)), [(0, "gauge", np.repeat(t, 6))], [prediction], rig,
+        1, True, "", 0.0,
+    )  # fmt: skip
+    with_gel = with_effect(rig, EFFECTS[0], {"share": 0.1, "tau_s": 0.2})
+    own = fit_parameters(with_gel, ["effects.gel_relaxation.share"])
+    tried = replace(
+        base, parameters=own, scaled=np.array([0.1]), rig=with_gel, jacobian=np.full((360, 1), 0.5), centre=with_gel
+    )
+    left = structure(problem, base)
+    trial = Trial(EFFECTS[0], tried, 1.0, 0.0, left, None)
+    check = Problem([], noise, cast(Engine, None))
+    verdict = Verdict("nothing_missing", ())
+    return _collect(rig, problem, check, base, None, verdict, [trial], left, {})
+
+
+def test_the_examples_have_the_keys_of_real_diagnoses(tmp_path: Path) -> None:
+    real, example = empty_diagnosis(), make_diagnosis("nothing_missing")
+    assert list(real.discretisation) == list(example.discretisation)
+    assert set(real.upper_limits) <= set(example.upper_limits) and real.upper_limits
+    words = diagnosis_page(tmp_path, real).words
+    assert "Misfit over own error" in words
+    assert "each of the 8 effects" in words and "promised no better fit" in words
 
 
 def test_a_fit_without_anything(tmp_path: Path) -> None:
@@ -283,13 +346,26 @@ def test_a_fit_that_failed_says_so_first(tmp_path: Path) -> None:
 def test_what_is_determined_is_said_first(tmp_path: Path) -> None:
     pair = make_fit().identifiability[1]
     together = "The data do not determine gel.E_pa and gel.nu separately, only in combination: both up. Fix one."
+    inside = [replace(e, at_bound=False) for e in make_fit().estimates]
+    page = fit_page(tmp_path, make_fit(identifiability=[], estimates=inside, series=[]))
+    assert "Every parameter is determined by these recordings." in page.words and "4 of 4" in page.words
+    outside = [replace(e, at_bound=True) for e in inside]
+    page = fit_page(tmp_path, make_fit(identifiability=[], estimates=outside, series=[]))
+    assert "is determined by these recordings" not in page.words and "0 of 4" in page.words
     for sentences, words in (
-        ([], "Every parameter is determined by these recordings."),
+        ([], "Every other parameter is determined by these recordings."),
         ([pair], "determined by these recordings, though some are traded off"),
         ([together], "do not determine gel.E_pa and gel.nu on their own"),
     ):
         page = fit_page(tmp_path, make_fit(identifiability=sentences, series=[]))
         assert words in page.words.split("Reduced chi-square")[0]
+
+
+@pytest.mark.parametrize(("after", "verb"), [(1.0, "fell from"), (3.0, "rose from"), (2.0, "stayed at 2.00")])
+def test_the_verb_follows_the_error(tmp_path: Path, after: float, verb: str) -> None:
+    errors = [replace(e, before=2.0 * e.noise, after=after * e.noise) for e in make_errors(RUNS, before=2.0, after=1.0)]
+    words = fit_page(tmp_path, make_fit(errors=errors, series=[])).words
+    assert f"The error {verb}" in words and f"on held-out recordings it {verb}" in words
 
 
 def test_both_answers_and_rivals_may_share_a_name(tmp_path: Path) -> None:

@@ -1,9 +1,15 @@
 import json
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 
+import numpy as np
 import pytest
 
 from sim_core.bench import measure
+from sim_core.bench.machine import peak_memory_mb
+from sim_core.bench.report import scaling_lines
+from sim_core.bench.scale import DIFFCLOTH, MESHES, Mesh, Scaling, Size, growth, measure_size
 
 
 @pytest.mark.slow
@@ -16,4 +22,51 @@ def test_benchmark_is_the_workload_that_it_says():
     assert found.most_contacts > 20
     assert sum(found.parts_s.values()) == pytest.approx(found.wall_s)
     assert all(seconds > 0.0 for part, seconds in found.parts_s.items() if part.startswith("assembly"))
+    assert found.factorisations_per_step < 2.5
     assert json.loads(json.dumps(asdict(found)))["rig"] == "forming"
+
+
+def size(unknowns, published=None):
+    return Size(unknowns, 0.5, 1e-6 * unknowns**1.5, 4.0, 2.0, 7, 300.0, published)
+
+
+def test_a_size_is_timed_in_contact_with_every_step_converged():
+    found = measure_size(Mesh((13, 11), "regular"))
+    assert found.unknowns == 3 * 12 * 12
+    assert found.contacts > 0
+    assert found.factorisations_per_step >= 1.0
+    assert 0.0 < found.cpu_step_s
+    assert found.peak_memory_mb > 50.0
+
+
+def test_sizes_are_those_that_were_promised():
+    """1.7k, 5k, 20k and 60k unknowns, and about as many as in the published scenes."""
+    unknowns = {}
+    for mesh in MESHES:
+        (nx, ny), crossed = mesh.cells, mesh.pattern == "crossed"
+        free = (nx - 1) * (ny + 1) + (nx - 1) * ny * crossed
+        unknowns[3 * free] = mesh.published and mesh.published.name
+    assert [n for n, name in unknowns.items() if name is None] == [1728, 5043, 20172, 59643]
+    published = {name: n for n, name in unknowns.items() if name is not None}
+    assert published["DiffCloth"] == pytest.approx(2469, rel=0.005)
+    assert published["C-IPC"] == pytest.approx(18300, rel=0.005)
+
+
+def test_the_exponent_is_that_of_the_times():
+    assert growth([size(1728), size(5043), size(59643)]) == pytest.approx(1.5)
+
+
+def test_published_figures_stand_beside_ours_with_the_ratio():
+    found = Scaling((size(1728), size(2475, DIFFCLOTH)), 1.5)
+    lines = scaling_lines(found)
+    assert "unknowns^1.50" in lines[0]
+    assert lines[3].endswith(f"DiffCloth: 7.14 steps/s, here {2.0 / 7.14:.2g} times as many")
+    assert np.isfinite(json.loads(json.dumps(asdict(found)))["exponent"])
+
+
+def test_peak_memory_of_a_process_is_its_own():
+    before = peak_memory_mb()
+    np.ones(50_000_000)
+    assert peak_memory_mb() > before + 300.0
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        assert pool.submit(peak_memory_mb).result() < peak_memory_mb() - 200.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
 from sysid.fit.engine import Engine
+from sysid.fit.placement import placed_sights
 from sysid.fit.runs import load_run
 from sysid.simulate import write_trace
 
@@ -85,3 +87,18 @@ def test_the_rig_says_how_long_a_gap_may_be(tmp_path: Path) -> None:
     strict = puller.model_copy(update={"topics": puller.topics.model_copy(update={"max_gap_s": 0.005})})
     with pytest.raises(RecordingError, match="has a gap of"):
         load_run(rig.model_copy(update={"end_effectors": {"puller": strict}}), bag)
+
+
+def test_markers_are_located_where_the_clamps_stand_at_that_frame(tmp_path: Path) -> None:
+    # The camera starts a second after the pull, when the sheet is already stretched.
+    there = with_pins(knit(), PINS)
+    whole = record(there, tmp_path / "bag", (0.0, 0.006), (0.0, 2.0))
+    run = load_run(there, whole)
+    video = next(m for m in run.measured if m.channel == "video")
+    begin = int(np.argmin(np.abs(video.t - 1.0)))
+    late = replace(video, t=video.t[begin:], values=video.values[begin:])
+    absent = replace(video, values=np.where(video.t[:, None] < late.t[0], np.nan, video.values))
+    for m in (late, absent):
+        sights, notes = placed_sights(knit(), run.poses, [m])
+        np.testing.assert_allclose(np.array(sights["video"][0].points.positions_m), PINS, atol=1e-6)
+        assert notes == ()

@@ -1,4 +1,4 @@
-"""How fast this machine simulates: a hollow gel finger forms a card on a table (rig ``forming``).
+"""A hollow gel finger forms a card on a table (rig ``forming``): steps per second and what they go into.
 
 The finger comes down until it squeezes the free end of the card on the table, then draws it along, in
 steps of 5 ms that all converge, with friction between gel and card and between card and table.
@@ -6,16 +6,19 @@ steps of 5 ms that all converge, with friction between gel and card and between 
 
 from __future__ import annotations
 
-import json
+import multiprocessing
 import os
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from sim_core.batch import leave_interrupts_to_parent
+from sim_core.bench.machine import machine_name
 from sim_core.rigs import load_rig
 from sim_core.scene import build_scene
 from sim_core.scene.scene import Scene
@@ -36,6 +39,7 @@ class Benchmark:
     steps_per_s: float
     cpu_steps_per_s: float
     iterations_per_step: float
+    factorisations_per_step: float
     most_contacts: int
     contact_steps: int
     build_s: float
@@ -105,6 +109,7 @@ def measure(down_steps: int = DOWN_STEPS, along_steps: int = ALONG_STEPS) -> Ben
     scene = build_scene(rig)
     built = time.perf_counter()
     simulation = Simulation(scene)
+    scene.system.hessian_data()  # the first launch of a kernel loads its code
     settled = time.perf_counter()
     clock = _Clock()
     _instrument(scene, clock)
@@ -127,6 +132,7 @@ def measure(down_steps: int = DOWN_STEPS, along_steps: int = ALONG_STEPS) -> Ben
         steps_per_s=len(reports) / wall,
         cpu_steps_per_s=len(reports) / cpu,
         iterations_per_step=float(np.mean([r.iterations for r in reports])),
+        factorisations_per_step=float(np.mean([r.factorisations for r in reports])),
         most_contacts=max(r.contacts for r in reports),
         contact_steps=sum(r.contacts > 0 for r in reports),
         build_s=built - start,
@@ -140,34 +146,9 @@ def measure(down_steps: int = DOWN_STEPS, along_steps: int = ALONG_STEPS) -> Ben
     )
 
 
-def machine_name() -> str:
-    """Model of the processor, or what the platform calls it."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as lines:
-            for line in lines:
-                if line.lower().startswith("model name"):
-                    return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
-
-
-def run_benchmarks(as_json: bool = False) -> str:
-    """Measure, and say it as text or as JSON."""
-    found = measure()
-    if as_json:
-        return json.dumps(asdict(found), indent=2)
-    lines = [
-        f"{found.rig}: {found.unknowns} unknowns, {found.steps} steps of which {found.contact_steps} in contact "
-        f"(at most {found.most_contacts} points), all converged",
-        f"{found.steps_per_s:.1f} steps/s ({found.cpu_steps_per_s:.1f} per second of CPU), "
-        f"{found.iterations_per_step:.1f} Newton iterations a step, "
-        f"{1e3 * found.wall_s / (found.steps * found.iterations_per_step):.2f} ms an iteration",
-        f"start-up: {found.build_s:.1f} s to build the scene, {found.settle_s:.1f} s to the first equilibrium",
-        f"on {found.machine}, {found.cores} cores (one used), Python {found.python}",
-        "",
-        f"{'part':<36}{'ms/step':>9}{'share':>8}",
-    ]
-    for part, seconds in found.parts_s.items():
-        lines.append(f"{part:<36}{1e3 * seconds / found.steps:>9.2f}{seconds / found.wall_s:>8.1%}")
-    return "\n".join(lines)
+def measure_side_by_side(processes: int | None = None) -> tuple[int, float]:
+    """Number of processes (default: one a core) that ran the workload at the same time, and their steps/s together."""
+    count = processes or os.cpu_count() or 1
+    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), leave_interrupts_to_parent) as pool:
+        found = [future.result() for future in [pool.submit(measure) for _ in range(count)]]
+    return count, sum(each.steps_per_s for each in found)

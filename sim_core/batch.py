@@ -1,0 +1,68 @@
+"""Many rollouts side by side: one process a core, one scene a rollout.
+
+Every rollout gets a scene of its own, so what it gives does not depend on the others, on their order or on
+the number of processes.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_core.rigs import Rig
+from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene import build_scene
+from sim_core.simulate import Trace, simulate
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """One rollout to be made: as the arguments of :func:`sim_core.simulate.simulate`.
+
+    ``poses``: by end effector. ``times``: of the steps [s] ``(n,)``. ``refine``: factor on cells in each direction.
+    """
+
+    rig: Rig
+    poses: Mapping[str, PoseTrajectory]
+    times: np.ndarray
+    refine: int = 1
+
+
+def simulate_batch(
+    rollouts: Sequence[Rollout], *, workers: int | None = None, on_done: Callable[[int, int], None] | None = None
+) -> list[Trace]:
+    """Traces of all rollouts, in their order, from ``workers`` processes (default: one a core).
+
+    ``on_done(done, total)`` is called as each trace arrives in that order. The first rollout that fails ends the
+    batch with its error. Call it under ``if __name__ == "__main__"``: processes are started afresh.
+    """
+    if not rollouts:
+        return []
+    count = min(workers or os.cpu_count() or 1, len(rollouts))
+    traces = []
+    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), leave_interrupts_to_parent) as pool:
+        futures = [pool.submit(_run, rollout) for rollout in rollouts]
+        try:
+            for future in futures:
+                traces.append(future.result())
+                if on_done is not None:
+                    on_done(len(traces), len(rollouts))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return traces
+
+
+def leave_interrupts_to_parent() -> None:
+    """Start of a worker process: Ctrl-C is for the parent to deal with."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run(rollout: Rollout) -> Trace:
+    return simulate(build_scene(rollout.rig, rollout.refine), rollout.poses, rollout.times)

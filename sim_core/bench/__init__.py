@@ -1,0 +1,7 @@
+"""How fast this machine simulates, as figures anyone can print again with ``thinshell bench``."""
+
+from sim_core.bench.forming import Benchmark, measure, measure_side_by_side
+from sim_core.bench.report import run_benchmarks
+from sim_core.bench.scale import Scaling, measure_scaling
+
+__all__ = ["Benchmark", "Scaling", "measure", "measure_scaling", "measure_side_by_side", "run_benchmarks"]

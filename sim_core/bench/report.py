@@ -1,0 +1,59 @@
+"""The figures as text or as JSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+from sim_core.bench.forming import Benchmark, measure, measure_side_by_side
+from sim_core.bench.scale import Scaling, measure_scaling
+
+
+def run_benchmarks(as_json: bool = False, quick: bool = False) -> str:
+    """Measure, and say it. ``quick``: the forming rig in one process only."""
+    forming = measure()
+    if quick:
+        return json.dumps(asdict(forming), indent=2) if as_json else "\n".join(forming_lines(forming))
+    processes, together = measure_side_by_side()
+    scaling = measure_scaling()
+    if as_json:
+        batch = {"processes": processes, "steps_per_s": together}
+        return json.dumps({**asdict(forming), "side_by_side": batch, "scaling": asdict(scaling)}, indent=2)
+    side = f"{processes} processes side by side: {together:.1f} steps/s together"
+    return "\n".join([*forming_lines(forming), "", side, "", *scaling_lines(scaling)])
+
+
+def forming_lines(found: Benchmark) -> list[str]:
+    lines = [
+        f"{found.rig}: {found.unknowns} unknowns, {found.steps} steps of which {found.contact_steps} in contact "
+        f"(at most {found.most_contacts} points), all converged",
+        f"{found.steps_per_s:.1f} steps/s ({found.cpu_steps_per_s:.1f} per second of CPU); a step takes "
+        f"{found.iterations_per_step:.1f} Newton iterations and {found.factorisations_per_step:.1f} factorisations",
+        f"start-up: {found.build_s:.1f} s to build the scene, {found.settle_s:.1f} s to the first equilibrium",
+        f"on {found.machine}, {found.cores} cores (one used), Python {found.python}",
+        "",
+        f"{'part':<36}{'ms/step':>9}{'share':>8}",
+    ]
+    for part, seconds in found.parts_s.items():
+        lines.append(f"{part:<36}{1e3 * seconds / found.steps:>9.2f}{seconds / found.wall_s:>8.1%}")
+    return lines
+
+
+def scaling_lines(found: Scaling) -> list[str]:
+    lines = [
+        f"ball on a card, one core: processor time of a step ~ unknowns^{found.exponent:.2f}",
+        f"{'unknowns':>9}{'s/step':>9}{'CPU s':>9}{'steps/s':>9}{'its':>6}{'fact.':>6}{'points':>8}{'peak MB':>9}",
+    ]
+    for size in found.sizes:
+        line = (
+            f"{size.unknowns:>9}{size.step_s:>9.3f}{size.cpu_step_s:>9.3f}{1.0 / size.step_s:>9.2f}"
+            f"{size.iterations_per_step:>6.1f}{size.factorisations_per_step:>6.1f}{size.contacts:>8}"
+            f"{size.peak_memory_mb:>9.0f}"
+        )
+        if size.published is not None:
+            theirs = size.published.steps_per_s
+            times = 1.0 / (size.step_s * theirs)
+            line += f"  {size.published.name}: {theirs:g} steps/s, here {times:.2g} times as many"
+        lines.append(line)
+    lines.append("Published: on their authors' machines, with their scenes; only the number of unknowns is the same.")
+    return lines

@@ -1,0 +1,348 @@
+"""Kernels of :mod:`sim_core.energies.neo_hookean`: strain, energy, forces, Hessian as it is and made positive."""
+
+import taichi as ti
+
+from sim_core.energies.projection import negative_modes
+from sim_core.kernels import F1, F2, F3, I2, mat3, vec3
+
+HISTORY_J = 0.1
+"""S_dev grows like 1/J; the memory of a point crushed below this J is taken as if it were at this J."""
+
+REGULAR_J = 0.05
+"""Least J at all points of an element for which its Hessian is formed with a division by J."""
+
+# Places in the array of constants that the kernels read.
+MU, BULK, OWN, SHARE, RELAXING = range(5)
+
+
+@ti.func
+def _displacement_gradient(x: ti.template(), rest: ti.template(), tets: ti.template(), grad: ti.template(), p):
+    """G = F - 1 at quadrature point ``p``, from displacements so that small strains keep their digits."""
+    g = mat3(0.0)
+    for a in range(10):
+        n = tets[p // 4, a]
+        for i in ti.static(range(3)):
+            u = x[n, i] - rest[n, i]
+            for j in ti.static(range(3)):
+                g[i, j] += u * grad[p, a, j]
+    return g
+
+
+@ti.func
+def _cofactor(f: mat3):
+    c = mat3(0.0)
+    for i, j in ti.static(ti.ndrange(3, 3)):
+        i1, i2, j1, j2 = ti.static((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3)
+        c[i, j] = f[i1, j1] * f[i2, j2] - f[i1, j2] * f[i2, j1]
+    return c
+
+
+@ti.func
+def _bilinear(g: mat3):
+    """det(1 + G) - 1 - tr G, computed without cancellation."""
+    return _cofactor(g).trace() + g.determinant()
+
+
+@ti.func
+def _memory(history: ti.template(), p):
+    """H at quadrature point ``p`` from its components 11, 22, 33, 23, 13, 12."""
+    return mat3(
+        [history[p, 0], history[p, 5], history[p, 4]],
+        [history[p, 5], history[p, 1], history[p, 3]],
+        [history[p, 4], history[p, 3], history[p, 2]],
+    )
+
+
+@ti.kernel
+def deform(x: F2, rest: F2, tets: I2, grad: F3, weight: F2, constants: F1, deformation: F3, dilatation: F1):
+    """G at each quadrature point, and the J - 1 that the bulk modulus sees there."""
+    own = constants[OWN]
+    ti.loop_config(serialize=True)
+    for e in range(tets.shape[0]):
+        mean, whole = 0.0, 0.0
+        for q in range(4):
+            p = 4 * e + q
+            g = _displacement_gradient(x, rest, tets, grad, p)
+            for i, j in ti.static(ti.ndrange(3, 3)):
+                deformation[p, i, j] = g[i, j]
+            dilatation[p] = g.trace() + _bilinear(g)
+            mean += weight[e, q] * dilatation[p]
+            whole += weight[e, q]
+        for q in range(4):
+            dilatation[4 * e + q] = own * dilatation[4 * e + q] + (1.0 - own) * mean / whole
+
+
+@ti.func
+def _load(deformation: ti.template(), p):
+    g = mat3(0.0)
+    for i, j in ti.static(ti.ndrange(3, 3)):
+        g[i, j] = deformation[p, i, j]
+    return g
+
+
+@ti.kernel
+def add_energy(deformation: F3, dilatation: F1, history: F2, weight: F2, constants: F1, out: F1):
+    mu, bulk, share = constants[MU], constants[BULK], constants[SHARE]
+    ti.loop_config(serialize=True)
+    for e in range(weight.shape[0]):
+        total = 0.0
+        for q in range(4):
+            p = 4 * e + q
+            g = _load(deformation, p)
+            bilinear = _bilinear(g)
+            theta = g.trace() + bilinear
+            density = share * mu * (0.5 * g.norm_sqr() - bilinear + theta * theta / 6.0)
+            density += 0.5 * bulk * dilatation[p] * theta
+            if constants[RELAXING] > 0.0:
+                strain = g + g.transpose() + g.transpose() @ g
+                density += 0.5 * (_memory(history, p) * strain).sum()
+            total += weight[e, q] * density
+        out[0] = out[0] + total
+
+
+@ti.kernel
+def add_gradient(deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, constants: F1, out: F2):
+    mu, bulk, share = constants[MU], constants[BULK], constants[SHARE]
+    one = ti.Matrix.identity(ti.f64, 3)
+    ti.loop_config(serialize=True)
+    for p in range(grad.shape[0]):
+        g = _load(deformation, p)
+        f = one + g
+        cof_g = _cofactor(g)
+        theta = g.trace() + cof_g.trace() + g.determinant()
+        # F - cof F = G + G^T - tr(G) 1 - cof G, which is small when G is.
+        stress = share * mu * (g + g.transpose() - g.trace() * one - cof_g)
+        stress += (share * mu / 3.0 * theta + bulk * dilatation[p]) * _cofactor(f)
+        if constants[RELAXING] > 0.0:
+            stress += f @ _memory(history, p)
+        stress *= weight[p // 4, p % 4]
+        for a in range(10):
+            n = tets[p // 4, a]
+            for i in ti.static(range(3)):
+                force = stress[i, 0] * grad[p, a, 0] + stress[i, 1] * grad[p, a, 1] + stress[i, 2] * grad[p, a, 2]
+                out[n, i] = out[n, i] + force
+
+
+@ti.kernel
+def projected_tangent(deformation: F3, dilatation: F1, history: F2, constants: F1, modes: F2, out: F3):
+    """Second derivative of the energy density by F (row by row) at each quadrature point [Pa].
+
+    alpha 1(x)1 + 1(x)H + f'' dJ(x)dJ + f' d2J, less its negative eigenvalues.
+    """
+    mu, bulk, share = constants[MU], constants[BULK], constants[SHARE]
+    ti.loop_config(serialize=True)
+    for p in range(deformation.shape[0]):
+        g = _load(deformation, p)
+        f = ti.Matrix.identity(ti.f64, 3) + g
+        cof = _cofactor(f)
+        alpha = share * mu
+        slope = share * mu * ((g.trace() + _bilinear(g)) / 3.0 - 1.0) + bulk * dilatation[p]
+        curvature = share * mu / 3.0 + bulk * constants[OWN]
+        memory = mat3(0.0)
+        if constants[RELAXING] > 0.0:
+            memory = _memory(history, p)
+        for i in range(3):
+            for k in range(3):
+                # Block (i, k) of d2J is the skew matrix of row m of F, with the sign of (i, k, m).
+                m = (6 - i - k) % 3
+                turn = slope * (k - i) * (m - i) * (m - k) * 0.5
+                same = ti.select(i == k, 1.0, 0.0)
+                for j, n in ti.static(ti.ndrange(3, 3)):
+                    value = curvature * cof[i, j] * cof[k, n] + same * memory[j, n]
+                    if ti.static(j == n):
+                        value += same * alpha
+                    else:
+                        value += turn * ti.static((n - j) * (3 - n - 2 * j) * (3 - 2 * n - j) // 2) * f[m, 3 - j - n]
+                    out[p, 3 * i + j, 3 * k + n] = value
+        negative_modes(modes, f, alpha, slope, curvature, memory, constants[RELAXING] > 0.0)
+        for m in range(9):
+            if modes[m, 9] < 0.0:
+                mode = ti.Vector.zero(ti.f64, 9)
+                for c in ti.static(range(9)):
+                    mode[c] = modes[m, c]
+                for r in range(9):
+                    factor = modes[m, 9] * modes[m, r]
+                    for c in ti.static(range(9)):
+                        out[p, r, c] = out[p, r, c] - factor * mode[c]
+
+
+@ti.kernel
+def add_projected(
+    tangent: F3,
+    deformation: F3,
+    grad: F3,
+    weight: F2,
+    constants: F1,
+    slots: I2,
+    columns: F2,
+    volume: F1,
+    local: F1,
+    out: F1,
+):
+    """Add w B^T tangent B of each element, and of its mean dilatation, to the kept entries."""
+    ti.loop_config(serialize=True)
+    for e in range(weight.shape[0]):
+        for q in range(4):
+            p = 4 * e + q
+            for r in range(9):
+                row = ti.Vector.zero(ti.f64, 9)
+                for c in ti.static(range(9)):
+                    row[c] = weight[e, q] * tangent[p, r, c]
+                for b in range(10):
+                    b0, b1, b2 = grad[p, b, 0], grad[p, b, 1], grad[p, b, 2]
+                    for k in ti.static(range(3)):
+                        columns[3 * b + k, 9 * q + r] = row[3 * k] * b0 + row[3 * k + 1] * b1 + row[3 * k + 2] * b2
+        for c in range(30):
+            volume[c] = 0.0
+        whole = 0.0
+        for q in range(4):
+            p = 4 * e + q
+            cof = _cofactor(ti.Matrix.identity(ti.f64, 3) + _load(deformation, p)) * weight[e, q]
+            whole += weight[e, q]
+            for a in range(10):
+                for i in ti.static(range(3)):
+                    v = cof[i, 0] * grad[p, a, 0] + cof[i, 1] * grad[p, a, 1] + cof[i, 2] * grad[p, a, 2]
+                    volume[3 * a + i] = volume[3 * a + i] + v
+        stiffness = (1.0 - constants[OWN]) * constants[BULK] / whole
+        for a in range(10):
+            ga = ti.Matrix.zero(ti.f64, 4, 3)
+            for q, j in ti.static(ti.ndrange(4, 3)):
+                ga[q, j] = grad[4 * e + q, a, j]
+            va = stiffness * vec3(volume[3 * a], volume[3 * a + 1], volume[3 * a + 2])
+            for c in range(3 * a, 30):
+                entry = va * volume[c]
+                for q in ti.static(range(4)):
+                    for i, j in ti.static(ti.ndrange(3, 3)):
+                        entry[i] += ga[q, j] * columns[c, 9 * q + 3 * i + j]
+                for i in ti.static(range(3)):
+                    local[30 * (3 * a + i) + c] = entry[i]
+        block = 0
+        for a in range(10):
+            for b in range(a, 10):
+                for i, k in ti.static(ti.ndrange(3, 3)):
+                    at = slots[e, 9 * block + 3 * i + k]
+                    if at >= 0:
+                        out[at] = out[at] + local[90 * a + 30 * i + 3 * b + k]
+                block += 1
+
+
+@ti.kernel
+def isotropic(history: F2, grad: F3, weight: F2, constants: F1, out: F2):
+    """Part of each block (a <= b) of an element's Hessian that is a multiple of 1: alpha ga.gb + ga.H gb [N/m].
+
+    It does not depend on the positions, so it is kept until parameters or memory change.
+    """
+    alpha = constants[SHARE] * constants[MU]
+    ti.loop_config(serialize=True)
+    for e in range(weight.shape[0]):
+        block = 0
+        for a in range(10):
+            for b in range(a, 10):
+                total = 0.0
+                for q in ti.static(range(4)):
+                    p = 4 * e + q
+                    ga = vec3(grad[p, a, 0], grad[p, a, 1], grad[p, a, 2])
+                    gb = vec3(grad[p, b, 0], grad[p, b, 1], grad[p, b, 2])
+                    value = alpha * ga.dot(gb)
+                    if constants[RELAXING] > 0.0:
+                        value += ga.dot(_memory(history, p) @ gb)
+                    total += weight[e, q] * value
+                out[e, block] = total
+                block += 1
+
+
+@ti.kernel
+def exact_hessian(
+    deformation: F3, dilatation: F1, grad: F3, weight: F2, constants: F1, isotropic_part: F2, slots: I2,
+    volume: F2, out: F1,
+):  # fmt: skip
+    """Add the unprojected Hessian of each element, block by block, to the kept entries.
+
+    With v_a = cof(F) g_a the block of J's second derivative is the skew matrix of F (g_a x g_b) = v_a x v_b / J.
+    ``slots``: place of each entry of each block a <= b, -1 where nobody needs it; ``volume``: scratch, v_a at the
+    four points and its mean.
+    """
+    mu, bulk, share = constants[MU], constants[BULK], constants[SHARE]
+    ti.loop_config(serialize=True)
+    for e in range(weight.shape[0]):
+        curvature = ti.Vector.zero(ti.f64, 5)
+        twist = ti.Vector.zero(ti.f64, 4)
+        whole, least = 0.0, REGULAR_J
+        for c in range(30):
+            volume[4, c] = 0.0
+        for q in ti.static(range(4)):
+            p = 4 * e + q
+            g = _load(deformation, p)
+            cof = _cofactor(ti.Matrix.identity(ti.f64, 3) + g)
+            theta = g.trace() + _bilinear(g)
+            least = ti.min(least, 1.0 + theta)
+            curvature[q] = weight[e, q] * (share * mu / 3.0 + bulk * constants[OWN])
+            twist[q] = weight[e, q] * (share * mu * (theta / 3.0 - 1.0) + bulk * dilatation[p])
+            whole += weight[e, q]
+            for a in range(10):
+                v = cof @ vec3(grad[p, a, 0], grad[p, a, 1], grad[p, a, 2])
+                for i in ti.static(range(3)):
+                    volume[q, 3 * a + i] = v[i]
+                    volume[4, 3 * a + i] += weight[e, q] * v[i]
+        regular = least >= REGULAR_J
+        if regular:
+            for q in ti.static(range(4)):
+                p = 4 * e + q
+                g = _load(deformation, p)
+                twist[q] /= 1.0 + g.trace() + _bilinear(g)
+        curvature[4] = (1.0 - constants[OWN]) * bulk / whole
+        block = 0
+        for a in range(10):
+            for b in range(a, 10):
+                m = mat3(0.0)
+                w = vec3(0.0)
+                for q in ti.static(range(5)):
+                    va = vec3(volume[q, 3 * a], volume[q, 3 * a + 1], volume[q, 3 * a + 2])
+                    vb = vec3(volume[q, 3 * b], volume[q, 3 * b + 1], volume[q, 3 * b + 2])
+                    scaled = curvature[q] * va
+                    for i, k in ti.static(ti.ndrange(3, 3)):
+                        m[i, k] += scaled[i] * vb[k]
+                    if ti.static(q < 4):
+                        if regular:
+                            w += twist[q] * va.cross(vb)
+                if not regular:
+                    w = _twist(deformation, grad, twist, e, a, b)
+                for i in ti.static(range(3)):
+                    m[i, i] += isotropic_part[e, block]
+                    j, k = ti.static((i + 1) % 3, (i + 2) % 3)
+                    m[j, k] += w[i]
+                    m[k, j] -= w[i]
+                for i, k in ti.static(ti.ndrange(3, 3)):
+                    at = slots[e, 9 * block + 3 * i + k]
+                    if at >= 0:
+                        out[at] = out[at] + m[i, k]
+                block += 1
+
+
+@ti.func
+def _twist(deformation: ti.template(), grad: ti.template(), twist, e, a, b):
+    """Sum of f' F (g_a x g_b) over the points of an element that is crushed or inside out."""
+    w = vec3(0.0)
+    for q in ti.static(range(4)):
+        p = 4 * e + q
+        ga = vec3(grad[p, a, 0], grad[p, a, 1], grad[p, a, 2])
+        gb = vec3(grad[p, b, 0], grad[p, b, 1], grad[p, b, 2])
+        w += twist[q] * ((ti.Matrix.identity(ti.f64, 3) + _load(deformation, p)) @ ga.cross(gb))
+    return w
+
+
+@ti.kernel
+def deviatoric_stress(deformation: F3, constants: F1, out: F2):
+    """S_dev = mu 1 + (-mu + mu/3 (J - 1)) cof(C) / J."""
+    mu = constants[MU]
+    one = ti.Matrix.identity(ti.f64, 3)
+    ti.loop_config(serialize=True)
+    for p in range(deformation.shape[0]):
+        g = _load(deformation, p)
+        theta = g.trace() + _bilinear(g)
+        f = one + g
+        cof = _cofactor(f)
+        factor = mu * (theta / 3.0 - 1.0) / ti.max(1.0 + theta, HISTORY_J)
+        s = mu * one + factor * (cof.transpose() @ cof)
+        for k, i, j in ti.static(((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 1, 2), (4, 0, 2), (5, 0, 1))):
+            out[p, k] = s[i, j]

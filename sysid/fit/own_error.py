@@ -1,0 +1,145 @@
+"""Fits beside the simulator's own error, which is measured by refinement where the fit stands.
+
+The error of mesh and time step depends on the parameters, and the best parameters on what is taken for
+error, so both are found in turns: measure at theta_k, fit, measure at theta_{k+1}. Such turns creep where
+the two resemble each other (a coarse gel slides later, so does one with more friction). The change of the
+error with the parameters is therefore learnt on the way by Broyden's rank-one update (Broyden 1965),
+
+    D <- D + (d(theta_{k+1}) - d(theta_k) - D s) v^T / (v^T s),    s = theta_{k+1} - theta_k,  v = J^T J s,
+
+in the metric of the data, and the fit uses d(theta) = d(theta_k) + D (theta - theta_k).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import replace
+
+import numpy as np
+
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig
+from sysid.fit.directions import Direction
+from sysid.fit.engine import Prediction
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.parameters import FitParameter, rig_at, start_of
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Fitted, Problem
+from sysid.fit.runs import Run
+from sysid.fit.uncertainty import uncertainty
+
+MOST_ROUNDS = 6
+"""Times that the error is measured and the fit repeated."""
+
+SETTLED = 0.5
+"""Rounds end when no parameter has moved by this many standard deviations."""
+
+Search = Callable[[Problem, np.ndarray], Fitted]
+"""A search for the minimum of a problem from given scaled values."""
+
+
+def discretisation(engine: PooledEngine, rig: Rig, runs: Sequence[Run]) -> list[Direction]:
+    """How the predictions change when the mesh, and when the time step, is refined once.
+
+    The true error is about 4/3 (mesh, order two) and twice (step, order one) of these differences; the
+    directions are scaled accordingly. Raises ``ThinshellError`` where a refined simulation fails.
+    """
+    plain = [engine.submit(rig, run) for run in runs]
+    fine = [engine.submit(rig, run, 2) for run in runs]
+    short = [engine.submit(rig, run, 1, 0.5 * rig.solver.dt_s) for run in runs]
+    base = [_outcome(f, run, "as it is") for f, run in zip(plain, runs, strict=True)]
+    finer = [_outcome(f, run, "on a finer mesh") for f, run in zip(fine, runs, strict=True)]
+    shorter = [_outcome(f, run, "with half the time step") for f, run in zip(short, runs, strict=True)]
+    return [
+        Direction("mesh", tuple(_difference(f, b, 4.0 / 3.0) for f, b in zip(finer, base, strict=True))),
+        Direction("time step", tuple(_difference(s, b, 2.0) for s, b in zip(shorter, base, strict=True))),
+    ]
+
+
+def _outcome(future: Future[Prediction], run: Run, how: str) -> Prediction:
+    """The prediction; a failure says what it was for."""
+    try:
+        return future.result()
+    except ThinshellError as error:
+        raise type(error)(
+            f"While measuring the error of mesh and time step, {run.name} could not be simulated {how}: "
+            f"{error.problem}",
+            error.remedy,
+        ) from error
+
+
+def _difference(refined: Prediction, base: Prediction, factor: float) -> dict[str, np.ndarray]:
+    return {c: factor * np.nan_to_num(refined.values[c] - v) for c, v in base.values.items()}
+
+
+def fit_beside_own_error(
+    engine: PooledEngine,
+    runs: Sequence[Run],
+    noise: dict[str, ChannelNoise],
+    rig: Rig,
+    parameters: Sequence[FitParameter],
+    *,
+    start: np.ndarray | None = None,
+    prior: bool = False,
+    rounds: int = MOST_ROUNDS,
+    search: Search | None = None,
+) -> tuple[Problem, Fitted]:
+    """Fit ``parameters`` of ``rig``; the problem holds the own error measured at the solution.
+
+    ``Fitted.converged`` is false, and its message says so, when the rounds ended before both settled.
+    Ctrl-C keeps the best so far.
+    """
+    scaled = start_of(rig, parameters) if start is None else np.asarray(start, dtype=float)
+    look = search or (lambda problem, at: problem.fit(rig, parameters, start=at))
+    directions = discretisation(engine, rig_at(rig, parameters, scaled), runs)
+    evaluations, seconds, settled = 0, 0.0, False
+    for _ in range(rounds):
+        problem = Problem(runs, noise, engine, directions, prior)
+        fitted = look(problem, scaled)
+        evaluations += fitted.evaluations
+        seconds += fitted.seconds
+        if fitted.interrupted:
+            return problem, _counted(fitted, evaluations, seconds)
+        step = fitted.scaled - scaled
+        try:
+            measured = discretisation(engine, fitted.rig, runs)
+        except KeyboardInterrupt:
+            fitted.message, fitted.converged = "interrupted; the best values so far are kept", False
+            return problem, _counted(fitted, evaluations, seconds)
+        settled = bool(np.all(np.abs(step) <= SETTLED * uncertainty(fitted).sd))
+        scaled = fitted.scaled
+        if settled:
+            break
+        directions = [_learnt(old, new, step, fitted) for old, new in zip(directions, measured, strict=True)]
+    problem = Problem(runs, noise, engine, measured, prior)
+    final = problem.evaluate(rig, parameters, scaled)
+    final.message, final.converged = fitted.message, fitted.converged and settled
+    if fitted.converged and not settled:
+        final.message = (
+            f"the error of mesh and time step still changed with the parameters after {rounds} rounds; a finer "
+            "mesh (cells) or a shorter step (solver.dt_s) makes it smaller"
+        )
+    return problem, _counted(final, evaluations, seconds)
+
+
+def _learnt(old: Direction, new: Direction, step: np.ndarray, fitted: Fitted) -> Direction:
+    """The newly measured direction with what the step has taught of its slope.
+
+    A step that changes no reading teaches nothing; the direction is then as measured.
+    """
+    metric = fitted.jacobian.T @ (fitted.jacobian @ step)
+    length = float(metric @ step)
+    if not (np.isfinite(length) and length > 0.0):
+        return new
+    weight = metric / length
+    slopes = []
+    for i, (before, after) in enumerate(zip(old.shapes, new.shapes, strict=True)):
+        known = old.slopes[i] if old.slopes else {c: np.zeros((*a.shape, len(step))) for c, a in after.items()}
+        slopes.append({c: known[c] + (a - before[c] - known[c] @ step)[:, :, None] * weight for c, a in after.items()})
+    return replace(new, slopes=tuple(slopes), at=fitted.scaled)
+
+
+def _counted(fitted: Fitted, evaluations: int, seconds: float) -> Fitted:
+    fitted.evaluations, fitted.seconds = evaluations, seconds
+    return fitted

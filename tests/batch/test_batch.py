@@ -1,0 +1,38 @@
+import numpy as np
+import pytest
+
+from sim_core.batch import Rollout, simulate_batch
+from sim_core.errors import ConvergenceError
+from sim_core.rigs import with_parameters
+from sim_core.scene import build_scene
+from sim_core.simulate import simulate, step_times
+
+RUB = [0.0, 0.2, 0.4], [[0.0, 0.0, 0.0], [0.0, 0.0, -0.006], [0.002, 0.0, -0.006]]
+"""The finger comes down on the card and moves along it."""
+
+
+def rollouts(small_rig, visit):
+    rig, poses, times = small_rig(), visit(*RUB), step_times(0.0, 0.4, 0.02)
+    return [Rollout(with_parameters(rig, {"gel.E_pa": e}), poses, times) for e in (1e5, 1.3e5, 1.6e5)]
+
+
+def test_a_batch_gives_what_single_rollouts_give_bit_for_bit_and_in_order(small_rig, visit):
+    jobs, done = rollouts(small_rig, visit), []
+    traces = simulate_batch(jobs, workers=2, on_done=lambda k, n: done.append((k, n)))
+    assert done == [(1, 3), (2, 3), (3, 3)]
+    for job, trace in zip(jobs, traces, strict=True):
+        alone = simulate(build_scene(job.rig), job.poses, job.times)
+        assert all(np.array_equal(trace.outputs[c], alone.outputs[c]) for c in alone.outputs)
+    soft, hard = (trace.outputs["wrench"] for trace in (traces[0], traces[-1]))
+    assert np.abs(soft - hard).max() > 1e-5
+
+
+def test_the_first_failure_is_that_of_the_batch(small_rig, visit):
+    jobs = rollouts(small_rig, visit)
+    broken = Rollout(jobs[1].rig, jobs[1].poses, np.array([0.0, np.nan]))
+    with pytest.raises((ConvergenceError, ValueError)):
+        simulate_batch([jobs[0], broken], workers=1)
+
+
+def test_an_empty_batch_starts_no_process():
+    assert simulate_batch([]) == []

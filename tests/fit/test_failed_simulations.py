@@ -1,0 +1,87 @@
+"""Values at which a rig cannot be simulated: the search goes around them, and what was found is kept."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sim_core.errors import ConvergenceError
+from sim_core.simulate import Trace
+from sysid.fit.engine import Prediction
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.own_error import discretisation
+from sysid.fit.parameters import FitParameter
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Problem
+from sysid.fit.runs import Measured, Run
+
+T = np.linspace(0.0, 1.0, 40)
+X = FitParameter("x", "-", False, -50.0, 50.0, 5.0, "")
+TRUTH = 2.0
+
+
+def run_of(name: str = "run") -> Run:
+    """A recording of exp(x) t."""
+    gauge = Measured("gauge", "markers", T, np.exp(TRUTH) * T[:, None], ("u",))
+    return Run(name, "", (), {}, (gauge,), 1.0)
+
+
+class Stub:
+    """Stands for a rig: the step of its solver."""
+
+    class Solver:
+        dt_s = 0.01
+
+    solver = Solver()
+
+
+class Exponential:
+    """An engine that reads exp(x) t, and fails beyond ``limit``."""
+
+    def __init__(self, limit: float) -> None:
+        self.limit = limit
+        self.failed = 0
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        x = float(scaled[0])
+        if x > self.limit:
+            self.failed += 1
+            raise ConvergenceError("The step does not converge.")
+        values = np.exp(x) * T[:, None]
+        return [Prediction({"gauge": values}, {"gauge": values[:, :, None]}, cast(Trace, None)) for _ in runs]
+
+
+@pytest.fixture
+def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sysid.fit.problem.rig_at", lambda rig, parameters, scaled: rig)
+
+
+def test_a_failure_is_worse_than_a_start_with_a_large_misfit(stubs: None) -> None:
+    # At the start every whitened residual is far above any fixed charge for a failure.
+    engine = Exponential(limit=2.5)
+    problem = Problem([run_of()], {"gauge": ChannelNoise(np.array([1e-9]), 0.0, "test")}, cast(PooledEngine, engine))
+    fitted = problem.fit(cast(Any, Stub()), [X], start=np.array([-3.0]), max_evaluations=60)
+    assert engine.failed > 0
+    assert fitted.converged, fitted.message
+    assert fitted.scaled[0] == pytest.approx(TRUTH, abs=1e-6)
+
+
+class Brittle:
+    """An engine whose refined simulations fail."""
+
+    def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        future: Future[Prediction] = Future()
+        if refine > 1:
+            future.set_exception(ConvergenceError("The step does not converge.", "Shorten solver.dt_s."))
+        else:
+            future.set_result(Prediction({"gauge": np.zeros((len(T), 1))}, {}, cast(Trace, None)))
+        return future
+
+
+def test_a_failed_refinement_says_what_it_was_for() -> None:
+    said = r"error of mesh and time step, pull could not .* finer mesh: The step does not converge\. Shorten solver"
+    with pytest.raises(ConvergenceError, match=said):
+        discretisation(cast(PooledEngine, Brittle()), cast(Any, Stub()), [run_of("pull")])

@@ -1,0 +1,109 @@
+"""Fits of which a part is missing: a held-out recording that fails, points that are predicted out of sight."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sim_core.errors import ConvergenceError
+from sim_core.simulate import Trace
+from sysid.fit import fit
+from sysid.fit.engine import Prediction
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Problem
+from sysid.fit.runs import Measured, Run
+from sysid.report import write_fit_report
+
+T = np.linspace(0.0, 1.0, 60)
+TRUTH = 1.5e5
+
+
+def column(young: float) -> np.ndarray:
+    return np.log(young) * np.sin(6.0 * T)[:, None]
+
+
+class Readings:
+    """An engine that reads log(E) of the gel; ``broken`` runs fail, ``hidden`` channels are out of sight."""
+
+    def __init__(self, broken: str = "", hidden: str = "") -> None:
+        self.broken, self.hidden = broken, hidden
+
+    def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        future: Future[Prediction] = Future()
+        future.set_result(self._predict(run, rig.bodies["gel"].material.E_pa, 0))
+        return future
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        if any(run.name == self.broken for run in runs):
+            raise ConvergenceError("The step does not converge.", "Shorten solver.dt_s.")
+        young = float(np.exp(scaled[0])) if parameters else rig.bodies["gel"].material.E_pa
+        return [self._predict(run, young, len(parameters)) for run in runs]
+
+    def _predict(self, run: Run, young: float, p: int) -> Prediction:
+        values = {m.channel: column(young) for m in run.measured}
+        slopes = {c: np.repeat(np.sin(6.0 * T)[:, None, None], p, axis=2) for c in values}
+        if self.hidden in values:
+            values[self.hidden] = np.full_like(values[self.hidden], np.nan)
+        return Prediction(values, slopes, cast(Trace, None))
+
+
+def run_of(name: str, *channels: str) -> Run:
+    rng = np.random.default_rng(3)
+    measured = tuple(
+        Measured(c, "markers", T, column(TRUTH) + 0.01 * rng.standard_normal((len(T), 1)), ("u",)) for c in channels
+    )
+    return Run(name, name, (), {}, measured, 1.0)
+
+
+def result_of(engine: Readings, rig: Any, runs: list[Run], held_out: list[Run]) -> fit.FitResult:
+    return fit._fit_runs(cast(PooledEngine, engine), rig, runs, ["gel.E"], held_out, 0, None, None)[0]
+
+
+@pytest.fixture(autouse=True)
+def declared(monkeypatch: pytest.MonkeyPatch) -> None:
+    noise = ChannelNoise(np.array([0.01]), 0.0, "test")
+    monkeypatch.setattr(fit, "channel_noise", lambda rig, runs: {m.channel: noise for r in runs for m in r.measured})
+    monkeypatch.setattr(fit, "provenance", lambda *given: {})
+
+
+def test_a_held_out_recording_that_fails_does_not_take_the_fit_with_it(small_rig: Any) -> None:
+    held_out = [run_of("deep", "markers"), run_of("shallow", "markers")]
+    result = result_of(Readings(broken="deep"), small_rig(), [run_of("press", "markers")], held_out)
+    assert result.estimates[0].value == pytest.approx(TRUTH, rel=0.05)
+    assert [(e.run, e.held_out) for e in result.errors] == [("press", False), ("shallow", True)]
+    assert result.notes == ["deep: could not be simulated: The step does not converge. Shorten solver.dt_s."]
+
+
+def test_a_channel_that_is_predicted_out_of_sight_is_noted(small_rig: Any, tmp_path: Path) -> None:
+    result = result_of(Readings(hidden="side"), small_rig(), [run_of("press", "markers", "side")], [])
+    assert [e.channel for e in result.errors] == ["markers"]
+    assert len(result.notes) == 1 and result.notes[0].startswith("press: side: the simulated points are out of sight")
+    result.write(tmp_path / "fit.json")
+    assert json.loads((tmp_path / "fit.json").read_text())["errors"][0]["after"] < 0.02
+    assert "press" in result.table()
+    assert write_fit_report(result, tmp_path / "report.html").stat().st_size > 0
+
+
+def test_a_restart_that_cannot_be_simulated_is_left_out(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain, calls = Problem.fit, []
+
+    def once(problem: Problem, *given: Any, **more: Any) -> Any:
+        calls.append(given)
+        if len(calls) > 1:
+            raise ConvergenceError("The step does not converge.")
+        return plain(problem, *given, **more)
+
+    monkeypatch.setattr(Problem, "fit", once)
+    monkeypatch.setattr(fit, "GOOD_MISFIT", 0.0)
+    parameters = fit.fit_parameters(small_rig(), ["gel.E"])
+    noise = {"markers": ChannelNoise(np.array([0.01]), 0.0, "test")}
+    problem = Problem([run_of("press", "markers")], noise, cast(PooledEngine, Readings()))
+    found = fit._best_of_restarts(problem, small_rig(), parameters, np.array([11.0]), 0, lambda count, chi2: None)
+    assert len(calls) == 1 + fit.MOST_RESTARTS
+    assert np.exp(found.scaled[0]) == pytest.approx(TRUTH, rel=0.05)

@@ -1,0 +1,66 @@
+"""The noise of a recording, from where the hand stands still."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.fit.noise import estimate_noise, moving, quiet
+from sysid.fit.runs import Measured, Run
+
+RATE = 100.0
+
+
+def trajectory(rng: np.random.Generator, jitter: float) -> PoseTrajectory:
+    """Rest for 1 s, 20 mm in 1 s, rest for 1 s."""
+    t = np.arange(301) / RATE
+    x = 0.02 * np.clip(t - 1.0, 0.0, 1.0)
+    position = np.column_stack([x, 0 * x, 0 * x]) + jitter * rng.standard_normal((len(t), 3))
+    return PoseTrajectory(t, position, np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)))
+
+
+def coloured(rng: np.random.Generator, n: int, rho: float, sigma: float) -> np.ndarray:
+    x = np.empty((n, 6))
+    x[0] = rng.standard_normal(6)
+    for k in range(1, n):
+        x[k] = rho * x[k - 1] + np.sqrt(1.0 - rho**2) * rng.standard_normal(6)
+    return sigma * x
+
+
+def run_with(poses: PoseTrajectory, values: np.ndarray) -> Run:
+    t = np.arange(len(values)) / RATE
+    gauge = Measured("gauge", "wrench", t, values, tuple("abcdef"))
+    return Run("run", "", (), {"hand": poses}, (gauge,), float(t[-1]))
+
+
+@pytest.mark.parametrize("jitter", [0.0, 1e-6, 1e-5, 5e-5])
+def test_rest_is_found_whatever_the_noise_of_the_pose(jitter: float) -> None:
+    poses = trajectory(np.random.default_rng(1), jitter)
+    run = run_with(poses, np.zeros((301, 6)))
+    stretches = quiet(run, np.arange(301) / RATE)
+    assert len(stretches) == 2
+    assert stretches[0][0] == 0 and 80 <= stretches[0][-1] <= 100
+    assert 210 <= stretches[1][0] <= 235 and stretches[1][-1] == 300
+    spans = moving(poses)
+    assert min(s for s, _ in spans) == pytest.approx(1.0, abs=0.15)
+    assert max(e for _, e in spans) == pytest.approx(2.0, abs=0.15)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 1e-5])
+def test_level_and_colour_come_from_the_rest(jitter: float) -> None:
+    rng = np.random.default_rng(2)
+    found = []
+    for _ in range(8):
+        run = run_with(trajectory(rng, jitter), coloured(rng, 301, 0.7, 0.05))
+        found.append(estimate_noise([run], "gauge"))
+    assert np.mean([f.sigma[0] for f in found]) == pytest.approx(0.05, rel=0.12)
+    assert np.mean([f.rho for f in found]) == pytest.approx(0.7, abs=0.08)
+    assert found[0].source == "rest at the start"
+
+
+def test_readings_in_steps_have_the_noise_of_their_rounding() -> None:
+    rng = np.random.default_rng(3)
+    force = np.round(np.cumsum(0.02 * rng.standard_normal((301, 6)), axis=0), 1)
+    noise = estimate_noise([run_with(trajectory(rng, 0.0), force)], "gauge")
+    assert np.all(noise.sigma >= 0.1 / np.sqrt(12.0) - 1e-9)

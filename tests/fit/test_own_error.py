@@ -1,0 +1,182 @@
+"""The simulator's own error as a nuisance: on models with a known answer."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sim_core.simulate import Trace
+from sysid.fit import own_error
+from sysid.fit.directions import KNOTS, RIGHT_SD, Direction
+from sysid.fit.engine import Prediction
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.own_error import fit_beside_own_error
+from sysid.fit.parameters import FitParameter
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Problem
+from sysid.fit.runs import Measured, Run
+from sysid.fit.uncertainty import uncertainty
+
+T = np.linspace(0.0, 1.0, 120)
+SIGMA = 0.01
+NOISE = {"gauge": ChannelNoise(np.array([SIGMA, SIGMA]), 0.0, "test")}
+PARAMETERS = [FitParameter(n, "-", False, -50.0, 50.0, 5.0, "") for n in ("a", "b")]
+TRUTH = np.array([1.3, -0.4])
+
+
+def coarse(x: np.ndarray) -> np.ndarray:
+    """Readings of the model as it is solved."""
+    return np.column_stack([x[0] * T + x[1] * np.sin(3 * T), x[0] * np.cos(2 * T) - x[1] * T**2])
+
+
+def own(x: np.ndarray) -> np.ndarray:
+    """Its error, which changes with the parameters nearly as the readings do."""
+    return 0.7 * coarse(x - np.array([0.8, 0.1])) + 0.05 * np.column_stack([np.sin(9 * T), np.cos(7 * T)])
+
+
+def run_of(values: np.ndarray) -> Run:
+    measured = Measured("gauge", "markers", T, values, ("u", "v"))
+    return Run("run", "", (), {}, (measured,), 1.0)
+
+
+class Linear:
+    """An engine whose rigs are the parameters themselves."""
+
+    def __init__(self, error: Any = own) -> None:
+        self.error = error
+        self.refined = 0
+
+    def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        future: Future[Prediction] = Future()
+        values = coarse(rig.x)
+        if refine > 1:
+            self.refined += 1
+            values = values + 0.75 * self.error(rig.x)
+        future.set_result(Prediction({"gauge": values}, {}, cast(Trace, None)))
+        return future
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        x = scaled if len(parameters) else rig.x
+        slopes = np.stack([coarse(e) for e in np.eye(2)], axis=-1)
+        return [Prediction({"gauge": coarse(x)}, {"gauge": slopes}, cast(Trace, None)) for _ in runs]
+
+
+class Vector:
+    """Stands for a rig: its parameters, and the step of its solver."""
+
+    class Solver:
+        dt_s = 0.01
+
+    solver = Solver()
+
+    def __init__(self, x: np.ndarray) -> None:
+        self.x = np.asarray(x, dtype=float)
+
+
+@pytest.fixture
+def vectors(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("sysid.fit.problem", "sysid.fit.own_error"):
+        monkeypatch.setattr(
+            f"{module}.rig_at", lambda rig, parameters, scaled: Vector(scaled if len(scaled) else rig.x)
+        )
+        monkeypatch.setattr(f"{module}.start_of", lambda rig, parameters: rig.x)
+
+
+def measured(rng: np.random.Generator, share: float = 0.5) -> np.ndarray:
+    return coarse(TRUTH) + share * own(TRUTH) + SIGMA * rng.standard_normal((len(T), 2))
+
+
+def fit(engine: Linear, run: Run, **settings: Any) -> Any:
+    return fit_beside_own_error(
+        cast(PooledEngine, engine), [run], NOISE, cast(Any, Vector(np.zeros(2))), PARAMETERS, **settings
+    )
+
+
+def test_parameters_and_error_settle_together(vectors: None) -> None:
+    problem, fitted = fit(Linear(), run_of(measured(np.random.default_rng(0))))
+    assert fitted.converged, fitted.message
+    known = uncertainty(fitted)
+    assert np.all(np.abs(fitted.scaled - TRUTH) < 3.0 * known.sd)
+    at_truth = problem.corrected(fitted, 0, problem.runs[0].measured[0])
+    assert np.sqrt(np.mean((at_truth - problem.runs[0].measured[0].values) ** 2)) < 1.3 * SIGMA
+
+
+def test_learnt_slopes_save_rounds(vectors: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = run_of(measured(np.random.default_rng(0)))
+    quick = Linear()
+    fit(quick, run, rounds=40)
+    monkeypatch.setattr(own_error, "_learnt", lambda old, new, step, fitted: new)
+    slow = Linear()
+    fit(slow, run, rounds=40)
+    assert quick.refined < slow.refined
+
+
+def test_rounds_that_end_too_soon_are_said(vectors: None) -> None:
+    _, fitted = fit(Linear(), run_of(measured(np.random.default_rng(0))), rounds=1)
+    assert not fitted.converged
+    assert "finer mesh" in fitted.message
+
+
+def test_ctrl_c_keeps_the_best(vectors: None) -> None:
+    engine = Linear()
+    run = run_of(measured(np.random.default_rng(0)))
+    calls = 0
+
+    def search(problem: Problem, at: np.ndarray) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 2:
+            engine.predict_all = _interrupted(engine)  # type: ignore[method-assign]
+        return problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS, start=at)
+
+    _, fitted = fit(engine, run, search=search)
+    assert fitted.interrupted and not fitted.converged
+    assert np.all(np.isfinite(fitted.scaled)) and np.abs(fitted.scaled).max() > 0.1
+
+
+def _interrupted(engine: Linear) -> Any:
+    """Answers once more and is then interrupted."""
+    left = [1]
+    plain = engine.predict_all
+
+    def predict_all(*given: Any) -> list[Prediction]:
+        if not left:
+            raise KeyboardInterrupt
+        left.pop()
+        return plain(*given)
+
+    return predict_all
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(vectors: None) -> None:
+    """Errors drawn from the very prior, 300 recordings: 95 % intervals hold in 91 to 98 % of them."""
+    rng = np.random.default_rng(5)
+    shape = own(TRUTH)
+    direction = Direction("mesh", ({"gauge": shape},))
+    knots = np.linspace(0.0, 1.0, KNOTS)
+    hats = np.clip(1.0 - np.abs(T[:, None] - knots) * (KNOTS - 1), 0.0, None)
+    inside = np.zeros(2)
+    for _ in range(300):
+        drifts = [rng.standard_normal() + hats @ rng.standard_normal(KNOTS) for _ in range(3)]
+        size = 0.5 + RIGHT_SD * (drifts[0][:, None] + np.column_stack(drifts[1:]))
+        values = coarse(TRUTH) + size * shape + SIGMA * rng.standard_normal((len(T), 2))
+        problem = Problem([run_of(values)], NOISE, cast(PooledEngine, Linear()), [direction])
+        fitted = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS)
+        inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
+    assert np.all((inside > 0.91 * 300) & (inside < 0.98 * 300)), inside
+
+
+def test_derivatives_are_those_of_the_residual(vectors: None) -> None:
+    rng = np.random.default_rng(1)
+    slopes = ({"gauge": rng.standard_normal((len(T), 2, 2))},)
+    direction = Direction("mesh", ({"gauge": own(TRUTH)},), slopes=slopes, at=np.array([0.2, 0.1]))
+    problem = Problem([run_of(measured(rng))], NOISE, cast(PooledEngine, Linear()), [direction], prior=True)
+    rig = cast(Any, Vector(np.zeros(2)))
+    here = problem.evaluate(rig, PARAMETERS, TRUTH)
+    for k in range(2):
+        step = 1e-4 * np.eye(2)[k]
+        ahead, behind = (problem.evaluate(rig, PARAMETERS, TRUTH + s * step).residual for s in (1.0, -1.0))
+        assert here.jacobian[:, k] == pytest.approx((ahead - behind) / 2e-4, rel=1e-6, abs=1e-5)

@@ -1,0 +1,65 @@
+"""The scale, the width and the bounds with which each quantity is fitted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim_core.effects import EFFECTS, effect_by_name
+from sim_core.errors import ConfigError
+from sim_core.rigs import list_parameters, with_parameters
+from sysid.fit.parameters import SCALES, FitParameter, fit_parameters, start_of
+
+STIFFNESS = "contacts.gel-post.stiffness_pa_per_m"
+
+
+def test_positive_quantities_are_fitted_by_their_logarithm(small_rig: Any) -> None:
+    rig = with_parameters(small_rig(), {STIFFNESS: 1e9})
+    names = [STIFFNESS, "side.fx_px", "side.fy_px", "side.cx_px", "side.cy_px", "side.latency_s"]
+    found = fit_parameters(rig, names)
+    assert [p.log for p in found] == [True, True, True, False, False, False]
+    assert [p.prior_sd for p in found] == [2.0, 0.2, 0.2, 50.0, 50.0, 0.05]
+    assert np.isfinite([p.scaled_bounds for p in found]).all()
+    np.testing.assert_allclose(start_of(rig, found), [np.log(1e9), *np.log([1400.0] * 2), 640.0, 360.0, 0.0])
+
+
+def test_every_quantity_of_a_rig_has_a_scale(small_rig: Any) -> None:
+    quantities = {p.name.rsplit(".", 1)[1] for p in list_parameters(small_rig())}
+    assert quantities | {"scale_m_per_px"} == set(SCALES)
+    for scale in SCALES.values():
+        assert scale.lower < scale.upper and (scale.lower > 0.0 or not scale.log)
+
+
+@pytest.mark.parametrize("effect", [e.name for e in EFFECTS])
+def test_starting_values_of_effects_are_within_their_bounds(effect: str) -> None:
+    for p in effect_by_name(effect).parameters:
+        assert all(p.lower <= v <= p.upper for v in p.typical), p
+
+
+def test_a_value_outside_of_the_bounds_of_a_fit_is_an_error(small_rig: Any) -> None:
+    soft = with_parameters(small_rig(), {"gel.nu": 0.499})
+    with pytest.raises(
+        ConfigError, match=r"gel\.nu is 0\.499 in the rig 'small', above 0\.495, .* Write a value betwe"
+    ):
+        fit_parameters(soft, ["gel.nu"])
+    with pytest.raises(ConfigError, match=r"gel\.nu is 0\.499"):
+        start_of(soft, fit_parameters(small_rig(), ["gel.nu"]))
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "at"),
+    [
+        # A stiffness is not at its bound because the range spans fifteen decades.
+        (1e9, 0.1, False),
+        (1.01, 0.1, False),
+        (1.0005, 0.1, True),
+        (0.9999e15, 0.1, True),
+        (1e15 / 1.2, 20.0, True),
+        (1e9, 20.0, False),
+    ],
+)
+def test_a_bound_is_near_as_the_data_see_it(value: float, sd: float, at: bool) -> None:
+    parameter = FitParameter("k", "Pa/m", True, 1.0, 1e15, 2.0, "")
+    assert parameter.at_bound(parameter.scaled(value), sd) is at

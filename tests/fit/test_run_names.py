@@ -1,0 +1,38 @@
+"""Recordings of one name in different folders stay apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import sysid.fit.runs
+from sysid.fit.runs import Run, distinct_names, load_runs
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["x/press", "x/slide"], ["press", "slide"]),
+        (["a/bag", "b/bag"], ["a/bag", "b/bag"]),
+        (["a/bag/", "b/../b/bag", "c/other"], ["a/bag", "b/bag", "other"]),
+        (["1/a/bag", "2/a/bag", "2/b/bag"], ["1/a/bag", "2/a/bag", "b/bag"]),
+        (["/bag", "/a/bag"], ["/bag", "a/bag"]),
+        ([], []),
+    ],
+)
+def test_names_are_the_shortest_distinct_ends(paths: list[str], names: list[str]) -> None:
+    assert distinct_names([Path(p) for p in paths]) == names
+
+
+def test_a_bag_beside_its_namesake_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a").mkdir()
+    monkeypatch.chdir(tmp_path / "a")
+    assert distinct_names([Path("bag"), Path("../b/bag")]) == ["a/bag", "b/bag"]
+
+
+def test_loaded_runs_have_these_names(small_rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sysid.fit.runs, "load_run", lambda rig, p: Run(p.name, str(p), (), {}, (), 1.0))
+    runs, held_out = load_runs(small_rig(), [Path("a/bag")], [Path("b/bag"), Path("c")])
+    assert [[r.name for r in group] for group in (runs, held_out)] == [["a/bag"], ["b/bag", "c"]]
+    assert runs[0].path == "a/bag"

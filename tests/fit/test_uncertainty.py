@@ -1,0 +1,68 @@
+"""What is said of parameters that the data reach weakly, or not at all."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sysid.fit.directions import Direction
+from sysid.fit.own_error import _learnt
+from sysid.fit.parameters import FitParameter
+from sysid.fit.problem import Fitted
+from sysid.fit.uncertainty import UNDETERMINED_SHARE, WIDEST, interval, uncertainty
+
+N = 50
+
+
+def fitted(jacobian: np.ndarray, misfit: float = 1.0) -> Fitted:
+    """A fit with this whitened jacobian ``(n, p)``."""
+    parameters = [FitParameter(f"p{k}", "Pa", True, 1.0, 1e13, 2.0, "") for k in range(jacobian.shape[1])]
+    residual = misfit * np.random.default_rng(0).standard_normal(len(jacobian))
+    labels = [(0, "gauge", np.linspace(0.0, 1.0, len(jacobian)))]
+    nothing = cast(Any, None)
+    return Fitted(
+        parameters, np.full(len(parameters), 10.0), nothing, residual, jacobian, labels, [], nothing, 1, True, "", 0.0
+    )
+
+
+@pytest.mark.parametrize("misfit", [1.0, 1e4])
+@pytest.mark.parametrize("strength", [0.0, 1.0, 1e9])
+def test_a_parameter_without_influence_is_as_wide_as_its_range(strength: float, misfit: float) -> None:
+    jacobian = np.column_stack([strength * np.ones(N), np.zeros(N)])
+    fit = fitted(jacobian, misfit)
+    known = uncertainty(fit)
+    assert np.isfinite(known.sd).all() and np.isfinite(known.correlation).all()
+    assert 2.0 <= known.sd[1] <= WIDEST * 2.0
+    assert any("do not determine p1" in s for s in known.sentences)
+    assert np.isfinite(interval(fit.parameters[1], 10.0, known.sd[1])).all()
+
+
+def test_a_pair_that_cancels_is_said_to_be_known_only_together() -> None:
+    slope = np.linspace(1.0, 2.0, N)
+    known = uncertainty(fitted(1e7 * np.column_stack([slope, -slope])))
+    assert (known.sd > UNDETERMINED_SHARE * 2.0).all()
+    assert any("p0 and p1 separately, only in combination" in s for s in known.sentences)
+
+
+def test_well_determined_parameters_have_the_deviation_of_least_squares() -> None:
+    jacobian = np.random.default_rng(1).standard_normal((N, 2)) * [1e4, 30.0]
+    expected = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
+    fit = fitted(jacobian, 1e-9)
+    np.testing.assert_allclose(uncertainty(fit).sd, expected, rtol=1e-9)
+
+
+def test_a_channel_without_samples_is_left_out() -> None:
+    fit = fitted(np.ones((N, 1)))
+    fit.labels.append((0, "blind", np.zeros(0)))
+    assert np.isfinite(uncertainty(fit).sd).all()
+
+
+def test_a_step_without_influence_teaches_nothing_of_the_own_error() -> None:
+    old = Direction("mesh", ({"gauge": np.zeros((N, 1))},))
+    new = Direction("mesh", ({"gauge": np.ones((N, 1))},))
+    fit = fitted(np.column_stack([np.ones(N), np.zeros(N)]))
+    assert _learnt(old, new, np.array([0.0, 0.3]), fit) is new
+    assert _learnt(old, new, np.array([np.nan, 0.3]), fit) is new
+    assert np.isfinite(_learnt(old, new, np.array([0.2, 0.3]), fit).slopes[0]["gauge"]).all()
