@@ -1,8 +1,7 @@
 """The demonstration behind ``make demo``: simulate a gripper, record it, fit it back, compare, report.
 
-A gel finger presses and bends a card and rubs on a post. The recordings are simulated on a finer mesh with
-a shorter time step than the fit uses. Two are fitted from a start that is 30 to 60 % off, a third is only
-predicted. Run with ``python -m sysid.demo [FOLDER]``.
+A gel finger presses and bends a card and rubs on a post. Two recordings are fitted from a start that is
+30 to 60 % off, a third is only predicted. Run with ``python -m sysid.demo [FOLDER]``.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from sysid.simulate import simulate_to_bag
 
 TRUTH = {"card.E_pa": 3.1e9, "gel.E_pa": 1.6e5, "contacts.gel-post.friction": 0.55}
 START = {"card.E_pa": 2.0e9, "gel.E_pa": 2.4e5, "contacts.gel-post.friction": 0.35}
-REFINE = 2
 TRAINING = ("press_hold_release", "press_post")
 HELD_OUT = ("press_post_deeper",)
 DEFAULT = Path("out/demo")
@@ -38,8 +36,7 @@ def main(folder: Path = DEFAULT) -> int:
     for name in (*TRAINING, *HELD_OUT):
         experiment = load_experiment(name)
         with progress(f"simulate {name}") as report:
-            bag = folder / f"{name}.bag"
-            print(simulate_to_bag(truth, experiment, bag, seed=experiment.seed, refine=REFINE, on_progress=report))
+            print(simulate_to_bag(truth, experiment, folder / f"{name}.bag", seed=experiment.seed, on_progress=report))
     start = with_parameters(rig, START)
     runs, held_out = ([load_run(start, folder / f"{n}.bag") for n in names] for names in (TRAINING, HELD_OUT))
     with progress("fit") as report:
