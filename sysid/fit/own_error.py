@@ -39,16 +39,20 @@ Search = Callable[[Problem, np.ndarray], Fitted]
 """A search for the minimum of a problem from given scaled values."""
 
 
-def discretisation(engine: PooledEngine, rig: Rig, runs: Sequence[Run]) -> list[Direction]:
+def discretisation(
+    engine: PooledEngine, rig: Rig, runs: Sequence[Run], plain: Sequence[Prediction] | None = None
+) -> list[Direction]:
     """How the predictions change when the mesh, and when the time step, is refined once.
+
+    ``plain``: the predictions of ``rig`` as it is, where they are at hand.
 
     The true error is about 4/3 (mesh, order two) and twice (step, order one) of these differences; the
     directions are scaled accordingly. Raises ``ThinshellError`` where a refined simulation fails.
     """
-    plain = [engine.submit(rig, run) for run in runs]
+    pending = [engine.submit(rig, run) for run in runs] if plain is None else []
     fine = [engine.submit(rig, run, 2) for run in runs]
     short = [engine.submit(rig, run, 1, 0.5 * rig.solver.dt_s) for run in runs]
-    base = [_outcome(f, run, "as it is") for f, run in zip(plain, runs, strict=True)]
+    base = plain or [_outcome(f, run, "as it is") for f, run in zip(pending, runs, strict=True)]
     finer = [_outcome(f, run, "on a finer mesh") for f, run in zip(fine, runs, strict=True)]
     shorter = [_outcome(f, run, "with half the time step") for f, run in zip(short, runs, strict=True)]
     return [
@@ -103,7 +107,7 @@ def fit_beside_own_error(
             return problem, _counted(fitted, evaluations, seconds)
         step = fitted.scaled - scaled
         try:
-            measured = discretisation(engine, fitted.rig, runs)
+            measured = discretisation(engine, fitted.rig, runs, fitted.predictions)
         except KeyboardInterrupt:
             fitted.message, fitted.converged = "interrupted; the best values so far are kept", False
             return problem, _counted(fitted, evaluations, seconds)

@@ -224,7 +224,7 @@ def empty_diagnosis() -> Diagnosis:
     trial = Trial(EFFECTS[0], tried, 1.0, 0.0, left, None)
     check = Problem([], noise, cast(Engine, None))
     verdict = Verdict("nothing_missing", ())
-    return _collect(rig, problem, check, base, None, verdict, [trial], left, {})
+    return _collect(rig, problem, check, base, None, None, verdict, [trial], left, {})
 
 
 def test_the_examples_have_the_keys_of_real_diagnoses(tmp_path: Path) -> None:
