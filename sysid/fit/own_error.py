@@ -22,7 +22,7 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.directions import Direction
 from sysid.fit.engine import Prediction
-from sysid.fit.noise import ChannelNoise
+from sysid.fit.noise import ChannelNoise, quantities
 from sysid.fit.parameters import FitParameter, rig_at, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Fitted, Problem
@@ -34,6 +34,9 @@ MOST_ROUNDS = 6
 
 SETTLED = 0.5
 """Rounds end when no parameter has moved by this many standard deviations."""
+
+LOUD = 10.0
+"""Error of mesh and time step over noise from which a result says that it rests on that error."""
 
 Search = Callable[[Problem, np.ndarray], Fitted]
 """A search for the minimum of a problem from given scaled values."""
@@ -125,6 +128,27 @@ def fit_beside_own_error(
             "mesh (cells) or a shorter step (solver.dt_s) makes it smaller"
         )
     return problem, _counted(final, evaluations, seconds)
+
+
+def loud(problem: Problem) -> list[str]:
+    """A sentence for each quantity in which the error of mesh and time step is far above the noise."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            noise = problem.noise[m.channel].sigma
+            whole = np.sum([d.shapes[i].get(m.channel, 0.0 * m.values) for d in problem.directions], axis=0)
+            relative = np.where(np.isfinite(m.values), whole / noise, np.nan)
+            for quantity, group in quantities(m):
+                if np.isfinite(relative[:, group]).any():
+                    ratio = float(np.sqrt(np.nanmean(relative[:, group] ** 2)))
+                    found.setdefault((m.channel, quantity), []).append(ratio)
+    return [
+        f"The error of mesh and time step in the {quantity} of {channel} is about {max(ratios):.0f} times the noise. "
+        "Intervals rest on what one refinement shows of it and may be too narrow: use finer cells or a shorter "
+        "solver.dt_s."
+        for (channel, quantity), ratios in found.items()
+        if max(ratios) > LOUD
+    ]
 
 
 def _learnt(old: Direction, new: Direction, step: np.ndarray, fitted: Fitted) -> Direction:

@@ -103,7 +103,7 @@ class FitResult:
                 f"{run:<{wide}}{c.channel + ' ' + c.quantity:<22}{c.before:>11.4g}{c.after:>11.4g}"
                 f"{c.noise:>11.4g}  {c.unit}"
             )
-        lines += ["", *self.identifiability]
+        lines += ["", *self.identifiability, *(f"Note: {note}" for note in self.notes)]
         if not self.converged:
             lines.append(f"The fit did not converge: {self.message}")
         return "\n".join(lines)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.noise import column_groups, moving, whiten
+from sysid.fit.noise import column_groups, moving, quantities, whiten
 from sysid.fit.problem import Fitted, Problem
 from sysid.fit.runs import Measured, Run
 from sysid.mismatch.result import Located, LocatedChannel
@@ -132,8 +132,7 @@ def locate(problem: Problem, fitted: Fitted) -> Located:
         columns = np.zeros(BLOCKS)
         for m in run.measured:
             scores, edges = block_scores(run, m, whitened(problem, fitted, i, m))
-            names = ("force", "torque") if m.kind == "wrench" else ("position",)
-            for name, group in zip(names, column_groups(m), strict=True):
+            for name, group in quantities(m):
                 part = scores[:, group]
                 shares.append((m.channel, name, float(np.nansum(part**2 - 1.0))))
             energy += np.nansum(np.where(np.isfinite(scores), scores**2 - 1.0, 0.0), axis=1)
