@@ -22,10 +22,11 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.directions import Direction
 from sysid.fit.engine import Prediction
+from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, quantities
 from sysid.fit.parameters import FitParameter, rig_at, start_of
 from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.problem import Problem
 from sysid.fit.runs import Run
 from sysid.fit.uncertainty import uncertainty
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.fitted import Fitted
+from sysid.fit.problem import Problem
 from sysid.fit.runs import UNITS, Measured
 from sysid.fit.uncertainty import interval, uncertainty
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from sim_core.effects import EFFECTS
+from sysid.fit.fitted import Fitted
 from sysid.fit.own_error import loud
 from sysid.fit.parameters import start_of
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.problem import Problem
 from sysid.fit.uncertainty import uncertainty
 from sysid.mismatch.decide import Trial
 from sysid.mismatch.locate import Structure

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_core.effects import Effect
-from sysid.fit.problem import Fitted
+from sysid.fit.fitted import Fitted
 from sysid.fit.uncertainty import interval, uncertainty
 from sysid.mismatch.locate import Structure
 from sysid.mismatch.result import Candidate, NamedParameter

@@ -14,11 +14,12 @@ import yaml
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
+from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise
 from sysid.fit.own_error import discretisation, fit_beside_own_error
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.problem import Problem
 from sysid.fit.result import plot_series, rms_errors
 from sysid.fit.runs import Run, load_runs
 from sysid.mismatch import words

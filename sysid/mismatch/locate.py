@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.fit.fitted import Fitted
 from sysid.fit.noise import column_groups, moving, quantities, whiten
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
 from sysid.mismatch.result import Located, LocatedChannel
 
