@@ -64,7 +64,7 @@ class Search:
                     jac=self._jacobian,
                     bounds=(low, high),
                     x_scale=np.array([min(p.prior_sd, 1.0) for p in self._parameters]),
-                    ftol=tolerance * self._weight / max(self._weighted(self.best), 1e-300),
+                    ftol=max(tolerance * self._weight / max(self._weighted(self.best), 1e-300), 1e-14),
                     xtol=1e-7,
                     gtol=1e-12,
                     max_nfev=max_evaluations - self._evaluations + 1,
