@@ -36,15 +36,11 @@ class Published:
 
 @dataclass(frozen=True)
 class Mesh:
-    """Cells of the card and their pattern. ``fitted``: takes part in the exponent."""
+    """Cells of the card and their pattern; one with a ``published`` counterpart has no part in the exponent."""
 
     cells: tuple[int, int]
     pattern: str
     published: Published | None = None
-
-    @property
-    def fitted(self) -> bool:
-        return self.published is None
 
 
 DIFFCLOTH = Published("DiffCloth", "Li et al., ACM Trans. Graph. 42 (2022)", 7.14)
@@ -81,29 +77,6 @@ class Scaling:
 
     sizes: tuple[Size, ...]
     exponent: float
-
-
-def cloth_rig(mesh: Mesh) -> Rig:
-    """A square of cloth, 0.2 m wide, 0.5 mm over the top of a ball of 60 mm radius."""
-    sheet = {"type": "rectangle", "length_m": 0.2, "width_m": 0.2, "cells": mesh.cells, "pattern": mesh.pattern}
-    return parse_rig(
-        {
-            "name": "cloth_on_a_ball",
-            "gravity_m_s2": [0.0, 0.0, -9.81],
-            "solver": {"dt_s": 0.005},
-            "bodies": {
-                "ball": {"type": "rigid", "shape": {"type": "sphere", "radius_m": 0.06}},
-                "cloth": {
-                    "type": "sheet",
-                    "shape": sheet,
-                    "pose": {"position_m": [0.0, 0.0, 0.0607]},
-                    "material": {"E_pa": 1.0e6, "nu": 0.3, "thickness_m": 4.0e-4, "density_kg_m3": 400.0},
-                },
-            },
-            "contacts": [{"between": ["cloth", "ball"], "friction": 0.3}],
-        },
-        "benchmark",
-    )
 
 
 def card_rig(mesh: Mesh) -> Rig:

@@ -10,11 +10,12 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
+from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
-from sysid.fit.own_error import fit_beside_own_error
+from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.problem import Problem
 from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series, rms_errors
 from sysid.fit.runs import Run, load_runs
 from sysid.provenance import provenance
@@ -119,7 +120,7 @@ def _fit_runs(
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False)
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
-    notes += out_of_sight(problem, before, fitted)
+    notes += loud(problem) + out_of_sight(problem, before, fitted)
     if held_out and on_progress is not None:
         on_progress(0.92, "held-out recordings")
     for run in held_out:

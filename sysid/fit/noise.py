@@ -61,6 +61,12 @@ def column_groups(measured: Measured) -> list[np.ndarray]:
     return [np.arange(measured.values.shape[1])]
 
 
+def quantities(measured: Measured) -> list[tuple[str, np.ndarray]]:
+    """Columns that share a unit, with what they are."""
+    names = ("force", "torque") if measured.kind == "wrench" else ("position",)
+    return list(zip(names, column_groups(measured), strict=True))
+
+
 def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:
     """Stretches of sample indices in which every end effector stands still."""
     still = np.ones(len(t), dtype=bool)

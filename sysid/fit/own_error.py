@@ -22,10 +22,11 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.directions import Direction
 from sysid.fit.engine import Prediction
-from sysid.fit.noise import ChannelNoise
+from sysid.fit.fitted import Fitted
+from sysid.fit.noise import ChannelNoise, quantities
 from sysid.fit.parameters import FitParameter, rig_at, start_of
 from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.problem import Problem
 from sysid.fit.runs import Run
 from sysid.fit.uncertainty import uncertainty
 
@@ -35,20 +36,27 @@ MOST_ROUNDS = 6
 SETTLED = 0.5
 """Rounds end when no parameter has moved by this many standard deviations."""
 
+LOUD = 10.0
+"""Error of mesh and time step over noise from which a result says that it rests on that error."""
+
 Search = Callable[[Problem, np.ndarray], Fitted]
 """A search for the minimum of a problem from given scaled values."""
 
 
-def discretisation(engine: PooledEngine, rig: Rig, runs: Sequence[Run]) -> list[Direction]:
+def discretisation(
+    engine: PooledEngine, rig: Rig, runs: Sequence[Run], plain: Sequence[Prediction] | None = None
+) -> list[Direction]:
     """How the predictions change when the mesh, and when the time step, is refined once.
+
+    ``plain``: the predictions of ``rig`` as it is, where they are at hand.
 
     The true error is about 4/3 (mesh, order two) and twice (step, order one) of these differences; the
     directions are scaled accordingly. Raises ``ThinshellError`` where a refined simulation fails.
     """
-    plain = [engine.submit(rig, run) for run in runs]
+    pending = [engine.submit(rig, run) for run in runs] if plain is None else []
     fine = [engine.submit(rig, run, 2) for run in runs]
     short = [engine.submit(rig, run, 1, 0.5 * rig.solver.dt_s) for run in runs]
-    base = [_outcome(f, run, "as it is") for f, run in zip(plain, runs, strict=True)]
+    base = plain or [_outcome(f, run, "as it is") for f, run in zip(pending, runs, strict=True)]
     finer = [_outcome(f, run, "on a finer mesh") for f, run in zip(fine, runs, strict=True)]
     shorter = [_outcome(f, run, "with half the time step") for f, run in zip(short, runs, strict=True)]
     return [
@@ -103,7 +111,7 @@ def fit_beside_own_error(
             return problem, _counted(fitted, evaluations, seconds)
         step = fitted.scaled - scaled
         try:
-            measured = discretisation(engine, fitted.rig, runs)
+            measured = discretisation(engine, fitted.rig, runs, fitted.predictions)
         except KeyboardInterrupt:
             fitted.message, fitted.converged = "interrupted; the best values so far are kept", False
             return problem, _counted(fitted, evaluations, seconds)
@@ -121,6 +129,27 @@ def fit_beside_own_error(
             "mesh (cells) or a shorter step (solver.dt_s) makes it smaller"
         )
     return problem, _counted(final, evaluations, seconds)
+
+
+def loud(problem: Problem) -> list[str]:
+    """A sentence for each quantity in which the error of mesh and time step is far above the noise."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            noise = problem.noise[m.channel].sigma
+            whole = np.sum([d.shapes[i].get(m.channel, 0.0 * m.values) for d in problem.directions], axis=0)
+            relative = np.where(np.isfinite(m.values), whole / noise, np.nan)
+            for quantity, group in quantities(m):
+                if np.isfinite(relative[:, group]).any():
+                    ratio = float(np.sqrt(np.nanmean(relative[:, group] ** 2)))
+                    found.setdefault((m.channel, quantity), []).append(ratio)
+    return [
+        f"The error of mesh and time step in the {quantity} of {channel} is about {max(ratios):.0f} times the noise. "
+        "Intervals rest on what one refinement shows of it and may be too narrow: use finer cells or a shorter "
+        "solver.dt_s."
+        for (channel, quantity), ratios in found.items()
+        if max(ratios) > LOUD
+    ]
 
 
 def _learnt(old: Direction, new: Direction, step: np.ndarray, fitted: Fitted) -> Direction:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from types import TracebackType
 
 import numpy as np
 
+from sim_core.batch import leave_interrupts_to_parent
 from sim_core.rigs import Rig
 from sysid.fit.engine import Engine, Prediction
 from sysid.fit.parameters import FitParameter
@@ -21,7 +21,7 @@ _ENGINE: list[Engine] = []
 
 def _start() -> None:
     """Each worker keeps its scenes; Ctrl-C is left to the parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    leave_interrupts_to_parent()
     _ENGINE.append(Engine())
 
 

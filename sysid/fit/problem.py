@@ -4,66 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from sim_core.errors import ConvergenceError, ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.directions import Basis, Direction, Sizes, basis_of
 from sysid.fit.engine import Engine, Prediction
+from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, whiten
 from sysid.fit.parameters import FitParameter, rig_at, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.runs import Measured, Run
-
-
-@dataclass
-class Fitted:
-    """Outcome of one minimisation. ``scaled``: best values; ``residual`` and ``jacobian``: whitened,
-    ``(n,)`` and ``(n, p)``, nuisance sizes eliminated; ``labels``: run, channel and times of the residuals;
-    ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable
-    coefficients of the simulator's own error by run and channel (:mod:`sysid.fit.directions`)."""
-
-    parameters: list[FitParameter]
-    scaled: np.ndarray
-    rig: Rig
-    residual: np.ndarray
-    jacobian: np.ndarray
-    labels: list[tuple[int, str, np.ndarray]]
-    predictions: list[Prediction]
-    centre: Rig
-    evaluations: int
-    converged: bool
-    message: str
-    seconds: float
-    sizes: dict[tuple[int, str], Sizes] = field(default_factory=dict)
-
-    @property
-    def interrupted(self) -> bool:
-        """The search was stopped by Ctrl-C."""
-        return self.message.startswith("interrupted")
-
-    @property
-    def chi2(self) -> float:
-        return float(self.residual @ self.residual)
-
-    @property
-    def samples(self) -> int:
-        """Number of measured values compared (the residual also has a row for each nuisance size and prior)."""
-        pulls = sum(c.number for c in self.sizes.values())
-        return len(self.residual) - pulls - sum(len(t) for run, _, t in self.labels if run < 0)
-
-    @property
-    def misfit(self) -> float:
-        """Mean squared whitened residual: 1 for a model that is right."""
-        return self.chi2 / max(self.samples, 1)
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Physical values by name."""
-        return {p.name: p.physical(s) for p, s in zip(self.parameters, self.scaled, strict=True)}
+from sysid.fit.search import Search
 
 
 class Problem:
@@ -171,73 +123,15 @@ class Problem:
         tolerance: float = 0.5,
         on_evaluation: Callable[[int, float], None] | None = None,
     ) -> Fitted:
-        """Minimise the whitened residuals (trust region, bounds, analytic derivatives).
+        """Minimise the whitened residuals (:class:`sysid.fit.search.Search`).
 
-        ``tolerance``: improvement of chi-square, in units of the misfit, below which the search ends.
-        Ctrl-C keeps the best so far.
+        ``tolerance``: improvement of chi-square below which the search ends, in units of what chance makes of
+        it. Ctrl-C keeps the best so far.
         """
-        started = time.monotonic()
         start = start_of(rig, parameters) if start is None else np.asarray(start, dtype=float)
-        best: list[Fitted] = []
-        last: list[Fitted] = []
-        count = 0
-        samples = sum(int(np.isfinite(m.values).sum()) for run in self.runs for m in run.measured)
-
-        def look(scaled: np.ndarray) -> Fitted | None:
-            """The problem at these values; None where they cannot be simulated."""
-            nonlocal count
-            if last and np.array_equal(last[0].scaled, scaled):
-                return last[0]
-            count += 1
-            try:
-                here = self.evaluate(rig, parameters, scaled.copy())
-            except ThinshellError:
-                if not best:
-                    raise
-                return None
-            last[:] = [here]
-            if not best or here.chi2 < best[0].chi2:
-                best[:] = [here]
-            if on_evaluation is not None:
-                on_evaluation(count, best[0].chi2)
-            return here
-
-        def residual(scaled: np.ndarray) -> np.ndarray:
-            here = look(scaled)
-            # Infinitely bad: the search takes a shorter step from where it stands.
-            return np.full(len(best[0].residual), np.inf) if here is None else here.residual
-
-        def jacobian(scaled: np.ndarray) -> np.ndarray:
-            here = look(scaled)
-            if here is None:
-                raise ConvergenceError("The search asked for derivatives where the rig cannot be simulated.")
-            return here.jacobian
-
-        message, converged = "", True
-        if parameters:
-            low, high = np.array([p.scaled_bounds for p in parameters]).T
-            inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
-            try:
-                result = least_squares(
-                    residual,
-                    inside,
-                    jac=jacobian,
-                    bounds=(low, high),
-                    x_scale=np.array([min(p.prior_sd, 1.0) for p in parameters]),
-                    ftol=tolerance / max(samples, 1),
-                    xtol=1e-7,
-                    gtol=1e-12,
-                    max_nfev=max_evaluations,
-                )
-                message, converged = result.message, result.status > 0
-            except KeyboardInterrupt:
-                if not best:
-                    raise
-                message, converged = "interrupted; the best values so far are kept", False
-        else:
-            look(start)
-            message = "nothing to fit"
-        found = best[0]
-        found.evaluations, found.converged, found.message = count, converged, message
-        found.seconds = time.monotonic() - started
-        return found
+        if not parameters:
+            found = self.evaluate(rig, parameters, start)
+            found.message = "nothing to fit"
+            return found
+        search = Search(lambda scaled: self.evaluate(rig, parameters, scaled), parameters, on_evaluation)
+        return search.run(start, max_evaluations, tolerance)

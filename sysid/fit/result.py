@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.fitted import Fitted
+from sysid.fit.problem import Problem
 from sysid.fit.runs import UNITS, Measured
 from sysid.fit.uncertainty import interval, uncertainty
 
@@ -103,7 +104,7 @@ class FitResult:
                 f"{run:<{wide}}{c.channel + ' ' + c.quantity:<22}{c.before:>11.4g}{c.after:>11.4g}"
                 f"{c.noise:>11.4g}  {c.unit}"
             )
-        lines += ["", *self.identifiability]
+        lines += ["", *self.identifiability, *(f"Note: {note}" for note in self.notes)]
         if not self.converged:
             lines.append(f"The fit did not converge: {self.message}")
         return "\n".join(lines)

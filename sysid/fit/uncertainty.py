@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.fit.fitted import Fitted
 from sysid.fit.parameters import FitParameter
-from sysid.fit.problem import Fitted
 
 BLOCKS_PER_CHANNEL = 12
 """Blocks of neighbouring samples that each run and channel is cut into for the sandwich estimate."""
@@ -48,26 +48,13 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     reduced = fitted.chi2 / max(fitted.samples - p, 1)
     if p == 0:
         return Uncertainty(np.zeros(0), np.ones(0), np.zeros((0, 0)), (), reduced)
-    j, r = fitted.jacobian, fitted.residual
     prior = np.array([q.prior_sd for q in parameters])
-    values, vectors = _information(j * prior)
+    values, vectors = _information(fitted.jacobian * prior)
     inverse = (vectors / np.maximum(values, WIDEST**-2)) @ vectors.T
     inverse = inverse * np.outer(prior, prior)
     plain = inverse * max(1.0, reduced)
-    meat = np.zeros((p, p))
-    at = 0
-    for _, _, times in fitted.labels:
-        rows = slice(at, at + len(times))
-        at += len(times)
-        if not len(times):
-            continue
-        edges = np.linspace(times.min(), times.max() + 1e-9, BLOCKS_PER_CHANNEL + 1)
-        block = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, BLOCKS_PER_CHANNEL - 1)
-        weighted = j[rows] * r[rows, None]
-        scores = np.zeros((BLOCKS_PER_CHANNEL, p))
-        np.add.at(scores, block, weighted)
-        meat += scores.T @ scores
-    sandwich = inverse @ meat @ inverse
+    scores = _scores(fitted, fitted.residual)
+    sandwich = inverse @ (scores.T @ scores) @ inverse
     variance = np.maximum(np.diag(plain), np.diag(sandwich))
     sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)), WIDEST * prior)
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
@@ -77,6 +64,35 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     sentences += _anywhere(fitted, sd, sentences) + _together(parameters, correlation, sd)
     inflation = np.sqrt(variance / np.maximum(np.diag(plain), 1e-300))
     return Uncertainty(sd, inflation, correlation, tuple(sentences), reduced)
+
+
+def _scores(fitted: Fitted, residual: np.ndarray) -> np.ndarray:
+    """J^T r of each block of neighbouring samples ``(blocks, p)``."""
+    out = [np.zeros((0, len(fitted.parameters)))]
+    at = 0
+    for _, _, times in fitted.labels:
+        rows = slice(at, at + len(times))
+        at += len(times)
+        if not len(times):
+            continue
+        edges = np.linspace(times.min(), times.max() + 1e-9, BLOCKS_PER_CHANNEL + 1)
+        block = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, BLOCKS_PER_CHANNEL - 1)
+        scores = np.zeros((BLOCKS_PER_CHANNEL, len(fitted.parameters)))
+        np.add.at(scores, block, fitted.jacobian[rows] * residual[rows, None])
+        out.append(scores)
+    return np.concatenate(out)
+
+
+def chance(fitted: Fitted) -> float:
+    """Improvement of chi-square that each parameter brings about by fitting chance, at least 1:
+    tr(H^-1 sum_b s_b s_b^T) / p (Takeuchi 1976), with the scores s_b of what one linear step of least squares
+    leaves. 1 for white noise, large for a misfit with structure, in which neighbouring samples repeat each
+    other."""
+    prior = np.array([q.prior_sd for q in fitted.parameters])
+    values, vectors = _information(fitted.jacobian * prior)
+    spread = prior[:, None] * vectors / np.sqrt(np.maximum(values, WIDEST**-2))
+    left = fitted.residual - fitted.jacobian @ (spread @ (spread.T @ (fitted.jacobian.T @ fitted.residual)))
+    return max(1.0, float(np.sum((_scores(fitted, left) @ spread) ** 2)) / len(prior))
 
 
 def _information(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

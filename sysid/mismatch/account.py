@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from sim_core.effects import EFFECTS
+from sysid.fit.fitted import Fitted
+from sysid.fit.own_error import loud
 from sysid.fit.parameters import start_of
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.problem import Problem
 from sysid.fit.uncertainty import uncertainty
 from sysid.mismatch.decide import Trial
 from sysid.mismatch.locate import Structure
@@ -50,6 +52,7 @@ def notes(base: Fitted, problem: Problem, before: Structure) -> tuple[str, ...]:
             "There is misfit beyond the noise, but no more than the error of mesh and time step could leave. "
             "Finer cells or a shorter solver.dt_s in the rig would tell."
         )
+    said += loud(problem)
     for name, noise in problem.noise.items():
         if noise.source == "second differences":
             said.append(

@@ -21,9 +21,10 @@ from sim_core.effects import EFFECTS, Effect
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.engine import Prediction
+from sysid.fit.fitted import Fitted
 from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.problem import Problem
 
 LARGEST_STEP = 1.0
 """Longest step of the linear prediction in a logarithm, or in prior widths of a linear parameter."""

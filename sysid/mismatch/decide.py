@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_core.effects import Effect
-from sysid.fit.problem import Fitted
+from sysid.fit.fitted import Fitted
 from sysid.fit.uncertainty import interval, uncertainty
 from sysid.mismatch.locate import Structure
 from sysid.mismatch.result import Candidate, NamedParameter
@@ -35,7 +35,8 @@ class Trial:
     """One effect refitted. ``gain``: log evidence over the baseline; ``explained``: share of the baseline's
     structured misfit; ``left``: what it leaves of it; ``held_out``: share of the robust misfit on held-out
     data that it removes (negative: it predicts worse). ``significance``: see :func:`significance`, infinite
-    before the trial is ``finished``, fitted to the end; ``failure``: why that could not be simulated."""
+    before the trial is ``finished``, fitted to the end; ``failure``: why that could not be simulated;
+    ``predicted``: the finished trial on the held-out runs."""
 
     effect: Effect
     fitted: Fitted
@@ -46,6 +47,7 @@ class Trial:
     significance: float = np.inf
     finished: bool = False
     failure: str = ""
+    predicted: Fitted | None = None
 
     @property
     def rejected(self) -> str:

@@ -14,11 +14,12 @@ import yaml
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
+from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise
 from sysid.fit.own_error import discretisation, fit_beside_own_error
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.problem import Problem
 from sysid.fit.result import plot_series, rms_errors
 from sysid.fit.runs import Run, load_runs
 from sysid.mismatch import words
@@ -86,25 +87,23 @@ def diagnose_runs(
         on_held_out = structure(check, plain) if plain is not None else None
         trials = _refits(problem, check, plain, base, _chosen(starts, base), failed)
         verdict = decide(trials, before, on_held_out)
-        answer: Fitted | None = None
-        amended = None
-        while unfinished := [t for t in verdict.named if not t.finished]:
+        while unfinished := [t for t in _in_question(verdict) if not t.finished]:
             tell(0.85, "the answer fitted to the end")
-            final, exact, exact_check = _polished(engine, problem, check.runs, plain, before, unfinished[0])
+            final = _polished(engine, problem, check.runs, plain, before, unfinished[0])
             trials = [final if t is unfinished[0] else t for t in trials]
             verdict = decide(trials, before, on_held_out)
-            if verdict.kind in ("named", "one_of") and verdict.named[0] is final:
-                answer = final.fitted
-                amended = _misfit(exact, exact_check, base, answer)
-        if verdict.kind not in ("named", "one_of"):
-            answer, amended = None, None
-        diagnosis = _collect(rig, problem, check, base, answer, verdict, trials, before, failed)
-        diagnosis.amended = amended
+        answer = verdict.named[0] if verdict.kind in ("named", "one_of") else None
+        diagnosis = _collect(rig, problem, check, base, plain, answer, verdict, trials, before, failed)
         diagnosis.notes += lost
     diagnosis.provenance = provenance(rig, list(runs), list(held_out))
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
-    return diagnosis, (answer or base).rig
+    return diagnosis, (answer.fitted if answer else base).rig
+
+
+def _in_question(verdict: Verdict) -> tuple[Trial, ...]:
+    """The trials that the verdict rests on: all that it names, the best of those that explain too little."""
+    return verdict.named[:1] if verdict.kind == "unknown" else verdict.named
 
 
 def _chosen(starts: list[Start], base: Fitted) -> list[Start]:
@@ -194,7 +193,7 @@ def _polished(
     plain: Fitted | None,
     before: Structure,
     trial: Trial,
-) -> tuple[Trial, Problem, Problem]:
+) -> Trial:
     """Fit an answer to the end, with the simulator's own error measured where it now stands.
 
     A trial that cannot be simulated there is rejected.
@@ -214,32 +213,31 @@ def _polished(
         check = Problem(held_out, problem.noise, engine, discretisation(engine, fitted.rig, held_out))
         predicted = _held_out(check, fitted)
     except ThinshellError as error:
-        return replace(trial, finished=True, failure=str(error)), problem, Problem([], problem.noise, engine)
+        return replace(trial, finished=True, failure=str(error))
     if fitted.interrupted:
         raise KeyboardInterrupt
     left = structure(there, fitted)
-    final = replace(
+    return replace(
         trial,
         fitted=fitted,
+        predicted=predicted,
         explained=_explained(before.whole.excess, left),
         left=left,
         held_out=_gain(plain, predicted),
         significance=significance(trial.effect, fitted, trial.gain),
         finished=True,
     )
-    return final, there, check
 
 
-def _misfit(problem: Problem, check: Problem, base: Fitted, fitted: Fitted) -> Misfit:
-    """Misfit of a model, with the errors of the baseline beside its own."""
+def _misfit(
+    problem: Problem, check: Problem, base: Fitted, plain: Fitted | None, fitted: Fitted, predicted: Fitted | None
+) -> Misfit:
+    """Misfit of a model, with the errors of the baseline beside its own; ``plain``, ``predicted``: the two on
+    the held-out runs."""
     errors = rms_errors(problem, base, fitted, held_out=False)
-    held = None
-    if check.runs:
-        plain = check.evaluate(base.rig, [], np.zeros(0))
-        there = check.evaluate(fitted.rig, [], np.zeros(0))
-        errors += rms_errors(check, plain, there, held_out=True)
-        held = there.misfit
-    return Misfit(fitted.misfit, held, tuple(errors))
+    if plain is not None and predicted is not None:
+        errors += rms_errors(check, plain, predicted, held_out=True)
+    return Misfit(fitted.misfit, None if predicted is None else predicted.misfit, tuple(errors))
 
 
 def _collect(
@@ -247,7 +245,8 @@ def _collect(
     problem: Problem,
     check: Problem,
     base: Fitted,
-    answer: Fitted | None,
+    plain: Fitted | None,
+    answer: Trial | None,
     verdict: Verdict,
     trials: list[Trial],
     before: Structure,
@@ -258,12 +257,10 @@ def _collect(
     reported = [candidate(t, chances[t.effect.name]) for t in trials]
     names = {t.effect.name for t in verdict.named} if verdict.kind in ("named", "one_of") else set()
     became = fates(trials, failed, names)
-    shown = answer or base
+    shown, predicted = (answer.fitted, answer.predicted) if answer else (base, plain)
     series = plot_series(problem, base, shown, held_out=False)
-    if check.runs:
-        plain = check.evaluate(base.rig, [], np.zeros(0))
-        there = check.evaluate(shown.rig, [], np.zeros(0)) if answer is not None else plain
-        series += plot_series(check, plain, there, held_out=True)
+    if plain is not None and predicted is not None:
+        series += plot_series(check, plain, predicted, held_out=True)
     return Diagnosis(
         verdict=verdict.kind,
         sentence=words.sentence(verdict, located, became, before.hidden),
@@ -271,8 +268,8 @@ def _collect(
         effects=tuple(c for c in reported if c.name in names),
         alternatives=tuple(c for c in reported if c.name not in names),
         located=located,
-        baseline=_misfit(problem, check, base, base),
-        amended=None,
+        baseline=_misfit(problem, check, base, plain, base, plain),
+        amended=_misfit(problem, check, base, plain, shown, predicted) if answer else None,
         noise_floor={c: float(np.median(n.sigma)) for c, n in problem.noise.items()},
         discretisation={
             "structured_energy": before.whole.own,
@@ -281,7 +278,7 @@ def _collect(
         },
         upper_limits=limits(trials, names),
         baseline_parameters=named_parameters(base),
-        amended_parameters=named_parameters(answer) if answer is not None else (),
+        amended_parameters=named_parameters(shown) if answer else (),
         not_explained=words.not_explained(verdict, before.whole.excess),
         next_experiment=words.next_experiment(verdict, before.hidden),
         provenance={},

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.noise import column_groups, whiten
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.fitted import Fitted
+from sysid.fit.noise import column_groups, moving, quantities, whiten
+from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
 from sysid.mismatch.result import Located, LocatedChannel
 
@@ -33,11 +34,8 @@ MIN_SIGMAS = 6.0
 OWN_SHARE = 0.5
 """Structured misfit below this share of the simulator's own error is not blamed on physics."""
 
-STILL_M_S, STILL_RAD_S = 1e-4, 1e-3
-"""Speeds up to which an end effector stands still, as where the noise is estimated (:mod:`sysid.fit.noise`)."""
-
 PARTS = 8
-"""Parts of a window whose speeds are told apart."""
+"""Parts of a window that are told apart."""
 
 
 @dataclass(frozen=True)
@@ -135,8 +133,7 @@ def locate(problem: Problem, fitted: Fitted) -> Located:
         columns = np.zeros(BLOCKS)
         for m in run.measured:
             scores, edges = block_scores(run, m, whitened(problem, fitted, i, m))
-            names = ("force", "torque") if m.kind == "wrench" else ("position",)
-            for name, group in zip(names, column_groups(m), strict=True):
+            for name, group in quantities(m):
                 part = scores[:, group]
                 shares.append((m.channel, name, float(np.nansum(part**2 - 1.0))))
             energy += np.nansum(np.where(np.isfinite(scores), scores**2 - 1.0, 0.0), axis=1)
@@ -165,14 +162,17 @@ def _phase(run: Run, fitted: Fitted, index: int, start: float, end: float) -> st
     trace = fitted.predictions[index].trace
     inside = (trace.times[1:] > start) & (trace.times[1:] <= end)
     touching = any(r.contacts > 0 for r, k in zip(trace.reports, inside, strict=True) if k)
-    moving = any(_moves(trajectory, start, end) for trajectory in run.poses.values())
+    busy = any(_moves(trajectory, start, end) for trajectory in run.poses.values())
     if touching:
-        return "moving in contact" if moving else "holding in contact"
-    return "moving freely" if moving else "at rest without contact"
+        return "moving in contact" if busy else "holding in contact"
+    return "moving freely" if busy else "at rest without contact"
 
 
 def _moves(trajectory: PoseTrajectory, start: float, end: float) -> bool:
     """Whether an end effector moves or turns for at least half of a window."""
-    times = np.linspace(start, end, PARTS + 1)
-    linear, angular = PoseTrajectory(times, *trajectory.sample(times)).speeds()
-    return bool(np.mean((linear > STILL_M_S) | (angular > STILL_RAD_S)) >= 0.5)
+    if len(trajectory.times) < 2:
+        return False
+    instants = np.linspace(start, end, PARTS, endpoint=False) + 0.5 * (end - start) / PARTS
+    spans = np.array(moving(trajectory)).reshape(-1, 2)
+    inside = (instants[:, None] >= spans[:, 0]) & (instants[:, None] <= spans[:, 1])
+    return bool(np.mean(inside.any(axis=1)) >= 0.5)

@@ -13,7 +13,7 @@ from sysid.fit import own_error
 from sysid.fit.directions import KNOTS, RIGHT_SD, Direction
 from sysid.fit.engine import Prediction
 from sysid.fit.noise import ChannelNoise
-from sysid.fit.own_error import fit_beside_own_error
+from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
@@ -180,3 +180,13 @@ def test_derivatives_are_those_of_the_residual(vectors: None) -> None:
         step = 1e-4 * np.eye(2)[k]
         ahead, behind = (problem.evaluate(rig, PARAMETERS, TRUTH + s * step).residual for s in (1.0, -1.0))
         assert here.jacobian[:, k] == pytest.approx((ahead - behind) / 2e-4, rel=1e-6, abs=1e-5)
+
+
+def test_an_error_far_above_the_noise_is_said() -> None:
+    def problem(size: float) -> Problem:
+        direction = Direction("mesh", ({"gauge": np.full((len(T), 2), size)},))
+        return Problem([run_of(coarse(TRUTH))], NOISE, cast(PooledEngine, Linear()), [direction])
+
+    assert loud(problem(9.0 * SIGMA)) == []
+    (said,) = loud(problem(40.0 * SIGMA))
+    assert "position of gauge is about 40 times the noise" in said and "finer cells" in said

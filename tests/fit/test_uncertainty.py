@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sysid.fit.directions import Direction
+from sysid.fit.fitted import Fitted
 from sysid.fit.own_error import _learnt
 from sysid.fit.parameters import FitParameter
-from sysid.fit.problem import Fitted
 from sysid.fit.uncertainty import UNDETERMINED_SHARE, WIDEST, interval, uncertainty
 
 N = 50

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from sim_core.effects import effect_by_name
+from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, whiten
 from sysid.fit.parameters import FitParameter
-from sysid.fit.problem import Fitted
 from sysid.mismatch.candidates import log_evidence
 from sysid.mismatch.decide import Trial, decide, held_out_gain, probabilities, significance
 from sysid.mismatch.locate import Part, Structure

@@ -29,9 +29,10 @@ from sim_core.effects import EFFECTS
 from sim_core.rigs import load_rig
 from sim_core.simulate import Trace
 from sysid.fit.engine import Engine, Prediction
+from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.parameters import fit_parameters
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.problem import Problem
 from sysid.fit.result import Estimate, FitResult
 from sysid.fit.runs import Measured, Run
 from sysid.mismatch.candidates import with_effect
@@ -224,7 +225,7 @@ def empty_diagnosis() -> Diagnosis:
     trial = Trial(EFFECTS[0], tried, 1.0, 0.0, left, None)
     check = Problem([], noise, cast(Engine, None))
     verdict = Verdict("nothing_missing", ())
-    return _collect(rig, problem, check, base, None, verdict, [trial], left, {})
+    return _collect(rig, problem, check, base, None, None, verdict, [trial], left, {})
 
 
 def test_the_examples_have_the_keys_of_real_diagnoses(tmp_path: Path) -> None:

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.fit.directions import Direction, Sizes
 from sysid.fit.engine import Engine
+from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
-from sysid.fit.problem import Fitted, Problem
+from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
 from sysid.mismatch.locate import BLOCKS, _phase, structure
 

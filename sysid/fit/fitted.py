@@ -1,0 +1,64 @@
+"""The outcome of one minimisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sim_core.rigs import Rig
+from sysid.fit.directions import Sizes
+from sysid.fit.engine import Prediction
+from sysid.fit.parameters import FitParameter
+
+
+@dataclass
+class Fitted:
+    """Outcome of one minimisation. ``scaled``: best values; ``residual`` and ``jacobian``: whitened,
+    ``(n,)`` and ``(n, p)``, nuisance sizes eliminated; ``labels``: run, channel and times of the residuals;
+    ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable
+    coefficients of the simulator's own error by run and channel (:mod:`sysid.fit.directions`)."""
+
+    parameters: list[FitParameter]
+    scaled: np.ndarray
+    rig: Rig
+    residual: np.ndarray
+    jacobian: np.ndarray
+    labels: list[tuple[int, str, np.ndarray]]
+    predictions: list[Prediction]
+    centre: Rig
+    evaluations: int
+    converged: bool
+    message: str
+    seconds: float
+    sizes: dict[tuple[int, str], Sizes] = field(default_factory=dict)
+
+    @property
+    def interrupted(self) -> bool:
+        """The search was stopped by Ctrl-C."""
+        return self.message.startswith("interrupted")
+
+    @property
+    def has_prior(self) -> bool:
+        """The last rows of the residual, one a parameter, are those of the prior."""
+        return bool(self.labels) and self.labels[-1][0] < 0
+
+    @property
+    def chi2(self) -> float:
+        return float(self.residual @ self.residual)
+
+    @property
+    def samples(self) -> int:
+        """Number of measured values compared (the residual also has a row for each nuisance size and prior)."""
+        pulls = sum(c.number for c in self.sizes.values())
+        return len(self.residual) - pulls - sum(len(t) for run, _, t in self.labels if run < 0)
+
+    @property
+    def misfit(self) -> float:
+        """Mean squared whitened residual: 1 for a model that is right."""
+        return self.chi2 / max(self.samples, 1)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Physical values by name."""
+        return {p.name: p.physical(s) for p, s in zip(self.parameters, self.scaled, strict=True)}

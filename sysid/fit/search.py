@@ -1,0 +1,123 @@
+"""The search for the parameters that fit best: trust region, bounds, analytic derivatives, in stages.
+
+A stage ends when chi-square improves by less than chance makes of it, kappa = :func:`chance`. While the
+model is wrong its misfit has structure, kappa is large, and chi-square counts the same evidence kappa
+times; the prior, where there is one, is then weighed up as much, so that parameters do not run to where no
+material is to cover what the model lacks (a tempered posterior, Gruenwald & van Ommen 2017). As the fit
+improves kappa falls, and the next stage goes on with what it is then, down to 1.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from sim_core.errors import ConvergenceError, ThinshellError
+from sysid.fit.fitted import Fitted
+from sysid.fit.parameters import FitParameter
+from sysid.fit.uncertainty import chance
+
+SHARPER = 0.5
+"""A search that ends where chance makes less than this of what was thought before goes on from there."""
+
+
+class Search:
+    """One minimisation. ``evaluate``: the problem at scaled values ``(p,)``; ``parameters``: at least one;
+    ``on_evaluation``: told the number of evaluations and the least chi-square."""
+
+    def __init__(
+        self,
+        evaluate: Callable[[np.ndarray], Fitted],
+        parameters: Sequence[FitParameter],
+        on_evaluation: Callable[[int, float], None] | None,
+    ) -> None:
+        self._evaluate = evaluate
+        self._parameters = parameters
+        self._on_evaluation = on_evaluation
+        self._best: Fitted | None = None
+        self._last: Fitted | None = None
+        self._evaluations = 0
+        self._weight = 1.0
+
+    @property
+    def best(self) -> Fitted:
+        if self._best is None:
+            raise ValueError("nothing has been evaluated")
+        return self._best
+
+    def run(self, start: np.ndarray, max_evaluations: int, tolerance: float) -> Fitted:
+        """Search from scaled values ``(p,)``. Raises ``ThinshellError`` if they cannot be simulated; Ctrl-C
+        keeps the best so far."""
+        started = time.monotonic()
+        low, high = np.array([p.scaled_bounds for p in self._parameters]).T
+        message, converged = "", True
+        try:
+            self._look(np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low)))
+            while True:
+                self._weight = chance(self.best)
+                result = least_squares(
+                    self._residual,
+                    self.best.scaled,
+                    jac=self._jacobian,
+                    bounds=(low, high),
+                    x_scale=np.array([min(p.prior_sd, 1.0) for p in self._parameters]),
+                    ftol=max(tolerance * self._weight / max(self._weighted(self.best), 1e-300), 1e-14),
+                    xtol=1e-7,
+                    gtol=1e-12,
+                    max_nfev=max_evaluations - self._evaluations + 1,
+                )
+                message, converged = result.message, result.status > 0
+                if chance(self.best) > SHARPER * self._weight or self._evaluations >= max_evaluations:
+                    break
+        except KeyboardInterrupt:
+            if self._best is None:
+                raise
+            message, converged = "interrupted; the best values so far are kept", False
+        found = self.best
+        found.evaluations, found.converged, found.message = self._evaluations, converged, message
+        found.seconds = time.monotonic() - started
+        return found
+
+    def _look(self, scaled: np.ndarray) -> Fitted | None:
+        """The problem at these values; None where they cannot be simulated."""
+        if self._last is not None and np.array_equal(self._last.scaled, scaled):
+            return self._last
+        self._evaluations += 1
+        try:
+            here = self._evaluate(scaled.copy())
+        except ThinshellError:
+            if self._best is None:
+                raise
+            return None
+        self._last = here
+        if self._best is None or self._weighted(here) < self._weighted(self._best):
+            self._best = here
+        if self._on_evaluation is not None:
+            self._on_evaluation(self._evaluations, self._best.chi2)
+        return here
+
+    def _weigh(self, fitted: Fitted, rows: np.ndarray) -> np.ndarray:
+        """Rows of the residual or the jacobian with the prior's weighed up."""
+        if not fitted.has_prior or self._weight == 1.0:
+            return rows
+        weighed: np.ndarray = rows.copy()
+        weighed[-len(self._parameters) :] *= np.sqrt(self._weight)
+        return weighed
+
+    def _weighted(self, fitted: Fitted) -> float:
+        residual = self._weigh(fitted, fitted.residual)
+        return float(residual @ residual)
+
+    def _residual(self, scaled: np.ndarray) -> np.ndarray:
+        here = self._look(scaled)
+        # Infinitely bad: the search takes a shorter step from where it stands.
+        return np.full(len(self.best.residual), np.inf) if here is None else self._weigh(here, here.residual)
+
+    def _jacobian(self, scaled: np.ndarray) -> np.ndarray:
+        here = self._look(scaled)
+        if here is None:
+            raise ConvergenceError("The search asked for derivatives where the rig cannot be simulated.")
+        return self._weigh(here, here.jacobian)

@@ -1,0 +1,87 @@
+"""The search weighs a misfit with structure for what it is, and a right model as least squares does."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sysid.fit.fitted import Fitted
+from sysid.fit.parameters import FitParameter
+from sysid.fit.search import Search
+from sysid.fit.uncertainty import chance
+
+T = np.linspace(0.0, 1.0, 4000)
+BASIS = np.column_stack([T, T**2])
+PARAMETERS = [FitParameter(name, "-", False, -1e6, 1e6, 1.0, "") for name in "ab"]
+RNG = np.random.default_rng(5)
+NOISE = RNG.normal(size=len(T))
+
+
+def problem(data: np.ndarray) -> Any:
+    """A line and a parabola against data of unit noise, with priors of unit width at zero."""
+
+    def evaluate(scaled: np.ndarray) -> Fitted:
+        residual = np.concatenate([data - BASIS @ scaled, scaled])
+        labels = [(0, "gauge", T), (-1, "prior", np.zeros(2))]
+        rig = cast(Any, None)
+        jacobian = np.vstack([-BASIS, np.eye(2)])
+        return Fitted(PARAMETERS, scaled, rig, residual, jacobian, labels, [], rig, 1, True, "", 0.0)
+
+    return evaluate
+
+
+def solved(data: np.ndarray, weight: float) -> np.ndarray:
+    """Ridge regression by its normal equations."""
+    return np.asarray(np.linalg.solve(BASIS.T @ BASIS + weight * np.eye(2), BASIS.T @ data))
+
+
+def search(data: np.ndarray, start: tuple[float, float] = (0.0, 0.0)) -> Fitted:
+    return Search(problem(data), PARAMETERS, None).run(np.array(start), 60, 0.5)
+
+
+@pytest.mark.parametrize("start", [(0.0, 0.0), (300.0, -200.0)])
+def test_a_right_model_is_fitted_as_least_squares_does(start: tuple[float, float]) -> None:
+    data = BASIS @ [2.0, -1.0] + NOISE
+    found = search(data, start)
+    assert found.converged
+    assert chance(found) < 2.5
+    best = solved(data, 1.0)
+    assert found.chi2 - problem(data)(best).chi2 < 2.5
+
+
+def test_chance_of_white_noise_is_about_one() -> None:
+    values = []
+    for _ in range(40):
+        data = RNG.normal(size=len(T))
+        values.append(chance(problem(data)(solved(data, 1.0))))
+    assert np.mean(values) == pytest.approx(1.0, abs=0.35)
+
+
+def test_a_misfit_with_structure_leaves_parameters_near_their_prior() -> None:
+    # An oscillation that neither parameter can make, of 30 times the noise: its chance correlation with them
+    # is no evidence for values of 100 prior widths.
+    data = 30.0 * np.sin(9.0 * T) + NOISE
+    loose, found = solved(data, 1.0), search(data)
+    kappa = chance(found)
+    assert kappa > 1000.0
+    assert np.abs(found.scaled).max() < 0.3 * np.abs(loose).max()
+    low, high = (solved(data, w) for w in (2.0 * kappa, 0.5 * kappa))
+    assert min(low[0], high[0]) - 0.3 < found.scaled[0] < max(low[0], high[0]) + 0.3
+
+
+def test_the_best_is_kept_when_the_search_is_interrupted() -> None:
+    evaluate = problem(BASIS @ [2.0, -1.0] + NOISE)
+    count = 0
+
+    def interrupted(scaled: np.ndarray) -> Fitted:
+        nonlocal count
+        count += 1
+        if count == 3:
+            raise KeyboardInterrupt
+        return evaluate(scaled)
+
+    found = Search(interrupted, PARAMETERS, None).run(np.array([300.0, 0.0]), 60, 0.5)
+    assert found.interrupted and not found.converged
+    assert found.chi2 < evaluate(np.array([300.0, 0.0])).chi2
