@@ -5,12 +5,17 @@ reading, but only estimates its size, and the estimate need not be equally good 
 rolls over an element edge or starts to slip it is off by more than during a hold. The error is therefore
 taken to be, in column j of a channel,
 
-    e_j(t) = d_j(t) (mean + sd (g(t) + g_j(t))),    g(t) = c_0 + sum_k c_k h_k(t),    c ~ N(0, 1),
+    e_j(t) = d_j(t) (mean + sd (g(t) + g_j(t))) + ROUGH D(t) n_j(t),
+    g(t) = c_0 + sum_l a_l sum_k c_lk h_lk(t),    c, n ~ N(0, 1),
 
-with h_k the hat functions of :data:`KNOTS` equidistant instants of the run; g is common to all columns of a
-quantity (the forces, the torques, the markers), g_j is each column's own. The coefficients are eliminated
-from the least-squares problem, so intervals and evidence are those with the error integrated out (the
-discrepancy of Kennedy & O'Hagan 2001 with a basis from the solver instead of a stationary kernel).
+with h_lk the hat functions of the equidistant instants of level l of :data:`LEVELS`, ever finer and ever
+weaker (a_l), so that the size drifts like a random walk; g is common to all columns of a quantity (the
+forces, the torques, the markers), g_j is each column's own. Where d passes through zero or two refinements
+act on each other the error is not a multiple of d at all; the last part stands for that, independent from
+sample to sample, with D(t) the largest rms of d over the columns of a quantity about t. The coefficients are
+eliminated from the least-squares problem and the last part weighs samples down, so intervals and evidence
+are those with the error integrated out (the discrepancy of Kennedy & O'Hagan 2001 with a basis from the
+solver instead of a stationary kernel).
 
 The expected size lies between that of a recording made by this very simulator (none of the error) and that
 of reality (all of it).
@@ -32,8 +37,11 @@ EXPECTED = 0.5
 RIGHT_SD = 0.5
 """Standard deviation of the size of a direction about its expected value, and of its change in time."""
 
-KNOTS = 6
-"""Instants of a run between which the size of a direction is interpolated."""
+LEVELS = ((6, 1.0), (12, 2**-0.5), (24, 0.5))
+"""Instants of a run between which the size of a direction is interpolated, and how strong each level is."""
+
+ROUGH = 0.25
+"""Part of the error that follows no shape, in units of the largest error thereabouts."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +79,9 @@ class Basis:
     ``expected`` ``(n, m)``: the error with the expected sizes, at the parameters ``at``; ``slopes``
     ``(n, m, p)``: its derivatives by them (``p`` = 0: not known); ``common`` ``(n, m, k)`` and ``own``
     ``(n, m, l)``: its changes for coefficients of unit variance that all columns share, and that each has
-    for itself; ``common_times``, ``own_times`` [s]: to which instant a coefficient belongs.
+    for itself; ``common_times``, ``own_times`` [s]: to which instant a coefficient belongs; ``rough``
+    ``(n, m)``: standard deviation of what follows no shape, measured units; ``weight`` ``(n, m)``: the factor
+    on whitened samples that accounts for it.
     """
 
     expected: np.ndarray
@@ -81,11 +91,17 @@ class Basis:
     own: np.ndarray
     common_times: np.ndarray
     own_times: np.ndarray
+    rough: np.ndarray
+    weight: np.ndarray
 
     def whitened(self, noise: ChannelNoise) -> Basis:
         """The same in units of the noise; what is not finite has no part in it."""
-        parts = {k: np.nan_to_num(whiten(getattr(self, k), noise)) for k in ("expected", "slopes", "common", "own")}
-        return replace(self, **parts)
+        weight = 1.0 / np.sqrt(1.0 + (self.rough / noise.sigma) ** 2)
+        parts = {}
+        for name in ("expected", "slopes", "common", "own"):
+            white = np.nan_to_num(whiten(getattr(self, name), noise))
+            parts[name] = white * weight.reshape(*weight.shape, *(1,) * (white.ndim - 2))
+        return replace(self, weight=weight, **parts)
 
     def mean_error(self, scaled: np.ndarray) -> np.ndarray:
         """Expected error ``(n, m)`` at scaled parameters, of which the first are those of ``at``."""
@@ -107,9 +123,10 @@ class Basis:
         count, shared = vectors.shape[2], self.common.shape[2]
         v = np.where(good[:, :, None], np.concatenate([vectors, self.common], axis=2), 0.0)
         own = np.where(good[:, :, None], self.own, 0.0)
-        gram = np.eye(own.shape[2]) + np.einsum("njl,njk->jlk", own, own)
-        c = np.linalg.solve(gram, np.einsum("njl,njq->jlq", own, v))
-        v = v - np.einsum("njl,jlq->njq", own, c)
+        by_column, transposed = own.transpose(1, 0, 2), own.transpose(1, 2, 0)
+        gram = np.eye(own.shape[2]) + transposed @ by_column
+        c = np.linalg.solve(gram, transposed @ v.transpose(1, 0, 2))
+        v = v - (by_column @ c).transpose(1, 0, 2)
         rows = np.concatenate([v[good], -c.reshape(-1, c.shape[2])])
         root, rows = rows[:, count:], rows[:, :count]
         both = np.linalg.solve(np.eye(shared) + root.T @ root, root.T @ rows)
@@ -121,11 +138,9 @@ class Basis:
 def basis_of(directions: list[Direction], index: int, run: Run, measured: Measured) -> Basis:
     """The basis of one channel of run number ``index``."""
     t = measured.t
-    knots = np.linspace(0.0, max(run.end, 1e-9), KNOTS)
-    hats = np.clip(1.0 - np.abs(t[:, None] - knots) / (knots[1] - knots[0]), 0.0, None)
-    drift = np.column_stack([np.ones(len(t)), hats])
-    instants = np.concatenate([[0.5 * run.end], knots])
+    drift, instants = _drift(t, run.end)
     expected = np.zeros(measured.values.shape)
+    rough = np.zeros(expected.shape)
     at = next((d.at for d in directions if d.at is not None), np.zeros(0))
     slopes = np.zeros((*expected.shape, len(at)))
     common, own = [np.zeros((*expected.shape, 0))], [np.zeros((*expected.shape, 0))]
@@ -141,6 +156,7 @@ def basis_of(directions: list[Direction], index: int, run: Run, measured: Measur
             part = np.zeros(own[-1].shape)
             part[:, group] = own[-1][:, group]
             common.append(part)
+            rough[:, group] += (ROUGH * _largest(shape[:, group], t, run.end))[:, None] ** 2
     return Basis(
         expected,
         slopes,
@@ -149,4 +165,29 @@ def basis_of(directions: list[Direction], index: int, run: Run, measured: Measur
         np.concatenate(own, axis=2),
         np.tile(instants, len(common) - 1),
         np.tile(instants, len(own) - 1),
+        np.sqrt(rough),
+        np.ones(expected.shape),
     )
+
+
+def _hats(t: np.ndarray, end: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Hat functions at the times ``(n, count)``, and their instants [s] ``(count,)``."""
+    knots = np.linspace(0.0, max(end, 1e-9), count)
+    return np.clip(1.0 - np.abs(t[:, None] - knots) / (knots[1] - knots[0]), 0.0, None), knots
+
+
+def _drift(t: np.ndarray, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """The functions of time that the size of a direction is made of ``(n, l)``, and their instants [s]."""
+    functions, instants = [np.ones((len(t), 1))], [np.array([0.5 * end])]
+    for count, strength in LEVELS:
+        hats, knots = _hats(t, end, count)
+        functions.append(strength * hats)
+        instants.append(knots)
+    return np.concatenate(functions, axis=1), np.concatenate(instants)
+
+
+def _largest(shape: np.ndarray, t: np.ndarray, end: float) -> np.ndarray:
+    """Largest rms over the columns about each time, in windows of the finest level ``(n,)``."""
+    hats, _ = _hats(t, end, LEVELS[-1][0])
+    rms = np.sqrt(np.mean(shape**2, axis=1))
+    return np.asarray(hats @ np.max(np.where(hats > 0.0, rms[:, None], 0.0), axis=0))

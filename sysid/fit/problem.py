@@ -51,6 +51,14 @@ class Problem:
             self._bases[key] = (basis, basis.whitened(self.noise[measured.channel]))
         return self._bases[key]
 
+    def whiten(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
+        """Values ``(n, m, ...)`` in units of the noise and of what of the own error follows no shape."""
+        white = whiten(values, self.noise[measured.channel])
+        if not self.directions:
+            return white
+        weight = self._both_bases(index, measured)[1].weight
+        return np.asarray(white * weight.reshape(*weight.shape, *(1,) * (white.ndim - 2)))
+
     def corrected(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
         """Prediction of a channel with the most probable own error added, measured units ``(n, m)``."""
         prediction = fitted.predictions[index].values[measured.channel]
@@ -71,15 +79,14 @@ class Problem:
         sizes: dict[tuple[int, str], Sizes] = {}
         for i, (run, prediction) in enumerate(zip(self.runs, predictions, strict=True)):
             for m in run.measured:
-                noise = self.noise[m.channel]
                 # A point that is predicted out of sight says nothing; the size stays that of the data.
                 unseen = np.isnan(prediction.values[m.channel])
                 miss = np.where(unseen, 0.0 * m.values, m.values - prediction.values[m.channel])
-                white = whiten(miss, noise)
+                white = self.whiten(i, m, miss)
                 good = np.isfinite(white)
                 vectors = [white]
                 if p:
-                    slopes = np.nan_to_num(-whiten(prediction.derivatives[m.channel], noise))
+                    slopes = np.nan_to_num(-self.whiten(i, m, prediction.derivatives[m.channel]))
                     vectors += [slopes[:, :, k] for k in range(p)]
                 stacked = np.stack(vectors, axis=2)
                 times = np.broadcast_to(m.t[:, None], white.shape)[good]

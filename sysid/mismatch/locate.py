@@ -13,7 +13,7 @@ import numpy as np
 
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.fit.fitted import Fitted
-from sysid.fit.noise import column_groups, moving, quantities, whiten
+from sysid.fit.noise import column_groups, moving, quantities
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
 from sysid.mismatch.result import Located, LocatedChannel
@@ -100,7 +100,7 @@ def block_scores(run: Run, measured: Measured, white: np.ndarray) -> tuple[np.nd
 def whitened(problem: Problem, fitted: Fitted, run: int, measured: Measured) -> np.ndarray:
     """Whitened residual of one channel with the simulator's own error taken out, ``(n, m)``."""
     miss = measured.values - problem.corrected(fitted, run, measured)
-    return whiten(miss, problem.noise[measured.channel])
+    return problem.whiten(run, measured, miss)
 
 
 def structure(problem: Problem, fitted: Fitted) -> Structure:
@@ -115,7 +115,7 @@ def structure(problem: Problem, fitted: Fitted) -> Structure:
             scores, _ = block_scores(run, m, whitened(problem, fitted, i, m))
             # What is not measured has no noise to compare with.
             shift = np.where(np.isfinite(m.values), problem.basis(i, m).expected, np.nan)
-            own, _ = block_scores(run, m, whiten(shift, problem.noise[m.channel]))
+            own, _ = block_scores(run, m, problem.whiten(i, m, shift))
             for group in column_groups(m):
                 good = np.isfinite(scores[:, group])
                 excess = float(np.sum(scores[:, group][good] ** 2 - 1.0))

@@ -10,7 +10,7 @@ import pytest
 
 from sim_core.simulate import Trace
 from sysid.fit import own_error
-from sysid.fit.directions import KNOTS, RIGHT_SD, Direction
+from sysid.fit.directions import LEVELS, RIGHT_SD, ROUGH, Direction
 from sysid.fit.engine import Prediction
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.own_error import fit_beside_own_error, loud
@@ -156,17 +156,32 @@ def test_intervals_hold_the_truth_as_often_as_they_say(vectors: None) -> None:
     rng = np.random.default_rng(5)
     shape = own(TRUTH)
     direction = Direction("mesh", ({"gauge": shape},))
-    knots = np.linspace(0.0, 1.0, KNOTS)
-    hats = np.clip(1.0 - np.abs(T[:, None] - knots) * (KNOTS - 1), 0.0, None)
+    knots = [(np.linspace(0.0, 1.0, count), strength) for count, strength in LEVELS]
+    hats = [a * np.clip(1.0 - np.abs(T[:, None] - k) * (len(k) - 1), 0.0, None) for k, a in knots]
     inside = np.zeros(2)
     for _ in range(300):
-        drifts = [rng.standard_normal() + hats @ rng.standard_normal(KNOTS) for _ in range(3)]
+        drifts = [rng.standard_normal() + sum(h @ rng.standard_normal(h.shape[1]) for h in hats) for _ in range(3)]
         size = 0.5 + RIGHT_SD * (drifts[0][:, None] + np.column_stack(drifts[1:]))
         values = coarse(TRUTH) + size * shape + SIGMA * rng.standard_normal((len(T), 2))
         problem = Problem([run_of(values)], NOISE, cast(PooledEngine, Linear()), [direction])
         fitted = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS)
         inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
     assert np.all((inside > 0.91 * 300) & (inside < 0.98 * 300)), inside
+
+
+def test_an_error_without_the_shape_is_allowed_for(vectors: None) -> None:
+    """Where the known error passes through zero, the true one is there all the same: it weighs samples down."""
+    rng = np.random.default_rng(8)
+    shape, rms = np.column_stack([np.sin(60 * T), np.cos(60 * T)]), 0.5**0.5
+    direction = Direction("mesh", ({"gauge": shape},))
+    inside = np.zeros(2)
+    for _ in range(100):
+        values = coarse(TRUTH) + 0.5 * shape + rms * ROUGH * rng.standard_normal((len(T), 2))
+        problem = Problem([run_of(values)], NOISE, cast(PooledEngine, Linear()), [direction])
+        fitted = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS)
+        assert fitted.misfit < 1.5
+        inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
+    assert np.all(inside >= 90), inside
 
 
 def test_derivatives_are_those_of_the_residual(vectors: None) -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.directions import Direction, Sizes
+from sysid.fit.directions import ROUGH, Direction, Sizes
 from sysid.fit.engine import Engine
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
@@ -30,13 +30,15 @@ def test_what_is_not_measured_does_not_count() -> None:
     noise = ChannelNoise(np.array([0.1, 0.1, 0.1, 1e-12, 1e-12, 1e-12]), 0.0, "test")
     direction = Direction("mesh", ({"gauge": np.full((n, 6), 0.05)},), mean=1.0)
     problem = Problem([run], {"gauge": noise}, cast(Engine, None), [direction])
-    # Every block of about ten samples, each half a standard deviation off: (10 * 0.5)^2 / 10.
+    # Every block of about ten samples, each half a standard deviation off: (10 * 0.5)^2 / 10, with that
+    # deviation widened by what follows no shape.
+    widened = 1.0 + (ROUGH * 0.5) ** 2
     basis = problem.basis(0, gauge)
     none = Sizes(np.zeros(basis.common.shape[2]), np.zeros((6, basis.own.shape[2])))
     prediction = SimpleNamespace(values={"gauge": np.zeros((n, 6))})
     fitted = SimpleNamespace(scaled=np.zeros(0), sizes={(0, "gauge"): none}, predictions=[prediction])
     forces, torques = structure(problem, cast(Fitted, fitted)).parts
-    assert forces.own == pytest.approx(0.25 * n, rel=0.01)
+    assert forces.own == pytest.approx(0.25 * n / widened, rel=0.01)
     assert forces.count == BLOCKS
     assert (torques.own, torques.count) == (0.0, 0)
 
