@@ -37,7 +37,7 @@ EXPECTED = 0.5
 RIGHT_SD = 0.5
 """Standard deviation of the size of a direction about its expected value, and of its change in time."""
 
-LEVELS = ((6, 1.0), (12, 2**-0.5), (24, 0.5))
+LEVELS = ((6, 2**-0.5), (12, 0.5), (24, 8**-0.5))
 """Instants of a run between which the size of a direction is interpolated, and how strong each level is."""
 
 ROUGH = 0.25

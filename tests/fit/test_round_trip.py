@@ -53,7 +53,7 @@ def test_truth_comes_back_within_a_narrow_interval(recorded, start):
     rig, run, _ = recorded
     result, fitted = fit_runs(with_parameters(rig, start), [run], list(start))
     assert result.converged
-    assert 0.6 < result.reduced_chi2 < 1.3
+    assert result.reduced_chi2 < 1.1
     for estimate in result.estimates:
         low, high = estimate.ci95
         assert low <= TRUTH[estimate.name] <= high, estimate

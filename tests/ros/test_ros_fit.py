@@ -14,10 +14,12 @@ pytestmark = pytest.mark.ros
 
 
 def test_a_recorded_session_gives_back_the_gel(record_press: Callable[[Path], dict[str, int]], tmp_path: Path) -> None:
+    """The rig is coarse, for real time: its mesh error is 17 times the noise, and the interval has that in it."""
     record_press(tmp_path / "press")
     rig = load_rig(RIG)
     wrong = with_parameters(rig, {"pad.E_pa": 2.9e5})
     result, _ = fit_runs(wrong, [load_run(wrong, tmp_path / "press")], ["pad.E"])
     (stiffness,) = result.estimates
     assert stiffness.value == pytest.approx(2.0e5, rel=0.03)
-    assert stiffness.ci95[1] - stiffness.ci95[0] < 0.2e5
+    low, high = stiffness.ci95
+    assert low <= 2.0e5 <= high and high - low < 0.3e5
