@@ -2,7 +2,7 @@
 
 A time step minimises, over the positions ``x`` of all nodes at the end of the step,
 
-    Phi(x) = 1/2 (x - xhat)^T M (x - xhat) / dt^2  +  sum_terms E_term(x; step constants)
+    Phi(x) = 1/2 (x - xhat)^T M (x - xhat) / tau^2  +  sum_terms E_term(x; step constants)
 
 A term owns its elements. It is bound once to the shared buffers and then reads positions and adds
 to energy, gradient and Hessian in place. Whatever a term remembers from step to step (plastic
@@ -54,11 +54,16 @@ class Buffers:
 
 @dataclass(frozen=True)
 class StepContext:
-    """Constants of one step: positions and velocities at its start, and its length [s]."""
+    """Constants of one step: positions and velocities at its start, its length [s], and what the velocity
+    (``x_base``, ``tau`` [s]) and the acceleration (``v_base``) at its end are measured from
+    (:func:`sim_core.solve.integrator.step_context`)."""
 
     x_start: np.ndarray
     v_start: np.ndarray
     dt: float
+    x_base: np.ndarray
+    v_base: np.ndarray
+    tau: float
 
 
 class Term(Protocol):

@@ -24,7 +24,8 @@ from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene, Values
 from sim_core.simulate import FOREVER_S, Simulation, Trace, run
-from sim_core.solve.step import NewtonSettings, StepReport
+from sim_core.solve.integrator import Past, step_context
+from sim_core.solve.step import NewtonSettings, State, StepReport
 
 LARGEST_REACH_M = 1e-7
 """Farthest that the neighbouring state of a difference may be from the state itself [m]."""
@@ -56,6 +57,7 @@ class TangentSimulation(Simulation):
         zero = np.zeros_like(self.state.x)
         self._dx = [zero.copy() for _ in self._neighbours]
         self._dv = [zero.copy() for _ in self._neighbours]
+        self._dpast = [(zero.copy(), zero.copy()) for _ in self._neighbours]
         self._dxi: list[dict[str, Internals]] = [
             {t: {k: np.zeros_like(a) for k, a in v.items()} for t, v in self.state.internals.items()}
             for _ in self._neighbours
@@ -64,7 +66,7 @@ class TangentSimulation(Simulation):
         if self._settle and self._all_held():
             inertia, self.scene.system.inertia = self.scene.system.inertia, False
             try:
-                self._propagate(StepContext(self.state.x, self.state.v, FOREVER_S), self.state.internals, still=True)
+                self._propagate(self.state, FOREVER_S, still=True)
             finally:
                 self.scene.system.inertia = inertia
         else:
@@ -75,15 +77,16 @@ class TangentSimulation(Simulation):
         report = super()._advance(end, dt)
         self.frames = {**self.frames, **end}
         self.reading = self.read()
-        self._propagate(StepContext(before.x, before.v, dt), before.internals, still=False)
+        self._propagate(before, dt, still=False)
         return report
 
-    def _propagate(self, step: StepContext, internals: dict[str, Internals], still: bool) -> None:
-        """Carry all tangents over the step that has just been solved.
+    def _propagate(self, before: State, dt: float, still: bool) -> None:
+        """Carry all tangents over the step of ``dt`` [s] from ``before`` that has just been solved.
 
         ``still``: the step is the first equilibrium, which remembers nothing.
         """
         scene, system = self.scene, self.scene.system
+        step = step_context(before.x, before.v, dt, before.past)
         solution, after = system.unknowns(), self.state
         derivatives: dict[int, dict[str, np.ndarray]] = {}
         if self._mechanical:
@@ -91,13 +94,13 @@ class TangentSimulation(Simulation):
             factor = system.factor(system.hessian(exact=True), definite=False)
             columns = []
             for k in self._mechanical:
-                self._enter(k, step, internals, still)
+                self._enter(k, before, dt, still)
                 system.set_unknowns(solution)
                 columns.append((system.residual() - base) / self._steps[k])
             moved = -factor.solve(np.column_stack(columns))
             for column, k in enumerate(self._mechanical):
                 h = self._steps[k]
-                begun, begun_internals = self._enter(k, step, internals, still)
+                begun, begun_internals = self._enter(k, before, dt, still)
                 system.set_unknowns(solution + h * moved[:, column])
                 derivatives[k] = self._difference(self._neighbours[k], h)
                 dx = system.spread(moved[:, column])
@@ -106,11 +109,15 @@ class TangentSimulation(Simulation):
                         t: {n: (a - after.internals[t][n]) / h for n, a in v.items()}
                         for t, v in system.end_step(begun, begun_internals).items()
                     }
-                    self._dv[k] = (dx - self._dx[k]) / step.dt if system.inertia else np.zeros_like(dx)
+                    # What velocities are measured from is linear in the states, so their derivatives go the same way.
+                    past = Past(*self._dpast[k], before.past.dt) if before.past is not None else None
+                    carried = step_context(self._dx[k], self._dv[k], dt, past)
+                    self._dpast[k] = self._dx[k], self._dv[k]
+                    self._dv[k] = (dx - carried.x_base) / step.tau if system.inertia else np.zeros_like(dx)
                 self._dx[k] = dx
                 self._bound(k)
             scene.apply(self._nominal)
-            system.begin_step(step, internals, search=False)
+            system.begin_step(step, before.internals, search=False)
             system.set_unknowns(solution)
         self.derivatives = self._read_derivatives(derivatives)
 
@@ -126,19 +133,22 @@ class TangentSimulation(Simulation):
         share = LARGEST_REACH_M / reach if np.isfinite(reach) else 0.0
         self._dx[k] = np.nan_to_num(self._dx[k] * share)
         self._dv[k] = np.nan_to_num(self._dv[k] * share)
+        x, v = self._dpast[k]
+        self._dpast[k] = np.nan_to_num(x * share), np.nan_to_num(v * share)
         self._dxi[k] = {t: {n: np.nan_to_num(a * share) for n, a in v.items()} for t, v in self._dxi[k].items()}
 
-    def _enter(
-        self, k: int, step: StepContext, internals: dict[str, Internals], still: bool
-    ) -> tuple[StepContext, dict[str, Internals]]:
+    def _enter(self, k: int, before: State, dt: float, still: bool) -> tuple[StepContext, dict[str, Internals]]:
         """Begin the step from the neighbouring state with the neighbouring parameters."""
         h = self._steps[k]
         self.scene.apply(self._amended[k])
         if still:
-            begun, carried = step, internals
+            begun, carried = step_context(before.x, before.v, dt), before.internals
         else:
-            begun = StepContext(step.x_start + h * self._dx[k], step.v_start + h * self._dv[k], step.dt)
-            carried = {t: {n: a + h * self._dxi[k][t][n] for n, a in v.items()} for t, v in internals.items()}
+            past, (dx, dv) = before.past, self._dpast[k]
+            if past is not None:
+                past = Past(past.x + h * dx, past.v + h * dv, past.dt)
+            begun = step_context(before.x + h * self._dx[k], before.v + h * self._dv[k], dt, past)
+            carried = {t: {n: a + h * self._dxi[k][t][n] for n, a in v.items()} for t, v in before.internals.items()}
         self.scene.system.begin_step(begun, carried, search=False)
         return begun, carried
 

@@ -110,10 +110,15 @@ class Contact(Strict):
 
 
 class Solver(Strict):
-    """The time step. Without ``inertia`` every step is an equilibrium (quasi-static)."""
+    """The time step. Without ``inertia`` every step is an equilibrium (quasi-static).
+
+    ``integrator``: ``implicit_euler`` damps what moves, the more the longer the step; ``bdf2`` is of second order,
+    for what swings or is thrown.
+    """
 
     dt_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-6, le=10.0)] = 0.01
     inertia: Flag = True
+    integrator: Literal["implicit_euler", "bdf2"] = "implicit_euler"
 
 
 class Rig(Strict):

@@ -90,6 +90,7 @@ class Scene:
             values.gravity,
             rig.solver.inertia,
             [Compliant(self.carried(e), c) for e, c in values.compliance.items()],
+            rig.solver.integrator == "bdf2",
         )
         self._masses: dict[tuple[float, ...], sp.csr_matrix] = {}
         self._applied_mass: tuple[float, ...] | None = None

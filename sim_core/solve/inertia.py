@@ -1,6 +1,6 @@
 """Inertia, gravity and dead loads: the quadratic part of the incremental potential.
 
-E = f/2 (x - xhat)^T M (x - xhat) - x . q,    f = 1/dt^2 (0 without inertia),  q = M g + loads
+E = f/2 (x - xhat)^T M (x - xhat) - x . q,    f = 1/tau^2 (0 without inertia),  q = M g + loads
 """
 
 import taichi as ti

@@ -1,4 +1,4 @@
-"""One implicit Euler step: from a state and where the prescribed nodes go to the next state."""
+"""One implicit step: from a state and where the prescribed nodes go to the next state."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_core.energies.term import Internals, StepContext
+from sim_core.energies.term import Internals
 from sim_core.errors import ConvergenceError
 from sim_core.solve import guarded, newton
+from sim_core.solve.integrator import Past, step_context
 from sim_core.solve.report import NewtonSettings, Result, StepReport
 from sim_core.solve.system import System
 
@@ -17,12 +18,14 @@ __all__ = ["NewtonSettings", "Result", "State", "StepReport", "advance"]
 
 @dataclass(frozen=True)
 class State:
-    """A value: copy it, perturb it, replay from it. ``x`` [m], ``v`` [m/s] ``(n, 3)``; ``t`` [s]."""
+    """A value: copy it, perturb it, replay from it. ``x`` [m], ``v`` [m/s] ``(n, 3)``; ``t`` [s]; ``past``:
+    the state before, where the integrator looks back."""
 
     t: float
     x: np.ndarray
     v: np.ndarray
     internals: dict[str, Internals]
+    past: Past | None = None
 
 
 def advance(
@@ -41,7 +44,7 @@ def advance(
     off; the returned state is then the last iterate.
     """
     settings = settings or NewtonSettings()
-    step = StepContext(state.x, state.v, dt)
+    step = step_context(state.x, state.v, dt, state.past)
     x = system.x
     system.set_targets(targets)
     x[:] = state.x
@@ -59,5 +62,6 @@ def advance(
             "Use a smaller solver.dt_s, a slower motion, or a finer mesh where the sheet folds.",
         )
     internals = system.end_step(step, state.internals)
-    velocity = (x - state.x) / dt if system.inertia else np.zeros_like(x)
-    return State(state.t + dt, x.copy(), velocity, internals), report
+    velocity = (x - step.x_base) / step.tau if system.inertia else np.zeros_like(x)
+    past = Past(state.x, state.v, dt) if system.inertia and system.second_order else None
+    return State(state.t + dt, x.copy(), velocity, internals, past), report

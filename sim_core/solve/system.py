@@ -37,7 +37,8 @@ class System:
 
     ``nodes``: rest positions [m] ``(n, 3)``. ``mass``: csr ``(n, n)`` [kg]. ``prescribed``: bool
     ``(n, 3)``. ``gravity``: [m/s^2] ``(3,)``. ``inertia``: False makes every step a static
-    equilibrium. ``compliant``: groups of prescribed nodes that give way together.
+    equilibrium. ``compliant``: groups of prescribed nodes that give way together. ``second_order``: steps
+    look back on the one before (:mod:`sim_core.solve.integrator`).
     """
 
     def __init__(
@@ -49,6 +50,7 @@ class System:
         gravity: np.ndarray,
         inertia: bool = True,
         compliant: Sequence[Compliant] = (),
+        second_order: bool = False,
     ) -> None:
         self.nodes = np.ascontiguousarray(nodes, dtype=float)
         self.mass = mass.tocsr()
@@ -56,6 +58,7 @@ class System:
         self.terms = list(terms)
         self.gravity = np.asarray(gravity, dtype=float)
         self.inertia = inertia
+        self.second_order = second_order
         self._dynamic = [cast(DynamicTerm, t) for t in self.terms if hasattr(t, "prepare")]
         self._static = [t for t in self.terms if not hasattr(t, "prepare")]
         self._guarded = [cast(GuardedTerm, t) for t in self.terms if hasattr(t, "free_way")]
@@ -66,7 +69,7 @@ class System:
         self._energy = np.zeros(1)
         self._gradient: np.ndarray = np.zeros_like(self._x)
         self._predicted = self._x.copy()
-        self._dt = 1.0
+        self._tau = 1.0
         self._inertia_factor = np.zeros(1)
         self._external = np.zeros_like(self._x)
         self.loads = np.zeros_like(self._x)
@@ -234,7 +237,7 @@ class System:
         return True
 
     def _begin(self, step: StepContext, internals: dict[str, Internals], towards: np.ndarray | None) -> None:
-        self._dt = step.dt
+        self._tau = step.tau
         if towards is not None:
             changed = [term.prepare(step, towards) for term in self._dynamic]
             if any(changed):
@@ -242,25 +245,25 @@ class System:
                 if self._pattern.renew([term.blocks() for term in self._dynamic]):
                     self._bind()
         self._external[:] = self.mass @ np.broadcast_to(self.gravity, self._x.shape) + self.loads
-        self._predicted[:] = step.x_start + step.dt * step.v_start
+        self._predicted[:] = step.x_base + step.tau * step.v_base
         for term in self.terms:
             term.begin_step(step, internals[term.name])
 
     @contextmanager
     def tethered(self, tau: float) -> Iterator[None]:
         """Within this context inertia holds the system where it is now, over a time ``tau`` [s]."""
-        kept = self._dt, self.inertia, self._predicted.copy()
-        self._dt, self.inertia = tau, True
+        kept = self._tau, self.inertia, self._predicted.copy()
+        self._tau, self.inertia = tau, True
         self._predicted[:] = self._x
         try:
             yield
         finally:
-            self._dt, self.inertia, self._predicted[:] = kept
+            self._tau, self.inertia, self._predicted[:] = kept
 
     def energy(self) -> float:
         """Incremental potential [J] at :attr:`x`."""
         self._energy[0] = 0.0
-        self._inertia_factor[0] = 1.0 / self._dt**2 if self.inertia else 0.0
+        self._inertia_factor[0] = 1.0 / self._tau**2 if self.inertia else 0.0
         self._inertia_energy()
         for term in self.terms:
             term.add_energy()
@@ -271,7 +274,7 @@ class System:
 
         The returned array is reused by the next call.
         """
-        self._inertia_factor[0] = 1.0 / self._dt**2 if self.inertia else 0.0
+        self._inertia_factor[0] = 1.0 / self._tau**2 if self.inertia else 0.0
         self._inertia_gradient()
         for term in self.terms:
             term.add_gradient()
@@ -288,7 +291,7 @@ class System:
         """Entries of :meth:`hessian` in the order of its pattern."""
         used = self._pattern.n_used
         if self.inertia:
-            np.multiply(self._mass_values[:used], 1.0 / self._dt**2, out=self._hessian[:used])
+            np.multiply(self._mass_values[:used], 1.0 / self._tau**2, out=self._hessian[:used])
         else:
             self._hessian[:used] = 0.0
         for term in self.terms:

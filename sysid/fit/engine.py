@@ -114,5 +114,6 @@ def _geometry(rig: Rig) -> object:
     )
     return repr((data["bodies"], data["clamps"], data["end_effectors"], data["contacts"], active,
                  data["sensors"].keys(), data["cameras"].keys(), data["solver"]["inertia"],
+                 data["solver"]["integrator"],
                  [s.get("points") for s in data["sensors"].values()],
                  [c["sees"] for c in data["cameras"].values()]))  # fmt: skip

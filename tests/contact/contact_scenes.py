@@ -9,8 +9,8 @@ from sim_core.contact.samples import sheet_samples, triangle_edges
 from sim_core.contact.surface import SurfaceContact
 from sim_core.energies.bending import Bending
 from sim_core.energies.membrane import Membrane
-from sim_core.energies.term import StepContext
 from sim_core.geometry.sheets import SheetMesh, rectangle
+from sim_core.solve.integrator import step_context
 from sim_core.solve.system import System
 
 LAW = {"stiffness_pa_per_m": 1e9, "range_m": 2e-4, "friction": 0.4}
@@ -61,7 +61,7 @@ class Two:
         )
 
     def begin(self, x, internals=None, dt=0.01):
-        step = StepContext(x, np.zeros_like(x), dt)
+        step = step_context(x, np.zeros_like(x), dt)
         self.system.set_targets(x)
         self.system.x[:] = x
         self.system.begin_step(step, internals or self.system.initial_internals())

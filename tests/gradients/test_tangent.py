@@ -44,6 +44,12 @@ def test_sheet_parameters_through_contact_and_motion(small_rig, visit, name):
     compare(small_rig(), visit(*PRESS), name, 1e-3, wide=1e-3)
 
 
+@pytest.mark.parametrize("name", ["card.E_pa", "card.density_kg_m3"])
+def test_steps_that_look_back(small_rig, visit, name):
+    rig = small_rig(solver={"dt_s": 0.02, "inertia": True, "integrator": "bdf2"})
+    compare(rig, visit(*PRESS), name, 1e-3, wide=1e-3)
+
+
 @pytest.mark.parametrize("name", ["gel.E_pa", "gel.nu", "contacts.gel-post.friction"])
 def test_gel_parameters_through_sticking_and_sliding(small_rig, visit, name):
     compare(small_rig(), visit(*RUB), name, 2e-3)
