@@ -36,7 +36,7 @@ STIFFNESS, RANGE, CORE, MU, EXCESS, SLIP_SCALE, OFFSET, BLEND, GUARD = range(9)
 ``BLEND`` [m]: width over which distances to several triangles are blended; ``GUARD``: 1 where distances have
 no sign, because nothing has crossed."""
 
-CORE_GUARDED, CORE_FREE = 1e-3, 0.1
+CORE_GUARDED, CORE_FREE = 1e-3, 0.2
 """Share of the range below which the law is straight: where nothing crosses, and where iterates may overlap."""
 
 

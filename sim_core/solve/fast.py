@@ -125,10 +125,12 @@ class FastNewton:
         system.set_unknowns(self._start + direction)
 
     def _shorten(self, g: np.ndarray) -> np.ndarray:
-        """Residual after the last step, which is shortened first where it took back the one before it."""
-        if self._back < REVERSED:
-            return g
+        """Residual after the last step, which is shortened first where it took back the one before it or, in a
+        search for contact that makes no headway, where it overshot: a tangent near the slip limit is too soft."""
         before, after = float(self._before @ self._full), float(g @ self._full)
+        stalled = self._system.touchable and self._tangents > self._best_at
+        if self._back < REVERSED and not (stalled and after > abs(before)):
+            return g
         share, there, tries = shorten(self._system, self._start, self._full, before, after)
         if there is None:
             return g

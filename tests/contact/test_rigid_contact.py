@@ -4,7 +4,7 @@ from contact_scenes import LAW, check_derivatives, on_rigid
 from scipy.spatial.transform import Rotation
 
 from sim_core.contact.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE
-from sim_core.energies.term import StepContext
+from sim_core.solve.integrator import step_context
 
 R = 0.01
 SHAPES = {
@@ -34,7 +34,7 @@ def resting(name, gap=1e-4, law=LAW, turn=None):
     system, term = on_rigid(shape, nodes, triangles, law, turn.as_matrix())
     x = np.vstack([nodes, np.zeros(3)])
     internals = {"rigid": term.initial_internals()}
-    step = StepContext(x, np.zeros_like(x), 0.01)
+    step = step_context(x, np.zeros_like(x), 0.01)
     for _ in range(2):
         system.x[:] = x
         system.begin_step(step, internals)
@@ -107,7 +107,7 @@ def test_static_excess_raises_the_threshold_only_at_rest():
     _, term, x, _ = resting("half space", law=law)
     internals = term.initial_internals()
     internals["load"] = np.ones(4)
-    step = StepContext(x, np.zeros_like(x), 0.01)
+    step = step_context(x, np.zeros_like(x), 0.01)
     term.begin_step(step, internals)
     at_rest = term._limit.copy()
     internals["slip_speed"] = np.full(4, 0.1)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.contact.samples import Samples
 from sim_core.contact.surface import SurfaceContact
-from sim_core.energies.term import StepContext
+from sim_core.solve.integrator import step_context
 from sim_core.solve.step import State, advance
 from sim_core.solve.system import System
 
@@ -95,7 +95,7 @@ def one_triangle(point, size, law=THIN):
     term.configure(law)
     system = System(nodes, sp.csr_matrix((4, 4)), np.zeros((4, 3), dtype=bool), [term], np.zeros(3), inertia=False)
     system.set_targets(nodes)
-    system.begin_step(StepContext(nodes, np.zeros_like(nodes), 0.01), system.initial_internals())
+    system.begin_step(step_context(nodes, np.zeros_like(nodes), 0.01), system.initial_internals())
     system.x[:] = nodes
     force = -system.gradient()[3]
     return force, term.contacts()[1]

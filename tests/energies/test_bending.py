@@ -3,15 +3,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 from shell_terms import ORTHOTROPIC, PAPER, bending, check_derivatives, full, rolled, strip
 
-from sim_core.energies.term import StepContext
 from sim_core.geometry.sheets import SheetMesh
+from sim_core.solve.integrator import step_context
 
 PATTERNS = ("regular", "crossed", "irregular")
 RIGIDITY = PAPER["E_pa"] * PAPER["thickness_m"] ** 3 / 12.0 / (1.0 - PAPER["nu"] ** 2)
 
 
 def step(x):
-    return StepContext(x, np.zeros_like(x), 0.01)
+    return step_context(x, np.zeros_like(x), 0.01)
 
 
 def crumpled(mesh, seed=2):

@@ -6,9 +6,10 @@ from scipy.sparse import coo_matrix, triu
 from scipy.sparse.linalg import splu
 
 from sim_core.energies.neo_hookean import NeoHookean
-from sim_core.energies.term import Buffers, StepContext
+from sim_core.energies.term import Buffers
 from sim_core.errors import ConfigError
 from sim_core.geometry import solids
+from sim_core.solve.integrator import step_context
 
 ELASTIC = {"E_pa": 1e5, "nu": 0.45}
 RELAXING = {**ELASTIC, "relaxation_g": 0.3, "relaxation_tau_s": 0.1}
@@ -69,7 +70,7 @@ class Body:
 
     def step(self, x_start, x_end, dt):
         """A step of length ``dt`` with all positions prescribed; returns the forces at its end."""
-        context = StepContext(x_start, np.zeros_like(x_start), dt)
+        context = step_context(x_start, np.zeros_like(x_start), dt)
         self.term.begin_step(context, self.internals)
         force = self.gradient(x_end)
         self.internals = self.term.end_step(context, self.internals)
@@ -142,7 +143,7 @@ def loaded(parameters, mesh, rng):
     if "relaxation_g" in parameters:
         internals = {"Q": 1e4 * rng.normal(size=(len(mesh.tets), 4, 6))}
         start = deformed(mesh, "moderate", rng)
-        body.term.begin_step(StepContext(start, np.zeros_like(start), 0.02), internals)
+        body.term.begin_step(step_context(start, np.zeros_like(start), 0.02), internals)
     return body
 
 
@@ -185,7 +186,7 @@ def test_projection_changes_nothing_where_the_hessian_is_already_positive():
     for parameters in (ELASTIC, RELAXING):
         body = Body(irregular_block(), parameters)
         x = 1.05 * body.mesh.nodes
-        body.term.begin_step(StepContext(x, 0.0 * x, 0.02), body.internals)
+        body.term.begin_step(step_context(x, 0.0 * x, 0.02), body.internals)
         exact, projected = body.hessian(x), body.hessian(x, exact=False)
         assert abs(exact - projected).max() < 1e-12 * abs(exact).max()
 
@@ -396,7 +397,7 @@ def test_relaxed_tension_reads_the_relaxed_modulus():
     )
     before = mesh.nodes
     for _ in range(60):
-        context = StepContext(before, 0.0 * before, 0.05)
+        context = step_context(before, 0.0 * before, 0.05)
         body.term.begin_step(context, body.internals)
         x = body.solve(x, others(body, fixed))
         body.internals = body.term.end_step(context, body.internals)

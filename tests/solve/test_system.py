@@ -5,11 +5,11 @@ from scipy.spatial.transform import Rotation
 from sheet_systems import DENSITY, FILM, both_ends, film, left, nothing
 
 import sim_core.solve.pattern as pattern_module
-from sim_core.energies.term import StepContext
 from sim_core.rigs import parse_rig
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation
 from sim_core.solve.factor import factorise
+from sim_core.solve.integrator import step_context
 from sim_core.solve.step import State, advance
 from sim_core.solve.system import Compliant
 
@@ -22,7 +22,7 @@ def rough(system, amplitude=2e-4, seed=0):
 def begin(system, x, dt=0.01):
     system.set_targets(x)
     system.x[:] = x
-    system.begin_step(StepContext(system.nodes, np.zeros_like(x), dt), system.initial_internals())
+    system.begin_step(step_context(system.nodes, np.zeros_like(x), dt), system.initial_internals())
     system.set_targets(x)
 
 
