@@ -12,6 +12,7 @@ from sim_core.errors import ConvergenceError
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Observer, frame_of
+from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State, StepReport, advance
 
 MAX_HALVINGS = 5
@@ -80,6 +81,7 @@ class Simulation:
             self.state = settle(scene, self.state, targets, self._settings)
         else:
             scene.system.set_targets(targets)
+            scene.system.begin_step(step_context(x, self.state.v, scene.rig.solver.dt_s), self.state.internals)
 
     def _all_held(self) -> bool:
         scene = self.scene

@@ -37,6 +37,8 @@ class Primitives:
         self.nodes = nodes
         self._weights = weights
         self.members = np.unique(nodes)
+        self.stretch = 1.0 if weights is None else float(np.abs(weights).sum(axis=1).max(initial=1.0))
+        """How many times further from a common mean than its nodes a point may move."""
 
     def spheres(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Centres [m] ``(n, 3)`` and radii [m] ``(n,)`` of spheres around them."""
@@ -98,12 +100,15 @@ class Candidates:
         first, second = self.pairs
         return np.asarray(first * np.int64(len(self._theirs.nodes)) + second)
 
-    def search(self, x: np.ndarray, towards: np.ndarray, within: float, margin: float) -> tuple[bool, bool]:
+    def search(
+        self, x: np.ndarray, towards: np.ndarray, within: float, margin: float, more: bool = False
+    ) -> tuple[bool, bool]:
         """Look for pairs that come within ``within`` [m] beyond the offset while nodes move from ``x`` to
         ``towards`` or thereabouts, unless those at hand do.
 
         The outer ring is wider by ``margin`` [m], the inner by a part of it. Returns whether the inner and the
-        outer ring changed.
+        outer ring changed. ``more``: keep the inner ring at hand beside what is found, because the way leads on
+        from where it was needed.
         """
         if self._searched_at is not None and self._range == within and self._surplus <= SURPLUS * margin:
             if max(self._motion(x), self._motion(towards)) <= self._surplus:
@@ -115,6 +120,8 @@ class Candidates:
         if self._motion(towards) > self._surplus:
             bound = self._bound(x, towards, within)
             inner = np.union1d(inner, bound)
+        if more:
+            inner, bound = np.union1d(inner, self.keys), np.union1d(bound, self.keys)
         at = np.searchsorted(self._coupled_keys, inner)
         inside = bool(np.all(at < len(self._coupled_keys))) and bool(np.all(self._coupled_keys[at] == inner))
         inside &= len(self._coupled_keys) <= MOST_COUPLED * (len(near) + len(bound)) + FEW_COUPLED
@@ -133,9 +140,11 @@ class Candidates:
     def _motion(self, x: np.ndarray) -> float:
         """By how much any primitives may have approached each other since the search [m]."""
         assert self._searched_at is not None
-        ours, theirs = (x[m] - self._searched_at[m] for m in (self._ours.members, self._theirs.members))
+        sides = (self._ours, self._theirs)
+        ours, theirs = (x[side.members] - self._searched_at[side.members] for side in sides)
         middle = 0.5 * (ours.mean(axis=0) + theirs.mean(axis=0))
-        return float(sum(np.sqrt(((part - middle) ** 2).sum(axis=1).max()) for part in (ours, theirs)))
+        farthest = (np.sqrt(((part - middle) ** 2).sum(axis=1).max()) for part in (ours, theirs))
+        return float(sum(side.stretch * way for side, way in zip(sides, farthest, strict=True)))
 
     def _bound(self, x: np.ndarray, to: np.ndarray, within: float) -> np.ndarray:
         """Keys of the pairs that may come within ``within`` between ``x`` and ``to``, ascending."""

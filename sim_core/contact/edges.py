@@ -144,9 +144,9 @@ class EdgeContact:
         set_guard(self._c, on)
         self._seen[:] = np.nan
 
-    def prepare(self, step: StepContext, towards: np.ndarray) -> bool:
+    def prepare(self, step: StepContext, towards: np.ndarray, more: bool = False) -> bool:
         """Look for candidates from the start of a step on; True when the coupled nodes changed."""
-        inner, outer = self._candidates.search(step.x_start, towards, self._c[RANGE], self._margin)
+        inner, outer = self._candidates.search(step.x_start, towards, self._c[RANGE], self._margin, more)
         if inner:
             first, second = self._candidates.pairs
             count = len(first)

@@ -279,6 +279,11 @@ class RigidContact:
         self._start()
         self._limit[:] = friction_coefficient(self._c, internals["slip_speed"]) * internals["load"]
 
+    @property
+    def turns(self) -> bool:
+        """Whether the body turns in this step."""
+        return not np.array_equal(self._rotation_start, self._target)
+
     def turn(self, share: float) -> None:
         """Turn the body to where it is after ``share`` of the step."""
         self._rotation[:] = self._turned(share)

@@ -168,9 +168,9 @@ class SurfaceContact:
         if hasattr(self, "_seen"):
             self._seen[:] = np.nan
 
-    def prepare(self, step: StepContext, towards: np.ndarray) -> bool:
+    def prepare(self, step: StepContext, towards: np.ndarray, more: bool = False) -> bool:
         """Look for candidates from the start of a step on; True when the coupled nodes changed."""
-        inner, outer = self._candidates.search(step.x_start, towards, self._c[RANGE], self._margin)
+        inner, outer = self._candidates.search(step.x_start, towards, self._c[RANGE], self._margin, more)
         if inner:
             sample, triangle = self._candidates.pairs
             if len(triangle) > len(self._near):

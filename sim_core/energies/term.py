@@ -122,9 +122,9 @@ class DynamicTerm(Term, Protocol):
     ``buffers.pairs`` says (:func:`sim_core.kernels.add_block`).
     """
 
-    def prepare(self, step: StepContext, towards: np.ndarray) -> bool:
+    def prepare(self, step: StepContext, towards: np.ndarray, more: bool = False) -> bool:
         """Look for partners from the start of a step on, in which nodes are foreseen to go to ``towards`` [m]
-        ``(n, 3)``; True when ``blocks`` changed."""
+        ``(n, 3)``, beside those at hand if ``more``; True when ``blocks`` changed."""
         ...
 
     def outran(self) -> bool:

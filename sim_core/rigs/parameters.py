@@ -144,7 +144,7 @@ def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
 
 _MEANINGS = {
     "friction": "Coulomb friction coefficient",
-    "stiffness_pa_per_m": "contact pressure per depth",
+    "stiffness_pa_per_m": "contact pressure per approach",
     "latency_s": "delay of the stamps",
     "cx_px": "principal point u",
     "cy_px": "principal point v",

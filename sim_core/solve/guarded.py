@@ -39,6 +39,9 @@ RELAXATIONS = 6
 PATIENCE = 3
 """Parts of the prescribed motion without progress before it is given up."""
 
+NO_MOTION_M = 1e-15
+"""Prescribed motion that is nothing but round-off."""
+
 ITERATIONS = 4
 """Moves of the guarded Newton, as a multiple of ``max_iterations``."""
 
@@ -70,8 +73,10 @@ def solve(
         kept = system.x.copy()
         system.guard(False)
         found = creep(system, settings, targets)
-        if found.converged and not _holds(system, kept, settings)[1]:
-            found = replace(found, result=Result.ITERATION_LIMIT)
+        sound = found.converged and _holds(system, kept, settings)[1]
+        counts = (found.iterations, found.factorisations, found.line_searches)
+        result = Result.CONVERGED if sound else Result.ITERATION_LIMIT
+        found = report(system, result, counts, found.residual_n, found.update_m)
     return after(found, spent)
 
 
@@ -114,7 +119,7 @@ def _holds(system: System, start: np.ndarray, settings: NewtonSettings) -> tuple
     """Whether the straight path from ``start`` to where the system is is free, and whether it is in balance."""
     system.cover()
     system.guard(True)
-    if system.free_way(start, system.x - start, ANY, (0.0, 1.0)) < 1.0:
+    if system.free_way(start, system.x - start, ANY, (0.0, 1.0))[0] < 1.0:
         return False, False
     residual = float(np.abs(system.residual()).max(initial=0.0))
     return True, converged(system, settings, 0.0, residual)
@@ -135,12 +140,12 @@ def _guarded(
     whole = np.where(system.prescribed, targets - base, 0.0)
     left = 0.0
     if start is x_start:
-        left = 1.0 if np.any(whole) else 0.0
+        left = 1.0 if np.abs(whole).max(initial=0.0) > NO_MOTION_M or system.turns else 0.0
         place(system, x_start, base, deflection)
     system.guard(True)
     system.turn(1.0 - left)
     searches, factorisations, update, residual, result = 0, 0, np.inf, np.inf, Result.ITERATION_LIMIT
-    moving, relaxed, stuck, iteration = True, 0, 0, 0
+    moving, relaxed, stuck, iteration, blocker = True, 0, 0, 0, ""
     length = float(np.abs(whole).max(initial=0.0))
     for iteration in range(1, ITERATIONS * settings.max_iterations + 1):  # noqa: B007  (reported)
         g = system.residual()
@@ -163,12 +168,12 @@ def _guarded(
         step = system.spread(direction)
         if move is not None:
             step = step + move
-        fraction = _way(system, direction, step, left, base, whole, move is not None)
+        fraction, by = _way(system, direction, step, left, base, whole, move is not None)
         unknowns = system.unknowns()
         if move is not None:
-            stuck = stuck + 1 if left * fraction < SHORTEST else 0
+            stuck = stuck + 1 if by and left * fraction < SHORTEST else 0
+            blocker = by
             if stuck == PATIENCE:
-                result = Result.BLOCKED
                 break
             left = 0.0 if fraction == 1.0 else left * (1.0 - fraction)
             _advance(system, unknowns + fraction * direction, left, base, whole)
@@ -187,10 +192,11 @@ def _guarded(
             break
         relaxed += 1
         moving = moving or relaxed == RELAXATIONS or update < 1e-2 * left * length
-    if left and result is not Result.NOT_FINITE:
-        result = Result.BLOCKED
     counts = (iteration, factorisations, searches)
-    return replace(report(system, result, counts, residual, update), left_m=left * length)
+    if not (left and blocker and result is not Result.NOT_FINITE):
+        return replace(report(system, result, counts, residual, update), left_m=left * length)
+    found = report(system, Result.BLOCKED, counts, residual, update)
+    return replace(found, left_m=left * length, tightest=blocker)
 
 
 def _way(
@@ -201,15 +207,16 @@ def _way(
     base: np.ndarray,
     whole: np.ndarray,
     moving: bool,
-) -> float:
-    """Share of a move that is free. The system stays where it is."""
+) -> tuple[float, str]:
+    """Share of a move that is free, and the contact that ends it (empty: none). The system stays where it is."""
     here, unknowns = system.x.copy(), system.unknowns()
     fraction = min(1.0, FARTHEST_M / max(float(np.abs(step).max(initial=0.0)), 1e-300))
     then = left * (1.0 - fraction) if moving else left
     _advance(system, unknowns + fraction * direction, then, base, whole)
     system.cover()
     _advance(system, unknowns, left, base, whole)
-    return fraction * system.free_way(here, fraction * step, KEEP, (1.0 - left, 1.0 - then))
+    free, by = system.free_way(here, fraction * step, KEEP, (1.0 - left, 1.0 - then))
+    return fraction * free, by if free < 1.0 else ""
 
 
 def _advance(system: System, unknowns: np.ndarray, left: float, base: np.ndarray, whole: np.ndarray) -> None:

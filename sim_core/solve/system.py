@@ -224,22 +224,32 @@ class System:
         for term in self._turning:
             term.turn(share)
 
-    def free_way(self, start: np.ndarray, move: np.ndarray, keep: float, turn: tuple[float, float]) -> float:
+    @property
+    def turns(self) -> bool:
+        """Whether a rigid body turns in this step."""
+        return any(term.turns for term in self._turning)
+
+    def free_way(
+        self, start: np.ndarray, move: np.ndarray, keep: float, turn: tuple[float, float]
+    ) -> tuple[float, str]:
         """Share of ``move`` from ``start`` on (both [m] ``(n, 3)``) on which nothing touches
-        (:class:`GuardedTerm`)."""
-        return min((term.free_way(start, move, keep, turn) for term in self._guarded), default=1.0)
+        (:class:`GuardedTerm`), and the name of the contact that ends it."""
+        ways = [(term.free_way(start, move, keep, turn), term.name) for term in self._guarded]
+        return min(ways, default=(1.0, ""))
 
     def cover(self) -> bool:
         """Look for contact again if the way to :attr:`x` leads beyond what was looked at; True when it does."""
         if not any(term.outran() for term in self._dynamic):
             return False
-        self._begin(self._step, self._internals, self._x.copy())
+        self._begin(self._step, self._internals, self._x.copy(), more=True)
         return True
 
-    def _begin(self, step: StepContext, internals: dict[str, Internals], towards: np.ndarray | None) -> None:
+    def _begin(
+        self, step: StepContext, internals: dict[str, Internals], towards: np.ndarray | None, more: bool = False
+    ) -> None:
         self._tau = step.tau
         if towards is not None:
-            changed = [term.prepare(step, towards) for term in self._dynamic]
+            changed = [term.prepare(step, towards, more) for term in self._dynamic]
             if any(changed):
                 self._factor.clear()
                 if self._pattern.renew([term.blocks() for term in self._dynamic]):

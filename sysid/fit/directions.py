@@ -35,7 +35,7 @@ EXPECTED = 0.5
 """Expected size of a direction, in units of the extrapolated error."""
 
 RIGHT_SD = 0.5
-"""Standard deviation of the size of a direction about its expected value, and of its change in time."""
+"""Standard deviation of the constant part of the size of a direction, and of its drift in time."""
 
 LEVELS = ((6, 2**-0.5), (12, 0.5), (24, 8**-0.5))
 """Instants of a run between which the size of a direction is interpolated, and how strong each level is."""
@@ -96,7 +96,9 @@ class Basis:
 
     def whitened(self, noise: ChannelNoise) -> Basis:
         """The same in units of the noise; what is not finite has no part in it."""
-        weight = 1.0 / np.sqrt(1.0 + (self.rough / noise.sigma) ** 2)
+        # What is independent from sample to sample comes out of whitening that much larger.
+        coloured = (1.0 + noise.rho**2) / (1.0 - noise.rho**2)
+        weight = 1.0 / np.sqrt(1.0 + coloured * (self.rough / noise.sigma) ** 2)
         parts = {}
         for name in ("expected", "slopes", "common", "own"):
             white = np.nan_to_num(whiten(getattr(self, name), noise))

@@ -55,7 +55,8 @@ class Fitted:
 
     @property
     def misfit(self) -> float:
-        """Mean squared whitened residual: 1 for a model that is right."""
+        """Mean squared whitened residual: 1 for a model that is right, less where the error of mesh and time step that
+        is allowed for is not there."""
         return self.chi2 / max(self.samples, 1)
 
     @property

@@ -144,7 +144,7 @@ def loud(problem: Problem) -> list[str]:
                     ratio = float(np.sqrt(np.nanmean(relative[:, group] ** 2)))
                     found.setdefault((m.channel, quantity), []).append(ratio)
     return [
-        f"The error of mesh and time step in the {quantity} of {channel} is about {max(ratios):.0f} times the noise. "
+        f"The error of mesh and time step in the {quantity} of {channel} may be {max(ratios):.0f} times the noise. "
         "Intervals rest on what one refinement shows of it and may be too narrow: use finer cells or a shorter "
         "solver.dt_s."
         for (channel, quantity), ratios in found.items()

@@ -37,26 +37,25 @@ class Problem:
         self.engine = engine
         self.directions = list(directions)
         self.prior = prior
-        self._bases: dict[tuple[int, str], tuple[Basis, Basis]] = {}
+        self._whitened: dict[tuple[int, str], Basis] = {}
 
     def basis(self, index: int, measured: Measured) -> Basis:
         """The simulator's own error in one channel of run number ``index``."""
-        return self._both_bases(index, measured)[0]
+        return basis_of(self.directions, index, self.runs[index], measured)
 
-    def _both_bases(self, index: int, measured: Measured) -> tuple[Basis, Basis]:
-        """The basis in measured units, and whitened."""
+    def _white_basis(self, index: int, measured: Measured) -> Basis:
+        """The same, whitened; kept, since every evaluation needs it."""
         key = (index, measured.channel)
-        if key not in self._bases:
-            basis = basis_of(self.directions, index, self.runs[index], measured)
-            self._bases[key] = (basis, basis.whitened(self.noise[measured.channel]))
-        return self._bases[key]
+        if key not in self._whitened:
+            self._whitened[key] = self.basis(index, measured).whitened(self.noise[measured.channel])
+        return self._whitened[key]
 
     def whiten(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
         """Values ``(n, m, ...)`` in units of the noise and of what of the own error follows no shape."""
         white = whiten(values, self.noise[measured.channel])
         if not self.directions:
             return white
-        weight = self._both_bases(index, measured)[1].weight
+        weight = self._white_basis(index, measured).weight
         return np.asarray(white * weight.reshape(*weight.shape, *(1,) * (white.ndim - 2)))
 
     def corrected(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
@@ -91,7 +90,7 @@ class Problem:
                 stacked = np.stack(vectors, axis=2)
                 times = np.broadcast_to(m.t[:, None], white.shape)[good]
                 if self.directions:
-                    basis = self._both_bases(i, m)[1]
+                    basis = self._white_basis(i, m)
                     if scaled is None:
                         stacked[:, :, 0] -= basis.expected
                     else:

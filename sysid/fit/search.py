@@ -70,7 +70,10 @@ class Search:
                     max_nfev=max_evaluations - self._evaluations + 1,
                 )
                 message, converged = result.message, result.status > 0
-                if chance(self.best) > SHARPER * self._weight or self._evaluations >= max_evaluations:
+                if chance(self.best) > SHARPER * self._weight:
+                    break
+                if self._evaluations >= max_evaluations:
+                    message, converged = "the evaluations allowed were used up", False
                     break
         except KeyboardInterrupt:
             if self._best is None:
@@ -83,8 +86,9 @@ class Search:
 
     def _look(self, scaled: np.ndarray) -> Fitted | None:
         """The problem at these values; None where they cannot be simulated."""
-        if self._last is not None and np.array_equal(self._last.scaled, scaled):
-            return self._last
+        for known in (self._last, self._best):
+            if known is not None and np.array_equal(known.scaled, scaled):
+                return known
         self._evaluations += 1
         try:
             here = self._evaluate(scaled.copy())

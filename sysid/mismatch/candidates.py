@@ -25,6 +25,7 @@ from sysid.fit.fitted import Fitted
 from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
+from sysid.fit.uncertainty import chance
 
 LARGEST_STEP = 1.0
 """Longest step of the linear prediction in a logarithm, or in prior widths of a linear parameter."""
@@ -36,13 +37,13 @@ REFIT_TOLERANCE = 5.0
 
 @dataclass(frozen=True)
 class Start:
-    """An effect at starting values. ``predicted``: chi-square that a refit from here should reach;
-    ``scaled``: predicted values of baseline and effect parameters."""
+    """An effect at starting values. ``gain``: fall of chi-square, priors weighed as the baseline's search did,
+    that a refit from here should bring; ``scaled``: predicted values of baseline and effect parameters."""
 
     effect: Effect
     rig: Rig
     own: list[FitParameter]
-    predicted: float
+    gain: float
     scaled: np.ndarray
 
 
@@ -81,7 +82,7 @@ def screen(engine: PooledEngine, problem: Problem, base: Fitted) -> tuple[list[S
             failed[effect.name] = str(error)
             continue
         starts.append(_predict(problem, base, effect, rig, own, scaled, predictions))
-    return sorted(starts, key=lambda s: s.predicted), failed
+    return sorted(starts, key=lambda s: -s.gain), failed
 
 
 def _predict(
@@ -96,9 +97,10 @@ def _predict(
     """One bounded linear least-squares step from the secant."""
     r, j, _, _ = problem.assemble(predictions, len(own))
     shared = len(base.parameters)
-    width = np.array([p.prior_sd for p in (*base.parameters, *own)])
+    # The baseline was sought with priors weighed up by what chance makes of its misfit; so is this step.
+    width = np.array([p.prior_sd for p in (*base.parameters, *own)]) / np.sqrt(chance(base))
     rows = len(r)
-    prior_residual = base.residual[rows:] if problem.prior else np.zeros(shared)
+    prior_residual = base.residual[rows:] * np.sqrt(chance(base)) if problem.prior else np.zeros(shared)
     # Effect parameters are pulled to their vanishing value where they have a finite one.
     rest = np.array([_rest(effect, p, s) for p, s in zip(own, scaled, strict=True)])
     matrix = np.vstack(
@@ -116,7 +118,8 @@ def _predict(
     small, goal = upper[:, :-1], upper[:, -1]
     step = lsq_linear(small, goal, bounds=(np.minimum(low, -1e-12), np.maximum(high, 1e-12)))
     misfit = goal - small @ step.x
-    return Start(effect, rig, own, float(misfit @ misfit), at + step.x)
+    before = base.residual[:rows] @ base.residual[:rows] + prior_residual @ prior_residual
+    return Start(effect, rig, own, float(before - misfit @ misfit), at + step.x)
 
 
 def _rest(effect: Effect, parameter: FitParameter, scaled: float) -> float:
@@ -147,13 +150,16 @@ def log_evidence(fitted: Fitted, temper: float) -> float:
     """Laplace evidence of a fit with prior rows, up to a constant common to all models.
 
     ``temper`` divides the weight of the data, not that of the priors, so that a parameter which the data do
-    not touch changes nothing.
+    not touch changes nothing. Searches end where their own weights led them, so the least misfit with these
+    weights is taken from where one linear step leads.
     """
     count = len(fitted.parameters)
     data = slice(0, len(fitted.residual) - count)
     j, prior = fitted.jacobian[data], fitted.jacobian[len(fitted.residual) - count :]
     pull = fitted.residual[len(fitted.residual) - count :]
-    volume = np.linalg.slogdet(j.T @ j / temper + prior.T @ prior)[1]
+    information = j.T @ j / temper + prior.T @ prior
+    slope = j.T @ fitted.residual[data] / temper + prior.T @ pull
     widths = float(sum(np.log(p.prior_sd) for p in fitted.parameters))
-    misfit = (fitted.chi2 - float(pull @ pull)) / temper + float(pull @ pull)
-    return -0.5 * misfit - 0.5 * float(volume) - widths
+    here = (fitted.chi2 - float(pull @ pull)) / temper + float(pull @ pull)
+    least = here - float(slope @ np.linalg.solve(information, slope)) if count else here
+    return -0.5 * least - 0.5 * float(np.linalg.slogdet(information)[1]) - widths

@@ -111,7 +111,7 @@ def _chosen(starts: list[Start], base: Fitted) -> list[Start]:
 
     A law with a threshold has a misfit with several minima, so one start of it is not enough.
     """
-    promising = [s for s in starts if base.chi2 - s.predicted > 2.0 * WORTH_REFITTING_NATS]
+    promising = [s for s in starts if s.gain > 2.0 * WORTH_REFITTING_NATS]
     first: dict[str, Start] = {}
     for start in promising:
         first.setdefault(start.effect.name, start)

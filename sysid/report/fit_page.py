@@ -212,7 +212,7 @@ def tiles(result: FitResult, undetermined: set[str]) -> list[Tile]:
         Tile(
             "Reduced chi-square",
             significant(chi2) if chi2 is not None and math.isfinite(chi2) else MISSING,
-            "1 = nothing but noise is left",
+            "up to 1 = nothing but noise and error of mesh and step",
             explains(result),
         ),
         Tile(

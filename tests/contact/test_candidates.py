@@ -79,6 +79,22 @@ def test_what_the_foreseen_motion_brings_together_is_found_and_nothing_else_far_
     assert found.outran(towards)
 
 
+def test_a_way_that_turns_keeps_what_its_first_leg_was_searched_for():
+    """From A to B, and on from B to C: what lies between B and C was found on the way to B."""
+    x = np.array([[0.0, 0, 0], [7e-3, 3.5e-3, 0], [7.2e-3, 3.5e-3, 0], [7.1e-3, 3.7e-3, 0]])
+    far = np.array([[2e-3, 6.8e-3, 0], [2.2e-3, 6.8e-3, 0], [2.1e-3, 7e-3, 0]])
+    x = np.vstack([x, far])
+    points, triangles = np.array([[0]], dtype=np.int32), np.array([[1, 2, 3], [4, 5, 6]], dtype=np.int32)
+    distance = lambda x, first, second: np.linalg.norm(x[points[first, 0]] - x[triangles[second, 0]], axis=1)  # noqa: E731
+    found = Candidates(Primitives(points, np.ones((1, 1))), Primitives(triangles), 0.0, distance)
+    b, c = x.copy(), x.copy()
+    b[0], c[0] = [10e-3, 0, 0], [4e-3, 7e-3, 0]
+    found.search(x, b, 3e-5, 1e-4)
+    assert 0 in found.pairs[1]
+    found.search(x, c, 3e-5, 1e-4, more=True)
+    assert {0, 1} <= set(found.pairs[1].tolist())
+
+
 def test_what_is_far_away_has_no_candidates_and_motion_is_measured_between_the_surfaces():
     found, _, _, x = two_sheets(0.05)
     found.search(x, x, 1e-3, 1e-3)

@@ -61,7 +61,7 @@ TURNS = [Rotation.identity(), *Rotation.random(2, random_state=11)]
 @pytest.mark.parametrize("turn", TURNS, ids=["upright", "turned", "turned again"])
 def test_a_block_slips_if_and_only_if_the_slope_exceeds_the_friction(turn):
     """Below the threshold it stays where it is, without creep; above it accelerates as in a textbook; whatever
-    the orientation of the scene and the direction of the slope (D8)."""
+    the orientation of the scene and the direction of the slope."""
     scene = block_on_plane(turn)
     for heading in (0.3, 2.5):
         still, _ = slide(scene, turn, 0.98, heading)

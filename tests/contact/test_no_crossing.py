@@ -12,6 +12,7 @@ from sim_core.rigs import parse_rig
 from sim_core.scene import build_scene
 from sim_core.scene.assembly import contact_triangles
 from sim_core.simulate import Simulation
+from sim_core.solve.report import NewtonSettings
 
 STEP = 2e-3
 DT = 0.01
@@ -256,6 +257,21 @@ def test_a_push_through_a_pad_ends_in_words(move):
     assert simulation.state.x[scene_nodes(simulation, "pad"), 2].max() < simulation.frames["hand"][0][2]
 
 
+@pytest.mark.parametrize("fast_iterations", [20, 0], ids=["fast first", "guarded only"])
+def test_a_plate_that_tilts_takes_the_sheet_over_it_along(fast_iterations):
+    """It turns about its own origin: at the end of the sheet that is 5 mm in one step."""
+    bodies = {"sheet": sheet(0.08, 0.02, [8, 2], (0.02, 0.0, 4e-4)), "plate": rigid("plane", mount="hand")}
+    scene = scene_of(bodies, [("sheet", "plate")], [clamp("vice", "sheet", [-0.04, -0.02])], hand=(0.0, 0.0, 0.0))
+    simulation = Simulation(scene, NewtonSettings(fast_iterations=fast_iterations))
+    for degrees in (-5.0, -10.0, -4.0):
+        turn = Rotation.from_euler("y", degrees, degrees=True)
+        report = simulation.step({"hand": (np.zeros(3), turn)}, DT)
+        assert report.min_gap_m > 0.0
+        above = turn.inv().apply(simulation.state.x[scene_nodes(simulation, "sheet")])[:, 2]
+        assert above.min() > 1e-4
+    assert simulation.state.x[scene_nodes(simulation, "sheet"), 2].max() > 5e-3
+
+
 def scene_nodes(simulation, body):
     return simulation.scene.bodies[body].nodes
 
@@ -269,6 +285,30 @@ def test_the_same_bits_twice():
         return simulation.state.x.tobytes()
 
     assert run() == run()
+
+
+def test_a_scene_that_is_used_again_forgets_what_was_before():
+    bodies = {
+        "low": sheet(0.03, 0.02, [5, 3], (0, 0, 1.5e-3), (3, 2, 0)),
+        "box": rigid("box", size_m=[0.05, 0.05, 1e-3], mount="hand"),
+    }
+    scene = scene_of(bodies, [("low", "box")], hand=(0.0, 0.0, 0.0))
+    simulation = Simulation(scene, settle=False)
+    tilted = {"hand": (np.array([0.0, 0.0, 1e-4]), Rotation.from_euler("x", 1.5, degrees=True))}
+
+    def run():
+        simulation.reset(tilted)
+        scene.system.gradient()
+        found = [scene.system.static_gradient()]
+        for _ in range(4):
+            simulation.step(tilted, DT)
+            found.append(simulation.state.x)
+        return np.concatenate(found).tobytes()
+
+    first = run()
+    simulation.reset()
+    simulation.step({"hand": (np.array([0.0, 0.0, 5e-4]), Rotation.from_euler("x", -3, degrees=True))}, DT)
+    assert run() == first
 
 
 def test_cells_smaller_than_the_thickness_are_refused_for_self_contact():

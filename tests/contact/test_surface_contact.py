@@ -103,7 +103,7 @@ def one_triangle(point, size, law=THIN):
 
 @pytest.mark.parametrize("height", [1e-4, -1e-4, 0.0])
 def test_nothing_is_felt_beyond_the_border_of_a_sheet(height):
-    """A point beside a sheet, in its plane or a little over it, further away than the thickness (D4)."""
+    """A point beside a sheet, in its plane or a little over it, further away than the thickness."""
     for beside in ([-3e-4, 2e-3], [2e-3, -3e-4], [6e-3, 6e-3], [-3e-4, -3e-4]):
         force, gap = one_triangle([*beside, height], 0.01)
         assert not force.any()
@@ -125,7 +125,7 @@ def test_the_force_over_a_border_leads_away_from_the_border():
 
 @pytest.mark.parametrize("size", [2e-3, 0.02, 0.5])
 def test_triangles_much_larger_than_the_reach_are_not_missed(size):
-    """Everywhere over the triangle, near corners and far from its middle (D5)."""
+    """Everywhere over the triangle, near corners and far from its middle."""
     rng = np.random.default_rng(8)
     for _ in range(30):
         a, b = np.sort(rng.uniform(0.0, 1.0, 2))
@@ -143,7 +143,7 @@ def apart(two, x):
 
 @pytest.mark.parametrize("speed", [0.05, 0.4, 2.0])
 def test_fast_approach_is_not_missed(speed):
-    """A sheet thrown at another at up to 20 mm a step, far over its thickness, is caught on its own side (D7)."""
+    """A sheet thrown at another at up to 20 mm a step, far over its thickness, is caught on its own side."""
     two = Two(gap=4e-3, margin=1e-3)
     system = two.system
     system.inertia = True
@@ -164,7 +164,7 @@ def test_fast_approach_is_not_missed(speed):
 
 
 def test_a_jump_that_nothing_announced_is_not_missed():
-    """From rest, a sudden load would carry a sheet through the other within one step (D7)."""
+    """From rest, a sudden load would carry a sheet through the other within one step."""
     two = Two(gap=1e-2, margin=1e-3)
     system = two.system
     system.inertia = True

@@ -24,7 +24,7 @@ def crumpled(mesh, seed=2):
 @pytest.mark.parametrize("parameters", [PAPER, ORTHOTROPIC], ids=["isotropic", "orthotropic"])
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_derivatives_match_differences_at_sharp_folds(pattern, parameters):
-    """The Hessian holds the change of the moments' directions too, at folds of about one radian (D3)."""
+    """The Hessian holds the change of the moments' directions too, at folds of about one radian."""
     mesh = strip(pattern)
     system, term = bending(mesh, parameters)
     check_derivatives(system, crumpled(mesh))
@@ -61,7 +61,7 @@ def test_hessian_without_curvature_of_the_angles_is_positive_semidefinite(patter
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_patch_test_constant_curvature(pattern, direction):
     """A sheet rolled onto a cylinder has that curvature in every triangle of any mesh, and the energy of
-    plate theory: the rigidity does not depend on the mesh (D2)."""
+    plate theory: the rigidity does not depend on the mesh."""
     curvature = 0.2
     mesh = strip(pattern)
     system, term = bending(mesh)
@@ -127,7 +127,7 @@ def bend_to(mesh, system, term, curvatures):
 
 @pytest.mark.parametrize(("pattern", "cells"), [("regular", (10, 4)), ("crossed", (20, 8)), ("irregular", (14, 5))])
 def test_springback_of_linear_hardening(pattern, cells):
-    """Bent to k > k_Y and let go, a sheet keeps (k - k_Y) / (1 + H); the mesh does not decide (D2)."""
+    """Bent to k > k_Y and let go, a sheet keeps (k - k_Y) / (1 + H); the mesh does not decide."""
     k_yield, hardening, k = 20.0, 0.25, 60.0
     mesh, system, term = plastic_sheet(pattern, cells, k_yield, hardening)
     internals = bend_to(mesh, system, term, [k])

@@ -7,7 +7,7 @@ from sim_core.geometry.sheets import PATTERNS, find_hinges, locate, outline, rec
 
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_areas_and_node_areas_add_up_and_no_node_is_counted_in_full_at_a_border(pattern):
-    """Mass is lumped by area, so corners and borders carry less than the inside (D2)."""
+    """Mass is lumped by area, so corners and borders carry less than the inside."""
     mesh = rectangle(0.1, 0.04, (10, 4), pattern)
     assert mesh.areas.sum() == pytest.approx(0.004)
     assert mesh.node_areas.sum() == pytest.approx(0.004)

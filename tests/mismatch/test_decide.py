@@ -143,6 +143,27 @@ def test_whitening_makes_coloured_noise_white():
     assert np.mean(white[1:] * white[:-1]) == pytest.approx(0.0, abs=0.03)
 
 
+@pytest.mark.parametrize("temper", [1.0, 10.0])
+def test_evidence_does_not_depend_on_where_a_search_of_a_linear_model_ended(temper):
+    rng = np.random.default_rng(0)
+    parameter = FitParameter("a", "-", False, -9.0, 9.0, 0.5, "")
+    slope, miss = rng.standard_normal(50), rng.standard_normal(50)
+
+    def at(value):
+        jacobian = np.append(slope, 1.0 / parameter.prior_sd)[:, None]
+        residual = np.append(miss + slope * value, value / parameter.prior_sd)
+        return cast(Fitted, SimpleNamespace(
+            parameters=[parameter], jacobian=jacobian, residual=residual, chi2=float(residual @ residual)))  # fmt: skip
+
+    best = -(slope @ miss) / temper / (slope @ slope / temper + parameter.prior_sd**-2)
+    values = [log_evidence(at(value), temper) for value in (best, best + 0.3, 0.0)]
+    assert values == pytest.approx([values[0]] * 3, abs=1e-9)
+    data, pull = miss + slope * best, best / parameter.prior_sd
+    exact = -0.5 * (data @ data / temper + pull**2)
+    width = -0.5 * np.log((slope @ slope / temper + parameter.prior_sd**-2) * parameter.prior_sd**2)
+    assert values[0] == pytest.approx(exact + width, abs=1e-9)
+
+
 @pytest.mark.parametrize("temper", [1.0, 10.0, 1000.0])
 def test_a_parameter_that_the_data_do_not_touch_is_no_evidence(temper):
     rng = np.random.default_rng(0)

@@ -176,7 +176,7 @@ def test_two_runs_are_equal_bit_for_bit():
 
 @pytest.mark.parametrize("turn", list(Rotation.random(2, random_state=12)), ids=["one way", "another way"])
 def test_turning_the_whole_scene_turns_its_motion(turn):
-    """Elasticity, contact and friction know no preferred direction (D8)."""
+    """Elasticity, contact and friction know no preferred direction."""
     upright, turned = pressed(pressed_rig()), pressed(pressed_rig(turn))
     expected = turn.apply(upright.reshape(-1, 3)).reshape(upright.shape)
     np.testing.assert_allclose(turned, expected, atol=1e-9)

@@ -12,7 +12,7 @@ from sim_core.validation.sheets import HEAVY, PLATE, TIP, heavy_strip, square_pl
 @pytest.mark.parametrize("gamma", HEAVY)
 @pytest.mark.parametrize(("pattern", "cells"), [("regular", (40, 4)), ("irregular", (40, 4)), ("crossed", (80, 2))])
 def test_a_heavy_strip_sags_as_an_elastica(pattern, cells, gamma):
-    """One material, any mesh: the droop does not depend on the pattern (D2)."""
+    """One material, any mesh: the droop does not depend on the pattern."""
     np.testing.assert_allclose(heavy_strip(gamma, pattern, cells), HEAVY[gamma], rtol=0.01)
 
 
@@ -46,7 +46,7 @@ def test_a_clamped_plate_converges_to_plate_theory(pattern):
 
 @pytest.mark.parametrize("nu", LAYER)
 def test_a_sphere_on_a_bonded_layer(nu):
-    """Force within 5 % of the exact contact solution, compressible and nearly incompressible alike (D1)."""
+    """Force within 5 % of the exact contact solution, compressible and nearly incompressible alike."""
     assert sphere_on_layer(nu, (9, 4)) == pytest.approx(LAYER[nu][1], rel=0.05)
 
 
