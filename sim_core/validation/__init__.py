@@ -7,14 +7,15 @@ from dataclasses import asdict
 
 from sim_core.validation.case import Case
 from sim_core.validation.gels import gel_cases
+from sim_core.validation.plates import plate_cases
 from sim_core.validation.sheets import sheet_cases
 
-__all__ = ["Case", "gel_cases", "run", "run_validation", "sheet_cases"]
+__all__ = ["Case", "gel_cases", "plate_cases", "run", "run_validation", "sheet_cases"]
 
 
 def run() -> list[Case]:
-    """All comparisons, about half a minute."""
-    return [*sheet_cases(), *gel_cases()]
+    """All comparisons, about a minute."""
+    return [*sheet_cases(), *plate_cases(), *gel_cases()]
 
 
 def run_validation(as_json: bool = False) -> tuple[bool, str]:
@@ -22,14 +23,14 @@ def run_validation(as_json: bool = False) -> tuple[bool, str]:
     cases = run()
     passed = all(case.passed for case in cases)
     if as_json:
-        rows = [{**asdict(case), "error": case.error, "passed": case.passed} for case in cases]
+        rows = [{**asdict(case), "error": case.error, "order": case.order, "passed": case.passed} for case in cases]
         return passed, json.dumps({"passed": passed, "cases": rows}, indent=2)
     return passed, table(cases)
 
 
 def table(cases: list[Case]) -> str:
     """The cases as columns of text, and the sources of their answers."""
-    head = ("case", "quantity", "reference", "simulated", "error", "allowed", "mesh", "")
+    head = ("case", "quantity", "reference", "simulated", "error", "allowed", "order", "mesh", "")
     rows = [
         (
             case.name,
@@ -38,6 +39,7 @@ def table(cases: list[Case]) -> str:
             f"{case.found:.5g}",
             f"{case.error:.2%}",
             f"{case.tolerance:.0%}",
+            "" if case.order is None else f"{case.order:.1f}",
             case.mesh,
             "pass" if case.passed else "MISSED",
         )

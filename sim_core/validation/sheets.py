@@ -140,11 +140,12 @@ def sheet_cases() -> list[Case]:
     for gamma, reference in HEAVY.items():
         for pattern, cells in meshes:
             found = heavy_strip(gamma, pattern, cells)
-            for quantity, ref, value in zip(HEAVY_QUANTITIES, reference, found, strict=True):
+            coarser = heavy_strip(gamma, pattern, (cells[0] // 2, cells[1] // 2))
+            for quantity, ref, value, twice in zip(HEAVY_QUANTITIES, reference, found, coarser, strict=True):
                 cases.append(
                     Case(
                         f"heavy elastica, Gamma = {gamma:g}", quantity, "1", ref, value, 0.01,
-                        f"{pattern} {cells[0]} x {cells[1]}", ROMERO,
+                        f"{pattern} {cells[0]} x {cells[1]}", ROMERO, twice,
                     )
                 )  # fmt: skip
     for alpha, reference in TIP.items():
@@ -156,11 +157,11 @@ def sheet_cases() -> list[Case]:
     for edges, ref in PLATE.items():
         count = 20 if edges == "supported" else 32
         for pattern in ("regular", "crossed", "irregular"):
-            value = square_plate(edges, pattern, count)
+            value, twice = (square_plate(edges, pattern, n) for n in (count, count // 2))
             cases.append(
                 Case(
                     f"square plate, {edges} edges", "centre deflection", "q a^4/D", ref, value, 0.02,
-                    f"{pattern} {count} x {count}", TIMOSHENKO,
+                    f"{pattern} {count} x {count}", TIMOSHENKO, twice,
                 )
             )  # fmt: skip
     return cases

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from sim_core.errors import ConfigError
+from sim_core.solve.modes import natural_vibrations
 from sim_core.validation import run_validation
 from sim_core.validation.case import Case
 from sim_core.validation.gels import LAYER, sphere_on_layer
+from sim_core.validation.plates import FREQUENCIES, frequencies, plate
 from sim_core.validation.sheets import HEAVY, PLATE, TIP, heavy_strip, square_plate, tip_loaded_strip
 
 
@@ -44,6 +47,28 @@ def test_a_clamped_plate_converges_to_plate_theory(pattern):
     assert (np.log2(np.array(errors[:-1]) / np.array(errors[1:])) > 1.0).all(), errors
 
 
+@pytest.mark.parametrize(("edges", "nu"), FREQUENCIES)
+@pytest.mark.parametrize("pattern", ["regular", "irregular"])
+def test_a_plate_vibrates_as_plate_theory_says(pattern, edges, nu):
+    """Within 2 % on 32 cells a side, and from 16 of them with at least the first order."""
+    coarse, fine = (np.abs(frequencies(edges, nu, pattern, n) / FREQUENCIES[edges, nu] - 1.0) for n in (16, 32))
+    assert fine.max() < 0.02
+    assert np.all(np.log2(coarse / fine) > 1.0), (coarse, fine)
+
+
+def test_shapes_of_vibration_are_orthogonal_and_of_unit_mass():
+    system = plate("cantilever", 0.3, "irregular", 8)
+    _, shapes = natural_vibrations(system, 3)
+    products = np.einsum("anj,nm,bmj->ab", shapes, system.mass.toarray(), shapes)
+    np.testing.assert_allclose(products, np.eye(3), atol=1e-8)
+    assert np.abs(shapes[0][:, 2]).max() > 100.0 * np.abs(shapes[0][:, :2]).max()
+
+
+def test_more_vibrations_than_unknowns_are_refused():
+    with pytest.raises(ConfigError, match="unknowns"):
+        natural_vibrations(plate("supported", 0.3, "regular", 2), 50)
+
+
 @pytest.mark.parametrize("nu", LAYER)
 def test_a_sphere_on_a_bonded_layer(nu):
     """Force within 5 % of the exact contact solution, compressible and nearly incompressible alike."""
@@ -60,6 +85,11 @@ def test_a_case_passes_within_its_tolerance_only():
     assert case.error == pytest.approx(0.015)
     assert case.passed
     assert not Case("c", "q", "1", 2.0, 2.1, 0.02, "m", "s").passed
+
+
+def test_the_observed_order_is_that_of_halved_cells():
+    assert Case("c", "q", "1", 2.0, 2.02, 0.02, "m", "s", coarser=2.08).order == pytest.approx(2.0)
+    assert Case("c", "q", "1", 2.0, 2.02, 0.02, "m", "s").order is None
 
 
 @pytest.mark.slow
