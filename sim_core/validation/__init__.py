@@ -9,13 +9,14 @@ from sim_core.validation.case import Case
 from sim_core.validation.gels import gel_cases
 from sim_core.validation.plates import plate_cases
 from sim_core.validation.sheets import sheet_cases
+from sim_core.validation.shells import shell_cases
 
-__all__ = ["Case", "gel_cases", "plate_cases", "run", "run_validation", "sheet_cases"]
+__all__ = ["Case", "gel_cases", "plate_cases", "run", "run_validation", "sheet_cases", "shell_cases"]
 
 
 def run() -> list[Case]:
     """All comparisons, about a minute."""
-    return [*sheet_cases(), *plate_cases(), *gel_cases()]
+    return [*sheet_cases(), *plate_cases(), *shell_cases(), *gel_cases()]
 
 
 def run_validation(as_json: bool = False) -> tuple[bool, str]:

@@ -10,6 +10,7 @@ from sim_core.validation.case import Case
 from sim_core.validation.gels import LAYER, sphere_on_layer
 from sim_core.validation.plates import FREQUENCIES, frequencies, plate
 from sim_core.validation.sheets import HEAVY, PLATE, TIP, heavy_strip, square_plate, tip_loaded_strip
+from sim_core.validation.shells import HEMISPHERE, SLIT, hemisphere, slit_annulus
 
 
 @pytest.mark.parametrize("gamma", HEAVY)
@@ -67,6 +68,18 @@ def test_shapes_of_vibration_are_orthogonal_and_of_unit_mass():
 def test_more_vibrations_than_unknowns_are_refused():
     with pytest.raises(ConfigError, match="unknowns"):
         natural_vibrations(plate("supported", 0.3, "regular", 2), 50)
+
+
+def test_a_slit_annulus_is_lifted_into_a_screw():
+    """Within 4 % on 64 x 8 cells, from twice the error on half of them."""
+    coarse, fine = (np.abs(np.array(slit_annulus(cells)) / list(SLIT.values()) - 1.0) for cells in ((32, 4), (64, 8)))
+    assert fine.max() < 0.04
+    assert np.all(fine < 0.6 * coarse)
+
+
+def test_a_curved_shell_bends_without_stretching():
+    """Within 5 % on 16 cells a quarter, at a tenth of the load and at all of it."""
+    np.testing.assert_allclose(hemisphere(16), list(HEMISPHERE.values()), rtol=0.05)
 
 
 @pytest.mark.parametrize("nu", LAYER)

@@ -1,0 +1,137 @@
+"""Large deflections of shells with known answers: benchmarks of Sze, Liu & Lo, Finite Elem. Anal. Des. 40, 2004.
+
+Slit annular plate: a flat ring cut along a radius, one lip clamped, the other lifted by a line force; it becomes
+a screw. Inner radius 6, outer 10, h = 0.03, E = 21e6, nu = 0, line force up to 0.8 per length.
+
+Hemisphere: radius 10, h = 0.04, E = 6.825e7, nu = 0.3, with a hole of 18 degrees at the pole, pulled apart at two
+opposite points of the equator and pressed together at the two between, by up to 400. A curved rest shape that
+bends without stretching.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim_core.geometry.sheets import SheetMesh
+from sim_core.solve.step import State, advance
+from sim_core.solve.system import System
+from sim_core.validation.case import Case
+from sim_core.validation.sheets import sheet_system
+
+SLIT = {0.1: (4.277, 5.876), 0.5: (10.468, 13.768), 1.0: (13.891, 17.528)}
+"""Share of the largest line force: lift of the inner and of the outer corner of the free lip."""
+
+HEMISPHERE = {0.1: (1.84, 1.499), 0.5: (5.902, 3.406), 1.0: (8.178, 4.067)}
+"""Share of the largest force: way inward of the pressed points and outward of the pulled ones."""
+
+SLIT_CELLS, HEMISPHERE_CELLS = (160, 20), 24
+
+SOURCE = "Sze, Liu & Lo 2004"
+
+
+def grid(corners: np.ndarray, closed: bool = False) -> SheetMesh:
+    """Triangles on points ``(n, m, 3)``, cut along alternating diagonals; ``closed``: the last row of points meets
+    the first."""
+    n, m = corners.shape[:2]
+    number = np.arange(n * m).reshape(n, m)
+    if closed:
+        number = np.vstack([number, number[:1]])
+    a, b, c, d = (number[i, j].ravel() for i, j in CORNERS)
+    row, column = np.divmod(np.arange(len(a)), m - 1)
+    even = (row + column) % 2 == 0
+    first = np.where(even[:, None], np.column_stack([a, b, c]), np.column_stack([a, b, d]))
+    second = np.where(even[:, None], np.column_stack([a, c, d]), np.column_stack([b, c, d]))
+    return SheetMesh(corners.reshape(-1, 3), np.vstack([first, second]).astype(np.int32))
+
+
+CORNERS = (
+    (np.s_[:-1], np.s_[:-1]),
+    (np.s_[1:], np.s_[:-1]),
+    (np.s_[1:], np.s_[1:]),
+    (np.s_[:-1], np.s_[1:]),
+)
+"""Corners of the cells of a grid, round the cell."""
+
+
+def carry(system: System, full: np.ndarray, shares: tuple[float, ...], parts: int) -> list[np.ndarray]:
+    """Positions at shares of the dead loads ``full`` [N] ``(n, 3)``, which are put on in equal ``parts``."""
+    state = State(0.0, system.nodes, np.zeros_like(system.nodes), system.initial_internals())
+    found, put_on = [], 0.0
+    for share in shares:
+        for part in np.linspace(put_on, share, max(2, round(parts * (share - put_on)) + 1))[1:]:
+            system.loads[:] = part * full
+            state, _ = advance(system, state, system.nodes, 1.0)
+        put_on = share
+        found.append(state.x.copy())
+    return found
+
+
+def slit_annulus(cells: tuple[int, int], parts: int = 30) -> list[tuple[float, float]]:
+    """Lift of the two corners at the shares of :data:`SLIT`. ``cells``: round and across."""
+    around, across = cells
+    angle = 2.0 * np.pi * np.arange(-1, around + 1) / around
+    radius = np.linspace(6.0, 10.0, across + 1)
+    corners = radius[None, :, None] * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)[:, None, :]
+    mesh = grid(corners)
+    held = np.arange(len(mesh.nodes)) < 2 * (across + 1)
+    values = {"E_pa": 21e6, "nu": 0.0, "thickness_m": 0.03}
+    system = sheet_system(mesh, values, held, np.repeat(held[:, None], 3, axis=1))
+    lip = np.arange(len(mesh.nodes) - across - 1, len(mesh.nodes))
+    full = np.zeros_like(mesh.nodes)
+    full[lip, 2] = 0.8 * 4.0 / across
+    full[lip[[0, -1]], 2] *= 0.5
+    return [(float(x[lip[0], 2]), float(x[lip[-1], 2])) for x in carry(system, full, tuple(SLIT), parts)]
+
+
+def hemisphere(cells: int, parts: int = 20) -> list[tuple[float, float]]:
+    """Ways of the loaded points at the shares of :data:`HEMISPHERE`. ``cells``: in a quarter of the equator.
+
+    The whole hemisphere; meridians in the two planes of symmetry stay in them, and one point keeps its height.
+    """
+    angle = 0.5 * np.pi * np.arange(4 * cells) / cells
+    rise = np.radians(np.linspace(0.0, 72.0, cells + 1))
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    corners = 10.0 * (np.cos(rise)[None, :, None] * ring[:, None, :] + np.sin(rise)[None, :, None] * [0.0, 0.0, 1.0])
+    mesh = grid(corners, closed=True)
+    quarter = (cells + 1) * cells
+    points = np.arange(4) * quarter
+    prescribed = np.zeros((len(mesh.nodes), 3), dtype=bool)
+    meridian = np.arange(cells + 1)
+    for k, axis in ((0, 1), (2, 1), (1, 0), (3, 0)):
+        prescribed[points[k] + meridian, axis] = True
+    prescribed[points[0], 2] = True
+    values = {"E_pa": 6.825e7, "nu": 0.3, "thickness_m": 0.04}
+    system = sheet_system(mesh, values, np.zeros(len(mesh.nodes), dtype=bool), prescribed)
+    full = np.zeros_like(mesh.nodes)
+    full[points[0], 0], full[points[2], 0] = -400.0, 400.0
+    full[points[1], 1], full[points[3], 1] = 400.0, -400.0
+    out = []
+    for x in carry(system, full, tuple(HEMISPHERE), parts):
+        moved = x[points] - mesh.nodes[points]
+        out.append((float(0.5 * (moved[2, 0] - moved[0, 0])), float(0.5 * (moved[1, 1] - moved[3, 1]))))
+    return out
+
+
+def shell_cases() -> list[Case]:
+    """All comparisons of shells. On the hemisphere, errors under point loads go down in proportion to the cell."""
+    cases = []
+    around, across = SLIT_CELLS
+    found, coarser = slit_annulus(SLIT_CELLS), slit_annulus((around // 2, across // 2))
+    for (share, answers), ours, twice in zip(SLIT.items(), found, coarser, strict=True):
+        for name, reference, value, other in zip(("inner", "outer"), answers, ours, twice, strict=True):
+            cases.append(
+                Case(
+                    f"slit annular plate, {share:g} P", f"lift, {name} corner", "1", reference, value, 0.01,
+                    f"{around} x {across}", SOURCE, other,
+                )
+            )  # fmt: skip
+    found, coarser = hemisphere(HEMISPHERE_CELLS), hemisphere(HEMISPHERE_CELLS // 2)
+    for (share, answers), ours, twice in zip(HEMISPHERE.items(), found, coarser, strict=True):
+        for name, reference, value, other in zip(("pressed", "pulled"), answers, ours, twice, strict=True):
+            cases.append(
+                Case(
+                    f"hemisphere with a hole, {share:g} P", f"way, {name} points", "1", reference, value, 0.04,
+                    f"4 x {HEMISPHERE_CELLS} x {HEMISPHERE_CELLS}", SOURCE, other,
+                )
+            )  # fmt: skip
+    return cases
