@@ -196,7 +196,7 @@ def _guarded(
     if not (left and blocker and result is not Result.NOT_FINITE):
         return replace(report(system, result, counts, residual, update), left_m=left * length)
     found = report(system, Result.BLOCKED, counts, residual, update)
-    return replace(found, left_m=left * length, tightest=blocker)
+    return replace(found, left_m=left * length, tightest=blocker, min_gap_m=system.gap_of(blocker))
 
 
 def _way(

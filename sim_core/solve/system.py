@@ -359,6 +359,10 @@ class System:
         found = [term.contacts() for term in self._guarded]
         return sum(c for c, _ in found), min((g for _, g in found), default=np.inf)
 
+    def gap_of(self, name: str) -> float:
+        """Smallest gap [m] of one contact at the last gradient."""
+        return min(term.contacts()[1] for term in self._guarded if term.name == name)
+
     def tightest(self) -> str:
         """Name of the contact with the smallest gap at the last gradient, empty without any."""
         gaps = [(term.contacts()[1], term.name) for term in self._guarded]

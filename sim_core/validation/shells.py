@@ -114,24 +114,32 @@ def hemisphere(cells: int, parts: int = 20) -> list[tuple[float, float]]:
 
 def shell_cases() -> list[Case]:
     """All comparisons of shells. On the hemisphere, errors under point loads go down in proportion to the cell."""
-    cases = []
     around, across = SLIT_CELLS
-    found, coarser = slit_annulus(SLIT_CELLS), slit_annulus((around // 2, across // 2))
-    for (share, answers), ours, twice in zip(SLIT.items(), found, coarser, strict=True):
-        for name, reference, value, other in zip(("inner", "outer"), answers, ours, twice, strict=True):
-            cases.append(
-                Case(
-                    f"slit annular plate, {share:g} P", f"lift, {name} corner", "1", reference, value, 0.01,
-                    f"{around} x {across}", SOURCE, other,
-                )
-            )  # fmt: skip
-    found, coarser = hemisphere(HEMISPHERE_CELLS), hemisphere(HEMISPHERE_CELLS // 2)
-    for (share, answers), ours, twice in zip(HEMISPHERE.items(), found, coarser, strict=True):
-        for name, reference, value, other in zip(("pressed", "pulled"), answers, ours, twice, strict=True):
-            cases.append(
-                Case(
-                    f"hemisphere with a hole, {share:g} P", f"way, {name} points", "1", reference, value, 0.04,
-                    f"4 x {HEMISPHERE_CELLS} x {HEMISPHERE_CELLS}", SOURCE, other,
-                )
-            )  # fmt: skip
-    return cases
+    n = HEMISPHERE_CELLS
+    return [
+        *_rows(
+            "slit annular plate", ("lift, inner corner", "lift, outer corner"), SLIT, 0.01, f"{around} x {across}",
+            slit_annulus(SLIT_CELLS), slit_annulus((around // 2, across // 2)),
+        ),
+        *_rows(
+            "hemisphere with a hole", ("way, pressed points", "way, pulled points"), HEMISPHERE, 0.04,
+            f"4 x {n} x {n}", hemisphere(n), hemisphere(n // 2),
+        ),
+    ]  # fmt: skip
+
+
+def _rows(
+    name: str,
+    quantities: tuple[str, str],
+    answers: dict[float, tuple[float, float]],
+    tolerance: float,
+    mesh: str,
+    found: list[tuple[float, float]],
+    coarser: list[tuple[float, float]],
+) -> list[Case]:
+    """One comparison for each share of the load and quantity."""
+    return [
+        Case(f"{name}, {share:g} P", quantity, "1", reference, value, tolerance, mesh, SOURCE, twice)
+        for (share, row), ours, theirs in zip(answers.items(), found, coarser, strict=True)
+        for quantity, reference, value, twice in zip(quantities, row, ours, theirs, strict=True)
+    ]
