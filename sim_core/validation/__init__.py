@@ -10,6 +10,7 @@ from sim_core.validation.elasticas import elastica_cases
 from sim_core.validation.gels import gel_cases
 from sim_core.validation.plates import plate_cases
 from sim_core.validation.shells import shell_cases
+from sim_core.validation.solids import solid_cases
 from sim_core.validation.table import as_json_text, table
 
 __all__ = ["GROUPS", "Case", "NotCovered", "run", "run_validation"]
@@ -19,7 +20,8 @@ GROUPS: dict[str, tuple[Callable[[], Iterator[Case | NotCovered]], float]] = {
     "buckling": (buckling_cases, 6.0),
     "plates": (plate_cases, 20.0),
     "shells": (shell_cases, 21.0),
-    "gels": (gel_cases, 8.0),
+    "solids": (solid_cases, 4.0),
+    "gels": (gel_cases, 30.0),
 }
 """What is compared, group by group, and about how long that takes [s]."""
 

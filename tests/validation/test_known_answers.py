@@ -6,7 +6,6 @@ import pytest
 from sim_core.errors import ConfigError
 from sim_core.solve.modes import natural_vibrations
 from sim_core.validation.elasticas import HEAVY, TIP, heavy_strip, tip_loaded_strip
-from sim_core.validation.gels import LAYER, sphere_on_layer
 from sim_core.validation.plates import LAMBDA, SAG, frequencies, plate, sag
 from sim_core.validation.shells import HEMISPHERE, SLIT, hemisphere, slit_annulus
 
@@ -78,14 +77,3 @@ def test_a_slit_annulus_is_lifted_into_a_screw():
 def test_a_curved_shell_bends_without_stretching():
     """Within 5 % on 16 cells a quarter, at a tenth of the load and at all of it."""
     np.testing.assert_allclose(hemisphere(16), list(HEMISPHERE.values()), rtol=0.05)
-
-
-@pytest.mark.parametrize("nu", LAYER)
-def test_a_sphere_on_a_bonded_layer(nu):
-    """Force within 5 % of the exact contact solution, compressible and nearly incompressible alike."""
-    assert sphere_on_layer(nu, (9, 4)) == pytest.approx(LAYER[nu][1], rel=0.05)
-
-
-def test_the_answer_for_another_poisson_ratio_is_missed():
-    """The tolerance tells the two layers apart."""
-    assert sphere_on_layer(0.3, (6, 3)) != pytest.approx(LAYER[0.45][1], rel=0.05)
