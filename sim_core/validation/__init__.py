@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 from sim_core.validation.buckling import buckling_cases
 from sim_core.validation.case import Case, NotCovered
 from sim_core.validation.elasticas import elastica_cases
+from sim_core.validation.friction import friction_cases
 from sim_core.validation.gels import gel_cases
 from sim_core.validation.plates import plate_cases
+from sim_core.validation.rough_plane import rough_plane_cases
 from sim_core.validation.shells import shell_cases
 from sim_core.validation.solids import solid_cases
 from sim_core.validation.table import as_json_text, table
@@ -22,6 +24,8 @@ GROUPS: dict[str, tuple[Callable[[], Iterator[Case | NotCovered]], float]] = {
     "shells": (shell_cases, 21.0),
     "solids": (solid_cases, 4.0),
     "gels": (gel_cases, 30.0),
+    "friction": (friction_cases, 6.0),
+    "rough plane": (rough_plane_cases, 16.0),
 }
 """What is compared, group by group, and about how long that takes [s]."""
 
