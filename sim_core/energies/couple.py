@@ -5,7 +5,8 @@
 phi_k is the angle about ``axis`` by which the line from node a to node b has turned, d its projection on the
 plane normal to the axis, and sum_k w_k = 1. The forces on the two nodes are opposite, normal to the line and
 turn with it; the work of the couple is M times the turn, however far (also beyond a full circle), so in plane
-motion this is the end moment of a beam, and it derives from a potential.
+motion this is the end moment of a beam, and it derives from a potential. Choose lines normal to the axis: one that
+is askew also twists the body.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from sim_core.validation.anticlastic import anticlastic_cases
 from sim_core.validation.buckling import buckling_cases
 from sim_core.validation.case import Case, NotCovered
 from sim_core.validation.elasticas import elastica_cases
@@ -13,6 +14,7 @@ from sim_core.validation.plates import plate_cases
 from sim_core.validation.rough_plane import rough_plane_cases
 from sim_core.validation.shells import shell_cases
 from sim_core.validation.solids import solid_cases
+from sim_core.validation.springback import springback_cases
 from sim_core.validation.table import as_json_text, table
 
 __all__ = ["GROUPS", "Case", "NotCovered", "run", "run_validation"]
@@ -20,6 +22,8 @@ __all__ = ["GROUPS", "Case", "NotCovered", "run", "run_validation"]
 GROUPS: dict[str, tuple[Callable[[], Iterator[Case | NotCovered]], float]] = {
     "elasticas": (elastica_cases, 14.0),
     "buckling": (buckling_cases, 6.0),
+    "anticlastic": (anticlastic_cases, 15.0),
+    "springback": (springback_cases, 8.0),
     "plates": (plate_cases, 20.0),
     "shells": (shell_cases, 21.0),
     "solids": (solid_cases, 4.0),

@@ -14,18 +14,29 @@ from sim_core.energies.membrane import Membrane
 from sim_core.energies.term import Term
 from sim_core.geometry.sheets import SheetMesh, rectangle
 from sim_core.solve.step import State, advance
-from sim_core.solve.system import System
+from sim_core.solve.system import Compliant, System
 
 DENSITY = 1000.0
+FREE_M_PER_N = 1e9
+"""Compliance of a clamp that is free to shift."""
+
 ACROSS = np.array([0.0, 1.0, 0.0])
 """Axis about which a strip along x bends."""
 
-RIGID = ("clamped", "guided", "turned")
+RIGID = ("clamped", "guided", "turned", "driven")
 """Kinds of ends beyond which the strip goes on as a column of rigid cells."""
 
-FIXED = {"clamped": (0, 1, 2), "guided": (1, 2), "turned": (1,), "pinned": (0, 1, 2), "rolling": (1, 2), "free": ()}
+FIXED = {
+    "clamped": (0, 1, 2),
+    "guided": (1, 2),
+    "turned": (1,),
+    "driven": (0, 1, 2),
+    "pinned": (0, 1, 2),
+    "rolling": (1, 2),
+    "free": (),
+}
 """Components that are prescribed on an end: clamped; guided along x; free but for a rigid tip that stays in its plane;
-a hinge; a hinge that slides along x; nothing."""
+turned as prescribed but free to shift; a hinge; a hinge that slides along x; nothing."""
 
 
 def sheet_system(
@@ -34,8 +45,10 @@ def sheet_system(
     held: np.ndarray,
     prescribed: np.ndarray,
     extra: Sequence[Term] = (),
+    compliant: Sequence[Compliant] = (),
 ) -> System:
-    """A static sheet; ``held``: nodes in rigid clamps; ``extra``: more terms, already configured."""
+    """A static sheet; ``held``: nodes in rigid clamps; ``extra``: more terms, already configured; ``compliant``:
+    clamps that give way."""
     axis = np.array([1.0, 0.0, 0.0])
     terms: list[Term] = [
         Membrane("membrane", mesh.nodes, mesh.triangles, axis),
@@ -44,7 +57,7 @@ def sheet_system(
     for term in terms:
         term.configure(values)
     mass = sp.diags(mesh.node_areas * DENSITY * values["thickness_m"]).tocsr()
-    return System(mesh.nodes, mass, prescribed, [*terms, *extra], np.zeros(3), inertia=False)
+    return System(mesh.nodes, mass, prescribed, [*terms, *extra], np.zeros(3), inertia=False, compliant=compliant)
 
 
 @dataclass(frozen=True)
@@ -140,7 +153,12 @@ def strip(
         order = np.argsort(nodes[inner, 1]), np.argsort(nodes[outer, 1])
         pairs = np.column_stack([inner[order[0]], outer[order[1]]])
         term = Couple("couple", pairs, -ACROSS, line_shares(nodes[pairs[:, 0], 1]))
-    system = sheet_system(mesh, values, held, prescribed, [] if term is None else [term])
+    loose = [
+        Compliant(np.flatnonzero(group), np.full(3, FREE_M_PER_N))
+        for kind, group in zip(ends, groups, strict=True)
+        if kind == "driven"
+    ]
+    system = sheet_system(mesh, values, held, prescribed, [] if term is None else [term], loose)
     return Strip(system, mesh, length, width, groups, lines, term)
 
 
