@@ -10,6 +10,7 @@ from sim_core.validation.case import Case, NotCovered
 from sim_core.validation.elasticas import elastica_cases
 from sim_core.validation.friction import friction_cases
 from sim_core.validation.gels import gel_cases
+from sim_core.validation.obstacles import obstacle_cases
 from sim_core.validation.plates import plate_cases
 from sim_core.validation.rough_plane import rough_plane_cases
 from sim_core.validation.shells import shell_cases
@@ -25,6 +26,7 @@ GROUPS: dict[str, tuple[Callable[[], Iterator[Case | NotCovered]], float]] = {
     "anticlastic": (anticlastic_cases, 15.0),
     "springback": (springback_cases, 8.0),
     "plates": (plate_cases, 20.0),
+    "obstacles": (obstacle_cases, 18.0),
     "shells": (shell_cases, 21.0),
     "solids": (solid_cases, 4.0),
     "gels": (gel_cases, 30.0),

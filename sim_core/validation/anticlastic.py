@@ -55,7 +55,7 @@ def ashwell(curvature: float, at: np.ndarray) -> tuple[float, np.ndarray]:
 
 def bent_strip(pattern: str, cells: tuple[int, int]) -> list[tuple[tuple[float, float], tuple[float, float]]]:
     """Answer and finding near each of the values of :data:`ASHWELL`: M / (k E b h^3 / 12), and the curvature
-    across at the middle, from the deflection of nodes around it, over -nu k. The cells are smaller towards the edges along x."""
+    across at the middle, from the deflection of nodes around it, over -nu k. Cells are smaller at the edges."""
     last = 0.5 * LENGTH - LENGTH / cells[0]
     through = (-last, last) if pattern == "irregular" else ()
     flat = rectangle(LENGTH, WIDTH, cells, pattern, through_m=(through, ()))

@@ -85,10 +85,10 @@ def slit_annulus(cells: tuple[int, int], parts: int = 30) -> list[tuple[float, f
     return [(float(x[lip[0], 2]), float(x[lip[-1], 2])) for x in carry(system, full, tuple(SLIT), parts)]
 
 
-def hemisphere(cells: int, parts: int = 20) -> list[tuple[float, float]]:
-    """Ways of the loaded points at the shares of :data:`HEMISPHERE`. ``cells``: in a quarter of the equator.
+def hemisphere_system(cells: int) -> tuple[System, np.ndarray]:
+    """The hemisphere, and the four points that are loaded along x, y, x and y. ``cells``: in a quarter of the equator.
 
-    The whole hemisphere; meridians in the two planes of symmetry stay in them, and one point keeps its height.
+    It is whole; meridians in the two planes of symmetry stay in them, and one point keeps its height.
     """
     angle = 0.5 * np.pi * np.arange(4 * cells) / cells
     rise = np.radians(np.linspace(0.0, 72.0, cells + 1))
@@ -103,13 +103,18 @@ def hemisphere(cells: int, parts: int = 20) -> list[tuple[float, float]]:
         prescribed[points[k] + meridian, axis] = True
     prescribed[points[0], 2] = True
     values = {"E_pa": 6.825e7, "nu": 0.3, "thickness_m": 0.04}
-    system = sheet_system(mesh, values, np.zeros(len(mesh.nodes), dtype=bool), prescribed)
-    full = np.zeros_like(mesh.nodes)
+    return sheet_system(mesh, values, np.zeros(len(mesh.nodes), dtype=bool), prescribed), points
+
+
+def hemisphere(cells: int, parts: int = 20, shares: tuple[float, ...] = tuple(HEMISPHERE)) -> list[tuple[float, float]]:
+    """Ways of the pressed and of the pulled points at shares of the largest force."""
+    system, points = hemisphere_system(cells)
+    full = np.zeros_like(system.nodes)
     full[points[0], 0], full[points[2], 0] = -400.0, 400.0
     full[points[1], 1], full[points[3], 1] = 400.0, -400.0
     out = []
-    for x in carry(system, full, tuple(HEMISPHERE), parts):
-        moved = x[points] - mesh.nodes[points]
+    for x in carry(system, full, shares, parts):
+        moved = x[points] - system.nodes[points]
         out.append((float(0.5 * (moved[2, 0] - moved[0, 0])), float(0.5 * (moved[1, 1] - moved[3, 1]))))
     return out
 

@@ -4,10 +4,25 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError
-from sim_core.solve.modes import natural_vibrations
+from sim_core.solve.modes import linear_response, natural_vibrations
+from sim_core.solve.step import NewtonSettings, advance
+from sim_core.solve.system import System
 from sim_core.validation.elasticas import HEAVY, TIP, heavy_strip, tip_loaded_strip
+from sim_core.validation.obstacles import (
+    CYLINDER,
+    RING,
+    ROOF,
+    pinched_cylinder,
+    pinched_hemisphere,
+    ring,
+    roof,
+)
+from sim_core.validation.obstacles import (
+    HEMISPHERE as SMALL_HEMISPHERE,
+)
 from sim_core.validation.plates import LAMBDA, SAG, frequencies, plate, sag
 from sim_core.validation.shells import HEMISPHERE, SLIT, hemisphere, slit_annulus
+from sim_core.validation.specimens import rest
 
 
 @pytest.mark.parametrize("gamma", [g for g in HEAVY if g <= 100.0])
@@ -77,3 +92,38 @@ def test_a_slit_annulus_is_lifted_into_a_screw():
 def test_a_curved_shell_bends_without_stretching():
     """Within 5 % on 16 cells a quarter, at a tenth of the load and at all of it."""
     np.testing.assert_allclose(hemisphere(16), list(HEMISPHERE.values()), rtol=0.05)
+
+
+def test_a_ring_is_pressed_together():
+    assert ring(24) == pytest.approx(RING, rel=0.005)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("found", "reference"),
+    [
+        (lambda: roof((48, 48)), ROOF),
+        (lambda: pinched_cylinder((24, 20)), CYLINDER),
+        (lambda: pinched_hemisphere(24), SMALL_HEMISPHERE),
+    ],
+    ids=["roof", "cylinder", "hemisphere"],
+)
+def test_curved_shells_under_small_loads(found, reference):
+    assert found() == pytest.approx(reference, rel=0.02)
+
+
+def test_the_answer_to_small_loads_is_that_of_a_small_step():
+    system = plate("cantilever", 0.3, "irregular", 8)
+    loads = np.zeros_like(system.nodes)
+    loads[system.nodes[:, 0] > 0.049, 2] = 1e-7
+    moved = linear_response(system, loads)
+    system.loads[:] = loads
+    state, _ = advance(system, rest(system), system.nodes, 1.0, NewtonSettings(step_tolerance_m=1e-13))
+    np.testing.assert_allclose(moved[:, 2], (state.x - system.nodes)[:, 2], rtol=1e-4, atol=1e-12)
+
+
+def test_loads_on_what_is_not_held_are_refused():
+    free = plate("supported", 0.3, "regular", 2)
+    loose = System(free.nodes, free.mass, np.zeros_like(free.prescribed), free.terms, np.zeros(3), inertia=False)
+    with pytest.raises(ConfigError, match="without resistance"):
+        linear_response(loose, np.ones_like(free.nodes))
