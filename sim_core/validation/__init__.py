@@ -10,6 +10,7 @@ from sim_core.validation.case import Case, NotCovered
 from sim_core.validation.elasticas import elastica_cases
 from sim_core.validation.friction import friction_cases
 from sim_core.validation.gels import gel_cases
+from sim_core.validation.invariances import invariance_cases
 from sim_core.validation.obstacles import obstacle_cases
 from sim_core.validation.plates import plate_cases
 from sim_core.validation.rough_plane import rough_plane_cases
@@ -21,6 +22,7 @@ from sim_core.validation.table import as_json_text, table
 __all__ = ["GROUPS", "Case", "NotCovered", "run", "run_validation"]
 
 GROUPS: dict[str, tuple[Callable[[], Iterator[Case | NotCovered]], float]] = {
+    "invariances": (invariance_cases, 6.0),
     "elasticas": (elastica_cases, 14.0),
     "buckling": (buckling_cases, 6.0),
     "anticlastic": (anticlastic_cases, 15.0),

@@ -4,8 +4,8 @@ Pinched cylinder between diaphragms (R = 300, L = 600, h = 3, E = 3e6, nu = 0.3,
 of Scordelis & Lo (R = 25, L = 50, h = 0.25, 80 degrees, E = 4.32e8, nu = 0, 90 per area, end diaphragms): the middle of
 the free edge sinks by 0.3006 as a thin shell (Kiendl et al., Comput. Methods Appl. Mech. Eng. 198, 2009), which is what
 finer meshes tend to here; 0.3024 is the value to which results are scaled since MacNeal & Harder. Hemisphere with a
-hole of 18 degrees (:mod:`sim_core.validation.shells`) under two pairs of forces of 2: 0.0940 (MacNeal & Harder, Finite Elem.
-Anal. Des. 1, 1985; others have 0.0924 to 0.0935). Belytschko et al., Comput. Methods Appl. Mech. Eng. 51, 1985.
+hole of 18 degrees (:mod:`sim_core.validation.shells`) under two pairs of forces of 2: 0.0940 (MacNeal & Harder, Finite
+Elem. Anal. Des. 1, 1985; others have 0.0924 to 0.0935). Belytschko et al., Comput. Methods Appl. Mech. Eng. 51, 1985.
 
 Ring pressed together at two opposite points: (pi/4 - 2/pi) P R^3 / (E I) (Timoshenko, Strength of Materials).
 """
