@@ -23,7 +23,7 @@ from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.geometry.solids import block
 from sim_core.solve.step import advance
 from sim_core.solve.system import System
-from sim_core.validation.case import FORCES, STATICS, Case
+from sim_core.validation.case import FORCES, STATICS, Case, NotCovered
 from sim_core.validation.specimens import rest
 
 LAYER = {0.3: (0.43556, 1.59091), 0.45: (0.424178, 1.75048), 0.49: (0.418804, 1.83201)}
@@ -115,7 +115,7 @@ def sphere_on_layer(nu: float, cells: tuple[int, int], steps: int = 4) -> Presse
     return Pressed(float(force / hertz), nodes[line, 0] / (0.5 * THICKNESS), moved)
 
 
-def gel_cases() -> Iterator[Case]:
+def gel_cases() -> Iterator[Case | NotCovered]:
     """All comparisons of a sphere on a layer. Errors of markers are relative to the depth."""
     mesh = "quarter, 12 x 12 x 5 quadratic"
     for nu, (_, reference) in LAYER.items():
@@ -127,3 +127,10 @@ def gel_cases() -> Iterator[Case]:
                 if answer is not None:
                     what = f"marker at {r:g} a, {quantity}"
                     yield Case(name, what, "depth", answer, found, STATICS, mesh, SOURCE, scale=1.0)
+    yield NotCovered(
+        "half space under a sphere, a punch, a cone",
+        "a contact radius of a twentieth of the thickness still costs 5 % against the half space; the bonded layer "
+        "above is the sharper test, and there is no rigid cone",
+        "Hertz, Sneddon",
+    )
+    yield NotCovered("pull-off from an adhesive sphere", "contact has no adhesion", "Johnson, Kendall & Roberts 1971")

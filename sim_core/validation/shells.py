@@ -29,6 +29,10 @@ HEMISPHERE = {0.1: (1.84, 1.499), 0.5: (5.902, 3.406), 1.0: (8.178, 4.067)}
 SLIT_CELLS, HEMISPHERE_CELLS = (160, 20), 24
 
 SOURCE = "Sze, Liu & Lo 2004"
+STIFF = (
+    "flat triangles on a doubly curved shell resist a bend that does not stretch; the error goes down with the cell "
+    "(1.0 % on 4 x 64 x 64), hence the 4 %"
+)
 
 
 def grid(corners: np.ndarray, closed: bool = False) -> SheetMesh:
@@ -120,7 +124,7 @@ def hemisphere(cells: int, parts: int = 20, shares: tuple[float, ...] = tuple(HE
 
 
 def shell_cases() -> Iterator[Case]:
-    """All comparisons of shells. On the hemisphere, errors under point loads go down in proportion to the cell."""
+    """All comparisons of shells that deflect far."""
     around, across = SLIT_CELLS
     fine, coarse = slit_annulus(SLIT_CELLS), slit_annulus((around // 2, across // 2))
     for (share, answers), ours, twice in zip(SLIT.items(), fine, coarse, strict=True):
@@ -131,4 +135,4 @@ def shell_cases() -> Iterator[Case]:
     for (share, answers), ours, twice in zip(HEMISPHERE.items(), fine, coarse, strict=True):
         quantities = ("way, pressed points", "way, pulled points")
         name, mesh = f"hemisphere with a hole, {share:g} P", f"4 x {HEMISPHERE_CELLS} x {HEMISPHERE_CELLS}"
-        yield from compare(name, quantities, answers, ours, 4.0 * STATICS, mesh, SOURCE, twice)
+        yield from compare(name, quantities, answers, ours, 4.0 * STATICS, mesh, SOURCE, twice, remark=STIFF)
