@@ -140,11 +140,13 @@ class Candidates:
     def _motion(self, x: np.ndarray) -> float:
         """By how much any primitives may have approached each other since the search [m]."""
         assert self._searched_at is not None
-        sides = (self._ours, self._theirs)
-        ours, theirs = (x[side.members] - self._searched_at[side.members] for side in sides)
-        middle = 0.5 * (ours.mean(axis=0) + theirs.mean(axis=0))
-        farthest = (np.sqrt(((part - middle) ** 2).sum(axis=1).max()) for part in (ours, theirs))
-        return float(sum(side.stretch * way for side, way in zip(sides, farthest, strict=True)))
+        move = x - self._searched_at
+        ours, theirs = self._ours.members, self._theirs.members
+        middle = 0.5 * (move[ours].sum(axis=0) / len(ours) + move[theirs].sum(axis=0) / len(theirs))
+        move -= middle
+        squares = np.einsum("ij,ij->i", move, move)
+        ways = np.sqrt([squares[ours].max(), squares[theirs].max()])
+        return float(self._ours.stretch * ways[0] + self._theirs.stretch * ways[1])
 
     def _bound(self, x: np.ndarray, to: np.ndarray, within: float) -> np.ndarray:
         """Keys of the pairs that may come within ``within`` between ``x`` and ``to``, ascending."""

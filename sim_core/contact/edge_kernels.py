@@ -58,10 +58,10 @@ def _across(x: ti.template(), ends: ti.template(), k: ti.i32):
 
 
 @ti.kernel
-def distances(x: F2, ours: I2, theirs: I2, first: I1, second: I1, out: F1):
+def distances(x: F2, ours: I2, theirs: I2, count: I1, first: I1, second: I1, out: F1):
     """Distance [m] of pairs of edges."""
     ti.loop_config(serialize=True)
-    for k in range(first.shape[0]):
+    for k in range(count[0]):
         p0, p1 = _row(x, ours[first[k], 0]), _row(x, ours[first[k], 1])
         q0, q1 = _row(x, theirs[second[k], 0]), _row(x, theirs[second[k], 1])
         s, t = closest_on_segments(p0, p1, q0, q1)

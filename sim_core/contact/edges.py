@@ -31,6 +31,7 @@ from sim_core.contact.edge_kernels import (
     sides,
 )
 from sim_core.contact.law import RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
+from sim_core.contact.pair_distance import PairDistance
 from sim_core.contact.segments import PARALLEL
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.kernels import BoundKernel
@@ -71,9 +72,9 @@ class EdgeContact:
         self._their_areas = areas if theirs is None else their_areas
         self._squares = [((rest[e[:, 1]] - rest[e[:, 0]]) ** 2).sum(axis=1) for e in (self._ours, self._theirs)]
         self._margin = margin_m
-        self._candidates = Candidates(
-            Primitives(self._ours), Primitives(self._theirs), offset, self._distance, once=theirs is None
-        )
+        distance = PairDistance(distances, self._ours, self._theirs)
+        sides = Primitives(self._ours), Primitives(self._theirs)
+        self._candidates = Candidates(*sides, offset, distance, once=theirs is None)
         self._keys = np.empty(0, dtype=np.int64)
         self._c = coefficients(offset)
         self._count = np.zeros(1, dtype=np.int32)
@@ -87,12 +88,6 @@ class EdgeContact:
         self._limit, self._load, self._spring = (np.zeros(capacity) for _ in range(3))
         self._anchor, self._frame = np.zeros((capacity, 3)), np.zeros((capacity, 36))
         self._now, self._lag = _Closest(capacity), _Closest(capacity)
-
-    def _distance(self, x: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        out = np.zeros(len(first))
-        if len(first):
-            distances(np.ascontiguousarray(x), self._ours, self._theirs, first, second, out)
-        return out
 
     def blocks(self) -> np.ndarray:
         """Pairs of the ends of all pairs of edges in the wider search."""

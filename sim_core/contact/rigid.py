@@ -289,7 +289,7 @@ class RigidContact:
         self._rotation[:] = self._turned(share)
 
     def _turned(self, share: float) -> np.ndarray:
-        if share >= 1.0:
+        if share >= 1.0 or not self.turns:
             return self._target
         start = Rotation.from_matrix(self._rotation_start)
         whole = (start.inv() * Rotation.from_matrix(self._target)).as_rotvec()

@@ -31,6 +31,7 @@ import scipy.sparse as sp
 
 from sim_core.contact.candidates import Candidates, Primitives
 from sim_core.contact.law import BLEND, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
+from sim_core.contact.pair_distance import PairDistance
 from sim_core.contact.samples import Samples
 from sim_core.contact.surface_geometry import distances, frames, free_way, sides
 from sim_core.contact.surface_kernels import FAR, MOST, add_energy, add_gradient, add_hessian, measure
@@ -72,7 +73,10 @@ class SurfaceContact:
         self._weights = np.ascontiguousarray(samples.weights)
         self._used = np.count_nonzero(self._weights, axis=1).astype(np.int32)
         self._candidates = Candidates(
-            Primitives(self._own, self._weights), Primitives(self._triangles), offset, self._distance
+            Primitives(self._own, self._weights),
+            Primitives(self._triangles),
+            offset,
+            PairDistance(distances, self._own, self._used, self._weights, self._triangles),
         )
         self._border = _free_features(self._triangles)
         count = len(samples.areas)
@@ -86,14 +90,6 @@ class SurfaceContact:
         self._now, self._lag = _Closest(count), _Closest(count)
         self._exact = np.zeros(1, dtype=np.int32)
         self._keep, self._way = np.zeros(1), np.ones(1)
-
-    def _distance(self, x: np.ndarray, sample: np.ndarray, triangle: np.ndarray) -> np.ndarray:
-        out = np.zeros(len(sample))
-        if len(sample):
-            distances(
-                np.ascontiguousarray(x), self._own, self._used, self._weights, self._triangles, sample, triangle, out
-            )
-        return out
 
     def blocks(self) -> np.ndarray:
         """Pairs of the samples' nodes and of the corners of all triangles in the wider search, and of the

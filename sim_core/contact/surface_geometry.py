@@ -34,10 +34,10 @@ def closest_on(x: ti.template(), p, triangles: ti.template(), t: ti.i32):
 
 
 @ti.kernel
-def distances(x: F2, own: I2, used: I1, weights: F2, triangles: I2, sample: I1, triangle: I1, out: F1):
+def distances(x: F2, own: I2, used: I1, weights: F2, triangles: I2, count: I1, sample: I1, triangle: I1, out: F1):
     """Distance [m] of pairs of samples and triangles."""
     ti.loop_config(serialize=True)
-    for k in range(sample.shape[0]):
+    for k in range(count[0]):
         p = sample_at(x, own, used, weights, sample[k])
         _b, _feature, r = closest_on(x, p, triangles, triangle[k])
         out[k] = r.norm()

@@ -6,16 +6,15 @@ real, would make the next tangent far too stiff; so the tangent's stress part us
 step foresaw. Residual and convergence test are the true ones.
 
 A tangent is kept while the updates that it answers shrink fast enough (:mod:`sim_core.solve.tangent`). A step
-that takes back the one before it is shortened (:mod:`sim_core.solve.shorten`): contact points that stick after
-one full step and slip after the next would go on like that for ever.
+that runs into contact is made in part (:mod:`sim_core.solve.overshoot`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from sim_core.solve.overshoot import contact_share
 from sim_core.solve.report import ROUND_OFF, NewtonSettings, Result, StepReport, converged, report
-from sim_core.solve.shorten import shorten
 from sim_core.solve.system import System
 from sim_core.solve.tangent import Tangent, newton_direction
 
@@ -25,16 +24,19 @@ PATIENCE = 5
 KEEP = 0.5
 """A kept tangent has to answer with an update smaller than this share of the last one."""
 
-SURE = 0.01
-"""Share of the tolerance that the update of a kept tangent has to be below: it converges linearly, not faster."""
+SLOWEST = 0.1
+"""Rate at which kept tangents are taken to converge, at best, when what is left of the error is estimated."""
 
-REVERSED = 0.5
-"""A step that takes back more than this share of the last one is shortened where it overshoots."""
+SURE = 0.02
+"""Share of the tolerance that this estimate has to be below."""
+
+LEAST = 0.3
+"""Share of the prescribed motion that is made at once, at least."""
 
 
 class FastNewton:
     """One search. ``move``: of what is prescribed [m] ``(n, 3)``, still to be made; the first step answers
-    it to first order and goes to ``targets`` [m] ``(n, 3)``."""
+    it to first order and goes to ``targets`` [m] ``(n, 3)``, in parts where contact asks for it."""
 
     def __init__(self, system: System, settings: NewtonSettings, targets: np.ndarray, move: np.ndarray | None) -> None:
         self._system = system
@@ -44,11 +46,10 @@ class FastNewton:
         self._tangent: Tangent | None = None
         self._tangents = 0
         self._old = False
-        self._shortened = 0
+        self._tries = 0
         self._best, self._best_at = np.inf, 0
         self._update, self._error = np.inf, np.inf
-        self._start = self._full = self._step = self._before = np.empty(0)
-        self._back = 0.0
+        self._full = self._step = np.empty(0)
 
     def run(self) -> tuple[StepReport, bool]:
         """Search from where the system is. Also returns whether the last tangent was the true Hessian, which a
@@ -58,21 +59,21 @@ class FastNewton:
             while result is None:
                 iteration += 1
                 g = self._system.residual()
-                if iteration > 1:
-                    g = self._shorten(g)
                 residual = float(np.abs(g).max(initial=0.0))
                 result = self._verdict(residual)
                 if result is None and not self._advance(g):
                     result = Result.ITERATION_LIMIT
         finally:
             self._system.foresee(None)
-        counts = (iteration, self._tangents, self._shortened)
+        counts = (iteration, self._tangents, self._tries)
         definite = self._tangent is not None and self._tangent.definite
         return report(self._system, result, counts, residual, self._update), definite
 
     def _verdict(self, residual: float) -> Result | None:
         if not np.isfinite(residual):
             return Result.NOT_FINITE
+        if self._move is not None:
+            return None
         floor = not self._old and self._error < ROUND_OFF * self._settings.step_tolerance_m
         if not floor and not converged(self._system, self._settings, self._error, residual):
             return None
@@ -107,36 +108,38 @@ class FastNewton:
         length = float(np.abs(direction).max(initial=0.0))
         if not length < KEEP * self._update:
             return None
-        self._error = length / SURE
+        # Linear convergence: what is left behind this step is a geometric series (Hairer & Wanner, IV.8).
+        rate = max(length / self._update, SLOWEST)
+        self._error = length * rate / (1.0 - rate) / SURE
         return direction
 
     def _go(self, direction: np.ndarray, g: np.ndarray) -> None:
+        """Make the step, or the part of it that contact lets through."""
         system, move = self._system, self._move
+        start, placed = system.unknowns(), system.targets()
         step = system.spread(direction)
         system.foresee(step if move is None else step + move)
-        self._start, self._before = system.unknowns(), g.copy()
-        last = self._step if self._step.size else direction
-        self._back = -float(direction @ last) / max(float(last @ last), 1e-300)
-        self._full = self._step = direction
-        self._update = float(np.abs(direction).max(initial=0.0))
-        if move is not None:
-            system.set_targets(self._targets)
-            self._move = None
-        system.set_unknowns(self._start + direction)
 
-    def _shorten(self, g: np.ndarray) -> np.ndarray:
-        """Residual after the last step, which is shortened first where it took back the one before it or, in a
-        search for contact that makes no headway, where it overshot: a tangent near the slip limit is too soft."""
-        before, after = float(self._before @ self._full), float(g @ self._full)
-        stalled = self._system.touchable and self._tangents > self._best_at
-        if self._back < REVERSED and not (stalled and after > abs(before)):
-            return g
-        share, there, tries = shorten(self._system, self._start, self._full, before, after)
-        if there is None:
-            return g
-        self._shortened += tries
-        self._step = share * self._full
-        self._update *= share
-        self._error = max(self._error, (1.0 - share) / share * self._update)
-        self._system.foresee(None)
-        return there
+        def go(share: float) -> None:
+            if move is not None:
+                system.set_targets(self._targets if share == 1.0 else placed + share * move)
+            system.set_unknowns(start + share * direction)
+
+        def along(share: float) -> float:
+            go(share)
+            return float(system.contact_residual() @ direction)
+
+        share = 1.0
+        if system.touchable:
+            share, tries = contact_share(along, float(g @ direction))
+            share = share if move is None else max(share, LEAST)
+            self._tries += tries
+        go(share)
+        self._full, self._step = direction, share * direction
+        self._update = share * float(np.abs(direction).max(initial=0.0))
+        if share < 1.0:
+            self._error = max(self._error, (1.0 - share) / share * self._update)
+            system.foresee(None)
+        self._move = None if move is None or share == 1.0 else (1.0 - share) * move
+        if self._move is not None:
+            self._tangent = None

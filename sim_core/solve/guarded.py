@@ -27,6 +27,9 @@ KEEP = 0.1
 ANY = 1e-6
 """The same on the path to a solution, where any gap will do."""
 
+HARDER = 3.0
+"""How many times as large contact forces may become where a search begins."""
+
 FARTHEST_M = 5e-3
 """Longest move of a node at once."""
 
@@ -58,7 +61,9 @@ def solve(
     deflection = system.deflections.copy()
     spent, start = (0, 0), x_start
     if settings.fast_iterations:
-        leads: list[np.ndarray | float | None] = [drift, 0.0] if drift.any() else [0.0]
+        leads: list[np.ndarray | float | None] = [0.0]
+        if drift.any() and not _runs_into(system, x_start, drift, targets, deflection):
+            leads = [drift, 0.0]
         for lead in leads if guess is None else [None]:
             found, sound = _try(system, x_start, lead, targets, deflection, settings, guess)
             if found.converged:
@@ -88,6 +93,17 @@ def blocked(found: StepReport, t: float) -> ConvergenceError:
         f"{max(found.min_gap_m, 0.0):.1g} m and must stay above 0.",
         "End the motion there, or leave more room between what is held and what moves.",
     )
+
+
+def _runs_into(
+    system: System, x_start: np.ndarray, drift: np.ndarray, targets: np.ndarray, deflection: np.ndarray
+) -> bool:
+    """Whether contact would be loaded far more where velocities lead than it is: no place to search from."""
+    system.guard(False)
+    system.x[:] = x_start
+    borne = max(system.contact_load(), system.largest_load())
+    place(system, x_start + drift, targets, deflection)
+    return system.contact_load() > HARDER * borne
 
 
 def _try(
@@ -196,7 +212,7 @@ def _guarded(
     if not (left and blocker and result is not Result.NOT_FINITE):
         return replace(report(system, result, counts, residual, update), left_m=left * length)
     found = report(system, Result.BLOCKED, counts, residual, update)
-    return replace(found, left_m=left * length, tightest=blocker)
+    return replace(found, left_m=left * length, tightest=blocker, min_gap_m=system.gap_of(blocker))
 
 
 def _way(

@@ -62,6 +62,8 @@ class System:
         self._dynamic = [cast(DynamicTerm, t) for t in self.terms if hasattr(t, "prepare")]
         self._static = [t for t in self.terms if not hasattr(t, "prepare")]
         self._guarded = [cast(GuardedTerm, t) for t in self.terms if hasattr(t, "free_way")]
+        self._bulk = [t for t in self.terms if not hasattr(t, "free_way")]
+        self._contact, self._contact_at = np.zeros_like(self.nodes), np.full_like(self.nodes, np.nan)
         self._turning: list[Any] = [t for t in self.terms if hasattr(t, "turn")]
         self._number_unknowns(compliant)
         self._targets = np.zeros_like(self.nodes)
@@ -134,6 +136,10 @@ class System:
         for group, deflection in zip(self._compliant, self.deflections, strict=True):
             self._x[group.nodes] = targets[group.nodes] + deflection
 
+    def targets(self) -> np.ndarray:
+        """Copy of where prescribed nodes are placed [m], ``(n, 3)``."""
+        return np.array(self._targets)
+
     def unknowns(self) -> np.ndarray:
         """Copy of the unknowns: free components [m], then deflections [m]."""
         return np.concatenate([self._x.reshape(-1)[self._own], self._deflection])
@@ -150,19 +156,44 @@ class System:
         """Derivative of the potential with respect to the unknowns [N]."""
         return self.restrict(self.gradient())
 
+    def contact_residual(self) -> np.ndarray:
+        """Derivative of the energy of contact alone with respect to the unknowns [N]."""
+        return self._gather(self._contact_gradient())
+
+    def contact_load(self) -> float:
+        """Largest force of contact on any node [N]."""
+        return float(np.abs(self._contact_gradient()).max(initial=0.0))
+
+    def _contact_gradient(self) -> np.ndarray:
+        """Forces of contact; kept for as long as the positions stay."""
+        if not np.array_equal(self._contact_at, self._x):
+            self._gradient[:] = 0.0
+            for term in self._guarded:
+                term.add_gradient()
+            self._contact[:] = self._gradient
+            self._contact_at[:] = self._x
+        return self._contact
+
     def restrict(self, gradient: np.ndarray) -> np.ndarray:
         """Part of a nodal gradient [N] ``(n, 3)`` that belongs to the unknowns, springs included."""
+        out = self._gather(gradient)
+        out[len(self._own) :] += self._spring * self._deflection
+        return out
+
+    def _gather(self, gradient: np.ndarray) -> np.ndarray:
+        """Sums of a nodal gradient over what each unknown moves; a new array."""
         flat = gradient.reshape(-1)
         if not self._compliant:
             return np.asarray(flat[self._own])
-        unknown = self._number[self._moved]
-        out: np.ndarray = np.bincount(unknown, weights=flat[self._moved], minlength=self.n_unknowns)
-        out[len(self._own) :] += self._spring * self._deflection
-        return np.asarray(out)
+        return np.bincount(self._number[self._moved], weights=flat[self._moved], minlength=self.n_unknowns)
 
     def force_scale(self) -> float:
         """Largest force on any node at the last gradient [N]: reactions, imbalance, weights and loads."""
-        return float(max(np.abs(self._gradient).max(initial=0.0), np.abs(self._external).max(initial=0.0)))
+        return max(float(np.abs(self._gradient).max(initial=0.0)), self.largest_load())
+
+    def largest_load(self) -> float:
+        """Largest weight or load on any node [N]."""
+        return float(np.abs(self._external).max(initial=0.0))
 
     def spread(self, direction: np.ndarray) -> np.ndarray:
         """Change of all nodes ``(n, 3)`` for a change of the unknowns."""
@@ -218,11 +249,13 @@ class System:
         """Let contact insist that nothing crosses, or bear overlap on the way to a solution."""
         for term in self._guarded:
             term.guard(on)
+        self._contact_at[:] = np.nan
 
     def turn(self, share: float) -> None:
         """Turn rigid bodies to where they are after ``share`` of the step."""
         for term in self._turning:
             term.turn(share)
+        self._contact_at[:] = np.nan
 
     @property
     def turns(self) -> bool:
@@ -248,6 +281,7 @@ class System:
         self, step: StepContext, internals: dict[str, Internals], towards: np.ndarray | None, more: bool = False
     ) -> None:
         self._tau = step.tau
+        self._contact_at[:] = np.nan
         if towards is not None:
             changed = [term.prepare(step, towards, more) for term in self._dynamic]
             if any(changed):
@@ -284,10 +318,13 @@ class System:
 
         The returned array is reused by the next call.
         """
+        contact = self._contact_gradient() if self._guarded else None
         self._inertia_factor[0] = 1.0 / self._tau**2 if self.inertia else 0.0
         self._inertia_gradient()
-        for term in self.terms:
+        for term in self._bulk:
             term.add_gradient()
+        if contact is not None:
+            self._gradient += contact
         return self._gradient
 
     def static_gradient(self) -> np.ndarray:
@@ -358,6 +395,10 @@ class System:
         """Loaded contact samples and smallest gap [m] at the last gradient."""
         found = [term.contacts() for term in self._guarded]
         return sum(c for c, _ in found), min((g for _, g in found), default=np.inf)
+
+    def gap_of(self, name: str) -> float:
+        """Smallest gap [m] of one contact at the last gradient."""
+        return min(term.contacts()[1] for term in self._guarded if term.name == name)
 
     def tightest(self) -> str:
         """Name of the contact with the smallest gap at the last gradient, empty without any."""

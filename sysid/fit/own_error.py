@@ -39,7 +39,7 @@ SETTLED = 0.5
 LOUD = 10.0
 """Error of mesh and time step over noise from which a result says that it rests on that error."""
 
-Search = Callable[[Problem, np.ndarray], Fitted]
+Minimise = Callable[[Problem, np.ndarray], Fitted]
 """A search for the minimum of a problem from given scaled values."""
 
 
@@ -91,7 +91,7 @@ def fit_beside_own_error(
     start: np.ndarray | None = None,
     prior: bool = False,
     rounds: int = MOST_ROUNDS,
-    search: Search | None = None,
+    search: Minimise | None = None,
 ) -> tuple[Problem, Fitted]:
     """Fit ``parameters`` of ``rig``; the problem holds the own error measured at the solution.
 

@@ -98,9 +98,10 @@ def _predict(
     r, j, _, _ = problem.assemble(predictions, len(own))
     shared = len(base.parameters)
     # The baseline was sought with priors weighed up by what chance makes of its misfit; so is this step.
-    width = np.array([p.prior_sd for p in (*base.parameters, *own)]) / np.sqrt(chance(base))
+    pull = np.sqrt(chance(base))
+    width = np.array([p.prior_sd for p in (*base.parameters, *own)]) / pull
     rows = len(r)
-    prior_residual = base.residual[rows:] * np.sqrt(chance(base)) if problem.prior else np.zeros(shared)
+    prior_residual = base.residual[rows:] * pull if problem.prior else np.zeros(shared)
     # Effect parameters are pulled to their vanishing value where they have a finite one.
     rest = np.array([_rest(effect, p, s) for p, s in zip(own, scaled, strict=True)])
     matrix = np.vstack(

@@ -123,20 +123,19 @@ def test_a_steady_motion_is_foreseen():
 
 
 def test_points_that_stick_and_slip_in_turn_do_not_stop_the_fast_newton():
-    """A finger presses a card on a table: hardly a step needs many tangents (a first touch may need the guard)."""
+    """A finger presses a card on a table: no step needs many tangents."""
     rig = load_rig("forming")
     scene = build_scene(rig)
     simulation = Simulation(scene)
     origin, rotation = scene.start["finger"]
-    counts = []
+    most = 0
     for k in range(1, 61):
         shift = np.array([0.0, 0.0, -6.5e-3 * k / 60])
         report = simulation.step({"finger": (origin + shift, rotation)}, rig.solver.dt_s)
-        counts.append(report.factorisations)
+        most = max(most, report.factorisations)
         assert report.converged
     assert report.contacts > 50
-    assert np.count_nonzero(np.array(counts) > 15) <= 3
-    assert max(counts) <= 30
+    assert most <= 8
 
 
 def test_a_static_solution_is_judged_by_a_tangent_of_its_own():
