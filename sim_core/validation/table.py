@@ -43,9 +43,12 @@ def table(rows: Sequence[Case | NotCovered]) -> str:
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in (HEAD, *cells)]
     missed = sum(not case.passed for case in cases)
     lines.append(f"{len(cases) - missed} of {len(cases)} within what is allowed.")
-    remarks = {f"{case.name}: {case.remark}": None for case in cases if case.remark}
+    remarks: dict[str, str] = {}
+    for case in cases:
+        if case.remark:
+            remarks.setdefault(case.remark, case.name)
     gaps = [f"{row.name}: {row.reason} [{row.source}]" for row in rows if isinstance(row, NotCovered)]
-    for title, texts in (("Remarks", list(remarks)), ("Not covered", gaps)):
+    for title, texts in (("Remarks", [f"{name}: {remark}" for remark, name in remarks.items()]), ("Not covered", gaps)):
         if texts:
             lines += [f"{title}:", *(f"  {text}" for text in texts)]
     lines.append("Answers: " + "; ".join(sorted({case.source for case in cases})) + ".")
