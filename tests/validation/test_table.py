@@ -6,6 +6,7 @@ import pytest
 
 from sim_core import validation
 from sim_core.validation import GROUPS, Case, NotCovered, run_validation
+from sysid.cli import app
 
 
 def test_a_case_passes_within_its_tolerance_only():
@@ -52,3 +53,11 @@ def test_every_row_of_the_table_holds(group):
     cases, _ = GROUPS[group]
     missed = [row for row in cases() if isinstance(row, Case) and not row.passed]
     assert not missed
+
+
+def test_the_command_ends_with_1_when_a_row_is_missed_and_prints_json(monkeypatch, capsys):
+    monkeypatch.setattr(validation, "GROUPS", {"two": (two_rows, 1.0)})
+    assert app.main(["validate", "--json"]) == 1
+    shown = capsys.readouterr()
+    assert not json.loads(shown.out)["passed"]
+    assert "100 %" in shown.err
