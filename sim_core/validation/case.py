@@ -29,7 +29,7 @@ class Case:
     remark: str = ""
 
     def _error(self, found: float) -> float:
-        return abs(found - self.reference) / abs(self.reference if self.scale is None else self.scale)
+        return float(abs(found - self.reference) / abs(self.reference if self.scale is None else self.scale))
 
     @property
     def error(self) -> float:
@@ -44,7 +44,7 @@ class Case:
 
     @property
     def passed(self) -> bool:
-        return self.error <= self.tolerance
+        return bool(self.error <= self.tolerance)
 
 
 @dataclass(frozen=True)

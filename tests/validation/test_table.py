@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from sim_core import validation
@@ -29,7 +30,7 @@ def test_the_observed_order_is_that_of_halved_cells():
 
 
 def two_rows():
-    yield Case("droop", "drop", "1", 2.0, 2.1, 0.01, "10 x 1", "a book", remark="on purpose")
+    yield Case("droop", "drop", "1", np.float64(2.0), np.float64(2.1), 0.01, "10 x 1", "a book", remark="on purpose")
     yield NotCovered("creep", "the law has none", "another book")
 
 
