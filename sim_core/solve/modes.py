@@ -1,14 +1,43 @@
-"""Natural vibrations of a system about where it is."""
+"""Small motions of a system about where it is: natural vibrations, and the answer to small loads."""
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import eigsh
+from scipy.sparse.linalg import MatrixRankWarning, eigsh, spsolve
 
 from sim_core.errors import ConfigError
 from sim_core.solve.integrator import step_context
 from sim_core.solve.system import System
+
+UNHELD = "The stiffness matrix is singular: something can move without resistance."
+
+
+def tangent_stiffness(system: System) -> sp.csr_matrix:
+    """The true Hessian [N/m] over the unknowns with everything that acts now (weight, prestress, contact), without
+    inertia; both triangles."""
+    step = step_context(system.x.copy(), np.zeros_like(system.x), 1.0)
+    inertia, system.inertia = system.inertia, False
+    try:
+        system.begin_step(step, system.initial_internals(), search=False)
+        upper = system.hessian(exact=True)
+    finally:
+        system.inertia = inertia
+    return sp.csr_matrix(upper + sp.triu(upper, 1).T)
+
+
+def linear_response(system: System, loads: np.ndarray) -> np.ndarray:
+    """Displacement [m] ``(n, 3)`` due to small ``loads`` [N] ``(n, 3)`` about the equilibrium in which the system is,
+    to first order. Raises ``ConfigError`` where something is not held."""
+    stiffness = tangent_stiffness(system)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", MatrixRankWarning)
+        motion = spsolve(stiffness.tocsc(), system.restrict(loads))
+    if any(issubclass(w.category, MatrixRankWarning) for w in caught) or not np.all(np.isfinite(motion)):
+        raise ConfigError(UNHELD, "Hold every body.")
+    return system.spread(motion)
 
 
 def natural_vibrations(system: System, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -20,14 +49,7 @@ def natural_vibrations(system: System, count: int) -> tuple[np.ndarray, np.ndarr
     """
     if len(system.deflections):
         raise ConfigError("Vibrations on compliant mounts are not computed.", "Leave the compliance out.")
-    step = step_context(system.x.copy(), np.zeros_like(system.x), 1.0)
-    inertia, system.inertia = system.inertia, False
-    try:
-        system.begin_step(step, system.initial_internals(), search=False)
-        upper = system.hessian(exact=True)
-    finally:
-        system.inertia = inertia
-    stiffness = upper + sp.triu(upper, 1).T
+    stiffness = tangent_stiffness(system)
     free = np.flatnonzero(~system.prescribed.ravel())
     mass = sp.kron(system.mass, sp.identity(3)).tocsr()[free][:, free]
     if not 0 < count < len(free) - 1:
@@ -35,9 +57,7 @@ def natural_vibrations(system: System, count: int) -> tuple[np.ndarray, np.ndarr
     try:
         squared, shapes = eigsh(stiffness.tocsc(), k=count, M=mass.tocsc(), sigma=0.0)
     except RuntimeError as error:
-        raise ConfigError(
-            "The stiffness matrix is singular: something can move without resistance.", "Hold every body."
-        ) from error
+        raise ConfigError(UNHELD, "Hold every body.") from error
     order = np.argsort(squared)
     if squared[order[0]] <= 0.0:
         raise ConfigError("The equilibrium is unstable: the softest vibration grows.", "Settle the system first.")
