@@ -12,6 +12,9 @@ from sim_core.errors import ConfigError
 from sim_core.solve.integrator import step_context
 from sim_core.solve.system import System
 
+SLACK = 1e-13
+"""Square of the slowest vibration over that of a node on its own, below which it is round-off: nothing resists."""
+
 UNHELD = "The stiffness matrix is singular: something can move without resistance."
 
 
@@ -45,22 +48,22 @@ def natural_vibrations(system: System, count: int) -> tuple[np.ndarray, np.ndarr
 
     Returns angular frequencies [rad/s] ``(count,)``, ascending, and the shapes ``(count, n, 3)``, of unit modal
     mass [kg^-1/2]. K is the true Hessian with everything that acts now (weight, prestress, contact). Raises
-    ``ConfigError`` where something is not held, or is not in stable equilibrium.
+    ``ConfigError`` where something is not held, or is not in stable equilibrium. What sheets and contacts
+    remember (creases, elastic slip) is not part of it.
     """
     if len(system.deflections):
         raise ConfigError("Vibrations on compliant mounts are not computed.", "Leave the compliance out.")
     stiffness = tangent_stiffness(system)
-    free = np.flatnonzero(~system.prescribed.ravel())
-    mass = sp.kron(system.mass, sp.identity(3)).tocsr()[free][:, free]
-    if not 0 < count < len(free) - 1:
-        raise ConfigError(f"There are {len(free)} unknowns and not {count} vibrations.", "Ask for fewer.")
+    mass = system.reduced_mass()
+    if not 0 < count < system.n_unknowns - 1:
+        raise ConfigError(f"There are {system.n_unknowns} unknowns and not {count} vibrations.", "Ask for fewer.")
     try:
         squared, shapes = eigsh(stiffness.tocsc(), k=count, M=mass.tocsc(), sigma=0.0)
     except RuntimeError as error:
         raise ConfigError(UNHELD, "Hold every body.") from error
     order = np.argsort(squared)
+    if abs(squared[order[0]]) <= SLACK * float((stiffness.diagonal() / mass.diagonal()).max()):
+        raise ConfigError(UNHELD, "Hold every body.")
     if squared[order[0]] <= 0.0:
         raise ConfigError("The equilibrium is unstable: the softest vibration grows.", "Settle the system first.")
-    out = np.zeros((count, system.prescribed.size))
-    out[:, free] = shapes[:, order].T
-    return np.sqrt(squared[order]), out.reshape(count, -1, 3)
+    return np.sqrt(squared[order]), np.stack([system.spread(shapes[:, k]) for k in order])
