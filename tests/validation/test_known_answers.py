@@ -77,6 +77,13 @@ def test_shapes_of_vibration_are_orthogonal_and_of_unit_mass():
     assert np.abs(shapes[0][:, 2]).max() > 100.0 * np.abs(shapes[0][:, :2]).max()
 
 
+def test_vibrations_of_a_free_plate_are_refused():
+    system = plate("cantilever", 0.3, "regular", 4)
+    free = System(system.nodes, system.mass, np.zeros_like(system.prescribed), system.terms, np.zeros(3), inertia=False)
+    with pytest.raises(ConfigError, match="without resistance"):
+        natural_vibrations(free, 3)
+
+
 def test_more_vibrations_than_unknowns_are_refused():
     with pytest.raises(ConfigError, match="unknowns"):
         natural_vibrations(plate("supported", 0.3, "regular", 2), 50)
