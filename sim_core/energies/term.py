@@ -14,9 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from sim_core.energies.linearised import Linearised
 
 Internals = dict[str, np.ndarray]
 """Internal variables of one term by name."""
@@ -41,8 +44,7 @@ class Buffers:
 
     ``x``: positions [m], shape ``(n_nodes, 3)``. ``energy``: [J], shape ``(1,)``. ``gradient``:
     dPhi/dx [N], shape ``(n_nodes, 3)``. ``hessian``: values of the upper triangle of the sparse
-    Hessian [N/m], shape ``(n_values,)``; the last slot swallows entries that nobody needs (lower
-    triangle, between prescribed nodes). ``pairs``: for dynamic terms.
+    Hessian [N/m], shape ``(n_values,)``; the last slot swallows the lower triangle. ``pairs``: for dynamic terms.
     """
 
     x: np.ndarray
@@ -112,6 +114,15 @@ class Term(Protocol):
 
     def initial_internals(self) -> Internals:
         """Internal variables of a virgin body at rest."""
+        ...
+
+
+class RememberingTerm(Term, Protocol):
+    """A term whose force depends on more than the positions at the end of the step, or that remembers them."""
+
+    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
+        """Derivatives of dE/dx and of the new internal variables ``after`` at ``buffers.x``, at the end of a step that
+        ``begin_step`` began from ``internals``; None where the term has no memory after all."""
         ...
 
 

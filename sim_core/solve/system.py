@@ -21,6 +21,7 @@ from sim_core.kernels import BoundKernel
 from sim_core.solve.factor import Factor, factorise
 from sim_core.solve.inertia import inertia_energy, inertia_gradient
 from sim_core.solve.pattern import Pattern
+from sim_core.solve.product import nodal_product
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,11 @@ class System:
         load = (self._x, self._predicted, self._external)
         self._inertia_energy = BoundKernel(inertia_energy, *load, *mass, self._energy)
         self._inertia_gradient = BoundKernel(inertia_gradient, *load, *mass, self._gradient)
+        self._product_move, self._product_out = np.zeros_like(self._x), np.zeros_like(self._x)
+        table = self._pattern.table
+        self._product = BoundKernel(
+            nodal_product, table.start, table.column, table.place, self._hessian, self._product_move, self._product_out
+        )
         for term, slots in zip(self._static, self._pattern.static_slots()[1:], strict=True):
             term.bind(self._buffers, slots)
         for term in self._dynamic:
@@ -297,6 +303,12 @@ class System:
             term.add_gradient()
         return np.array(self._gradient)
 
+    def gradient_of(self, term: Term) -> np.ndarray:
+        """What one term exerts, dE/dx [N] ``(n, 3)``."""
+        self._gradient[:] = 0.0
+        term.add_gradient()
+        return np.array(self._gradient)
+
     def hessian_data(self, exact: bool = False, shift: float = 0.0) -> np.ndarray:
         """Entries of :meth:`hessian` in the order of its pattern."""
         used = self._pattern.n_used
@@ -329,6 +341,13 @@ class System:
         """Force [N] on the unknowns due to moves [m] ``(n, 3)`` of what is prescribed: H_fp dx_p, with the
         Hessian that was assembled last."""
         return self._pattern.coupling(self._hessian, move)
+
+    def nodal_product(self, move: np.ndarray) -> np.ndarray:
+        """Change of :meth:`gradient` [N], on prescribed components too, for a move of the nodes [m], ``(n, 3)`` both,
+        with the Hessian that was assembled last."""
+        self._product_move[:] = move
+        self._product()
+        return np.array(self._product_out)
 
     def factor(self, matrix: sp.csr_matrix, definite: bool) -> Factor:
         """Factorise a matrix from :meth:`hessian`, reusing the symbolic analysis of the pattern."""
