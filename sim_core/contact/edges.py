@@ -167,6 +167,10 @@ class EdgeContact:
             self._parallel[:count] = PARALLEL * self._squares[0][first] * self._squares[1][second]
         return outer
 
+    def forget(self) -> None:
+        """Look for candidates afresh next time."""
+        self._candidates.forget()
+
     def outran(self) -> bool:
         """True when something may have come into contact that was not looked at."""
         return self._candidates.outran(self._x)
@@ -239,6 +243,17 @@ class EdgeContact:
             "load": load,
             "slip_speed": np.where(touching, speed, 0.0),
         }
+
+    @staticmethod
+    def aligned(internals: Internals, like: Internals) -> Internals:
+        """Internal variables of the pairs of ``like`` in their order, zero where a pair is none of these."""
+        if np.array_equal(internals["pair"], like["pair"]):
+            return internals
+        out = {name: np.zeros_like(a) for name, a in like.items()}
+        _, new, old = np.intersect1d(like["pair"], internals["pair"], return_indices=True)
+        for name, a in out.items():
+            a[new] = internals[name][old]
+        return {**out, "pair": like["pair"]}
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised:
         """Derivatives by the start of the step and the memory."""

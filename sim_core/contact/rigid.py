@@ -282,6 +282,11 @@ class RigidContact:
         self._limit[:] = friction_coefficient(self._c, internals["slip_speed"]) * internals["load"]
 
     @property
+    def rotation(self) -> np.ndarray:
+        """Rotation of the body now, ``(3, 3)``."""
+        return np.array(self._rotation)
+
+    @property
     def turns(self) -> bool:
         """Whether the body turns in this step."""
         return not np.array_equal(self._rotation_start, self._target)

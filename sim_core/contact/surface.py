@@ -183,6 +183,10 @@ class SurfaceContact:
             self._first[:] = np.searchsorted(sample, np.arange(len(self._first)))
         return outer
 
+    def forget(self) -> None:
+        """Look for candidates afresh next time."""
+        self._candidates.forget()
+
     def outran(self) -> bool:
         """True when something may have come into contact that was not looked at."""
         return self._candidates.outran(self._x)

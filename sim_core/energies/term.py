@@ -138,6 +138,10 @@ class DynamicTerm(Term, Protocol):
         ``(n, 3)``, beside those at hand if ``more``; True when ``blocks`` changed."""
         ...
 
+    def forget(self) -> None:
+        """Look for partners afresh next time."""
+        ...
+
     def outran(self) -> bool:
         """True when the step has moved further than partners were looked for."""
         ...

@@ -39,15 +39,17 @@ class Columns:
         self._scene, self._values, self.keys = scene, values, list(keys)
         self._terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
 
-    def of_step(self, step: StepContext, internals: dict[str, Internals]) -> list[Column]:
-        """One column a key."""
-        return [self._column(key, step, internals) for key in self.keys]
+    def of_step(self, step: StepContext, internals: dict[str, Internals], after: dict[str, Internals]) -> list[Column]:
+        """One column a key. ``internals``, ``after``: internal variables before and after the step."""
+        return [self._column(key, step, internals, after) for key in self.keys]
 
-    def _column(self, key: Key, step: StepContext, internals: dict[str, Internals]) -> Column:
+    def _column(
+        self, key: Key, step: StepContext, internals: dict[str, Internals], after: dict[str, Internals]
+    ) -> Column:
         kind, owner, quantity = key
         if kind == "terms":
             term = self._terms.get(owner)
-            return Column() if term is None else self._of_term(term, quantity, step, internals[owner])
+            return Column() if term is None else self._of_term(term, quantity, step, internals[owner], after[owner])
         system = self._scene.system
         if kind == "gravity":
             pull = np.zeros_like(system.x)
@@ -85,7 +87,7 @@ class Columns:
         system.set_compliance(given)
         return np.asarray((ends[0] - ends[1]) / (2.0 * RELATIVE_STEP * given[group][axis]))
 
-    def _of_term(self, term: Any, quantity: str, step: StepContext, internals: Internals) -> Column:
+    def _of_term(self, term: Any, quantity: str, step: StepContext, internals: Internals, after: Internals) -> Column:
         """One number of a term. A number of zero is stepped to the side of more of it."""
         given = self._values.terms[term.name]
         value = given[quantity]
@@ -95,8 +97,10 @@ class Columns:
         for there in ends:
             term.configure({**given, quantity: there})
             term.begin_step(step, internals)
-            force = self._scene.system.gradient_of(term)
-            found.append((force, flatten(term.end_step(step, internals)), moment_on_body(term)))
+            force, kept = self._scene.system.gradient_of(term), term.end_step(step, internals)
+            if hasattr(term, "aligned"):
+                kept = term.aligned(kept, after)
+            found.append((force, flatten(kept), moment_on_body(term)))
         term.configure(given)
         term.begin_step(step, internals)
         width = ends[0] - ends[1]

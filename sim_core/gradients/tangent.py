@@ -66,7 +66,7 @@ class TangentSimulation(Simulation):
         motion = self._motion
         if still:
             motion = Motion(motion.x, motion.v, no_memory(before, len(self._along)))
-        columns = self._columns.of_step(linear.step, before.internals)
+        columns = self._columns.of_step(linear.step, before.internals, self.state.internals)
         self._motion, outcome = linear.push(motion, columns, self._slopes)
         self.derivatives = self._read_derivatives(outcome)
 
@@ -83,7 +83,8 @@ class TangentSimulation(Simulation):
                 if sensed.by_force is not None:
                     total = total - sensed.by_force @ outcome.force.reshape(-1, count)
                 for term, by_moment in sensed.by_moment.items():
-                    total = total + by_moment @ outcome.moment[term]
+                    if term in outcome.moment:
+                        total = total + by_moment @ outcome.moment[term]
                 total = total + sensed.by_frame @ self._frame_motion(sensed.mount, outcome)
                 out[name] = total.reshape(out[name].shape)
         for k, direction in enumerate(self._along):

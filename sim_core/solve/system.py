@@ -250,6 +250,12 @@ class System:
         self._begin(self._step, self._internals, self._x.copy(), more=True)
         return True
 
+    def forget(self) -> None:
+        """Look for contact afresh in the next step: what it finds then depends on the state alone."""
+        for term in self._dynamic:
+            term.forget()
+        self._factor.clear()
+
     def _begin(
         self, step: StepContext, internals: dict[str, Internals], towards: np.ndarray | None, more: bool = False
     ) -> None:
