@@ -96,6 +96,7 @@ class Backward:
         poses = [_Frames() for _ in range(count)]
         for first in reversed(tape.segments):
             intervals = tape.intervals(first)
+            scene.system.forget()  # whether they were made again or not
             for offset in reversed(range(len(intervals))):
                 k = first + offset + 1
                 interval = intervals[offset]

@@ -120,6 +120,7 @@ class Tape:
         self._points: list[Checkpoint] = []
         self._kept: dict[int, list[Interval]] = {}
         self.kept_bytes = self.most_bytes = 0
+        scene.system.forget()
         simulation.reset(self._frames[0])
         self.mounts = dict(simulation.frames)
         self.settled_from, self.start = simulation.settled_from, simulation.state
