@@ -32,7 +32,7 @@ from sim_core.contact.edge_kernels import (
     sides,
 )
 from sim_core.contact.framed_derivatives import Pairs, edge_frames, framed_derivatives, memory_places
-from sim_core.contact.law import RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
+from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
 from sim_core.contact.rubbing import pressure_and_slope
 from sim_core.contact.segments import PARALLEL
 from sim_core.energies.linearised import Linearised, cross, places
@@ -138,6 +138,11 @@ class EdgeContact:
         self._frames = BoundKernel(frames, self._x_start, *pairs, lag.at, self._frame)
         self._sides = BoundKernel(sides, self._x_start, *pairs, self._side)
         self._free = BoundKernel(free_way, self._from, self._move, *pairs, self._c, self._keep, self._way)
+
+    @property
+    def offset(self) -> float:
+        """Distance [m] at which there is no gap."""
+        return float(self._c[OFFSET])
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         set_law(self._c, parameters)

@@ -266,6 +266,11 @@ class RigidContact:
         self._hessian = BoundKernel(_hessian, buffers.x, *surface, *laws, self._exact, slots, buffers.hessian)
         self._free = BoundKernel(_free_way, self._y, self._dy, self._shape, self._c, self._keep, self._way)
 
+    @property
+    def offset(self) -> float:
+        """Distance [m] at which there is no gap."""
+        return float(self._c[OFFSET])
+
     def configure(self, parameters: Mapping[str, float]) -> None:
         set_law(self._c, parameters)
 

@@ -31,7 +31,17 @@ import scipy.sparse as sp
 
 from sim_core.contact.candidates import Candidates, Primitives
 from sim_core.contact.framed_derivatives import Pairs, framed_derivatives, memory_places, triangle_frames
-from sim_core.contact.law import BLEND, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
+from sim_core.contact.law import (
+    BLEND,
+    OFFSET,
+    RANGE,
+    STIFFNESS,
+    coefficients,
+    friction_coefficient,
+    set_guard,
+    set_law,
+    slide,
+)
 from sim_core.contact.rubbing import pressure_and_slope
 from sim_core.contact.samples import Samples
 from sim_core.contact.surface_geometry import distances, frames, free_way, sides
@@ -155,6 +165,11 @@ class SurfaceContact:
         self._free = BoundKernel(
             free_way, self._from, self._move, *points, *found, self._c, self._keep, self._way
         )  # fmt: skip
+
+    @property
+    def offset(self) -> float:
+        """Distance [m] at which there is no gap."""
+        return float(self._c[OFFSET])
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         set_law(self._c, parameters)

@@ -18,6 +18,9 @@ from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.directions import FROM_ZERO, RELATIVE_STEP, Key
 from sim_core.scene.scene import Scene, Values
 
+GAP_STEP_M = 1e-10
+"""Step of the distance at which a contact has no gap: small beside gaps, which are micrometres."""
+
 
 @dataclass
 class Column:
@@ -91,7 +94,7 @@ class Columns:
         """One number of a term. A number of zero is stepped to the side of more of it."""
         given = self._values.terms[term.name]
         value = given[quantity]
-        h = RELATIVE_STEP * abs(value) or FROM_ZERO
+        h = GAP_STEP_M if quantity == "offset_m" else RELATIVE_STEP * abs(value) or FROM_ZERO
         ends = [value + h, value - h if value != 0.0 else value]
         found = []
         for there in ends:
