@@ -31,7 +31,7 @@ from sim_core.contact.edge_kernels import (
     measure,
     sides,
 )
-from sim_core.contact.framed_derivatives import Pairs, edge_frames, framed_derivatives, memory_places
+from sim_core.contact.framed_derivatives import Pairs, edge_frames, exerted, framed_derivatives, memory_places
 from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
 from sim_core.contact.rubbing import pressure_and_slope
 from sim_core.contact.segments import PARALLEL
@@ -276,7 +276,7 @@ class EdgeContact:
         fade, by_fade = self._now.fade[some].T
         pairs = Pairs(
             nodes, np.broadcast_to(np.eye(4), (len(some), 4, 4)), start, end - start, self._limit[some],
-            self._spring[some], memory, then, self._anchor[some], load, speed, fade * push > 0.0,
+            self._spring[some], memory, then, self._anchor[some], load, speed, area * fade * push,
         )  # fmt: skip
         frames = edge_frames(start, self._lag.at[some], self._lag.direction[some])
         turned = (self._c[STIFFNESS] * area * self._lag.fade[some, 1])[:, None, None] * _parallel_derivative(start)
@@ -285,7 +285,8 @@ class EdgeContact:
         loads = -(area * fade * steep)[:, None, None] * shares[..., None] * self._now.direction[some][:, None]
         loads += (area * by_fade * push)[:, None, None] * _parallel_derivative(end)
         sizes = (len(self._x), sum(a.size for a in internals.values()), sum(a.size for a in after.values()))
-        return framed_derivatives(pairs, replace(frames, dspring=turned), (loads, nodes), self._c, step.dt, sizes)
+        frames, total = replace(frames, dspring=turned), exerted(self.add_gradient, self._buffers)
+        return framed_derivatives(pairs, frames, (loads, nodes), total, self._c, step.dt, sizes)
 
     def initial_internals(self) -> Internals:
         return {"pair": np.empty(0), "anchor": np.empty((0, 3)), "load": np.empty(0), "slip_speed": np.empty(0)}

@@ -14,8 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_core.contact.rubbing import limit_derivatives, rubbing
-from sim_core.energies.linearised import Linearised, axes_of, complex_step, cross, dot, placed, skew
+from sim_core.contact.law import STIFFNESS
+from sim_core.contact.rubbing import limit_derivatives, limits_by_numbers, rubbing
+from sim_core.energies.linearised import ByNumber, Linearised, axes_of, complex_step, cross, dot, gathered, placed, skew
+from sim_core.energies.term import Buffers
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Pairs:
     """Pairs of one step that press or rub. ``nodes`` ``(n, k)`` and ``weights`` ``(n, k, 4)`` of the four points;
     ``start``, ``move``: of the points [m] ``(n, 4, 3)``; ``memory``, ``after``: places of (anchor, load, slip speed) in
     the old and in the new internal variables ``(n, 5)`` each, -1 where there is none; ``anchor`` ``(n, 3)``, ``load``,
-    ``speed``: old; ``touching``: at the end."""
+    ``speed``: old; ``load_now``: at the end."""
 
     nodes: np.ndarray
     weights: np.ndarray
@@ -36,7 +38,11 @@ class Pairs:
     anchor: np.ndarray
     load: np.ndarray
     speed: np.ndarray
-    touching: np.ndarray
+    load_now: np.ndarray
+
+    @property
+    def touching(self) -> np.ndarray:
+        return self.load_now > 0.0
 
 
 @dataclass(frozen=True)
@@ -52,10 +58,17 @@ class Frames:
 
 
 def framed_derivatives(
-    pairs: Pairs, frames: Frames, loads: tuple[np.ndarray, np.ndarray], c: np.ndarray, dt: float, sizes: tuple[int, ...]
+    pairs: Pairs,
+    frames: Frames,
+    loads: tuple[np.ndarray, np.ndarray],
+    total: np.ndarray,
+    c: np.ndarray,
+    dt: float,
+    sizes: tuple[int, ...],
 ) -> Linearised:
     """Derivatives of one step. ``loads``: derivatives of the new loads by nodes ``(n, q, 3)``, and these nodes
-    ``(n, q)``; ``sizes``: number of nodes, of old and of new internal variables."""
+    ``(n, q)``; ``total``: dE/dx of the term ``(3 n_nodes)``; ``sizes``: number of nodes, of old and of new internal
+    variables."""
     count, whole = len(pairs.limit), 3 * sizes[0]
     old, new = sizes[1:]
     b, m = frames.b, frames.m
@@ -99,7 +112,26 @@ def framed_derivatives(
     slip, speed = pairs.after[:, :3], pairs.after[:, 4:]
     held = hold & known
     pushed, by_nodes = loads
+
+    def number(limit: np.ndarray, spring: np.ndarray, pressed: float) -> ByNumber:
+        """Along changes of the pairs' limits and springs, and of the pressure (as a share)."""
+        force, by_slip, by_speed = (
+            by[2][..., 0] * limit[:, None] + by[3][..., 0] * spring[:, None]
+            for by in (rub.force_by, rub.slip_by, rub.speed_by)
+        )
+        nodal = gathered((rows(np.where(rubs, back @ force[..., None], 0.0)), axes), size=whole)
+        memory = gathered(
+            (by_slip[hold], slip[hold]), (by_speed[hold], speed[hold]),
+            (pressed * pairs.load_now[kept], pairs.after[kept, 3]), size=new,
+        )  # fmt: skip
+        return ByNumber(nodal + pressed * (total - rubbed), memory, np.zeros(3))
+
+    rubbed = gathered((rows(np.where(rubs, back @ rub.force[..., None], 0.0)), axes), size=whole)
+    none = np.zeros(count)
+    numbers = {q: number(by, none, 0.0) for q, by in limits_by_numbers(c, pairs.load, pairs.speed).items()}
+    numbers["stiffness_pa_per_m"] = number(none, pairs.spring / c[STIFFNESS], 1.0 / c[STIFFNESS])
     return Linearised(
+        numbers=numbers,
         force_start=placed((force_start, axes, axes), shape=(whole, whole)),
         force_memory=placed((force_memory[known], axes[known], pairs.memory[known]), shape=(whole, old)),
         memory_start=placed(
@@ -119,6 +151,16 @@ def framed_derivatives(
             shape=(new, whole),
         ),
     )
+
+
+def exerted(add_gradient: Callable[[], None], buffers: Buffers) -> np.ndarray:
+    """dE/dx of one term, flattened."""
+    kept = buffers.gradient.copy()
+    buffers.gradient[:] = 0.0
+    add_gradient()
+    out = np.array(buffers.gradient.ravel())
+    buffers.gradient[:] = kept
+    return out
 
 
 def memory_places(place: dict[str, np.ndarray], rows: np.ndarray) -> np.ndarray:

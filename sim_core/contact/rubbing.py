@@ -60,6 +60,12 @@ def limit_derivatives(c: np.ndarray, load: np.ndarray, speed: np.ndarray) -> tup
     return c[MU] * (1.0 + bump), -2.0 * c[MU] * bump * speed / c[SLIP_SCALE] ** 2 * load
 
 
+def limits_by_numbers(c: np.ndarray, load: np.ndarray, speed: np.ndarray) -> dict[str, np.ndarray]:
+    """Derivatives of mu(speed) * load by the numbers of friction."""
+    bump = np.exp(-((speed / c[SLIP_SCALE]) ** 2))
+    return {"friction": (1.0 + c[EXCESS] * bump) * load, "static_excess": c[MU] * bump * load}
+
+
 def pressure_and_slope(c: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pressure [Pa] and -dp/dg [Pa/m] at gaps [m] ``(n,)``, as :mod:`sim_core.contact.law` has them."""
     s = gap / c[RANGE]

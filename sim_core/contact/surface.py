@@ -30,7 +30,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sim_core.contact.candidates import Candidates, Primitives
-from sim_core.contact.framed_derivatives import Pairs, framed_derivatives, memory_places, triangle_frames
+from sim_core.contact.framed_derivatives import Pairs, exerted, framed_derivatives, memory_places, triangle_frames
 from sim_core.contact.law import (
     BLEND,
     OFFSET,
@@ -132,7 +132,7 @@ class SurfaceContact:
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
         del slots
         assert buffers.pairs is not None
-        self._x = buffers.x
+        self._buffers, self._x = buffers, buffers.x
         self._x_start, self._move = np.zeros_like(buffers.x), np.zeros_like(buffers.x)
         self._normals = np.zeros_like(buffers.x)
         second = np.zeros((16, 3, 3))
@@ -285,16 +285,17 @@ class SurfaceContact:
         weights[:, [own, own + 1, own + 2], [1, 2, 3]] = 1.0
         start, now_at = (np.einsum("nka,nkj->naj", weights, x[nodes]) for x in (step.x_start, self._x))
         old, new = places(internals), places(after)
-        _, steep = pressure_and_slope(self._c, now.gap[some])
+        push, steep = pressure_and_slope(self._c, now.gap[some])
         pairs = Pairs(
             nodes, weights, start, now_at - start, self._limit[some], self._c[STIFFNESS] * self._areas[some],
             memory_places(old, some), memory_places(new, some), internals["anchor"][some], internals["load"][some],
-            internals["slip_speed"][some], steep > 0.0,
+            internals["slip_speed"][some], self._areas[some] * push,
         )  # fmt: skip
         frames = triangle_frames(start, lag.kind[some, 0], lag.weights[some, :3], lag.directions[some, :3])
         sizes = (len(self._x), sum(a.size for a in internals.values()), sum(a.size for a in after.values()))
         loads = self._load_derivatives(some, steep)
-        return framed_derivatives(pairs, frames, loads, self._c, step.dt, sizes)
+        total = exerted(self.add_gradient, self._buffers)
+        return framed_derivatives(pairs, frames, loads, total, self._c, step.dt, sizes)
 
     def _load_derivatives(self, some: np.ndarray, steep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the loads of some samples by nodes [N/m] ``(n, q, 3)``, and the nodes ``(n, q)``."""

@@ -12,7 +12,7 @@ cancellation (Squire & Trapp, SIAM Review 40, 1998): one call for all elements a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,13 +23,25 @@ _TINY = 1e-30
 
 
 @dataclass(frozen=True)
+class ByNumber:
+    """Derivatives by one number of a term: of dE/dx' ``(3 n_nodes)``, of the new internal variables ``(q')`` and of the
+    moment on a rigid body ``(3)``."""
+
+    force: np.ndarray
+    memory: np.ndarray
+    moment: np.ndarray
+
+
+@dataclass(frozen=True)
 class Linearised:
     """Derivatives of one term in one step. None: zero.
 
     ``force_*``: of dE/dx', ``(3 n_nodes, .)``; ``memory_*``: of the new internal variables, flattened, ``(q', .)``;
     ``moment_*``: of the moment [N m] of a rigid body's surface forces about its node, ``(3, .)``. By what: ``start``:
     x at the start ``(3 n_nodes)``; ``memory``: the old internal variables ``(q)``; ``end``: x' ``(3 n_nodes)``;
-    ``turn``: a small turn of the rigid body at the end of the step, in its own frame [rad] ``(3)``.
+    ``turn``: a small turn of the rigid body at the end of the step, in its own frame [rad] ``(3)``. ``numbers``: by
+    those numbers of the term whose differences could cross a switch of its law: a point that has come to rest is
+    exactly at the slip limit, a fold that is held exactly at yield.
     """
 
     force_start: sp.coo_matrix | None = None
@@ -43,11 +55,7 @@ class Linearised:
     moment_memory: sp.coo_matrix | None = None
     moment_end: sp.coo_matrix | None = None
     moment_turn: sp.coo_matrix | None = None
-
-    def transposed(self) -> Linearised:
-        """The same derivatives, each transposed: for products from the left."""
-        found = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Linearised(**{name: None if m is None else m.T for name, m in found.items()})
+    numbers: dict[str, ByNumber] = field(default_factory=dict)
 
 
 def times(matrix: sp.coo_matrix | None, vector: np.ndarray) -> np.ndarray | float:
@@ -118,6 +126,14 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Vector products along the last axis, complex vectors too."""
     p, q = [1, 2, 0], [2, 0, 1]
     return np.asarray(a[..., p] * b[..., q] - a[..., q] * b[..., p])
+
+
+def gathered(*parts: tuple[np.ndarray, np.ndarray], size: int) -> np.ndarray:
+    """Sum of values at places, both ``(n, ...)``, in a vector of ``size``."""
+    out = np.zeros(size)
+    for values, at in parts:
+        out += np.bincount(at.ravel(), weights=values.ravel(), minlength=size)
+    return out
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -136,7 +136,9 @@ class Backward:
         linear = LinearStep(self._scene, made.before, made.after, made.dt, False)
         if k is not None:
             state = self._read_back(k, made.frames, state, target)
-        pulled = linear.pull(state, self._columns.of_step(linear.step, made.before.internals, made.after.internals))
+        pulled = linear.pull(
+            state, self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
+        )
         self._collect(pulled, made.frames, target)
         return pulled.state
 
@@ -217,7 +219,7 @@ class Backward:
                 self._enter(made, still=True)
                 linear = LinearStep(scene, made.before, made.after, FOREVER_S, True)
                 state = self._read_back(0, tape.mounts, state, target)
-                columns = self._columns.of_step(linear.step, made.before.internals, made.after.internals)
+                columns = self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
                 self._collect(linear.pull(state, columns), tape.mounts, target)
             finally:
                 system.inertia = inertia

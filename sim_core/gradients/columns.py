@@ -1,19 +1,20 @@
 """Derivatives of one step by the numbers of the mechanics, one column a number.
 
 Numbers of a term are stepped to both sides in that term alone: its gradient, its new internal variables, the moment
-on its rigid body. What mass, gravity and compliance do is known in closed form.
+on its rigid body; but for those that the term differentiates itself, because steps of them could cross a switch.
+What mass, gravity and compliance do is known in closed form.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from sim_core.contact.rigid import RigidContact
-from sim_core.energies.linearised import flatten
+from sim_core.energies.linearised import Linearised, flatten
 from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.directions import FROM_ZERO, RELATIVE_STEP, Key
 from sim_core.scene.scene import Scene, Values
@@ -42,9 +43,16 @@ class Columns:
         self._scene, self._values, self.keys = scene, values, list(keys)
         self._terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
 
-    def of_step(self, step: StepContext, internals: dict[str, Internals], after: dict[str, Internals]) -> list[Column]:
-        """One column a key. ``internals``, ``after``: internal variables before and after the step."""
-        return [self._column(key, step, internals, after) for key in self.keys]
+    def of_step(
+        self,
+        step: StepContext,
+        internals: dict[str, Internals],
+        after: dict[str, Internals],
+        exact: Mapping[str, Linearised],
+    ) -> list[Column]:
+        """One column a key. ``internals``, ``after``: internal variables before and after the step; ``exact``: what the
+        terms with memory know of themselves."""
+        return [_known(key, exact) or self._column(key, step, internals, after) for key in self.keys]
 
     def _column(
         self, key: Key, step: StepContext, internals: dict[str, Internals], after: dict[str, Internals]
@@ -110,6 +118,16 @@ class Columns:
         force, memory, moment = ((a - b) / width for a, b in zip(*found, strict=True))
         column = Column(force=force)
         return replace(column, memory={term.name: memory}, moment={term.name: moment} if moment.any() else {})
+
+
+def _known(key: Key, exact: Mapping[str, Linearised]) -> Column | None:
+    """Column of a number that its term differentiates itself."""
+    kind, owner, quantity = key
+    if kind != "terms" or owner not in exact or quantity not in exact[owner].numbers:
+        return None
+    found = exact[owner].numbers[quantity]
+    column = Column(force=found.force.reshape(-1, 3), memory={owner: found.memory})
+    return replace(column, moment={owner: found.moment}) if found.moment.any() else column
 
 
 def moment_on_body(term: Any) -> np.ndarray:

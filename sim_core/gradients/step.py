@@ -90,13 +90,14 @@ class LinearStep:
         self._dt = dt
         self.step: StepContext = step_context(before.x, before.v, dt, before.past)
         self._factor = self._factorised()
-        self._terms: dict[str, Linearised] = {}
+        self.terms: dict[str, Linearised] = {}
+        """What the terms with memory know of themselves in this step."""
         for term in system.terms:
             linearise: Any = getattr(term, "linearise", None)
             if linearise is not None:
                 found = linearise(self.step, before.internals[term.name], after.internals[term.name])
                 if found is not None:
-                    self._terms[term.name] = found
+                    self.terms[term.name] = found
         self._sizes = {name: flatten(internals).size for name, internals in after.internals.items()}
 
     def _factorised(self) -> Factor:
@@ -128,7 +129,7 @@ class LinearStep:
         memory = {name: np.zeros((size, count)) for name, size in self._sizes.items()}
         moment: dict[str, np.ndarray] = {}
         force = np.zeros((whole, count))
-        for name, term in self._terms.items():
+        for name, term in self.terms.items():
             old = motion.memory[name]
             force += times(term.force_start, start) + times(term.force_memory, old)
             memory[name] += times(term.memory_start, start) + times(term.memory_memory, old)
@@ -154,7 +155,7 @@ class LinearStep:
         moved = -self._factor.solve(residual + unknowns)
         x = np.stack([system.spread(moved[:, k]) for k in range(count)], axis=-1)
         force = force.reshape(shape) + np.stack([self._stiffness(x[..., k]) for k in range(count)], axis=-1)
-        for name, term in self._terms.items():
+        for name, term in self.terms.items():
             memory[name] += times(term.memory_end, x.reshape(-1, count))
             if term.moment_end is not None:
                 moment[name] = moment[name] + times(term.moment_end, x.reshape(-1, count))
@@ -181,7 +182,7 @@ class LinearStep:
         moving = system.inertia and not self._still
         if moving:
             x += weights.v / step.tau
-        for name, term in self._terms.items():
+        for name, term in self.terms.items():
             x += self._back(term.memory_end, weights.memory[name])
             if term.moment_end is not None and name in weights.moment:
                 x += self._back(term.moment_end, weights.moment[name])
@@ -197,8 +198,8 @@ class LinearStep:
         turns: dict[str, np.ndarray] = {}
         for name, internals in self._before.internals.items():
             old = np.zeros(flatten(internals).size)
-            if name in self._terms:
-                start, old = self._through(self._terms[name], name, weights, exerted, start, old, turns)
+            if name in self.terms:
+                start, old = self._through(self.terms[name], name, weights, exerted, start, old, turns)
             memory[name] = old
         before = self._measured_from(spread, weights if moving else None)
         before.x += start

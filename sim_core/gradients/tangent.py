@@ -66,7 +66,7 @@ class TangentSimulation(Simulation):
         motion = self._motion
         if still:
             motion = Motion(motion.x, motion.v, no_memory(before, len(self._along)))
-        columns = self._columns.of_step(linear.step, before.internals, self.state.internals)
+        columns = self._columns.of_step(linear.step, before.internals, self.state.internals, linear.terms)
         self._motion, outcome = linear.push(motion, columns, self._slopes)
         self.derivatives = self._read_derivatives(outcome)
 
