@@ -36,7 +36,7 @@ from sim_core.contact.law import (
     slope,
     tangent_projector,
 )
-from sim_core.contact.rigid_derivatives import RigidStep, rigid_derivatives
+from sim_core.contact.rigid_derivatives import RigidStep, ShapeSurface, rigid_derivatives
 from sim_core.contact.samples import Samples
 from sim_core.contact.shapes import signed_distance
 from sim_core.energies.linearised import Linearised
@@ -254,6 +254,7 @@ class RigidContact:
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
         self._x = buffers.x
         self._x_start = np.zeros_like(buffers.x)
+        self._surface = ShapeSurface(self._shape, len(self._areas))
         surface = (self._rotation, self._nodes, self._weights)
         laws = (self._areas, self._shape, self._c, self._limit, self._y_start, self._anchor, self._normal)
         self._start = BoundKernel(
@@ -360,7 +361,7 @@ class RigidContact:
             *(self._nodes, self._weights, self._areas, before, now),
             *(internals["rotation"], self._rotation, self._limit, step.dt),
         )
-        return rigid_derivatives(here, self._c, self._shape, internals, len(self._x))
+        return rigid_derivatives(here, self._c, self._surface, internals, len(self._x))
 
     def sample_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the samples are [m] and the force on each of them [N], both ``(n, 3)``, at ``buffers.x``."""

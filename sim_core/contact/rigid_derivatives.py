@@ -18,7 +18,7 @@ from sim_core.contact.rubbing import limit_derivatives, limits_by_numbers, press
 from sim_core.contact.shapes import signed_distance
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, gathered, placed, places, skew
 from sim_core.energies.term import Internals
-from sim_core.kernels import F1, F2, F3, vec3
+from sim_core.kernels import F1, F2, F3, BoundKernel, vec3
 
 
 @ti.kernel
@@ -49,25 +49,33 @@ class RigidStep:
     dt: float
 
 
-def surface_of(y: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Signed distance [m], its gradient and second derivative [1/m] at points [m] ``(n, 3)`` of the body."""
-    count = len(y)
-    out = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
-    if count:
-        _surface(np.ascontiguousarray(y), shape, *out)
-    return out
+class ShapeSurface:
+    """Signed distance [m], its gradient and its second derivative [1/m] at ``count`` points of a body."""
+
+    def __init__(self, shape: np.ndarray, count: int) -> None:
+        self._y = np.zeros((count, 3))
+        self._found = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
+        self._measure = BoundKernel(_surface, self._y, shape, *self._found)
+
+    def at(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """All three at points [m] ``(count, 3)``."""
+        self._y[:] = y
+        self._measure()
+        distance, normal, second = (found.copy() for found in self._found)
+        return distance, normal, second
 
 
 def rigid_derivatives(
-    at: RigidStep, c: np.ndarray, shape: np.ndarray, internals: Internals, n_nodes: int
+    at: RigidStep, c: np.ndarray, surface: ShapeSurface, internals: Internals, n_nodes: int
 ) -> Linearised:
-    """Derivatives of one step; ``c``, ``shape``: of the term; ``internals``: from before the step."""
+    """Derivatives of one step; ``c``: of the term; ``surface``: of its shape; ``internals``: from before."""
     place, size = places(internals), sum(a.size for a in internals.values())
     r = at.rotation
     turned = np.stack([(r @ skew(e)).ravel() for e in np.eye(3)], axis=-1)[None]
     nine = place["rotation"].reshape(1, 9)
     memory_turn = [(turned, nine, np.arange(3)[None])]
-    gap = surface_of(at.after @ r, shape)[0] - c[OFFSET]
+    distance, normal_now, curved_now = surface.at(at.after @ r)
+    gap = distance - c[OFFSET]
     some = np.flatnonzero((gap < c[RANGE]) | (at.limit > 0.0))
     count = len(some)
     if not count:
@@ -75,9 +83,9 @@ def rigid_derivatives(
     weights, areas, before, after = at.weights[some], at.areas[some], at.before[some], at.after[some]
     anchor, load, speed = (internals[n][some] for n in ("anchor", "load", "slip_speed"))
     y, here = before @ at.rotation_start, after @ r
-    _, normal, curved = surface_of(y, shape)
-    gap, normal_now, curved_now = surface_of(here, shape)
-    push, steep = pressure_and_slope(c, gap - c[OFFSET])
+    _, normal, curved = (found[some] for found in surface.at(at.before @ at.rotation_start))
+    gap, normal_now, curved_now = gap[some], normal_now[some], curved_now[some]
+    push, steep = pressure_and_slope(c, gap)
     rub = rubbing(
         anchor @ r.T + after - y @ r.T, normal @ r.T, at.limit[some], c[STIFFNESS] * areas, at.dt
     )  # fmt: skip

@@ -382,9 +382,9 @@ class Bending:
             numbers[quantity] = ByNumber(curvatures.T @ moment, kept, np.zeros(3))
         return Linearised(
             numbers=numbers,
-            force_memory=(curvatures.T @ stiffness).tocoo(),
+            force_memory=(curvatures.T @ stiffness.tocsr()).tocoo(),
             memory_memory=memory,
-            memory_end=(by_total @ curvatures).tocoo(),
+            memory_end=(by_total.tocsr() @ curvatures).tocoo(),
         )
 
     def _by_number(self, quantity: str) -> tuple[np.ndarray, float, float]:

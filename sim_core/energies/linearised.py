@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,6 +21,35 @@ import scipy.sparse as sp
 from sim_core.energies.term import Internals
 
 _TINY = 1e-30
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """A sparse matrix as values at rows and columns, which may repeat. Cheaper to make than one of scipy."""
+
+    values: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    shape: tuple[int, int]
+
+    @property
+    def T(self) -> Blocks:
+        """The transpose."""
+        return Blocks(self.values, self.columns, self.rows, self.shape[::-1])
+
+    def __matmul__(self, other: np.ndarray) -> np.ndarray:
+        """Product with a vector, or with several in the columns of a matrix."""
+        if other.ndim == 1:
+            return np.bincount(self.rows, weights=self.values * other[self.columns], minlength=self.shape[0])
+        return np.asarray(self.tocsr() @ other)
+
+    def tocsr(self) -> sp.csr_matrix:
+        """The same as a matrix of scipy."""
+        return sp.csr_matrix((self.values, (self.rows, self.columns)), shape=self.shape)
+
+
+Matrix = Any
+"""A sparse matrix: :class:`Blocks` or one of scipy's."""
 
 
 @dataclass(frozen=True)
@@ -44,21 +74,21 @@ class Linearised:
     exactly at the slip limit, a fold that is held exactly at yield.
     """
 
-    force_start: sp.coo_matrix | None = None
-    force_memory: sp.coo_matrix | None = None
-    force_turn: sp.coo_matrix | None = None
-    memory_start: sp.coo_matrix | None = None
-    memory_memory: sp.coo_matrix | None = None
-    memory_end: sp.coo_matrix | None = None
-    memory_turn: sp.coo_matrix | None = None
-    moment_start: sp.coo_matrix | None = None
-    moment_memory: sp.coo_matrix | None = None
-    moment_end: sp.coo_matrix | None = None
-    moment_turn: sp.coo_matrix | None = None
+    force_start: Matrix | None = None
+    force_memory: Matrix | None = None
+    force_turn: Matrix | None = None
+    memory_start: Matrix | None = None
+    memory_memory: Matrix | None = None
+    memory_end: Matrix | None = None
+    memory_turn: Matrix | None = None
+    moment_start: Matrix | None = None
+    moment_memory: Matrix | None = None
+    moment_end: Matrix | None = None
+    moment_turn: Matrix | None = None
     numbers: dict[str, ByNumber] = field(default_factory=dict)
 
 
-def times(matrix: sp.coo_matrix | None, vector: np.ndarray) -> np.ndarray | float:
+def times(matrix: Matrix | None, vector: np.ndarray) -> np.ndarray | float:
     """Product with a matrix that may be zero."""
     return 0.0 if matrix is None else np.asarray(matrix @ vector)
 
@@ -88,15 +118,14 @@ def axes_of(nodes: np.ndarray) -> np.ndarray:
     return np.asarray(axes.reshape(*axes.shape[:-2], -1))
 
 
-def placed(*parts: tuple[np.ndarray, np.ndarray, np.ndarray], shape: tuple[int, int]) -> sp.coo_matrix:
+def placed(*parts: tuple[np.ndarray, np.ndarray, np.ndarray], shape: tuple[int, int]) -> Blocks:
     """Sum of dense blocks ``(n, a, b)`` at rows ``(n, a)`` and columns ``(n, b)``; a part: all three."""
     values, rows, columns = [], [], []
     for blocks, row, column in parts:
         values.append(blocks.ravel())
         rows.append(np.broadcast_to(row[:, :, None], blocks.shape).ravel())
         columns.append(np.broadcast_to(column[:, None, :], blocks.shape).ravel())
-    at = (np.concatenate(rows).astype(np.int32), np.concatenate(columns).astype(np.int32))
-    return sp.coo_matrix((np.concatenate(values), at), shape=shape)
+    return Blocks(np.concatenate(values), np.concatenate(rows), np.concatenate(columns), shape)
 
 
 def complex_step(function: Callable[..., tuple[np.ndarray, ...]], *inputs: np.ndarray) -> list[list[np.ndarray]]:

@@ -6,11 +6,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from sim_core.contact.rigid import RigidContact
-from sim_core.energies.linearised import axes_of, skew
+from sim_core.energies.linearised import Blocks, axes_of, skew
 from sim_core.energies.linearised import placed as placed_blocks
 from sim_core.geometry import sheets, solids
 from sim_core.rigs import (
@@ -58,8 +57,8 @@ class Sensed:
     ``(3 n)``, by the moments of rigid bodies' surface forces (:meth:`RigidContact.moment`) ``(3)`` each, and by a small
     motion of the mount in its own frame, translation [m] and turn [rad] ``(6)``. Points out of sight count as seen."""
 
-    by_x: sp.coo_matrix
-    by_force: sp.coo_matrix | None
+    by_x: Blocks
+    by_force: Blocks | None
     by_moment: dict[str, np.ndarray]
     mount: str
     by_frame: np.ndarray
