@@ -83,6 +83,11 @@ class Backward:
         self._columns = Columns(self._scene, self._scene.values(self._scene.rig), keys)
         self._cameras = [k for k, d in enumerate(self._along) if d.low.cameras != d.high.cameras]
 
+    @property
+    def trace(self) -> Trace:
+        """The readings of the rollout."""
+        return self._tape.trace
+
     def gradient(self, value: float, by_readings: Mapping[str, np.ndarray]) -> Gradient:
         """Gradient of the loss with these derivatives by the readings."""
         tape, scene = self._tape, self._scene

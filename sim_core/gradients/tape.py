@@ -120,6 +120,7 @@ class Tape:
         self._points: list[Checkpoint] = []
         self._kept: dict[int, list[Interval]] = {}
         self.kept_bytes = self.most_bytes = 0
+        self.sizes_bytes: list[int] = []  # of what was done between two times, kept or not
         scene.system.forget()
         simulation.reset(self._frames[0])
         self.mounts = dict(simulation.frames)
@@ -137,6 +138,7 @@ class Tape:
                 if on_step is not None:
                     on_step(k + 1, count)
             size = sum(i.size_bytes() for i in intervals)
+            self.sizes_bytes += [i.size_bytes() for i in intervals]
             self.most_bytes = max(self.most_bytes, self.kept_bytes + size)
             if self.kept_bytes + size <= 1e6 * memory_mb:
                 self._kept[first] = intervals
