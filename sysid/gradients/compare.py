@@ -23,7 +23,7 @@ from sysid.streams import predicted, predicted_derivatives, total_delay
 
 TIGHT = NewtonSettings(step_tolerance_m=1e-13)
 
-STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
+STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 """Steps of the differences as shares of a parameter's value (of 1 in its unit where that is zero)."""
 
 SMOOTH, SWITCHING = 1e-5, 1e-4
