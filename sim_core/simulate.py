@@ -72,8 +72,10 @@ class Simulation:
         x, v = scene.start_state(self.frames)
         self.state = State(0.0, x, v, scene.system.initial_internals())
         scene.system.x[:] = x
+        self.settled_from: State | None = None
+        """Where the last step of settling started, if anything settled."""
         if self._settle and scene.all_held:
-            self.state = settle(scene, self.state, targets, self._settings)
+            self.settled_from, self.state = settle(scene, self.state, targets, self._settings)
         else:
             scene.system.set_targets(targets)
             scene.system.begin_step(step_context(x, self.state.v, scene.rig.solver.dt_s), self.state.internals)
@@ -126,8 +128,9 @@ class Simulation:
         return self.observer.read(self.scene.rig, self.actual_frames())
 
 
-def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSettings) -> State:
-    """Equilibrium under gravity with everything held in place: short, then ever longer damped steps."""
+def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSettings) -> tuple[State, State]:
+    """Equilibrium under gravity with everything held in place: short, then ever longer damped steps, and a last one
+    without inertia. Returns the state before that one, and the equilibrium."""
     system = scene.system
     inertia = system.inertia
     dt = 1e-3
@@ -146,10 +149,10 @@ def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSett
                     "Check that bodies do not overlap at the start, and that every body is held.",
                 )
         system.inertia = False
-        state, _ = advance(system, state, targets, FOREVER_S, settings)
+        after, _ = advance(system, state, targets, FOREVER_S, settings)
     finally:
         system.inertia = inertia
-    return State(0.0, state.x, np.zeros_like(state.x), state.internals)
+    return state, State(0.0, after.x, np.zeros_like(after.x), after.internals)
 
 
 def midway(a: Frame, b: Frame) -> Frame:
@@ -169,13 +172,14 @@ def simulate(
     poses: Mapping[str, PoseTrajectory],
     times: np.ndarray,
     on_step: Callable[[int, int], None] | None = None,
+    settings: NewtonSettings | None = None,
 ) -> Trace:
     """Drive the scene along ``poses`` (by end effector) and read every channel at ``times`` [s].
 
     ``on_step(done, total)`` is called after each step. Raises ``ConvergenceError`` when a step does
     not converge even in small parts.
     """
-    return run(Simulation(scene), poses, times, on_step)
+    return run(Simulation(scene, settings), poses, times, on_step)
 
 
 def run(

@@ -131,6 +131,13 @@ class Candidates:
         self.pairs = self._split(inner)
         return True, not inside
 
+    def forget(self) -> None:
+        """Search afresh next time, whatever was found before."""
+        self._searched_at = None
+        nothing = np.empty(0, dtype=np.int32)
+        self.pairs = self.coupled = (nothing, nothing)
+        self._coupled_keys = np.empty(0, dtype=np.int64)
+
     def outran(self, x: np.ndarray) -> bool:
         """True when a pair that is no candidate may have come within the range on the way to ``x``."""
         if self._searched_at is None or self._motion(x) <= self._surplus:

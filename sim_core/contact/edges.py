@@ -16,6 +16,7 @@ on its stiffness too. Laws:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,9 +31,12 @@ from sim_core.contact.edge_kernels import (
     measure,
     sides,
 )
-from sim_core.contact.law import RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
+from sim_core.contact.framed_derivatives import Pairs, edge_frames, exerted, framed_derivatives, memory_places
+from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
 from sim_core.contact.pair_distance import PairDistance
+from sim_core.contact.rubbing import pressure_and_slope
 from sim_core.contact.segments import PARALLEL
+from sim_core.energies.linearised import Linearised, cross, places
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.kernels import BoundKernel
 
@@ -130,6 +134,11 @@ class EdgeContact:
         self._sides = BoundKernel(sides, self._x_start, *pairs, self._side)
         self._free = BoundKernel(free_way, self._from, self._move, *pairs, self._c, self._keep, self._way)
 
+    @property
+    def offset(self) -> float:
+        """Distance [m] at which there is no gap."""
+        return float(self._c[OFFSET])
+
     def configure(self, parameters: Mapping[str, float]) -> None:
         set_law(self._c, parameters)
         self._c[RANGE] *= EDGE_RANGE
@@ -157,6 +166,10 @@ class EdgeContact:
             self._area[:count] = areas
             self._parallel[:count] = PARALLEL * self._squares[0][first] * self._squares[1][second]
         return outer
+
+    def forget(self) -> None:
+        """Look for candidates afresh next time."""
+        self._candidates.forget()
 
     def outran(self) -> bool:
         """True when something may have come into contact that was not looked at."""
@@ -231,6 +244,45 @@ class EdgeContact:
             "slip_speed": np.where(touching, speed, 0.0),
         }
 
+    @staticmethod
+    def aligned(internals: Internals, like: Internals) -> Internals:
+        """Internal variables of the pairs of ``like`` in their order, zero where a pair is none of these."""
+        if np.array_equal(internals["pair"], like["pair"]):
+            return internals
+        out = {name: np.zeros_like(a) for name, a in like.items()}
+        _, new, old = np.intersect1d(like["pair"], internals["pair"], return_indices=True)
+        for name, a in out.items():
+            a[new] = internals[name][old]
+        return {**out, "pair": like["pair"]}
+
+    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised:
+        """Derivatives by the start of the step and the memory."""
+        if not self._look():
+            return Linearised()
+        count = self._count[0]
+        some = np.flatnonzero((self._limit[:count] > 0.0) | (self._now.gap[:count] < self._c[RANGE]))
+        if not len(some):
+            return Linearised()
+        nodes, area = self._ends[some], self._area[some]
+        start, end = step.x_start[nodes], self._x[nodes]
+        memory, then = (_places_of(known, self._keys[some]) for known in (internals, after))
+        _, load, speed = (old[some] for old in self._remembered(internals))
+        push, steep = pressure_and_slope(self._c, self._now.gap[some])
+        fade, by_fade = self._now.fade[some].T
+        pairs = Pairs(
+            nodes, np.broadcast_to(np.eye(4), (len(some), 4, 4)), start, end - start, self._limit[some],
+            self._spring[some], memory, then, self._anchor[some], load, speed, area * fade * push,
+        )  # fmt: skip
+        frames = edge_frames(start, self._lag.at[some], self._lag.direction[some])
+        turned = (self._c[STIFFNESS] * area * self._lag.fade[some, 1])[:, None, None] * _parallel_derivative(start)
+        s, t = self._now.at[some].T
+        shares = np.column_stack([1.0 - s, s, t - 1.0, -t])
+        loads = -(area * fade * steep)[:, None, None] * shares[..., None] * self._now.direction[some][:, None]
+        loads += (area * by_fade * push)[:, None, None] * _parallel_derivative(end)
+        sizes = (len(self._x), sum(a.size for a in internals.values()), sum(a.size for a in after.values()))
+        frames, total = replace(frames, dspring=turned), exerted(self.add_gradient, self._buffers)
+        return framed_derivatives(pairs, frames, (loads, nodes), total, self._c, step.dt, sizes)
+
     def initial_internals(self) -> Internals:
         return {"pair": np.empty(0), "anchor": np.empty((0, 3)), "load": np.empty(0), "slip_speed": np.empty(0)}
 
@@ -238,6 +290,22 @@ class EdgeContact:
         """Number of loaded pairs and smallest gap [m] at the last gradient."""
         count = self._count[0]
         return int(np.count_nonzero(self._load[:count])), float(self._now.gap[:count].min(initial=np.inf))
+
+
+def _places_of(known: Internals, keys: np.ndarray) -> np.ndarray:
+    """Places of (anchor, load, slip speed) of pairs in flattened internal variables, or -1, ``(n, 5)``."""
+    out = np.full((len(keys), 5), -1)
+    _, old, new = np.intersect1d(np.rint(known["pair"]).astype(np.int64), keys, return_indices=True)
+    out[new] = memory_places(places(known), old)
+    return out
+
+
+def _parallel_derivative(ends: np.ndarray) -> np.ndarray:
+    """Derivative of |u x v|^2 by the ends of two edges [m^3], ``(n, 4, 3)``."""
+    u, v = ends[:, 1] - ends[:, 0], ends[:, 3] - ends[:, 2]
+    normal = 2.0 * cross(u, v)
+    du, dv = cross(v, normal), cross(normal, u)
+    return np.stack([-du, du, -dv, dv], axis=1)
 
 
 class _Closest:

@@ -55,10 +55,11 @@ def set_guard(c: np.ndarray, on: bool) -> None:
 
 
 def set_law(c: np.ndarray, parameters: Mapping[str, float]) -> None:
-    """Take stiffness, range and friction by name."""
+    """Take stiffness, range, friction and, if it has changed, the distance without gap by name."""
     c[STIFFNESS] = parameters["stiffness_pa_per_m"]
     c[RANGE] = parameters["range_m"]
     c[MU] = parameters["friction"]
+    c[OFFSET] = parameters.get("offset_m", c[OFFSET])
     c[EXCESS] = parameters.get("static_excess", 0.0)
     c[SLIP_SCALE] = parameters.get("slip_speed_scale_m_s", 1.0)
 

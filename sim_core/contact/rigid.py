@@ -36,8 +36,10 @@ from sim_core.contact.law import (
     slope,
     tangent_projector,
 )
+from sim_core.contact.rigid_derivatives import RigidStep, ShapeSurface, rigid_derivatives
 from sim_core.contact.samples import Samples
 from sim_core.contact.shapes import signed_distance
+from sim_core.energies.linearised import Linearised
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.kernels import F1, F2, I1, I2, BoundKernel, mat3, vec3
 
@@ -252,6 +254,7 @@ class RigidContact:
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
         self._x = buffers.x
         self._x_start = np.zeros_like(buffers.x)
+        self._surface = ShapeSurface(self._shape, len(self._areas))
         surface = (self._rotation, self._nodes, self._weights)
         laws = (self._areas, self._shape, self._c, self._limit, self._y_start, self._anchor, self._normal)
         self._start = BoundKernel(
@@ -263,6 +266,11 @@ class RigidContact:
         self._gradient = BoundKernel(_gradient, self._nodes, self._weights, self._force, buffers.gradient)
         self._hessian = BoundKernel(_hessian, buffers.x, *surface, *laws, self._exact, slots, buffers.hessian)
         self._free = BoundKernel(_free_way, self._y, self._dy, self._shape, self._c, self._keep, self._way)
+
+    @property
+    def offset(self) -> float:
+        """Distance [m] at which there is no gap."""
+        return float(self._c[OFFSET])
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         set_law(self._c, parameters)
@@ -278,6 +286,11 @@ class RigidContact:
         self._anchor[:] = internals["anchor"]
         self._start()
         self._limit[:] = friction_coefficient(self._c, internals["slip_speed"]) * internals["load"]
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Rotation of the body now, ``(3, 3)``."""
+        return np.array(self._rotation)
 
     @property
     def turns(self) -> bool:
@@ -340,11 +353,27 @@ class RigidContact:
             "slip_speed": np.zeros(count),
         }
 
+    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised:
+        """Derivatives by the start of the step, the memory and the turn of the body."""
+        del after
+        before, now = (np.einsum("nk,nkj->nj", self._weights, x[self._nodes]) for x in (step.x_start, self._x))
+        here = RigidStep(
+            *(self._nodes, self._weights, self._areas, before, now),
+            *(internals["rotation"], self._rotation, self._limit, step.dt),
+        )
+        return rigid_derivatives(here, self._c, self._surface, internals, len(self._x))
+
     def sample_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the samples are [m] and the force on each of them [N], both ``(n, 3)``, at ``buffers.x``."""
         self._forces()
         nodes, weights = self._nodes[:, :-1], self._weights[:, :-1]
         return np.einsum("nk,nkj->nj", weights, self._x[nodes]), self._force.copy()
+
+    def moment(self) -> np.ndarray:
+        """Moment [N m] ``(3,)`` of the forces on the samples about the body's node."""
+        at, push = self.sample_forces()
+        a = (at - self._x[self.body_node]).T @ push
+        return np.array([a[1, 2] - a[2, 1], a[2, 0] - a[0, 2], a[0, 1] - a[1, 0]])
 
     def contacts(self) -> tuple[int, float]:
         """Number of loaded samples and smallest gap [m] at the last gradient."""

@@ -30,11 +30,24 @@ import numpy as np
 import scipy.sparse as sp
 
 from sim_core.contact.candidates import Candidates, Primitives
-from sim_core.contact.law import BLEND, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
+from sim_core.contact.framed_derivatives import Pairs, exerted, framed_derivatives, memory_places, triangle_frames
+from sim_core.contact.law import (
+    BLEND,
+    OFFSET,
+    RANGE,
+    STIFFNESS,
+    coefficients,
+    friction_coefficient,
+    set_guard,
+    set_law,
+    slide,
+)
 from sim_core.contact.pair_distance import PairDistance
+from sim_core.contact.rubbing import pressure_and_slope
 from sim_core.contact.samples import Samples
 from sim_core.contact.surface_geometry import distances, frames, free_way, sides
 from sim_core.contact.surface_kernels import FAR, MOST, add_energy, add_gradient, add_hessian, measure
+from sim_core.energies.linearised import Linearised, places
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.kernels import BoundKernel
 
@@ -115,7 +128,7 @@ class SurfaceContact:
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
         del slots
         assert buffers.pairs is not None
-        self._x = buffers.x
+        self._buffers, self._x = buffers, buffers.x
         self._x_start, self._move = np.zeros_like(buffers.x), np.zeros_like(buffers.x)
         self._normals = np.zeros_like(buffers.x)
         second = np.zeros((16, 3, 3))
@@ -149,6 +162,11 @@ class SurfaceContact:
             free_way, self._from, self._move, *points, *found, self._c, self._keep, self._way
         )  # fmt: skip
 
+    @property
+    def offset(self) -> float:
+        """Distance [m] at which there is no gap."""
+        return float(self._c[OFFSET])
+
     def configure(self, parameters: Mapping[str, float]) -> None:
         set_law(self._c, parameters)
         self._c[RANGE] *= self._bearing
@@ -175,6 +193,10 @@ class SurfaceContact:
             self._near[: len(triangle)] = triangle
             self._first[:] = np.searchsorted(sample, np.arange(len(self._first)))
         return outer
+
+    def forget(self) -> None:
+        """Look for candidates afresh next time."""
+        self._candidates.forget()
 
     def outran(self) -> bool:
         """True when something may have come into contact that was not looked at."""
@@ -243,6 +265,46 @@ class SurfaceContact:
             "load": self._load.copy(),
             "slip_speed": np.where(touching, speed, 0.0),
         }
+
+    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised:
+        """Derivatives by the start of the step and the memory."""
+        if not self._look():
+            return Linearised()
+        now, lag = self._now, self._lag
+        some = np.flatnonzero((self._limit > 0.0) | (now.gap < self._c[RANGE]))
+        if not len(some):
+            return Linearised()
+        count, own = len(some), self._own.shape[1]
+        nodes = np.hstack([self._own[some], self._triangles[lag.triangles[some, 0]]])
+        weights = np.zeros((count, own + 3, 4))
+        weights[:, :own, 0] = self._weights[some]
+        weights[:, [own, own + 1, own + 2], [1, 2, 3]] = 1.0
+        start, now_at = (np.einsum("nka,nkj->naj", weights, x[nodes]) for x in (step.x_start, self._x))
+        old, new = places(internals), places(after)
+        push, steep = pressure_and_slope(self._c, now.gap[some])
+        pairs = Pairs(
+            nodes, weights, start, now_at - start, self._limit[some], self._c[STIFFNESS] * self._areas[some],
+            memory_places(old, some), memory_places(new, some), internals["anchor"][some], internals["load"][some],
+            internals["slip_speed"][some], self._areas[some] * push,
+        )  # fmt: skip
+        frames = triangle_frames(start, lag.kind[some, 0], lag.weights[some, :3], lag.directions[some, :3])
+        sizes = (len(self._x), sum(a.size for a in internals.values()), sum(a.size for a in after.values()))
+        loads = self._load_derivatives(some, steep)
+        total = exerted(self.add_gradient, self._buffers)
+        return framed_derivatives(pairs, frames, loads, total, self._c, step.dt, sizes)
+
+    def _load_derivatives(self, some: np.ndarray, steep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the loads of some samples by nodes [N/m] ``(n, q, 3)``, and the nodes ``(n, q)``."""
+        now = self._now
+        most = max(int(now.number[some].max()), 1)
+        share = np.where(np.arange(most) < now.number[some, None], now.share[some, :most], 0.0)
+        towards = share[..., None] * now.directions[some, : 3 * most].reshape(-1, most, 3)
+        own = self._weights[some][..., None] * towards.sum(axis=1)[:, None]
+        at = now.weights[some, : 3 * most].reshape(-1, most, 3)
+        corners = -(at[..., None] * towards[:, :, None]).reshape(len(some), 3 * most, 3)
+        nodes = np.hstack([self._own[some], self._triangles[now.triangles[some, :most]].reshape(len(some), -1)])
+        stiff = -(self._areas[some] * steep)[:, None, None]
+        return stiff * np.hstack([own, corners]), nodes
 
     def initial_internals(self) -> Internals:
         count = len(self._areas)

@@ -109,11 +109,12 @@ def measure(
                         total += distance[s, m]
                         members += 1
                 level = total / members
-            smooth = -0.5 * c[BLEND]
+            # Counted from the nearest: the shares sum to one only but for round-off over the width.
+            smooth = distance[s, 0] - 0.5 * c[BLEND]
             for m in range(number[s]):
                 w = ti.max(0.0, (level - distance[s, m]) / c[BLEND])
                 share[s, m] = w
-                smooth += w * distance[s, m] + 0.5 * c[BLEND] * w * w
+                smooth += w * (distance[s, m] - distance[s, 0]) + 0.5 * c[BLEND] * w * w
             gap[s] = sign[s] * smooth - c[OFFSET]
 
 

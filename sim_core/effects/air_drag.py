@@ -13,6 +13,7 @@ import numpy as np
 import taichi as ti
 
 from sim_core.effects.effect import Effect, EffectParameter
+from sim_core.energies.linearised import Linearised, axes_of, placed, skew
 from sim_core.energies.term import Buffers, Internals, StepContext, Term
 from sim_core.kernels import F1, F2, I2, BoundKernel, vec3
 from sim_core.rigs import Rig, Sheet
@@ -83,7 +84,7 @@ class _Drag:
         return np.stack([self._triangles[:, a], self._triangles[:, b]], axis=-1).reshape(-1, 2)
 
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
-        self._start = np.zeros_like(buffers.x)
+        self._x, self._start = buffers.x, np.zeros_like(buffers.x)
         mesh = (buffers.x, self._start, self._triangles, self._normal, self._factor)
         self.add_energy = BoundKernel(_energy, *mesh, buffers.energy)
         self.add_gradient = BoundKernel(_gradient, *mesh, buffers.gradient)
@@ -107,6 +108,24 @@ class _Drag:
     def end_step(self, step: StepContext, internals: Internals) -> Internals:
         del step
         return internals
+
+    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised:
+        """Derivatives by where the step started: of the motion, and of the normal."""
+        del internals, after
+        corners = step.x_start[self._triangles]
+        sides = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        by_first, by_second = -skew(sides[1]), skew(sides[0])  # of the product of both sides
+        turned = np.concatenate([-by_first - by_second, by_first, by_second], axis=-1)
+        length = np.linalg.norm(np.cross(*sides), axis=1)[:, None, None]
+        n = self._normal
+        turned = (np.eye(3) - n[:, :, None] * n[:, None]) @ turned / length
+        move = (self._x - step.x_start)[self._triangles].mean(axis=1)
+        s = (move * n).sum(axis=1)
+        ds = np.einsum("ti,tij->tj", move, turned) - np.tile(n, 3) / 3.0
+        force = (self._factor * np.abs(s))[:, None, None] * n[:, :, None] * ds[:, None]
+        force = (force + (self._factor * 0.5 * s * np.abs(s))[:, None, None] * turned) / 3.0
+        axes = axes_of(self._triangles)
+        return Linearised(force_start=placed((np.tile(force, (1, 3, 1)), axes, axes), shape=(self._x.size,) * 2))
 
     def initial_internals(self) -> Internals:
         return {}

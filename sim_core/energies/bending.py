@@ -22,6 +22,7 @@ import taichi as ti
 
 from sim_core.energies.curvature import curvature_operator
 from sim_core.energies.dihedral import angle, angle_gradient, corner, side_curvature
+from sim_core.energies.linearised import ByNumber, Linearised, axes_of, gathered, placed, places
 from sim_core.energies.membrane import material_frames
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.geometry.sheets import SheetMesh, find_hinges
@@ -280,6 +281,7 @@ class Bending:
         )
 
     def configure(self, parameters: Mapping[str, float]) -> None:
+        self._given = dict(parameters)
         self._d[:] = parameters["thickness_m"] ** 3 / 12.0 * plane_stress(parameters)
         self._d *= parameters.get("bending_factor", 1.0)
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
@@ -326,6 +328,75 @@ class Bending:
             "plastic_curvature": plastic + flow[:, None] * direction,
             "accumulated_curvature": accumulated + flow,
         }
+
+    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
+        """Derivatives by plastic and accumulated curvature; at yield, those of going on elastically."""
+        del step, after
+        if "plastic_curvature" not in internals:
+            return None
+        place, whole = places(internals), self._x.size
+        plastic, accumulated = place["plastic_curvature"], place["accumulated_curvature"][:, None]
+        size = plastic.size + accumulated.size
+        self._gradients()
+        hinge = np.broadcast_to(np.arange(len(self._hinge))[:, None], (len(self._hinge), 1))
+        angles = placed((self._g[:, None], hinge, axes_of(self._hinge)), shape=(len(self._hinge), whole))
+        curvatures = (self._kappa @ angles.tocsr()).tocsr()  # of all triangles by all positions, (3 m, 3 n)
+        count = len(self._areas)
+        moments = -self._areas[:, None, None] * self._d
+        rows = np.arange(3 * count).reshape(count, 3)
+        stiffness = placed((moments, rows, plastic), shape=(3 * count, size))
+
+        elastic = self.curvatures() - internals["plastic_curvature"]
+        metric = self._d / self._d[0, 0]
+        norm = np.sqrt(np.einsum("mi,ij,mj->m", elastic, metric, elastic))
+        excess = norm - (self._yield_curvature + self._hardening * internals["accumulated_curvature"])
+        flows = excess > 0.0
+        far = np.where(norm > 0.0, norm, 1.0)[:, None]
+        along, slope = elastic / far, elastic @ metric / far
+        flow = np.where(flows, excess, 0.0) / (1.0 + self._hardening)
+        rate = np.where(flows, 1.0 / (1.0 + self._hardening), 0.0)[:, None]
+        turn = np.eye(3) - along[:, :, None] * slope[:, None, :]
+        by_curvature = rate[..., None] * along[:, :, None] * slope[:, None] + (flow[:, None] / far)[..., None] * turn
+        by_accumulated = -self._hardening * rate * along
+        one = np.ones((count, 1, 1))
+        memory = placed(
+            (np.eye(3) - by_curvature, plastic, plastic),
+            (by_accumulated[..., None], plastic, accumulated),
+            ((-rate * slope)[:, None], accumulated, plastic),
+            (one - self._hardening * rate[..., None], accumulated, accumulated),
+            shape=(size, size),
+        )
+        by_total = placed(
+            (by_curvature, plastic, rows), ((rate * slope)[:, None], accumulated, rows), shape=(size, 3 * count)
+        )
+        numbers = {}
+        for quantity in self._given:
+            d, onset, hardening = self._by_number(quantity)
+            moment = (self._areas[:, None] * (elastic @ d)).ravel()
+            metric_slope = (d - self._d * d[0, 0] / self._d[0, 0]) / self._d[0, 0]
+            grown = 0.5 * np.einsum("mi,ij,mj->m", elastic, metric_slope, elastic) / far[:, 0]
+            later = onset + hardening * internals["accumulated_curvature"] + hardening * flow
+            rise = np.where(flows, grown - later, 0.0) / (1.0 + self._hardening)
+            turned = rise[:, None] * along - (flow * grown / far[:, 0])[:, None] * along
+            kept = gathered((turned, plastic), (rise, accumulated), size=size)
+            numbers[quantity] = ByNumber(curvatures.T @ moment, kept, np.zeros(3))
+        return Linearised(
+            numbers=numbers,
+            force_memory=(curvatures.T @ stiffness.tocsr()).tocoo(),
+            memory_memory=memory,
+            memory_end=(by_total.tocsr() @ curvatures).tocoo(),
+        )
+
+    def _by_number(self, quantity: str) -> tuple[np.ndarray, float, float]:
+        """Derivatives of D, of the yield curvature and of the hardening by one number of the term."""
+        given, ends = self._given, []
+        h = 1e-5 * abs(given[quantity]) or 1e-7
+        for value in (given[quantity] + h, given[quantity] - h):
+            self.configure({**given, quantity: value})
+            ends.append((self._d.copy(), self._yield_curvature, self._hardening))
+        self.configure(given)
+        d, onset, hardening = ((a - b) / (2.0 * h) for a, b in zip(*ends, strict=True))
+        return d, onset, hardening
 
     def initial_internals(self) -> Internals:
         """Plastic curvature [1/m] ``(m, 3)`` and its accumulation ``(m,)``; nothing when yield is off."""

@@ -42,8 +42,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from sim_core.energies.linearised import Linearised, axes_of, complex_step, placed
 from sim_core.energies.neo_hookean_kernels import (
     BULK,
+    HISTORY_J,
     MU,
     OWN,
     RELAXING,
@@ -61,6 +63,8 @@ from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.geometry import tet10
 from sim_core.kernels import BoundKernel
+
+_COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 _OWN_STIFFNESS = 6.0
 """How far the bulk modulus acts point by point, over mu; chosen by measurement, see the module text."""
@@ -215,6 +219,49 @@ class NeoHookean:
         q = self._history + self._blend * self._g * self._stress_at(self._x)
         return {"Q": q.reshape(-1, 4, 6)}
 
+    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
+        """Derivatives by the start of the step and the stress that relaxes."""
+        del after
+        if self._g == 0.0:
+            return None
+        count, whole, size = len(self._grad), self._x.size, internals["Q"].size
+        q = np.arange(size).reshape(count, 6)
+        axes = np.repeat(axes_of(self._tets), 4, axis=0)
+        start, end = (self._stress_derivatives(x) for x in (step.x_start, self._x))
+        f = np.eye(3) + self._displacement_gradients(self._x)
+        push = self._weight.reshape(-1, 1, 1) * np.stack(
+            [_symmetric(f, self._grad, *pair) for pair in _COMPONENTS], axis=-1
+        )
+        fade, fresh = np.exp(-step.dt / self._tau), self._blend * self._g
+        return Linearised(
+            force_start=placed((-fresh * push @ start, axes, axes), shape=(whole, whole)),
+            force_memory=placed((fade * push, axes, q), shape=(whole, size)),
+            memory_start=placed((-fresh * start, q, axes), shape=(size, whole)),
+            memory_memory=placed((np.full((size, 1, 1), fade), q.reshape(-1, 1), q.reshape(-1, 1)), shape=(size, size)),
+            memory_end=placed((fresh * end, q, axes), shape=(size, whole)),
+        )
+
+    def _displacement_gradients(self, x: np.ndarray) -> np.ndarray:
+        """F - 1 at all points, ``(4 m, 3, 3)``."""
+        moved = np.repeat((x - self._rest)[self._tets], 4, axis=0)
+        return np.asarray(np.einsum("pai,paj->pij", moved, self._grad))
+
+    def _stress_derivatives(self, x: np.ndarray) -> np.ndarray:
+        """Derivative of S_dev by the nodes of each point's element [Pa/m], ``(4 m, 6, 30)``."""
+        mu = self._constants[MU]
+
+        def stress(g: np.ndarray) -> tuple[np.ndarray]:
+            p, q = [1, 2, 0], [2, 0, 1]
+            f = np.eye(3) + g
+            cof = f[..., p, :][..., p] * f[..., q, :][..., q] - f[..., p, :][..., q] * f[..., q, :][..., p]
+            j = (f[..., 0, :] * cof[..., 0, :]).sum(axis=-1)
+            factor = mu * ((j - 1.0) / 3.0 - 1.0) / np.where(j.real > HISTORY_J, j, HISTORY_J)
+            s = mu * np.eye(3) + factor[..., None, None] * (np.swapaxes(cof, -1, -2) @ cof)
+            return (np.stack([s[..., i, j] for i, j in _COMPONENTS], axis=-1),)
+
+        ((by_gradient,),) = complex_step(stress, self._displacement_gradients(x))
+        return np.asarray(np.einsum("pkij,paj->pkai", by_gradient, self._grad).reshape(len(self._grad), 6, 30))
+
     def initial_internals(self) -> Internals:
         """Return Q = 0."""
         return {"Q": np.zeros((len(self._tets), 4, 6))}
@@ -226,6 +273,14 @@ class NeoHookean:
         self._seen[:] = np.nan
         self._deviatoric_stress()
         return self._stress
+
+
+def _symmetric(f: np.ndarray, grad: np.ndarray, i: int, j: int) -> np.ndarray:
+    """Nodal forces of F H per weight for a unit component ij (and ji) of H, ``(4 m, 30)``."""
+    out = f[:, None, :, i] * grad[:, :, j, None]
+    if i != j:
+        out = out + f[:, None, :, j] * grad[:, :, i, None]
+    return np.asarray(out.reshape(len(grad), 30))
 
 
 def _places(slots: np.ndarray, nowhere: int) -> np.ndarray:

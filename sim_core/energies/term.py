@@ -14,9 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from sim_core.energies.linearised import Linearised
 
 Internals = dict[str, np.ndarray]
 """Internal variables of one term by name."""
@@ -41,8 +44,7 @@ class Buffers:
 
     ``x``: positions [m], shape ``(n_nodes, 3)``. ``energy``: [J], shape ``(1,)``. ``gradient``:
     dPhi/dx [N], shape ``(n_nodes, 3)``. ``hessian``: values of the upper triangle of the sparse
-    Hessian [N/m], shape ``(n_values,)``; the last slot swallows entries that nobody needs (lower
-    triangle, between prescribed nodes). ``pairs``: for dynamic terms.
+    Hessian [N/m], shape ``(n_values,)``; the last slot swallows the lower triangle. ``pairs``: for dynamic terms.
     """
 
     x: np.ndarray
@@ -115,6 +117,15 @@ class Term(Protocol):
         ...
 
 
+class RememberingTerm(Term, Protocol):
+    """A term whose force depends on more than the positions at the end of the step, or that remembers them."""
+
+    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
+        """Derivatives of dE/dx and of the new internal variables ``after`` at ``buffers.x``, at the end of a step that
+        ``begin_step`` began from ``internals``; None where the term has no memory after all."""
+        ...
+
+
 class DynamicTerm(Term, Protocol):
     """A term whose coupled nodes change: contact between deformable bodies.
 
@@ -125,6 +136,10 @@ class DynamicTerm(Term, Protocol):
     def prepare(self, step: StepContext, towards: np.ndarray, more: bool = False) -> bool:
         """Look for partners from the start of a step on, in which nodes are foreseen to go to ``towards`` [m]
         ``(n, 3)``, beside those at hand if ``more``; True when ``blocks`` changed."""
+        ...
+
+    def forget(self) -> None:
+        """Look for partners afresh next time."""
         ...
 
     def outran(self) -> bool:

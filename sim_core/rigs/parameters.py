@@ -1,6 +1,6 @@
 """The numbers of a rig that can be changed or fitted, by name.
 
-Names: ``<body>.<quantity>`` (``card.E_pa``), ``contacts.<body>-<body>.<quantity>``,
+Names: ``gravity.x_m_s2``, ``<body>.<quantity>`` (``card.E_pa``), ``contacts.<body>-<body>.<quantity>``,
 ``<sensor or camera>.latency_s``, ``<camera>.<intrinsic>``, ``effects.<effect>.<parameter>``. The unit
 suffix may be left out (``card.E``), the two bodies of a contact may be in any order, and where a rig
 has one body of a type the type may stand for it (``sheet.E``).
@@ -120,6 +120,10 @@ def _constraints(metadata: list[Any]) -> Iterator[Any]:
 
 
 def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
+    for index, axis in enumerate("xyz"):
+        name = f"gravity.{axis}_m_s2"
+        found = Parameter(name, rig.gravity_m_s2[index], "m/s^2", -math.inf, math.inf, f"weight per mass along {axis}")
+        yield ("gravity_m_s2", index), found
     for name, body in rig.bodies.items():
         if body.type != "rigid":
             for key in body.material.quantities:

@@ -13,6 +13,7 @@ from sim_core.energies.affine import AffineShape, coordinates
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
 from sim_core.rigs import WORLD, Affine, Gel, Rig, Rigid, Sheet
+from sim_core.rigs.schema import Contact
 from sim_core.scene.assembly import (
     BuiltBody,
     add_terms,
@@ -168,6 +169,7 @@ class Scene:
 
     def _terms(self) -> list[Term]:
         terms: list[Term] = []
+        self._beyond: dict[str, float] = {}  # distance at which a contact has no gap, beyond half the thicknesses
         for body in self.bodies.values():
             if body.mesh is not None and not isinstance(body.spec, Affine):
                 add_terms(body, self.rest, self._held[body.name])
@@ -180,6 +182,7 @@ class Scene:
         for contact in self.rig.contacts:
             first, second = (self.bodies[b] for b in contact.between)
             self.contacts[contact.name] = built = self._contact(contact.name, first, second)
+            self._beyond.update({t.name: t.offset - _half_thicknesses(self.rig, contact) for t in built})
             terms += built
         return terms
 
@@ -233,6 +236,7 @@ class Scene:
                     "friction": contact.friction,
                     "stiffness_pa_per_m": (contact.stiffness_pa_per_m or CONTACT_STIFFNESS_PA_PER_M) / sides,
                     "range_m": CONTACT_RANGE_M,
+                    "offset_m": self._beyond[term.name] + _half_thicknesses(rig, contact),
                 }
         for effect, given in active_effects(rig):
             effect.amend_values(rig, values, given)
@@ -342,6 +346,12 @@ class Scene:
     def held(self, body: str) -> np.ndarray:
         """Nodes of a simulated body that follow a mount in all components, bool over its nodes."""
         return self._held[body]
+
+
+def _half_thicknesses(rig: Rig, contact: Contact) -> float:
+    """Half thicknesses [m] of the sheets on both sides of a contact together."""
+    sides = (rig.bodies[b] for b in contact.between)
+    return sum(0.5 * side.material.thickness_m for side in sides if isinstance(side, Sheet))
 
 
 def build_scene(rig: Rig, refine: int = 1) -> Scene:

@@ -7,8 +7,10 @@ import numpy as np
 
 from sim_core.rigs import FisheyeCamera, OrthographicCamera, PinholeCamera
 
+Camera = PinholeCamera | FisheyeCamera | OrthographicCamera
 
-def project(camera: PinholeCamera | FisheyeCamera | OrthographicCamera, points: np.ndarray) -> np.ndarray:
+
+def project(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Pixels ``(n, 2)`` of points [m] ``(n, 3)`` in the optical frame; NaN where out of the picture.
 
     Pinhole: OpenCV's model (ROS plumb_bob). Fisheye: OpenCV's equidistant model. A scaled
@@ -26,3 +28,17 @@ def project(camera: PinholeCamera | FisheyeCamera | OrthographicCamera, points: 
     size = np.array([camera.width_px, camera.height_px])
     hidden = (points[:, 2] <= 0.0) | ((pixels < 0.0) | (pixels > size - 1.0)).any(axis=1)
     return np.where(hidden[:, None], np.nan, pixels)
+
+
+def project_slopes(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Derivatives of the pixels by the points [px/m], ``(n, 2, 3)``, wherever they are."""
+    if isinstance(camera, OrthographicCamera):
+        return np.broadcast_to(np.eye(2, 3) / camera.scale_m_per_px, (len(points), 2, 3))
+    coefficients = np.asarray(camera.distortion)
+    zero = np.zeros(3)
+    # A motion of all points is a translation of the camera; OpenCV gives the derivatives by that.
+    if isinstance(camera, FisheyeCamera):
+        _, slopes = cv2.fisheye.projectPoints(points[:, None], zero, zero, camera.matrix(), coefficients)
+        return np.asarray(slopes[:, 11:14]).reshape(-1, 2, 3)
+    _, slopes = cv2.projectPoints(points, zero, zero, camera.matrix(), coefficients)
+    return np.asarray(slopes[:, 3:6]).reshape(-1, 2, 3)

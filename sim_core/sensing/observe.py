@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.contact.rigid import RigidContact
 from sim_core.energies.affine import coordinates
+from sim_core.energies.linearised import Blocks, axes_of, skew
+from sim_core.energies.linearised import placed as placed_blocks
 from sim_core.geometry import sheets, solids
 from sim_core.rigs import (
     WORLD,
@@ -25,7 +27,7 @@ from sim_core.rigs import (
     track_ids,
 )
 from sim_core.scene.scene import Frame, Scene
-from sim_core.sensing.camera import project
+from sim_core.sensing.camera import Camera, project, project_slopes
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,19 @@ def _placement(pose: Pose) -> Placement:
 def _within(frame: Placement, placed: Placement) -> Placement:
     """A frame given in another, in the world."""
     return frame[0] + frame[1] @ placed[0], frame[1] @ placed[1]
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """Derivatives of the readings of one channel, flattened, ``(r, .)``: by positions ``(3 n)``, by the forces on nodes
+    ``(3 n)``, by the moments of rigid bodies' surface forces (:meth:`RigidContact.moment`) ``(3)`` each, and by a small
+    motion of the mount in its own frame, translation [m] and turn [rad] ``(6)``. Points out of sight count as seen."""
+
+    by_x: Blocks
+    by_force: Blocks | None
+    by_moment: dict[str, np.ndarray]
+    mount: str
+    by_frame: np.ndarray
 
 
 class Observer:
@@ -149,6 +164,79 @@ class Observer:
                 out[name] = np.vstack([out[name], [camera.cx_px, camera.cy_px]])
         return out
 
+    def linearise(self, rig: Rig, frames: Mapping[str, Frame], channels: Iterable[str]) -> dict[str, Sensed]:
+        """Derivatives of the readings of some channels at the positions that the scene's system holds."""
+        system = self._scene.system
+        placed = {mount: (origin, rotation.as_matrix()) for mount, (origin, rotation) in frames.items()}
+        out = {}
+        forces = None
+        for name in channels:
+            if self.kinds[name] == "wrench":
+                if forces is None:
+                    forces = system.reactions()
+                out[name] = self._wrench_derivatives(name, placed, forces)
+            elif self.kinds[name] == "markers":
+                sensor = rig.sensors[name]
+                assert isinstance(sensor, MarkerSensor)
+                mount = self._mounts[sensor.body]
+                carrier = _within(self._body_poses[sensor.body], self._poses[name])
+                out[name] = self._seen_derivatives(name, mount, placed[mount], carrier, None)
+            else:
+                camera = rig.cameras[name]
+                out[name] = self._seen_derivatives(name, camera.mount, placed[camera.mount], self._poses[name], camera)
+        return out
+
+    def _seen_derivatives(
+        self, name: str, mount: str, frame: Placement, carrier: Placement, camera: Camera | None
+    ) -> Sensed:
+        """Of points seen from a frame in a mount: markers, and tracks of a camera."""
+        x = self._scene.system.x
+        rotation = frame[1] @ carrier[1]
+        blocks, columns, moved = [], [], []
+        for tracked in self._tracked[name]:
+            points = tracked.positions(x)
+            inner = (points - frame[0]) @ frame[1]
+            optic = (inner - carrier[0]) @ carrier[1]
+            lens = np.broadcast_to(np.eye(3), (len(points), 3, 3)) if camera is None else project_slopes(camera, optic)
+            by_point = lens @ rotation.T
+            by_inner = lens @ carrier[1].T
+            blocks.append((by_point[:, :, None] * tracked.weights[:, None, :, None]).reshape(*by_point.shape[:2], -1))
+            columns.append(axes_of(tracked.nodes))
+            moved.append(np.concatenate([-by_inner, by_inner @ skew(inner)], axis=-1).reshape(-1, 6))
+        height, at, parts = blocks[0].shape[1], 0, []
+        for block, column in zip(blocks, columns, strict=True):
+            rows = at + np.arange(len(block) * height).reshape(len(block), height)
+            parts.append((block, rows, column))
+            at += rows.size
+        frames = np.vstack(moved)
+        if isinstance(camera, OrthographicCamera) and camera.origin_id is not None:
+            at, frames = at + height, np.vstack([frames, np.zeros((height, 6))])
+        return Sensed(placed_blocks(*parts, shape=(at, x.size)), None, {}, mount, frames)
+
+    def _wrench_derivatives(self, name: str, placed: Mapping[str, Placement], forces: np.ndarray) -> Sensed:
+        """Of force and torque on what a sensor carries."""
+        x = self._scene.system.x
+        nodes, mount, carrier = self._loaded[name]
+        origin, rotation = _within(placed[mount], carrier)
+        held = forces[nodes]
+        arms = x[nodes] - origin
+        by_x = np.concatenate([np.zeros((3, 3 * len(nodes))), -rotation.T @ np.hstack(list(skew(held)))])
+        by_force = np.concatenate([np.tile(rotation.T, len(nodes)), rotation.T @ np.hstack(list(skew(arms)))])
+        turning = np.concatenate([np.zeros((3, 3)), -rotation.T])
+        terms = [t for t in self._rigid if t.body_node in nodes]
+        force, torque = held.sum(axis=0), _moment(arms, held) - sum(t.moment() for t in terms)
+        inner = placed[mount][1]
+        local = carrier[1].T @ skew(np.stack([force, torque]) @ inner)
+        about = rotation.T @ skew(force[None])[0] @ inner
+        by_frame = np.zeros((6, 6))
+        by_frame[:3, 3:], by_frame[3:, 3:] = local
+        by_frame[3:, :3] += about
+        by_frame[3:, 3:] -= about @ skew(carrier[0][None])[0]
+        rows, columns = np.arange(6)[None], axes_of(nodes)[None]
+        shape = (6, x.size)
+        x_part, force_part = (placed_blocks((b[None], rows, columns), shape=shape) for b in (by_x, by_force))
+        return Sensed(x_part, force_part, {t.name: turning for t in terms}, mount, by_frame)
+
     def _wrench(self, nodes: np.ndarray, frame: Placement, forces: np.ndarray) -> np.ndarray:
         """Sum of what the terms do to the nodes that a sensor holds, about its frame's origin."""
         x = self._scene.system.x
@@ -158,8 +246,7 @@ class Observer:
         torque = _moment(x[nodes] - origin, held)
         for term in self._rigid:
             if term.body_node in nodes:
-                at, push = term.sample_forces()
-                torque = torque - _moment(at - x[term.body_node], push)
+                torque = torque - term.moment()
         return np.concatenate([force @ rotation, torque @ rotation])
 
 

@@ -3,8 +3,8 @@
 Storage is by pairs of nodes (i <= j), nine values a pair in row order, so that assembly is addition in
 place. The pairs of static terms come first and never move. Pairs that only dynamic terms couple (contact
 between deformable bodies) follow; they are looked up in a table that is rewritten in place when the
-candidates change. The last value of all swallows entries that nobody needs. The matrix over the unknowns
-is gathered from there:  data = sum over equal (row, column) of  weight * values[order].
+candidates change. The last value of all swallows entries that are stored at their mirror image. The matrix over
+the unknowns is gathered from there:  data = sum over equal (row, column) of  weight * values[order].
 
 With dx = P du for the components x and the unknowns u, the matrix is P^T H P. A component has one unknown with the
 weight 1, or none; embedded nodes (:mod:`sim_core.solve.embedding`) have the unknowns of their masters, weighted.
@@ -81,16 +81,13 @@ class Pattern:
     def static_slots(self) -> list[np.ndarray]:
         """Place of every entry of every block of the static terms: int32 ``(k, 9)`` each."""
         trash = self.n_values - 1
-        free = (np.diff(self.spread.indptr) > 0).reshape(-1, 3)
         out = []
         for (blocks, mirrored), place in zip(self._blocks, self._places, strict=True):
             i, j = blocks[:, 0, None], blocks[:, 1, None]
             below = (i > j) | ((i == j) & (_ROW > _COLUMN))
             entry = np.where(below, 3 * _COLUMN + _ROW, np.arange(9))
             slots = 9 * place[:, None] + entry
-            missing = ~(free[blocks[:, 0]][:, _ROW] | free[blocks[:, 1]][:, _COLUMN])
-            if not mirrored:
-                missing |= below
+            missing = below & (not mirrored)
             out.append(np.ascontiguousarray(np.where(missing, trash, slots), dtype=np.int32))
         return out
 

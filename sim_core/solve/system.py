@@ -23,6 +23,7 @@ from sim_core.solve.embedding import Embedding
 from sim_core.solve.factor import Factor, factorise
 from sim_core.solve.inertia import inertia_energy, inertia_gradient
 from sim_core.solve.pattern import Pattern
+from sim_core.solve.product import nodal_product
 
 
 @dataclass(frozen=True)
@@ -127,6 +128,11 @@ class System:
         load = (self._x, self._predicted, self._external)
         self._inertia_energy = BoundKernel(inertia_energy, *load, *mass, self._energy)
         self._inertia_gradient = BoundKernel(inertia_gradient, *load, *mass, self._gradient)
+        self._product_move, self._product_out = np.zeros_like(self._x), np.zeros_like(self._x)
+        table = self._pattern.table
+        self._product = BoundKernel(
+            nodal_product, table.start, table.column, table.place, self._hessian, self._product_move, self._product_out
+        )
         for term, slots in zip(self._static, self._pattern.static_slots()[1:], strict=True):
             term.bind(self._buffers, slots)
         for term in self._dynamic:
@@ -210,9 +216,7 @@ class System:
 
     def _gather(self, gradient: np.ndarray) -> np.ndarray:
         """Sums of a nodal gradient over what each unknown moves; a new array."""
-        if self._embedding is not None:
-            gradient = self._embedding.fold(gradient)
-        flat = gradient.reshape(-1)
+        flat = self.fold(gradient).reshape(-1)
         if not self._compliant:
             return np.asarray(flat[self._own])
         return np.bincount(self._number[self._moved], weights=flat[self._moved], minlength=self.n_unknowns)
@@ -315,6 +319,12 @@ class System:
         self._begin(self._step, self._internals, self._x.copy(), more=True)
         return True
 
+    def forget(self) -> None:
+        """Look for contact afresh in the next step: what it finds then depends on the state alone."""
+        for term in self._dynamic:
+            term.forget()
+        self._factor.clear()
+
     def _begin(
         self, step: StepContext, internals: dict[str, Internals], towards: np.ndarray | None, more: bool = False
     ) -> None:
@@ -375,12 +385,27 @@ class System:
     def reactions(self) -> np.ndarray:
         """Force [N] ``(n, 3)`` that the terms exert on every node; on prescribed nodes in which others are embedded
         (joints) also what these pass on, weight and inertia included."""
-        passed = None
-        if self._embedding is not None:
-            whole = self.gradient()
-            passed = np.where(self.prescribed, self._embedding.fold(whole) - whole, 0.0)
-        forces = -self.static_gradient()
-        return forces if passed is None else forces - passed
+        passed = self.passed_on(self.gradient()) if self.passes_on else 0.0
+        return np.asarray(-self.static_gradient() - passed)
+
+    @property
+    def passes_on(self) -> bool:
+        """Whether nodes are embedded in prescribed ones, which then bear what acts on them (joints)."""
+        return self._embedding is not None and bool(self._embedding.weights[:, self.prescribed.any(axis=1)].nnz)
+
+    def passed_on(self, gradient: np.ndarray) -> np.ndarray:
+        """Part of a nodal gradient [N] ``(n, 3)`` on embedded nodes that prescribed ones bear."""
+        return np.where(self.prescribed, self.fold(gradient) - gradient, 0.0)
+
+    def fold(self, gradient: np.ndarray) -> np.ndarray:
+        """A nodal gradient ``(n, 3)`` with that of embedded nodes carried to those that they are embedded in."""
+        return gradient if self._embedding is None else self._embedding.fold(gradient)
+
+    def gradient_of(self, term: Term) -> np.ndarray:
+        """What one term exerts, dE/dx [N] ``(n, 3)``."""
+        self._gradient[:] = 0.0
+        term.add_gradient()
+        return np.array(self._gradient)
 
     def hessian_data(self, exact: bool = False, shift: float = 0.0) -> np.ndarray:
         """Entries of :meth:`hessian` in the order of its pattern."""
@@ -424,6 +449,13 @@ class System:
         """Force [N] on the unknowns due to moves [m] ``(n, 3)`` of what is prescribed: H_fp dx_p, with the
         Hessian that was assembled last."""
         return self._pattern.coupling(self._hessian, move)
+
+    def nodal_product(self, move: np.ndarray) -> np.ndarray:
+        """Change of :meth:`gradient` [N], on prescribed components too, for a move of the nodes [m], ``(n, 3)`` both,
+        with the Hessian that was assembled last."""
+        self._product_move[:] = move
+        self._product()
+        return np.array(self._product_out)
 
     def factor(self, matrix: sp.csr_matrix, definite: bool) -> Factor:
         """Factorise a matrix from :meth:`hessian`, reusing the symbolic analysis of the pattern."""

@@ -13,7 +13,21 @@ from importlib.metadata import PackageNotFoundError, version
 import typer
 
 from sim_core.errors import ThinshellError
-from sysid.cli import bench, coverage, diagnose, doctor, fit, inspect, plan, prove, rigs, simulate, track, validate
+from sysid.cli import (
+    bench,
+    check_gradients,
+    coverage,
+    diagnose,
+    doctor,
+    fit,
+    inspect,
+    plan,
+    prove,
+    rigs,
+    simulate,
+    track,
+    validate,
+)
 
 OWN_PACKAGES = {"sim_core", "sysid", "thinshell_ros"}
 REPORT = "Please report it on the project's issue tracker with the command and the output of --debug."
@@ -57,6 +71,7 @@ app.command("inspect")(inspect.inspect)
 app.command("track")(track.track)
 app.command("rigs")(rigs.rigs)
 app.command("params")(rigs.params)
+app.command("check-gradients")(check_gradients.check_gradients)
 app.command("validate")(validate.validate)
 app.command("bench")(bench.bench)
 app.command("doctor")(doctor.doctor_command)

@@ -12,6 +12,12 @@ from sysid.cli.options import library
 def bench(
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Only the forming rig in one process.")] = False,
+    gradients: Annotated[
+        bool, typer.Option("--gradients", help="Only the adjoint: steps per second backwards, memory by horizon.")
+    ] = False,
 ) -> None:
     """Measure steps per second, the share of each part of a step, and how both grow with the mesh."""
+    if gradients:
+        print(library("sim_core.bench", "run_gradient_benchmark")(as_json=as_json))
+        return
     print(library("sim_core.bench", "run_benchmarks")(as_json=as_json, quick=quick))

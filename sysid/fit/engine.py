@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_core.gradients import simulate_tangent
+from sim_core.gradients import Direction, simulate_tangent
 from sim_core.rigs import Rig
 from sim_core.scene import Scene, build_scene
 from sim_core.simulate import Trace, simulate, step_times
@@ -15,8 +15,8 @@ from sysid.fit.parameters import FitParameter, rig_at
 from sysid.fit.runs import Run
 from sysid.streams import predicted, predicted_derivatives
 
-PERTURBATION = 1e-8
-"""Step of the directional derivatives in the fitted scale: small beside the elastic slip of contacts."""
+STEP = 1e-5
+"""Half width, in the fitted scale, of the differences that tell what a parameter changes in the rig."""
 
 
 @dataclass(frozen=True)
@@ -65,23 +65,17 @@ class Engine:
         """Predict one run at ``scaled`` values of the parameters, with derivatives."""
         rig = run.seen_by(rig)
         here = rig_at(rig, parameters, scaled)
-        neighbours, steps = [], []
-        for k, p in enumerate(parameters):
-            step = PERTURBATION if scaled[k] + 10 * PERTURBATION < p.scaled_bounds[1] else -PERTURBATION
-            moved = scaled.copy()
-            moved[k] += step
-            neighbours.append(rig_at(rig, parameters, moved))
-            steps.append(step)
+        along = [_direction(rig, parameters, scaled, k) for k in range(len(parameters))]
         scene = self.scene(here)
-        trace, raw = simulate_tangent(scene, run.poses, self._times(here, run, None), neighbours, steps)
+        trace, raw = simulate_tangent(scene, run.poses, self._times(here, run, None), along)
         values = _at_stamps(trace, here, run)
         derivatives = {}
         for m in run.measured:
             mechanical = predicted_derivatives(trace, raw[m.channel], here, m.channel, m.t)
             sensor = np.stack(
                 [
-                    (predicted(trace, rig_k, m.channel, m.t) - predicted(trace, here, m.channel, m.t)) / h
-                    for rig_k, h in zip(neighbours, steps, strict=True)
+                    (predicted(trace, d.high, m.channel, m.t) - predicted(trace, d.low, m.channel, m.t)) / d.width
+                    for d in along
                 ]
                 or [np.zeros((*mechanical.shape[:-1],))],
                 axis=-1,
@@ -93,6 +87,14 @@ class Engine:
     @staticmethod
     def _times(rig: Rig, run: Run, dt: float | None) -> np.ndarray:
         return step_times(0.0, run.end, dt or rig.solver.dt_s)
+
+
+def _direction(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray, k: int) -> Direction:
+    """Parameter number ``k`` as a direction in the fitted scale, within its bounds."""
+    bounds = parameters[k].scaled_bounds
+    ends = [float(np.clip(scaled[k] + s, *bounds)) for s in (-STEP, STEP)]
+    rigs = [rig_at(rig, parameters, np.where(np.arange(len(scaled)) == k, end, scaled)) for end in ends]
+    return Direction(parameters[k].name, rigs[0], rigs[1], ends[1] - ends[0])
 
 
 def _at_stamps(trace: Trace, rig: Rig, run: Run) -> dict[str, np.ndarray]:

@@ -42,6 +42,9 @@ SCALES = {
     "cx_px": Scale(False, 50.0, -1e6, 1e6),
     "cy_px": Scale(False, 50.0, -1e6, 1e6),
     "scale_m_per_px": Scale(True, 0.2, 1e-9, 1.0),
+    "x_m_s2": Scale(False, 0.5, -100.0, 100.0),
+    "y_m_s2": Scale(False, 0.5, -100.0, 100.0),
+    "z_m_s2": Scale(False, 0.5, -100.0, 100.0),
 }
 """The quantities of a rig that can be fitted, beside the parameters of effects, which say it themselves."""
 

@@ -1,0 +1,178 @@
+"""Exact derivatives of contact with a rigid shape by the start of the step, its memory and the body's turn.
+
+With p the sample, c the body's node, R its rotation now and R_n at the start, y_n = R_n^T (p_n - c_n) and the slip
+
+    w = R (anchor - y_n) + p - c,    m = R n(y_n),
+
+friction follows from :mod:`sim_core.contact.rubbing`; a turn of the body changes R by R [omega]x. The tangent plane
+changes with y_n where the shape is curved, dn = phi'' dy.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import taichi as ti
+
+from sim_core.contact.law import OFFSET, RANGE, STIFFNESS
+from sim_core.contact.rubbing import limit_derivatives, limits_by_numbers, pressure_and_slope, rubbing
+from sim_core.contact.shapes import signed_distance
+from sim_core.energies.linearised import ByNumber, Linearised, axes_of, gathered, placed, places, skew
+from sim_core.energies.term import Internals
+from sim_core.kernels import F1, F2, F3, BoundKernel, vec3
+
+
+@ti.kernel
+def _surface(y: F2, shape: F1, distance: F1, normal: F2, second: F3):
+    ti.loop_config(serialize=True)
+    for s in range(y.shape[0]):
+        d, n, curved = signed_distance(vec3(y[s, 0], y[s, 1], y[s, 2]), shape)
+        distance[s] = d
+        for i in ti.static(range(3)):
+            normal[s, i] = n[i]
+            for j in ti.static(range(3)):
+                second[s, i, j] = curved[i, j]
+
+
+@dataclass(frozen=True)
+class RigidStep:
+    """What happened at the samples in a step. Positions relative to the body's node [m] ``(n, 3)``: ``before``,
+    ``after``; rotations ``(3, 3)``; ``nodes`` and ``weights`` ``(n, k)``, the body's node last with -1."""
+
+    nodes: np.ndarray
+    weights: np.ndarray
+    areas: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    rotation_start: np.ndarray
+    rotation: np.ndarray
+    limit: np.ndarray
+    dt: float
+
+
+class ShapeSurface:
+    """Signed distance [m], its gradient and its second derivative [1/m] at ``count`` points of a body."""
+
+    def __init__(self, shape: np.ndarray, count: int) -> None:
+        self._y = np.zeros((count, 3))
+        self._found = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
+        self._measure = BoundKernel(_surface, self._y, shape, *self._found)
+
+    def at(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """All three at points [m] ``(count, 3)``."""
+        self._y[:] = y
+        self._measure()
+        distance, normal, second = (found.copy() for found in self._found)
+        return distance, normal, second
+
+
+def rigid_derivatives(
+    at: RigidStep, c: np.ndarray, surface: ShapeSurface, internals: Internals, n_nodes: int
+) -> Linearised:
+    """Derivatives of one step; ``c``: of the term; ``surface``: of its shape; ``internals``: from before."""
+    place, size = places(internals), sum(a.size for a in internals.values())
+    r = at.rotation
+    turned = np.stack([(r @ skew(e)).ravel() for e in np.eye(3)], axis=-1)[None]
+    nine = place["rotation"].reshape(1, 9)
+    memory_turn = [(turned, nine, np.arange(3)[None])]
+    distance, normal_now, curved_now = surface.at(at.after @ r)
+    gap = distance - c[OFFSET]
+    some = np.flatnonzero((gap < c[RANGE]) | (at.limit > 0.0))
+    count = len(some)
+    if not count:
+        return Linearised(memory_turn=placed(*memory_turn, shape=(size, 3)))
+    weights, areas, before, after = at.weights[some], at.areas[some], at.before[some], at.after[some]
+    anchor, load, speed = (internals[n][some] for n in ("anchor", "load", "slip_speed"))
+    y, here = before @ at.rotation_start, after @ r
+    _, normal, curved = (found[some] for found in surface.at(at.before @ at.rotation_start))
+    gap, normal_now, curved_now = gap[some], normal_now[some], curved_now[some]
+    push, steep = pressure_and_slope(c, gap)
+    rub = rubbing(
+        anchor @ r.T + after - y @ r.T, normal @ r.T, at.limit[some], c[STIFFNESS] * areas, at.dt
+    )  # fmt: skip
+    by_load, by_speed = limit_derivatives(c, load, speed)
+
+    # Derivatives of w and m by: the position at the start, R_n, the anchor, a turn, the position at the end.
+    twist = np.zeros((count, 3, 9))
+    for j in range(3):
+        twist[:, j, j::3] = before
+    steps = (np.broadcast_to(at.rotation_start.T, (count, 3, 3)), twist)
+    slips = [(-r @ dy, r @ curved @ dy) for dy in steps]
+    zero = np.zeros((count, 3, 3))
+    slips += [(np.broadcast_to(r, zero.shape), zero), (-r @ skew(anchor - y), -r @ skew(normal))]
+    slips.append((np.broadcast_to(np.eye(3), zero.shape), zero))
+    forces, anchors, speeds = ([rub.chain(by, *s) for s in slips] for by in (rub.force_by, rub.slip_by, rub.speed_by))
+
+    limits = np.stack([by_load, by_speed], axis=-1)[:, None]
+    moved = [here_by.transpose(0, 1, 2) for here_by in (np.broadcast_to(r.T, zero.shape), skew(here))]
+    loads = [-(areas * steep)[:, None, None] * (normal_now[:, None] @ dy) for dy in moved]
+    pressed = [
+        (normal_now @ r.T)[:, :, None] * dl + (areas * push)[:, None, None] * (r @ curved_now @ dy)
+        for dl, dy in zip(loads, moved, strict=True)
+    ]
+    pressed[1] = pressed[1] - (areas * push)[:, None, None] * (r @ skew(normal_now))
+    anchors[3] = anchors[3] + r @ skew(rub.slip @ r)
+
+    axes, own = axes_of(at.nodes[some]), place["anchor"][some]
+    nines = np.broadcast_to(nine, (count, 9))
+    pair = np.stack([place["load"][some], place["slip_speed"][some]], axis=-1)
+    three = np.broadcast_to(np.arange(3), (count, 3))
+
+    def rows(block: np.ndarray) -> np.ndarray:
+        """From a sample to its nodes, along the second axis."""
+        return np.asarray((weights[:, :, None, None] * block[:, None]).reshape(count, -1, block.shape[-1]))
+
+    def columns(block: np.ndarray) -> np.ndarray:
+        return np.asarray(np.swapaxes(rows(np.swapaxes(block, 1, 2)), 1, 2))
+
+    rubbed = rub.force_by[2] @ limits
+    touching = (areas * push > 0.0)[:, None, None]
+    kept = [
+        (np.where(touching, r.T @ a, 0.0), own) for a in (*anchors, rub.slip_by[2] @ limits)
+    ] + [(np.where(touching, v, 0.0), pair[:, 1:]) for v in (*speeds, rub.speed_by[2] @ limits)]  # fmt: skip
+    to = [axes, nines, own, three, axes, pair]
+    spread = [columns(b) if k in (0, 4) else b for k, b in enumerate(b for b, _ in kept[:6])]
+    spread_speed = [columns(b) if k in (0, 4) else b for k, b in enumerate(b for b, _ in kept[6:])]
+
+    def memory(*which: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        return [(spread[k], own, to[k]) for k in which] + [(spread_speed[k], pair[:, 1:], to[k]) for k in which]
+
+    arms = skew(after)
+
+    def moment(*parts: tuple[np.ndarray, np.ndarray]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        return [(arms @ block, three, column) for block, column in parts]
+
+    force = (areas * push)[:, None] * (normal_now @ r.T) - rub.force
+    by_end = arms @ (pressed[0] - forces[4]) - skew(force)
+    whole = 3 * n_nodes
+
+    def number(limit: np.ndarray, spring: np.ndarray, pressed: np.ndarray) -> ByNumber:
+        """Along changes of the samples' limits, springs and pressures (as shares)."""
+        turned_by = [by[2][..., 0] * limit[:, None] + by[3][..., 0] * spring[:, None] for by in
+                     (rub.force_by, rub.slip_by, rub.speed_by)]  # fmt: skip
+        grown = pressed * areas * push
+        force = turned_by[0] - grown[:, None] * (normal_now @ r.T)
+        held = touching[:, 0]
+        slip, speed = np.where(held, turned_by[1] @ r, 0.0), np.where(held, turned_by[2], 0.0)
+        kept = gathered((slip, own), (grown, pair[:, 0]), (speed, pair[:, 1:]), size=size)
+        return ByNumber(gathered((rows(force[..., None]), axes), size=whole), kept, -np.cross(after, force).sum(axis=0))
+
+    none = np.zeros(count)
+    numbers = {q: number(limit, none, none) for q, limit in limits_by_numbers(c, load, speed).items()}
+    numbers["stiffness_pa_per_m"] = number(none, areas, np.full(count, 1.0 / c[STIFFNESS]))
+    return Linearised(
+        numbers=numbers,
+        force_start=placed((columns(rows(forces[0])), axes, axes), shape=(whole, whole)),
+        force_memory=placed(
+            *((rows(forces[1]), axes, nines), (rows(forces[2]), axes, own), (rows(rubbed), axes, pair)),
+            shape=(whole, size),
+        ),
+        force_turn=placed((rows(forces[3] - pressed[1]), axes, three), shape=(whole, 3)),
+        memory_start=placed(*memory(0), shape=(size, whole)),
+        memory_memory=placed(*memory(1, 2, 5), shape=(size, size)),
+        memory_end=placed(*memory(4), (columns(loads[0]), pair[:, :1], axes), shape=(size, whole)),
+        memory_turn=placed(*memory(3), (loads[1], pair[:, :1], three), *memory_turn, shape=(size, 3)),
+        moment_start=placed(*moment((columns(-forces[0]), axes)), shape=(3, whole)),
+        moment_memory=placed(*moment((-forces[1], nines), (-forces[2], own), (-rubbed, pair)), shape=(3, size)),
+        moment_end=placed((columns(by_end), three, axes), shape=(3, whole)),
+        moment_turn=placed(*moment((pressed[1] - forces[3], three)), shape=(3, 3)),
+    )

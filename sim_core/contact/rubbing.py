@@ -1,0 +1,76 @@
+"""Exact derivatives of friction, common to all kinds of contact.
+
+In terms of the slip w before it is projected (elastic slip remembered plus motion), the lagged normal m, the limit
+and the spring of :mod:`sim_core.contact.law`:
+
+    u = (1 - m m^T) w,    F = dD/du,    new elastic slip u min(1, u_c / |u|),    slip speed max(0, |u| - u_c) / dt
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_core.contact.law import CORE, EXCESS, MU, RANGE, SLIP_SCALE, STIFFNESS
+from sim_core.energies.linearised import complex_step, dot
+
+
+@dataclass(frozen=True)
+class Rubbing:
+    """Friction of n samples: ``force`` [N] and new elastic ``slip`` [m], ``(n, 3)``, and derivatives by w, m, limit
+    and spring of the force, of the slip (``(n, 3, .)`` each) and of the slip speed ``(n, 1, .)``."""
+
+    force: np.ndarray
+    slip: np.ndarray
+    force_by: tuple[np.ndarray, ...]
+    slip_by: tuple[np.ndarray, ...]
+    speed_by: tuple[np.ndarray, ...]
+
+    @staticmethod
+    def chain(by: tuple[np.ndarray, ...], w: np.ndarray, m: np.ndarray) -> np.ndarray:
+        """Derivative ``(n, ., q)`` by what w and m have the derivatives ``(n, 3, q)`` by."""
+        return np.asarray(by[0] @ w + by[1] @ m)
+
+
+def rubbing(w: np.ndarray, m: np.ndarray, limit: np.ndarray, spring: np.ndarray, dt: float) -> Rubbing:
+    """Differentiate the law; at a limit of zero on the side of a growing one."""
+
+    def law(w: np.ndarray, m: np.ndarray, limit: np.ndarray, spring: np.ndarray) -> tuple[np.ndarray, ...]:
+        u = w - m * dot(m, w)[..., None]
+        length = np.sqrt(dot(u, u))[..., None]
+        longest = 2.0 * limit / spring
+        beyond = length.real > longest.real
+        at_rest = length == 0.0
+        far = np.where(at_rest, 1.0, length)
+        near = np.where(longest == 0.0, 1.0, longest)
+        pull = np.where(beyond, limit / far, spring * (1.0 - 0.5 * length / near))
+        kept = np.where(beyond, longest / far, 1.0)
+        speed = np.where(beyond, (length - longest) / dt, 0.0)
+        return u * pull, u * kept, speed
+
+    force_by, slip_by, speed_by = complex_step(law, w, m, limit[:, None], spring[:, None])
+    force, slip, _ = (out[0] for out in law(w[None], m[None], limit[None, :, None], spring[None, :, None]))
+    return Rubbing(force, slip, tuple(force_by), tuple(slip_by), tuple(speed_by))
+
+
+def limit_derivatives(c: np.ndarray, load: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of mu(speed) * load by load and by speed."""
+    bump = c[EXCESS] * np.exp(-((speed / c[SLIP_SCALE]) ** 2))
+    return c[MU] * (1.0 + bump), -2.0 * c[MU] * bump * speed / c[SLIP_SCALE] ** 2 * load
+
+
+def limits_by_numbers(c: np.ndarray, load: np.ndarray, speed: np.ndarray) -> dict[str, np.ndarray]:
+    """Derivatives of mu(speed) * load by the numbers of friction."""
+    bump = np.exp(-((speed / c[SLIP_SCALE]) ** 2))
+    return {"friction": (1.0 + c[EXCESS] * bump) * load, "static_excess": c[MU] * bump * load}
+
+
+def pressure_and_slope(c: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pressure [Pa] and -dp/dg [Pa/m] at gaps [m] ``(n,)``, as :mod:`sim_core.contact.law` has them."""
+    s = gap / c[RANGE]
+    e = np.maximum(s, c[CORE])
+    inside = s < 1.0
+    steep = c[STIFFNESS] * (1.0 / (e * e) - 1.0)
+    push = c[STIFFNESS] * c[RANGE] * (1.0 - e) ** 2 / e + (e - s) * c[RANGE] * steep
+    return np.where(inside, push, 0.0), np.where(inside, steep, 0.0)

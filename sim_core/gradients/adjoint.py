@@ -1,0 +1,294 @@
+"""The gradient of a loss over a whole rollout by everything at once: parameters, initial state, poses of the mounts.
+
+A loss is a function of the readings of a trace. Its derivatives by the readings are pulled back through the sensors
+and cameras to positions and forces, and from step to step back to the start (:mod:`sim_core.gradients.step`): one
+factorisation and one back-substitution a step, however many parameters there are. Steps that were subdivided are gone
+through in their parts. Steps are recorded on a :class:`sim_core.gradients.tape.Tape`.
+
+Poses are differentiated by small motions of a mount in its own frame at every time: translation [m] and turn [rad],
+p + R rho and R exp(phi). At the start they take the first equilibrium along, by the static problem; the path on which
+it was searched for counts as given.
+
+Where the true derivative jumps it is that of the branch that the rollout took, as in
+:mod:`sim_core.gradients.tangent`: both are the same derivative, and agree to round-off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sim_core.contact.rigid import RigidContact
+from sim_core.energies.linearised import skew
+from sim_core.gradients.columns import Columns
+from sim_core.gradients.directions import Direction, slopes
+from sim_core.gradients.step import LinearStep, Pulled, Weights, no_memory
+from sim_core.gradients.tape import MEMORY_MB, Made, Tape
+from sim_core.rigs import Rigid
+from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene.scene import Frame, Scene
+from sim_core.simulate import FOREVER_S, Trace, midway
+from sim_core.solve.integrator import step_context
+from sim_core.solve.step import NewtonSettings
+
+Loss = Callable[[Trace], tuple[float, Mapping[str, np.ndarray]]]
+"""Value of a loss and its derivatives by the readings, by channel in the shape of ``trace.outputs`` (a channel may be
+left out; readings out of sight, NaN, count as zero)."""
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """``value`` of the loss and its derivatives: ``parameters`` by name; ``poses``: by end effector ``(n_times, 6)``
+    [1/m, 1/rad]; ``start_x`` [1/m] and ``start_v`` [s/m]: of the state that the first step starts from, ``(n, 3)``."""
+
+    value: float
+    parameters: dict[str, float]
+    poses: dict[str, np.ndarray]
+    start_x: np.ndarray
+    start_v: np.ndarray
+    trace: Trace
+
+
+def simulate_adjoint(
+    scene: Scene,
+    poses: Mapping[str, PoseTrajectory],
+    times: np.ndarray,
+    loss: Loss,
+    along: Sequence[Direction],
+    *,
+    settings: NewtonSettings | None = None,
+    memory_mb: float = MEMORY_MB,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Gradient:
+    """Make the rollout, and the gradient of ``loss`` by the parameters ``along`` and all else.
+
+    ``memory_mb``: bound on the steps that are kept; those of longer rollouts are made twice.
+    """
+    tape = Tape(scene, poses, times, settings, memory_mb, on_step)
+    value, by_readings = loss(tape.trace)
+    return Backward(tape, along).gradient(value, by_readings)
+
+
+class Backward:
+    """Goes through a tape backwards, for as many losses as there are."""
+
+    def __init__(self, tape: Tape, along: Sequence[Direction]) -> None:
+        self._tape, self._scene, self._along = tape, tape.scene, list(along)
+        self._observer = tape.observer
+        keys, self._slopes = slopes(self._scene, along)
+        self._columns = Columns(self._scene, self._scene.values(self._scene.rig), keys)
+        self._cameras = [k for k, d in enumerate(self._along) if d.low.cameras != d.high.cameras]
+
+    @property
+    def trace(self) -> Trace:
+        """The readings of the rollout."""
+        return self._tape.trace
+
+    def gradient(self, value: float, by_readings: Mapping[str, np.ndarray]) -> Gradient:
+        """Gradient of the loss with these derivatives by the readings."""
+        tape, scene = self._tape, self._scene
+        count = len(tape.trace.times)
+        self._by_readings = {
+            c: np.where(np.isnan(tape.trace.outputs[c]), 0.0, given) for c, given in by_readings.items()
+        }
+        self._numbers = np.zeros(len(self._columns.keys))
+        self._sensed = np.zeros(len(self._along))
+        zero, state = np.zeros_like(scene.rest), None
+        poses = [_Frames() for _ in range(count)]
+        for first in reversed(tape.segments):
+            intervals = tape.intervals(first)
+            scene.system.forget()  # whether they were made again or not
+            for offset in reversed(range(len(intervals))):
+                k = first + offset + 1
+                interval = intervals[offset]
+                inner: dict[int, _Frames] = {}
+                for made in reversed(interval.made):
+                    last = made is interval.made[-1]
+                    state = state or Weights(zero, zero, no_memory(made.after))
+                    target = poses[k] if last else inner.setdefault(id(made.frames), _Frames())
+                    state = self._through(made, state, k if last else None, target)
+                for middle, start, end in reversed(interval.middles):
+                    weights = inner.get(id(middle))
+                    if weights is not None:
+                        for frames in (start, end):
+                            there = inner.setdefault(id(frames), _Frames())
+                            weights.halfway(middle, start, end, frames is start, there)
+                for frames_id, weights in inner.items():
+                    if frames_id not in {id(m) for m, _, _ in interval.middles}:
+                        into = poses[k] if frames_id == id(interval.made[-1].frames) else poses[k - 1]
+                        into.add(weights)
+        state = state or Weights(zero, zero, no_memory(tape.start))
+        self._at_start(state, poses[0])
+        found = self._slopes.T @ self._numbers + self._sensed
+        movable = [m for m in scene.start if m in scene.rig.end_effectors]
+        return Gradient(
+            value,
+            {d.name: float(v) for d, v in zip(self._along, found, strict=True)},
+            {m: np.stack([p.of(m) for p in poses]) for m in movable},
+            state.x,
+            state.v,
+            tape.trace,
+        )
+
+    def _through(self, made: Made, state: Weights, k: int | None, target: _Frames) -> Weights:
+        """Weights before one step from those after it. ``k``: number of the time at its end, if readings are there;
+        ``target``: takes the weights of the frames at its end."""
+        self._enter(made)
+        linear = LinearStep(self._scene, made.before, made.after, made.dt, False)
+        if k is not None:
+            state = self._read_back(k, made.frames, state, target)
+        pulled = linear.pull(
+            state, self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
+        )
+        self._collect(pulled, made.frames, target)
+        return pulled.state
+
+    def _collect(self, pulled: Pulled, frames: Mapping[str, Frame], target: _Frames) -> None:
+        """Take the weights of numbers, and those of what followed the mounts to ``frames``."""
+        self._numbers += pulled.numbers
+        scene = self._scene
+        for follower in scene.followers:
+            rotation = frames[follower.mount][1].as_matrix()
+            force = pulled.targets[follower.nodes] @ rotation
+            target.of(follower.mount)[:3] += force.sum(axis=0)
+            target.of(follower.mount)[3:] += np.cross(follower.local, force).sum(axis=0)
+        for body, term in self._carried():
+            if term.name in pulled.turns:
+                own = body.spec.pose.rotation().as_matrix()
+                target.of(body.spec.mount)[3:] += own @ pulled.turns[term.name]
+
+    def _carried(self) -> list[tuple[Any, RigidContact]]:
+        """Rigid bodies and the terms that turn with them."""
+        terms = [t for t in self._scene.system.terms if isinstance(t, RigidContact)]
+        bodies = [b for b in self._scene.bodies.values() if isinstance(b.spec, Rigid)]
+        return [(b, t) for b in bodies for t in terms if t.body_node == int(b.nodes[0])]
+
+    def _enter(self, made: Made, still: bool = False) -> None:
+        """Let the system hold the end of a step that was made."""
+        scene, system = self._scene, self._scene.system
+        system.guard(True)
+        before = made.before
+        targets = scene.targets(made.frames)
+        system.x[:] = before.x
+        system.set_targets(targets)
+        step = step_context(before.x, before.v, made.dt, None if still else before.past)
+        system.begin_step(replace(step, v_start=(made.after.x - before.x) / made.dt), before.internals)
+        system.set_unknowns(made.unknowns)
+        system.cover()
+
+    def _read_back(self, k: int, frames: Mapping[str, Frame], state: Weights, target: _Frames) -> Weights:
+        """Weights of a state with those that its readings at time number ``k`` add."""
+        given = {c: w[k].ravel() for c, w in self._by_readings.items() if np.any(w[k])}
+        if not given:
+            return state
+        scene, system = self._scene, self._scene.system
+        actual = dict(frames)
+        for mount, deflection in zip(scene.compliant, system.deflections, strict=True):
+            origin, rotation = actual[mount]
+            actual[mount] = (origin + deflection, rotation)
+        rig = scene.rig
+        x, force = state.x.copy(), np.zeros_like(state.x)
+        moment: dict[str, np.ndarray] = {}
+        unknowns = np.zeros(system.n_unknowns)
+        deflections = unknowns[len(unknowns) - system.deflections.size :].reshape(-1, 3)
+        for name, sensed in self._observer.linearise(rig, actual, given).items():
+            w = given[name]
+            x += (sensed.by_x.T @ w).reshape(-1, 3)
+            if sensed.by_force is not None:
+                force -= (sensed.by_force.T @ w).reshape(-1, 3)
+            for term, by_moment in sensed.by_moment.items():
+                moment[term] = moment.get(term, 0.0) + by_moment.T @ w
+            by_frame = sensed.by_frame.T @ w
+            target.of(sensed.mount)[:] += by_frame
+            if sensed.mount in scene.compliant:
+                rotation = actual[sensed.mount][1].as_matrix()
+                deflections[scene.compliant.index(sensed.mount)] += rotation @ by_frame[:3]
+        for d in self._cameras:
+            ends = [self._observer.read(r, actual) for r in (self._along[d].high, self._along[d].low)]
+            for name, w in given.items():
+                change = (ends[0][name] - ends[1][name]).ravel() / self._along[d].width
+                self._sensed[d] += float(np.nan_to_num(change) @ w)
+        return replace(state, x=x, force=force if force.any() else None, moment=moment, unknowns=unknowns)
+
+    def _at_start(self, state: Weights, target: _Frames) -> None:
+        """Through the first equilibrium, or to where everything was put."""
+        tape, scene, system = self._tape, self._scene, self._scene.system
+        if tape.settled_from is not None:
+            inertia, system.inertia = system.inertia, False
+            try:
+                made = Made(tape.settled_from, tape.start, FOREVER_S, tape.mounts, tape.start_unknowns)
+                self._enter(made, still=True)
+                linear = LinearStep(scene, made.before, made.after, FOREVER_S, True)
+                state = self._read_back(0, tape.mounts, state, target)
+                columns = self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
+                self._collect(linear.pull(state, columns), tape.mounts, target)
+            finally:
+                system.inertia = inertia
+            return
+        self._put(state, target)
+
+    def _put(self, state: Weights, target: _Frames) -> None:
+        """Nothing settled: bodies are where their mounts put them, and readings are of there."""
+        tape, scene, system = self._tape, self._scene, self._scene.system
+        made = Made(tape.start, tape.start, scene.rig.solver.dt_s, tape.mounts, tape.start_unknowns)
+        self._enter(made)
+        state = self._read_back(0, tape.mounts, state, target)
+        x = state.x
+        if state.force is not None:
+            system.hessian_data(exact=True)
+            x = x + system.nodal_product(state.force)
+            if system.inertia:
+                x = x - system.mass @ state.force / made.dt**2
+        turns = {}
+        for _, term in self._carried():
+            turned = np.stack([term.rotation @ skew(e) for e in np.eye(3)])
+            turns[term.name] = turned.reshape(3, 9) @ state.memory[term.name][:9]
+        self._collect(Pulled(state, x, turns, np.zeros_like(self._numbers)), tape.mounts, target)
+        for body in scene.bodies.values():
+            if body.mesh is not None and scene.held(body.name).any():
+                free = ~scene.held(body.name)
+                origin, rotation = tape.mounts[scene.mount_of(body.name)]
+                local = rotation.inv().apply(tape.start.x[body.nodes[free]] - origin)
+                force = x[body.nodes[free]] @ rotation.as_matrix()
+                target.of(scene.mount_of(body.name))[:3] += force.sum(axis=0)
+                target.of(scene.mount_of(body.name))[3:] += np.cross(local, force).sum(axis=0)
+
+
+class _Frames:
+    """Weights of small motions of mounts in their own frames, ``(6,)`` each."""
+
+    def __init__(self) -> None:
+        self._by_mount: dict[str, np.ndarray] = {}
+
+    def of(self, mount: str) -> np.ndarray:
+        return self._by_mount.setdefault(mount, np.zeros(6))
+
+    def add(self, other: _Frames) -> None:
+        for mount, weights in other._by_mount.items():
+            self.of(mount)[:] += weights
+
+    def halfway(
+        self,
+        middle: Mapping[str, Frame],
+        start: Mapping[str, Frame],
+        end: Mapping[str, Frame],
+        to_start: bool,
+        out: _Frames,
+    ) -> None:
+        """Pass weights of frames halfway on to one of the two that they are between."""
+        for mount, weights in self._by_mount.items():
+            a, b = start[mount], end[mount]
+            own = a if to_start else b
+            turn = middle[mount][1].as_matrix().T @ own[1].as_matrix()
+            out.of(mount)[:3] += 0.5 * turn.T @ weights[:3]
+            for k in range(3):
+                ends = []
+                for h in (1e-5, -1e-5):
+                    turned = (own[0], own[1] * Rotation.from_rotvec(h * np.eye(3)[k]))
+                    there = midway(turned, b) if to_start else midway(a, turned)
+                    ends.append((middle[mount][1].inv() * there[1]).as_rotvec())
+                out.of(mount)[3 + k] += float((ends[0] - ends[1]) @ weights[3:]) / 2e-5

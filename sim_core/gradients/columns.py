@@ -1,0 +1,135 @@
+"""Derivatives of one step by the numbers of the mechanics, one column a number.
+
+Numbers of a term are stepped to both sides in that term alone: its gradient, its new internal variables, the moment
+on its rigid body; but for those that the term differentiates itself, because steps of them could cross a switch.
+What mass, gravity and compliance do is known in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sim_core.contact.rigid import RigidContact
+from sim_core.energies.linearised import Linearised, flatten
+from sim_core.energies.term import Internals, StepContext
+from sim_core.gradients.directions import FROM_ZERO, RELATIVE_STEP, Key
+from sim_core.scene.scene import Scene, Values
+
+GAP_STEP_M = 1e-10
+"""Step of the distance at which a contact has no gap: small beside gaps, which are micrometres."""
+
+
+@dataclass
+class Column:
+    """Derivative by one number. ``force``: of what the terms exert, dE/dx [N] ``(n, 3)``; ``body``: of inertia
+    and weight ``(n, 3)``; ``unknowns``: of the residual, beyond both; ``memory``: of new internal variables by term;
+    ``moment``: of a rigid body's surface forces by term. None: zero."""
+
+    force: np.ndarray | None = None
+    body: np.ndarray | None = None
+    unknowns: np.ndarray | None = None
+    memory: dict[str, np.ndarray] = field(default_factory=dict)
+    moment: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+class Columns:
+    """Columns of a scene whose system holds the end of a step. ``values``: of the rollout."""
+
+    def __init__(self, scene: Scene, values: Values, keys: Sequence[Key]) -> None:
+        self._scene, self._values, self.keys = scene, values, list(keys)
+        self._terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
+
+    def of_step(
+        self,
+        step: StepContext,
+        internals: dict[str, Internals],
+        after: dict[str, Internals],
+        exact: Mapping[str, Linearised],
+    ) -> list[Column]:
+        """One column a key. ``internals``, ``after``: internal variables before and after the step; ``exact``: what the
+        terms with memory know of themselves."""
+        return [_known(key, exact) or self._column(key, step, internals, after) for key in self.keys]
+
+    def _column(
+        self, key: Key, step: StepContext, internals: dict[str, Internals], after: dict[str, Internals]
+    ) -> Column:
+        kind, owner, quantity = key
+        if kind == "terms":
+            term = self._terms.get(owner)
+            return Column() if term is None else self._of_term(term, quantity, step, internals[owner], after[owner])
+        system = self._scene.system
+        if kind == "gravity":
+            pull = np.zeros_like(system.x)
+            pull[:, "xyz".index(quantity)] = -1.0
+            return Column(body=np.asarray(system.mass @ pull))
+        if kind == "density":
+            return Column(body=self._inertia_of(owner, step))
+        return Column(unknowns=self._of_compliance(self._scene.compliant.index(owner), "xyz".index(quantity)))
+
+    def _inertia_of(self, body: str, step: StepContext) -> np.ndarray:
+        """M_b (a - g) for a unit density of one body."""
+        system, built = self._scene.system, self._scene.bodies[body]
+        moved = np.zeros_like(system.x)
+        if built.unit_mass is None:
+            return moved
+        x = system.x[built.nodes]
+        a = np.broadcast_to(-system.gravity, x.shape)
+        if system.inertia:
+            begun = step.x_base[built.nodes] + step.tau * step.v_base[built.nodes]
+            a = a + (x - begun) / step.tau**2
+        moved[built.nodes] = built.unit_mass @ a
+        return moved
+
+    def _of_compliance(self, group: int, axis: int) -> np.ndarray:
+        """Residual's derivative by a compliance: of the spring 1/c on the deflection."""
+        system = self._scene.system
+        zero = np.zeros_like(system.x)
+        given = list(self._values.compliance.values())
+        ends = []
+        for sign in (1.0, -1.0):
+            stepped = [c.copy() for c in given]
+            stepped[group][axis] *= 1.0 + sign * RELATIVE_STEP
+            system.set_compliance(stepped)
+            ends.append(system.restrict(zero))
+        system.set_compliance(given)
+        return np.asarray((ends[0] - ends[1]) / (2.0 * RELATIVE_STEP * given[group][axis]))
+
+    def _of_term(self, term: Any, quantity: str, step: StepContext, internals: Internals, after: Internals) -> Column:
+        """One number of a term. A number of zero is stepped to the side of more of it."""
+        given = self._values.terms[term.name]
+        value = given[quantity]
+        h = GAP_STEP_M if quantity == "offset_m" else RELATIVE_STEP * abs(value) or FROM_ZERO
+        ends = [value + h, value - h if value != 0.0 else value]
+        found = []
+        for there in ends:
+            term.configure({**given, quantity: there})
+            term.begin_step(step, internals)
+            force, kept = self._scene.system.gradient_of(term), term.end_step(step, internals)
+            if hasattr(term, "aligned"):
+                kept = term.aligned(kept, after)
+            found.append((force, flatten(kept), moment_on_body(term)))
+        term.configure(given)
+        term.begin_step(step, internals)
+        width = ends[0] - ends[1]
+        force, memory, moment = ((a - b) / width for a, b in zip(*found, strict=True))
+        column = Column(force=force)
+        return replace(column, memory={term.name: memory}, moment={term.name: moment} if moment.any() else {})
+
+
+def _known(key: Key, exact: Mapping[str, Linearised]) -> Column | None:
+    """Column of a number that its term differentiates itself."""
+    kind, owner, quantity = key
+    if kind != "terms" or owner not in exact or quantity not in exact[owner].numbers:
+        return None
+    found = exact[owner].numbers[quantity]
+    column = Column(force=found.force.reshape(-1, 3), memory={owner: found.memory})
+    return replace(column, moment={owner: found.moment}) if found.moment.any() else column
+
+
+def moment_on_body(term: Any) -> np.ndarray:
+    """Moment [N m] ``(3,)`` of the surface forces of a contact with a rigid shape about the shape's node."""
+    return np.asarray(term.moment()) if isinstance(term, RigidContact) else np.zeros(3)

@@ -1,0 +1,75 @@
+"""Along what rollouts are differentiated: parameters of a rig as directions in the numbers that the mechanics take.
+
+The mechanics depend on :class:`sim_core.scene.scene.Values`: numbers of terms, densities, gravity, compliances. A
+parameter of the rig changes some of them, mostly one or two terms' worth. Derivatives of a step are taken by these
+numbers and combined with their slopes along the parameter, which are the same all through a rollout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_core.rigs import Rig, list_parameters, resolve_name, with_parameters
+from sim_core.scene.scene import Scene, Values
+
+RELATIVE_STEP = 1e-5
+"""Half width of the difference that gives a slope, as a share of the value."""
+
+FROM_ZERO = 1e-7
+"""Step of a value that is zero: a friction, an angle, a delay [s], an offset."""
+
+Key = tuple[str, str, str]
+"""One number of the mechanics: (``terms``, term, quantity), (``density``, body, ''), (``gravity``, '', axis) or
+(``compliance``, end effector, axis)."""
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A parameter: rigs with a little less and a little more of it, ``width`` apart in its unit (or in the scale in
+    which derivatives are wanted). One of the two may be the rig itself, at a bound."""
+
+    name: str
+    low: Rig
+    high: Rig
+    width: float
+
+
+def directions(rig: Rig, names: Sequence[str]) -> list[Direction]:
+    """Directions of parameters by the names that a user writes, in the parameters' own units."""
+    known = {p.name: p for p in list_parameters(rig)}
+    found = []
+    for name in names:
+        parameter = known[resolve_name(rig, name)]
+        value = 0.0 if parameter.value is None else parameter.value
+        step = RELATIVE_STEP * abs(value) or FROM_ZERO
+        low = value - step if value - step > parameter.lower else value
+        high = value + step if value + step < parameter.upper else value
+        rigs = [with_parameters(rig, {parameter.name: v}) for v in (low, high)]
+        found.append(Direction(parameter.name, rigs[0], rigs[1], high - low))
+    return found
+
+
+def numbers(values: Values) -> dict[Key, float]:
+    """All numbers of the mechanics by key."""
+    out: dict[Key, float] = {}
+    for term, given in values.terms.items():
+        out.update({("terms", term, quantity): value for quantity, value in given.items()})
+    out.update({("density", body, ""): value for body, value in values.density.items()})
+    out.update({("gravity", "", a): float(g) for a, g in zip("xyz", values.gravity, strict=True)})
+    for mount, given_way in values.compliance.items():
+        out.update({("compliance", mount, a): float(c) for a, c in zip("xyz", given_way, strict=True)})
+    return out
+
+
+def slopes(scene: Scene, along: Sequence[Direction]) -> tuple[list[Key], np.ndarray]:
+    """Numbers that the parameters change, and their derivatives by them, ``(n_keys, n_parameters)``."""
+    pairs = [(numbers(scene.values(d.low)), numbers(scene.values(d.high))) for d in along]
+    keys = list(dict.fromkeys(k for low, high in pairs for k in high if low.get(k) != high[k]))
+    table = np.zeros((len(keys), len(along)))
+    for column, (direction, (low, high)) in enumerate(zip(along, pairs, strict=True)):
+        for row, key in enumerate(keys):
+            table[row, column] = (high[key] - low[key]) / direction.width
+    return keys, table

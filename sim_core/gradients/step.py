@@ -1,0 +1,293 @@
+"""One solved step, linearised: what its outcome changes by, forwards, and what depends on it, backwards.
+
+With the positions x' of all nodes, of which the unknowns make R(x'; s, theta) = 0 and the rest follow the mounts,
+
+    forwards    dx' = -H^-1 [dR/ds ds + dR/dtheta],            dxi' = dG/dx' dx' + dG/ds ds + dG/dtheta
+    backwards   lambda = -H^-1 [xbar' + dG/dx'^T xibar'],      sbar = dR/ds^T lambda + dG/ds^T xibar',
+                thetabar = dR/dtheta^T lambda + dG/dtheta^T xibar'
+
+s = (x, v, the state before for BDF2, internal variables xi), H the true Hessian at the solution, factorised once.
+dR/ds and dG/ds come from the terms (:meth:`sim_core.energies.term.RememberingTerm.linearise`), inertia is linear, and
+dR/dtheta, dG/dtheta are columns (:mod:`sim_core.gradients.columns`). Readings depend on x' and on the forces of the
+terms on the nodes, so a weight w on these forces joins lambda.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sim_core.energies.linearised import Linearised, flatten, times
+from sim_core.energies.term import StepContext
+from sim_core.errors import ConfigError
+from sim_core.gradients.columns import Column
+from sim_core.scene.scene import Scene
+from sim_core.solve.factor import Factor, NotPositiveDefinite
+from sim_core.solve.integrator import Past, step_context
+from sim_core.solve.step import State
+
+
+@dataclass
+class Motion:
+    """Derivatives of a state by p parameters, last axis: ``x``, ``v`` ``(n, 3, p)``; ``memory``: of each term's
+    internal variables, flattened ``(q, p)``; ``past``: of the state before."""
+
+    x: np.ndarray
+    v: np.ndarray
+    memory: dict[str, np.ndarray]
+    past: tuple[np.ndarray, np.ndarray] | None = None
+
+
+@dataclass
+class Outcome:
+    """Derivatives of what readings depend on at the end of a step: ``x`` ``(n, 3, p)``; ``force``: of dE/dx of all
+    terms, and of what embedded nodes pass on to prescribed ones, ``(n, 3, p)``; ``moment``: of rigid contacts
+    ``(3, p)``; ``unknowns`` ``(., p)``."""
+
+    x: np.ndarray
+    force: np.ndarray
+    moment: dict[str, np.ndarray]
+    unknowns: np.ndarray
+
+
+@dataclass
+class Weights:
+    """Derivatives of a loss by a state at the end of a step and by the readings' causes there: as in
+    :class:`Motion`, without the last axis; ``force``, ``moment``: by what the terms exert; ``unknowns``: by
+    deflections of compliant mounts (None: by none)."""
+
+    x: np.ndarray
+    v: np.ndarray
+    memory: dict[str, np.ndarray]
+    past: tuple[np.ndarray, np.ndarray] | None = None
+    force: np.ndarray | None = None
+    moment: dict[str, np.ndarray] = field(default_factory=dict)
+    unknowns: np.ndarray | None = None
+
+
+@dataclass
+class Pulled:
+    """What one step passes back: ``state``: weights of the state before; ``targets``: of where prescribed and compliant
+    nodes were sent ``(n, 3)``; ``turns``: of turns of rigid bodies by term ``(3)``; ``numbers``: one a column."""
+
+    state: Weights
+    targets: np.ndarray
+    turns: dict[str, np.ndarray]
+    numbers: np.ndarray
+
+
+class LinearStep:
+    """The step from ``before`` to ``after`` that the scene's system holds the end of.
+
+    ``still``: it is the first equilibrium; where the search for it came from counts as given.
+    """
+
+    def __init__(self, scene: Scene, before: State, after: State, dt: float, still: bool) -> None:
+        system = scene.system
+        self._system = system
+        self._before = before = replace(before, past=None) if still else before
+        self._still = still
+        self._dt = dt
+        self.step: StepContext = step_context(before.x, before.v, dt, before.past)
+        self._factor = self._factorised()
+        self.terms: dict[str, Linearised] = {}
+        """What the terms with memory know of themselves in this step."""
+        for term in system.terms:
+            linearise: Any = getattr(term, "linearise", None)
+            if linearise is not None:
+                found = linearise(self.step, before.internals[term.name], after.internals[term.name])
+                if found is not None:
+                    self.terms[term.name] = found
+        self._sizes = {name: flatten(internals).size for name, internals in after.internals.items()}
+
+    def _factorised(self) -> Factor:
+        """The true Hessian; it is definite at a stable equilibrium, and need not be where motion holds one."""
+        data = self._system.hessian_data(exact=True)
+        try:
+            return self._system.factor_data(data, definite=True)
+        except NotPositiveDefinite:
+            return self._system.factor_data(data, definite=False)
+
+    def _restrict(self, gradient: np.ndarray) -> np.ndarray:
+        """Transpose of :meth:`System.spread`."""
+        return np.asarray(self._system.restrict(gradient) - self._system.restrict(np.zeros_like(gradient)))
+
+    def _stiffness(self, move: np.ndarray) -> np.ndarray:
+        """Change of what the terms exert for a move of the nodes."""
+        system = self._system
+        out = system.nodal_product(move)
+        return np.asarray(out - system.mass @ move / self.step.tau**2) if system.inertia else out
+
+    # Forwards
+
+    def push(self, motion: Motion, columns: list[Column], slopes: np.ndarray) -> tuple[Motion, Outcome]:
+        """Derivatives at the end of the step; ``slopes``: of the columns' numbers by the parameters ``(k, p)``."""
+        system, count = self._system, slopes.shape[1]
+        shape = (*system.x.shape, count)
+        step = self._linear(motion)
+        start, whole = step.x_start.reshape(-1, count), system.x.size
+        memory = {name: np.zeros((size, count)) for name, size in self._sizes.items()}
+        moment: dict[str, np.ndarray] = {}
+        force = np.zeros((whole, count))
+        for name, term in self.terms.items():
+            old = motion.memory[name]
+            force += times(term.force_start, start) + times(term.force_memory, old)
+            memory[name] += times(term.memory_start, start) + times(term.memory_memory, old)
+            if term.moment_end is not None:
+                moment[name] = times(term.moment_start, start) + times(term.moment_memory, old) + np.zeros((3, count))
+        body, unknowns = np.zeros((whole, count)), np.zeros((system.n_unknowns, count))
+        if system.inertia:
+            begun = (step.x_base + step.tau * step.v_base).reshape(-1, 3 * count)
+            body -= (system.mass @ begun / step.tau**2).reshape(-1, count)
+        for column, slope in zip(columns, slopes, strict=True):
+            if column.force is not None:
+                force += np.outer(column.force, slope)
+            if column.body is not None:
+                body += np.outer(column.body, slope)
+            if column.unknowns is not None:
+                unknowns += np.outer(column.unknowns, slope)
+            for name, kept in column.memory.items():
+                memory[name] += np.outer(kept, slope)
+            for name, turned in column.moment.items():
+                moment[name] = moment.get(name, 0.0) + np.outer(turned, slope)
+        total = (force + body).reshape(shape)
+        residual = np.column_stack([self._restrict(np.ascontiguousarray(total[..., k])) for k in range(count)])
+        moved = -self._factor.solve(residual + unknowns)
+        x = np.stack([system.spread(moved[:, k]) for k in range(count)], axis=-1)
+        force = force.reshape(shape) + np.stack([self._stiffness(x[..., k]) for k in range(count)], axis=-1)
+        if system.passes_on:
+            whole = force + body.reshape(shape)
+            if system.inertia:
+                whole += (system.mass @ x.reshape(len(x), -1) / step.tau**2).reshape(shape)
+            force += np.stack([system.passed_on(whole[..., k]) for k in range(count)], axis=-1)
+        for name, term in self.terms.items():
+            memory[name] += times(term.memory_end, x.reshape(-1, count))
+            if term.moment_end is not None:
+                moment[name] = moment[name] + times(term.moment_end, x.reshape(-1, count))
+        v = np.zeros_like(x)
+        if system.inertia and not self._still:
+            v = (x - step.x_base) / step.tau
+        past = (motion.x, motion.v) if system.inertia and system.second_order and not self._still else None
+        return Motion(x, v, memory, past), Outcome(x, force, moment, moved)
+
+    def _linear(self, motion: Motion) -> StepContext:
+        """Derivatives of what a step is measured from, which is linear in the states."""
+        past = None
+        if self._before.past is not None:
+            assert motion.past is not None
+            past = Past(*motion.past, self._before.past.dt)
+        return step_context(motion.x, motion.v, self._dt, past)
+
+    # Backwards
+
+    def pull(self, weights: Weights, columns: list[Column]) -> Pulled:
+        """Weights of everything that the step depended on."""
+        system, step = self._system, self.step
+        x, past = weights.x.copy(), weights.past
+        moving = system.inertia and not self._still
+        if moving:
+            x += weights.v / step.tau
+        for name, term in self.terms.items():
+            x += self._back(term.memory_end, weights.memory[name])
+            if term.moment_end is not None and name in weights.moment:
+                x += self._back(term.moment_end, weights.moment[name])
+        if weights.force is not None:
+            if system.passes_on:
+                raise ConfigError(
+                    "Backward derivatives of the load on a mount that carries joints are not computed.",
+                    "Use forward ones (simulate_tangent), or leave this sensor out of the loss.",
+                )
+            x += self._stiffness(weights.force)
+        pulled = self._restrict(x)
+        if weights.unknowns is not None:
+            pulled += weights.unknowns
+        answer = -self._factor.solve(pulled)
+        spread = system.spread(answer)
+        exerted = spread if weights.force is None else spread + weights.force
+        start, memory = np.zeros_like(x), {}
+        turns: dict[str, np.ndarray] = {}
+        for name, internals in self._before.internals.items():
+            old = np.zeros(flatten(internals).size)
+            if name in self.terms:
+                start, old = self._through(self.terms[name], name, weights, exerted, start, old, turns)
+            memory[name] = old
+        before = self._measured_from(spread, weights if moving else None)
+        before.x += start
+        if past is not None:
+            before.x, before.v = before.x + past[0], before.v + past[1]
+        before.memory = memory
+        targets = system.fold(x + system.nodal_product(spread))
+        numbers = np.array([self._along(c, weights, exerted, spread, answer) for c in columns])
+        return Pulled(before, targets, turns, numbers)
+
+    def _through(
+        self,
+        term: Linearised,
+        name: str,
+        weights: Weights,
+        exerted: np.ndarray,
+        start: np.ndarray,
+        old: np.ndarray,
+        turns: dict[str, np.ndarray],
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Add what one term passes back to the start of the step and to its memory."""
+        flat, kept, moment = exerted.ravel(), weights.memory[name], weights.moment.get(name)
+        start = start + self._back(term.force_start, flat) + self._back(term.memory_start, kept)
+        old = old + self._back(term.force_memory, flat, False) + self._back(term.memory_memory, kept, False)
+        if term.memory_turn is not None:
+            turns[name] = self._back(term.memory_turn, kept, False) + self._back(term.force_turn, flat, False)
+        if moment is not None:
+            start = start + self._back(term.moment_start, moment)
+            old = old + self._back(term.moment_memory, moment, False)
+            if term.moment_turn is not None:
+                turns[name] = turns[name] + self._back(term.moment_turn, moment, False)
+        return start, old
+
+    @staticmethod
+    def _back(matrix: Any, vector: np.ndarray, nodal: bool = True) -> Any:
+        """Product with a transpose, as nodal vectors ``(n, 3)`` if ``nodal``."""
+        if matrix is None:
+            return 0.0
+        out = matrix.T @ vector
+        return out.reshape(-1, 3) if nodal else out
+
+    def _measured_from(self, spread: np.ndarray, weights: Weights | None) -> Weights:
+        """Weights of the states that velocity and acceleration are measured from. ``weights``: None where the end of
+        the step has no velocity."""
+        system, step = self._system, self.step
+        zero = np.zeros_like(spread)
+        if not system.inertia or self._still:
+            return Weights(zero, zero.copy(), {})
+        assert weights is not None
+        held = system.mass @ spread / step.tau**2
+        x_base, v_base = -weights.v / step.tau - held, -held * step.tau
+        if self._before.past is None:
+            return Weights(x_base, v_base, {})
+        # The coefficients of the two states, read off the linear map itself.
+        one, none = np.ones(1), np.zeros(1)
+        now = step_context(one, none, self._dt, Past(none, none, self._before.past.dt)).x_base[0]
+        then = step_context(none, none, self._dt, Past(one, none, self._before.past.dt)).x_base[0]
+        return Weights(now * x_base, now * v_base, {}, (then * x_base, then * v_base))
+
+    def _along(
+        self, column: Column, weights: Weights, exerted: np.ndarray, spread: np.ndarray, answer: np.ndarray
+    ) -> float:
+        """Product of one number's column with the weights."""
+        out = 0.0
+        if column.force is not None:
+            out += float(np.vdot(column.force, exerted))
+        if column.body is not None:
+            out += float(np.vdot(column.body, spread))
+        if column.unknowns is not None:
+            out += float(column.unknowns @ answer)
+        out += sum(float(kept @ weights.memory[name]) for name, kept in column.memory.items())
+        out += sum(float(m @ weights.moment[name]) for name, m in column.moment.items() if name in weights.moment)
+        return out
+
+
+def no_memory(state: State, count: int | None = None) -> dict[str, np.ndarray]:
+    """Zero derivatives of all internal variables of a state by ``count`` parameters; None: zero weights of them."""
+    last = () if count is None else (count,)
+    return {name: np.zeros((flatten(internals).size, *last)) for name, internals in state.internals.items()}

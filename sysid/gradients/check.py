@@ -1,0 +1,114 @@
+"""The comparison as a table or as JSON, and what to say where gradients differ."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from io import StringIO
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from sim_core.errors import ConfigError
+from sim_core.rigs import Rig, list_parameters, resolve_name
+from sim_core.rigs.motion import Experiment, compile_experiment
+from sysid.gradients.compare import STEPS, Comparison, Row
+
+WIDTH = 150
+
+
+def check_gradients(
+    rig: Rig,
+    experiment: Experiment,
+    names: Sequence[str] | None = None,
+    *,
+    steps: Sequence[float] = STEPS,
+    as_json: bool = False,
+    on_progress: Callable[[float, str], None] | None = None,
+) -> tuple[bool, str]:
+    """Compare forward sensitivities, adjoint and central differences; whether all agree, and the table.
+
+    ``names``: full or short names of parameters, None for all of the rig. ``steps``: of the differences, relative.
+    """
+    known = {p.name: p for p in list_parameters(rig)}
+    chosen = list(known) if names is None else [resolve_name(rig, n) for n in names]
+    if names is not None:
+        for name in chosen:
+            if known[name].value is None:
+                raise ConfigError(
+                    f"The parameter {name} has no value in the rig {rig.name!r}, so it has no derivative.",
+                    "Write a value into the rig file.",
+                )
+    chosen = list(dict.fromkeys(n for n in chosen if known[n].value is not None))
+    if not chosen:
+        raise ConfigError(f"The rig {rig.name!r} has no parameters with values.", "Name another rig.")
+    poses = compile_experiment(experiment, rig)
+    if max((p.times[-1] for p in poses.values()), default=0.0) <= 0.0:
+        raise ConfigError(f"The experiment {experiment.name!r} moves nothing.", "Give it motions or waits.")
+    if not (rig.sensors or rig.cameras):
+        raise ConfigError(f"The rig {rig.name!r} has nothing that is measured.", "Give it a sensor or a camera.")
+    work, done = Comparison.amount_of_work(chosen, steps), 0
+
+    def on_work(what: str) -> None:
+        nonlocal done
+        if on_progress is not None:
+            on_progress(done / work, what)
+        done += 1
+
+    rows = list(Comparison(rig, poses, chosen, on_work).rows(steps))
+    passed = all(row.verdict != "differs" for row in rows)
+    return passed, _as_json(rows, steps, passed) if as_json else _as_text(rows, steps)
+
+
+def _as_json(rows: Sequence[Row], steps: Sequence[float], passed: bool) -> str:
+    return json.dumps({"passed": passed, "steps": list(steps), "rows": [asdict(r) for r in rows]}, indent=2)
+
+
+def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
+    table = Table(title="Relative errors against central differences of whole rollouts, by their step", box=None)
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("channel", no_wrap=True)
+    for title in ("effect", *(f"{s:.0e}" for s in steps), "plateau", "adjoint"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    idle = [n for n in dict.fromkeys(r.parameter for r in rows) if _idle(n, rows)]
+    for row in rows:
+        if row.parameter in idle or row.verdict == "no effect":
+            continue
+        marks = [f"[{e:.1e}]" if e == row.best else f"{e:.1e}" for e in row.errors]
+        plateau = f"{row.plateau[0]:.0e}..{row.plateau[-1]:.0e}"
+        cells = [f"{row.effect:.2g} {row.unit}", *(m.replace("[", r"\[") for m in marks), plateau]
+        table.add_row(row.parameter, row.channel, *cells, f"{row.adjoint:.0e}", row.verdict)
+    out = StringIO()
+    Console(file=out, width=WIDTH, color_system=None).print(table)
+    lines = [line.rstrip() for line in out.getvalue().rstrip().splitlines()]
+    lines += [
+        "",
+        "effect: change of the reading that changes most, per relative change of the parameter (per unit where it is",
+        "0); in brackets: the best step; plateau: steps of which the error is about as small; adjoint: its relative",
+        f"difference from the forward sensitivity. Bound: {rows[0].bound:g}.",
+    ]
+    lines += [f"{name} has no effect on any reading in this experiment." for name in idle]
+    for row in rows:
+        if row.verdict == "differs":
+            worst = row.best if not row.best <= row.bound else row.adjoint
+            lines.append(
+                f"{row.parameter} = {row.value:g} in {row.channel}: the error is {worst:.1e}, above {row.bound:g}. "
+                f"{row.reason}"
+            )
+    judged = [r for r in rows if r.verdict in ("agrees", "differs")]
+    if judged:
+        worst_of_all = max(judged, key=lambda r: r.best if np.isfinite(r.best) else np.inf)
+        lines.append(
+            f"{sum(r.verdict == 'agrees' for r in judged)} of {len(judged)} agree; the largest error is "
+            f"{worst_of_all.best:.1e} ({worst_of_all.parameter}, {worst_of_all.channel}), that of the adjoint "
+            f"{max(r.adjoint for r in judged):.0e}."
+        )
+    return "\n".join(lines)
+
+
+def _idle(name: str, rows: Sequence[Row]) -> bool:
+    """Whether a parameter changes no reading at all."""
+    return all(r.verdict == "no effect" for r in rows if r.parameter == name)

@@ -1,0 +1,204 @@
+"""The gradient of a loss over a rollout: against forward sensitivities, differences of rollouts, and itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from test_linearised import ball, forming
+from test_tangent import PRESS, RUB
+
+from sim_core.errors import ConvergenceError
+from sim_core.gradients import Backward, Tape, directions, simulate_adjoint, simulate_tangent
+from sim_core.rigs import list_parameters
+from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene import build_scene
+from sim_core.simulate import Simulation, frame_of, simulate, step_times
+from sim_core.solve.step import NewtonSettings
+
+EFFECTS = {
+    "gel_relaxation": {"share": 0.3, "tau_s": 0.2},
+    "static_friction": {"excess": 0.4},
+    "end_effector_compliance": {"compliance_m_per_n": 2e-4},
+    "bending_plasticity": {"yield_curvature_per_m": 0.5, "hardening_ratio": 0.3},
+    "air_drag": {"drag_coefficient": 1.0},
+    "sheet_orthotropy": {"modulus_ratio": 1.5, "grain_angle_rad": 0.3},
+}
+BDF2 = {"dt_s": 0.02, "inertia": True, "integrator": "bdf2"}
+STATIC = {"dt_s": 0.02, "inertia": False}
+
+TIGHT = NewtonSettings(step_tolerance_m=5e-15)
+
+
+def weights(trace, seed=0):
+    rng = np.random.default_rng(seed)
+    return {c: rng.standard_normal(o.shape) for c, o in trace.outputs.items()}
+
+
+def small(path, end=None):
+    def build(small_rig, visit, **changes):
+        return small_rig(**changes), visit(*path), step_times(0.0, end or path[0][-1], 0.02)
+
+    return build
+
+
+CASES = {
+    "press": (small(PRESS), {}),
+    "rub with every effect": (small(RUB), {"effects": EFFECTS}),
+    "press with every effect": (small(PRESS), {"effects": EFFECTS}),
+    "looking back": (small(PRESS), {"solver": BDF2}),
+    "static": (small(PRESS, 0.4), {"solver": STATIC}),
+    "ball on an arm": (lambda *given: ball(), {}),
+    "forming": (lambda *given: forming(), {}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_adjoint_is_the_transpose_of_the_tangent(case, small_rig, visit):
+    """For every channel and every parameter of the rig, to round-off of the sums."""
+    build, changes = CASES[case]
+    rig, poses, times = build(small_rig, visit, **changes)
+    along = directions(rig, [p.name for p in list_parameters(rig) if p.value is not None])
+    scene = build_scene(rig)
+    tape = Tape(scene, poses, times, TIGHT)
+    trace, derivatives = simulate_tangent(scene, poses, times, along, settings=TIGHT)
+    given = weights(trace)
+    compared = 0
+    for channel in trace.outputs:
+        found = Backward(tape, along).gradient(0.0, {channel: given[channel]})
+        products = np.nan_to_num(derivatives[channel]) * given[channel][..., None]
+        nothing = 1e-18 * np.nansum(np.abs(given[channel] * trace.outputs[channel]))
+        sizes = np.abs(products).reshape(-1, len(along)).sum(axis=0)
+        for k, direction in enumerate(along):
+            compared += sizes[k] > nothing
+            error = abs(found.parameters[direction.name] - products[..., k].sum())
+            assert error <= 1e-8 * sizes[k] + nothing, direction.name
+    assert compared >= 5
+
+
+def test_poses_against_differences_of_rollouts(small_rig, visit):
+    check_poses(*small(RUB, 0.4)(small_rig, visit, effects={"end_effector_compliance": {"compliance_m_per_n": 2e-4}}))
+
+
+def test_poses_of_a_rigid_body_against_differences_of_rollouts():
+    rig, poses, times = ball()
+    check_poses(rig, poses, times[:-1])
+
+
+def check_poses(rig, poses, times):
+    scene = build_scene(rig)
+    (mount,) = poses
+    positions, quaternions = poses[mount].sample(times)
+    tape = Tape(scene, poses, times, TIGHT)
+    given = weights(tape.trace)
+    for channel, w in given.items():
+        found = Backward(tape, []).gradient(0.0, {channel: w}).poses[mount]
+        largest = np.abs(found).max(axis=0)
+        for k in (0, len(times) // 2 + 1, len(times) - 1):
+            for axes, steps in (((0, 1, 2), (1e-7, 1e-8)), ((3, 4, 5), (1e-4, 1e-5))):
+                move = np.zeros(6)
+                move[list(axes)] = [0.5, -0.6, 0.7]
+                errors = []
+                for h in steps:
+                    ends = []
+                    for s in (h, -h):
+                        p, q, turn = positions.copy(), quaternions.copy(), Rotation.from_quat(quaternions[k])
+                        p[k] += turn.apply(s * move[:3])
+                        q[k] = (turn * Rotation.from_rotvec(s * move[3:])).as_quat()
+                        trace = simulate(scene, {mount: PoseTrajectory(times, p, q)}, times, settings=TIGHT)
+                        ends.append(np.nansum(trace.outputs[channel] * w))
+                    round_off = 1e-15 * np.nansum(np.abs(trace.outputs[channel] * w)) / h
+                    errors.append(abs((ends[0] - ends[1]) / (2.0 * h) - found[k] @ move) - round_off)
+                assert min(errors) < 1e-5 * largest[list(axes)].max(), (channel, k, axes)
+
+
+def test_start_state_against_differences_of_rollouts(small_rig, visit):
+    """The velocity and position of the state in which the first step starts."""
+    rig, poses, times = small(PRESS, 0.3)(small_rig, visit)
+    scene = build_scene(rig)
+    given = weights(Tape(scene, poses, times, TIGHT).trace)
+    rng = np.random.default_rng(2)
+    free = ~scene.system.prescribed
+
+    def value(dx, dv):
+        simulation = Simulation(scene, TIGHT)
+        tracks = {n: p.sample(times) for n, p in poses.items()}
+        frames = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
+        simulation.reset(frames[0])
+        total, state = 0.0, simulation.state
+        simulation.state = replace(state, x=state.x + dx, v=state.v + dv)
+        for k in range(1, len(times)):
+            simulation.step(frames[k], times[k] - times[k - 1])
+            total += sum(np.nansum(r * given[c][k]) for c, r in simulation.read().items())
+        return total
+
+    move = rng.standard_normal(scene.rest.shape) * free
+    later = {c: np.concatenate([np.zeros_like(w[:1]), w[1:]]) for c, w in given.items()}
+    found = simulate_adjoint(scene, poses, times, lambda trace: (0.0, later), [], settings=TIGHT)
+    for by, name, steps in ((found.start_v, "v", (1e-4, 1e-5)), (found.start_x, "x", (1e-8, 1e-9))):
+        errors = []
+        for h in steps:
+            ends = [value(*((s * move, 0.0) if name == "x" else (0.0, s * move))) for s in (h, -h)]
+            errors.append(abs((ends[0] - ends[1]) / (2.0 * h) - np.vdot(by, move)))
+        assert min(errors) < 1e-5 * np.abs(by * move).sum(), name
+
+
+def test_steps_made_again_give_the_same_bits(small_rig, visit):
+    rig, poses, times = small(PRESS)(small_rig, visit, effects=EFFECTS)
+    along = directions(rig, ["card.E_pa", "gel.E_pa", "contacts.gel-card.friction"])
+    scene = build_scene(rig)
+    kept, again = (Tape(scene, poses, times, memory_mb=m) for m in (1000.0, 0.0))
+    assert kept.kept_bytes > 0 and again.kept_bytes == 0
+    assert again.memory_mb < 0.6 * kept.memory_mb  # 6 checkpoints and 6 steps, instead of 6 and 30
+    given = weights(kept.trace)
+    first, second = (Backward(tape, along).gradient(0.0, given) for tape in (kept, again))
+    assert first.parameters == second.parameters
+    assert np.array_equal(first.poses["finger"], second.poses["finger"])
+    assert np.array_equal(first.start_x, second.start_x)
+
+
+def test_steps_in_parts(small_rig, visit, monkeypatch):
+    """A step that fails as a whole is gone through in its parts: against differences, for poses and a parameter."""
+    from sim_core import simulate as module
+
+    plain = module.advance
+
+    def reluctant(system, state, targets, dt, *rest, **named):
+        if 0.25 < state.t < 0.31 and dt > 0.006 and system.inertia:
+            raise ConvergenceError("too long", "")
+        return plain(system, state, targets, dt, *rest, **named)
+
+    monkeypatch.setattr(module, "advance", reluctant)
+    rig, _, times = small(PRESS, 0.4)(small_rig, visit)
+    tilted = PoseTrajectory(
+        np.array([0.0, 0.2, 0.4]),
+        np.array(rig.end_effectors["finger"].start.position_m) + np.array([[0, 0, 0], [0, 0, -4e-3], [2e-3, 0, -8e-3]]),
+        Rotation.from_rotvec([[0, 0, 0], [0.0, 0.02, 0.0], [0.1, -0.05, 0.08]]).as_quat(),
+    )
+    tape = Tape(build_scene(rig), {"finger": tilted}, times, TIGHT)
+    made = [len(i.made) for first in tape.segments for i in tape.intervals(first)]
+    assert max(made) == 4
+    k = int(np.argmax(made))
+    found = check_one_pose(rig, tilted, times, tape, k)
+    assert found < 1e-6
+
+
+def check_one_pose(rig, poses, times, tape, k):
+    """Relative error of the pose before a step that was made in parts, turn and translation together."""
+    given = weights(tape.trace)["wrench"]
+    by_pose = Backward(tape, []).gradient(0.0, {"wrench": given}).poses["finger"][k]
+    move = np.array([5e-3, -4e-3, 6e-3, 0.5, -0.6, 0.7])
+    positions, quaternions = poses.sample(times)
+    errors = []
+    for h in (1e-4, 1e-5):
+        ends = []
+        for s in (h, -h):
+            p, q, turn = positions.copy(), quaternions.copy(), Rotation.from_quat(quaternions[k])
+            p[k] += turn.apply(s * move[:3])
+            q[k] = (turn * Rotation.from_rotvec(s * move[3:])).as_quat()
+            trace = simulate(tape.scene, {"finger": PoseTrajectory(times, p, q)}, times, settings=TIGHT)
+            ends.append(np.sum(trace.outputs["wrench"] * given))
+        errors.append(abs((ends[0] - ends[1]) / (2.0 * h) - by_pose @ move))
+    return min(errors) / np.abs(by_pose * move).sum()

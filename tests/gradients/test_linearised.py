@@ -1,0 +1,119 @@
+"""Derivatives of single terms in a step against central differences of the terms themselves."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from step_differences import differences, last_step
+
+from sim_core.energies.linearised import flatten, times
+from sim_core.rigs import load_rig, parse_rig
+from sim_core.rigs.trajectory import PoseTrajectory
+
+EFFECTS = {
+    "gel_relaxation": {"share": 0.3, "tau_s": 0.1},
+    "bending_plasticity": {"yield_curvature_per_m": 0.5, "hardening_ratio": 0.3},
+    "air_drag": {"drag_coefficient": 1.2},
+    "static_friction": {"excess": 0.5},
+}
+PRESS = ([0.0, 0.1, 0.3, 0.6], [[0, 0, 0], [0, 0, 0], [0, 0, -0.008], [0.004, 0.002, -0.008]])
+RUB = ([0.0, 0.1, 0.2, 0.4], [[0, 0, 0], [0.054, 0, 0], [0.055, 0, -0.0009], [0.0562, 0.001, -0.0009]])
+
+
+def small(small_rig, visit, path, end):
+    return small_rig(effects=EFFECTS), visit(*path), np.linspace(0.0, end, round(end / 0.02) + 1)
+
+
+def forming():
+    """A round gel presses a card on a table and draws it: points and faces both ways, edges, a plane."""
+    rig = load_rig("forming").model_copy(update={"effects": {"static_friction": {"excess": 0.5}}})
+    start = rig.end_effectors["finger"].start.position()
+    path = start + np.array([[0, 0, 0], [0, 0, -6.5e-3], [1e-2, 0, -6.5e-3]])
+    poses = {"finger": PoseTrajectory(np.array([0.0, 0.15, 0.30]), path, np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)))}
+    return rig, poses, np.linspace(0.0, 0.18, 37)
+
+
+def ball():
+    """A ball on an arm rolls over a card: its normal turns with the place, and its frame with the arm."""
+    sheet = {"type": "rectangle", "length_m": 0.06, "width_m": 0.06, "cells": [8, 8], "pattern": "crossed"}
+    rig = parse_rig(
+        {
+            "name": "ball",
+            "solver": {"dt_s": 0.005},
+            "bodies": {
+                "card": {
+                    "type": "sheet", "shape": sheet, "pose": {"position_m": [0.0, 0.0, -0.002]},
+                    "material": {"preset": "card_200gsm"},
+                },
+                "ball": {"type": "rigid", "shape": {"type": "sphere", "radius_m": 0.02}, "mount": "arm"},
+            },
+            "clamps": [{"body": "card", "region": {"x_m": [-0.03, -0.02]}}],
+            "end_effectors": {"arm": {"start": {"position_m": [0.01, 0.0, 0.0184]}}},
+            "contacts": [{"between": ["card", "ball"], "friction": 0.3}],
+            "sensors": {"wrench": {"type": "wrench", "on": "arm"}},
+        },
+        "ball",
+    )  # fmt: skip
+    path = np.array([[0.01, 0.0, 0.0184], [0.01, 0.0, 0.0152], [0.012, 0.001, 0.0152]])
+    turned = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0], [0.03, 0.05, 0.02, 0.998]])
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    return rig, {"arm": PoseTrajectory(np.array([0.0, 0.05, 0.1]), path, turned)}, np.linspace(0.0, 0.07, 15)
+
+
+SCENES = {
+    "press": lambda *given: small(*given, PRESS, 0.26),
+    "drag": lambda *given: small(*given, PRESS, 0.5),
+    "rub": lambda *given: small(*given, RUB, 0.3),
+    "forming": lambda *given: forming(),
+    "ball": lambda *given: ball(),
+}
+EXPECTED = {
+    "press": {"card.bending", "gel.elastic", "contact.gel-card.0", "card.drag"},
+    "drag": {"contact.gel-card.0"},
+    "rub": {"gel.elastic", "contact.gel-post"},
+    "forming": {"contact.gel-card.0", "contact.gel-card.1", "contact.gel-card.edges", "contact.card-table"},
+    "ball": {"contact.card-ball"},
+}
+"""Terms that must be at work in a scene, lest the comparison be of zeros."""
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_every_term(scene, small_rig, visit):
+    simulation, before, step = last_step(*SCENES[scene](small_rig, visit))
+    system, rng = simulation.scene.system, np.random.default_rng(1)
+    at_work = set()
+    for term in system.terms:
+        internals, after = before.internals[term.name], simulation.state.internals[term.name]
+        found = term.linearise(step, internals, after) if hasattr(term, "linearise") else None
+        if found is None:
+            continue
+        size, memory = system.x.size, flatten(internals)
+        scales = [np.full(a.size, 0.0 if n == "pair" else np.abs(a).max(initial=0.0)) for n, a in internals.items()]
+        remembered = rng.standard_normal(len(memory)) * np.concatenate([np.empty(0), *scales]) * (memory != 0.0)
+        moved, still, nothing = rng.standard_normal(size), np.zeros(size), np.zeros(len(memory))
+        waves = {
+            "start": ((moved, nothing, still), moved, 1e-10),
+            "memory": ((still, remembered, still), remembered, 1e-7),
+            "end": ((still, nothing, moved), moved, 1e-10),
+        }
+        for name, (along, vector, h) in waves.items():
+            by_step = [differences(simulation, term, step, internals, along, k * h) for k in (1.0, 0.1)]
+            for what, references in zip(("force", "memory"), zip(*by_step, strict=True), strict=True):
+                if (what, name) == ("force", "end"):
+                    continue  # that is the Hessian
+                ours = times(getattr(found, f"{what}_{name}"), vector) + np.zeros(len(references[0]))
+                for part in parts(after) if what == "memory" else [slice(None)]:
+                    scale = np.abs(references[0][part]).max(initial=0.0)
+                    if scale > 1e-9:
+                        at_work.add(term.name)
+                        error = min(np.abs(ours - reference)[part].max() for reference in references)
+                        assert error < 5e-6 * scale, (term.name, what, name, part)
+    assert at_work >= EXPECTED[scene]
+
+
+def parts(internals):
+    """Where each internal variable is in the flattened vector."""
+    ends = np.cumsum([0, *(a.size for a in internals.values())])
+    return [slice(a, b) for a, b in pairwise(ends)]
