@@ -69,23 +69,14 @@ class Simulation:
         scene = self.scene
         self.frames = {**scene.start, **(frames or {})}
         targets = scene.targets(self.frames)
-        x = targets.copy()
-        for body in scene.bodies.values():
-            if body.mesh is not None and scene.held(body.name).any():
-                origin, rotation = scene.body_frame(body.name, self.frames)
-                free = ~scene.held(body.name)
-                x[body.nodes[free]] = (origin + rotation.apply(body.local))[free]
-        self.state = State(0.0, x, np.zeros_like(x), scene.system.initial_internals())
+        x, v = scene.start_state(self.frames)
+        self.state = State(0.0, x, v, scene.system.initial_internals())
         scene.system.x[:] = x
-        if self._settle and self._all_held():
+        if self._settle and scene.all_held:
             self.state = settle(scene, self.state, targets, self._settings)
         else:
             scene.system.set_targets(targets)
             scene.system.begin_step(step_context(x, self.state.v, scene.rig.solver.dt_s), self.state.internals)
-
-    def _all_held(self) -> bool:
-        scene = self.scene
-        return all(b.mesh is None or bool(scene.held(b.name).any()) for b in scene.bodies.values())
 
     def step(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
         """Move the mounts to ``frames`` within ``dt`` [s]; halve the step where it does not converge."""

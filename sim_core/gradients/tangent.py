@@ -63,7 +63,7 @@ class TangentSimulation(Simulation):
             for _ in self._neighbours
         ]
         self.reading = self.read()
-        if self._settle and self._all_held():
+        if self._settle and self.scene.all_held:
             inertia, self.scene.system.inertia = self.scene.system.inertia, False
             try:
                 self._propagate(self.state, FOREVER_S, still=True)

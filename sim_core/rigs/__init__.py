@@ -2,6 +2,8 @@
 
 from sim_core.rigs.bodies import (
     WORLD,
+    Affine,
+    AffineMaterial,
     Block,
     Box,
     Cylinder,
@@ -29,10 +31,12 @@ from sim_core.rigs.observers import (
 )
 from sim_core.rigs.parameters import Parameter, list_parameters, resolve_name, with_parameters
 from sim_core.rigs.points import marker_positions, seen_points, track_ids
-from sim_core.rigs.schema import Clamp, Contact, EndEffector, Rig
+from sim_core.rigs.schema import Clamp, Contact, EndEffector, Joint, Rig
 
 __all__ = [
     "WORLD",
+    "Affine",
+    "AffineMaterial",
     "Block",
     "Box",
     "Clamp",
@@ -43,6 +47,7 @@ __all__ = [
     "FisheyeCamera",
     "Gel",
     "GelMaterial",
+    "Joint",
     "MarkerSensor",
     "OrthographicCamera",
     "Outline",

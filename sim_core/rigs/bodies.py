@@ -1,4 +1,4 @@
-"""Sheets, gels and rigid bodies of a rig: shapes and materials.
+"""Sheets, gels, rigid and affine bodies of a rig: shapes and materials.
 
 Every shape has its origin at its own centre and lies in local rest coordinates [m].
 """
@@ -23,6 +23,7 @@ from sim_core.rigs.fields import (
     Sizes,
     Strict,
     Text,
+    Vector,
     describe,
     trouble,
 )
@@ -69,6 +70,15 @@ class GelMaterial(_Material):
     preset: Text | None = None
     E_pa: Modulus = Field(description="Young's modulus in Pa")
     nu: Poisson = Field(description="Poisson's ratio")
+    density_kg_m3: Density = Field(description="mass per volume in kg/m^3")
+
+
+class AffineMaterial(_Material):
+    """What an affine body is made of; all of them are as stiff as each other."""
+
+    quantities: ClassVar[tuple[str, ...]] = ("density_kg_m3",)
+
+    preset: Text | None = None
     density_kg_m3: Density = Field(description="mass per volume in kg/m^3")
 
 
@@ -170,6 +180,10 @@ class Sphere(Strict):
     type: Literal["sphere"]
     radius_m: Length = Field(description="radius in m")
 
+    def bounds(self) -> FloatArray:
+        """Corners of the box around it [m], shape ``(2, 3)``."""
+        return np.outer([-self.radius_m, self.radius_m], np.ones(3))
+
 
 class Cylinder(Strict):
     """A solid cylinder along local z."""
@@ -178,12 +192,21 @@ class Cylinder(Strict):
     radius_m: Length = Field(description="radius in m")
     length_m: Length = Field(description="extent along local z in m")
 
+    def bounds(self) -> FloatArray:
+        """Corners of the box around it [m], shape ``(2, 3)``."""
+        return np.outer([-1.0, 1.0], [self.radius_m, self.radius_m, 0.5 * self.length_m])
+
 
 class Box(Strict):
     """A solid cuboid."""
 
     type: Literal["box"]
     size_m: Sizes = Field(description="extents along local x, y, z in m")
+
+    def bounds(self) -> FloatArray:
+        """Corners of the box around it [m], shape ``(2, 3)``."""
+        half = np.array(self.size_m) / 2
+        return np.array([-half, half])
 
 
 class Plane(Strict):
@@ -236,4 +259,22 @@ class Rigid(Strict):
     mount: Name = WORLD
 
 
-Body = Annotated[Sheet | Gel | Rigid, Field(discriminator="type")]
+class Affine(Strict):
+    """A stiff body that is free: it moves under weight, contact and joints, and keeps its shape.
+
+    Its pose and its velocities are those at the start, in the base frame; it turns about its centre. ``edge_m``: wanted
+    length of the edges of its surface mesh (without it: whole faces of a box, a fifth of the radius else).
+    """
+
+    type: Literal["affine"]
+    shape: Annotated[Sphere | Cylinder | Box, Field(discriminator="type")] = Field(
+        description="sphere, cylinder or box"
+    )
+    pose: Pose = Pose()
+    material: AffineMaterial = Field(description="density_kg_m3, or a preset")
+    edge_m: Length | None = None
+    velocity_m_s: Vector = (0.0, 0.0, 0.0)
+    angular_velocity_deg_s: Vector = (0.0, 0.0, 0.0)
+
+
+Body = Annotated[Sheet | Gel | Rigid | Affine, Field(discriminator="type")]

@@ -20,6 +20,7 @@ def check_references(rig: Rig) -> None:
     _check_names(rig)
     _check_mounts(rig)
     _check_clamps(rig)
+    _check_joints(rig)
     _check_contacts(rig)
     _check_sensors(rig)
     _check_topics(rig)
@@ -40,21 +41,20 @@ def _check_names(rig: Rig) -> None:
         for group in ("bodies", "end_effectors", "sensors", "cameras")
         for name in getattr(rig, group)
     ]
-    named += [
-        (clamp.name, "clamps", ("clamps", index, "name"))
-        for index, clamp in enumerate(rig.clamps)
-        if clamp.name is not None
-    ]
+    for group in ("clamps", "joints"):
+        for index, holder in enumerate(getattr(rig, group)):
+            if holder.name is not None:
+                named.append((holder.name, group, (group, index, "name")))
     for name, group, path in named:
         if name in owners:
             raise trouble(f"uses a name that is taken by {owners[name]}.", "Choose a name of its own.", *path)
-        owners[name] = f"one of the {group}" if group != "clamps" else "a clamp"
+        owners[name] = {"clamps": "a clamp", "joints": "a joint"}.get(group, f"one of the {group}")
 
 
 def _check_mounts(rig: Rig) -> None:
     carriers = ["world", *rig.end_effectors]
     for name, body in rig.bodies.items():
-        if body.type != "sheet" and body.mount is not None:
+        if (body.type == "gel" or body.type == "rigid") and body.mount is not None:
             _refer(body.mount, carriers, "end effector", "bodies", name, "mount")
     for index, clamp in enumerate(rig.clamps):
         _refer(clamp.mount, carriers, "end effector", "clamps", index, "mount")
@@ -63,7 +63,7 @@ def _check_mounts(rig: Rig) -> None:
 
 
 def _check_clamps(rig: Rig) -> None:
-    soft = [name for name, body in rig.bodies.items() if body.type != "rigid"]
+    soft = [name for name, body in rig.bodies.items() if body.type in ("sheet", "gel")]
     for index, clamp in enumerate(rig.clamps):
         _refer(clamp.body, soft, "sheet or gel", "clamps", index, "body")
         _check_region(rig, clamp, index)
@@ -71,7 +71,7 @@ def _check_clamps(rig: Rig) -> None:
 
 def _check_region(rig: Rig, clamp: Clamp, index: int) -> None:
     body = rig.bodies[clamp.body]
-    if body.type == "rigid":
+    if body.type == "rigid" or body.type == "affine":
         return
     lower, upper = clamp.region.box()
     low, high = body.shape.bounds()
@@ -88,6 +88,15 @@ def _check_region(rig: Rig, clamp: Clamp, index: int) -> None:
             )
 
 
+def _check_joints(rig: Rig) -> None:
+    affine = [name for name, body in rig.bodies.items() if body.type == "affine"]
+    for index, joint in enumerate(rig.joints):
+        _refer(joint.body, affine, "affine body", "joints", index, "body")
+        _refer(joint.to, ["world", *rig.end_effectors, *affine], "affine body or end effector", "joints", index, "to")
+        if joint.to == joint.body:
+            raise trouble("connects a body with itself.", "Name another one, or world.", "joints", index, "to")
+
+
 def _check_contacts(rig: Rig) -> None:
     seen: set[frozenset[str]] = set()
     for index, contact in enumerate(rig.contacts):
@@ -97,7 +106,15 @@ def _check_contacts(rig: Rig) -> None:
         if first == second == "rigid":
             raise trouble(
                 f"names two rigid bodies ({contact.name}).",
-                "One of the two must be a sheet or a gel: rigid bodies follow their mounts.",
+                "One of the two must be a sheet, a gel or an affine body: rigid bodies follow their mounts.",
+                "contacts",
+                index,
+                "between",
+            )
+        if contact.between[0] == contact.between[1] and first == "affine":
+            raise trouble(
+                f"is between {contact.between[0]!r} and itself, which keeps its shape.",
+                "Remove it.",
                 "contacts",
                 index,
                 "between",
@@ -114,7 +131,7 @@ def _check_sensors(rig: Rig) -> None:
     loaded += [clamp.name for clamp in rig.clamps if clamp.name is not None]
     for name, sensor in rig.sensors.items():
         if sensor.type == "wrench":
-            _refer(sensor.on, loaded, "end effector, gel, rigid body or named clamp", "sensors", name, "on")
+            _refer(sensor.on, loaded, "end effector, gel, rigid or affine body, or named clamp", "sensors", name, "on")
             carrier = rig.bodies.get(sensor.on)
             if carrier is not None and carrier.type == "gel" and carrier.mount is None:
                 raise trouble(
@@ -162,11 +179,13 @@ def _check_sensors(rig: Rig) -> None:
 
 
 def _check_points(rig: Rig, body_name: str, points: Points, *path: str | int) -> None:
-    soft = [name for name, body in rig.bodies.items() if body.type != "rigid"]
-    _refer(body_name, soft, "sheet or gel", *path, "body")
+    moving = [name for name, body in rig.bodies.items() if body.type != "rigid"]
+    _refer(body_name, moving, "sheet, gel or affine body", *path, "body")
     body = rig.bodies[body_name]
     if body.type == "rigid":
         return
+    if body.type == "affine" and points.grid is not None:
+        raise trouble("is given for an affine body.", "Give positions_m, one by one.", *path, "points", "grid")
     faces = body.shape.faces if body.type == "gel" else ()
     if points.grid is not None and body.type == "gel" and points.face not in faces:
         given = "is missing." if points.face is None else f"is {points.face!r}, which is no face of this gel."

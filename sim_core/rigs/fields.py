@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 from scipy.spatial.transform import Rotation
 
@@ -138,6 +138,12 @@ def of_length(count: int) -> BeforeValidator:
     return BeforeValidator(check)
 
 
+def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(vector):
+        raise trouble("is [0, 0, 0].", "Give a direction, such as [0, 0, -1].")
+    return vector
+
+
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0)]
 Length = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=10.0)]
@@ -151,6 +157,7 @@ Topic = Annotated[str, Field(strict=True, pattern=TOPIC_PATTERN)]
 FrameId = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_/]*$")]
 Position = Annotated[tuple[Coordinate, Coordinate, Coordinate], of_length(3)]
 Vector = Annotated[tuple[Real, Real, Real], of_length(3)]
+Direction = Annotated[Vector, AfterValidator(_not_zero)]
 Angles = Annotated[tuple[Angle, Angle, Angle], of_length(3)]
 Quaternion = Annotated[tuple[Real, Real, Real, Real], of_length(4)]
 Sizes = Annotated[tuple[Length, Length, Length], of_length(3)]

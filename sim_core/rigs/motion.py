@@ -14,19 +14,19 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.rigs.fields import (
     Angles,
+    Direction,
     FloatArray,
     Name,
     Pose,
     Position,
     Strict,
     Text,
-    Vector,
     trouble,
 )
 from sim_core.rigs.load import find_config
@@ -47,15 +47,6 @@ TurnSpeed = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=
 Acceleration = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1000.0)]
 Distance = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=10.0)]
 Times = Annotated[int, Field(strict=True, ge=1, le=1000)]
-
-
-def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
-    if not any(vector):
-        raise trouble("is [0, 0, 0].", "Give a direction, such as [0, 0, -1].")
-    return vector
-
-
-Direction = Annotated[Vector, AfterValidator(_not_zero)]
 
 MAX_SAMPLES = 2_000_000
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim_core.errors import ConfigError
-from sim_core.rigs.bodies import Block, Dome, Gel, Outline, Rectangle, Sheet
+from sim_core.rigs.bodies import Affine, Block, Dome, Gel, Outline, Rectangle, Sheet
 from sim_core.rigs.fields import FloatArray
 from sim_core.rigs.observers import Camera, OrthographicCamera, Points, Sight
 
@@ -22,7 +22,7 @@ _BLOCK_FACES = {
 """Face -> its normal axis, which end of it, and the two axes along the face."""
 
 
-def marker_positions(points: Points, body: Sheet | Gel) -> tuple[FloatArray, IntArray]:
+def marker_positions(points: Points, body: Sheet | Gel | Affine) -> tuple[FloatArray, IntArray]:
     """Local rest positions [m], shape ``(n, 3)``, and ids, int64 ``(n,)``, of the points on a body.
 
     A grid counts row by row along its first axis. On an outline only the points inside of it and
@@ -54,7 +54,9 @@ def marker_positions(points: Points, body: Sheet | Gel) -> tuple[FloatArray, Int
     return positions, ids
 
 
-def seen_points(sees: tuple[Sight, ...], bodies: dict[str, Sheet | Gel]) -> list[tuple[str, FloatArray, IntArray]]:
+def seen_points(
+    sees: tuple[Sight, ...], bodies: dict[str, Sheet | Gel | Affine]
+) -> list[tuple[str, FloatArray, IntArray]]:
     """Body, local rest positions [m] ``(n, 3)`` and ids of everything that a camera follows.
 
     Without given ids the numbers count on from one body to the next.
@@ -70,7 +72,7 @@ def seen_points(sees: tuple[Sight, ...], bodies: dict[str, Sheet | Gel]) -> list
     return result
 
 
-def track_ids(camera: Camera, bodies: dict[str, Sheet | Gel]) -> IntArray:
+def track_ids(camera: Camera, bodies: dict[str, Sheet | Gel | Affine]) -> IntArray:
     """Numbers of all tracks of a camera, int64 ``(n,)``: of the points on bodies, then of the origin."""
     ids = [ids for _, _, ids in seen_points(camera.sees, bodies)]
     if isinstance(camera, OrthographicCamera) and camera.origin_id is not None:

@@ -14,12 +14,14 @@ from pydantic import Field, model_validator
 from sim_core.rigs.bodies import WORLD, Body
 from sim_core.rigs.check import check_references
 from sim_core.rigs.fields import (
+    Direction,
     Flag,
     FloatArray,
     FrameId,
     Interval,
     Name,
     Pose,
+    Position,
     Real,
     Strict,
     Text,
@@ -65,12 +67,53 @@ class Region(Strict):
 
 
 class Clamp(Strict):
-    """Holds the nodes of a body inside a region; they follow ``mount`` rigidly from the start."""
+    """Holds the nodes of a body inside a region; they follow ``mount`` rigidly from the start.
+
+    ``axes``: the components that are held, along the world's axes (all three: nodes on a point or a line are a
+    pin or a hinge); without it, all three of a region of whole cells.
+    """
 
     name: Name | None = None
     body: Name = Field(description="the body that is held")
     region: Region = Field(description="box in the body's local rest coordinates")
     mount: Name = WORLD
+    axes: Annotated[tuple[Literal["x", "y", "z"], ...], Field(min_length=1)] | None = None
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Clamp:
+        if self.axes is not None and len(set(self.axes)) < len(self.axes):
+            raise trouble("names an axis twice.", "Name each axis once.", "axes")
+        return self
+
+    @property
+    def held(self) -> tuple[bool, bool, bool]:
+        """Which components are held."""
+        axes = self.axes or ("x", "y", "z")
+        return "x" in axes, "y" in axes, "z" in axes
+
+
+class Joint(Strict):
+    """Connects an affine body with another one, or with a mount.
+
+    ``at_m`` and ``axis`` are in the local rest coordinates of ``body``. ``ball``: the two share the point; ``hinge``:
+    the line through the point along the axis; ``slider``: the body moves along the axis and does not turn against
+    what it is connected ``to``.
+    """
+
+    type: Literal["ball", "hinge", "slider"]
+    name: Name | None = None
+    body: Name = Field(description="an affine body")
+    to: Name = WORLD
+    at_m: Position = (0.0, 0.0, 0.0)
+    axis: Direction | None = None
+
+    @model_validator(mode="after")
+    def _axis(self) -> Joint:
+        if (self.axis is None) != (self.type == "ball"):
+            if self.axis is None:
+                raise trouble(f"has no axis, which a {self.type} needs.", "Add 'axis: [0, 0, 1]' or the like.")
+            raise trouble("has an axis, but a ball joint turns about all.", "Leave it out.", "axis")
+        return self
 
 
 class PoseTopics(Strict):
@@ -130,6 +173,7 @@ class Rig(Strict):
     solver: Solver = Solver()
     bodies: dict[Name, Body] = Field(min_length=1, description="name -> body")
     clamps: tuple[Clamp, ...] = ()
+    joints: tuple[Joint, ...] = ()
     end_effectors: dict[Name, EndEffector] = Field(default={})
     contacts: tuple[Contact, ...] = ()
     sensors: dict[Name, Sensor] = Field(default={})

@@ -16,8 +16,8 @@ from sim_core.energies.membrane import Membrane
 from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
-from sim_core.geometry import sheets, solids
-from sim_core.rigs import Block, Gel, Rectangle, Rig, Rigid, Sheet
+from sim_core.geometry import closed, sheets, solids
+from sim_core.rigs import Affine, Block, Gel, Rectangle, Rig, Rigid, Sheet
 from sim_core.rigs.fields import Pose
 
 EDGE_ROUNDING_M = 2e-4
@@ -31,11 +31,12 @@ class BuiltBody:
     ``nodes``: indices among all nodes; ``local``: rest coordinates in the body's frame [m]; ``rest``:
     world positions at the start [m]. ``unit_mass``: csr over the body's nodes, per unit density
     (a sheet: per unit density and thickness); None for rigid bodies, whose nodes are the origin and the points
-    of their cores (:mod:`sim_core.contact.cores`).
+    of their cores (:mod:`sim_core.contact.cores`). The last four nodes of an affine body are its control nodes
+    (:mod:`sim_core.scene.joints`).
     """
 
     name: str
-    spec: Sheet | Gel | Rigid
+    spec: Sheet | Gel | Rigid | Affine
     nodes: np.ndarray
     local: np.ndarray
     rest: np.ndarray
@@ -43,6 +44,15 @@ class BuiltBody:
     unit_mass: sp.csr_matrix | None
     terms: list[Term] = field(default_factory=list)
     rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+
+    @property
+    def control(self) -> np.ndarray:
+        """Control nodes of an affine body."""
+        return self.nodes[-4:]
+
+    def place(self, points: np.ndarray) -> np.ndarray:
+        """Rest coordinates in the body's frame [m] as world positions at the start."""
+        return np.asarray(self.rest[0] + (points - self.local[0]) @ self.rotation.T)
 
 
 def world_pose(pose: Pose, carrier: tuple[np.ndarray, Rotation]) -> tuple[np.ndarray, Rotation]:
@@ -65,6 +75,13 @@ def build_body(rig: Rig, name: str, carrier: tuple[np.ndarray, Rotation], offset
         mesh = _gel_mesh(spec, refine)
         local = mesh.nodes
         unit_mass = solids.consistent_mass(mesh)
+    elif isinstance(spec, Affine):
+        mesh = affine_mesh(spec, refine)
+        volume, moments = affine_moments(spec)
+        corners = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)])
+        local = np.vstack([mesh.nodes, np.sqrt(moments / volume) * corners])
+        shares = np.concatenate([np.zeros(len(mesh.nodes)), np.full(4, 0.25 * volume)])
+        unit_mass = sp.diags(shares).tocsr()
     else:
         mesh, local = None, np.vstack([np.zeros((1, 3)), *(c.points for c in cores(rigid_shape(spec)))])
     rest = origin + rotation.apply(local)
@@ -97,9 +114,29 @@ def _gel_mesh(spec: Gel, refine: int) -> solids.TetMesh:
     return solids.dome(shape.radius_m, shape.cavity_radius_m, (a * refine, b * refine, c * refine))
 
 
+def affine_mesh(spec: Affine, refine: int) -> sheets.SheetMesh:
+    """Surface of an affine body."""
+    shape = spec.shape
+    if shape.type == "sphere":
+        return closed.sphere(shape.radius_m, (spec.edge_m or 0.2 * shape.radius_m) / refine)
+    if shape.type == "cylinder":
+        return closed.cylinder(shape.radius_m, shape.length_m, (spec.edge_m or 0.2 * shape.radius_m) / refine)
+    return closed.box(shape.size_m, (spec.edge_m or max(shape.size_m)) / refine)
+
+
+def affine_moments(spec: Affine) -> tuple[float, np.ndarray]:
+    """Volume [m^3] of an affine body and the integrals of x^2, y^2, z^2 over it [m^5] ``(3,)``."""
+    shape = spec.shape
+    if shape.type == "sphere":
+        return closed.sphere_moments(shape.radius_m)
+    if shape.type == "cylinder":
+        return closed.cylinder_moments(shape.radius_m, shape.length_m)
+    return closed.box_moments(shape.size_m)
+
+
 def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray) -> None:
-    """Elastic terms of a body. ``rest``: all nodes [m]; ``held``: bool, nodes of the body in one clamp."""
-    if isinstance(body.mesh, sheets.SheetMesh):
+    """Elastic terms of a sheet or a gel. ``rest``: all nodes [m]; ``held``: bool, nodes of the body in one clamp."""
+    if isinstance(body.spec, Sheet) and isinstance(body.mesh, sheets.SheetMesh):
         world = sheets.SheetMesh(body.rest, body.mesh.triangles)
         axis = body.rotation[:, 0]
         offset = int(body.nodes[0])
@@ -112,15 +149,15 @@ def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray) -> None:
 
 
 def contact_samples(body: BuiltBody, rest: np.ndarray) -> Samples:
-    """Where a deformable body is tested for contact (a gel: on the faces that are not bonded)."""
+    """Where a body is tested for contact (a gel: on the faces that are not bonded)."""
     if isinstance(body.mesh, sheets.SheetMesh):
-        assert isinstance(body.spec, Sheet)
-        return sheet_samples(body.mesh, int(body.nodes[0]), body.spec.material.thickness_m)
+        thickness = body.spec.material.thickness_m if isinstance(body.spec, Sheet) else 0.0
+        return sheet_samples(body.mesh, int(body.nodes[0]), thickness)
     return face_samples(_free_faces(body), rest)
 
 
 def contact_triangles(body: BuiltBody) -> np.ndarray:
-    """Linear triangles of a deformable body's surface, in nodes of the scene."""
+    """Linear triangles of a body's surface, in nodes of the scene."""
     if isinstance(body.mesh, sheets.SheetMesh):
         return np.asarray(body.mesh.triangles + int(body.nodes[0]), dtype=np.int32)
     return face_triangles(_free_faces(body))
@@ -150,9 +187,19 @@ def rigid_shape(spec: Rigid) -> np.ndarray:
     return np.asarray(values + [0.0] * (5 - len(values)), dtype=float)
 
 
-def held_nodes(rig: Rig, body: BuiltBody) -> dict[str, np.ndarray]:
-    """Nodes of a deformable body that follow a mount, by holder (clamp or bond): bool ``(n,)`` each."""
-    holders: dict[str, np.ndarray] = {}
+@dataclass(frozen=True)
+class Held:
+    """What holds some nodes of a body. ``inside``: bool over its nodes; ``axes``: which of the world's axes; ``mount``:
+    what they follow."""
+
+    inside: np.ndarray
+    axes: tuple[bool, bool, bool]
+    mount: str
+
+
+def held_nodes(rig: Rig, body: BuiltBody) -> dict[str, Held]:
+    """Nodes of a deformable body that follow a mount, by holder (clamp or bond)."""
+    holders: dict[str, Held] = {}
     for index, clamp in enumerate(rig.clamps):
         if clamp.body == body.name:
             inside = clamp.region.contains(body.local)
@@ -162,15 +209,17 @@ def held_nodes(rig: Rig, body: BuiltBody) -> dict[str, np.ndarray]:
                     f"The clamp {label} holds no node of {body.name}.",
                     "Widen its region, or give the body more cells there.",
                 )
-            if isinstance(body.mesh, sheets.SheetMesh) and not inside[body.mesh.triangles].all(axis=1).any():
+            lined = isinstance(body.mesh, sheets.SheetMesh) and not inside[body.mesh.triangles].all(axis=1).any()
+            if clamp.axes is None and lined:
                 raise ConfigError(
                     f"The clamp {label} holds a line of nodes of {body.name}, which lets it turn like a hinge.",
-                    "Widen its region so that it holds at least one whole cell, or give the sheet more cells.",
+                    "Widen its region so that it holds at least one whole cell, give the sheet more cells, or write "
+                    "'axes: [x, y, z]' if a hinge is what you want.",
                 )
-            holders[label] = inside
-    if isinstance(body.spec, Gel) and body.spec.bonded is not None:
+            holders[label] = Held(inside, clamp.held, clamp.mount)
+    if isinstance(body.spec, Gel) and body.spec.bonded is not None and body.spec.mount is not None:
         assert isinstance(body.mesh, solids.TetMesh)
         glued = np.zeros(len(body.local), dtype=bool)
         glued[body.mesh.node_sets[body.spec.bonded]] = True
-        holders[f"{body.name}.bond"] = glued
+        holders[f"{body.name}.bond"] = Held(glued, (True, True, True), body.spec.mount)
     return holders

@@ -9,16 +9,19 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
+from sim_core.energies.affine import AffineShape, coordinates
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
-from sim_core.rigs import WORLD, Gel, Rig, Rigid, Sheet
+from sim_core.rigs import WORLD, Affine, Gel, Rig, Rigid, Sheet
 from sim_core.scene.assembly import (
     BuiltBody,
     add_terms,
+    affine_moments,
     build_body,
     held_nodes,
     world_pose,
 )
+from sim_core.scene.joints import Link, embedding, guides, joint_label, make_link
 from sim_core.scene.touching import ContactTerm, contact_of_surfaces, contact_with_rigid
 from sim_core.solve.system import Compliant, System
 
@@ -70,10 +73,11 @@ class Scene:
             body = build_body(rig, name, carrier, count, refine)
             self.bodies[name] = body
             count += len(body.nodes)
-        self.rest = np.vstack([b.rest for b in self.bodies.values()])
+        self._affine = [b for b in self.bodies.values() if isinstance(b.spec, Affine)]
+        self._join()
         self.followers: list[Follower] = []
         self.holders: dict[str, np.ndarray] = {}
-        self._prescribed = np.zeros((count, 3), dtype=bool)
+        self._prescribed = np.zeros((len(self.rest), 3), dtype=bool)
         self._hold()
         self.contacts: dict[str, list[ContactTerm]] = {}
         terms = self._terms()
@@ -91,44 +95,88 @@ class Scene:
             rig.solver.inertia,
             [Compliant(self.carried(e), c) for e, c in values.compliance.items()],
             rig.solver.integrator == "bdf2",
+            embedding(self._affine, self.links, self.rest, {n: m for m, nodes in self._stands.values() for n in nodes}),
         )
         self._masses: dict[tuple[float, ...], sp.csr_matrix] = {}
         self._applied_mass: tuple[float, ...] | None = None
         self.apply(values)
 
     @staticmethod
-    def _carrier(spec: Sheet | Gel | Rigid) -> str:
-        if isinstance(spec, Sheet):
+    def _carrier(spec: Sheet | Gel | Rigid | Affine) -> str:
+        if isinstance(spec, Sheet | Affine):
             return WORLD
         return spec.mount or WORLD
 
+    def _join(self) -> None:
+        """Make the joints, with nodes of their own where they connect to a mount."""
+        self.links: list[Link] = []
+        self._stands: dict[str, tuple[str, list[int]]] = {}
+        places = [b.rest for b in self.bodies.values()]
+        count = sum(len(p) for p in places)
+        for index, joint in enumerate(self.rig.joints):
+            label, body = joint_label(index, joint), self.bodies[joint.body]
+            if joint.to in self.bodies:
+                to = self.bodies[joint.to].control
+            else:
+                to = np.arange(count, count + 4)
+                places.append(body.rest[-4:])
+                self._stands[label] = joint.to, list(to)
+                count += 4
+            self.links.append(make_link(label, joint, body, to))
+        self.rest = np.vstack(places)
+
     def _hold(self) -> None:
         """Find which nodes follow which mount."""
-        mounts = {clamp.name or f"clamps[{k}]": clamp.mount for k, clamp in enumerate(self.rig.clamps)}
         self._held: dict[str, np.ndarray] = {}
         for body in self.bodies.values():
             if isinstance(body.spec, Rigid):
                 self._follow(body.name, body.spec.mount, body.nodes)
                 continue
             held = np.zeros(len(body.nodes), dtype=bool)
-            for label, inside in held_nodes(self.rig, body).items():
-                mount = mounts.get(label) or self._carrier(body.spec)
-                held |= inside
-                self._follow(label, mount, body.nodes[inside])
+            for label, holder in held_nodes(self.rig, body).items():
+                if all(holder.axes):
+                    held |= holder.inside
+                self._follow(label, holder.mount, body.nodes[holder.inside], holder.axes)
             self._held[body.name] = held
+        for label, (mount, nodes) in self._stands.items():
+            self._follow(label, mount, np.array(nodes))
 
-    def _follow(self, label: str, mount: str, nodes: np.ndarray) -> None:
+    def _follow(
+        self, label: str, mount: str, nodes: np.ndarray, axes: tuple[bool, bool, bool] = (True, True, True)
+    ) -> None:
         origin, rotation = self.start[mount]
         self.followers.append(Follower(mount, nodes, rotation.inv().apply(self.rest[nodes] - origin)))
         self.holders[label] = nodes
-        self._prescribed[nodes] = True
+        self._prescribed[nodes] |= np.array(axes)
+
+    @property
+    def all_held(self) -> bool:
+        """Whether every body is held, so that it has an equilibrium of its own."""
+        return all(self._is_held(b) for b in self.bodies.values())
+
+    def _is_held(self, body: BuiltBody) -> bool:
+        """Whether a body is driven, or a node of it is held, or no motion as a whole is left to it."""
+        if body.mesh is None or self._held[body.name].any():
+            return True
+        held = self._prescribed[body.nodes]
+        if not held.any():
+            return False
+        arms = body.rest - body.rest.mean(axis=0)
+        turns = np.stack([np.cross(axis, arms) / np.ptp(body.rest, axis=0).max() for axis in np.eye(3)], axis=-1)
+        motions = np.concatenate([np.broadcast_to(np.eye(3), (len(arms), 3, 3)), turns], axis=-1)
+        return int(np.linalg.matrix_rank(motions[held], tol=1e-6)) == 6
 
     def _terms(self) -> list[Term]:
         terms: list[Term] = []
         for body in self.bodies.values():
-            if body.mesh is not None:
+            if body.mesh is not None and not isinstance(body.spec, Affine):
                 add_terms(body, self.rest, self._held[body.name])
                 terms += body.terms
+        if self._affine:
+            volumes = {b.name: affine_moments(b.spec)[0] for b in self._affine if isinstance(b.spec, Affine)}
+            control = np.array([b.control for b in self._affine])
+            terms.append(AffineShape("affine.shape", control, self.rest, np.array(list(volumes.values()))))
+            terms += guides(self.links, self.rest, {name: v ** (1.0 / 3.0) for name, v in volumes.items()})
         for contact in self.rig.contacts:
             first, second = (self.bodies[b] for b in contact.between)
             self.contacts[contact.name] = built = self._contact(contact.name, first, second)
@@ -157,6 +205,7 @@ class Scene:
             b.unit_mass * values.density[b.name] if b.unit_mass is not None else sp.csr_matrix((len(b.nodes),) * 2)
             for b in self.bodies.values()
         ]
+        blocks += [sp.csr_matrix((4, 4)) for _ in self._stands]
         return sp.block_diag(blocks).tocsr()
 
     def values(self, rig: Rig) -> Values:
@@ -173,6 +222,8 @@ class Scene:
                 values.density[name] = m.density_kg_m3 * m.thickness_m
             elif isinstance(spec, Gel):
                 values.terms[f"{name}.elastic"] = {"E_pa": spec.material.E_pa, "nu": spec.material.nu}
+                values.density[name] = spec.material.density_kg_m3
+            elif isinstance(spec, Affine):
                 values.density[name] = spec.material.density_kg_m3
         for contact in rig.contacts:
             rigid = any(isinstance(rig.bodies[b], Rigid) for b in contact.between)
@@ -239,8 +290,57 @@ class Scene:
         """Name of the mount in whose frame the pose of a body is given."""
         return self._carrier(self.bodies[body].spec)
 
+    def start_state(self, frames: Mapping[str, Frame]) -> tuple[np.ndarray, np.ndarray]:
+        """Positions [m] and velocities [m/s], ``(n, 3)`` each, at the start, when the mounts are at ``frames``."""
+        x = self.targets(frames)
+        v = np.zeros_like(x)
+        carried = self._carried_by()
+        for body in self.bodies.values():
+            if isinstance(body.spec, Affine):
+                velocity, spin = np.array(body.spec.velocity_m_s), np.deg2rad(body.spec.angular_velocity_deg_s)
+                v[body.nodes] = velocity + np.cross(spin, body.rest - body.place(np.zeros(3)))
+                mount = carried.get(body.name, WORLD)
+                (origin, rotation), (was, turned) = frames[mount], self.start[mount]
+                if frames[mount] is not self.start[mount]:
+                    turn = rotation * turned.inv()
+                    x[body.nodes] = origin + turn.apply(body.rest - was)
+                    v[body.nodes] = turn.apply(v[body.nodes])
+            elif body.mesh is not None and self._held[body.name].any():
+                origin, rotation = self.body_frame(body.name, frames)
+                free = ~self._held[body.name]
+                x[body.nodes[free]] = (origin + rotation.apply(body.local))[free]
+        given = v.copy()
+        self.system.embed(v)
+        miss = float(np.abs(v - given).max(initial=0.0))
+        if miss > 1e-6 * (1.0 + float(np.abs(given).max(initial=0.0))):
+            raise ConfigError(
+                f"The velocities of the affine bodies at the start do not agree with their joints by {miss:.3g} m/s.",
+                "Give bodies that are connected velocities that their joints allow.",
+            )
+        return x, v
+
+    def _carried_by(self) -> dict[str, str]:
+        """Mount that an affine body is connected to, through other bodies or not; those of the world are left out."""
+        carried: dict[str, str] = {}
+        for _ in self.rig.joints:
+            for joint in self.rig.joints:
+                known = {WORLD: WORLD, **{e: e for e in self.rig.end_effectors}, **carried}
+                for one, other in ((joint.body, joint.to), (joint.to, joint.body)):
+                    if one in self.bodies and one not in carried and other in known:
+                        carried[one] = known[other]
+        return carried
+
+    def pose_of(self, name: str) -> Frame:
+        """Where an affine body is now: its centre [m] and its rotation (of the polar decomposition)."""
+        body = self.bodies[name]
+        if not isinstance(body.spec, Affine):
+            raise ConfigError(f"{name} is no affine body and has no pose.", "Follow points of it instead.")
+        points = coordinates(body.local[-4:], np.vstack([np.zeros(3), np.eye(3)])) @ self.system.x[body.control]
+        u, _, v = np.linalg.svd((points[1:] - points[0]).T)
+        return points[0], Rotation.from_matrix(u @ v)
+
     def held(self, body: str) -> np.ndarray:
-        """Nodes of a deformable body that follow a mount, bool over its nodes."""
+        """Nodes of a simulated body that follow a mount in all components, bool over its nodes."""
         return self._held[body]
 
 

@@ -22,7 +22,7 @@ MARGIN = 0.5
 
 
 def contact_of_surfaces(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray) -> list[ContactTerm]:
-    """Contact of two deformable bodies, or of one with itself: points and faces both ways, edges and edges."""
+    """Contact of two bodies that are simulated, or of one with itself: points and faces both ways, edges and edges."""
     ours, theirs = contact_samples(a, rest), contact_samples(b, rest)
     triangles, their_triangles = contact_triangles(a), contact_triangles(b)
     edges, areas = triangle_edges(triangles, rest)
@@ -47,7 +47,7 @@ def contact_of_surfaces(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray)
 
 
 def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray) -> list[ContactTerm]:
-    """Contact of a deformable body with a rigid one: its points with the shape, its faces and edges with the core."""
+    """Contact of a simulated body with a rigid one: its points with the shape, its faces and edges with the core."""
     assert isinstance(b.spec, Rigid)
     samples, triangles, shape = contact_samples(a, rest), contact_triangles(a), rigid_shape(b.spec)
     edges, areas = triangle_edges(triangles, rest)

@@ -9,8 +9,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.contact.rigid import RigidContact
+from sim_core.energies.affine import coordinates
 from sim_core.geometry import sheets, solids
 from sim_core.rigs import (
+    WORLD,
+    Affine,
     MarkerSensor,
     OrthographicCamera,
     Pose,
@@ -78,6 +81,8 @@ class Observer:
 
     def _locate(self, body: str, local: np.ndarray) -> _Tracked:
         built = self._scene.bodies[body]
+        if isinstance(built.spec, Affine):
+            return _Tracked(np.tile(built.control, (len(local), 1)), coordinates(built.local[-4:], local))
         if isinstance(built.mesh, sheets.SheetMesh):
             element, weights = sheets.locate(built.mesh, local)
             nodes = built.mesh.triangles[element]
@@ -100,13 +105,15 @@ class Observer:
                 continue
             if sensor.on in rig.end_effectors:
                 nodes, mount, carrier = scene.carried(sensor.on), sensor.on, _placement(Pose())
+            elif sensor.on in scene.bodies and isinstance(rig.bodies[sensor.on], Affine):
+                nodes, mount, carrier = scene.bodies[sensor.on].nodes[:-4], WORLD, _placement(Pose())
             elif sensor.on in scene.bodies:
                 body = scene.bodies[sensor.on]
                 held = scene.held(sensor.on) if body.mesh is not None else np.ones(len(body.nodes), dtype=bool)
                 nodes, mount, carrier = body.nodes[held], self._mounts[sensor.on], self._body_poses[sensor.on]
             else:
-                clamp = next(c for c in rig.clamps if c.name == sensor.on)
-                nodes, mount, carrier = scene.holders[sensor.on], clamp.mount, _placement(Pose())
+                mount = next(c.mount for c in rig.clamps if c.name == sensor.on)
+                nodes, carrier = scene.holders[sensor.on], _placement(Pose())
             self._loaded[name] = (nodes, mount, _within(carrier, self._poses[name]))
 
     def read(self, rig: Rig, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
@@ -123,9 +130,13 @@ class Observer:
         for name, sensor in rig.sensors.items():
             if isinstance(sensor, WrenchSensor):
                 if forces is None:
-                    forces = -self._scene.system.static_gradient()
+                    forces = self._scene.system.reactions()
                 nodes, mount, carrier = self._loaded[name]
-                out[name] = self._wrench(nodes, _within(placed[mount], carrier), forces)
+                frame = _within(placed[mount], carrier)
+                if isinstance(rig.bodies.get(sensor.on), Affine):
+                    origin, rotation = self._scene.pose_of(sensor.on)
+                    frame = _within((origin, rotation.as_matrix()), self._poses[name])
+                out[name] = self._wrench(nodes, frame, forces)
             elif isinstance(sensor, MarkerSensor):
                 body = _within(placed[self._mounts[sensor.body]], self._body_poses[sensor.body])
                 origin, rotation = _within(body, self._poses[name])

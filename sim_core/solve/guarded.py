@@ -153,7 +153,7 @@ def _guarded(
     to be made, or a state that has it behind it."""
     held = np.concatenate([np.zeros(system.n_unknowns - deflection.size), deflection.ravel()])
     base = x_start - system.spread(held)
-    whole = np.where(system.prescribed, targets - base, 0.0)
+    whole = system.prescribed_move(base, targets)
     left = 0.0
     if start is x_start:
         left = 1.0 if np.abs(whole).max(initial=0.0) > NO_MOTION_M or system.turns else 0.0

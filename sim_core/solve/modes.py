@@ -28,10 +28,9 @@ def natural_vibrations(system: System, count: int) -> tuple[np.ndarray, np.ndarr
     finally:
         system.inertia = inertia
     stiffness = upper + sp.triu(upper, 1).T
-    free = np.flatnonzero(~system.prescribed.ravel())
-    mass = sp.kron(system.mass, sp.identity(3)).tocsr()[free][:, free]
-    if not 0 < count < len(free) - 1:
-        raise ConfigError(f"There are {len(free)} unknowns and not {count} vibrations.", "Ask for fewer.")
+    mass = system.reduced_mass()
+    if not 0 < count < system.n_unknowns - 1:
+        raise ConfigError(f"There are {system.n_unknowns} unknowns and not {count} vibrations.", "Ask for fewer.")
     try:
         squared, shapes = eigsh(stiffness.tocsc(), k=count, M=mass.tocsc(), sigma=0.0)
     except RuntimeError as error:
@@ -41,6 +40,4 @@ def natural_vibrations(system: System, count: int) -> tuple[np.ndarray, np.ndarr
     order = np.argsort(squared)
     if squared[order[0]] <= 0.0:
         raise ConfigError("The equilibrium is unstable: the softest vibration grows.", "Settle the system first.")
-    out = np.zeros((count, system.prescribed.size))
-    out[:, free] = shapes[:, order].T
-    return np.sqrt(squared[order]), out.reshape(count, -1, 3)
+    return np.sqrt(squared[order]), np.stack([system.spread(shapes[:, k]) for k in order])

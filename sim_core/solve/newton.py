@@ -71,7 +71,7 @@ def begin(
     system: System, x: np.ndarray, targets: np.ndarray, deflection: np.ndarray, settings: NewtonSettings
 ) -> np.ndarray | None:
     """Place the system at ``x`` [m]; what is prescribed still has to move by what is returned, if anything."""
-    move = np.where(system.prescribed, targets - x, 0.0)
+    move = system.prescribed_move(x, targets)
     if deflection.size or np.abs(move).max(initial=0.0) < settings.step_tolerance_m:
         place(system, x, targets, deflection)
         return None

@@ -5,6 +5,9 @@ place. The pairs of static terms come first and never move. Pairs that only dyna
 between deformable bodies) follow; they are looked up in a table that is rewritten in place when the
 candidates change. The last value of all swallows entries that nobody needs. The matrix over the unknowns
 is gathered from there:  data = sum over equal (row, column) of  weight * values[order].
+
+With dx = P du for the components x and the unknowns u, the matrix is P^T H P. A component has one unknown with the
+weight 1, or none; embedded nodes (:mod:`sim_core.solve.embedding`) have the unknowns of their masters, weighted.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sim_core.energies.term import PairTable
+from sim_core.solve.embedding import Embedding
 
 SPARE_PAIRS = 2048
 """Places for dynamic pairs at the start; doubled whenever they do not suffice."""
@@ -27,13 +31,19 @@ class Pattern:
 
     ``number``: unknown of each component, -1 where prescribed, int ``(3 n_nodes,)``; several components
     may share an unknown. ``static``: node pairs of each static term ``(k, 2)`` and whether it lists a pair
-    once only (mirrored).
+    once only (mirrored). ``embedding``: nodes that move with others; their components have no number.
     """
 
-    def __init__(self, number: np.ndarray, n_unknowns: int, static: Sequence[tuple[np.ndarray, bool]]) -> None:
+    def __init__(
+        self,
+        number: np.ndarray,
+        n_unknowns: int,
+        static: Sequence[tuple[np.ndarray, bool]],
+        embedding: Embedding | None = None,
+    ) -> None:
         self.n_unknowns = n_unknowns
-        self._number = np.asarray(number, dtype=np.int64)
         self._n_nodes = len(number) // 3
+        self.spread, self._fixed = _spread(np.asarray(number), n_unknowns, embedding)
         diagonal = np.arange(self._n_nodes, dtype=np.int64) * (self._n_nodes + 1)
         keys = [self._keys(blocks) for blocks, _ in static]
         self._static = np.unique(np.concatenate([*keys, diagonal]))
@@ -41,7 +51,7 @@ class Pattern:
         self._blocks = static
         self._places = [np.searchsorted(self._static, k) for k in keys]
         self._dynamic = np.empty(0, dtype=np.int64)
-        self._static_entries = _Entries(self._number, n_unknowns, self._static, self._n_nodes, 0)
+        self._static_entries = _Entries(self.spread, self._fixed, self._static, self._n_nodes, 0)
         self._allocate()
         self._gather()
 
@@ -70,7 +80,7 @@ class Pattern:
     def static_slots(self) -> list[np.ndarray]:
         """Place of every entry of every block of the static terms: int32 ``(k, 9)`` each."""
         trash = self.n_values - 1
-        free = (self._number >= 0).reshape(-1, 3)
+        free = (np.diff(self.spread.indptr) > 0).reshape(-1, 3)
         out = []
         for (blocks, mirrored), place in zip(self._blocks, self._places, strict=True):
             i, j = blocks[:, 0, None], blocks[:, 1, None]
@@ -108,7 +118,7 @@ class Pattern:
         table.column[at] = keys % self._n_nodes
         rows = np.bincount(keys // self._n_nodes, minlength=self._n_nodes)
         table.start[1:] = np.cumsum(rows)
-        entries = _Entries(self._number, self.n_unknowns, dynamic, self._n_nodes, 9 * len(static))
+        entries = _Entries(self.spread, self._fixed, dynamic, self._n_nodes, 9 * len(static))
         known = self._static_entries
         self._plain = known.plain and entries.plain
         at = _merged(known.keys, entries.keys)
@@ -128,6 +138,7 @@ class Pattern:
         self.indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=self.n_unknowns))]).astype(np.int32)
         self._coupled = np.concatenate([known.coupled, entries.coupled])
         self._coupled_unknown = np.concatenate([known.coupled_unknown, entries.coupled_unknown])
+        self._coupled_weights = np.concatenate([known.coupled_weights, entries.coupled_weights])
         self._coupled_fixed = np.concatenate([known.coupled_fixed, entries.coupled_fixed])
 
     def data(self, values: np.ndarray) -> np.ndarray:
@@ -142,8 +153,9 @@ class Pattern:
         return sp.csr_matrix((data, self.indices, self.indptr), shape=(n, n))
 
     def coupling(self, values: np.ndarray, move: np.ndarray) -> np.ndarray:
-        """Force [N] on the unknowns due to moves [m] ``(n_nodes, 3)`` of the prescribed components."""
-        force = values[self._coupled] * move.ravel()[self._coupled_fixed]
+        """Force [N] on the unknowns due to moves [m] ``(n_nodes, 3)`` of the prescribed components and of what is
+        embedded in them."""
+        force = self._coupled_weights * values[self._coupled] * move.ravel()[self._coupled_fixed]
         return np.bincount(self._coupled_unknown, weights=force, minlength=self.n_unknowns)
 
     def scatter_static(self, blocks: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:
@@ -156,30 +168,70 @@ class Pattern:
 class _Entries:
     """Matrix entries of some node pairs, sorted.
 
-    ``keys``: row times number of unknowns plus column; ``places``: of their values; ``weights``: 2 where an
-    entry stands for its mirror image as well. ``coupled``: places of entries between an unknown
-    (``coupled_unknown``) and a prescribed component (``coupled_fixed``). ``plain``: no two entries are at one
-    place of the matrix and all weights are 1.
+    ``keys``: row times number of unknowns plus column; ``places``: of their values; ``weights``: products of the
+    weights of two components on their unknowns, doubled where an entry stands for its mirror image as well.
+    ``coupled``: places of entries between a component with unknowns (``coupled_unknown``, ``coupled_weights``) and one
+    that moves with what is prescribed (``coupled_fixed``). ``plain``: no two entries are at one place of the matrix
+    and all weights are 1.
     """
 
-    def __init__(self, number: np.ndarray, n_unknowns: int, pairs: np.ndarray, n_nodes: int, offset: int) -> None:
+    def __init__(self, spread: sp.csr_matrix, fixed: np.ndarray, pairs: np.ndarray, n_nodes: int, offset: int) -> None:
         node, other = np.divmod(pairs, n_nodes)
-        left = number[3 * node[:, None] + _ROW]
-        right = number[3 * other[:, None] + _COLUMN]
-        upper = (node != other)[:, None] | (_ROW <= _COLUMN)
-        rows, columns = np.minimum(left, right), np.maximum(left, right)
-        kept = np.flatnonzero(((rows >= 0) & upper).ravel())
-        keys = rows.ravel()[kept] * n_unknowns + columns.ravel()[kept]
-        by_key = np.argsort(keys, kind="stable")
-        self.keys, self.places = keys[by_key], kept[by_key] + offset
-        twice = ((node != other)[:, None] & (left == right)).ravel()[kept[by_key]]
-        self.weights = np.where(twice, 2.0, 1.0)
-        self.plain = not twice.any() and not (self.keys[1:] == self.keys[:-1]).any()
-        coupled = np.flatnonzero((((left < 0) != (right < 0)) & upper).ravel())
-        self.coupled = coupled + offset
-        self.coupled_unknown = columns.ravel()[coupled]
-        fixed = np.where(left < 0, 3 * node[:, None] + _ROW, 3 * other[:, None] + _COLUMN)
-        self.coupled_fixed = fixed.ravel()[coupled]
+        listed = np.flatnonzero(((node != other)[:, None] | (_ROW <= _COLUMN)).ravel())
+        left = (3 * node[:, None] + _ROW).ravel()[listed]
+        right = (3 * other[:, None] + _COLUMN).ravel()[listed]
+        lengths = np.diff(spread.indptr)
+        counts = lengths[left] * lengths[right]
+        at = np.repeat(np.arange(len(left)), counts)
+        nth = np.arange(len(at)) - np.repeat(np.cumsum(counts) - counts, counts)
+        first, second = np.divmod(nth, lengths[right[at]])
+        first += spread.indptr[left[at]]
+        second += spread.indptr[right[at]]
+        rows, columns = spread.indices[first].astype(np.int64), spread.indices[second].astype(np.int64)
+        single = (left == right)[at]
+        kept = np.flatnonzero(~single | (rows <= columns))
+        keys = (np.minimum(rows, columns) * spread.shape[1] + np.maximum(rows, columns))[kept]
+        order = np.argsort(keys, kind="stable")
+        by_key = kept[order]
+        self.keys, self.places = keys[order], listed[at[by_key]] + offset
+        self.weights = spread.data[first[by_key]] * spread.data[second[by_key]]
+        self.weights[(rows == columns)[by_key] & ~single[by_key]] *= 2.0
+        self.plain = bool(np.all(self.weights == 1.0)) and not (self.keys[1:] == self.keys[:-1]).any()
+        self._couple(spread, listed + offset, left, right, fixed)
+
+    def _couple(
+        self, spread: sp.csr_matrix, places: np.ndarray, left: np.ndarray, right: np.ndarray, fixed: np.ndarray
+    ) -> None:
+        lengths = np.diff(spread.indptr)
+        ways = []
+        for one, other, listed in ((left, right, fixed[right]), (right, left, fixed[left] & (left != right))):
+            kept = np.flatnonzero(listed & (lengths[one] > 0))
+            counts = lengths[one[kept]]
+            at = np.repeat(kept, counts)
+            unknown = np.arange(len(at)) - np.repeat(np.cumsum(counts) - counts, counts) + spread.indptr[one[at]]
+            ways.append((at, unknown, other[at]))
+        at, unknown, other = (np.concatenate(part) for part in zip(*ways, strict=True))
+        order = np.argsort(at, kind="stable")
+        self.coupled = places[at[order]]
+        self.coupled_unknown = spread.indices[unknown[order]]
+        self.coupled_weights = spread.data[unknown[order]]
+        self.coupled_fixed = other[order]
+
+
+def _spread(number: np.ndarray, n_unknowns: int, embedding: Embedding | None) -> tuple[sp.csr_matrix, np.ndarray]:
+    """P ``(n_components, n_unknowns)``, and which components move with what is prescribed."""
+    taken = np.flatnonzero(number >= 0)
+    starts = np.concatenate([[0], np.cumsum(number >= 0)])
+    spread = sp.csr_matrix((np.ones(len(taken)), number[taken], starts), (len(number), n_unknowns))
+    fixed = np.asarray(number < 0)
+    if embedding is None:
+        return spread, fixed
+    whole = sp.kron(embedding.matrix(), sp.identity(3)).tocsr()
+    spread = (whole @ spread).tocsr()
+    spread.sort_indices()
+    components = (3 * embedding.nodes[:, None] + np.arange(3)).ravel()
+    fixed[components] = False  # but for what their masters make of them
+    return spread, np.asarray(abs(whole) @ fixed.astype(float) > 0.0)
 
 
 def _merged(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,7 +1,8 @@
 """The assembled mechanical system: nodes, mass, terms, and the sparse Hessian they share.
 
 All nodes of all bodies are in one array. Components that are prescribed (clamps, driven bodies) are
-not unknowns, the others are numbered; nodes that give way together share three unknowns. The Hessian has
+not unknowns, the others are numbered; nodes that give way together share three unknowns, and embedded nodes
+(:mod:`sim_core.solve.embedding`) have none of their own. The Hessian has
 a place for every entry of every term (:mod:`sim_core.solve.pattern`), so that assembly is addition in
 place. Terms whose coupled nodes change (contact between deformable bodies) renew their part of it.
 """
@@ -18,6 +19,7 @@ import scipy.sparse as sp
 
 from sim_core.energies.term import Buffers, DynamicTerm, GuardedTerm, Internals, StepContext, Term
 from sim_core.kernels import BoundKernel
+from sim_core.solve.embedding import Embedding
 from sim_core.solve.factor import Factor, factorise
 from sim_core.solve.inertia import inertia_energy, inertia_gradient
 from sim_core.solve.pattern import Pattern
@@ -25,7 +27,7 @@ from sim_core.solve.pattern import Pattern
 
 @dataclass(frozen=True)
 class Compliant:
-    """Prescribed nodes that give way together by a translation. ``nodes``: ``(k,)``;
+    """Prescribed components of nodes that give way together by a translation. ``nodes``: ``(k,)``;
     ``compliance_m_per_n``: along the world axes ``(3,)``, all positive."""
 
     nodes: np.ndarray
@@ -38,7 +40,8 @@ class System:
     ``nodes``: rest positions [m] ``(n, 3)``. ``mass``: csr ``(n, n)`` [kg]. ``prescribed``: bool
     ``(n, 3)``. ``gravity``: [m/s^2] ``(3,)``. ``inertia``: False makes every step a static
     equilibrium. ``compliant``: groups of prescribed nodes that give way together. ``second_order``: steps
-    look back on the one before (:mod:`sim_core.solve.integrator`).
+    look back on the one before (:mod:`sim_core.solve.integrator`). ``embedding``: nodes that move with others; not
+    prescribed.
     """
 
     def __init__(
@@ -51,6 +54,7 @@ class System:
         inertia: bool = True,
         compliant: Sequence[Compliant] = (),
         second_order: bool = False,
+        embedding: Embedding | None = None,
     ) -> None:
         self.nodes = np.ascontiguousarray(nodes, dtype=float)
         self.mass = mass.tocsr()
@@ -59,6 +63,7 @@ class System:
         self.gravity = np.asarray(gravity, dtype=float)
         self.inertia = inertia
         self.second_order = second_order
+        self._embedding = embedding
         self._dynamic = [cast(DynamicTerm, t) for t in self.terms if hasattr(t, "prepare")]
         self._static = [t for t in self.terms if not hasattr(t, "prepare")]
         self._guarded = [cast(GuardedTerm, t) for t in self.terms if hasattr(t, "free_way")]
@@ -82,12 +87,18 @@ class System:
     def _number_unknowns(self, compliant: Sequence[Compliant]) -> None:
         """Number free components first, then three deflections for each compliant group."""
         self._compliant = list(compliant)
-        self._own = np.flatnonzero(~self.prescribed.ravel())
+        free = ~self.prescribed
+        if self._embedding is not None:
+            free[self._embedding.nodes] = False
+        self._own = np.flatnonzero(free.ravel())
         self._number = np.full(self.prescribed.size, -1)
         self._number[self._own] = np.arange(len(self._own))
         for k, group in enumerate(self._compliant):
             for axis in range(3):
-                self._number[3 * group.nodes + axis] = len(self._own) + 3 * k + axis
+                held = group.nodes[self.prescribed[group.nodes, axis]]
+                self._number[3 * held + axis] = len(self._own) + 3 * k + axis
+        self._yielding = np.flatnonzero(self._number >= len(self._own))
+        self._yielding_by = self._number[self._yielding] - len(self._own)
         self._moved = np.flatnonzero(self._number >= 0)
         self._spring = np.concatenate([1.0 / g.compliance_m_per_n for g in self._compliant] or [np.empty(0)])
         self._deflection = np.zeros(3 * len(self._compliant))
@@ -102,7 +113,7 @@ class System:
         self._mass_column = inertia.indices.astype(np.int32)
         self._mass = np.zeros(len(rows))
         static = [(self._mass_blocks, True), *((t.blocks(), t.mirrored) for t in self._static)]
-        self._pattern = Pattern(self._number, self.n_unknowns, static)
+        self._pattern = Pattern(self._number, self.n_unknowns, static, self._embedding)
         self._bind()
 
     def _bind(self) -> None:
@@ -133,8 +144,25 @@ class System:
         """Place prescribed nodes at ``targets`` [m] ``(n, 3)``, plus what their group has given way."""
         self._targets[:] = targets
         self._x[self.prescribed] = targets[self.prescribed]
-        for group, deflection in zip(self._compliant, self.deflections, strict=True):
-            self._x[group.nodes] = targets[group.nodes] + deflection
+        self._give_way()
+
+    def _give_way(self) -> None:
+        """Write what follows from prescribed and free nodes: nodes that give way, embedded nodes."""
+        if self._compliant:
+            given = self._targets.reshape(-1)[self._yielding]
+            self._x.reshape(-1)[self._yielding] = given + self._deflection[self._yielding_by]
+        self.embed(self._x)
+
+    def embed(self, x: np.ndarray) -> None:
+        """Write positions or motions ``(n, 3)`` of embedded nodes from those of the others, in place."""
+        if self._embedding is not None:
+            self._embedding.fill(x)
+
+    def prescribed_move(self, start: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """Moves [m] ``(n, 3)`` from ``start`` to ``targets`` of what is prescribed, and of what is embedded in it."""
+        move = np.where(self.prescribed, targets - start, 0.0)
+        self.embed(move)
+        return move
 
     def targets(self) -> np.ndarray:
         """Copy of where prescribed nodes are placed [m], ``(n, 3)``."""
@@ -149,8 +177,7 @@ class System:
         self._x.reshape(-1)[self._own] = values[: len(self._own)]
         if self._compliant:
             self._deflection[:] = values[len(self._own) :]
-            for group, deflection in zip(self._compliant, self.deflections, strict=True):
-                self._x[group.nodes] = self._targets[group.nodes] + deflection
+        self._give_way()
 
     def residual(self) -> np.ndarray:
         """Derivative of the potential with respect to the unknowns [N]."""
@@ -182,6 +209,8 @@ class System:
 
     def _gather(self, gradient: np.ndarray) -> np.ndarray:
         """Sums of a nodal gradient over what each unknown moves; a new array."""
+        if self._embedding is not None:
+            gradient = self._embedding.fold(gradient)
         flat = gradient.reshape(-1)
         if not self._compliant:
             return np.asarray(flat[self._own])
@@ -199,7 +228,14 @@ class System:
         """Change of all nodes ``(n, 3)`` for a change of the unknowns."""
         out = np.zeros(self._x.size)
         out[self._moved] = direction[self._number[self._moved]]
-        return out.reshape(-1, 3)
+        moves = out.reshape(-1, 3)
+        self.embed(moves)
+        return moves
+
+    def reduced_mass(self) -> sp.csr_matrix:
+        """Mass matrix over the unknowns [kg]."""
+        spread = self._pattern.spread
+        return (spread.T @ sp.kron(self.mass, sp.identity(3)) @ spread).tocsr()
 
     @property
     def x(self) -> np.ndarray:
@@ -238,6 +274,7 @@ class System:
         if search:
             towards = step.x_start + step.dt * step.v_start
             towards[self.prescribed] = self._targets[self.prescribed]
+            self.embed(towards)
         self._begin(step, internals, towards)
 
     @property
@@ -333,6 +370,16 @@ class System:
         for term in self.terms:
             term.add_gradient()
         return np.array(self._gradient)
+
+    def reactions(self) -> np.ndarray:
+        """Force [N] ``(n, 3)`` that the terms exert on every node; on prescribed nodes in which others are embedded
+        (joints) also what these pass on, weight and inertia included."""
+        passed = None
+        if self._embedding is not None:
+            whole = self.gradient()
+            passed = np.where(self.prescribed, self._embedding.fold(whole) - whole, 0.0)
+        forces = -self.static_gradient()
+        return forces if passed is None else forces - passed
 
     def hessian_data(self, exact: bool = False, shift: float = 0.0) -> np.ndarray:
         """Entries of :meth:`hessian` in the order of its pattern."""

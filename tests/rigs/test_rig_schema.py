@@ -160,7 +160,7 @@ FAULTS: dict[str, tuple[Edit, str]] = {
             d["bodies"].update(ball={"type": "rigid", "shape": {"type": "sphere", "radius_m": 0.01}}),
             d["cameras"]["outside"]["sees"][0].update(body="ball"),
         ),
-        r"no such sheet or gel",
+        r"no such sheet, gel or affine body",
     ),
     "dome without a wall": (
         lambda d: d["bodies"]["gel"].update(
