@@ -118,6 +118,8 @@ class AffineShape:
         self.name = name
         self._nodes = np.ascontiguousarray(control, dtype=np.int32)
         self._slope = np.ascontiguousarray([barycentric(rest[c])[:, 1:] for c in control])
+        corners = rest[self._nodes]
+        self._arms = corners - corners.mean(axis=1, keepdims=True)
         self._stiffness = 8.0 * KAPPA_PA * np.asarray(volumes, dtype=float)
         self._exact, self._foreseen = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32)
         self._stress = np.zeros((len(control), 3, 3))
@@ -127,6 +129,7 @@ class AffineShape:
         return np.stack([self._nodes[:, i], self._nodes[:, j]], axis=-1).reshape(-1, 2)
 
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
+        self._x = buffers.x
         bodies = (buffers.x, self._nodes, self._slope, self._stiffness)
         self.add_energy = BoundKernel(_energy, *bodies, buffers.energy)
         self.add_gradient = BoundKernel(_gradient, *bodies, buffers.gradient)
@@ -146,6 +149,20 @@ class AffineShape:
         if move is not None:
             self._move[:] = move
             self._foresee()
+
+    def straighten(self, start: np.ndarray, free: np.ndarray) -> None:
+        """Give bodies, where they are now, the strain that a move of their nodes from ``start`` [m] ``(n, 3)`` has to
+        first order: the strain of second order, of the square of the angle by which a body turns, would make any
+        larger turn costly. ``free``: bool ``(n, 3)``; only bodies of which all control nodes are."""
+        some = free[self._nodes].all(axis=(1, 2))
+        nodes, slope = self._nodes[some], self._slope[some]
+        before, now = (np.einsum("nki,nkj->nij", x[nodes], slope) for x in (start, self._x))
+        half = np.einsum("nji,njk->nik", before, now - 0.5 * before)
+        values, axes = np.linalg.eigh(half + half.transpose(0, 2, 1))  # A_0^T A_0 + 2 sym(A_0^T dA)
+        stretch = np.einsum("nij,nj,nkj->nik", axes, np.sqrt(np.maximum(values, 0.0)), axes)
+        left, _, right = np.linalg.svd(now)
+        placed = np.einsum("nij,nkj->nki", left @ right @ stretch, self._arms[some])
+        self._x[nodes] = self._x[nodes].mean(axis=1, keepdims=True) + placed
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         del parameters

@@ -67,9 +67,11 @@ def relations(links: Sequence[Link], rest: np.ndarray) -> np.ndarray:
             own = np.eye(4)[1:] - np.eye(4)[0]
             others = coordinates(theirs, points) - coordinates(theirs, ours[:1])
         else:
-            # The second point is as far away as the body's own ellipsoid reaches: good numbers for any shape.
-            reach = 1.0 / np.linalg.norm(coordinates(ours, link.axis) - coordinates(ours, np.zeros(3)))
-            points = np.vstack([link.at, link.at + reach * link.axis][: 1 if link.joint.type == "ball" else 2])
+            points = link.at[None]
+            if link.joint.type == "hinge":
+                # The second point is as far away as the body's own ellipsoid reaches: good numbers for any shape.
+                slope = coordinates(ours, link.axis) - coordinates(ours, np.zeros(3))
+                points = np.vstack([link.at, link.at + link.axis / np.linalg.norm(slope)])
             own, others = coordinates(ours, points), coordinates(theirs, points)
         for mine, other in zip(own, others, strict=True):
             row = np.zeros(len(rest))

@@ -195,7 +195,7 @@ def _guarded(
             _advance(system, unknowns + fraction * direction, left, base, whole)
             moving, relaxed = fraction > 0.5, 0
             continue
-        accepted, tried = _descend(system, unknowns, direction, fraction, float(g @ direction))
+        accepted, tried = _descend(system, unknowns, direction, fraction, float(g @ direction), 1.0 - left)
         searches += tried
         if not accepted:
             result = (
@@ -243,15 +243,27 @@ def _advance(system: System, unknowns: np.ndarray, left: float, base: np.ndarray
 
 
 def _descend(
-    system: System, unknowns: np.ndarray, direction: np.ndarray, fraction: float, descent: float
+    system: System, unknowns: np.ndarray, direction: np.ndarray, fraction: float, descent: float, made: float
 ) -> tuple[bool, int]:
-    """Halve the move until the energy falls; whether it did, and after how many trials."""
-    energy = system.energy()
+    """Halve the move until the energy falls; whether it did, and after how many trials. ``made``: share of the
+    prescribed motion that is made."""
+    energy, here = system.energy(), system.x.copy()
     noise = 1e-13 * (abs(energy) + abs(descent)) + 1e-30
     for tried in range(1, 40):
+        enough = energy + 1e-4 * fraction * descent + noise
         system.set_unknowns(unknowns + fraction * direction)
-        if system.energy() <= energy + 1e-4 * fraction * descent + noise:
+        if system.straighten(here):
+            if system.energy() <= enough and _is_free(system, here, made) and system.energy() <= enough:
+                return True, tried
+            system.set_unknowns(unknowns + fraction * direction)
+        if system.energy() <= enough:
             return True, tried
         fraction *= 0.5
     system.set_unknowns(unknowns)
     return False, 40
+
+
+def _is_free(system: System, here: np.ndarray, made: float) -> bool:
+    """Whether the straight way from ``here`` [m] ``(n, 3)`` to where the system is is free of touch."""
+    system.cover()
+    return system.free_way(here, system.x - here, KEEP, (made, made))[0] == 1.0

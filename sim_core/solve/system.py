@@ -70,6 +70,7 @@ class System:
         self._bulk = [t for t in self.terms if not hasattr(t, "free_way")]
         self._contact, self._contact_at = np.zeros_like(self.nodes), np.full_like(self.nodes, np.nan)
         self._turning: list[Any] = [t for t in self.terms if hasattr(t, "turn")]
+        self._straightening: list[Any] = [t for t in self.terms if hasattr(t, "straighten")]
         self._number_unknowns(compliant)
         self._targets = np.zeros_like(self.nodes)
         self._x: np.ndarray = self.nodes.copy()
@@ -408,6 +409,16 @@ class System:
         for term in self.terms:
             if hasattr(term, "foresee"):
                 term.foresee(move)
+
+    def straighten(self, start: np.ndarray) -> bool:
+        """Let stiff bodies turn where the straight move from ``start`` [m] ``(n, 3)`` to :attr:`x` stretched them,
+        as far as all their nodes are free; False when there are none."""
+        if not self._straightening:
+            return False
+        for term in self._straightening:
+            term.straighten(start, self._number.reshape(-1, 3) >= 0)
+        self.embed(self._x)
+        return True
 
     def follow(self, move: np.ndarray) -> np.ndarray:
         """Force [N] on the unknowns due to moves [m] ``(n, 3)`` of what is prescribed: H_fp dx_p, with the
