@@ -1,6 +1,7 @@
 """Entry point of ``thinshell``: collects the subcommands and turns errors into one paragraph.
 
-Exit codes: 0 done; 1 a defect of the program; 2 input or data that cannot be used; 130 interrupted.
+Exit codes: 0 done; 1 a defect of the program, or a soak that found one; 2 input or data that cannot be used; 130
+interrupted.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 import typer
 
 from sim_core.errors import ThinshellError
-from sysid.cli import bench, diagnose, doctor, fit, inspect, prove, rigs, simulate, track, validate
+from sysid.cli import bench, diagnose, doctor, fit, inspect, prove, rigs, simulate, soak, track, validate
 
 OWN_PACKAGES = {"sim_core", "sysid", "thinshell_ros"}
 REPORT = "Please report it on the project's issue tracker with the command and the output of --debug."
@@ -57,6 +58,7 @@ app.command("rigs")(rigs.rigs)
 app.command("params")(rigs.params)
 app.command("validate")(validate.validate)
 app.command("bench")(bench.bench)
+app.command("soak")(soak.soak)
 app.command("doctor")(doctor.doctor_command)
 
 

@@ -12,6 +12,9 @@ from sysid.cli.options import library
 def bench(
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Only the forming rig in one process.")] = False,
+    scenes: Annotated[
+        bool, typer.Option("--scenes", help="Only the manipulation scenes, and the sizes of published simulations.")
+    ] = False,
 ) -> None:
     """Measure steps per second, the share of each part of a step, and how both grow with the mesh."""
-    print(library("sim_core.bench", "run_benchmarks")(as_json=as_json, quick=quick))
+    print(library("sim_core.bench", "run_benchmarks")(as_json=as_json, quick=quick, scenes=scenes))
