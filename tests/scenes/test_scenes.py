@@ -57,9 +57,9 @@ def test_separating_leaves_the_block_behind(ran):
     assert block[-1, 2] == pytest.approx(0.0036, abs=5e-5)  # on the table
     edge = found.x[-1][found.nodes("card"), 0].max()
     assert edge < block[-1, 0] - 0.006
-    # While the card slides under all of the block: mu g, less a few percent that the lag of the normal force costs.
+    # While the card slides under its middle: mu g, less a few percent that the lag of the normal force costs.
     edges = np.array([x[found.nodes("card"), 0].max() for x in found.x])
-    sliding = (np.gradient(card[:, 0], found.times) < -0.1) & (edges > block[:, 0] + 0.006)
+    sliding = (np.gradient(card[:, 0], found.times) < -0.1) & (edges > block[:, 0])
     assert np.count_nonzero(sliding) > 8
     pull = np.polyfit(found.times[sliding], found.speed("block")[sliding, 0], 1)[0]
     assert pull == pytest.approx(-0.2 * G, rel=0.08)
@@ -140,8 +140,15 @@ def test_pick_folding_leaves_a_crease(ran):
     plastic, elastic = ran("pick_folding", "pick_fold"), run("pick_folding", "pick_fold", effects={})
     for found in (plastic, elastic):
         assert max(x[found.nodes("sheet"), 2].max() for x in found.x) > 0.012
-    assert plastic.x[-1][plastic.nodes("sheet"), 2].max() > 0.01
-    assert elastic.x[-1][elastic.nodes("sheet"), 2].max() < 0.005
+
+    def out_of_plane(found):
+        """Extent of the sheet [m] along the normal of the plane nearest to it, at the end."""
+        sheet = found.x[-1][found.nodes("sheet")]
+        sheet = sheet - sheet.mean(axis=0)
+        return np.ptp(sheet @ np.linalg.svd(sheet, full_matrices=False)[2][2])
+
+    assert out_of_plane(plastic) > 0.01
+    assert out_of_plane(elastic) < 0.25 * out_of_plane(plastic)  # it has sprung off the drum, flat
 
 
 def test_a_creased_sheet_falls_bounces_and_rests(ran):
