@@ -50,12 +50,14 @@ def simulate_to_bag(
     experiment: Experiment,
     out: Path,
     *,
-    seed: int,
+    seed: int = 0,
     refine: int = 1,
+    noise: Noise | None = None,
     on_progress: Callable[[float, str], None] | None = None,
 ) -> str:
     """Simulate and write a contract bag; the returned text says what was written.
 
+    ``noise``: what it adds to clean readings; by default what the rig declares, drawn from ``seed``.
     ``refine``: cells in each direction and steps in time, as a multiple of the rig's, so that the recording
     carries less of the error of mesh and time step.
     """
@@ -71,7 +73,7 @@ def simulate_to_bag(
             on_progress(done / total, f"step {done} of {total}")
 
     trace = simulate(scene, poses, times, on_step)
-    counts = write_trace(rig, trace, poses, out, WhiteNoise(rig, seed))
+    counts = write_trace(rig, trace, poses, out, noise or WhiteNoise(rig, seed))
     worst = max((r.iterations for r in trace.reports), default=0)
     touched = max((r.contacts for r in trace.reports), default=0)
     lines = [f"{out}: {duration:.2f} s, {len(times) - 1} steps, at most {worst} Newton iterations a step."]

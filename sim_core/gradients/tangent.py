@@ -70,7 +70,19 @@ class TangentSimulation(Simulation):
             finally:
                 self.scene.system.inertia = inertia
         else:
-            self.derivatives = self._read_derivatives({})
+            self.derivatives = self._read_derivatives(self._at_once())
+
+    def _at_once(self) -> dict[int, dict[str, np.ndarray]]:
+        """Derivatives of the readings at a start that does not depend on the parameters: what joints bear does."""
+        system, found = self.scene.system, {}
+        step = step_context(self.state.x, self.state.v, self.scene.rig.solver.dt_s)
+        for k in self._mechanical:
+            self.scene.apply(self._amended[k])
+            system.begin_step(step, self.state.internals, search=False)
+            found[k] = self._difference(self._neighbours[k], self._steps[k])
+        self.scene.apply(self._nominal)
+        system.begin_step(step, self.state.internals, search=False)
+        return found
 
     def _advance(self, end: Mapping[str, Frame], dt: float) -> StepReport:
         before = self.state

@@ -1,25 +1,26 @@
-"""Natural vibrations of a system about where it is."""
+"""Small motions of a system about where it is: natural vibrations, and the answer to small loads."""
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import eigsh
+from scipy.sparse.linalg import MatrixRankWarning, eigsh, spsolve
 
 from sim_core.errors import ConfigError
 from sim_core.solve.integrator import step_context
 from sim_core.solve.system import System
 
+SLACK = 1e-13
+"""Square of the slowest vibration over that of a node on its own, below which it is round-off: nothing resists."""
 
-def natural_vibrations(system: System, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Slowest undamped vibrations about the equilibrium in which the system is: K u = omega^2 M u.
+UNHELD = "The stiffness matrix is singular: something can move without resistance."
 
-    Returns angular frequencies [rad/s] ``(count,)``, ascending, and the shapes ``(count, n, 3)``, of unit modal
-    mass [kg^-1/2]. K is the true Hessian with everything that acts now (weight, prestress, contact). Raises
-    ``ConfigError`` where something is not held, or is not in stable equilibrium.
-    """
-    if len(system.deflections):
-        raise ConfigError("Vibrations on compliant mounts are not computed.", "Leave the compliance out.")
+
+def tangent_stiffness(system: System) -> sp.csr_matrix:
+    """The true Hessian [N/m] over the unknowns with everything that acts now (weight, prestress, contact), without
+    inertia; both triangles."""
     step = step_context(system.x.copy(), np.zeros_like(system.x), 1.0)
     inertia, system.inertia = system.inertia, False
     try:
@@ -27,17 +28,42 @@ def natural_vibrations(system: System, count: int) -> tuple[np.ndarray, np.ndarr
         upper = system.hessian(exact=True)
     finally:
         system.inertia = inertia
-    stiffness = upper + sp.triu(upper, 1).T
+    return sp.csr_matrix(upper + sp.triu(upper, 1).T)
+
+
+def linear_response(system: System, loads: np.ndarray) -> np.ndarray:
+    """Displacement [m] ``(n, 3)`` due to small ``loads`` [N] ``(n, 3)`` about the equilibrium in which the system is,
+    to first order. Raises ``ConfigError`` where something is not held."""
+    stiffness = tangent_stiffness(system)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", MatrixRankWarning)
+        motion = spsolve(stiffness.tocsc(), system.restrict(loads))
+    if any(issubclass(w.category, MatrixRankWarning) for w in caught) or not np.all(np.isfinite(motion)):
+        raise ConfigError(UNHELD, "Hold every body.")
+    return system.spread(motion)
+
+
+def natural_vibrations(system: System, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Slowest undamped vibrations about the equilibrium in which the system is: K u = omega^2 M u.
+
+    Returns angular frequencies [rad/s] ``(count,)``, ascending, and the shapes ``(count, n, 3)``, of unit modal
+    mass [kg^-1/2]. K is the true Hessian with everything that acts now (weight, prestress, contact). Raises
+    ``ConfigError`` where something is not held, or is not in stable equilibrium. What sheets and contacts
+    remember (creases, elastic slip) is not part of it.
+    """
+    if len(system.deflections):
+        raise ConfigError("Vibrations on compliant mounts are not computed.", "Leave the compliance out.")
+    stiffness = tangent_stiffness(system)
     mass = system.reduced_mass()
     if not 0 < count < system.n_unknowns - 1:
         raise ConfigError(f"There are {system.n_unknowns} unknowns and not {count} vibrations.", "Ask for fewer.")
     try:
         squared, shapes = eigsh(stiffness.tocsc(), k=count, M=mass.tocsc(), sigma=0.0)
     except RuntimeError as error:
-        raise ConfigError(
-            "The stiffness matrix is singular: something can move without resistance.", "Hold every body."
-        ) from error
+        raise ConfigError(UNHELD, "Hold every body.") from error
     order = np.argsort(squared)
+    if abs(squared[order[0]]) <= SLACK * float((stiffness.diagonal() / mass.diagonal()).max()):
+        raise ConfigError(UNHELD, "Hold every body.")
     if squared[order[0]] <= 0.0:
         raise ConfigError("The equilibrium is unstable: the softest vibration grows.", "Settle the system first.")
     return np.sqrt(squared[order]), np.stack([system.spread(shapes[:, k]) for k in order])

@@ -52,6 +52,7 @@ class Pattern:
         self._places = [np.searchsorted(self._static, k) for k in keys]
         self._dynamic = np.empty(0, dtype=np.int64)
         self._static_entries = _Entries(self.spread, self._fixed, self._static, self._n_nodes, 0)
+        self._static_entries.give_diagonal(np.setdiff1d(np.arange(n_unknowns), self.spread.indices), n_unknowns)
         self._allocate()
         self._gather()
 
@@ -198,6 +199,17 @@ class _Entries:
         self.weights[(rows == columns)[by_key] & ~single[by_key]] *= 2.0
         self.plain = bool(np.all(self.weights == 1.0)) and not (self.keys[1:] == self.keys[:-1]).any()
         self._couple(spread, listed + offset, left, right, fixed)
+
+    def give_diagonal(self, unknowns: np.ndarray, n_unknowns: int) -> None:
+        """Make place on the diagonal for unknowns that no component moves with (a mount that holds others only)."""
+        if not len(unknowns):
+            return
+        keys = np.concatenate([self.keys, unknowns * (n_unknowns + 1)])
+        order = np.argsort(keys, kind="stable")
+        self.keys = keys[order]
+        self.places = np.concatenate([self.places, np.zeros(len(unknowns), dtype=np.int64)])[order]
+        self.weights = np.concatenate([self.weights, np.zeros(len(unknowns))])[order]
+        self.plain = False
 
     def _couple(
         self, spread: sp.csr_matrix, places: np.ndarray, left: np.ndarray, right: np.ndarray, fixed: np.ndarray

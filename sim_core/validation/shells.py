@@ -10,13 +10,15 @@ bends without stretching.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from sim_core.geometry.sheets import SheetMesh
 from sim_core.solve.step import State, advance
 from sim_core.solve.system import System
-from sim_core.validation.case import Case
-from sim_core.validation.sheets import sheet_system
+from sim_core.validation.case import STATICS, Case, compare
+from sim_core.validation.specimens import sheet_system
 
 SLIT = {0.1: (4.277, 5.876), 0.5: (10.468, 13.768), 1.0: (13.891, 17.528)}
 """Share of the largest line force: lift of the inner and of the outer corner of the free lip."""
@@ -27,6 +29,10 @@ HEMISPHERE = {0.1: (1.84, 1.499), 0.5: (5.902, 3.406), 1.0: (8.178, 4.067)}
 SLIT_CELLS, HEMISPHERE_CELLS = (160, 20), 24
 
 SOURCE = "Sze, Liu & Lo 2004"
+STIFF = (
+    "flat triangles on a doubly curved shell resist a bend that does not stretch; the error goes down with the cell "
+    "(1.0 % on 4 x 64 x 64), hence the 4 %"
+)
 
 
 def grid(corners: np.ndarray, closed: bool = False) -> SheetMesh:
@@ -83,10 +89,10 @@ def slit_annulus(cells: tuple[int, int], parts: int = 30) -> list[tuple[float, f
     return [(float(x[lip[0], 2]), float(x[lip[-1], 2])) for x in carry(system, full, tuple(SLIT), parts)]
 
 
-def hemisphere(cells: int, parts: int = 20) -> list[tuple[float, float]]:
-    """Ways of the loaded points at the shares of :data:`HEMISPHERE`. ``cells``: in a quarter of the equator.
+def hemisphere_system(cells: int) -> tuple[System, np.ndarray]:
+    """The hemisphere, and the four points that are loaded along x, y, x and y. ``cells``: in a quarter of the equator.
 
-    The whole hemisphere; meridians in the two planes of symmetry stay in them, and one point keeps its height.
+    It is whole; meridians in the two planes of symmetry stay in them, and one point keeps its height.
     """
     angle = 0.5 * np.pi * np.arange(4 * cells) / cells
     rise = np.radians(np.linspace(0.0, 72.0, cells + 1))
@@ -101,45 +107,32 @@ def hemisphere(cells: int, parts: int = 20) -> list[tuple[float, float]]:
         prescribed[points[k] + meridian, axis] = True
     prescribed[points[0], 2] = True
     values = {"E_pa": 6.825e7, "nu": 0.3, "thickness_m": 0.04}
-    system = sheet_system(mesh, values, np.zeros(len(mesh.nodes), dtype=bool), prescribed)
-    full = np.zeros_like(mesh.nodes)
+    return sheet_system(mesh, values, np.zeros(len(mesh.nodes), dtype=bool), prescribed), points
+
+
+def hemisphere(cells: int, parts: int = 20, shares: tuple[float, ...] = tuple(HEMISPHERE)) -> list[tuple[float, float]]:
+    """Ways of the pressed and of the pulled points at shares of the largest force."""
+    system, points = hemisphere_system(cells)
+    full = np.zeros_like(system.nodes)
     full[points[0], 0], full[points[2], 0] = -400.0, 400.0
     full[points[1], 1], full[points[3], 1] = 400.0, -400.0
     out = []
-    for x in carry(system, full, tuple(HEMISPHERE), parts):
-        moved = x[points] - mesh.nodes[points]
+    for x in carry(system, full, shares, parts):
+        moved = x[points] - system.nodes[points]
         out.append((float(0.5 * (moved[2, 0] - moved[0, 0])), float(0.5 * (moved[1, 1] - moved[3, 1]))))
     return out
 
 
-def shell_cases() -> list[Case]:
-    """All comparisons of shells. On the hemisphere, errors under point loads go down in proportion to the cell."""
+def shell_cases() -> Iterator[Case]:
+    """All comparisons of shells that deflect far."""
     around, across = SLIT_CELLS
-    n = HEMISPHERE_CELLS
-    return [
-        *_rows(
-            "slit annular plate", ("lift, inner corner", "lift, outer corner"), SLIT, 0.01, f"{around} x {across}",
-            slit_annulus(SLIT_CELLS), slit_annulus((around // 2, across // 2)),
-        ),
-        *_rows(
-            "hemisphere with a hole", ("way, pressed points", "way, pulled points"), HEMISPHERE, 0.04,
-            f"4 x {n} x {n}", hemisphere(n), hemisphere(n // 2),
-        ),
-    ]  # fmt: skip
-
-
-def _rows(
-    name: str,
-    quantities: tuple[str, str],
-    answers: dict[float, tuple[float, float]],
-    tolerance: float,
-    mesh: str,
-    found: list[tuple[float, float]],
-    coarser: list[tuple[float, float]],
-) -> list[Case]:
-    """One comparison for each share of the load and quantity."""
-    return [
-        Case(f"{name}, {share:g} P", quantity, "1", reference, value, tolerance, mesh, SOURCE, twice)
-        for (share, row), ours, theirs in zip(answers.items(), found, coarser, strict=True)
-        for quantity, reference, value, twice in zip(quantities, row, ours, theirs, strict=True)
-    ]
+    fine, coarse = slit_annulus(SLIT_CELLS), slit_annulus((around // 2, across // 2))
+    for (share, answers), ours, twice in zip(SLIT.items(), fine, coarse, strict=True):
+        quantities = ("lift, inner corner", "lift, outer corner")
+        name = f"slit annular plate, {share:g} P"
+        yield from compare(name, quantities, answers, ours, STATICS, f"{around} x {across}", SOURCE, twice)
+    fine, coarse = hemisphere(HEMISPHERE_CELLS), hemisphere(HEMISPHERE_CELLS // 2)
+    for (share, answers), ours, twice in zip(HEMISPHERE.items(), fine, coarse, strict=True):
+        quantities = ("way, pressed points", "way, pulled points")
+        name, mesh = f"hemisphere with a hole, {share:g} P", f"4 x {HEMISPHERE_CELLS} x {HEMISPHERE_CELLS}"
+        yield from compare(name, quantities, answers, ours, 4.0 * STATICS, mesh, SOURCE, twice, remark=STIFF)

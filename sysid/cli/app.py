@@ -14,7 +14,21 @@ from importlib.metadata import PackageNotFoundError, version
 import typer
 
 from sim_core.errors import ThinshellError
-from sysid.cli import bench, diagnose, doctor, fit, inspect, prove, rigs, simulate, soak, track, validate
+from sysid.cli import (
+    bench,
+    coverage,
+    diagnose,
+    doctor,
+    fit,
+    inspect,
+    plan,
+    prove,
+    rigs,
+    simulate,
+    soak,
+    track,
+    validate,
+)
 
 OWN_PACKAGES = {"sim_core", "sysid", "thinshell_ros"}
 REPORT = "Please report it on the project's issue tracker with the command and the output of --debug."
@@ -49,7 +63,9 @@ def _options(
 
 
 app.command("simulate")(simulate.simulate)
+app.command("plan")(plan.plan)
 app.command("fit")(fit.fit)
+app.command("coverage")(coverage.coverage)
 app.command("diagnose")(diagnose.diagnose)
 app.add_typer(prove.app, name="prove")
 app.command("inspect")(inspect.inspect)

@@ -7,13 +7,15 @@ from typing import Annotated
 import typer
 
 from sysid.cli.options import library
+from sysid.cli.progress import progress
 
 
 def validate(
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Compare the simulator with problems whose answers are known; exit code 1 if one is missed."""
-    passed, text = library("sim_core.validation", "run_validation")(as_json=as_json)
+    with progress("validate") as report:
+        passed, text = library("sim_core.validation", "run_validation")(as_json=as_json, on_progress=report)
     print(text)
     if not passed:
         raise typer.Exit(1)

@@ -77,7 +77,7 @@ def test_a_symmetric_top_precesses():
     """Torque-free: the axis goes round the angular momentum with |L| / I_1; bdf2 of 1 ms, within 0.1 %."""
     dt, size = 0.001, (0.03, 0.03, 0.01)
     sim, _ = spinning(dt, "bdf2", [100.0, 0.0, 500.0], size)
-    volume, moments = affine_moments(sim.scene.bodies["top"].spec)
+    _, moments = affine_moments(sim.scene.bodies["top"].spec)
     inertia = DENSITY * (moments.sum() - moments)
     momentum = momenta(sim)[1]
     np.testing.assert_allclose(momentum, inertia * np.deg2rad([100.0, 0.0, 500.0]), atol=1e-14)
@@ -91,7 +91,6 @@ def test_a_symmetric_top_precesses():
     time = dt * np.arange(1, steps + 1)
     assert abs(np.polyfit(time, angle, 1)[0]) == pytest.approx(rate, rel=1e-3)
     np.testing.assert_allclose(axes @ along, axes[0] @ along, atol=1e-3)
-    assert volume > 0.0
 
 
 def test_implicit_euler_takes_energy_out_and_bodies_keep_their_shape():

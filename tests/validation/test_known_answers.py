@@ -4,16 +4,28 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError
-from sim_core.solve.modes import natural_vibrations
-from sim_core.validation import run_validation
-from sim_core.validation.case import Case
-from sim_core.validation.gels import LAYER, sphere_on_layer
-from sim_core.validation.plates import FREQUENCIES, frequencies, plate
-from sim_core.validation.sheets import HEAVY, PLATE, TIP, heavy_strip, square_plate, tip_loaded_strip
+from sim_core.solve.modes import linear_response, natural_vibrations
+from sim_core.solve.step import NewtonSettings, advance
+from sim_core.solve.system import System
+from sim_core.validation.elasticas import HEAVY, TIP, heavy_strip, tip_loaded_strip
+from sim_core.validation.obstacles import (
+    CYLINDER,
+    RING,
+    ROOF,
+    pinched_cylinder,
+    pinched_hemisphere,
+    ring,
+    roof,
+)
+from sim_core.validation.obstacles import (
+    HEMISPHERE as SMALL_HEMISPHERE,
+)
+from sim_core.validation.plates import LAMBDA, SAG, frequencies, plate, sag
 from sim_core.validation.shells import HEMISPHERE, SLIT, hemisphere, slit_annulus
+from sim_core.validation.specimens import rest
 
 
-@pytest.mark.parametrize("gamma", HEAVY)
+@pytest.mark.parametrize("gamma", [g for g in HEAVY if g <= 100.0])
 @pytest.mark.parametrize(("pattern", "cells"), [("regular", (40, 4)), ("irregular", (40, 4)), ("crossed", (80, 2))])
 def test_a_heavy_strip_sags_as_an_elastica(pattern, cells, gamma):
     """One material, any mesh: the droop does not depend on the pattern."""
@@ -37,22 +49,22 @@ def test_a_strip_under_a_tip_load(alpha):
 
 @pytest.mark.parametrize("pattern", ["regular", "crossed", "irregular"])
 def test_a_supported_plate_sags_as_plate_theory_says(pattern):
-    assert square_plate("supported", pattern, 20) == pytest.approx(PLATE["supported"], rel=0.02)
+    assert sag("supported", pattern, 20) == pytest.approx(SAG["supported"], rel=0.01)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pattern", ["regular", "crossed", "irregular"])
 def test_a_clamped_plate_converges_to_plate_theory(pattern):
-    errors = [abs(square_plate("clamped", pattern, n) / PLATE["clamped"] - 1.0) for n in (10, 20, 40)]
+    errors = [abs(sag("clamped", pattern, n) / SAG["clamped"] - 1.0) for n in (10, 20, 40)]
     assert errors[-1] < 0.01
     assert (np.log2(np.array(errors[:-1]) / np.array(errors[1:])) > 1.0).all(), errors
 
 
-@pytest.mark.parametrize(("edges", "nu"), FREQUENCIES)
+@pytest.mark.parametrize(("edges", "nu"), LAMBDA)
 @pytest.mark.parametrize("pattern", ["regular", "irregular"])
 def test_a_plate_vibrates_as_plate_theory_says(pattern, edges, nu):
     """Within 2 % on 32 cells a side, and from 16 of them with at least the first order."""
-    coarse, fine = (np.abs(frequencies(edges, nu, pattern, n) / FREQUENCIES[edges, nu] - 1.0) for n in (16, 32))
+    coarse, fine = (np.abs(frequencies(edges, nu, pattern, n) / LAMBDA[edges, nu] - 1.0) for n in (16, 32))
     assert fine.max() < 0.02
     assert np.all(np.log2(coarse / fine) > 1.0), (coarse, fine)
 
@@ -63,6 +75,13 @@ def test_shapes_of_vibration_are_orthogonal_and_of_unit_mass():
     products = np.einsum("anj,nm,bmj->ab", shapes, system.mass.toarray(), shapes)
     np.testing.assert_allclose(products, np.eye(3), atol=1e-8)
     assert np.abs(shapes[0][:, 2]).max() > 100.0 * np.abs(shapes[0][:, :2]).max()
+
+
+def test_vibrations_of_a_free_plate_are_refused():
+    system = plate("cantilever", 0.3, "regular", 4)
+    free = System(system.nodes, system.mass, np.zeros_like(system.prescribed), system.terms, np.zeros(3), inertia=False)
+    with pytest.raises(ConfigError, match="without resistance"):
+        natural_vibrations(free, 3)
 
 
 def test_more_vibrations_than_unknowns_are_refused():
@@ -82,32 +101,36 @@ def test_a_curved_shell_bends_without_stretching():
     np.testing.assert_allclose(hemisphere(16), list(HEMISPHERE.values()), rtol=0.05)
 
 
-@pytest.mark.parametrize("nu", LAYER)
-def test_a_sphere_on_a_bonded_layer(nu):
-    """Force within 5 % of the exact contact solution, compressible and nearly incompressible alike."""
-    assert sphere_on_layer(nu, (9, 4)) == pytest.approx(LAYER[nu][1], rel=0.05)
-
-
-def test_the_answer_for_another_poisson_ratio_is_missed():
-    """The tolerance tells the two layers apart."""
-    assert sphere_on_layer(0.3, (6, 3)) != pytest.approx(LAYER[0.45][1], rel=0.05)
-
-
-def test_a_case_passes_within_its_tolerance_only():
-    case = Case("c", "q", "1", 2.0, 2.03, 0.02, "m", "s")
-    assert case.error == pytest.approx(0.015)
-    assert case.passed
-    assert not Case("c", "q", "1", 2.0, 2.1, 0.02, "m", "s").passed
-
-
-def test_the_observed_order_is_that_of_halved_cells():
-    assert Case("c", "q", "1", 2.0, 2.02, 0.02, "m", "s", coarser=2.08).order == pytest.approx(2.0)
-    assert Case("c", "q", "1", 2.0, 2.02, 0.02, "m", "s").order is None
+def test_a_ring_is_pressed_together():
+    assert ring(24) == pytest.approx(RING, rel=0.005)
 
 
 @pytest.mark.slow
-def test_the_table_names_every_case_and_all_pass():
-    passed, text = run_validation()
-    assert passed, text
-    assert "MISSED" not in text
-    assert text.count("pass") >= 30
+@pytest.mark.parametrize(
+    ("found", "reference"),
+    [
+        (lambda: roof((48, 48)), ROOF),
+        (lambda: pinched_cylinder((24, 20)), CYLINDER),
+        (lambda: pinched_hemisphere(24), SMALL_HEMISPHERE),
+    ],
+    ids=["roof", "cylinder", "hemisphere"],
+)
+def test_curved_shells_under_small_loads(found, reference):
+    assert found() == pytest.approx(reference, rel=0.02)
+
+
+def test_the_answer_to_small_loads_is_that_of_a_small_step():
+    system = plate("cantilever", 0.3, "irregular", 8)
+    loads = np.zeros_like(system.nodes)
+    loads[system.nodes[:, 0] > 0.049, 2] = 1e-7
+    moved = linear_response(system, loads)
+    system.loads[:] = loads
+    state, _ = advance(system, rest(system), system.nodes, 1.0, NewtonSettings(step_tolerance_m=1e-13))
+    np.testing.assert_allclose(moved[:, 2], (state.x - system.nodes)[:, 2], rtol=1e-4, atol=1e-12)
+
+
+def test_loads_on_what_is_not_held_are_refused():
+    free = plate("supported", 0.3, "regular", 2)
+    loose = System(free.nodes, free.mass, np.zeros_like(free.prescribed), free.terms, np.zeros(3), inertia=False)
+    with pytest.raises(ConfigError, match="without resistance"):
+        linear_response(loose, np.ones_like(free.nodes))

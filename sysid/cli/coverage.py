@@ -1,0 +1,59 @@
+"""``thinshell coverage``: how often 95 % intervals hold the truth."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from sysid.cli.options import RigArgument, SeedOption, parse_names
+from sysid.cli.progress import progress
+
+
+def coverage(
+    rig: RigArgument,
+    experiments: Annotated[
+        list[str],
+        typer.Argument(metavar="EXPERIMENT...", help="Experiments: names from 'thinshell rigs' or YAML files."),
+    ],
+    params: Annotated[
+        str,
+        typer.Option("--params", metavar="A,B", help="Parameters to estimate, as 'thinshell params' lists them."),
+    ],
+    cases: Annotated[int, typer.Option("--cases", min=1, help="How many cases.")] = 20,
+    first: Annotated[int, typer.Option("--first", min=0, help="Number of the first case.")] = 0,
+    spread: Annotated[
+        float, typer.Option("--spread", min=1.01, max=10.0, help="Factor either way within which truths are drawn.")
+    ] = 1.5,
+    refine: Annotated[
+        int, typer.Option("--refine", min=1, max=8, help="How much finer the truth is simulated than the fit.")
+    ] = 2,
+    seed: SeedOption = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Draw true values, simulate, fit, and count how often the intervals hold the truth.
+
+    Example: thinshell coverage strip_pull pull_strip --params strip.E,strip.nu --cases 40
+    """
+    from sim_core.rigs import load_rig, resolve_name
+    from sim_core.rigs.motion import compile_experiment, load_experiment
+
+    chosen = load_rig(rig)
+    names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
+    planned = [load_experiment(name) for name in experiments]
+    for experiment in planned:
+        compile_experiment(experiment, chosen)
+    from sysid.fit.coverage import measure_coverage
+
+    with progress("coverage") as report:
+        found = measure_coverage(
+            chosen,
+            planned,
+            names,
+            cases=range(first, first + cases),
+            spread=spread,
+            refine=refine,
+            seed=seed,
+            on_progress=report,
+        )
+    print(found.to_json() if as_json else found.table())

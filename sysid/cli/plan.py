@@ -1,0 +1,45 @@
+"""``thinshell plan``: what experiments would tell, before they are made."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from sysid.cli.options import RigArgument, parse_names, parse_settings
+from sysid.cli.progress import progress
+
+
+def plan(
+    rig: RigArgument,
+    experiments: Annotated[
+        list[str],
+        typer.Argument(metavar="EXPERIMENT...", help="Experiments: names from 'thinshell rigs' or YAML files."),
+    ],
+    params: Annotated[
+        str,
+        typer.Option("--params", metavar="A,B", help="Parameters to determine, as 'thinshell params' lists them."),
+    ],
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="Expected value of a parameter; may be repeated."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Tell what experiments can determine and how well, before the robot is touched.
+
+    Example: thinshell plan card_press press_hold_release press_post --params card.E,gel.E,gel.nu
+    """
+    from sim_core.rigs import load_rig, resolve_name, with_parameters
+    from sim_core.rigs.motion import compile_experiment, load_experiment
+
+    chosen = with_parameters(load_rig(rig), parse_settings(settings or []))
+    names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
+    planned = [load_experiment(name) for name in experiments]
+    for experiment in planned:
+        compile_experiment(experiment, chosen)
+    from sysid.fit.plan import plan_experiments
+
+    with progress("plan") as report:
+        found = plan_experiments(chosen, planned, names, report)
+    print(found.to_json() if as_json else found.table())

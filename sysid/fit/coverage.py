@@ -1,0 +1,146 @@
+"""How often 95 % intervals hold the truth: the function behind ``thinshell coverage``.
+
+Each case draws true values and, independently, values to start from; simulates the experiments with the true ones,
+on a finer mesh with a shorter step and with the noise that the rig declares; fits; and looks whether the truth is
+inside. Cases are numbered, so that any of them can be run again by itself.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig
+from sim_core.rigs.motion import Experiment
+from sysid.fit.fit import fit_runs
+from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
+from sysid.fit.runs import load_runs
+from sysid.simulate import simulate_to_bag
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One parameter of one case. ``error``: fitted minus true over true; ``score``: the same over the standard
+    deviation, both in the fitted scale."""
+
+    case: int
+    name: str
+    truth: float
+    value: float
+    inside: bool
+    error: float
+    score: float
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """``failed``: what cases could not be run, by their number."""
+
+    rig: str
+    cases: int
+    refine: int
+    seed: int
+    outcomes: tuple[Outcome, ...]
+    failed: dict[int, str]
+
+    def to_json(self) -> str:
+        """All figures."""
+        return json.dumps(asdict(self), indent=2, allow_nan=False)
+
+    def table(self) -> str:
+        """Shares of truths inside, by parameter, and what failed."""
+        lines = [f"{'parameter':<34}{'inside 95 %':>14}{'share':>8}{'  95 % of that share':<22}{'median |error|':>15}"]
+        names = list(dict.fromkeys(o.name for o in self.outcomes))
+        for name in [*names, *(["all"] if len(names) > 1 else [])]:
+            some = [o for o in self.outcomes if name in (o.name, "all")]
+            hits = sum(o.inside for o in some)
+            low, high = wilson(hits, len(some))
+            error = float(np.median([abs(o.error) for o in some]))
+            lines.append(
+                f"{name:<34}{f'{hits} of {len(some)}':>14}{100 * hits / len(some):>6.0f} %"
+                f"{f'  {100 * low:.0f} .. {100 * high:.0f} %':<22}{100 * error:>13.2f} %"
+            )
+        lines += [f"Case {case} failed: {why}" for case, why in self.failed.items()]
+        return "\n".join(lines)
+
+
+def wilson(hits: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a probability from hits in trials (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+    z = 1.959964
+    share = hits / trials
+    middle = (share + z**2 / (2 * trials)) / (1 + z**2 / trials)
+    half = z / (1 + z**2 / trials) * np.sqrt(share * (1 - share) / trials + z**2 / (4 * trials**2))
+    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
+
+
+def measure_coverage(
+    rig: Rig,
+    experiments: Sequence[Experiment],
+    names: Sequence[str],
+    *,
+    cases: Sequence[int],
+    spread: float = 1.5,
+    refine: int = 2,
+    seed: int = 0,
+    on_progress: Progress | None = None,
+) -> Coverage:
+    """Run the numbered ``cases``. ``spread``: factor either way within which values are drawn about the rig's."""
+    parameters = fit_parameters(rig, names)
+    outcomes: list[Outcome] = []
+    failed: dict[int, str] = {}
+    for k, case in enumerate(cases):
+        rng = np.random.default_rng([seed, case])
+        truth, start = (draw(rig, parameters, spread, rng) for _ in range(2))
+        try:
+            outcomes += _case(rig, experiments, parameters, case, truth, start, refine, int(rng.integers(2**31)))
+        except ThinshellError as error:
+            failed[case] = str(error)
+        if on_progress is not None:
+            inside = sum(o.inside for o in outcomes)
+            on_progress((k + 1) / len(cases), f"case {case}, {inside} of {len(outcomes)} inside")
+    return Coverage(rig.name, len(cases), refine, seed, tuple(outcomes), failed)
+
+
+def draw(rig: Rig, parameters: Sequence[FitParameter], spread: float, rng: np.random.Generator) -> np.ndarray:
+    """Scaled values, log-uniform within a factor ``spread`` of those of the rig and inside the bounds."""
+    values = [p.physical(s) for p, s in zip(parameters, start_of(rig, parameters), strict=True)]
+    factors = np.exp(rng.uniform(-np.log(spread), np.log(spread), len(values)))
+    return np.array(
+        [p.scaled(min(max(v * f, p.lower), p.upper)) for p, v, f in zip(parameters, values, factors, strict=True)]
+    )
+
+
+def _case(
+    rig: Rig,
+    experiments: Sequence[Experiment],
+    parameters: Sequence[FitParameter],
+    case: int,
+    truth: np.ndarray,
+    start: np.ndarray,
+    refine: int,
+    noise_seed: int,
+) -> list[Outcome]:
+    with tempfile.TemporaryDirectory() as folder:
+        bags = [Path(folder) / f"{k}" for k in range(len(experiments))]
+        for k, (experiment, bag) in enumerate(zip(experiments, bags, strict=True)):
+            simulate_to_bag(rig_at(rig, parameters, truth), experiment, bag, seed=noise_seed + k, refine=refine)
+        runs, _ = load_runs(rig, bags)
+    result, _ = fit_runs(rig_at(rig, parameters, start), runs, [p.name for p in parameters])
+    outcomes = []
+    for p, true, found in zip(parameters, truth, result.estimates, strict=True):
+        value, low, high = p.physical(true), *found.ci95
+        outcomes.append(
+            Outcome(
+                case, p.name, value, found.value, bool(low <= value <= high), found.value / value - 1.0,
+                float((p.scaled(found.value) - true) / found.sd),
+            )
+        )  # fmt: skip
+    return outcomes

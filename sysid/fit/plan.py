@@ -1,0 +1,190 @@
+"""What experiments can determine, before they are made: the function behind ``thinshell plan``.
+
+Each experiment is simulated with the values of the rig and seen through its sensors (rates, latencies, markers out
+of sight), with the noise that the rig declares and the simulator's own error as a nuisance, as a fit would see it.
+What a fit would then know follows from the Fisher information of the readings (:mod:`sysid.fit.uncertainty`),
+which holds near those values.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
+from sim_core.rigs.motion import Experiment
+from sysid.fit.fitted import Fitted
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.own_error import discretisation
+from sysid.fit.parameters import fit_parameters, start_of
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Problem
+from sysid.fit.runs import Measured, Run, load_run
+from sysid.fit.uncertainty import UNDETERMINED_SHARE, interval, uncertainty
+from sysid.simulate import simulate_to_bag
+
+Progress = Callable[[float, str], None]
+
+WORTH_NAMING = 0.05
+"""Share of what is known of a parameter from which a channel is named as its source."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What would be known of one parameter. ``ci95``: around the value of the rig; ``sd``: in the fitted scale,
+    which is logarithmic with ``log``; ``from_channels``: share of its information by channel, most first, all other
+    parameters known."""
+
+    name: str
+    unit: str
+    value: float
+    ci95: tuple[float, float]
+    sd: float
+    log: bool
+    determined: bool
+    from_channels: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What one experiment, or several together, would tell."""
+
+    experiments: tuple[str, ...]
+    parameters: tuple[Expected, ...]
+    correlation: list[list[float]]
+    sentences: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """``outlooks``: of each experiment, then of all together if there are several."""
+
+    rig: str
+    outlooks: tuple[Outlook, ...]
+
+    def to_json(self) -> str:
+        """All figures."""
+        return json.dumps(asdict(self), indent=2, allow_nan=False)
+
+    def table(self) -> str:
+        """Parameters and what would be known of them, as text."""
+        return "\n\n".join(_table(outlook) for outlook in self.outlooks)
+
+
+def plan_experiments(
+    rig: Rig, experiments: Sequence[Experiment], names: Sequence[str], on_progress: Progress | None = None
+) -> Plan:
+    """What ``experiments`` on ``rig`` would tell about the parameters ``names``, one by one and together.
+
+    Raises ``ConfigError`` for unknown parameters, ``ConvergenceError`` where an experiment cannot be simulated.
+    """
+    say = on_progress or (lambda share, text: None)
+    parameters = fit_parameters(rig, names)
+    runs = []
+    with tempfile.TemporaryDirectory() as folder:
+        for k, experiment in enumerate(experiments):
+            bag = Path(folder) / f"{k}"
+            at = 0.4 * k / len(experiments)
+
+            def share(done: float, text: str, at: float = at) -> None:
+                say(at + 0.4 * done / len(experiments), text)
+
+            simulate_to_bag(rig, experiment, bag, noise=_none, on_progress=share)
+            runs.append(replace(load_run(rig, bag), name=experiment.name))
+    noise = {m.channel: declared_noise(rig, m) for run in runs for m in run.measured}
+    with PooledEngine(os.cpu_count()) as engine:
+        say(0.4, "derivatives, and the error of mesh and time step")
+        pending = [engine.submit_with_derivatives(rig, run, parameters, start_of(rig, parameters)) for run in runs]
+        directions = discretisation(engine, rig, runs)
+        predictions = [p.result() for p in pending]
+        say(0.95, "what can be told apart")
+        outlooks = []
+        groups = [[k] for k in range(len(runs))] + ([list(range(len(runs)))] if len(runs) > 1 else [])
+        for group in groups:
+            own = [replace(d, shapes=tuple(d.shapes[k] for k in group)) for d in directions]
+            problem = Problem([runs[k] for k in group], noise, engine, own)
+            residual, jacobian, labels, sizes = problem.assemble([predictions[k] for k in group], len(parameters))
+            fitted = Fitted(
+                parameters, start_of(rig, parameters), rig, 0.0 * residual, jacobian, labels, predictions, rig, 1,
+                True, "planned", 0.0, sizes,
+            )  # fmt: skip
+            outlooks.append(_outlook(fitted, problem.runs))
+    return Plan(rig.name, tuple(outlooks))
+
+
+def declared_noise(rig: Rig, measured: Measured) -> ChannelNoise:
+    """The noise that the rig declares for a channel."""
+    source = rig.sensors.get(measured.channel) or rig.cameras[measured.channel]
+    if isinstance(source, WrenchSensor):
+        sigma = np.repeat([source.noise.force_n, source.noise.torque_nm], 3)
+    elif isinstance(source, MarkerSensor):
+        sigma = np.full(measured.values.shape[1], source.noise.position_m)
+    else:
+        sigma = np.full(measured.values.shape[1], source.noise.position_px)
+    return ChannelNoise(sigma, 0.0, "declared by the rig")
+
+
+def _none(channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.ndarray:
+    del channel, kind, stamps
+    return np.zeros_like(clean)
+
+
+def _outlook(fitted: Fitted, runs: Sequence[Run]) -> Outlook:
+    known = uncertainty(fitted)
+    sources = _sources(fitted)
+    expected = [
+        Expected(
+            p.name,
+            p.unit,
+            p.physical(fitted.scaled[k]),
+            interval(p, fitted.scaled[k], known.sd[k]),
+            float(known.sd[k]),
+            p.log,
+            bool(known.sd[k] < UNDETERMINED_SHARE * p.prior_sd),
+            sources[k],
+        )
+        for k, p in enumerate(fitted.parameters)
+    ]
+    sentences = tuple(known.sentences) + tuple(_still(fitted))
+    return Outlook(tuple(run.name for run in runs), tuple(expected), known.correlation.tolist(), sentences)
+
+
+def _sources(fitted: Fitted) -> list[dict[str, float]]:
+    """Share of each parameter's information that each channel brings, most first."""
+    found: dict[str, np.ndarray] = {}
+    at = 0
+    for _, channel, times in fitted.labels:
+        rows = fitted.jacobian[at : at + len(times)]
+        at += len(times)
+        found[channel] = found.get(channel, 0.0) + np.sum(rows**2, axis=0)
+    whole = np.maximum(np.sum(list(found.values()), axis=0), 1e-300)
+    shares = [{c: float(v[k] / whole[k]) for c, v in found.items()} for k in range(len(whole))]
+    return [dict(sorted(s.items(), key=lambda item: -item[1])) for s in shares]
+
+
+def _still(fitted: Fitted) -> list[str]:
+    """A sentence for each friction on which no reading depends."""
+    reach = np.linalg.norm(fitted.jacobian, axis=0) * [p.prior_sd for p in fitted.parameters]
+    return [
+        f"Nothing slides where {p.name} acts: a recording would at most say that it is at least the largest ratio of "
+        "tangential to normal force. Plan a motion that slides there."
+        for p, r in zip(fitted.parameters, reach, strict=True)
+        if p.name.endswith(".friction") and r < 1.0 / UNDETERMINED_SHARE
+    ]
+
+
+def _table(outlook: Outlook) -> str:
+    title = " and ".join(outlook.experiments) + (" together" if len(outlook.experiments) > 1 else "")
+    lines = [title, f"{'parameter':<34}{'value':>13}  {'expected 95 % interval':<27}{'unit':<8}from"]
+    for e in outlook.parameters:
+        low, high = e.ci95
+        told = f"{low:.5g} .. {high:.5g}" if e.determined else "not determined"
+        sources = ", ".join(f"{c} {100 * s:.0f} %" for c, s in e.from_channels.items() if s > WORTH_NAMING)
+        lines.append(f"{e.name:<34}{e.value:>13.5g}  {told:<27}{e.unit:<8}{sources if e.determined else ''}".rstrip())
+    return "\n".join([*lines, *outlook.sentences])

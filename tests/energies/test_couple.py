@@ -1,0 +1,57 @@
+"""A couple that follows the body: its potential, its forces, and what it does to a free body."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from sim_core.energies.couple import Couple
+from sim_core.solve.integrator import step_context
+from sim_core.solve.system import System
+
+AXIS = np.array([2.0, -1.0, 2.0]) / 3.0
+MOMENT = 0.7
+
+
+def system():
+    """Two lines of nodes in general position."""
+    nodes = np.random.default_rng(5).normal(size=(4, 3))
+    term = Couple("couple", np.array([[0, 1], [3, 2]]), AXIS, np.array([0.25, 0.75]))
+    term.configure({"moment_nm": MOMENT})
+    mass = sp.identity(4).tocsr()
+    return System(nodes, mass, np.zeros((4, 3), dtype=bool), [term], np.zeros(3), inertia=False)
+
+
+def test_forces_and_stiffness_are_derivatives_of_the_work():
+    one = system()
+    one.begin_step(step_context(one.nodes, np.zeros_like(one.nodes), 1.0), one.initial_internals())
+    rng = np.random.default_rng(6)
+    x = one.unknowns() + 0.1 * rng.normal(size=12)
+    direction, h = rng.normal(size=12), 1e-6
+
+    def at(shift):
+        one.set_unknowns(x + shift * direction)
+        return one.energy(), one.residual()
+
+    (below, g_below), (above, g_above) = at(-h), at(h)
+    one.set_unknowns(x)
+    assert one.residual() @ direction == pytest.approx((above - below) / (2.0 * h), rel=1e-7)
+    upper = one.hessian(exact=True)
+    product = upper @ direction + upper.T @ direction - upper.diagonal() * direction
+    np.testing.assert_allclose(product, (g_above - g_below) / (2.0 * h), rtol=1e-6, atol=1e-8)
+
+
+def test_it_has_no_resultant_and_its_moment_about_the_axis():
+    one = system()
+    force = -one.static_gradient()
+    np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-15)
+    assert np.cross(one.x, force).sum(axis=0) @ AXIS == pytest.approx(MOMENT)
+
+
+def test_its_moment_turns_with_the_lines():
+    one = system()
+    before = -one.static_gradient()
+    turn = 2.2
+    cross = np.cross(np.eye(3), -AXIS)
+    rotation = np.eye(3) + np.sin(turn) * cross + (1.0 - np.cos(turn)) * cross @ cross
+    one.x[:] = one.nodes @ rotation.T
+    np.testing.assert_allclose(-one.static_gradient(), before @ rotation.T, atol=1e-14)

@@ -1,0 +1,142 @@
+"""What experiments can determine, told before they are made."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from sim_core.rigs import parse_rig
+from sim_core.rigs.motion import Experiment
+from sysid.fit.noise import channel_noise
+from sysid.fit.own_error import discretisation
+from sysid.fit.parameters import fit_parameters, start_of
+from sysid.fit.plan import plan_experiments
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Problem
+from sysid.fit.runs import load_run
+from sysid.fit.uncertainty import uncertainty
+from sysid.simulate import simulate_to_bag
+
+NAMES = ["card.E_pa", "gel.E_pa", "contacts.gel-post.friction"]
+
+
+def experiment(poses, name="visit", hold=0.1, speed=0.05):
+    motion = {"type": "waypoints", "speed_m_s": speed, "hold_s": hold, "poses": poses}
+    return Experiment.model_validate(
+        {"name": name, "motions": {"finger": [{"type": "wait", "duration_s": 0.4}, motion]}}
+    )
+
+
+PRESS = [{"position_m": [0.0, 0.0, -0.012]}, {"position_m": [0.0, 0.0, 0.0]}]
+TOUCH = [{"position_m": [0.055, 0.0, 0.0]}, {"position_m": [0.055, 0.0, -0.0008]}]
+RUB = [*TOUCH, {"position_m": [0.059, 0.0, -0.0008]}]
+
+
+@pytest.fixture(scope="module")
+def plan(small_rig):
+    parts = [experiment(PRESS, "press"), experiment(TOUCH, "touch"), experiment(RUB, "rub")]
+    return plan_experiments(small_rig(), parts, NAMES)
+
+
+def known(outlook):
+    return {p.name: p for p in outlook.parameters}
+
+
+def test_the_expected_interval_is_that_of_a_recording(small_rig, plan, tmp_path):
+    """A recording with the declared noise, its noise estimated from itself, linearised at the truth."""
+    rig = small_rig()
+    runs = []
+    for name, poses in (("press", PRESS), ("touch", TOUCH), ("rub", RUB)):
+        simulate_to_bag(rig, experiment(poses, name), tmp_path / name, seed=3)
+        runs.append(load_run(rig, tmp_path / name))
+    parameters = fit_parameters(rig, NAMES)
+    with PooledEngine() as engine:
+        problem = Problem(runs, channel_noise(rig, runs), engine, discretisation(engine, rig, runs))
+        fitted = problem.evaluate(rig, parameters, start_of(rig, parameters))
+    fitted.residual[:] = 0.0
+    together = plan.outlooks[-1]
+    assert together.experiments == ("press", "touch", "rub")
+    np.testing.assert_allclose([p.sd for p in together.parameters], uncertainty(fitted).sd, rtol=0.25)
+
+
+def test_each_experiment_tells_of_what_it_touches(plan):
+    press, touch, rub, together = (known(outlook) for outlook in plan.outlooks)
+    assert press["card.E_pa"].determined and not press["contacts.gel-post.friction"].determined
+    assert max(press["card.E_pa"].from_channels, key=press["card.E_pa"].from_channels.get) == "wrench"
+    assert touch["card.E_pa"].from_channels["side"] > 0.99  # how far it droops, seen from outside
+    assert rub["contacts.gel-post.friction"].sd < 0.1 * touch["contacts.gel-post.friction"].sd
+    assert all(p.determined for p in together.values())
+    assert all(together[n].sd <= 1.001 * min(press[n].sd, touch[n].sd, rub[n].sd) for n in NAMES)
+
+
+def test_friction_where_nothing_slides_is_said_to_be_bounded_only(plan):
+    press, rub = plan.outlooks[0], plan.outlooks[2]
+    assert any("contacts.gel-post.friction" in s and "at least" in s for s in press.sentences)
+    assert not any("at least" in s for s in rub.sentences)
+
+
+def test_a_strip_at_rest_tells_one_number():
+    """Its shape depends on weight over bending stiffness, density / (E thickness^2), and nothing else."""
+    rig = parse_rig(
+        {
+            "name": "droop",
+            "solver": {"dt_s": 0.1, "inertia": False},
+            "bodies": {
+                "strip": {
+                    "type": "sheet",
+                    "shape": {"type": "rectangle", "length_m": 0.2, "width_m": 0.02, "cells": [16, 2]},
+                    "material": {"E_pa": 2.0e9, "nu": 0.0, "thickness_m": 2.0e-4, "density_kg_m3": 800.0},
+                }
+            },
+            "clamps": [{"name": "hold", "body": "strip", "region": {"x_m": [-0.1, -0.085]}, "mount": "finger"}],
+            "end_effectors": {"finger": {"start": {"position_m": [-0.1, 0.0, 0.0]}}},
+            "cameras": {
+                "side": {
+                    "model": "pinhole", "width_px": 1280, "height_px": 960, "fx_px": 1400.0, "fy_px": 1400.0,
+                    "cx_px": 640.0, "cy_px": 480.0,
+                    "pose": {"position_m": [0.0, -0.4, -0.05], "rpy_deg": [-90.0, 0.0, 0.0]},
+                    "sees": [{"body": "strip", "points": {"grid": [9, 2]}}], "rate_hz": 10.0,
+                    "noise": {"position_px": 0.1},
+                }
+            },
+        },
+        "test",
+    )  # fmt: skip
+    tilt = experiment([{"position_m": [0.0, 0.0, 0.0], "rpy_deg": [0.0, 30.0, 0.0]}], "tilt", hold=0.5)
+    names = ["strip.E_pa", "strip.density_kg_m3", "strip.thickness_m"]
+    found = plan_experiments(rig, [tilt], names).outlooks[0]
+    assert not any(p.determined for p in found.parameters)
+    combined = [s for s in found.sentences if "only in combination" in s]
+    assert len(combined) == 2  # three numbers, one of which is known
+    alone = plan_experiments(rig, [tilt], names[:1]).outlooks[0].parameters[0]
+    assert alone.determined and alone.sd < 0.02
+
+
+def run(*arguments):
+    command = [sys.executable, "-m", "sysid", "plan", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300)
+
+
+def test_the_command_prints_figures():
+    done = run("strip_pull", "pull_strip", "--params", "strip.E_pa", "--json")
+    assert done.returncode == 0, done.stderr
+    data = json.loads(done.stdout)
+    assert data["outlooks"][0]["parameters"][0]["determined"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("strip_pull", "pull_strip", "--params", "strip.Y"), "strip.Y"),
+        (("strip_pull", "no_such_thing", "--params", "strip.E"), "no_such_thing"),
+        (("strip_pull", "press_post", "--params", "strip.E"), "finger"),
+    ],
+)
+def test_what_cannot_be_planned_is_named(arguments, word):
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert word in done.stderr and "Traceback" not in done.stderr

@@ -1,0 +1,64 @@
+"""The table: what a row says, what is printed, and that every row holds."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sim_core import validation
+from sim_core.validation import GROUPS, Case, NotCovered, run_validation
+from sysid.cli import app
+
+
+def test_a_case_passes_within_its_tolerance_only():
+    case = Case("c", "q", "1", 2.0, 2.03, 0.02, "m", "s")
+    assert case.error == pytest.approx(0.015)
+    assert case.passed
+    assert not Case("c", "q", "1", 2.0, 2.1, 0.02, "m", "s").passed
+    assert not Case("c", "q", "1", 2.0, float("nan"), 0.02, "m", "s").passed
+
+
+def test_an_answer_of_zero_has_a_scale():
+    case = Case("c", "q", "1", 0.0, -0.03, 0.02, "m", "s", scale=2.0, coarser=0.12)
+    assert case.error == pytest.approx(0.015)
+    assert case.order == pytest.approx(2.0)
+
+
+def test_the_observed_order_is_that_of_halved_cells():
+    assert Case("c", "q", "1", 2.0, 2.02, 0.02, "m", "s", coarser=2.08).order == pytest.approx(2.0)
+    assert Case("c", "q", "1", 2.0, 2.02, 0.02, "m", "s").order is None
+
+
+def two_rows():
+    yield Case("droop", "drop", "1", np.float64(2.0), np.float64(2.1), 0.01, "10 x 1", "a book", remark="on purpose")
+    yield NotCovered("creep", "the law has none", "another book")
+
+
+def test_a_missed_row_fails_the_table_and_gaps_are_named(monkeypatch):
+    monkeypatch.setattr(validation, "GROUPS", {"two": (two_rows, 1.0)})
+    shares = []
+    passed, text = run_validation(on_progress=lambda share, _: shares.append(share))
+    assert not passed
+    assert shares == [0.0, 1.0]
+    assert "MISSED" in text and "0 of 1 within" in text
+    assert "droop: on purpose" in text and "creep: the law has none [another book]" in text
+    passed, text = run_validation(as_json=True)
+    found = json.loads(text)
+    assert not found["passed"] and found["cases"][0]["error"] == pytest.approx(0.05)
+    assert found["not_covered"][0]["name"] == "creep"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("group", GROUPS)
+def test_every_row_of_the_table_holds(group):
+    cases, _ = GROUPS[group]
+    missed = [row for row in cases() if isinstance(row, Case) and not row.passed]
+    assert not missed
+
+
+def test_the_command_ends_with_1_when_a_row_is_missed_and_prints_json(monkeypatch, capsys):
+    monkeypatch.setattr(validation, "GROUPS", {"two": (two_rows, 1.0)})
+    assert app.main(["validate", "--json"]) == 1
+    shown = capsys.readouterr()
+    assert not json.loads(shown.out)["passed"]
+    assert "100 %" in shown.err
