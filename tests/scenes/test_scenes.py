@@ -5,14 +5,23 @@ import pytest
 from scene_runs import G, run
 
 from sim_core.rigs import load_rig
+from sim_core.rigs.motion import load_experiment
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation
+from sysid.simulate import simulate_to_bag
 
 
 def test_markers_on_a_dome_are_on_its_skin():
     scene = build_scene(load_rig("sliding"))
     markers = Simulation(scene).read()["markers_gel"]
     np.testing.assert_allclose(np.linalg.norm(markers, axis=1), 0.0075, rtol=1e-9)
+
+
+def test_a_rig_that_nothing_moves_is_recorded(tmp_path):
+    plan = load_experiment("fall").model_copy(update={"duration_s": 0.04})
+    words = simulate_to_bag(load_rig("bouncing"), plan, tmp_path / "bag")
+    assert "0.04 s, 20 steps" in words
+    assert "outside/marker_tracks: 2 messages" in words
 
 
 def weights(scene):
