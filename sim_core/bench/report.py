@@ -5,25 +5,30 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 
 from sim_core.bench.forming import Benchmark, measure, measure_side_by_side
 from sim_core.bench.machine import machine_name
 from sim_core.bench.scale import MESHES, Scaling, Size, measure_scaling, measure_sizes
-from sim_core.bench.scenes import measure_scenes, scene_lines
+from sim_core.bench.scenes import SceneRun, measure_scenes, scene_lines
 from sim_core.errors import ConfigError
 
 PUBLISHED = "Published: on their authors' machines, with their scenes; only the number of unknowns is the same."
 
 
-def run_benchmarks(as_json: bool = False, quick: bool = False, scenes: bool = False) -> str:
+def run_benchmarks(
+    as_json: bool = False,
+    quick: bool = False,
+    scenes: bool = False,
+    on_scene: Callable[[SceneRun], None] | None = None,
+) -> str:
     """Measure, and say it. ``quick``: the forming rig in one process only; ``scenes``: only the scenes, and the sizes
-    of published simulations."""
+    of published simulations. ``on_scene`` is called after each scene."""
     if quick and scenes:
         raise ConfigError("--quick and --scenes each leave out what the other measures.", "Give one of the two.")
     if scenes:
-        runs = measure_scenes()
+        runs = measure_scenes(on_scene)
         sizes = tuple(measure_sizes([mesh for mesh in MESHES if mesh.published is not None]))
         if as_json:
             figures = {"scenes": [asdict(r) for r in runs], "published_sizes": [asdict(s) for s in sizes]}
@@ -33,7 +38,7 @@ def run_benchmarks(as_json: bool = False, quick: bool = False, scenes: bool = Fa
     if quick:
         return json.dumps(asdict(forming), indent=2) if as_json else "\n".join(forming_lines(forming))
     processes, together = measure_side_by_side()
-    scaling, runs = measure_scaling(), measure_scenes()
+    scaling, runs = measure_scaling(), measure_scenes(on_scene)
     if as_json:
         found = {
             **asdict(forming),

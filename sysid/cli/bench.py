@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from sysid.cli.options import library
+from sysid.cli.progress import progress
 
 
 def bench(
@@ -17,4 +18,16 @@ def bench(
     ] = False,
 ) -> None:
     """Measure steps per second, the share of each part of a step, and how both grow with the mesh."""
-    print(library("sim_core.bench", "run_benchmarks")(as_json=as_json, quick=quick, scenes=scenes))
+    from sim_core.bench.scenes import SCENES
+
+    done = []
+    with progress("scenes") as report:
+
+        def on_scene(run: object) -> None:
+            done.append(run)
+            report(len(done) / len(SCENES), SCENES[len(done) - 1][1])
+
+        text = library("sim_core.bench", "run_benchmarks")(
+            as_json=as_json, quick=quick, scenes=scenes, on_scene=on_scene
+        )
+    print(text)
