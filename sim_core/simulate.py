@@ -55,7 +55,8 @@ def interpolate(times: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.nda
 
 
 class Simulation:
-    """A scene being stepped. ``frames``: where the mounts are now."""
+    """A scene being stepped. ``frames``: where the mounts are now; ``halvings``: how often a step was halved since the
+    last reset."""
 
     def __init__(self, scene: Scene, settings: NewtonSettings | None = None, settle: bool = True) -> None:
         self.scene = scene
@@ -67,6 +68,7 @@ class Simulation:
     def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
         """Back to rest at the start poses (or ``frames``), in equilibrium when everything is held."""
         scene = self.scene
+        self.halvings = 0
         self.frames = {**scene.start, **(frames or {})}
         targets = scene.targets(self.frames)
         x, v = scene.start_state(self.frames)
@@ -103,6 +105,7 @@ class Simulation:
         except ConvergenceError:
             if halvings == 0:
                 raise
+            self.halvings += 1
             middle = {m: midway(start[m], end[m]) for m in end}
             self._step(start, middle, dt / 2, halvings - 1)
             report = self._step(middle, end, dt / 2, halvings - 1)

@@ -62,9 +62,9 @@ def simulate_to_bag(
     carries less of the error of mesh and time step.
     """
     poses = compile_experiment(experiment, rig)
-    duration = max((p.times[-1] for p in poses.values()), default=0.0)
+    duration = max([experiment.duration_s or 0.0, *(p.times[-1] for p in poses.values())])
     if duration <= 0.0:
-        raise ConfigError(f"The experiment {experiment.name!r} moves nothing.", "Give it motions or waits.")
+        raise ConfigError(f"The experiment {experiment.name!r} moves nothing.", "Give it motions, waits or duration_s.")
     times = step_times(0.0, float(duration), rig.solver.dt_s / refine)
     scene = build_scene(rig, refine)
 

@@ -132,14 +132,20 @@ def measure_size(mesh: Mesh, settling_steps: int = SETTLING_STEPS, timed_steps: 
     )
 
 
-def measure_scaling(meshes: Sequence[Mesh] = MESHES, on_size: Callable[[Size], None] | None = None) -> Scaling:
-    """Run all sizes, one after the other, each in a fresh process; at least two without a published counterpart."""
+def measure_sizes(meshes: Sequence[Mesh], on_size: Callable[[Size], None] | None = None) -> list[Size]:
+    """Run sizes, one after the other, each in a fresh process."""
     sizes = []
     for mesh in meshes:
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), leave_interrupts_to_parent) as pool:
             sizes.append(pool.submit(measure_size, mesh).result())
         if on_size is not None:
             on_size(sizes[-1])
+    return sizes
+
+
+def measure_scaling(meshes: Sequence[Mesh] = MESHES, on_size: Callable[[Size], None] | None = None) -> Scaling:
+    """Run all sizes; at least two without a published counterpart."""
+    sizes = measure_sizes(meshes, on_size)
     return Scaling(tuple(sizes), growth([s for s in sizes if s.published is None]))
 
 

@@ -184,8 +184,8 @@ def _curved(x: F2, hinge: I2, moment: F1, slots: I2, out: F1):
 class Bending:
     """Term of one sheet. ``node_offset``: index of the sheet's first node among all nodes.
 
-    ``mesh`` is the flat or curved mesh whose metric defines areas; ``rest_angles`` default to those
-    of the mesh itself [rad], shape ``(n_hinges,)``. ``held``: bool ``(n,)``, nodes in one rigid clamp;
+    ``mesh`` is the flat or curved mesh whose metric defines areas; rest angles are those at ``formed`` [m] ``(n, 3)``,
+    an isometric form of it (default: the mesh itself). ``held``: bool ``(n,)``, nodes in one rigid clamp;
     triangles of such nodes alone do not bend, which puts the clamp's edge where the held nodes end.
     """
 
@@ -197,7 +197,7 @@ class Bending:
         mesh: SheetMesh,
         node_offset: int,
         axis: np.ndarray,
-        rest_angles: np.ndarray | None = None,
+        formed: np.ndarray | None = None,
         held: np.ndarray | None = None,
     ) -> None:
         self.name = name
@@ -218,9 +218,7 @@ class Bending:
         self._seen = np.full((0, 3), np.nan)
         self._yield_curvature = np.inf
         self._hardening = 0.0
-        if rest_angles is None:
-            rest_angles = self._measure(mesh.nodes, node_offset)
-        self.rest_angles = np.array(rest_angles, dtype=float)
+        self.rest_angles = self._measure(mesh.nodes if formed is None else formed, node_offset)
 
     def _measure(self, nodes: np.ndarray, node_offset: int) -> np.ndarray:
         out = np.zeros(len(self._hinge))

@@ -15,6 +15,7 @@ from sim_core.materials.presets import preset_values
 from sim_core.rigs.fields import (
     Cells2,
     Cells3,
+    Coordinate,
     FloatArray,
     Length,
     Name,
@@ -82,14 +83,50 @@ class AffineMaterial(_Material):
     density_kg_m3: Density = Field(description="mass per volume in kg/m^3")
 
 
+class Fold(Strict):
+    """A bend of a sheet at rest, about a line along local y; what lies beyond it (larger x) turns towards +z.
+
+    ``over_m``: length of the arc over which the angle is spread; without it, a crease.
+    """
+
+    at_m: Coordinate = Field(description="place of the line along local x in m")
+    angle_deg: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-180.0, le=180.0)] = Field(
+        description="by how much it turns in deg"
+    )
+    over_m: Length | None = None
+
+
 class Rectangle(Strict):
-    """A flat rectangle: length along local x, width along local y."""
+    """A rectangle: length along local x, width along local y.
+
+    ``folds``: where it is bent at rest, without stretch; the end of least x stays where it is. Places on the sheet
+    (clamps, points) are those on the flat sheet.
+    """
 
     type: Literal["rectangle"]
     length_m: Length = Field(description="extent along local x in m")
     width_m: Length = Field(description="extent along local y in m")
     cells: Cells2 = Field(description="number of cells along x and y")
     pattern: Literal["regular", "crossed", "irregular"] = "regular"
+    folds: tuple[Fold, ...] = ()
+
+    @model_validator(mode="after")
+    def _folds_fit(self) -> Rectangle:
+        if self.folds and self.pattern == "irregular":
+            raise trouble("has folds, which need lines of nodes.", "Write 'pattern: crossed'.", "pattern")
+        end = -0.5 * self.length_m
+        for index, fold in sorted(enumerate(self.folds), key=lambda item: item[1].at_m):
+            half = 0.5 * (fold.over_m or 0.0)
+            if fold.at_m - half < end or fold.at_m + half >= 0.5 * self.length_m or fold.at_m <= -0.5 * self.length_m:
+                raise trouble(
+                    f"reaches from {fold.at_m - half:g} to {fold.at_m + half:g} m, beyond the sheet's end or into "
+                    "another fold.",
+                    "Move it, or shorten its arc; x = 0 is the middle of the sheet.",
+                    "folds",
+                    index,
+                )
+            end = fold.at_m + half
+        return self
 
     def bounds(self) -> FloatArray:
         """Corners of the box around it [m], shape ``(2, 3)``."""

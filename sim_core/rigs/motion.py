@@ -23,22 +23,19 @@ from sim_core.rigs.fields import (
     Direction,
     FloatArray,
     Name,
+    NonNegative,
     Pose,
     Position,
     Strict,
     Text,
+    of_length,
     trouble,
 )
 from sim_core.rigs.load import find_config
+from sim_core.rigs.moves import Move, Rest, Step
 from sim_core.rigs.schema import EndEffector, Rig
-from sim_core.rigs.trajectory import (
-    MINIMUM_JERK_PEAK,
-    PoseTrajectory,
-    Profile,
-    minimum_jerk,
-    trapezoidal,
-    trapezoidal_timing,
-)
+from sim_core.rigs.trajectory import PoseTrajectory, Profile, minimum_jerk
+from sim_core.rigs.wander import REST, Wander, spans_within, wander
 from sim_core.rigs.yamlfile import read_mapping, validate
 
 Duration = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=3600.0)]
@@ -49,44 +46,6 @@ Distance = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1
 Times = Annotated[int, Field(strict=True, ge=1, le=1000)]
 
 MAX_SAMPLES = 2_000_000
-
-
-@dataclass(frozen=True)
-class Move:
-    """One move from rest to rest. ``turn`` acts about the end effector's origin.
-
-    ``shift`` [m] ``(3,)`` and ``turn`` are along the axes named by ``own``; ``speed`` in m/s,
-    ``turn_speed`` in rad/s, ``acceleration`` in m/s^2 (None: minimum jerk).
-    """
-
-    shift: FloatArray
-    turn: Rotation
-    own: bool
-    speed: float
-    turn_speed: float
-    acceleration: float | None
-
-    def timing(self) -> tuple[float, Profile]:
-        """Duration [s] and profile."""
-        distance, angle = float(np.linalg.norm(self.shift)), float(self.turn.magnitude())
-        if self.acceleration is None:
-            return MINIMUM_JERK_PEAK * max(distance / self.speed, angle / self.turn_speed), minimum_jerk
-        duration, ramp = trapezoidal_timing(distance, self.speed, self.acceleration) if distance else (0.0, 0.5)
-        turning, turn_ramp = 0.0, 0.5
-        if angle:
-            turn_acceleration = self.turn_speed * self.acceleration / self.speed
-            turning, turn_ramp = trapezoidal_timing(angle, self.turn_speed, turn_acceleration)
-        return (duration, trapezoidal(ramp)) if duration >= turning else (turning, trapezoidal(turn_ramp))
-
-
-@dataclass(frozen=True)
-class Rest:
-    """Stand still for ``duration`` [s]."""
-
-    duration: float
-
-
-Step = Move | Rest
 
 
 class _Moving(Strict):
@@ -245,7 +204,54 @@ class Waypoints(_Moving):
     hold_s: Duration = 0.0
 
 
-Motion = Annotated[Wait | Press | Slide | Bend | Pull | Drop | Waypoints, Field(discriminator="type")]
+Bounds = Annotated[tuple[NonNegative, NonNegative, NonNegative], of_length(3)]
+
+
+class Random(Strict):
+    """Wander smoothly and at random about ``centre`` (relative to the start pose of the rig), the same for a seed.
+
+    ``bounds_m``, ``bounds_deg``: how far it goes at most along and about each axis of the base frame;
+    ``speed_m_s``, ``speed_deg_s``: highest speeds, usually well above those that are reached.
+    """
+
+    type: Literal["random"]
+    duration_s: Duration = Field(description="time in s")
+    bounds_m: Bounds = Field(description="largest shift along x, y, z in m")
+    bounds_deg: Bounds = (0.0, 0.0, 0.0)
+    centre: Pose = Pose()
+    seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 0
+    speed_m_s: Speed = 0.01
+    speed_deg_s: TurnSpeed = 45.0
+
+    @model_validator(mode="after")
+    def _has_time(self) -> Random:
+        if not self.bounds().any():
+            raise trouble("are all 0.", "Give at least one bound above 0, or use 'type: wait'.", "bounds_m")
+        if float(np.linalg.norm(self.bounds()[3:])) > math.pi:
+            raise trouble("allow turns of more than 180 deg.", "Reduce them.", "bounds_deg")
+        needed = 2 * REST - 2
+        if self.spans() < needed:
+            shortest = 1.01 * needed * self.duration_s / max(self._spans(1e6 * self.duration_s) * 1e-6, 1e-12)
+            raise trouble(
+                f"is {self.duration_s:g}, too short to wander within these bounds at these speeds.",
+                f"Write at least {shortest:.3g}, or smaller bounds, or higher speeds.",
+                "duration_s",
+            )
+        return self
+
+    def bounds(self) -> FloatArray:
+        """Of all six coordinates [m, rad], ``(6,)``."""
+        return np.concatenate([self.bounds_m, np.deg2rad(self.bounds_deg)])
+
+    def spans(self) -> int:
+        """Knot spans of the motion."""
+        return self._spans(self.duration_s)
+
+    def _spans(self, duration: float) -> int:
+        return spans_within(self.bounds(), self.speed_m_s, math.radians(self.speed_deg_s), duration)
+
+
+Motion = Annotated[Wait | Press | Slide | Bend | Pull | Drop | Waypoints | Random, Field(discriminator="type")]
 
 
 class Experiment(Strict):
@@ -304,12 +310,12 @@ def _direction(along: tuple[float, float, float]) -> FloatArray:
 
 @dataclass
 class _Path:
-    """A chain of moves: knots in time with poses, and the profile between two knots."""
+    """A chain of moves: knots in time with poses, and between two knots the profile of a straight way, or a way."""
 
     times: list[float]
     positions: list[FloatArray]
     rotations: list[Rotation]
-    profiles: list[Profile] = field(default_factory=list)
+    ways: list[Profile | Wander] = field(default_factory=list)
 
     @classmethod
     def of(cls, effector: EndEffector, motions: Sequence[Motion]) -> _Path:
@@ -317,6 +323,9 @@ class _Path:
         for motion in motions:
             if isinstance(motion, Waypoints):
                 path._visit(motion)
+                continue
+            if isinstance(motion, Random):
+                path._wander(motion)
                 continue
             for step in motion.steps():
                 path._append(step)
@@ -348,13 +357,22 @@ class _Path:
             self._knot(duration, goal, facing, profile)
             self._append(Rest(motion.hold_s))
 
-    def _knot(self, duration: float, position: FloatArray, rotation: Rotation, profile: Profile) -> None:
+    def _wander(self, motion: Random) -> None:
+        """Go to the centre, if not there, and wander about it."""
+        speeds = motion.speed_m_s, motion.speed_deg_s
+        poses = (motion.centre,)
+        self._visit(Waypoints(type="waypoints", poses=poses, speed_m_s=speeds[0], speed_deg_s=speeds[1]))
+        here, facing = self.positions[-1], self.rotations[-1]
+        found = wander(here, facing, motion.bounds(), motion.spans(), motion.seed)
+        self._knot(motion.duration_s, here, facing, found)
+
+    def _knot(self, duration: float, position: FloatArray, rotation: Rotation, way: Profile | Wander) -> None:
         if duration <= 0.0:
             return
         self.times.append(self.end + duration)
         self.positions.append(position)
         self.rotations.append(rotation)
-        self.profiles.append(profile)
+        self.ways.append(way)
 
     def sample(self, times: FloatArray) -> PoseTrajectory:
         """The chain at the given times [s], the last pose held."""
@@ -362,9 +380,13 @@ class _Path:
         quaternions = np.repeat(self.rotations[-1].as_quat()[None], len(times), axis=0)
         knots = np.array(self.times)
         segment = np.searchsorted(knots, times, side="right") - 1
-        for index, profile in enumerate(self.profiles):
+        for index, way in enumerate(self.ways):
             mine = segment == index
-            share = profile((times[mine] - knots[index]) / (knots[index + 1] - knots[index]))
+            elapsed = (times[mine] - knots[index]) / (knots[index + 1] - knots[index])
+            if isinstance(way, Wander):
+                positions[mine], quaternions[mine] = way.poses(elapsed)
+                continue
+            share = way(elapsed)
             start, stop = self.positions[index], self.positions[index + 1]
             positions[mine] = start + share[:, None] * (stop - start)
             turn = (self.rotations[index + 1] * self.rotations[index].inv()).as_rotvec()

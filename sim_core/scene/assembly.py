@@ -17,6 +17,7 @@ from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
 from sim_core.geometry import closed, sheets, solids
+from sim_core.geometry.folds import Fold, folded
 from sim_core.rigs import Affine, Block, Gel, Rectangle, Rig, Rigid, Sheet
 from sim_core.rigs.fields import Pose
 
@@ -29,8 +30,8 @@ class BuiltBody:
     """One body of the scene.
 
     ``nodes``: indices among all nodes; ``local``: rest coordinates in the body's frame [m]; ``rest``:
-    world positions at the start [m]. ``unit_mass``: csr over the body's nodes, per unit density
-    (a sheet: per unit density and thickness); None for rigid bodies, whose nodes are the origin and the points
+    world positions at the start [m], folded where the sheet is. ``unit_mass``: csr over the body's nodes, per unit
+    density (a sheet: per unit density and thickness); None for rigid bodies, whose nodes are the origin and the points
     of their cores (:mod:`sim_core.contact.cores`). The last four nodes of an affine body are its control nodes
     (:mod:`sim_core.scene.joints`).
     """
@@ -84,20 +85,30 @@ def build_body(rig: Rig, name: str, carrier: tuple[np.ndarray, Rotation], offset
         unit_mass = sp.diags(shares).tocsr()
     else:
         mesh, local = None, np.vstack([np.zeros((1, 3)), *(c.points for c in cores(rigid_shape(spec)))])
-    rest = origin + rotation.apply(local)
+    rest = origin + rotation.apply(rest_form(spec, local))
     nodes = np.arange(offset, offset + len(local))
     body = BuiltBody(name, spec, nodes, local, rest, mesh, unit_mass)
     body.rotation[:] = rotation.as_matrix()
     return body
 
 
+def rest_form(spec: Sheet | Gel | Rigid | Affine, local: np.ndarray) -> np.ndarray:
+    """Where the points ``local`` of a body's mesh [m] ``(n, 3)`` are at rest, in its frame: elsewhere when folded."""
+    if not (isinstance(spec, Sheet) and isinstance(spec.shape, Rectangle) and spec.shape.folds):
+        return local
+    across = np.unique(local[local[:, 1] == local[:, 1].min(), 0])  # nodes of the border, one a line
+    bends = [Fold(f.at_m, float(np.deg2rad(f.angle_deg)), f.over_m or 0.0) for f in spec.shape.folds]
+    return folded(local, across, bends)
+
+
 def _sheet_mesh(spec: Sheet, refine: int, clamps: list[np.ndarray]) -> sheets.SheetMesh:
-    """Mesh a sheet with lines of nodes along the edges of its clamps (where it is a rectangle)."""
+    """Mesh a sheet with lines of nodes along its creases and the edges of its clamps (where it is a rectangle)."""
     shape = spec.shape
     if isinstance(shape, Rectangle):
         cells = (shape.cells[0] * refine, shape.cells[1] * refine)
         edges = [sorted({float(v) for box in clamps for v in box[:, axis] if np.isfinite(v)}) for axis in (0, 1)]
-        through = (tuple(edges[0]), tuple(edges[1]))
+        creases = {f.at_m for f in shape.folds if f.over_m is None}
+        through = (tuple(sorted(creases.union(edges[0]))), tuple(edges[1]))
         return sheets.rectangle(shape.length_m, shape.width_m, cells, shape.pattern, through_m=through)
     holes = tuple(np.asarray(h) for h in shape.holes_m)
     return sheets.outline(np.asarray(shape.polygon_m), shape.edge_m / refine, holes)
@@ -137,12 +148,14 @@ def affine_moments(spec: Affine) -> tuple[float, np.ndarray]:
 def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray) -> None:
     """Elastic terms of a sheet or a gel. ``rest``: all nodes [m]; ``held``: bool, nodes of the body in one clamp."""
     if isinstance(body.spec, Sheet) and isinstance(body.mesh, sheets.SheetMesh):
-        world = sheets.SheetMesh(body.rest, body.mesh.triangles)
+        world = sheets.SheetMesh(body.place(body.local), body.mesh.triangles)
         axis = body.rotation[:, 0]
         offset = int(body.nodes[0])
+        flat = rest.copy()
+        flat[body.nodes] = world.nodes
         body.terms = [
-            Membrane(f"{body.name}.membrane", rest, body.mesh.triangles + offset, axis),
-            Bending(f"{body.name}.bending", world, offset, axis, held=held),
+            Membrane(f"{body.name}.membrane", flat, body.mesh.triangles + offset, axis),
+            Bending(f"{body.name}.bending", world, offset, axis, body.rest, held=held),
         ]
     elif isinstance(body.mesh, solids.TetMesh):
         body.terms = [NeoHookean(f"{body.name}.elastic", body.mesh.tets + int(body.nodes[0]), rest)]

@@ -20,6 +20,7 @@ from sim_core.scene.assembly import (
     affine_moments,
     build_body,
     held_nodes,
+    rest_form,
     world_pose,
 )
 from sim_core.scene.joints import Link, embedding, guides, joint_label, make_link
@@ -312,7 +313,7 @@ class Scene:
             elif body.mesh is not None and self._held[body.name].any():
                 origin, rotation = self.body_frame(body.name, frames)
                 free = ~self._held[body.name]
-                x[body.nodes[free]] = (origin + rotation.apply(body.local))[free]
+                x[body.nodes[free]] = (origin + rotation.apply(rest_form(body.spec, body.local)))[free]
         given = v.copy()
         self.system.embed(v)
         miss = float(np.abs(v - given).max(initial=0.0))

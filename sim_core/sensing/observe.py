@@ -16,6 +16,8 @@ from sim_core.geometry import sheets, solids
 from sim_core.rigs import (
     WORLD,
     Affine,
+    Dome,
+    Gel,
     MarkerSensor,
     OrthographicCamera,
     Pose,
@@ -28,6 +30,9 @@ from sim_core.rigs import (
 )
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.camera import Camera, project, project_slopes
+
+ON_FLAT, ON_CURVED = 1e-6, 0.1
+"""How far points may lie outside of their element, in its sizes: the facets of a dome are not quite its skin."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +108,8 @@ class Observer:
             nodes = built.mesh.triangles[element]
         else:
             assert isinstance(built.mesh, solids.TetMesh)
-            element, weights = solids.locate(built.mesh, local)
+            curved = isinstance(built.spec, Gel) and isinstance(built.spec.shape, Dome)
+            element, weights = solids.locate(built.mesh, local, ON_CURVED if curved else ON_FLAT)
             nodes = built.mesh.tets[element]
         return _Tracked(nodes + int(built.nodes[0]), weights)
 

@@ -45,6 +45,9 @@ PATIENCE = 3
 NO_MOTION_M = 1e-15
 """Prescribed motion that is nothing but round-off."""
 
+DOUBLINGS = 6
+"""Most times that a move is doubled."""
+
 ITERATIONS = 4
 """Moves of the guarded Newton, as a multiple of ``max_iterations``."""
 
@@ -173,9 +176,9 @@ def _guarded(
             result = Result.CONVERGED
             break
         move = left * whole if left and moving else None
-        direction = newton_direction(system, g, move)[0]
+        direction, tangent = newton_direction(system, g, move)
         factorisations += 1
-        if direction is None:
+        if direction is None or tangent is None:
             raise ConvergenceError(
                 "The stiffness matrix cannot be factorised.",
                 "Check that every body is held by a clamp, a mount or contact, or switch inertia on.",
@@ -197,6 +200,8 @@ def _guarded(
             continue
         accepted, tried = _descend(system, unknowns, direction, fraction, float(g @ direction), 1.0 - left)
         searches += tried
+        if accepted and fraction == 1.0 and tried == 1 and not tangent.definite:
+            searches += _further(system, unknowns, left, base, whole)
         if not accepted:
             result = (
                 Result.CONVERGED if update < settings.step_tolerance_m and left == 0.0 else Result.LINE_SEARCH_FAILED
@@ -261,6 +266,24 @@ def _descend(
         fraction *= 0.5
     system.set_unknowns(unknowns)
     return False, 40
+
+
+def _further(system: System, start: np.ndarray, left: float, base: np.ndarray, whole: np.ndarray) -> int:
+    """Double the move from the unknowns ``start`` [m] while nothing touches and the energy falls: the projected matrix
+    is too stiff along what is unstable, and lets a sheet that buckles creep. Returns how often it was tried."""
+    energy = system.energy()
+    for tried in range(1, DOUBLINGS + 1):
+        there = system.unknowns()
+        onward = there - start
+        if _way(system, onward, system.spread(onward), left, base, whole, False)[0] < 1.0:
+            return tried
+        system.set_unknowns(there + onward)
+        further = system.energy()
+        if not further < energy:
+            system.set_unknowns(there)
+            return tried
+        energy = further
+    return DOUBLINGS
 
 
 def _is_free(system: System, here: np.ndarray, made: float) -> bool:

@@ -1,6 +1,7 @@
 """Entry point of ``thinshell``: collects the subcommands and turns errors into one paragraph.
 
-Exit codes: 0 done; 1 a defect of the program; 2 input or data that cannot be used; 130 interrupted.
+Exit codes: 0 done; 1 a defect of the program, or a soak that found one; 2 input or data that cannot be used; 130
+interrupted.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from sysid.cli import (
     prove,
     rigs,
     simulate,
+    soak,
     track,
     validate,
 )
@@ -74,6 +76,7 @@ app.command("params")(rigs.params)
 app.command("check-gradients")(check_gradients.check_gradients)
 app.command("validate")(validate.validate)
 app.command("bench")(bench.bench)
+app.command("soak")(soak.soak)
 app.command("doctor")(doctor.doctor_command)
 
 

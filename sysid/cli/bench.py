@@ -6,18 +6,37 @@ from typing import Annotated
 
 import typer
 
+from sim_core.errors import ConfigError
 from sysid.cli.options import library
+from sysid.cli.progress import progress
 
 
 def bench(
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Only the forming rig in one process.")] = False,
+    scenes: Annotated[
+        bool, typer.Option("--scenes", help="Only the manipulation scenes, and the sizes of published simulations.")
+    ] = False,
     gradients: Annotated[
         bool, typer.Option("--gradients", help="Only the adjoint: steps per second backwards, memory by horizon.")
     ] = False,
 ) -> None:
     """Measure steps per second, the share of each part of a step, and how both grow with the mesh."""
+    if quick + scenes + gradients > 1:
+        raise ConfigError("--quick, --scenes and --gradients each leave out what the others measure.", "Give one.")
     if gradients:
         print(library("sim_core.bench", "run_gradient_benchmark")(as_json=as_json))
         return
-    print(library("sim_core.bench", "run_benchmarks")(as_json=as_json, quick=quick))
+    from sim_core.bench.scenes import SCENES
+
+    done = []
+    with progress("scenes") as report:
+
+        def on_scene(run: object) -> None:
+            done.append(run)
+            report(len(done) / len(SCENES), SCENES[len(done) - 1][1])
+
+        text = library("sim_core.bench", "run_benchmarks")(
+            as_json=as_json, quick=quick, scenes=scenes, on_scene=on_scene
+        )
+    print(text)

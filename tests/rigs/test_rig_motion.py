@@ -30,12 +30,9 @@ def test_experiments_of_the_package_run_on_a_rig_of_the_package(name: str) -> No
     fitting = [rig for rig in map(load_rig, names_in("rigs")) if set(experiment.motions) <= set(rig.end_effectors)]
     assert experiment.name == name
     assert fitting
-    for path in compile_experiment(experiment, fitting[0]).values():
+    for effector, path in compile_experiment(experiment, fitting[0]).items():
         assert path.duration < 60.0
-        np.testing.assert_allclose(
-            path.positions[0],
-            fitting[0].end_effectors["gripper" if "gripper" in experiment.motions else "finger"].start.position(),
-        )
+        np.testing.assert_allclose(path.positions[0], fitting[0].end_effectors[effector].start.position())
 
 
 def test_press_goes_down_holds_and_returns() -> None:

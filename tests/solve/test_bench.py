@@ -8,8 +8,11 @@ import pytest
 
 from sim_core.bench import measure
 from sim_core.bench.machine import peak_memory_mb
-from sim_core.bench.report import scaling_lines
-from sim_core.bench.scale import DIFFCLOTH, MESHES, Mesh, Scaling, Size, growth, measure_size
+from sim_core.bench.report import run_benchmarks, scaling_lines
+from sim_core.bench.scale import DIFFCLOTH, MESHES, Mesh, Published, Scaling, Size, growth, measure_size
+from sim_core.bench.scenes import SCENES, measure_scene, scene_lines
+from sim_core.errors import ConfigError
+from sim_core.rigs.load import names_in
 
 
 @pytest.mark.slow
@@ -70,3 +73,29 @@ def test_peak_memory_of_a_process_is_its_own():
     assert peak_memory_mb() > before + 300.0
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         assert pool.submit(peak_memory_mb).result() < peak_memory_mb() - 200.0
+
+
+def test_scenes_of_the_benchmark_come_with_the_package():
+    """Ten tasks and the separating one twice, every rig and experiment by its name."""
+    assert len(SCENES) == 11
+    for rig, experiment, _ in SCENES:
+        assert rig in names_in("rigs") and experiment in names_in("experiments")
+
+
+def test_a_scene_is_measured_and_takes_a_line():
+    found = measure_scene("bouncing", "fall", Published("Other", "source", 10.0), most_steps=30)
+    assert found.steps == 30
+    assert found.unknowns == 789
+    assert 0.0 < found.smallest_gap_m < 0.01
+    assert found.halvings == 0
+    assert found.most_iterations >= found.iterations_per_step >= 1.0
+    title, line = scene_lines([found])
+    assert line.startswith("bouncing fall")
+    assert line.endswith(f"Other: 10 steps/s, here {found.steps_per_s / 10.0:.2g} times as many")
+    assert len(title.split()) <= len(line.split())
+    assert json.loads(json.dumps(asdict(found)))["published"]["name"] == "Other"
+
+
+def test_quick_and_scenes_exclude_each_other():
+    with pytest.raises(ConfigError, match="one of the two"):
+        run_benchmarks(quick=True, scenes=True)
