@@ -20,6 +20,7 @@ import numpy as np
 
 from sim_core.errors import ConfigError
 from sim_core.rigs import OrthographicCamera, Rig
+from sim_core.rigs.observers import Camera
 from sysid.fit.noise import column_groups
 from sysid.fit.parameters import FitParameter, fit_parameters
 from sysid.fit.runs import Measured, Run
@@ -74,13 +75,26 @@ def nuisance_parameters(
         if "time" in kinds and late not in names:
             add(f"{channel}.latency_s", LATENCY_SD_S)
         if "camera" in kinds and channel in rig.cameras:
-            if isinstance(rig.cameras[channel], OrthographicCamera):
-                add(f"{channel}.scale_m_per_px", SCALE_SD)
-            else:
-                add(f"{channel}.fx_px", SCALE_SD, (f"{channel}.fy_px",))
-            add(f"{channel}.cx_px", CENTRE_SD_PX)
-            add(f"{channel}.cy_px", CENTRE_SD_PX)
+            for name, sd, tied in _intrinsics(channel, rig.cameras[channel]):
+                add(name, sd, tied)
     return found
+
+
+def _intrinsics(name: str, camera: Camera) -> list[tuple[str, float, tuple[str, ...]]]:
+    """What may be off of a camera, how far, and what changes in proportion.
+
+    Where the camera itself places the markers on their sheet, an error of it is in the places already; where it counts
+    from one of them, its centre has no part in the readings.
+    """
+    if any(sight.points.placed == "first_frame" for sight in camera.sees):
+        return []
+    if isinstance(camera, OrthographicCamera):
+        found: list[tuple[str, float, tuple[str, ...]]] = [(f"{name}.scale_m_per_px", SCALE_SD, ())]
+        if camera.origin_id is not None:
+            return found
+    else:
+        found = [(f"{name}.fx_px", SCALE_SD, (f"{name}.fy_px",))]
+    return [*found, (f"{name}.cx_px", CENTRE_SD_PX, ()), (f"{name}.cy_px", CENTRE_SD_PX, ())]
 
 
 def has_bias(runs: Sequence[Run], asked: Sequence[FitParameter], kinds: Collection[str]) -> bool:

@@ -62,7 +62,8 @@ class Problem:
 
     def read(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
         """What a channel with its most probable bias would read by the prediction, measured units ``(n, m)``."""
-        return np.asarray(fitted.predictions[index].values[measured.channel] + self.bias_of(fitted, index, measured))
+        prediction = fitted.predictions[index].values[measured.channel]
+        return np.asarray(prediction + self.bias_of(fitted, index, measured)) if self.bias else prediction
 
     def _white_basis(self, index: int, measured: Measured) -> Basis:
         """The same, whitened; kept, since every evaluation needs it."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError
-from sim_core.rigs import with_parameters
+from sim_core.rigs import load_rig, with_parameters
 from sim_core.simulate import Trace
 from sysid.fit.directions import Direction
 from sysid.fit.engine import Engine, Prediction
@@ -184,6 +184,20 @@ def test_every_stream_and_camera_has_its_nuisances_once(small_rig: Any) -> None:
     squeezed = with_parameters(rig, {"side.fy_px": 1500.0})
     there = rig_at(squeezed, [scale], start_of(squeezed, [scale]) + np.log(1.005)).cameras["side"]
     assert (there.fx_px, there.fy_px) == pytest.approx((1407.0, 1507.5))
+
+
+def test_a_camera_that_places_the_markers_has_no_nuisance_but_its_clock() -> None:
+    rig = load_rig("knit_acrylic_garter_x")
+    run = Run("pull", "", (), {}, (Measured("video", "tracks", T, np.zeros((len(T), 10)), ()),), 2.0)
+    asked = fit_parameters(rig, ["knit.E_pa"])
+    assert [p.name for p in nuisance_parameters(rig, [run], asked, KINDS)] == ["video.latency_s"]
+    (sight,) = (video := rig.cameras["video"]).sees
+    fixed = sight.model_copy(update={"points": sight.points.model_copy(update={"placed": "rig"})})
+    for origin, expected in ((video.origin_id, ["scale_m_per_px"]), (None, ["scale_m_per_px", "cx_px", "cy_px"])):
+        camera = video.model_copy(update={"sees": (fixed,), "origin_id": origin})
+        there = rig.model_copy(update={"cameras": {"video": camera}})
+        found = nuisance_parameters(there, [run], asked, ("camera",))
+        assert [p.name for p in found] == [f"video.{e}" for e in expected]
 
 
 def test_the_width_of_a_bias_follows_large_readings() -> None:
