@@ -14,6 +14,7 @@ from sysid.fit.noise import quantities
 from sysid.fit.nuisance import bias_sd
 from sysid.fit.parameters import FitParameter, start_of
 from sysid.fit.problem import Problem
+from sysid.fit.runs import UNITS, Measured
 from sysid.fit.uncertainty import UNDETERMINED_SHARE, interval, marginal, uncertainty
 
 FAR = 3.0
@@ -82,12 +83,17 @@ def _biases(problem: Problem) -> list[tuple[str, FitParameter]]:
             sd = bias_sd(m) if problem.bias else None
             if sd is None:
                 continue
-            units = ["N", "N m"]
-            for (_, group), unit in zip(quantities(m), units, strict=True):
-                for j in group:
+            seen = _seen(m)
+            for (_, group), unit in zip(quantities(m), UNITS[m.kind], strict=True):
+                for j in np.intersect1d(group, seen):
                     name = f"{m.channel} {m.labels[j]} bias"
                     found.append((run.name, FitParameter(name, unit, False, -np.inf, np.inf, float(sd[j]), "", True)))
     return found
+
+
+def _seen(measured: Measured) -> np.ndarray:
+    """Columns that a recording has."""
+    return np.flatnonzero(np.isfinite(measured.values).any(axis=0))
 
 
 def with_explicit_bias(problem: Problem, fitted: Fitted) -> Fitted:
@@ -104,9 +110,9 @@ def with_explicit_bias(problem: Problem, fitted: Fitted) -> Fitted:
         for m in run.measured:
             extra = np.zeros((*m.values.shape, q))
             if bias_sd(m) is not None:
-                columns = np.arange(m.values.shape[1])
-                extra[:, columns, len(values) + columns] = 1.0
-                values += list(problem.bias_of(fitted, i, m))
+                columns = _seen(m)
+                extra[:, columns, len(values) + np.arange(len(columns))] = 1.0
+                values += list(problem.bias_of(fitted, i, m)[columns])
                 amended[m.channel] = problem.read(fitted, i, m)
             slopes[m.channel] = np.concatenate([prediction.derivatives[m.channel], extra], axis=2)
         predictions.append(replace(prediction, values=amended, derivatives=slopes))

@@ -26,7 +26,7 @@ from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
 from sysid.fit.uncertainty import uncertainty
-from sysid.fit.untold import Nuisance, blamed, nuisances_of, remarks, with_explicit_bias
+from sysid.fit.untold import REMEDIES, Nuisance, blamed, nuisances_of, remarks, with_explicit_bias
 
 T = np.linspace(0.0, 2.0, 80)
 RNG = np.random.default_rng(11)
@@ -119,6 +119,17 @@ def test_a_bias_pulls_parameters_away_unless_it_is_allowed_for(stubs: None) -> N
     assert said.startswith("In press, gauge has a bias: force x 0.30") and "Tare it" in said
 
 
+def test_a_gauge_along_one_axis_has_one_bias(stubs: None) -> None:
+    run = run_of(BIAS)
+    (full,) = run.measured
+    one = np.where(np.arange(6) == 2, full.values, np.nan)
+    problem = problem_of(replace(run, measured=(replace(full, values=one),)))
+    found = problem.fit(cast(Any, None), ASKED, start=np.zeros(2), tolerance=1e-6)
+    (bias,) = nuisances_of(problem, found)
+    assert bias.name == "gauge force z bias" and abs(bias.value - BIAS[2]) < 4.0 * bias.sd
+    assert with_explicit_bias(problem, found).chi2 == pytest.approx(found.chi2, rel=1e-6)
+
+
 def test_what_only_a_bias_hides_is_said(stubs: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """A weight that never changes cannot be told from a bias of the sensor that carries it."""
     constant = SLOPES.copy()
@@ -154,6 +165,24 @@ def test_nuisances_have_a_prior_and_stay_there_without_information(stubs: None) 
     np.testing.assert_allclose(known.sd[:2], uncertainty(alone).sd, rtol=1e-2)
     (n,) = nuisances_of(problem, found)
     assert not n.told and not n.far and remarks(cast(Any, None), [n]) == []
+
+
+def test_a_parameter_that_only_the_clock_hides_is_no_better_known_than_the_clock(stubs: None) -> None:
+    """One second of delay reads as 200 b, so that b is known to 200 times 30 ms."""
+    late = FitParameter("gauge.latency_s", "s", False, -10.0, 10.0, 0.03, "", nuisance=True)
+
+    class Late(Linear):
+        def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+            slopes = np.concatenate([SLOPES, 200.0 * SLOPES[:, :, 1:]], axis=2)
+            return [Prediction({"gauge": slopes @ scaled}, {"gauge": slopes}, cast(Trace, None))]
+
+    problem = Problem([run_of(np.zeros(6))], NOISE, cast(Engine, Late()))
+    found = problem.fit(cast(Any, None), [*ASKED, late], start=np.zeros(3), tolerance=1e-9)
+    known = uncertainty(replace(found, residual=0.0 * found.residual))
+    np.testing.assert_allclose(known.sd[1:], [200.0 * 0.03, 0.03], rtol=0.01)
+    assert known.sd[0] < 0.1
+    assert len(known.sentences) == 1 and "do not determine b:" in known.sentences[0]
+    assert blamed(problem, found, KINDS) == [f"b would be determined if {REMEDIES['time']}."]
 
 
 def test_every_stream_and_camera_has_its_nuisances_once(small_rig: Any) -> None:
