@@ -10,11 +10,13 @@ from sysid.cli.options import (
     BagsArgument,
     FolderOption,
     HeldOutOption,
+    NuisanceOption,
     RigArgument,
     SeedOption,
     check_bags,
     check_new,
     parse_names,
+    parse_nuisance,
 )
 from sysid.cli.progress import progress
 
@@ -29,6 +31,7 @@ def fit(
     out: FolderOption,
     held_out: HeldOutOption = None,
     seed: SeedOption = 0,
+    nuisance: NuisanceOption = "all",
 ) -> None:
     """Estimate parameters of a rig, their uncertainty, and how well held-out recordings are predicted.
 
@@ -38,10 +41,13 @@ def fit(
 
     chosen = load_rig(rig)
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
+    kinds = parse_nuisance(nuisance)
     check_bags(bags, held_out or [])
     check_new(out, "folder")
     from sysid.fit import fit_bags
 
     with progress("fit") as report:
-        summary = fit_bags(chosen, bags, names, held_out=held_out or [], out=out, seed=seed, on_progress=report)
+        summary = fit_bags(
+            chosen, bags, names, held_out=held_out or [], out=out, seed=seed, nuisance=kinds, on_progress=report
+        )
     print(summary)

@@ -23,6 +23,15 @@ HeldOutOption = Annotated[
     typer.Option("--held-out", metavar="BAG", help="Recording kept for the check; may be repeated."),
 ]
 FolderOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder for the results.")]
+NuisanceOption = Annotated[
+    str,
+    typer.Option(
+        "--nuisance",
+        metavar="A,B",
+        help="What is estimated beside: time (offset of each stream), bias (of wrenches), camera (scale and centre); "
+        "all, or none.",
+    ),
+]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything random.")]
 
 
@@ -54,6 +63,13 @@ def parse_names(text: str, option: str) -> list[str]:
     if not all(names):
         raise ConfigError(f"{option} {text!r} holds an empty name.", f"Write for example {option} card.E,gel.E.")
     return names
+
+
+def parse_nuisance(text: str) -> list[str]:
+    """Kinds of nuisances from a comma-separated list."""
+    from sysid.fit.nuisance import checked_kinds
+
+    return sorted(checked_kinds(parse_names(text, "--nuisance"))) or ["none"]
 
 
 def check_bags(bags: Iterable[Path], held_out: Iterable[Path] = ()) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sysid.cli.options import RigArgument, parse_names, parse_settings
+from sysid.cli.options import NuisanceOption, RigArgument, parse_names, parse_nuisance, parse_settings
 from sysid.cli.progress import progress
 
 
@@ -24,6 +24,7 @@ def plan(
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Expected value of a parameter; may be repeated."),
     ] = None,
+    nuisance: NuisanceOption = "all",
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Tell what experiments can determine and how well, before the robot is touched.
@@ -35,11 +36,12 @@ def plan(
 
     chosen = with_parameters(load_rig(rig), parse_settings(settings or []))
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
+    kinds = parse_nuisance(nuisance)
     planned = [load_experiment(name) for name in experiments]
     for experiment in planned:
         compile_experiment(experiment, chosen)
     from sysid.fit.plan import plan_experiments
 
     with progress("plan") as report:
-        found = plan_experiments(chosen, planned, names, report)
+        found = plan_experiments(chosen, planned, names, report, kinds)
     print(found.to_json() if as_json else found.table())

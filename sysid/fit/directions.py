@@ -17,6 +17,9 @@ eliminated from the least-squares problem and the last part weighs samples down,
 are those with the error integrated out (the discrepancy of Kennedy & O'Hagan 2001 with a basis from the
 solver instead of a stationary kernel).
 
+A wrench sensor that was not tared adds a constant to each of its readings. Such a bias is one more coefficient
+that a column has for itself, and is eliminated with the others.
+
 The expected size lies between that of a recording made by this very simulator (none of the error) and that
 of reality (all of it).
 """
@@ -137,8 +140,14 @@ class Basis:
         return np.concatenate([rows - root @ both, -both]), sizes, times
 
 
-def basis_of(directions: list[Direction], index: int, run: Run, measured: Measured) -> Basis:
-    """The basis of one channel of run number ``index``."""
+def basis_of(
+    directions: list[Direction], index: int, run: Run, measured: Measured, bias: np.ndarray | None = None
+) -> Basis:
+    """The basis of one channel of run number ``index``.
+
+    ``bias`` ``(m,)``: standard deviation of a constant added to each column; its coefficient is then the last of the
+    column's own.
+    """
     t = measured.t
     drift, instants = _drift(t, run.end)
     expected = np.zeros(measured.values.shape)
@@ -146,6 +155,7 @@ def basis_of(directions: list[Direction], index: int, run: Run, measured: Measur
     at = next((d.at for d in directions if d.at is not None), np.zeros(0))
     slopes = np.zeros((*expected.shape, len(at)))
     common, own = [np.zeros((*expected.shape, 0))], [np.zeros((*expected.shape, 0))]
+    own_times = [np.zeros(0)]
     for direction in directions:
         shape = direction.shapes[index].get(measured.channel)
         if shape is None:
@@ -154,11 +164,15 @@ def basis_of(directions: list[Direction], index: int, run: Run, measured: Measur
         if direction.slopes:
             slopes += direction.mean * direction.slopes[index][measured.channel]
         own.append(direction.sd * shape[:, :, None] * drift[:, None, :])
+        own_times.append(instants)
         for group in column_groups(measured):
             part = np.zeros(own[-1].shape)
             part[:, group] = own[-1][:, group]
             common.append(part)
             rough[:, group] += (ROUGH * _largest(shape[:, group], t, run.end))[:, None] ** 2
+    if bias is not None:
+        own.append(np.tile(bias[:, None], (len(t), 1, 1)))
+        own_times.append(np.array([0.5 * run.end]))
     return Basis(
         expected,
         slopes,
@@ -166,7 +180,7 @@ def basis_of(directions: list[Direction], index: int, run: Run, measured: Measur
         np.concatenate(common, axis=2),
         np.concatenate(own, axis=2),
         np.tile(instants, len(common) - 1),
-        np.tile(instants, len(own) - 1),
+        np.concatenate(own_times),
         np.sqrt(rough),
         np.ones(expected.shape),
     )

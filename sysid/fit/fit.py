@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +12,14 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
+from sysid.fit.nuisance import checked_kinds, has_bias, nuisance_parameters
 from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series, rms_errors
 from sysid.fit.runs import Run, load_runs
+from sysid.fit.untold import blamed, nuisances_of, remarks
 from sysid.provenance import provenance
 
 Progress = Callable[[float, str], None]
@@ -41,11 +43,17 @@ def fit_runs(
     held_out: Sequence[Run] = (),
     seed: int = 0,
     start: np.ndarray | None = None,
+    nuisance: Collection[str] = ("all",),
     on_progress: Progress | None = None,
 ) -> tuple[FitResult, Rig]:
-    """Fit ``names`` to ``runs``; the result and the rig with the fitted values."""
+    """Fit ``names`` to ``runs``; the result and the rig with the fitted values, of nuisances too.
+
+    ``start``: scaled values of ``names`` to start from; ``nuisance``: kinds of nuisances that are estimated beside
+    them (:func:`sysid.fit.nuisance.checked_kinds`).
+    """
+    kinds = checked_kinds(nuisance)
     with PooledEngine(os.cpu_count()) as engine:
-        return _fit_runs(engine, rig, runs, names, held_out, seed, start, on_progress)
+        return _fit_runs(engine, rig, runs, names, held_out, seed, start, on_progress, kinds)
 
 
 def _shown_sigma(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> float:
@@ -101,10 +109,14 @@ def _fit_runs(
     seed: int,
     start: np.ndarray | None,
     on_progress: Progress | None,
+    kinds: frozenset[str] = frozenset(),
 ) -> tuple[FitResult, Rig]:
     noise = channel_noise(rig, [*runs, *held_out])
-    parameters = fit_parameters(rig, names)
-    first = start_of(rig, parameters) if start is None else start
+    asked = fit_parameters(rig, names)
+    beside = nuisance_parameters(rig, runs, asked, kinds) if asked else []
+    bias = bool(asked) and has_bias(runs, asked, kinds)
+    parameters = [*asked, *beside]
+    first = np.concatenate([start_of(rig, asked) if start is None else start, start_of(rig, beside)])
 
     def on_evaluation(count: int, chi2: float) -> None:
         if on_progress is not None:
@@ -114,9 +126,11 @@ def _fit_runs(
     def search(problem: Problem, at: np.ndarray) -> Fitted:
         return _best_of_restarts(problem, rig, parameters, at, seed, on_evaluation)
 
-    problem, fitted = fit_beside_own_error(engine, runs, noise, rig, parameters, start=first, search=search)
+    problem, fitted = fit_beside_own_error(engine, runs, noise, rig, parameters, start=first, bias=bias, search=search)
     before = problem.evaluate(rig, [], np.zeros(0))
     estimates, correlation, sentences, reduced = estimates_of(fitted, first)
+    sentences += blamed(problem, fitted, sorted(kinds))
+    nuisances = nuisances_of(problem, fitted)
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False)
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
@@ -124,7 +138,7 @@ def _fit_runs(
     if held_out and on_progress is not None:
         on_progress(0.92, "held-out recordings")
     for run in held_out:
-        check = Problem([run], noise, engine)
+        check = Problem([run], noise, engine, bias=bias)
         try:
             there = check.evaluate(rig, [], np.zeros(0))
             scored = check.evaluate(fitted.rig, [], np.zeros(0))
@@ -152,6 +166,8 @@ def _fit_runs(
         notes=notes,
         provenance=provenance(rig, list(runs), list(held_out), seed),
         series=series,
+        nuisances=nuisances,
+        remarks=remarks(rig, nuisances),
     )
     return result, fitted.rig
 
@@ -164,13 +180,14 @@ def fit_bags(
     held_out: Sequence[Path] = (),
     out: Path,
     seed: int = 0,
+    nuisance: Collection[str] = ("all",),
     on_progress: Progress | None = None,
 ) -> str:
     """Fit bags and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``."""
     from sysid.report import write_fit_report
 
     runs, kept = load_runs(rig, bags, held_out)
-    result, fitted = fit_runs(rig, runs, names, held_out=kept, seed=seed, on_progress=on_progress)
+    result, fitted = fit_runs(rig, runs, names, held_out=kept, seed=seed, nuisance=nuisance, on_progress=on_progress)
     out.mkdir(parents=True, exist_ok=True)
     result.write(out / "fit.json")
     (out / "fitted_rig.yaml").write_text(rig_to_yaml(fitted))

@@ -40,8 +40,13 @@ class Fitted:
 
     @property
     def has_prior(self) -> bool:
-        """The last rows of the residual, one a parameter, are those of the prior."""
+        """The last rows of the residual, one a parameter that is pulled, are those of the prior."""
         return bool(self.labels) and self.labels[-1][0] < 0
+
+    @property
+    def pulls(self) -> int:
+        """Number of rows of the prior."""
+        return len(self.labels[-1][2]) if self.has_prior else 0
 
     @property
     def chi2(self) -> float:
@@ -50,8 +55,7 @@ class Fitted:
     @property
     def samples(self) -> int:
         """Number of measured values compared (the residual also has a row for each nuisance size and prior)."""
-        pulls = sum(c.number for c in self.sizes.values())
-        return len(self.residual) - pulls - sum(len(t) for run, _, t in self.labels if run < 0)
+        return len(self.residual) - sum(c.number for c in self.sizes.values()) - self.pulls
 
     @property
     def misfit(self) -> float:

@@ -34,7 +34,7 @@ MOST_ROUNDS = 6
 """Times that the error is measured and the fit repeated."""
 
 SETTLED = 0.5
-"""Rounds end when no parameter has moved by this many standard deviations."""
+"""Rounds end when no parameter that is asked for has moved by this many standard deviations."""
 
 LOUD = 10.0
 """Error of mesh and time step over noise from which a result says that it rests on that error."""
@@ -90,6 +90,7 @@ def fit_beside_own_error(
     *,
     start: np.ndarray | None = None,
     prior: bool = False,
+    bias: bool = False,
     rounds: int = MOST_ROUNDS,
     search: Minimise | None = None,
 ) -> tuple[Problem, Fitted]:
@@ -103,7 +104,7 @@ def fit_beside_own_error(
     directions = discretisation(engine, rig_at(rig, parameters, scaled), runs)
     evaluations, seconds, settled = 0, 0.0, False
     for _ in range(rounds):
-        problem = Problem(runs, noise, engine, directions, prior)
+        problem = Problem(runs, noise, engine, directions, prior, bias)
         fitted = look(problem, scaled)
         evaluations += fitted.evaluations
         seconds += fitted.seconds
@@ -115,12 +116,13 @@ def fit_beside_own_error(
         except KeyboardInterrupt:
             fitted.message, fitted.converged = "interrupted; the best values so far are kept", False
             return problem, _counted(fitted, evaluations, seconds)
-        settled = bool(np.all(np.abs(step) <= SETTLED * uncertainty(fitted).sd))
+        asked = np.array([not p.nuisance for p in parameters], dtype=bool)
+        settled = bool(np.all((np.abs(step) <= SETTLED * uncertainty(fitted).sd)[asked]))
         scaled = fitted.scaled
         if settled:
             break
         directions = [_learnt(old, new, step, fitted) for old, new in zip(directions, measured, strict=True)]
-    problem = Problem(runs, noise, engine, measured, prior)
+    problem = Problem(runs, noise, engine, measured, prior, bias)
     final = problem.evaluate(rig, parameters, scaled)
     final.message, final.converged = fitted.message, fitted.converged and settled
     if fitted.converged and not settled:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,7 +51,9 @@ SCALES = {
 
 @dataclass(frozen=True)
 class FitParameter:
-    """``lower``, ``upper``: bounds in ``unit``; ``prior_sd``: plausible width in the fitted scale."""
+    """``lower``, ``upper``: bounds in ``unit``; ``prior_sd``: plausible width in the fitted scale. ``nuisance``: not
+    asked for, and pulled to the rig's value with ``prior_sd``; ``tied``: parameters of the rig that change in
+    proportion."""
 
     name: str
     unit: str
@@ -60,6 +62,8 @@ class FitParameter:
     upper: float
     prior_sd: float
     words: str
+    nuisance: bool = False
+    tied: tuple[str, ...] = ()
 
     def scaled(self, value: float) -> float:
         """Value in the fitted scale."""
@@ -126,7 +130,10 @@ def _within(parameter: FitParameter, rig: Rig, value: float) -> FitParameter:
 
 def rig_at(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray) -> Rig:
     """The rig with the parameters at scaled values."""
-    values: Mapping[str, float] = {p.name: p.physical(s) for p, s in zip(parameters, scaled, strict=True)}
+    values: dict[str, float] = {p.name: p.physical(s) for p, s in zip(parameters, scaled, strict=True)}
+    if any(p.tied for p in parameters):
+        now = {p.name: p.value for p in list_parameters(rig) if p.value is not None}
+        values |= {t: now[t] * values[p.name] / now[p.name] for p in parameters for t in p.tied}
     return with_parameters(rig, values)
 
 

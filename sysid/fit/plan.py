@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -21,12 +21,14 @@ from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sim_core.rigs.motion import Experiment
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
+from sysid.fit.nuisance import checked_kinds, has_bias, nuisance_parameters
 from sysid.fit.own_error import discretisation
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
-from sysid.fit.runs import Measured, Run, load_run
+from sysid.fit.runs import Measured, load_run
 from sysid.fit.uncertainty import UNDETERMINED_SHARE, interval, uncertainty
+from sysid.fit.untold import blamed
 from sysid.simulate import simulate_to_bag
 
 Progress = Callable[[float, str], None]
@@ -78,14 +80,20 @@ class Plan:
 
 
 def plan_experiments(
-    rig: Rig, experiments: Sequence[Experiment], names: Sequence[str], on_progress: Progress | None = None
+    rig: Rig,
+    experiments: Sequence[Experiment],
+    names: Sequence[str],
+    on_progress: Progress | None = None,
+    nuisance: Collection[str] = ("all",),
 ) -> Plan:
-    """What ``experiments`` on ``rig`` would tell about the parameters ``names``, one by one and together.
+    """What ``experiments`` on ``rig`` would tell about the parameters ``names``, one by one and together,
+    with the nuisances that a fit estimates beside them (:func:`sysid.fit.nuisance.checked_kinds`).
 
     Raises ``ConfigError`` for unknown parameters, ``ConvergenceError`` where an experiment cannot be simulated.
     """
     say = on_progress or (lambda share, text: None)
-    parameters = fit_parameters(rig, names)
+    kinds = checked_kinds(nuisance)
+    asked = fit_parameters(rig, names)
     runs = []
     with tempfile.TemporaryDirectory() as folder:
         for k, experiment in enumerate(experiments):
@@ -98,9 +106,11 @@ def plan_experiments(
             simulate_to_bag(rig, experiment, bag, noise=_none, on_progress=share)
             runs.append(replace(load_run(rig, bag), name=experiment.name))
     noise = {m.channel: declared_noise(rig, m) for run in runs for m in run.measured}
+    parameters = [*asked, *nuisance_parameters(rig, runs, asked, kinds)]
+    start, bias = start_of(rig, parameters), has_bias(runs, asked, kinds)
     with PooledEngine(os.cpu_count()) as engine:
         say(0.4, "derivatives, and the error of mesh and time step")
-        pending = [engine.submit_with_derivatives(rig, run, parameters, start_of(rig, parameters)) for run in runs]
+        pending = [engine.submit_with_derivatives(rig, run, parameters, start) for run in runs]
         directions = discretisation(engine, rig, runs)
         predictions = [p.result() for p in pending]
         say(0.95, "what can be told apart")
@@ -108,13 +118,10 @@ def plan_experiments(
         groups = [[k] for k in range(len(runs))] + ([list(range(len(runs)))] if len(runs) > 1 else [])
         for group in groups:
             own = [replace(d, shapes=tuple(d.shapes[k] for k in group)) for d in directions]
-            problem = Problem([runs[k] for k in group], noise, engine, own)
-            residual, jacobian, labels, sizes = problem.assemble([predictions[k] for k in group], len(parameters))
-            fitted = Fitted(
-                parameters, start_of(rig, parameters), rig, 0.0 * residual, jacobian, labels, predictions, rig, 1,
-                True, "planned", 0.0, sizes,
-            )  # fmt: skip
-            outlooks.append(_outlook(fitted, problem.runs))
+            problem = Problem([runs[k] for k in group], noise, engine, own, bias=bias)
+            fitted = problem.compare([predictions[k] for k in group], rig, parameters, start)
+            fitted.residual[:] = 0.0
+            outlooks.append(_outlook(problem, fitted, sorted(kinds)))
     return Plan(rig.name, tuple(outlooks))
 
 
@@ -135,7 +142,7 @@ def _none(channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.
     return np.zeros_like(clean)
 
 
-def _outlook(fitted: Fitted, runs: Sequence[Run]) -> Outlook:
+def _outlook(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> Outlook:
     known = uncertainty(fitted)
     sources = _sources(fitted)
     expected = [
@@ -150,16 +157,21 @@ def _outlook(fitted: Fitted, runs: Sequence[Run]) -> Outlook:
             sources[k],
         )
         for k, p in enumerate(fitted.parameters)
+        if not p.nuisance
     ]
-    sentences = tuple(known.sentences) + tuple(_still(fitted))
-    return Outlook(tuple(run.name for run in runs), tuple(expected), known.correlation.tolist(), sentences)
+    sentences = (*known.sentences, *blamed(problem, fitted, kinds), *_still(fitted))
+    asked = [k for k, p in enumerate(fitted.parameters) if not p.nuisance]
+    correlation = known.correlation[np.ix_(asked, asked)].tolist()
+    return Outlook(tuple(run.name for run in problem.runs), tuple(expected), correlation, sentences)
 
 
 def _sources(fitted: Fitted) -> list[dict[str, float]]:
     """Share of each parameter's information that each channel brings, most first."""
     found: dict[str, np.ndarray] = {}
     at = 0
-    for _, channel, times in fitted.labels:
+    for run, channel, times in fitted.labels:
+        if run < 0:
+            continue
         rows = fitted.jacobian[at : at + len(times)]
         at += len(times)
         found[channel] = found.get(channel, 0.0) + np.sum(rows**2, axis=0)

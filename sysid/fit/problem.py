@@ -12,6 +12,7 @@ from sysid.fit.directions import Basis, Direction, Sizes, basis_of
 from sysid.fit.engine import Engine, Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, whiten
+from sysid.fit.nuisance import bias_sd
 from sysid.fit.parameters import FitParameter, rig_at, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.runs import Measured, Run
@@ -21,7 +22,8 @@ from sysid.fit.search import Search
 class Problem:
     """Runs, their noise, and the known error shapes that are eliminated from the residuals.
 
-    ``prior``: pull every parameter to the value of the rig with the width of its plausible range.
+    ``prior``: pull every parameter to the value of the rig with the width of its plausible range, not only
+    nuisances; ``bias``: every wrench reading has a constant of its own in each run, which is eliminated as well.
     """
 
     def __init__(
@@ -31,17 +33,37 @@ class Problem:
         engine: Engine | PooledEngine,
         directions: Sequence[Direction] = (),
         prior: bool = False,
+        bias: bool = False,
     ) -> None:
         self.runs = list(runs)
         self.noise = noise
         self.engine = engine
         self.directions = list(directions)
         self.prior = prior
+        self.bias = bias
         self._whitened: dict[tuple[int, str], Basis] = {}
 
+    @property
+    def eliminates(self) -> bool:
+        """Something is eliminated from the residuals."""
+        return bool(self.directions) or self.bias
+
     def basis(self, index: int, measured: Measured) -> Basis:
-        """The simulator's own error in one channel of run number ``index``."""
-        return basis_of(self.directions, index, self.runs[index], measured)
+        """The simulator's own error, and the bias, in one channel of run number ``index``."""
+        sd = bias_sd(measured) if self.bias else None
+        return basis_of(self.directions, index, self.runs[index], measured, sd)
+
+    def bias_of(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
+        """Most probable bias of each column of a channel, measured units ``(m,)``."""
+        sd = bias_sd(measured) if self.bias else None
+        if sd is None:
+            return np.zeros(measured.values.shape[1])
+        return np.asarray(sd * fitted.sizes[(index, measured.channel)].own[:, -1])
+
+    def read(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
+        """What a channel with its most probable bias would read by the prediction, measured units ``(n, m)``."""
+        prediction = fitted.predictions[index].values[measured.channel]
+        return np.asarray(prediction + self.bias_of(fitted, index, measured)) if self.bias else prediction
 
     def _white_basis(self, index: int, measured: Measured) -> Basis:
         """The same, whitened; kept, since every evaluation needs it."""
@@ -53,7 +75,7 @@ class Problem:
     def whiten(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
         """Values ``(n, m, ...)`` in units of the noise and of what of the own error follows no shape."""
         white = whiten(values, self.noise[measured.channel])
-        if not self.directions:
+        if not self.eliminates:
             return white
         weight = self._white_basis(index, measured).weight
         return np.asarray(white * weight.reshape(*weight.shape, *(1,) * (white.ndim - 2)))
@@ -61,7 +83,7 @@ class Problem:
     def corrected(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
         """Prediction of a channel with the most probable own error added, measured units ``(n, m)``."""
         prediction = fitted.predictions[index].values[measured.channel]
-        if not self.directions:
+        if not self.eliminates:
             return prediction
         error = self.basis(index, measured).error(fitted.scaled, fitted.sizes[(index, measured.channel)])
         return np.asarray(prediction + error)
@@ -89,7 +111,7 @@ class Problem:
                     vectors += [slopes[:, :, k] for k in range(p)]
                 stacked = np.stack(vectors, axis=2)
                 times = np.broadcast_to(m.t[:, None], white.shape)[good]
-                if self.directions:
+                if self.eliminates:
                     basis = self._white_basis(i, m)
                     if scaled is None:
                         stacked[:, :, 0] -= basis.expected
@@ -109,15 +131,28 @@ class Problem:
         """Residuals and derivatives at given values, without fitting."""
         started = time.monotonic()
         predictions = self.engine.predict_all(rig, self.runs, parameters, scaled)
+        return self.compare(predictions, rig, parameters, scaled, started)
+
+    def compare(
+        self,
+        predictions: list[Prediction],
+        rig: Rig,
+        parameters: Sequence[FitParameter],
+        scaled: np.ndarray,
+        started: float | None = None,
+    ) -> Fitted:
+        """Residuals and derivatives of predictions at hand, which are those at ``scaled``, with the priors' rows."""
         r, j, labels, sizes = self.assemble(predictions, len(parameters), scaled if len(parameters) else None)
-        if self.prior and parameters:
-            width = np.array([p.prior_sd for p in parameters])
-            r = np.concatenate([r, (scaled - start_of(rig, parameters)) / width])
-            j = np.vstack([j, np.diag(1.0 / width)])
+        pulled = [k for k, p in enumerate(parameters) if self.prior or p.nuisance]
+        if pulled:
+            width = np.array([parameters[k].prior_sd for k in pulled])
+            r = np.concatenate([r, (scaled - start_of(rig, parameters))[pulled] / width])
+            j = np.vstack([j, np.eye(len(parameters))[pulled] / width[:, None]])
             labels = [*labels, (-1, "prior", np.zeros(len(width)))]
+        seconds = time.monotonic() - started if started is not None else 0.0
         return Fitted(
             list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, rig, 1, True,
-            "evaluated", time.monotonic() - started, sizes,
+            "evaluated", seconds, sizes,
         )  # fmt: skip
 
     def fit(

@@ -13,6 +13,7 @@ from sysid.fit.fitted import Fitted
 from sysid.fit.problem import Problem
 from sysid.fit.runs import UNITS, Measured
 from sysid.fit.uncertainty import interval, uncertainty
+from sysid.fit.untold import Nuisance
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Series:
 
 @dataclass
 class FitResult:
-    """Everything that a fit found."""
+    """Everything that a fit found. ``nuisances``: what was estimated beside what was asked for."""
 
     rig: str
     estimates: list[Estimate]
@@ -77,6 +78,8 @@ class FitResult:
     notes: list[str]
     provenance: dict[str, Any]
     series: list[Series] = field(default_factory=list)
+    nuisances: list[Nuisance] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series."""
@@ -95,7 +98,7 @@ class FitResult:
             low, high = e.ci95
             mark = "  (at its bound)" if e.at_bound else ""
             lines.append(f"{e.name:<34}{e.value:>13.5g}  {f'{low:.5g} .. {high:.5g}':<27}{e.unit}{mark}")
-        lines.append("")
+        lines += ["", *self._nuisance_table()]
         runs = [c.run + (" (held out)" if c.held_out else "") for c in self.errors]
         wide = max(24, *map(len, runs)) + 2 if runs else 26
         lines.append(f"{'run':<{wide}}{'channel':<22}{'before':>11}{'after':>11}{'noise':>11}  unit")
@@ -104,17 +107,31 @@ class FitResult:
                 f"{run:<{wide}}{c.channel + ' ' + c.quantity:<22}{c.before:>11.4g}{c.after:>11.4g}"
                 f"{c.noise:>11.4g}  {c.unit}"
             )
-        lines += ["", *self.identifiability, *(f"Note: {note}" for note in self.notes)]
+        lines += ["", *self.identifiability, *self.remarks, *(f"Note: {note}" for note in self.notes)]
         if not self.converged:
             lines.append(f"The fit did not converge: {self.message}")
         return "\n".join(lines)
 
+    def _nuisance_table(self) -> list[str]:
+        """What the data tell of nuisances, as text."""
+        told = [n for n in self.nuisances if n.told]
+        if not told:
+            return []
+        lines = [f"{'estimated beside them':<34}{'value':>13}  {'95 % interval':<27}unit"]
+        for n in told:
+            low, high = n.ci95
+            run = f"  {n.run}" if n.run else ""
+            lines.append(f"{n.name:<34}{n.value:>13.5g}  {f'{low:.5g} .. {high:.5g}':<27}{n.unit}{run}")
+        return [*lines, ""]
+
 
 def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], list[list[float]], list[str], float]:
-    """Estimates with intervals, correlation, identifiability sentences, reduced chi-square."""
+    """Estimates of what was asked for with intervals, correlation, identifiability sentences, reduced chi-square."""
     known = uncertainty(fitted)
     out = []
-    for k, p in enumerate(fitted.parameters):
+    asked = [k for k, p in enumerate(fitted.parameters) if not p.nuisance]
+    for k in asked:
+        p = fitted.parameters[k]
         out.append(
             Estimate(
                 p.name,
@@ -127,11 +144,13 @@ def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], lis
                 p.at_bound(float(fitted.scaled[k]), float(known.sd[k])),
             )
         )
-    return out, known.correlation.tolist(), list(known.sentences), known.reduced_chi2
+    return out, known.correlation[np.ix_(asked, asked)].tolist(), list(known.sentences), known.reduced_chi2
 
 
 def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) -> list[ChannelError]:
     """Root-mean-square errors by run, channel and quantity, over the samples that both models have in sight.
+
+    A bias is of the recording, not of the rig: either model has the most probable one where the problem allows it.
 
     A quantity without such a sample is left out (:func:`out_of_sight` says so).
     """
@@ -139,7 +158,7 @@ def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) 
     for i, run in enumerate(problem.runs):
         for m in run.measured:
             for quantity, columns, unit in _quantities(m):
-                misses = _misses(m, columns, i, before, after)
+                misses = _misses(problem, m, columns, i, before, after)
                 if misses is None:
                     continue
                 out.append(
@@ -165,7 +184,7 @@ def out_of_sight(problem: Problem, before: Fitted, after: Fitted) -> list[str]:
         for i, run in enumerate(problem.runs)
         for m in run.measured
         for _, columns, _ in _quantities(m)
-        if np.isfinite(m.values[:, columns]).any() and _misses(m, columns, i, before, after) is None
+        if np.isfinite(m.values[:, columns]).any() and _misses(problem, m, columns, i, before, after) is None
     ]
 
 
@@ -177,12 +196,11 @@ def _quantities(measured: Measured) -> list[tuple[str, slice, int]]:
 
 
 def _misses(
-    measured: Measured, columns: slice, index: int, before: Fitted, after: Fitted
+    problem: Problem, measured: Measured, columns: slice, index: int, before: Fitted, after: Fitted
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Measured minus predicted where both models predict something; None where they nowhere do."""
     was, now = (
-        measured.values[:, columns] - fitted.predictions[index].values[measured.channel][:, columns]
-        for fitted in (before, after)
+        measured.values[:, columns] - problem.read(fitted, index, measured)[:, columns] for fitted in (before, after)
     )
     both = np.isfinite(was) & np.isfinite(now)
     return (was[both], now[both]) if both.any() else None
@@ -201,6 +219,7 @@ def plot_series(problem: Problem, before: Fitted, after: Fitted, held_out: bool,
             spread = np.array([np.std(column) if len(column) else -1.0 for column in finite])
             chosen = np.sort(np.argsort(-spread, kind="stable")[: min(most, int(np.sum(spread >= 0.0)))])
             step = max(1, len(m.t) // 600)
+            was, now = (problem.read(fitted, i, m) for fitted in (before, after))
             for k in chosen:
                 unit = UNITS[m.kind][1 if m.kind == "wrench" and k >= 3 else 0]
                 values = m.values[::step, k]
@@ -213,8 +232,8 @@ def plot_series(problem: Problem, before: Fitted, after: Fitted, held_out: bool,
                         held_out,
                         m.t[::step].tolist(),
                         [float(v) if np.isfinite(v) else None for v in values],
-                        before.predictions[i].values[m.channel][::step, k].tolist(),
-                        after.predictions[i].values[m.channel][::step, k].tolist(),
+                        was[::step, k].tolist(),
+                        now[::step, k].tolist(),
                     )
                 )
     return out

@@ -108,7 +108,7 @@ class Search:
         if not fitted.has_prior or self._weight == 1.0:
             return rows
         weighed: np.ndarray = rows.copy()
-        weighed[-len(self._parameters) :] *= np.sqrt(self._weight)
+        weighed[-fitted.pulls :] *= np.sqrt(self._weight)
         return weighed
 
     def _weighted(self, fitted: Fitted) -> float:

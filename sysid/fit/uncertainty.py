@@ -4,6 +4,8 @@ Two covariances are compared parameter by parameter and the larger is kept: the 
 the whitened residuals, widened by the misfit where the model does not reach the noise, and the sandwich
 estimate H^-1 (sum_b s_b s_b^T) H^-1 over blocks b of neighbouring samples (s_b = J_b^T r_b), which does
 not trust the noise model in time (White 1982; Newey & West 1987).
+
+Sentences are about the parameters that were asked for, with the nuisances beside them projected out.
 """
 
 from __future__ import annotations
@@ -60,10 +62,22 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlation = np.clip(inverse / np.outer(spread, spread), -1.0, 1.0)
     widen = float(np.sqrt(max(1.0, reduced)))
-    sentences = _undetermined(parameters, values, vectors, widen)
+    sentences = _undetermined(*marginal(fitted), widen)
     sentences += _anywhere(fitted, sd, sentences) + _together(parameters, correlation, sd)
     inflation = np.sqrt(variance / np.maximum(np.diag(plain), 1e-300))
     return Uncertainty(sd, inflation, correlation, tuple(sentences), reduced)
+
+
+def marginal(fitted: Fitted) -> tuple[list[FitParameter], np.ndarray, np.ndarray]:
+    """The parameters that were asked for, the information about them with the nuisances unknown, in units of their
+    plausible ranges ``(q,)``, least first, and its directions ``(q, q)``."""
+    prior = np.array([p.prior_sd for p in fitted.parameters])
+    aside = np.array([p.nuisance for p in fitted.parameters])
+    columns = (fitted.jacobian * prior)[:, ~aside]
+    if aside.any():
+        basis = np.linalg.qr((fitted.jacobian * prior)[:, aside])[0]
+        columns = columns - basis @ (basis.T @ columns)
+    return [p for p in fitted.parameters if not p.nuisance], *_information(columns)
 
 
 def _scores(fitted: Fitted, residual: np.ndarray) -> np.ndarray:
@@ -142,6 +156,8 @@ def _anywhere(fitted: Fitted, sd: np.ndarray, said: list[str]) -> list[str]:
     """One sentence for each parameter whose interval spans all that is possible, unless it was named before."""
     out = []
     for p, scaled, spread in zip(fitted.parameters, fitted.scaled, sd, strict=True):
+        if p.nuisance:
+            continue
         low, high = p.scaled_bounds
         if scaled - 1.96 * spread <= low and scaled + 1.96 * spread >= high and not any(p.name in s for s in said):
             out.append(
@@ -156,6 +172,8 @@ def _together(parameters: list[FitParameter], correlation: np.ndarray, sd: np.nd
     out = []
     for a in range(len(parameters)):
         for b in range(a):
+            if parameters[a].nuisance or parameters[b].nuisance:
+                continue
             c = correlation[a, b]
             limit = UNDETERMINED_SHARE * max(parameters[a].prior_sd, parameters[b].prior_sd)
             if abs(c) > TOGETHER and max(sd[a], sd[b]) < limit:

@@ -23,6 +23,7 @@ from sysid.report.numbers import (
 
 if TYPE_CHECKING:
     from sysid.fit.result import ChannelError, Estimate
+    from sysid.fit.untold import Nuisance
     from sysid.mismatch.result import NamedParameter
 
 
@@ -61,6 +62,15 @@ def named_row(parameter: NamedParameter) -> ParameterRow:
     scale = scale_for(p.unit, p.value, *p.ci95)
     value, low, high = value_and_interval(p.value, p.ci95, scale.factor)
     return ParameterRow(p.name, p.words, value, low, high, scale.unit, None, "", ())
+
+
+def nuisance_row(nuisance: Nuisance) -> ParameterRow:
+    """Row of what was estimated beside the parameters."""
+    n = nuisance
+    scale = scale_for(n.unit, n.value, *n.ci95)
+    value, low, high = value_and_interval(n.value, n.ci95, scale.factor)
+    words = f"in {n.run}" if n.run else ", ".join(f"with {t} in proportion" for t in n.tied)
+    return ParameterRow(n.name, words, value, low, high, scale.unit, None, "", ())
 
 
 @dataclass(frozen=True)

@@ -83,6 +83,9 @@ FAULTS: dict[str, Fault] = {
     "parameter out of bounds": Fault(f"{SLIDE} card.nu=0.9", r"must be less than 0\.5"),
     "parameter twice": Fault(f"{SLIDE} card.E=1e9 --set sheet.E=2e9", "given twice"),
     "fit of nothing known": Fault("fit card_press a.mcap --params card.Q --out o", "no parameter", BAG),
+    "fit beside nothing known": Fault(
+        "fit card_press a.mcap --params card.E --nuisance clock --out o", "no nuisance 'clock'", BAG
+    ),
     "fit of an empty name": Fault("fit card_press a.mcap --params card.E,,gel.E --out o", "empty name", BAG),
     # motions
     "experiment misspelt": Fault("simulate card_press slid --out o", "Did you mean 'slide'"),

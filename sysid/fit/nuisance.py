@@ -1,0 +1,115 @@
+"""What every recording has and nobody tells: time offsets, untared force sensors, cameras that are slightly off.
+
+A fit estimates these nuisances beside the parameters that it is asked for. Each has a prior about the value of the
+rig, as wide as such things are off in a laboratory, so that data which do not tell leave it where it is:
+
+- ``time``: the latency of each measured stream;
+- ``bias``: a constant in each component of each wrench sensor and run, eliminated as the simulator's own error is
+  (:mod:`sysid.fit.directions`);
+- ``camera``: the focal length (fx and fy together; the scale of an orthographic camera) and the principal point.
+
+What is asked for by name is no nuisance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim_core.errors import ConfigError
+from sim_core.rigs import OrthographicCamera, Rig
+from sim_core.rigs.observers import Camera
+from sysid.fit.noise import column_groups
+from sysid.fit.parameters import FitParameter, fit_parameters
+from sysid.fit.runs import Measured, Run
+
+KINDS = ("time", "bias", "camera")
+
+LATENCY_SD_S = 0.03
+"""Standard deviation of the time offset of a stream, about a frame of a usual camera."""
+
+SCALE_SD = 0.01
+"""Relative standard deviation of the scale of a camera."""
+
+CENTRE_SD_PX = 5.0
+"""Standard deviation of the principal point."""
+
+BIAS_SD = (5.0, 0.5)
+"""Least standard deviation of the bias of a force [N] and of a torque [N m]: that of 5 N at 0.1 m."""
+
+BIAS_SHARE = 0.5
+"""The same in units of the largest force or torque in the recording, where that is more."""
+
+
+def checked_kinds(words: Collection[str]) -> frozenset[str]:
+    """The kinds of nuisances that a user names: 'all', 'none', or some of :data:`KINDS`. Raises ``ConfigError``."""
+    if set(words) == {"all"}:
+        return frozenset(KINDS)
+    if set(words) == {"none"}:
+        return frozenset()
+    for word in words:
+        if word not in KINDS:
+            raise ConfigError(f"There is no nuisance {word!r}.", f"Write 'all', 'none', or some of {', '.join(KINDS)}.")
+    return frozenset(words)
+
+
+def nuisance_parameters(
+    rig: Rig, runs: Sequence[Run], asked: Sequence[FitParameter], kinds: Collection[str]
+) -> list[FitParameter]:
+    """The nuisances that are parameters of the rig, for the channels that the runs have.
+
+    Left out are those that are asked for, and offsets in time beside an effect that is one.
+    """
+    names = {p.name for p in asked}
+    found: list[FitParameter] = []
+
+    def add(name: str, sd: float, tied: tuple[str, ...] = ()) -> None:
+        if not names & {name, *tied}:
+            found.append(replace(fit_parameters(rig, [name])[0], prior_sd=sd, nuisance=True, tied=tied))
+
+    measured = {m.channel: m for run in runs for m in run.measured}
+    for channel, m in measured.items():
+        late = f"effects.stream_delay.{'wrench' if m.kind == 'wrench' else 'vision'}_s"
+        if "time" in kinds and late not in names:
+            add(f"{channel}.latency_s", LATENCY_SD_S)
+        if "camera" in kinds and channel in rig.cameras:
+            for name, sd, tied in _intrinsics(channel, rig.cameras[channel]):
+                add(name, sd, tied)
+    return found
+
+
+def _intrinsics(name: str, camera: Camera) -> list[tuple[str, float, tuple[str, ...]]]:
+    """What may be off of a camera, how far, and what changes in proportion.
+
+    Where the camera itself places the markers on their sheet, an error of it is in the places already; where it counts
+    from one of them, its centre has no part in the readings.
+    """
+    if any(sight.points.placed == "first_frame" for sight in camera.sees):
+        return []
+    if isinstance(camera, OrthographicCamera):
+        found: list[tuple[str, float, tuple[str, ...]]] = [(f"{name}.scale_m_per_px", SCALE_SD, ())]
+        if camera.origin_id is not None:
+            return found
+    else:
+        found = [(f"{name}.fx_px", SCALE_SD, (f"{name}.fy_px",))]
+    return [*found, (f"{name}.cx_px", CENTRE_SD_PX, ()), (f"{name}.cy_px", CENTRE_SD_PX, ())]
+
+
+def has_bias(runs: Sequence[Run], asked: Sequence[FitParameter], kinds: Collection[str]) -> bool:
+    """Whether wrenches have a bias that is a nuisance, and not one that is asked for as an effect."""
+    wrenches = any(m.kind == "wrench" for run in runs for m in run.measured)
+    return "bias" in kinds and wrenches and not any(p.name.startswith("effects.wrench_offset.bias") for p in asked)
+
+
+def bias_sd(measured: Measured) -> np.ndarray | None:
+    """Standard deviation of the bias of each column ``(m,)``, measured units; None where there is none."""
+    if measured.kind != "wrench":
+        return None
+    out = np.zeros(measured.values.shape[1])
+    for group, least in zip(column_groups(measured), BIAS_SD, strict=True):
+        out[group] = max(
+            least, BIAS_SHARE * float(np.max(np.abs(np.nan_to_num(measured.values[:, group])), initial=0.0))
+        )
+    return out

@@ -1,0 +1,211 @@
+"""What a fit found of the nuisances (:mod:`sysid.fit.nuisance`): estimates, intervals, and what to do about them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim_core.rigs import Rig
+from sysid.fit.engine import Prediction
+from sysid.fit.fitted import Fitted
+from sysid.fit.noise import quantities
+from sysid.fit.nuisance import bias_sd
+from sysid.fit.parameters import FitParameter, start_of
+from sysid.fit.problem import Problem
+from sysid.fit.runs import UNITS, Measured
+from sysid.fit.uncertainty import UNDETERMINED_SHARE, interval, marginal, uncertainty
+
+FAR = 3.0
+"""Standard deviations from the value of the rig from which a nuisance is worth a sentence."""
+
+REMEDIES = {
+    "time": "the time offsets were known: share one clock, and leave 'time' out of --nuisance",
+    "bias": "force sensors had no bias: tare them with nothing in touch, and leave 'bias' out of --nuisance",
+    "camera": "the cameras' intrinsics were known: calibrate them, and leave 'camera' out of --nuisance",
+}
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One nuisance. ``run``: empty for what is of the rig; ``start``: value of the rig; ``sd``, ``prior_sd``: after
+    and before the fit, in the fitted scale, logarithmic with ``log``; ``tied``: what changes in proportion."""
+
+    name: str
+    run: str
+    unit: str
+    start: float
+    value: float
+    ci95: tuple[float, float]
+    sd: float
+    prior_sd: float
+    log: bool
+    tied: tuple[str, ...]
+
+    @property
+    def told(self) -> bool:
+        """The data say more of it than was known before."""
+        return self.sd < UNDETERMINED_SHARE * self.prior_sd
+
+    @property
+    def off(self) -> float:
+        """Distance from the value of the rig, in the fitted scale."""
+        return float(np.log(self.value / self.start)) if self.log else self.value - self.start
+
+    @property
+    def far(self) -> bool:
+        """It differs from what the rig says."""
+        return self.told and abs(self.off) > FAR * self.sd
+
+
+def nuisances_of(problem: Problem, fitted: Fitted) -> list[Nuisance]:
+    """All nuisances with their intervals."""
+    whole = with_explicit_bias(problem, fitted)
+    sd = uncertainty(whole).sd
+    runs = [*[""] * len(fitted.parameters), *(run for run, _ in _biases(problem))]
+    start = np.concatenate([start_of(fitted.centre, fitted.parameters), np.zeros(len(runs) - len(fitted.parameters))])
+    return [
+        Nuisance(
+            p.name, run, p.unit, p.physical(first), p.physical(at), interval(p, at, spread), float(spread), p.prior_sd,
+            p.log, p.tied,
+        )
+        for p, run, first, at, spread in zip(whole.parameters, runs, start, whole.scaled, sd, strict=True)
+        if p.nuisance
+    ]  # fmt: skip
+
+
+def _biases(problem: Problem) -> list[tuple[str, FitParameter]]:
+    """Each bias that is eliminated as a parameter, with the name of its run."""
+    found = []
+    for run in problem.runs:
+        for m in run.measured:
+            sd = bias_sd(m) if problem.bias else None
+            if sd is None:
+                continue
+            seen = _seen(m)
+            for (_, group), unit in zip(quantities(m), UNITS[m.kind], strict=True):
+                for j in np.intersect1d(group, seen):
+                    name = f"{m.channel} {m.labels[j]} bias"
+                    found.append((run.name, FitParameter(name, unit, False, -np.inf, np.inf, float(sd[j]), "", True)))
+    return found
+
+
+def _seen(measured: Measured) -> np.ndarray:
+    """Columns that a recording has."""
+    return np.flatnonzero(np.isfinite(measured.values).any(axis=0))
+
+
+def with_explicit_bias(problem: Problem, fitted: Fitted) -> Fitted:
+    """The same fit with the biases of wrenches as parameters of their own, instead of eliminated."""
+    biases = [p for _, p in _biases(problem)]
+    if not biases:
+        return fitted
+    p, q = len(fitted.parameters), len(biases)
+    plain = Problem(problem.runs, problem.noise, problem.engine, problem.directions, problem.prior)
+    predictions: list[Prediction] = []
+    values: list[float] = []
+    for i, (run, prediction) in enumerate(zip(problem.runs, fitted.predictions, strict=True)):
+        amended, slopes = dict(prediction.values), {}
+        for m in run.measured:
+            extra = np.zeros((*m.values.shape, q))
+            if bias_sd(m) is not None:
+                columns = _seen(m)
+                extra[:, columns, len(values) + np.arange(len(columns))] = 1.0
+                values += list(problem.bias_of(fitted, i, m)[columns])
+                amended[m.channel] = problem.read(fitted, i, m)
+            slopes[m.channel] = np.concatenate([prediction.derivatives[m.channel], extra], axis=2)
+        predictions.append(replace(prediction, values=amended, derivatives=slopes))
+    scaled = np.concatenate([fitted.scaled, values])
+    r, j, labels, sizes = plain.assemble(predictions, p + q, scaled)
+    width = np.array([b.prior_sd for b in biases])
+    first = len(fitted.residual) - fitted.pulls
+    pulls = np.block([[fitted.jacobian[first:], np.zeros((fitted.pulls, q))], [np.zeros((q, p)), np.diag(1.0 / width)]])
+    return replace(
+        fitted,
+        parameters=[*fitted.parameters, *biases],
+        scaled=scaled,
+        residual=np.concatenate([r, fitted.residual[first:], np.array(values) / width]),
+        jacobian=np.vstack([j, pulls]),
+        labels=[*labels, (-1, "prior", np.zeros(len(pulls)))],
+        sizes=sizes,
+    )
+
+
+def remarks(rig: Rig, found: Sequence[Nuisance]) -> list[str]:
+    """A sentence for each nuisance that is not what the rig says, and what to do."""
+    said = []
+    for n in found:
+        owner, _, quantity = n.name.rpartition(".")
+        if not n.far or n.run:
+            continue
+        low, high = n.ci95
+        half = 0.5 * (high - low) / 1.96
+        if quantity == "latency_s":
+            source = rig.sensors.get(owner)
+            topic = source.topic if source is not None else rig.cameras[owner].topics.marker_tracks
+            beside = f", where the rig says {1e3 * n.start:.4g} ms" if n.start else ""
+            way = "lags" if n.value > 0.0 else "leads"
+            said.append(
+                f"The stream {topic} {way} by {_pair(1e3 * abs(n.value), 1e3 * half)} ms{beside}: "
+                f"write {n.name} = {n.value:.4g} into the rig."
+            )
+            continue
+        write = " and ".join([f"{n.name} = {n.value:.6g}", *(f"{t} in proportion" for t in n.tied)])
+        if n.log:
+            what = f"The scale of the camera {owner} is off by {_pair(100 * n.off, 100 * n.sd)} %"
+        else:
+            what = f"{n.name} is off by {_pair(n.off, half)} {n.unit}"
+        said.append(f"{what}: write {write} into the rig, or calibrate the camera.")
+    for run, channel in dict.fromkeys((n.run, n.name.split(" ")[0]) for n in found if n.far and n.run):
+        parts = [
+            f"{n.name.removeprefix(channel + ' ').removesuffix(' bias')} {_pair(n.value, n.sd)} {n.unit}"
+            for n in found
+            if n.far and n.run == run and n.name.startswith(channel + " ")
+        ]
+        said.append(f"In {run}, {channel} has a bias: {', '.join(parts)}. Tare it with nothing in touch.")
+    return said
+
+
+def _pair(value: float, sd: float) -> str:
+    """A value with its standard deviation, to two digits of the latter."""
+    digits = max(0, 1 - int(np.floor(np.log10(sd)))) if sd > 0.0 else 3
+    return f"{value:.{digits}f} +- {sd:.{digits}f}"
+
+
+def blamed(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> list[str]:
+    """A sentence for each parameter that the data would determine if some kind of nuisance were known."""
+    if not problem.bias and not any(p.nuisance for p in fitted.parameters):
+        return []
+    now = _spread(problem, fitted, ())
+    known = {kind: _spread(problem, fitted, (kind,)) for kind in kinds}
+    known["every nuisance"] = _spread(problem, fitted, kinds)
+    said = []
+    for name, spread in now.items():
+        if spread < UNDETERMINED_SHARE:
+            continue
+        kind = next((k for k, there in known.items() if there[name] < UNDETERMINED_SHARE), None)
+        if kind is not None:
+            said.append(f"{name} would be determined if {REMEDIES.get(kind, 'no nuisance was allowed for')}.")
+    return said
+
+
+def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str, float]:
+    """Standard deviation of the parameters that were asked for, in units of their plausible ranges, as the noise alone
+    leaves it with the nuisances of some kinds known."""
+    kept = [k for k, p in enumerate(fitted.parameters) if not (p.nuisance and kind_of(p) in known)]
+    jacobian, rows = fitted.jacobian, fitted.pulls
+    if "bias" in known and problem.bias:
+        plain = Problem(problem.runs, problem.noise, problem.engine, problem.directions, problem.prior)
+        data = plain.assemble(fitted.predictions, len(fitted.parameters), fitted.scaled)[1]
+        jacobian = np.vstack([data, fitted.jacobian[len(fitted.jacobian) - rows :]])
+    parameters, values, vectors = marginal(
+        replace(fitted, parameters=[fitted.parameters[k] for k in kept], jacobian=jacobian[:, kept])
+    )
+    variance = np.sum(vectors**2 / np.maximum(values, 1e-300), axis=1)
+    return {p.name: float(np.sqrt(v)) for p, v in zip(parameters, variance, strict=True)}
+
+
+def kind_of(parameter: FitParameter) -> str:
+    """Kind of a nuisance that is a parameter of the rig."""
+    return "time" if parameter.name.endswith(".latency_s") else "camera"

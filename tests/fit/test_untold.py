@@ -1,0 +1,104 @@
+"""A recording with everything that nobody tells gives back what is in it, and a clean one loses little."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim_core.rigs import Rig, with_parameters
+from sim_core.rigs.motion import Experiment
+from sysid.fit import FitResult, fit, fit_runs
+from sysid.fit.runs import Run, load_run
+from sysid.report import write_fit_report
+from sysid.simulate import WhiteNoise, simulate_to_bag
+
+TRUTH = {"card.E_pa": 2.6e9, "gel.E_pa": 1.3e5, "contacts.gel-post.friction": 0.5}
+START = {"card.E_pa": 1.8e9, "gel.E_pa": 0.9e5, "contacts.gel-post.friction": 0.35}
+UNTOLD = {"markers.latency_s": 0.02, "side.fx_px": 1407.0, "side.fy_px": 1407.0}
+BIAS = np.array([0.3, -0.2, 0.5, 0.0, 0.0, 0.0])
+MOTION = [
+    {"type": "wait", "duration_s": 0.4},
+    {"type": "waypoints", "speed_m_s": 0.1, "hold_s": 0.1,
+     "poses": [{"position_m": [0.0, 0.0, -0.012]}, {"position_m": [0.0, 0.0, 0.0]},
+               {"position_m": [0.055, 0.0, 0.0]}]},
+    {"type": "waypoints", "speed_m_s": 0.02, "hold_s": 0.1,
+     "poses": [{"position_m": [0.055, 0.0, -0.0008]}, {"position_m": [0.059, 0.0, -0.0008]},
+               {"position_m": [0.055, 0.0, 0.0]}]},
+]  # fmt: skip
+
+MOST_GROWTH = 1.25
+"""How much wider the intervals of a clean recording may be for what is estimated beside the parameters."""
+
+
+def record(rig: Rig, untold: dict[str, float], bias: np.ndarray, out: Path) -> Run:
+    true = with_parameters(rig, {**TRUTH, **untold})
+    white = WhiteNoise(true, 4)
+
+    def noise(channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.ndarray:
+        return white(channel, kind, stamps, clean) + (bias if kind == "wrench" else 0.0)
+
+    experiment = Experiment.model_validate({"name": "visit", "motions": {"finger": MOTION}})
+    simulate_to_bag(true, experiment, out, noise=noise)
+    return load_run(rig, out)
+
+
+@pytest.fixture(scope="module")
+def dirty(small_rig: Callable[..., Rig], tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return record(small_rig(), UNTOLD, BIAS, tmp_path_factory.mktemp("dirty") / "bag")
+
+
+@pytest.fixture(scope="module")
+def clean(small_rig: Callable[..., Rig], tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return record(small_rig(), {}, 0.0 * BIAS, tmp_path_factory.mktemp("clean") / "bag")
+
+
+def fitted(rig: Rig, run: Run, nuisance: tuple[str, ...]) -> tuple[FitResult, Rig]:
+    return fit_runs(with_parameters(rig, START), [run], list(TRUTH), nuisance=nuisance)
+
+
+def test_what_nobody_told_does_not_fool_a_fit(small_rig: Any, dirty: Run, tmp_path: Path) -> None:
+    result, rig = fitted(small_rig(), dirty, ("all",))
+    assert result.converged and result.reduced_chi2 < 1.1
+    for e in result.estimates:
+        assert e.ci95[0] <= TRUTH[e.name] <= e.ci95[1], e
+        assert e.value == pytest.approx(TRUTH[e.name], rel=0.03)
+    found = {n.name: n for n in result.nuisances}
+    for name, value in {**UNTOLD, "wrench.latency_s": 0.0, "side.cx_px": 640.0}.items():
+        if name in found:
+            assert found[name].ci95[0] <= value <= found[name].ci95[1], found[name]
+    for axis, value in zip("xyz", BIAS[:3], strict=True):
+        assert abs(found[f"wrench force {axis} bias"].value - value) < 4.0 * found[f"wrench force {axis} bias"].sd
+    assert rig.sensors["markers"].latency_s == found["markers.latency_s"].value
+    assert rig.cameras["side"].fy_px == pytest.approx(rig.cameras["side"].fx_px)
+    assert [s.split(":")[0].split(" is off")[0].split(" by")[0] for s in result.remarks] == [
+        "The stream markers lags", "The scale of the camera side", "In bag, wrench has a bias",
+    ]  # fmt: skip
+    assert all(e.after < 4.0 * e.noise for e in result.errors)
+    assert [e["name"] for e in json.loads(json.dumps(result.to_json()))["nuisances"]] == list(found)
+    assert "markers.latency_s" in result.table() and result.remarks[0] in result.table()
+    page = write_fit_report(result, tmp_path / "report.html").read_text()
+    assert "Estimated beside them" in page and "wrench force x bias" in page
+
+
+@pytest.mark.slow
+def test_without_nuisances_it_would(small_rig: Any, dirty: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even from the truth."""
+    monkeypatch.setattr(fit, "MOST_RESTARTS", 0)
+    result, _ = fit_runs(with_parameters(small_rig(), TRUTH), [dirty], list(TRUTH), nuisance=("none",))
+    assert result.nuisances == [] and result.remarks == []
+    assert all(abs(e.value / TRUTH[e.name] - 1.0) > 0.03 for e in result.estimates)
+
+
+def test_a_clean_recording_loses_little(small_rig: Any, clean: Run) -> None:
+    """Intervals grow by a quarter at most, and so do evaluations of the rig by half."""
+    asked, plain = (fitted(small_rig(), clean, (kind,))[0] for kind in ("all", "none"))
+    assert asked.evaluations < 1.5 * plain.evaluations
+    for e, alone in zip(asked.estimates, plain.estimates, strict=True):
+        assert e.ci95[0] <= TRUTH[e.name] <= e.ci95[1], e
+        assert 0.95 * alone.sd < e.sd < MOST_GROWTH * alone.sd
+    assert asked.remarks == []
