@@ -117,11 +117,11 @@ class FitResult:
         told = [n for n in self.nuisances if n.told]
         if not told:
             return []
-        lines = [f"{'estimated beside them':<34}{'value':>13}  {'95 % interval':<27}unit"]
+        lines = [f"{'estimated beside them':<34}{'value':>13}  {'95 % interval':<30}unit"]
         for n in told:
             low, high = n.ci95
             run = f"  {n.run}" if n.run else ""
-            lines.append(f"{n.name:<34}{n.value:>13.5g}  {f'{low:.5g} .. {high:.5g}':<27}{n.unit}{run}")
+            lines.append(f"{n.name:<34}{n.value:>13.6g}  {f'{low:.6g} .. {high:.6g}':<30}{n.unit}{run}")
         return [*lines, ""]
 
 

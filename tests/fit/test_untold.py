@@ -35,14 +35,17 @@ MOST_GROWTH = 1.25
 """How much wider the intervals of a clean recording may be for what is estimated beside the parameters."""
 
 
-def record(rig: Rig, untold: dict[str, float], bias: np.ndarray, out: Path) -> Run:
+REST = [{"type": "wait", "duration_s": 0.8}]
+
+
+def record(rig: Rig, untold: dict[str, float], bias: np.ndarray, out: Path, motion: Any = MOTION) -> Run:
     true = with_parameters(rig, {**TRUTH, **untold})
     white = WhiteNoise(true, 4)
 
     def noise(channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.ndarray:
         return white(channel, kind, stamps, clean) + (bias if kind == "wrench" else 0.0)
 
-    experiment = Experiment.model_validate({"name": "visit", "motions": {"finger": MOTION}})
+    experiment = Experiment.model_validate({"name": "visit", "motions": {"finger": motion}})
     simulate_to_bag(true, experiment, out, noise=noise)
     return load_run(rig, out)
 
@@ -92,6 +95,19 @@ def test_without_nuisances_it_would(small_rig: Any, dirty: Run, monkeypatch: pyt
     result, _ = fit_runs(with_parameters(small_rig(), TRUTH), [dirty], list(TRUTH), nuisance=("none",))
     assert result.nuisances == [] and result.remarks == []
     assert all(abs(e.value / TRUTH[e.name] - 1.0) > 0.03 for e in result.estimates)
+
+
+def test_where_nothing_moves_clocks_stay_at_their_prior(small_rig: Any, tmp_path: Path) -> None:
+    run = record(with_parameters(small_rig(), TRUTH), {}, 0.0 * BIAS, tmp_path / "bag", REST)
+    result, _ = fit_runs(with_parameters(small_rig(), TRUTH), [run], ["card.E_pa"])
+    (e,) = result.estimates
+    assert e.ci95[0] <= TRUTH["card.E_pa"] <= e.ci95[1]
+    clocks = [n for n in result.nuisances if n.name.endswith("latency_s")]
+    assert len(clocks) == 3
+    for n in clocks:
+        assert not n.told and n.sd >= 0.99 * n.prior_sd and abs(n.value) < 1e-3 * n.prior_sd
+    assert result.remarks == [] and result.identifiability == []
+    assert "latency" not in result.table()
 
 
 def test_a_clean_recording_loses_little(small_rig: Any, clean: Run) -> None:
