@@ -110,6 +110,7 @@ def test_where_nothing_moves_clocks_stay_at_their_prior(small_rig: Any, tmp_path
     assert "latency" not in result.table()
 
 
+@pytest.mark.slow
 def test_a_clean_recording_loses_little(small_rig: Any, clean: Run) -> None:
     """Intervals grow by a quarter at most, and so do evaluations of the rig by half."""
     asked, plain = (fitted(small_rig(), clean, (kind,))[0] for kind in ("all", "none"))
