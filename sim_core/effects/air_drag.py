@@ -14,7 +14,7 @@ import taichi as ti
 
 from sim_core.effects.effect import Effect, EffectParameter
 from sim_core.energies.linearised import Linearised, axes_of, placed, skew
-from sim_core.energies.term import Buffers, Internals, StepContext, Term
+from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext, Term
 from sim_core.kernels import F1, F2, I2, BoundKernel, vec3
 from sim_core.rigs import Rig, Sheet
 from sim_core.scene.scene import Scene, Values
@@ -66,7 +66,7 @@ def _hessian(x: F2, start: F2, tri: I2, normal: F2, factor: F1, slots: I2, out: 
                     out[at] = out[at] + k * n[i] * n[j]
 
 
-class _Drag:
+class _Drag(Memoryless):
     """Term of one sheet."""
 
     mirrored = False
@@ -105,10 +105,6 @@ class _Drag:
         del exact
         self._hessian()
 
-    def end_step(self, step: StepContext, internals: Internals) -> Internals:
-        del step
-        return internals
-
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised:
         """Derivatives by where the step started: of the motion, and of the normal."""
         del internals, after
@@ -126,9 +122,6 @@ class _Drag:
         force = (force + (self._factor * 0.5 * s * np.abs(s))[:, None, None] * turned) / 3.0
         axes = axes_of(self._triangles)
         return Linearised(force_start=placed((np.tile(force, (1, 3, 1)), axes, axes), shape=(self._x.size,) * 2))
-
-    def initial_internals(self) -> Internals:
-        return {}
 
 
 class AirDrag(Effect):

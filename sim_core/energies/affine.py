@@ -17,7 +17,7 @@ import numpy as np
 import taichi as ti
 
 from sim_core.energies.projection import symmetric_eigen
-from sim_core.energies.term import Buffers, Internals, StepContext
+from sim_core.energies.term import Buffers, Memoryless
 from sim_core.kernels import F1, F2, F3, I1, I2, BoundKernel, mat3, vec3
 
 KAPPA_PA = 1e9
@@ -108,7 +108,7 @@ def _hessian(
                 block += 1
 
 
-class AffineShape:
+class AffineShape(Memoryless):
     """Term of all affine bodies of a scene. ``control``: their control nodes, int32 ``(n, 4)``; ``rest``: positions
     of all nodes at rest [m]; ``volumes``: [m^3] ``(n,)``."""
 
@@ -166,16 +166,6 @@ class AffineShape:
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         del parameters
-
-    def begin_step(self, step: StepContext, internals: Internals) -> None:
-        del step, internals
-
-    def end_step(self, step: StepContext, internals: Internals) -> Internals:
-        del step
-        return internals
-
-    def initial_internals(self) -> Internals:
-        return {}
 
 
 def barycentric(corners: np.ndarray) -> np.ndarray:

@@ -15,10 +15,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim_core.energies.term import Buffers, Internals, StepContext
+from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext
 
 
-class Couple:
+class Couple(Memoryless):
     """Term of one couple. ``lines``: int ``(k, 2)``, nodes a and b of each line; ``axis``: unit vector;
     ``shares``: part of the moment on each line ``(k,)``. Parameter: ``moment_nm`` [N m]."""
 
@@ -76,10 +76,3 @@ class Couple:
         block = (self._moment * self._shares)[:, None, None] * second
         values = np.stack([block, -block, -block, block], axis=1).reshape(-1, 9)
         np.add.at(self._buffers.hessian, self._slots, values)
-
-    def end_step(self, step: StepContext, internals: Internals) -> Internals:
-        del step
-        return internals
-
-    def initial_internals(self) -> Internals:
-        return {}

@@ -15,10 +15,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from sim_core.energies.affine import KAPPA_PA
-from sim_core.energies.term import Buffers, Internals, StepContext
+from sim_core.energies.term import Buffers, Memoryless
 
 
-class Guide:
+class Guide(Memoryless):
     """Term of one slider. ``nodes``: int ``(n,)``; ``apart``, ``along``: weights ``(n,)`` of r and d, each of the sum
     zero; ``size_m``: of the body that is guided. The stiffness [N/m] is that of a cube of this size, 8 kappa size."""
 
@@ -69,16 +69,6 @@ class Guide:
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         del parameters
-
-    def begin_step(self, step: StepContext, internals: Internals) -> None:
-        del step, internals
-
-    def end_step(self, step: StepContext, internals: Internals) -> Internals:
-        del step
-        return internals
-
-    def initial_internals(self) -> Internals:
-        return {}
 
 
 def _cross(v: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 import taichi as ti
 
-from sim_core.energies.term import Buffers, Internals, StepContext
+from sim_core.energies.term import Buffers, Memoryless
 from sim_core.kernels import F1, F2, F3, I1, I2, BoundKernel, vec3
 from sim_core.materials.elastic import plane_stress
 
@@ -147,7 +147,7 @@ def _hessian(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, exact: I1, foresee
                 block += 1
 
 
-class Membrane:
+class Membrane(Memoryless):
     """Term of one sheet. ``nodes``: rest positions of all nodes [m] ``(n, 3)``; ``triangles``: int32
     ``(m, 3)`` with indices into them; ``axis``: material direction 1, a unit 3-vector (projected on
     each triangle)."""
@@ -197,16 +197,6 @@ class Membrane:
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._c[:] = parameters["thickness_m"] * plane_stress(parameters)
-
-    def begin_step(self, step: StepContext, internals: Internals) -> None:
-        del step, internals
-
-    def end_step(self, step: StepContext, internals: Internals) -> Internals:
-        del step
-        return internals
-
-    def initial_internals(self) -> Internals:
-        return {}
 
 
 def material_frames(nodes: np.ndarray, triangles: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -117,6 +117,21 @@ class Term(Protocol):
         ...
 
 
+class Memoryless:
+    """The part of a term that has no internal variables; one that depends on the start of the step overrides
+    ``begin_step``."""
+
+    def begin_step(self, step: StepContext, internals: Internals) -> None:
+        del step, internals
+
+    def end_step(self, step: StepContext, internals: Internals) -> Internals:
+        del step
+        return internals
+
+    def initial_internals(self) -> Internals:
+        return {}
+
+
 class RememberingTerm(Term, Protocol):
     """A term whose force depends on more than the positions at the end of the step, or that remembers them."""
 
