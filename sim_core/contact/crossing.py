@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sim_core.contact.candidates import Primitives
+from sim_core.contact.primitives import Primitives
 
 SHIFT = 1e-6
 """How far surfaces are shifted to decide what lies in a plane, in lengths of an edge."""

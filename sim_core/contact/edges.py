@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim_core.contact.candidates import Candidates, Primitives
+from sim_core.contact.candidates import Candidates
 from sim_core.contact.edge_kernels import (
     add_energy,
     add_gradient,
@@ -34,6 +34,7 @@ from sim_core.contact.edge_kernels import (
 from sim_core.contact.framed_derivatives import Pairs, edge_frames, exerted, framed_derivatives, memory_places
 from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
 from sim_core.contact.pair_distance import PairDistance
+from sim_core.contact.primitives import Primitives
 from sim_core.contact.rubbing import pressure_and_slope
 from sim_core.contact.segments import PARALLEL
 from sim_core.energies.linearised import Linearised, cross, places
@@ -166,6 +167,10 @@ class EdgeContact:
             self._area[:count] = areas
             self._parallel[:count] = PARALLEL * self._squares[0][first] * self._squares[1][second]
         return outer
+
+    def recouple(self, step: StepContext, towards: np.ndarray) -> None:
+        """Renew the coupled nodes, because those of another contact changed."""
+        self._candidates.recouple(step.x_start, towards)
 
     def forget(self) -> None:
         """Look for candidates afresh next time."""

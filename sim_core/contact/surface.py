@@ -29,7 +29,7 @@ from collections.abc import Mapping
 import numpy as np
 import scipy.sparse as sp
 
-from sim_core.contact.candidates import Candidates, Primitives
+from sim_core.contact.candidates import Candidates
 from sim_core.contact.framed_derivatives import Pairs, exerted, framed_derivatives, memory_places, triangle_frames
 from sim_core.contact.law import (
     BLEND,
@@ -43,6 +43,7 @@ from sim_core.contact.law import (
     slide,
 )
 from sim_core.contact.pair_distance import PairDistance
+from sim_core.contact.primitives import Primitives
 from sim_core.contact.rubbing import pressure_and_slope
 from sim_core.contact.samples import Samples
 from sim_core.contact.surface_geometry import distances, frames, free_way, sides
@@ -193,6 +194,10 @@ class SurfaceContact:
             self._near[: len(triangle)] = triangle
             self._first[:] = np.searchsorted(sample, np.arange(len(self._first)))
         return outer
+
+    def recouple(self, step: StepContext, towards: np.ndarray) -> None:
+        """Renew the coupled nodes, because those of another contact changed."""
+        self._candidates.recouple(step.x_start, towards)
 
     def forget(self) -> None:
         """Look for candidates afresh next time."""

@@ -153,6 +153,10 @@ class DynamicTerm(Term, Protocol):
         ``(n, 3)``, beside those at hand if ``more``; True when ``blocks`` changed."""
         ...
 
+    def recouple(self, step: StepContext, towards: np.ndarray) -> None:
+        """Renew ``blocks`` too, because those of another term changed: all at once costs one new pattern."""
+        ...
+
     def forget(self) -> None:
         """Look for partners afresh next time."""
         ...

@@ -114,7 +114,7 @@ class FastNewton:
         return direction
 
     def _go(self, direction: np.ndarray, g: np.ndarray) -> None:
-        """Make the step, or the part of it that contact lets through."""
+        """Make the step, or the part of it that contact lets through; answers of kept tangents, which shrink, whole."""
         system, move = self._system, self._move
         start, placed = system.unknowns(), system.targets()
         step = system.spread(direction)
@@ -130,7 +130,7 @@ class FastNewton:
             return float(system.contact_residual() @ direction)
 
         share = 1.0
-        if system.touchable:
+        if system.touchable and not self._old:
             share, tries = contact_share(along, float(g @ direction))
             share = share if move is None else max(share, LEAST)
             self._tries += tries

@@ -103,10 +103,12 @@ def _runs_into(
 ) -> bool:
     """Whether contact would be loaded far more where velocities lead than it is: no place to search from."""
     system.guard(False)
-    system.x[:] = x_start
-    borne = max(system.contact_load(), system.largest_load())
     place(system, x_start + drift, targets, deflection)
-    return system.contact_load() > HARDER * borne
+    load = system.contact_load()
+    if load <= HARDER * system.largest_load():
+        return False
+    system.x[:] = x_start
+    return load > HARDER * system.contact_load()
 
 
 def _try(

@@ -28,10 +28,10 @@ def contact_share(along: Callable[[float], float], before: float) -> tuple[float
     """Share of a step to make, and how many were tried. ``along``: C at a share [J], which also goes there;
     ``before``: g_0 . d [J], negative. The system is left at some share of the step."""
     enough = ENOUGH * abs(before)
-    start, end = along(0.0), along(1.0)
+    start, near, end = along(0.0), along(APART), along(1.0)
     if end - start <= enough:
-        return 1.0, 2
-    slope = (along(APART) - start) / APART
+        return 1.0, 3
+    slope = (near - start) / APART
 
     def phi(share: float, found: float) -> float:
         return (1.0 - share) * before + found - start - share * slope

@@ -333,6 +333,9 @@ class System:
         if towards is not None:
             changed = [term.prepare(step, towards, more) for term in self._dynamic]
             if any(changed):
+                for dynamic, done in zip(self._dynamic, changed, strict=True):
+                    if not done:
+                        dynamic.recouple(step, towards)
                 self._factor.clear()
                 if self._pattern.renew([term.blocks() for term in self._dynamic]):
                     self._bind()

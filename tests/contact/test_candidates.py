@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from sim_core.contact.candidates import Candidates, Primitives
+from sim_core.contact.candidates import Candidates
+from sim_core.contact.primitives import Primitives
 from sim_core.geometry.sheets import rectangle
 
 OFFSET = 1e-4
@@ -9,7 +10,7 @@ OFFSET = 1e-4
 
 def distance(p, corners):
     """From a point to a triangle, by a fine sampling of the triangle."""
-    a, b = np.meshgrid(np.linspace(0, 1, 60), np.linspace(0, 1, 60))
+    a, b = np.meshgrid(np.linspace(0, 1, 30), np.linspace(0, 1, 30))
     inside = a + b <= 1.0
     w = np.column_stack([1 - a[inside] - b[inside], a[inside], b[inside]])
     return np.linalg.norm(w @ corners - p, axis=1).min()
@@ -117,3 +118,37 @@ def test_primitives_of_one_mesh_that_share_a_node_are_no_pair():
     joined = (mesh.triangles[:, None, :, None] == mesh.triangles[None, :, None, :]).any(axis=(2, 3))
     assert len(first) == np.count_nonzero(np.triu(~joined))
     assert not joined[first, second].any()
+
+
+@pytest.mark.parametrize("step_m", [1e-4, 4e-4, 2e-3])
+def test_no_pair_is_missed_on_a_long_walk(step_m):
+    """Lists and rings serve for several steps: at every one of them they have all that comes within the range."""
+    found, points, triangles, x = two_sheets(1.5e-3)
+    reach, random = 4e-4, np.random.default_rng(4)
+    drift = step_m * np.array([0.5, 0.1, -0.2])
+    for _ in range(15):
+        towards = x + 0.1 * step_m * random.standard_normal(x.shape)
+        towards[points[:, 0]] += drift
+        found.search(x, towards, reach, 5e-4)
+        pairs = set(zip(*(p.tolist() for p in found.pairs), strict=True))
+        coupled = set(zip(*(p.tolist() for p in found.coupled), strict=True))
+        assert pairs <= coupled
+        for share in (0.5, 1.0):
+            now = x + share * (towards - x)
+            for s in range(0, len(points), 3):
+                p = now[points[s, 0]]
+                near = np.flatnonzero(np.linalg.norm(now[triangles].mean(axis=1) - p, axis=1) < 1e-2)
+                for t in near:
+                    assert (s, int(t)) in pairs or distance(p, now[triangles[t]]) > reach + OFFSET
+        x = towards
+
+
+def test_coupled_pairs_are_renewed_together_with_those_of_another_contact():
+    found, points, _, x = two_sheets(2e-3)
+    found.search(x, x, 1e-3, 2e-3)
+    x[points[:, 0], 0] += 9e-4
+    assert found.search(x, x, 1e-3, 2e-3) == (False, False)
+    before, pairs = set(zip(*found.coupled, strict=True)), set(zip(*found.pairs, strict=True))
+    found.recouple(x, x)
+    assert set(zip(*found.coupled, strict=True)) != before
+    assert set(zip(*found.pairs, strict=True)) == pairs <= set(zip(*found.coupled, strict=True))
