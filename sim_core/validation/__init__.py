@@ -26,7 +26,7 @@ GROUPS: dict[str, tuple[Callable[[], Iterator[Case | NotCovered]], float]] = {
     "elasticas": (elastica_cases, 20.0),
     "buckling": (buckling_cases, 8.0),
     "anticlastic": (anticlastic_cases, 28.0),
-    "springback": (springback_cases, 10.0),
+    "springback": (springback_cases, 40.0),
     "plates": (plate_cases, 20.0),
     "obstacles": (obstacle_cases, 20.0),
     "shells": (shell_cases, 35.0),
