@@ -5,9 +5,9 @@
 
 Damping by the rate of strain (Kelvin-Voigt, beta [s]) adds h A_T beta/(2 tau) (eps - eps_b)^T C (eps - eps_b), eps_b
 from :meth:`sim_core.energies.term.StepContext.base`: the stress beta C deps/dt, which no rigid motion has. Both
-together are one quadratic form, but for a constant:
+together are one quadratic form:
 
-    h A_T / 2 (eps - eps_0)^T (1 + k) C (eps - eps_0),    k = beta / tau,    eps_0 = k / (1 + k) eps_b
+    h A_T / 2 [(eps - eps_0)^T (1 + k) C (eps - eps_0) + eps_b^T C eps_0],   eps_0 = k / (1 + k) eps_b,   k = beta / tau
 
 C is the plane-stress stiffness of :mod:`sim_core.materials.elastic` in the material axes of each
 triangle. Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, ch. 5 and 9
@@ -191,7 +191,7 @@ class Membrane(Memoryless):
         self._area = 0.5 * np.linalg.det(dm)
         self._elastic, self._c = np.zeros((3, 3)), np.zeros((3, 3))
         self._before, self._strains = np.zeros((len(triangles), 3)), np.zeros((len(triangles), 3))
-        self._damping = 0.0
+        self._damping = self._constant = 0.0
         self._exact, self._foreseen = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32)
         self._stress = np.zeros((len(triangles), 3))
 
@@ -205,7 +205,7 @@ class Membrane(Memoryless):
             _strain_of_all, self._elsewhere, self._triangles, self._dm_inverse, self._strains
         )
         mesh = (buffers.x, self._triangles, self._dm_inverse, self._area, self._c, self._before)
-        self.add_energy = BoundKernel(_energy, *mesh, buffers.energy)
+        self._energy, self._total = BoundKernel(_energy, *mesh, buffers.energy), buffers.energy
         self.add_gradient = BoundKernel(_gradient, *mesh, buffers.gradient)
         self._move = np.zeros_like(buffers.x)
         self._foresee = BoundKernel(_foresee, *mesh, self._move, self._stress)
@@ -229,7 +229,7 @@ class Membrane(Memoryless):
         self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters)
         self._damping = parameters.get("stiffness_damping_s", 0.0)
         self._c[:] = self._elastic
-        self._before[:] = 0.0
+        self._before[:], self._constant = 0.0, 0.0
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         del internals
@@ -237,7 +237,13 @@ class Membrane(Memoryless):
             return
         rate = self._damping / step.tau
         self._c[:] = (1.0 + rate) * self._elastic
-        self._before[:] = rate / (1.0 + rate) * step.base(self._strains_at)
+        base = step.base(self._strains_at)
+        self._before[:] = rate / (1.0 + rate) * base
+        self._constant = 0.5 * float(np.einsum("t,ti,ij,tj->", self._area, base, self._elastic, self._before))
+
+    def add_energy(self) -> None:
+        self._energy()
+        self._total[0] += self._constant
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
         """Derivatives by the positions that rates of strain are measured from."""

@@ -26,7 +26,8 @@ k = beta / tau of the step and what :meth:`sim_core.energies.term.StepContext.ba
 
     (1 + k) [W_dev + K/2 (J - 1)^2] - k [S_dev,b : C/2 + K (J - 1)_b (J - 1)]
 
-At small strain that is beta times the stiffness; it dissipates as long as W is convex in C.
+but for a constant that makes the damping's part zero at the start of the step. At small strain that is beta times
+the stiffness; it dissipates as long as W is convex in C.
 
 Near incompressibility a bulk energy K/2 (J - 1)^2 at all four quadrature points is too stiff, and one on
 the mean dilatation of each element alone too soft. The two are mixed: the pointwise part has the
@@ -107,7 +108,7 @@ class NeoHookean:
         self._constants[SHARE] = 1.0
         self._history, self._fading = np.zeros((4 * m, 7)), np.zeros((4 * m, 6))
         self._g, self._tau, self._blend = 0.0, 1.0, 1.0
-        self._damping, self._bulk = 0.0, 0.0
+        self._damping, self._bulk, self._constant = 0.0, 0.0, 0.0
         self._isotropic_known = False
         self._seen = np.full((0, 3), np.nan)
 
@@ -182,6 +183,7 @@ class NeoHookean:
         self._g, self._tau = g, tau
         self._damping, self._bulk = values["stiffness_damping_s"], bulk
         self._constants[REMEMBERS] = float(self._remembers)
+        self._constant = 0.0
         if not self._remembers:
             self._history[:] = 0.0
         self._isotropic_known = False
@@ -207,9 +209,10 @@ class NeoHookean:
             rate = self._damping / step.tau
             self._constants[SHARE] += rate
             self._constants[BULK] = (1.0 + rate) * self._bulk
-            base = step.base(self._stress_and_dilatation_at)
-            self._history[:, :6] -= rate * base[:, :6]
-            self._history[:, 6] = -rate * self._bulk * base[:, 6]
+            base = -rate * step.base(self._stress_and_dilatation_at)
+            base[:, 6] *= self._bulk
+            self._constant = -self._damping_energy(step.x_start, rate, base)
+            self._history += base
 
     def _measure(self) -> None:
         """Bring strains up to date with the positions."""
@@ -217,10 +220,24 @@ class NeoHookean:
             self._deform()
             self._seen[:] = self._x
 
+    def _damping_energy(self, x: np.ndarray, rate: float, history: np.ndarray) -> float:
+        """Energy [J] at ``x`` [m] of the damping alone."""
+        kept, total = (self._constants.copy(), self._history.copy()), float(self._buffers.energy[0])
+        self._constants[SHARE], self._constants[BULK] = rate, rate * self._bulk
+        self._history[:] = history
+        self._positions[:] = x
+        self._deform_stored()
+        self._seen[:] = np.nan
+        self._energy()
+        found = float(self._buffers.energy[0]) - total
+        self._buffers.energy[0], self._constants[:], self._history[:] = total, *kept
+        return found
+
     def add_energy(self) -> None:
         """Add the incremental energy [J]."""
         self._measure()
         self._energy()
+        self._buffers.energy[0] += self._constant
 
     def add_gradient(self) -> None:
         """Add dE/dx [N]."""
