@@ -115,9 +115,9 @@ def tolerance_of(simulation: Simulation, energy: float, settings: NewtonSettings
     return length * simulation.scene.system.force_scale() + 1e-12 * abs(energy)
 
 
-def step_rise(simulation: Simulation, before: State, deflections: np.ndarray) -> float:
-    """Kinetic plus potential energy [J] at the end of the last step less that at its start, with the constants of that
-    step, what it dissipates included. ``before``, ``deflections``: at its start; nothing was driven."""
+def step_energies(simulation: Simulation, before: State, deflections: np.ndarray) -> tuple[float, float]:
+    """Kinetic plus potential energy [J] at the start and at the end of the last step, with the constants of that step;
+    at the end with what it dissipates. ``before``, ``deflections``: at its start; nothing was driven."""
     system = simulation.scene.system
     x, targets, given_way = system.x.copy(), system.targets(), system.deflections.copy()
     after = sum(total_energy(simulation))
@@ -128,7 +128,7 @@ def step_rise(simulation: Simulation, before: State, deflections: np.ndarray) ->
     finally:
         system.inertia = inertia
     place(system, x, targets, given_way)
-    return after - potential - 0.5 * float(np.sum(before.v * (system.mass @ before.v)))
+    return potential + 0.5 * float(np.sum(before.v * (system.mass @ before.v))), after
 
 
 def soak_run(simulation: Simulation, rig_name: str, steps: int, seed: int) -> SoakRun:
@@ -159,7 +159,8 @@ def soak_run(simulation: Simulation, rig_name: str, steps: int, seed: int) -> So
                 rise, fallen = max(rise, total - lowest), max(fallen, highest - total)
                 kinetic_most = max(kinetic_most, kinetic)
                 if simulation.halvings == halvings:
-                    made, bound = step_rise(simulation, before, deflections), tolerance_of(simulation, total)
+                    begun, ended = step_energies(simulation, before, deflections)
+                    made, bound = ended - begun, tolerance_of(simulation, total)
                     if made - bound > worst:
                         worst, in_step, in_step_allowed = made - bound, made, bound
     except ConvergenceError as error:
