@@ -11,7 +11,10 @@ from sim_core.scene.scene import Values
 
 
 class BendingPlasticity(Effect):
-    """Elastic up to the yield curvature, linear hardening beyond (:mod:`sim_core.energies.bending`)."""
+    """Elastic up to the yield curvature, linear hardening beyond (:mod:`sim_core.energies.plastic_flow`).
+
+    Without hardening nothing would say where along a sheet it bends on, hence its lower bound.
+    """
 
     name = "bending_plasticity"
     title = "the sheet keeps a bend"
@@ -25,7 +28,9 @@ class BendingPlasticity(Effect):
             "yield_curvature_per_m", "1/m", 0.1, 1e4, (2.0, 5.0, 10.0, 20.0, 40.0), math.inf, True, 1.5,
             "curvature at which flow begins",
         ),
-        EffectParameter("hardening_ratio", "-", 0.0, 5.0, (0.2,), None, False, 0.5, "hardening over bending stiffness"),
+        EffectParameter(
+            "hardening_ratio", "-", 0.01, 5.0, (0.2,), None, False, 0.5, "hardening over bending stiffness"
+        ),
     )  # fmt: skip
 
     def applies(self, rig: Rig) -> bool:

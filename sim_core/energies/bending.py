@@ -9,176 +9,30 @@ are moments on the hinges around T. Without ``exact`` the Hessian is the Gauss-N
 A_T L^T D L with L = dkappa_T/dx, which is positive semidefinite; ``exact`` adds the hinge moments times
 the second derivatives of the angles.
 
-Bending plasticity, per triangle, in curvature (so that the mesh does not decide): with the norm
-|kappa|_D = sqrt(kappa^T D kappa / D_11), elastic while |kappa_T|_D <= k_Y + H a, radial return with
-linear hardening H beyond, where a is the accumulated plastic curvature [1/m]. Simo & Hughes,
-Computational Inelasticity, box 3.1, written for moment and curvature.
+Plastic flow (:mod:`sim_core.energies.plastic_flow`) is part of the energy that a step minimises: D becomes the
+tangent of the return mapping, and the internal variables follow from where the step ends.
+
+Damping by the rate of bending (Kelvin-Voigt, beta [s]) adds A_T beta/(2 tau) |kappa_T - kappa_b|_D^2, kappa_b from
+:meth:`sim_core.energies.term.StepContext.base`: the moment beta D dkappa/dt, which no rigid motion has.
 """
 
 from collections.abc import Mapping
 
 import numpy as np
-import taichi as ti
+import scipy.sparse as sp
 
+from sim_core.energies import bending_kernels as kernels
+from sim_core.energies.bending_kernels import HARDENING, RATE
 from sim_core.energies.curvature import curvature_operator
-from sim_core.energies.dihedral import angle, angle_gradient, corner, side_curvature
-from sim_core.energies.linearised import ByNumber, Linearised, axes_of, gathered, placed, places
+from sim_core.energies.linearised import Blocks, ByNumber, Linearised, axes_of, gathered, placed, places
 from sim_core.energies.membrane import material_frames
+from sim_core.energies.plastic_flow import PlasticFlow
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.geometry.sheets import SheetMesh, find_hinges
-from sim_core.kernels import F1, F2, I1, I2, BoundKernel, mat3, vec3
+from sim_core.kernels import BoundKernel
 from sim_core.materials.elastic import plane_stress
 
 _SIDE_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-
-
-@ti.func
-def _load(x: ti.template(), hinge: ti.template(), h: ti.i32):
-    return (
-        corner(x, hinge[h, 0]),
-        corner(x, hinge[h, 1]),
-        corner(x, hinge[h, 2]),
-        corner(x, hinge[h, 3]),
-    )
-
-
-@ti.kernel
-def _angles(x: F2, hinge: I2, rest: F1, out: F1):
-    """Deviation of the angles from rest [rad]."""
-    ti.loop_config(serialize=True)
-    for h in range(hinge.shape[0]):
-        x0, x1, x2, x3 = _load(x, hinge, h)
-        out[h] = angle(x0, x1, x2, x3) - rest[h]
-
-
-@ti.func
-def _elastic_curvature(
-    t: ti.i32, d: ti.template(), first: ti.template(), around: ti.template(), b: ti.template(), plastic: ti.template()
-):
-    """Elastic curvature of triangle ``t`` [1/m]."""
-    kappa = -vec3(plastic[t, 0], plastic[t, 1], plastic[t, 2])
-    for k in range(first[t], first[t + 1]):
-        kappa += d[around[k]] * vec3(b[k, 0], b[k, 1], b[k, 2])
-    return kappa
-
-
-@ti.func
-def _moment(c: ti.template(), kappa):
-    m = vec3(0.0, 0.0, 0.0)
-    for i in ti.static(range(3)):
-        m[i] = c[i, 0] * kappa[0] + c[i, 1] * kappa[1] + c[i, 2] * kappa[2]
-    return m
-
-
-@ti.kernel
-def _energy(d: F1, first: I1, around: I1, b: F2, plastic: F2, area: F1, c: F2, out: F1):
-    ti.loop_config(serialize=True)
-    for t in range(area.shape[0]):
-        kappa = _elastic_curvature(t, d, first, around, b, plastic)
-        out[0] = out[0] + 0.5 * area[t] * kappa.dot(_moment(c, kappa))
-
-
-@ti.kernel
-def _moments(d: F1, first: I1, around: I1, b: F2, plastic: F2, area: F1, c: F2, out: F1):
-    """Hinge moments [N m]."""
-    ti.loop_config(serialize=True)
-    for h in range(d.shape[0]):
-        out[h] = 0.0
-    ti.loop_config(serialize=True)
-    for t in range(area.shape[0]):
-        m = area[t] * _moment(c, _elastic_curvature(t, d, first, around, b, plastic))
-        for k in range(first[t], first[t + 1]):
-            out[around[k]] = out[around[k]] + b[k, 0] * m[0] + b[k, 1] * m[1] + b[k, 2] * m[2]
-
-
-@ti.kernel
-def _gradient(x: F2, hinge: I2, moment: F1, out: F2):
-    ti.loop_config(serialize=True)
-    for h in range(hinge.shape[0]):
-        x0, x1, x2, x3 = _load(x, hinge, h)
-        g = angle_gradient(x0, x1, x2, x3)
-        for a in ti.static(range(4)):
-            for j in ti.static(range(3)):
-                out[hinge[h, a], j] = out[hinge[h, a], j] + moment[h] * g[3 * a + j]
-
-
-@ti.kernel
-def _gradients(x: F2, hinge: I2, out: F2):
-    """Store the twelve derivatives of every angle."""
-    ti.loop_config(serialize=True)
-    for h in range(hinge.shape[0]):
-        x0, x1, x2, x3 = _load(x, hinge, h)
-        g = angle_gradient(x0, x1, x2, x3)
-        for k in ti.static(range(12)):
-            out[h, k] = g[k]
-
-
-@ti.kernel
-def _gauss_newton(
-    g: F2, first: I1, around: I1, b: F2, place: I2, nodes: I1, area: F1, c: F2, start: I1, slots: I2, row: F2, out: F1
-):
-    """Add A L^T D L for each triangle. ``place``: columns of L where a hinge's nodes are; ``nodes``: how
-    many; ``start``: the triangle's first block; ``row``: scratch for L and A D L, ``(columns, 6)``."""
-    ti.loop_config(serialize=True)
-    for t in range(area.shape[0]):
-        for n in range(3 * nodes[t]):
-            for r in ti.static(range(3)):
-                row[n, r] = 0.0
-        for k in range(first[t], first[t + 1]):
-            h = around[k]
-            for a in range(4):
-                for j in ti.static(range(3)):
-                    n = 3 * place[k, a] + j
-                    for r in ti.static(range(3)):
-                        row[n, r] = row[n, r] + b[k, r] * g[h, 3 * a + j]
-        for n in range(3 * nodes[t]):
-            for r in ti.static(range(3)):
-                row[n, 3 + r] = area[t] * (c[r, 0] * row[n, 0] + c[r, 1] * row[n, 1] + c[r, 2] * row[n, 2])
-        block = start[t]
-        for p in range(nodes[t]):
-            left = mat3(0.0)
-            for i, r in ti.static(ti.ndrange(3, 3)):
-                left[i, r] = row[3 * p + i, r]
-            for q in range(p, nodes[t]):
-                right = mat3(0.0)
-                for r, j in ti.static(ti.ndrange(3, 3)):
-                    right[r, j] = row[3 * q + j, 3 + r]
-                m = left @ right
-                if p == q:
-                    for i, j in ti.static(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
-                        at = slots[block, 3 * i + j]
-                        out[at] = out[at] + m[i, j]
-                else:
-                    for i, j in ti.static(ti.ndrange(3, 3)):
-                        at = slots[block, 3 * i + j]
-                        out[at] = out[at] + m[i, j]
-                block += 1
-
-
-@ti.kernel
-def _curved(x: F2, hinge: I2, moment: F1, slots: I2, out: F1):
-    """Add moment times the second derivative of the angle, side by side."""
-    ti.loop_config(serialize=True)
-    for h in range(hinge.shape[0]):
-        x0, x1, x2, x3 = _load(x, hinge, h)
-        for side in range(2):
-            apex = x2
-            turn = 1.0
-            if side == 1:
-                apex = x3
-                turn = -1.0
-            n, along, up, dc, dphi = side_curvature(x0, x1, apex, turn)
-            block = 12 * h + 6 * side
-            for i in range(3):
-                for j in range(i, 3):
-                    left = moment[h] * (dc[i, 2 * j] * along + dc[i, 2 * j + 1] * up)
-                    right = (moment[h] * dphi[i, 2]) * (dphi[j, 0] * along + dphi[j, 1] * up)
-                    for r in ti.static(range(3)):
-                        for q in ti.static(range(3)):
-                            if i != j or r <= q:
-                                at = slots[block, 3 * r + q]
-                                out[at] = out[at] + n[r] * left[q] - right[r] * n[q]
-                    block += 1
 
 
 class Bending:
@@ -215,15 +69,19 @@ class Bending:
         self._plastic = np.zeros((count, 3))
         self._g = np.zeros((n_hinges, 12))
         self._d = np.zeros((3, 3))
+        self._tangent = np.zeros((count, 3, 3))
+        self._base = np.zeros((count, 3))
+        self._onset = np.full(count, np.inf)
+        self._law, self._exact = np.zeros(2), np.zeros(1, dtype=np.int32)
         self._seen = np.full((0, 3), np.nan)
         self._yield_curvature = np.inf
-        self._hardening = 0.0
+        self._damping = 0.0
         self.rest_angles = self._measure(mesh.nodes if formed is None else formed, node_offset)
 
     def _measure(self, nodes: np.ndarray, node_offset: int) -> np.ndarray:
         out = np.zeros(len(self._hinge))
         hinge = np.ascontiguousarray(self._hinge - node_offset, dtype=np.int32)
-        BoundKernel(_angles, np.ascontiguousarray(nodes), hinge, np.zeros(len(hinge)), out)()
+        BoundKernel(kernels.angles, np.ascontiguousarray(nodes), hinge, np.zeros(len(hinge)), out)()
         return out
 
     def _set_stencils(self) -> None:
@@ -261,21 +119,29 @@ class Bending:
         self._x = buffers.x
         self._seen = np.full_like(buffers.x, np.nan)
         stencil = (self._first, self._around, self._b)
-        law = (self._deviation, *stencil, self._plastic, self._areas, self._d)
+        angles = (self._deviation, *stencil)
+        law = (*angles, self._plastic, self._base, self._onset, self._areas, self._d, self._law)
         inner, outer = np.split(slots, [int(self._start[-1])])
         scratch = np.zeros((3 * int(self._nodes.max(initial=0)), 6))
-        self._angles = BoundKernel(_angles, buffers.x, self._hinge, self.rest_angles, self._deviation)
-        self._energy = BoundKernel(_energy, *law, buffers.energy)
-        self._moments = BoundKernel(_moments, *law, self._moment)
-        self._gradient = BoundKernel(_gradient, buffers.x, self._hinge, self._moment, buffers.gradient)
-        self._gradients = BoundKernel(_gradients, buffers.x, self._hinge, self._g)
+        self._angles = BoundKernel(kernels.angles, buffers.x, self._hinge, self.rest_angles, self._deviation)
+        self._elsewhere, self._deviation_there = np.zeros_like(buffers.x), np.zeros(len(self._hinge))
+        there = (self._elsewhere, self._hinge)
+        self._angles_there = BoundKernel(kernels.angles, *there, self.rest_angles, self._deviation_there)
+        self._gradients_there = BoundKernel(kernels.gradients, *there, self._g)
+        self._energy = BoundKernel(kernels.energy, *law, buffers.energy)
+        self._moments = BoundKernel(kernels.moments, *law, self._moment)
+        self._tangents = BoundKernel(
+            kernels.tangents, *angles, self._plastic, self._onset, self._d, self._law, self._exact, self._tangent
+        )
+        self._gradient = BoundKernel(kernels.gradient, buffers.x, self._hinge, self._moment, buffers.gradient)
+        self._gradients = BoundKernel(kernels.gradients, buffers.x, self._hinge, self._g)
         self._gauss_newton = BoundKernel(
-            _gauss_newton,
-            *(self._g, *stencil, self._place, self._nodes, self._areas, self._d, self._start),
+            kernels.gauss_newton,
+            *(self._g, *stencil, self._place, self._nodes, self._areas, self._tangent, self._start),
             *(np.ascontiguousarray(inner), scratch, buffers.hessian),
         )
         self._curved = BoundKernel(
-            _curved, buffers.x, self._hinge, self._moment, np.ascontiguousarray(outer), buffers.hessian
+            kernels.curved, buffers.x, self._hinge, self._moment, np.ascontiguousarray(outer), buffers.hessian
         )
 
     def configure(self, parameters: Mapping[str, float]) -> None:
@@ -283,11 +149,17 @@ class Bending:
         self._d[:] = parameters["thickness_m"] ** 3 / 12.0 * plane_stress(parameters)
         self._d *= parameters.get("bending_factor", 1.0)
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
-        self._hardening = parameters.get("hardening_ratio", 0.0)
+        self._law[HARDENING] = parameters.get("hardening_ratio", 0.0)
+        self._damping = parameters.get("stiffness_damping_s", 0.0)
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
-        del step
-        self._plastic[:] = internals.get("plastic_curvature", 0.0)
+        self._onset[:] = np.inf
+        if internals:
+            self._plastic[:] = internals["plastic_curvature"]
+            self._onset[:] = self._yield_curvature + self._law[HARDENING] * internals["accumulated_curvature"]
+        self._law[RATE] = self._damping / step.tau
+        if self._damping > 0.0:
+            self._base[:] = step.base(self._curvatures_at)
 
     def _measure_angles(self) -> None:
         """Bring the angles up to date with the positions."""
@@ -305,96 +177,125 @@ class Bending:
         self._gradient()
 
     def add_hessian(self, exact: bool) -> None:
+        self._measure_angles()
+        self._exact[0] = exact
+        self._tangents()
         self._gradients()
         self._gauss_newton()
         if exact:
-            self._measure_angles()
             self._moments()
             self._curved()
 
     def end_step(self, step: StepContext, internals: Internals) -> Internals:
         del step
-        if "plastic_curvature" not in internals:
+        if not internals:
             return internals
-        plastic, accumulated = internals["plastic_curvature"], internals["accumulated_curvature"]
-        elastic = self.curvatures() - plastic
-        norm = np.sqrt(np.einsum("mi,ij,mj->m", elastic, self._d, elastic) / self._d[0, 0])
-        excess = norm - (self._yield_curvature + self._hardening * accumulated)
-        flow = np.where(excess > 0.0, excess / (1.0 + self._hardening), 0.0)
-        direction = elastic / np.where(norm > 0.0, norm, 1.0)[:, None]
+        flow = self._flow(internals)
         return {
-            "plastic_curvature": plastic + flow[:, None] * direction,
-            "accumulated_curvature": accumulated + flow,
+            "plastic_curvature": internals["plastic_curvature"] + flow.amount[:, None] * flow.direction,
+            "accumulated_curvature": internals["accumulated_curvature"] + flow.amount,
         }
 
-    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
-        """Derivatives by plastic and accumulated curvature; at yield, those of going on elastically."""
-        del step, after
-        if "plastic_curvature" not in internals:
-            return None
-        place, whole = places(internals), self._x.size
-        plastic, accumulated = place["plastic_curvature"], place["accumulated_curvature"][:, None]
-        size = plastic.size + accumulated.size
-        self._gradients()
-        hinge = np.broadcast_to(np.arange(len(self._hinge))[:, None], (len(self._hinge), 1))
-        angles = placed((self._g[:, None], hinge, axes_of(self._hinge)), shape=(len(self._hinge), whole))
-        curvatures = (self._kappa @ angles.tocsr()).tocsr()  # of all triangles by all positions, (3 m, 3 n)
-        count = len(self._areas)
-        moments = -self._areas[:, None, None] * self._d
-        rows = np.arange(3 * count).reshape(count, 3)
-        stiffness = placed((moments, rows, plastic), shape=(3 * count, size))
-
+    def _flow(self, internals: Internals) -> PlasticFlow:
+        """What flows in a step from ``internals`` to the positions at hand."""
         elastic = self.curvatures() - internals["plastic_curvature"]
-        metric = self._d / self._d[0, 0]
-        norm = np.sqrt(np.einsum("mi,ij,mj->m", elastic, metric, elastic))
-        excess = norm - (self._yield_curvature + self._hardening * internals["accumulated_curvature"])
-        flows = excess > 0.0
-        far = np.where(norm > 0.0, norm, 1.0)[:, None]
-        along, slope = elastic / far, elastic @ metric / far
-        flow = np.where(flows, excess, 0.0) / (1.0 + self._hardening)
-        rate = np.where(flows, 1.0 / (1.0 + self._hardening), 0.0)[:, None]
-        turn = np.eye(3) - along[:, :, None] * slope[:, None, :]
-        by_curvature = rate[..., None] * along[:, :, None] * slope[:, None] + (flow[:, None] / far)[..., None] * turn
-        by_accumulated = -self._hardening * rate * along
-        one = np.ones((count, 1, 1))
+        hardening = float(self._law[HARDENING])
+        onset = self._yield_curvature + hardening * internals["accumulated_curvature"]
+        return PlasticFlow(elastic, onset, hardening, self._d)
+
+    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
+        """Derivatives by plastic and accumulated curvature (at yield, those of going on elastically), and by the
+        positions that rates of bending are measured from."""
+        del after
+        if not internals and self._damping == 0.0:
+            return None
+        curvatures = self._by_positions()
+        start = past = None
+        if self._damping > 0.0:
+            viscous = (curvatures.T @ self._by_area(-self._law[RATE] * self._d)).tocsr()
+            start = (step.weights[0] * viscous @ self._by_positions(step.x_start)).tocoo()
+            if step.x_past is not None:
+                past = (step.weights[1] * viscous @ self._by_positions(step.x_past)).tocoo()
+        if not internals:
+            return Linearised(force_start=start, force_past=past)
+        return self._with_flow(step, internals, curvatures, start, past)
+
+    def _by_positions(self, x: np.ndarray | None = None) -> sp.csr_matrix:
+        """Derivative of all curvatures by all positions, ``(3 m, 3 n)``, at ``x`` (None: at those at hand)."""
+        if x is None:
+            self._gradients()
+        else:
+            self._elsewhere[:] = x
+            self._gradients_there()
+        hinge = np.arange(len(self._hinge))[:, None]
+        angles = placed((self._g[:, None], hinge, axes_of(self._hinge)), shape=(len(self._hinge), self._x.size))
+        return (self._kappa @ angles.tocsr()).tocsr()
+
+    def _by_area(self, stiffness: np.ndarray) -> sp.csr_matrix:
+        """Block diagonal matrix of a stiffness ``(3, 3)`` or one a triangle, times the areas."""
+        rows = np.arange(3 * len(self._areas)).reshape(-1, 3)
+        blocks = self._areas[:, None, None] * stiffness
+        return placed((blocks, rows, rows), shape=(rows.size, rows.size)).tocsr()
+
+    def _with_flow(
+        self,
+        step: StepContext,
+        internals: Internals,
+        curvatures: sp.csr_matrix,
+        start: sp.coo_matrix | None,
+        past: sp.coo_matrix | None,
+    ) -> Linearised:
+        place, flow = places(internals), self._flow(internals)
+        plastic, accumulated = place["plastic_curvature"], place["accumulated_curvature"][:, None]
+        size, hardening = plastic.size + accumulated.size, float(self._law[HARDENING])
+        count = len(self._areas)
+        rows = np.arange(3 * count).reshape(count, 3)
+        rate, along = flow.rate[:, None], flow.direction
+        by_curvature, by_accumulated = flow.by_curvature(), -hardening * rate * along
+        weight = self._areas[:, None, None]
+        moments = placed(
+            (-weight * (self._d @ (np.eye(3) - by_curvature)), rows, plastic),
+            (-weight * (by_accumulated @ self._d)[..., None], rows, accumulated),
+            shape=(3 * count, size),
+        )
         memory = placed(
             (np.eye(3) - by_curvature, plastic, plastic),
             (by_accumulated[..., None], plastic, accumulated),
-            ((-rate * slope)[:, None], accumulated, plastic),
-            (one - self._hardening * rate[..., None], accumulated, accumulated),
+            ((-rate * flow.slope)[:, None], accumulated, plastic),
+            (1.0 - hardening * rate[..., None], accumulated, accumulated),
             shape=(size, size),
         )
-        by_total = placed(
-            (by_curvature, plastic, rows), ((rate * slope)[:, None], accumulated, rows), shape=(size, 3 * count)
+        by_total: Blocks = placed(
+            (by_curvature, plastic, rows), ((rate * flow.slope)[:, None], accumulated, rows), shape=(size, 3 * count)
         )
+        change = self.curvatures() - self._base
         numbers = {}
         for quantity in self._given:
-            d, onset, hardening = self._by_number(quantity)
-            moment = (self._areas[:, None] * (elastic @ d)).ravel()
-            metric_slope = (d - self._d * d[0, 0] / self._d[0, 0]) / self._d[0, 0]
-            grown = 0.5 * np.einsum("mi,ij,mj->m", elastic, metric_slope, elastic) / far[:, 0]
-            later = onset + hardening * internals["accumulated_curvature"] + hardening * flow
-            rise = np.where(flows, grown - later, 0.0) / (1.0 + self._hardening)
-            turned = rise[:, None] * along - (flow * grown / far[:, 0])[:, None] * along
+            d, onset, harder, damping = self._by_number(quantity)
+            turned, rise = flow.by_law(d, onset + harder * internals["accumulated_curvature"], harder)
+            moment = flow.left @ d - turned @ self._d
+            moment += change @ (self._law[RATE] * d + damping / step.tau * self._d)
             kept = gathered((turned, plastic), (rise, accumulated), size=size)
-            numbers[quantity] = ByNumber(curvatures.T @ moment, kept, np.zeros(3))
+            numbers[quantity] = ByNumber(curvatures.T @ (self._areas[:, None] * moment).ravel(), kept, np.zeros(3))
         return Linearised(
             numbers=numbers,
-            force_memory=(curvatures.T @ stiffness.tocsr()).tocoo(),
+            force_start=start,
+            force_past=past,
+            force_memory=(curvatures.T @ moments.tocsr()).tocoo(),
             memory_memory=memory,
             memory_end=(by_total.tocsr() @ curvatures).tocoo(),
         )
 
-    def _by_number(self, quantity: str) -> tuple[np.ndarray, float, float]:
-        """Derivatives of D, of the yield curvature and of the hardening by one number of the term."""
+    def _by_number(self, quantity: str) -> tuple[np.ndarray, float, float, float]:
+        """Derivatives of D, of the yield curvature, of the hardening and of the damping by one number of the term."""
         given, ends = self._given, []
         h = 1e-5 * abs(given[quantity]) or 1e-7
         for value in (given[quantity] + h, given[quantity] - h):
             self.configure({**given, quantity: value})
-            ends.append((self._d.copy(), self._yield_curvature, self._hardening))
+            ends.append((self._d.copy(), self._yield_curvature, float(self._law[HARDENING]), self._damping))
         self.configure(given)
-        d, onset, hardening = ((a - b) / (2.0 * h) for a, b in zip(*ends, strict=True))
-        return d, onset, hardening
+        d, onset, hardening, damping = ((a - b) / (2.0 * h) for a, b in zip(*ends, strict=True))
+        return d, onset, hardening, damping
 
     def initial_internals(self) -> Internals:
         """Plastic curvature [1/m] ``(m, 3)`` and its accumulation ``(m,)``; nothing when yield is off."""
@@ -409,3 +310,9 @@ class Bending:
         """Elastic plus plastic curvature change of each triangle at ``buffers.x`` [1/m], ``(m, 3)``."""
         self._measure_angles()
         return np.asarray(self._kappa @ self._deviation).reshape(-1, 3)
+
+    def _curvatures_at(self, x: np.ndarray) -> np.ndarray:
+        """As :meth:`curvatures`, at other positions [m] ``(n, 3)``."""
+        self._elsewhere[:] = x
+        self._angles_there()
+        return np.asarray(self._kappa @ self._deviation_there).reshape(-1, 3)

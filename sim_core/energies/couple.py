@@ -52,7 +52,8 @@ class Couple(Memoryless):
         self._start = self._lines(step.x_start)
 
     def add_energy(self) -> None:
-        """Turns are counted from the start of the step."""
+        """Turns are counted from the start of the step, so that a line may turn on and on; where they are counted from
+        is a constant of the step, and neither force nor stiffness depends on it: there is nothing to linearise."""
         d = self._lines(self._buffers.x)
         sine = np.einsum("kj,kj->k", self._start @ self._cross.T, d)
         cosine = np.einsum("kj,kj->k", self._start, d)

@@ -68,13 +68,15 @@ class Linearised:
 
     ``force_*``: of dE/dx', ``(3 n_nodes, .)``; ``memory_*``: of the new internal variables, flattened, ``(q', .)``;
     ``moment_*``: of the moment [N m] of a rigid body's surface forces about its node, ``(3, .)``. By what: ``start``:
-    x at the start ``(3 n_nodes)``; ``memory``: the old internal variables ``(q)``; ``end``: x' ``(3 n_nodes)``;
+    x at the start ``(3 n_nodes)``; ``past``: x at the start of the step before, which rates of BDF2 look back to;
+    ``memory``: the old internal variables ``(q)``; ``end``: x' ``(3 n_nodes)``;
     ``turn``: a small turn of the rigid body at the end of the step, in its own frame [rad] ``(3)``. ``numbers``: by
     those numbers of the term whose differences could cross a switch of its law: a point that has come to rest is
     exactly at the slip limit, a fold that is held exactly at yield.
     """
 
     force_start: Matrix | None = None
+    force_past: Matrix | None = None
     force_memory: Matrix | None = None
     force_turn: Matrix | None = None
     memory_start: Matrix | None = None

@@ -3,6 +3,12 @@
     E = sum_T  h A_T / 2  eps^T C eps,    eps = (eps_11, eps_22, 2 eps_12),  Green strain
     F = [x_1 - x_0, x_2 - x_0] Dm^-1  (3 x 2),    eps = (F^T F - I) / 2
 
+Damping by the rate of strain (Kelvin-Voigt, beta [s]) adds h A_T beta/(2 tau) (eps - eps_b)^T C (eps - eps_b), eps_b
+from :meth:`sim_core.energies.term.StepContext.base`: the stress beta C deps/dt, which no rigid motion has. Both
+together are one quadratic form:
+
+    h A_T / 2 [(eps - eps_0)^T (1 + k) C (eps - eps_0) + eps_b^T C eps_0],   eps_0 = k / (1 + k) eps_b,   k = beta / tau
+
 C is the plane-stress stiffness of :mod:`sim_core.materials.elastic` in the material axes of each
 triangle. Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, ch. 5 and 9
 (St. Venant-Kirchhoff). The Hessian splits into a material part (positive semidefinite) and a stress
@@ -15,7 +21,8 @@ from collections.abc import Mapping
 import numpy as np
 import taichi as ti
 
-from sim_core.energies.term import Buffers, Memoryless
+from sim_core.energies.linearised import Blocks, Linearised, axes_of, placed
+from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext
 from sim_core.kernels import F1, F2, F3, I1, I2, BoundKernel, vec3
 from sim_core.materials.elastic import plane_stress
 
@@ -52,6 +59,11 @@ def _strain(f1, f2):
 
 
 @ti.func
+def _row(values: ti.template(), e: ti.i32):
+    return vec3(values[e, 0], values[e, 1], values[e, 2])
+
+
+@ti.func
 def _stress(c: ti.template(), eps):
     s = vec3(0.0, 0.0, 0.0)
     for i in ti.static(range(3)):
@@ -61,22 +73,32 @@ def _stress(c: ti.template(), eps):
 
 
 @ti.kernel
-def _energy(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, out: F1):
+def _strain_of_all(x: F2, tri: I2, dm_inverse: F3, out: F2):
+    ti.loop_config(serialize=True)
+    for e in range(tri.shape[0]):
+        f1, f2 = _columns(x, tri, e, _shape(dm_inverse, e))
+        eps = _strain(f1, f2)
+        for i in ti.static(range(3)):
+            out[e, i] = eps[i]
+
+
+@ti.kernel
+def _energy(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, out: F1):
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
         f1, f2 = _columns(x, tri, e, b)
-        eps = _strain(f1, f2)
+        eps = _strain(f1, f2) - _row(before, e)
         out[0] = out[0] + 0.5 * area[e] * eps.dot(_stress(c, eps))
 
 
 @ti.kernel
-def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, out: F2):
+def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, out: F2):
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
         f1, f2 = _columns(x, tri, e, b)
-        s = _stress(c, _strain(f1, f2)) * area[e]
+        s = _stress(c, _strain(f1, f2) - _row(before, e)) * area[e]
         p1 = f1 * s[0] + f2 * s[2]
         p2 = f1 * s[2] + f2 * s[1]
         for a in ti.static(range(3)):
@@ -86,26 +108,28 @@ def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, out: F2):
 
 
 @ti.kernel
-def _foresee(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, move: F2, out: F2):
+def _foresee(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, move: F2, out: F2):
     """Stress [N/m] after ``move`` by the strain's linear part: C (eps + sym(F^T dF))."""
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
         f1, f2 = _columns(x, tri, e, b)
         d1, d2 = _columns(move, tri, e, b)
-        eps = _strain(f1, f2) + vec3(f1.dot(d1), f2.dot(d2), f1.dot(d2) + f2.dot(d1))
+        eps = _strain(f1, f2) - _row(before, e) + vec3(f1.dot(d1), f2.dot(d2), f1.dot(d2) + f2.dot(d1))
         s = _stress(c, eps)
         for i in ti.static(range(3)):
             out[e, i] = s[i]
 
 
 @ti.kernel
-def _hessian(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, exact: I1, foreseen: I1, stress: F2, slots: I2, out: F1):
+def _hessian(
+    x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, exact: I1, foreseen: I1, stress: F2, slots: I2, out: F1
+):
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
         f1, f2 = _columns(x, tri, e, b)
-        s = _stress(c, _strain(f1, f2))
+        s = _stress(c, _strain(f1, f2) - _row(before, e))
         if foreseen[0] == 1:
             s = vec3(stress[e, 0], stress[e, 1], stress[e, 2])
         if exact[0] == 0:
@@ -165,7 +189,9 @@ class Membrane(Memoryless):
         dm = np.einsum("mij,mik->mjk", frames, edges)
         self._dm_inverse = np.ascontiguousarray(np.linalg.inv(dm))
         self._area = 0.5 * np.linalg.det(dm)
-        self._c = np.zeros((3, 3))
+        self._elastic, self._c = np.zeros((3, 3)), np.zeros((3, 3))
+        self._before, self._strains = np.zeros((len(triangles), 3)), np.zeros((len(triangles), 3))
+        self._damping = self._constant = 0.0
         self._exact, self._foreseen = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32)
         self._stress = np.zeros((len(triangles), 3))
 
@@ -174,8 +200,12 @@ class Membrane(Memoryless):
         return self._triangles[:, pairs].reshape(-1, 2)
 
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
-        mesh = (buffers.x, self._triangles, self._dm_inverse, self._area, self._c)
-        self.add_energy = BoundKernel(_energy, *mesh, buffers.energy)
+        self._x, self._elsewhere = buffers.x, np.zeros_like(buffers.x)
+        self._strains_there = BoundKernel(
+            _strain_of_all, self._elsewhere, self._triangles, self._dm_inverse, self._strains
+        )
+        mesh = (buffers.x, self._triangles, self._dm_inverse, self._area, self._c, self._before)
+        self._energy, self._total = BoundKernel(_energy, *mesh, buffers.energy), buffers.energy
         self.add_gradient = BoundKernel(_gradient, *mesh, buffers.gradient)
         self._move = np.zeros_like(buffers.x)
         self._foresee = BoundKernel(_foresee, *mesh, self._move, self._stress)
@@ -196,7 +226,57 @@ class Membrane(Memoryless):
             self._foresee()
 
     def configure(self, parameters: Mapping[str, float]) -> None:
-        self._c[:] = parameters["thickness_m"] * plane_stress(parameters)
+        self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters)
+        self._damping = parameters.get("stiffness_damping_s", 0.0)
+        self._c[:] = self._elastic
+        self._before[:], self._constant = 0.0, 0.0
+
+    def begin_step(self, step: StepContext, internals: Internals) -> None:
+        del internals
+        if self._damping == 0.0:
+            return
+        rate = self._damping / step.tau
+        self._c[:] = (1.0 + rate) * self._elastic
+        base = step.base(self._strains_at)
+        self._before[:] = rate / (1.0 + rate) * base
+        self._constant = 0.5 * float(np.einsum("t,ti,ij,tj->", self._area, base, self._elastic, self._before))
+
+    def add_energy(self) -> None:
+        self._energy()
+        self._total[0] += self._constant
+
+    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
+        """Derivatives by the positions that rates of strain are measured from."""
+        del internals, after
+        if self._damping == 0.0:
+            return None
+        pull = -self._damping / step.tau * self._area[:, None, None] * self._by_positions(self._x).transpose(0, 2, 1)
+        pull, axes, shape = pull @ self._elastic, axes_of(self._triangles), (self._x.size,) * 2
+
+        def by(x: np.ndarray, weight: float) -> Blocks:
+            return placed((weight * pull @ self._by_positions(x), axes, axes), shape=shape)
+
+        now, before = step.weights
+        past = None if step.x_past is None else by(step.x_past, before)
+        return Linearised(force_start=by(step.x_start, now), force_past=past)
+
+    def _strains_at(self, x: np.ndarray) -> np.ndarray:
+        """Green strains at positions ``x`` [m], ``(m, 3)``."""
+        self._elsewhere[:] = x
+        self._strains_there()
+        return np.array(self._strains)
+
+    def _by_positions(self, x: np.ndarray) -> np.ndarray:
+        """Derivatives of the strains of the triangles by their corners at ``x``, ``(m, 3, 9)``."""
+        inverse = self._dm_inverse
+        shape = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)  # (m, 3 corners, 2)
+        f = np.einsum("taj,tai->tij", shape, x[self._triangles])
+        first = np.einsum("ti,ta->tai", f[:, :, 0], shape[:, :, 0])
+        second = np.einsum("ti,ta->tai", f[:, :, 1], shape[:, :, 1])
+        sheared = np.einsum("ti,ta->tai", f[:, :, 0], shape[:, :, 1]) + np.einsum(
+            "ti,ta->tai", f[:, :, 1], shape[:, :, 0]
+        )
+        return np.asarray(np.stack([first, second, sheared], axis=1).reshape(len(f), 3, 9))
 
 
 def material_frames(nodes: np.ndarray, triangles: np.ndarray, axis: np.ndarray) -> np.ndarray:

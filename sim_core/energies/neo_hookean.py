@@ -20,6 +20,15 @@ a step minimises (1 - g + b g) W_dev(F) + K/2 (J - 1)^2 + 1/2 H_n : C, and after
 Q_{n+1} = H_n + b g S_dev(F_{n+1}). This b is exact for a stress that changes linearly during the step,
 at any dt/tau (Simo's midpoint value exp(-dt/2tau) is 15 % low at dt = 2 tau).
 
+Damping by the rate of strain (Kelvin-Voigt, beta [s]) is beta dS_dev/dt beside S_dev and beta K dJ/dt beside the
+pressure K (J - 1): the limit of a branch that relaxes at once (tau to 0, g tau = beta), with the same code. With
+k = beta / tau of the step and what :meth:`sim_core.energies.term.StepContext.base` makes of both,
+
+    (1 + k) [W_dev + K/2 (J - 1)^2] - k [S_dev,b : C/2 + K (J - 1)_b (J - 1)]
+
+but for a constant that makes the damping's part zero at the start of the step. At small strain that is beta times
+the stiffness; it dissipates as long as W is convex in C.
+
 Near incompressibility a bulk energy K/2 (J - 1)^2 at all four quadrature points is too stiff, and one on
 the mean dilatation of each element alone too soft. The two are mixed: the pointwise part has the
 stiffness K_own with 1/K_own = 1/K + 1/(6 mu), the mean takes the rest. Uniform strain is not affected
@@ -39,16 +48,17 @@ from there on.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from sim_core.energies.linearised import Linearised, axes_of, complex_step, placed
+from sim_core.energies.linearised import ByNumber, Linearised, axes_of, complex_step, placed
 from sim_core.energies.neo_hookean_kernels import (
     BULK,
     HISTORY_J,
     MU,
     OWN,
-    RELAXING,
+    REMEMBERS,
     SHARE,
     add_energy,
     add_gradient,
@@ -74,8 +84,9 @@ class NeoHookean:
     """A solid body of quadratic tetrahedra as a term of the incremental potential.
 
     Parameters: ``E_pa`` [Pa], ``nu`` [-], ``relaxation_g`` (share of the deviatoric stress that fades, 0 to
-    below 1, default 0), ``relaxation_tau_s`` [s]. Internal variable ``Q``: the relaxing part of the second
-    Piola-Kirchhoff stress [Pa], ``(m, 4, 6)``, components 11 22 33 23 13 12; zero while g = 0.
+    below 1, default 0), ``relaxation_tau_s`` [s], ``stiffness_damping_s`` (beta [s], default 0). Internal variable
+    ``Q``: the relaxing part of the second Piola-Kirchhoff stress [Pa], ``(m, 4, 6)``, components 11 22 33 23 13 12;
+    zero while g = 0.
     """
 
     mirrored = False
@@ -95,9 +106,9 @@ class NeoHookean:
         self._weight = np.ascontiguousarray(det * weights)
         self._constants = np.zeros(5)
         self._constants[SHARE] = 1.0
-        self._history = np.zeros((4 * m, 6))
-        self._start_stress = np.zeros((4 * m, 6))
+        self._history, self._fading = np.zeros((4 * m, 7)), np.zeros((4 * m, 6))
         self._g, self._tau, self._blend = 0.0, 1.0, 1.0
+        self._damping, self._bulk, self._constant = 0.0, 0.0, 0.0
         self._isotropic_known = False
         self._seen = np.full((0, 3), np.nan)
 
@@ -110,9 +121,10 @@ class NeoHookean:
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
         """Prepare the kernels for these arrays; keep only the entries that have a place."""
         m = len(self._tets)
-        self._x = buffers.x
+        self._buffers, self._x = buffers, buffers.x
         self._positions = np.zeros_like(buffers.x)
         deformation, dilatation = np.zeros((4 * m, 3, 3)), np.zeros(4 * m)
+        self._dilatation = dilatation
         mesh = self._rest, self._tets, self._grad, self._weight, self._constants
         state = deformation, dilatation, self._history
         self._seen = np.full_like(buffers.x, np.nan)
@@ -137,14 +149,14 @@ class NeoHookean:
         self._isotropic = BoundKernel(isotropic, self._history, *solid, kept_part)
         self._add_exact = BoundKernel(
             exact_hessian,
-            *(deformation, dilatation, *solid, kept_part, places, np.zeros((5, 30)), buffers.hessian),
+            *(deformation, dilatation, self._history, *solid, kept_part, places, np.zeros((5, 30)), buffers.hessian),
         )
         self._isotropic_known = False
 
     def configure(self, parameters: Mapping[str, float]) -> None:
-        """Take ``E_pa``, ``nu`` and, if the gel relaxes, ``relaxation_g`` and ``relaxation_tau_s``."""
-        values = {"relaxation_g": 0.0, "relaxation_tau_s": 1.0, **parameters}
-        known = ("E_pa", "nu", "relaxation_g", "relaxation_tau_s")
+        """Take ``E_pa``, ``nu`` and, if the gel relaxes or is damped, the other parameters."""
+        values = {"relaxation_g": 0.0, "relaxation_tau_s": 1.0, "stiffness_damping_s": 0.0, **parameters}
+        known = ("E_pa", "nu", "relaxation_g", "relaxation_tau_s", "stiffness_damping_s")
         for name in values:
             if name not in known:
                 raise ConfigError(f"{self.name} has no parameter {name!r}.", nearest_match(name, known))
@@ -167,22 +179,40 @@ class NeoHookean:
         bulk = lam + 2.0 * mu / 3.0
         self._constants[BULK] = bulk
         self._constants[OWN] = _OWN_STIFFNESS * mu / (bulk + _OWN_STIFFNESS * mu)
-        self._constants[RELAXING] = float(g > 0.0)
         self._constants[SHARE] = 1.0
         self._g, self._tau = g, tau
+        self._damping, self._bulk = values["stiffness_damping_s"], bulk
+        self._constants[REMEMBERS] = float(self._remembers)
+        self._constant = 0.0
+        if not self._remembers:
+            self._history[:] = 0.0
         self._isotropic_known = False
         self._seen[:] = np.nan
 
+    @property
+    def _remembers(self) -> bool:
+        return self._g > 0.0 or self._damping > 0.0
+
     def begin_step(self, step: StepContext, internals: Internals) -> None:
-        """Freeze the memory stress H_n of the step."""
-        if self._g == 0.0:
+        """Freeze the memory stress H_n of the step, and what rates are measured from."""
+        if not self._remembers:
             return
         self._isotropic_known = False
         ratio = step.dt / self._tau
         fade, self._blend = np.exp(-ratio), -np.expm1(-ratio) / ratio
         self._constants[SHARE] = 1.0 - self._g + self._blend * self._g
-        self._start_stress[:] = self._stress_at(step.x_start)
-        self._history[:] = fade * internals["Q"].reshape(-1, 6) - self._blend * self._g * self._start_stress
+        self._fading[:] = fade * internals["Q"].reshape(-1, 6)
+        if self._g > 0.0:
+            self._fading -= self._blend * self._g * self._stress_at(step.x_start)
+        self._history[:, :6], self._history[:, 6] = self._fading, 0.0
+        if self._damping > 0.0:
+            rate = self._damping / step.tau
+            self._constants[SHARE] += rate
+            self._constants[BULK] = (1.0 + rate) * self._bulk
+            base = -rate * step.base(self._stress_and_dilatation_at)
+            base[:, 6] *= self._bulk
+            self._constant = -self._damping_energy(step.x_start, rate, base)
+            self._history += base
 
     def _measure(self) -> None:
         """Bring strains up to date with the positions."""
@@ -190,10 +220,24 @@ class NeoHookean:
             self._deform()
             self._seen[:] = self._x
 
+    def _damping_energy(self, x: np.ndarray, rate: float, history: np.ndarray) -> float:
+        """Energy [J] at ``x`` [m] of the damping alone."""
+        kept, total = (self._constants.copy(), self._history.copy()), float(self._buffers.energy[0])
+        self._constants[SHARE], self._constants[BULK] = rate, rate * self._bulk
+        self._history[:] = history
+        self._positions[:] = x
+        self._deform_stored()
+        self._seen[:] = np.nan
+        self._energy()
+        found = float(self._buffers.energy[0]) - total
+        self._buffers.energy[0], self._constants[:], self._history[:] = total, *kept
+        return found
+
     def add_energy(self) -> None:
         """Add the incremental energy [J]."""
         self._measure()
         self._energy()
+        self._buffers.energy[0] += self._constant
 
     def add_gradient(self) -> None:
         """Add dE/dx [N]."""
@@ -216,30 +260,84 @@ class NeoHookean:
         """Return Q_{n+1} = H_n + b g S_dev(F_{n+1})."""
         if self._g == 0.0:
             return internals
-        q = self._history + self._blend * self._g * self._stress_at(self._x)
+        q = self._fading + self._blend * self._g * self._stress_at(self._x)
         return {"Q": q.reshape(-1, 4, 6)}
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
-        """Derivatives by the start of the step and the stress that relaxes."""
+        """Derivatives by the start of the step and of the one before, and by the stress that relaxes."""
         del after
-        if self._g == 0.0:
+        if not self._remembers:
             return None
-        count, whole, size = len(self._grad), self._x.size, internals["Q"].size
-        q = np.arange(size).reshape(count, 6)
+        count, whole = len(self._grad), self._x.size
         axes = np.repeat(axes_of(self._tets), 4, axis=0)
-        start, end = (self._stress_derivatives(x) for x in (step.x_start, self._x))
         f = np.eye(3) + self._displacement_gradients(self._x)
         push = self._weight.reshape(-1, 1, 1) * np.stack(
             [_symmetric(f, self._grad, *pair) for pair in _COMPONENTS], axis=-1
         )
         fade, fresh = np.exp(-step.dt / self._tau), self._blend * self._g
-        return Linearised(
-            force_start=placed((-fresh * push @ start, axes, axes), shape=(whole, whole)),
+        rate, (now, before) = self._damping / step.tau, step.weights
+        start = self._stress_derivatives(step.x_start)
+        by_start = [(-(fresh + now * rate) * push @ start, axes, axes)]
+        past = None
+        if rate > 0.0:
+            by_start.append(self._pressure_blocks(step.x_start, -now * rate))
+        if rate > 0.0 and step.x_past is not None:
+            sheared = -before * rate * push @ self._stress_derivatives(step.x_past)
+            pressed = self._pressure_blocks(step.x_past, -before * rate)
+            past = placed((sheared, axes, axes), pressed, shape=(whole, whole))
+        found = Linearised(force_start=placed(*by_start, shape=(whole, whole)), force_past=past)
+        if self._g == 0.0:
+            return found
+        size = internals["Q"].size
+        q = np.arange(size).reshape(count, 6)
+        return replace(
+            found,
+            numbers=self._by_relaxation(step, internals),
             force_memory=placed((fade * push, axes, q), shape=(whole, size)),
             memory_start=placed((-fresh * start, q, axes), shape=(size, whole)),
             memory_memory=placed((np.full((size, 1, 1), fade), q.reshape(-1, 1), q.reshape(-1, 1)), shape=(size, size)),
-            memory_end=placed((fresh * end, q, axes), shape=(size, whole)),
+            memory_end=placed((fresh * self._stress_derivatives(self._x), q, axes), shape=(size, whole)),
         )
+
+    def _by_relaxation(self, step: StepContext, internals: Internals) -> dict[str, ByNumber]:
+        """Derivatives by g and tau. Force and memory are linear in the share of S_dev and in H, so their derivatives
+        are what the derivatives of these two exert."""
+        ratio, g, b = step.dt / self._tau, self._g, self._blend
+        fade = np.exp(-ratio)
+        fading, slower = fade * ratio / self._tau, (b - fade) / self._tau  # of fade and b by tau
+        q = internals["Q"].reshape(-1, 6)
+        start, end = self._stress_at(step.x_start).copy(), self._stress_at(self._x).copy()
+        kept = self._constants.copy(), self._history.copy()
+        gradient, found = self._buffers.gradient, {}
+        changes = {
+            "relaxation_g": (b - 1.0, -b * start, b * end),
+            "relaxation_tau_s": (slower * g, fading * q - slower * g * start, slower * g * end),
+        }
+        for name, (share, stress, fresh) in changes.items():
+            self._constants[SHARE], self._constants[BULK] = share, 0.0
+            self._history[:, :6], self._history[:, 6] = stress, 0.0
+            gradient[:] = 0.0
+            self.add_gradient()
+            found[name] = ByNumber(gradient.ravel().copy(), (stress + fresh).ravel(), np.zeros(3))
+        self._constants[:], self._history[:] = kept
+        return found
+
+    def _pressure_blocks(self, x: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivative by other positions ``x`` of the force that a memory of pressure, ``weight`` K (J - 1) there,
+        exerts at those at hand: blocks of the elements, and where they are."""
+        share, axes = self._constants[OWN], axes_of(self._tets)
+        here, there = (self._volume_derivatives(at) for at in (self._x, x))
+        w = self._weight[:, :, None]
+        mean = (w * there).sum(axis=1, keepdims=True) / w.sum(axis=1, keepdims=True)
+        mixed = share * there + (1.0 - share) * mean
+        return weight * self._bulk * np.einsum("eqi,eqj->eij", w * here, mixed), axes, axes
+
+    def _volume_derivatives(self, x: np.ndarray) -> np.ndarray:
+        """Derivative of J at all points by the nodes of their elements [1/m], ``(m, 4, 30)``."""
+        p, q = [1, 2, 0], [2, 0, 1]
+        f = np.eye(3) + self._displacement_gradients(x)
+        cof = f[:, p][:, :, p] * f[:, q][:, :, q] - f[:, p][:, :, q] * f[:, q][:, :, p]
+        return np.asarray(np.einsum("pij,paj->pai", cof, self._grad).reshape(len(self._tets), 4, 30))
 
     def _displacement_gradients(self, x: np.ndarray) -> np.ndarray:
         """F - 1 at all points, ``(4 m, 3, 3)``."""
@@ -273,6 +371,10 @@ class NeoHookean:
         self._seen[:] = np.nan
         self._deviatoric_stress()
         return self._stress
+
+    def _stress_and_dilatation_at(self, x: np.ndarray) -> np.ndarray:
+        """S_dev [Pa] and the J - 1 that the bulk modulus sees, at positions ``x`` [m], ``(4 m, 7)``."""
+        return np.column_stack([self._stress_at(x), self._dilatation])
 
 
 def _symmetric(f: np.ndarray, grad: np.ndarray, i: int, j: int) -> np.ndarray:

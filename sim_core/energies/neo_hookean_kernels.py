@@ -12,7 +12,7 @@ REGULAR_J = 0.05
 """Least J at all points of an element for which its Hessian is formed with a division by J."""
 
 # Places in the array of constants that the kernels read.
-MU, BULK, OWN, SHARE, RELAXING = range(5)
+MU, BULK, OWN, SHARE, REMEMBERS = range(5)
 
 
 @ti.func
@@ -45,7 +45,7 @@ def _bilinear(g: mat3):
 
 @ti.func
 def _memory(history: ti.template(), p):
-    """H at quadrature point ``p`` from its components 11, 22, 33, 23, 13, 12."""
+    """H at quadrature point ``p`` from its components 11, 22, 33, 23, 13, 12 (a seventh is the memory of pressure)."""
     return mat3(
         [history[p, 0], history[p, 5], history[p, 4]],
         [history[p, 5], history[p, 1], history[p, 3]],
@@ -92,8 +92,8 @@ def add_energy(deformation: F3, dilatation: F1, history: F2, weight: F2, constan
             bilinear = _bilinear(g)
             theta = g.trace() + bilinear
             density = share * mu * (0.5 * g.norm_sqr() - bilinear + theta * theta / 6.0)
-            density += 0.5 * bulk * dilatation[p] * theta
-            if constants[RELAXING] > 0.0:
+            density += (0.5 * bulk * dilatation[p] + history[p, 6]) * theta
+            if constants[REMEMBERS] > 0.0:
                 strain = g + g.transpose() + g.transpose() @ g
                 density += 0.5 * (_memory(history, p) * strain).sum()
             total += weight[e, q] * density
@@ -112,8 +112,8 @@ def add_gradient(deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F
         theta = g.trace() + cof_g.trace() + g.determinant()
         # F - cof F = G + G^T - tr(G) 1 - cof G, which is small when G is.
         stress = share * mu * (g + g.transpose() - g.trace() * one - cof_g)
-        stress += (share * mu / 3.0 * theta + bulk * dilatation[p]) * _cofactor(f)
-        if constants[RELAXING] > 0.0:
+        stress += (share * mu / 3.0 * theta + bulk * dilatation[p] + history[p, 6]) * _cofactor(f)
+        if constants[REMEMBERS] > 0.0:
             stress += f @ _memory(history, p)
         stress *= weight[p // 4, p % 4]
         for a in range(10):
@@ -136,10 +136,10 @@ def projected_tangent(deformation: F3, dilatation: F1, history: F2, constants: F
         f = ti.Matrix.identity(ti.f64, 3) + g
         cof = _cofactor(f)
         alpha = share * mu
-        slope = share * mu * ((g.trace() + _bilinear(g)) / 3.0 - 1.0) + bulk * dilatation[p]
+        slope = share * mu * ((g.trace() + _bilinear(g)) / 3.0 - 1.0) + bulk * dilatation[p] + history[p, 6]
         curvature = share * mu / 3.0 + bulk * constants[OWN]
         memory = mat3(0.0)
-        if constants[RELAXING] > 0.0:
+        if constants[REMEMBERS] > 0.0:
             memory = _memory(history, p)
         for i in range(3):
             for k in range(3):
@@ -154,7 +154,7 @@ def projected_tangent(deformation: F3, dilatation: F1, history: F2, constants: F
                     else:
                         value += turn * ti.static((n - j) * (3 - n - 2 * j) * (3 - 2 * n - j) // 2) * f[m, 3 - j - n]
                     out[p, 3 * i + j, 3 * k + n] = value
-        negative_modes(modes, f, alpha, slope, curvature, memory, constants[RELAXING] > 0.0)
+        negative_modes(modes, f, alpha, slope, curvature, memory, constants[REMEMBERS] > 0.0)
         for m in range(9):
             if modes[m, 9] < 0.0:
                 mode = ti.Vector.zero(ti.f64, 9)
@@ -244,7 +244,7 @@ def isotropic(history: F2, grad: F3, weight: F2, constants: F1, out: F2):
                     ga = vec3(grad[p, a, 0], grad[p, a, 1], grad[p, a, 2])
                     gb = vec3(grad[p, b, 0], grad[p, b, 1], grad[p, b, 2])
                     value = alpha * ga.dot(gb)
-                    if constants[RELAXING] > 0.0:
+                    if constants[REMEMBERS] > 0.0:
                         value += ga.dot(_memory(history, p) @ gb)
                     total += weight[e, q] * value
                 out[e, block] = total
@@ -253,7 +253,7 @@ def isotropic(history: F2, grad: F3, weight: F2, constants: F1, out: F2):
 
 @ti.kernel
 def exact_hessian(
-    deformation: F3, dilatation: F1, grad: F3, weight: F2, constants: F1, isotropic_part: F2, slots: I2,
+    deformation: F3, dilatation: F1, history: F2, grad: F3, weight: F2, constants: F1, isotropic_part: F2, slots: I2,
     volume: F2, out: F1,
 ):  # fmt: skip
     """Add the unprojected Hessian of each element, block by block, to the kept entries.
@@ -277,7 +277,7 @@ def exact_hessian(
             theta = g.trace() + _bilinear(g)
             least = ti.min(least, 1.0 + theta)
             curvature[q] = weight[e, q] * (share * mu / 3.0 + bulk * constants[OWN])
-            twist[q] = weight[e, q] * (share * mu * (theta / 3.0 - 1.0) + bulk * dilatation[p])
+            twist[q] = weight[e, q] * (share * mu * (theta / 3.0 - 1.0) + bulk * dilatation[p] + history[p, 6])
             whole += weight[e, q]
             for a in range(10):
                 v = cof @ vec3(grad[p, a, 0], grad[p, a, 1], grad[p, a, 2])

@@ -12,7 +12,7 @@ is a value that can be copied, perturbed and replayed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -58,7 +58,8 @@ class Buffers:
 class StepContext:
     """Constants of one step: positions and velocities at its start, its length [s], and what the velocity
     (``x_base``, ``tau`` [s]) and the acceleration (``v_base``) at its end are measured from
-    (:func:`sim_core.solve.integrator.step_context`)."""
+    (:func:`sim_core.solve.integrator.step_context`). ``x_past``: positions at the start of the step before, where the
+    integrator looks back; ``weights``: of start and past in ``x_base``."""
 
     x_start: np.ndarray
     v_start: np.ndarray
@@ -66,6 +67,17 @@ class StepContext:
     x_base: np.ndarray
     v_base: np.ndarray
     tau: float
+    x_past: np.ndarray | None = None
+    weights: tuple[float, float] = (1.0, 0.0)
+
+    def base(self, quantity: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """What the rate of a quantity q(x) at the end of the step is measured from: dq/dt = (q(x') - base) / tau.
+
+        A strain that is weighed as a strain, and not taken at ``x_base``, has no rate while a body turns rigidly.
+        """
+        now, before = self.weights
+        found = now * quantity(self.x_start)
+        return found if self.x_past is None else found + before * quantity(self.x_past)
 
 
 class Term(Protocol):

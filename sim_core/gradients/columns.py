@@ -22,6 +22,9 @@ from sim_core.scene.scene import Scene, Values
 GAP_STEP_M = 1e-10
 """Step of the distance at which a contact has no gap: small beside gaps, which are micrometres."""
 
+DAMPING_STEP = 0.1
+"""Step of a damping by the rate of strain, in which forces are linear, over that of time."""
+
 
 @dataclass
 class Column:
@@ -102,7 +105,8 @@ class Columns:
         """One number of a term. A number of zero is stepped to the side of more of it."""
         given = self._values.terms[term.name]
         value = given[quantity]
-        h = GAP_STEP_M if quantity == "offset_m" else RELATIVE_STEP * abs(value) or FROM_ZERO
+        wide = {"offset_m": GAP_STEP_M, "stiffness_damping_s": DAMPING_STEP * step.dt}
+        h = wide.get(quantity) or RELATIVE_STEP * abs(value) or FROM_ZERO
         ends = [value + h, value - h if value != 0.0 else value]
         found = []
         for there in ends:

@@ -134,6 +134,8 @@ class LinearStep:
         for name, term in self.terms.items():
             old = motion.memory[name]
             force += times(term.force_start, start) + times(term.force_memory, old)
+            if term.force_past is not None and step.x_past is not None:
+                force += times(term.force_past, step.x_past.reshape(-1, count))
             memory[name] += times(term.memory_start, start) + times(term.memory_memory, old)
             if term.moment_end is not None:
                 moment[name] = times(term.moment_start, start) + times(term.moment_memory, old) + np.zeros((3, count))
@@ -215,6 +217,9 @@ class LinearStep:
             memory[name] = old
         before = self._measured_from(spread, weights if moving else None)
         before.x += start
+        for term in self.terms.values():
+            if term.force_past is not None and before.past is not None:
+                before.past[0][:] += self._back(term.force_past, exerted.ravel())
         if past is not None:
             before.x, before.v = before.x + past[0], before.v + past[1]
         before.memory = memory

@@ -33,6 +33,8 @@ WORLD = "world"
 Modulus = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0, le=1e13)]
 Density = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0, le=3e4)]
 Thickness = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-7, le=0.02)]
+MassDamping = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=1e4)]
+StiffnessDamping = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=10.0)]
 Poisson = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=-1.0, lt=0.5)]
 
 
@@ -51,10 +53,21 @@ class _Material(Strict):
         return {**{key: value for key, value in values.items() if key in cls.quantities}, **data}
 
 
-class SheetMaterial(_Material):
+class _Damped(_Material):
+    """Rayleigh damping: forces -alpha M v on what nothing holds, v in the world, and beta times the rate of the
+    elastic forces, which is zero while the body moves rigidly. A vibration of the angular frequency w is damped by
+    the ratio alpha / (2 w) + beta w / 2."""
+
+    quantities: ClassVar[tuple[str, ...]] = ("mass_damping_per_s", "stiffness_damping_s")
+
+    mass_damping_per_s: MassDamping = Field(default=0.0, description="force over momentum, against motion, in 1/s")
+    stiffness_damping_s: StiffnessDamping = Field(default=0.0, description="stress over its elastic rate, in s")
+
+
+class SheetMaterial(_Damped):
     """Isotropic linear elasticity of a thin sheet."""
 
-    quantities: ClassVar[tuple[str, ...]] = ("E_pa", "nu", "thickness_m", "density_kg_m3")
+    quantities: ClassVar[tuple[str, ...]] = ("E_pa", "nu", "thickness_m", "density_kg_m3", *_Damped.quantities)
 
     preset: Text | None = None
     E_pa: Modulus = Field(description="Young's modulus in Pa")
@@ -63,10 +76,10 @@ class SheetMaterial(_Material):
     density_kg_m3: Density = Field(description="mass per volume in kg/m^3")
 
 
-class GelMaterial(_Material):
+class GelMaterial(_Damped):
     """Isotropic hyperelasticity of a soft block; ``E_pa`` and ``nu`` hold at small strain."""
 
-    quantities: ClassVar[tuple[str, ...]] = ("E_pa", "nu", "density_kg_m3")
+    quantities: ClassVar[tuple[str, ...]] = ("E_pa", "nu", "density_kg_m3", *_Damped.quantities)
 
     preset: Text | None = None
     E_pa: Modulus = Field(description="Young's modulus in Pa")

@@ -24,6 +24,7 @@ UNITS: dict[str, tuple[str, dict[str, float]]] = {
     "pa_per_m": ("Pa/m", {"kpa_per_m": 1e3, "mpa_per_m": 1e6, "n_per_m3": 1.0}),
     "m_per_px": ("m/px", {"mm_per_px": 1e-3, "um_per_px": 1e-6}),
     "kg_m3": ("kg/m^3", {"g_cm3": 1e3, "kg_per_m3": 1.0}),
+    "per_s": ("1/s", {"per_ms": 1e3}),
     "deg_s": ("deg/s", {"rad_s": 180.0 / math.pi}),
     "m_s2": ("m/s^2", {"mm_s2": 1e-3}),
     "m_s": ("m/s", {"mm_s": 1e-3, "cm_s": 1e-2}),

@@ -12,6 +12,7 @@ from sim_core.contact.cores import cores
 from sim_core.contact.samples import Samples, face_samples, face_triangles, sheet_samples
 from sim_core.contact.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE
 from sim_core.energies.bending import Bending
+from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.membrane import Membrane
 from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.energies.term import Term
@@ -145,8 +146,9 @@ def affine_moments(spec: Affine) -> tuple[float, np.ndarray]:
     return closed.box_moments(shape.size_m)
 
 
-def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray) -> None:
-    """Elastic terms of a sheet or a gel. ``rest``: all nodes [m]; ``held``: bool, nodes of the body in one clamp."""
+def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray, loose: np.ndarray) -> None:
+    """Elastic terms and damping of a sheet or a gel. ``rest``: all nodes [m]; ``held``, ``loose``: bool, nodes of the
+    body in one clamp, and those not wholly prescribed."""
     if isinstance(body.spec, Sheet) and isinstance(body.mesh, sheets.SheetMesh):
         world = sheets.SheetMesh(body.place(body.local), body.mesh.triangles)
         axis = body.rotation[:, 0]
@@ -159,6 +161,8 @@ def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray) -> None:
         ]
     elif isinstance(body.mesh, solids.TetMesh):
         body.terms = [NeoHookean(f"{body.name}.elastic", body.mesh.tets + int(body.nodes[0]), rest)]
+    if body.unit_mass is not None:
+        body.terms.append(MassDamping(f"{body.name}.mass_damping", body.unit_mass, int(body.nodes[0]), loose))
 
 
 def contact_samples(body: BuiltBody, rest: np.ndarray) -> Samples:

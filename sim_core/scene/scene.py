@@ -173,7 +173,7 @@ class Scene:
         self._beyond: dict[str, float] = {}  # distance at which a contact has no gap, beyond half the thicknesses
         for body in self.bodies.values():
             if body.mesh is not None and not isinstance(body.spec, Affine):
-                add_terms(body, self.rest, self._held[body.name])
+                add_terms(body, self.rest, self._held[body.name], ~self._prescribed[body.nodes].all(axis=1))
                 terms += body.terms
         if self._affine:
             volumes = {b.name: affine_moments(b.spec)[0] for b in self._affine if isinstance(b.spec, Affine)}
@@ -221,14 +221,20 @@ class Scene:
             if isinstance(spec, Sheet):
                 m = spec.material
                 sheet = {"E_pa": m.E_pa, "nu": m.nu, "thickness_m": m.thickness_m}
+                sheet["stiffness_damping_s"] = m.stiffness_damping_s
                 values.terms[f"{name}.membrane"] = dict(sheet)
                 values.terms[f"{name}.bending"] = dict(sheet)
                 values.density[name] = m.density_kg_m3 * m.thickness_m
             elif isinstance(spec, Gel):
-                values.terms[f"{name}.elastic"] = {"E_pa": spec.material.E_pa, "nu": spec.material.nu}
-                values.density[name] = spec.material.density_kg_m3
+                gel = spec.material
+                elastic = {"E_pa": gel.E_pa, "nu": gel.nu, "stiffness_damping_s": gel.stiffness_damping_s}
+                values.terms[f"{name}.elastic"] = elastic
+                values.density[name] = gel.density_kg_m3
             elif isinstance(spec, Affine):
                 values.density[name] = spec.material.density_kg_m3
+            if isinstance(spec, Sheet | Gel):
+                damping = {"mass_damping_per_s": spec.material.mass_damping_per_s, "density": values.density[name]}
+                values.terms[f"{name}.mass_damping"] = damping
         for contact in rig.contacts:
             rigid = any(isinstance(rig.bodies[b], Rigid) for b in contact.between)
             sides = 1 if rigid else 2  # both surfaces bring points

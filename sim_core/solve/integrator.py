@@ -40,4 +40,5 @@ def step_context(x: np.ndarray, v: np.ndarray, dt: float, past: Past | None = No
     r = dt / past.dt
     now, before = (1.0 + r) ** 2 / (1.0 + 2.0 * r), r**2 / (1.0 + 2.0 * r)
     tau = dt * (1.0 + r) / (1.0 + 2.0 * r)
-    return StepContext(x, v, dt, now * x - before * past.x, now * v - before * past.v, tau)
+    base = now * x - before * past.x, now * v - before * past.v
+    return StepContext(x, v, dt, *base, tau, past.x, (now, -before))

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from sim_core.validation.anticlastic import anticlastic_cases
 from sim_core.validation.buckling import buckling_cases
 from sim_core.validation.case import Case, NotCovered
+from sim_core.validation.damping import damping_cases
 from sim_core.validation.elasticas import elastica_cases
 from sim_core.validation.friction import friction_cases
 from sim_core.validation.gels import gel_cases
@@ -26,12 +27,13 @@ GROUPS: dict[str, tuple[Callable[[], Iterator[Case | NotCovered]], float]] = {
     "elasticas": (elastica_cases, 20.0),
     "buckling": (buckling_cases, 8.0),
     "anticlastic": (anticlastic_cases, 28.0),
-    "springback": (springback_cases, 10.0),
+    "springback": (springback_cases, 40.0),
     "plates": (plate_cases, 20.0),
     "obstacles": (obstacle_cases, 20.0),
     "shells": (shell_cases, 35.0),
     "solids": (solid_cases, 6.0),
     "gels": (gel_cases, 45.0),
+    "damping": (damping_cases, 12.0),
     "friction": (friction_cases, 9.0),
     "rough plane": (rough_plane_cases, 16.0),
 }

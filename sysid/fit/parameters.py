@@ -34,6 +34,8 @@ SCALES = {
     "nu": Scale(False, 0.2, -0.3, 0.495),
     "thickness_m": Scale(True, PRIOR_SD_LOG, 1e-7, 0.02),
     "density_kg_m3": Scale(True, PRIOR_SD_LOG, 1.0, 3e4),
+    "mass_damping_per_s": Scale(False, 5.0, 0.0, 1e4),
+    "stiffness_damping_s": Scale(False, 1e-2, 0.0, 10.0),
     "friction": Scale(False, 0.5, 0.0, 3.0),
     "stiffness_pa_per_m": Scale(True, PRIOR_SD_LOG, 1.0, 1e15),
     "latency_s": Scale(False, 0.05, -10.0, 10.0),

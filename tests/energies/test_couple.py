@@ -55,3 +55,30 @@ def test_its_moment_turns_with_the_lines():
     rotation = np.eye(3) + np.sin(turn) * cross + (1.0 - np.cos(turn)) * cross @ cross
     one.x[:] = one.nodes @ rotation.T
     np.testing.assert_allclose(-one.static_gradient(), before @ rotation.T, atol=1e-14)
+
+
+def test_forces_and_stiffness_do_not_depend_on_where_the_step_starts():
+    """So the term has no ``linearise``: its derivative by the start of the step is zero."""
+    one, found = system(), []
+    end = one.nodes + 0.3 * np.random.default_rng(8).normal(size=(4, 3))
+    for seed in (1, 2):
+        start = one.nodes + 0.3 * np.random.default_rng(seed).normal(size=(4, 3))
+        one.begin_step(step_context(start, np.zeros_like(start), 1.0), one.initial_internals())
+        one.x[:] = end
+        found.append((one.energy(), one.static_gradient(), one.hessian(exact=True).toarray()))
+    assert np.array_equal(found[0][1], found[1][1]) and np.array_equal(found[0][2], found[1][2])
+    assert found[0][0] != found[1][0]
+
+
+def test_the_work_between_two_ends_does_not_depend_on_where_the_step_starts():
+    """Of turns of less than half a circle: the couple is conservative."""
+    one, work = system(), []
+    ends = [one.nodes + 0.1 * np.random.default_rng(seed).normal(size=(4, 3)) for seed in (3, 4)]
+    for start in (one.nodes, ends[0]):
+        one.begin_step(step_context(start, np.zeros_like(start), 1.0), one.initial_internals())
+        energies = []
+        for x in ends:
+            one.x[:] = x
+            energies.append(one.energy())
+        work.append(energies[1] - energies[0])
+    assert work[0] == pytest.approx(work[1], rel=1e-12)

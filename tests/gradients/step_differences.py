@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sim_core.energies.linearised import flatten, unflatten
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, frame_of
@@ -22,11 +24,12 @@ def last_step(rig, poses, times):
     return simulation, before, step_context(before.x, before.v, times[-1] - times[-2], before.past)
 
 
-def respond(simulation, term, step, memory, x_start, x_end):
-    """Force and new memory of a term, flattened, for a neighbouring start, memory and end of the step."""
+def respond(simulation, term, step, memory, x_start, x_end, past):
+    """Force and new memory of a term, flattened, for a neighbouring start, memory and end of the step, and a
+    neighbouring state before it."""
     system = simulation.scene.system
     kept = system.x.copy()
-    term.begin_step(step_context(x_start, step.v_start, step.dt), memory)
+    term.begin_step(step_context(x_start, step.v_start, step.dt, past), memory)
     system.x[:] = x_end
     system._gradient[:] = 0.0
     term.add_gradient()
@@ -36,17 +39,18 @@ def respond(simulation, term, step, memory, x_start, x_end):
     return out
 
 
-def differences(simulation, term, step, internals, along, h):
-    """Central differences of force and memory along (start, memory, end)."""
+def differences(simulation, term, step, internals, along, h, past=None):
+    """Central differences of force and memory along (start, memory, end, and the state before); ``past``: it."""
     x = simulation.scene.system.x.copy()
     flat = flatten(internals)
-    start, memory, end = along
+    start, memory, end, before = along
     out = []
     for s in (h, -h):
         out.append(
             respond(
                 simulation, term, step, unflatten(flat + s * memory, internals),
                 step.x_start + s * start.reshape(-1, 3), x + s * end.reshape(-1, 3),
+                None if past is None else replace(past, x=past.x + s * before.reshape(-1, 3)),
             )
         )  # fmt: skip
     return [(a - b) / (2.0 * h) for a, b in zip(*out, strict=True)]

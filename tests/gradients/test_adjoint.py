@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from test_linearised import ball, forming
+from test_linearised import ball, damped, forming
 from test_tangent import PRESS, RUB
 
 from sim_core.errors import ConvergenceError
@@ -49,6 +49,7 @@ CASES = {
     "rub with every effect": (small(RUB), {"effects": EFFECTS}),
     "press with every effect": (small(PRESS), {"effects": EFFECTS}),
     "looking back": (small(PRESS), {"solver": BDF2}),
+    "damped, looking back": (lambda *given: damped("bdf2", *given), {}),
     "static": (small(PRESS, 0.4), {"solver": STATIC}),
     "ball on an arm": (lambda *given: ball(), {}),
     "forming": (lambda *given: forming(), {}),

@@ -9,7 +9,7 @@ import pytest
 from step_differences import differences, last_step
 
 from sim_core.energies.linearised import flatten, times
-from sim_core.rigs import load_rig, parse_rig
+from sim_core.rigs import load_rig, parse_rig, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 
 EFFECTS = {
@@ -24,6 +24,15 @@ RUB = ([0.0, 0.1, 0.2, 0.4], [[0, 0, 0], [0.054, 0, 0], [0.055, 0, -0.0009], [0.
 
 def small(small_rig, visit, path, end):
     return small_rig(effects=EFFECTS), visit(*path), np.linspace(0.0, end, round(end / 0.02) + 1)
+
+
+def damped(integrator, small_rig, visit):
+    """Both kinds of damping beside plastic flow and relaxation, in motion."""
+    rig = small_rig(effects=EFFECTS, solver={"dt_s": 0.02, "integrator": integrator})
+    for body, alpha, beta in (("card", 3.0, 5e-3), ("gel", 2.0, 0.02)):
+        given = {f"{body}.mass_damping_per_s": alpha, f"{body}.stiffness_damping_s": beta}
+        rig = with_parameters(rig, given)
+    return rig, visit(*PRESS), np.linspace(0.0, 0.26, 14)
 
 
 def forming():
@@ -68,13 +77,18 @@ SCENES = {
     "rub": lambda *given: small(*given, RUB, 0.3),
     "forming": lambda *given: forming(),
     "ball": lambda *given: ball(),
+    "damped": lambda *given: damped("implicit_euler", *given),
+    "damped, looking back": lambda *given: damped("bdf2", *given),
 }
+DAMPED = {"card.membrane", "card.bending", "card.mass_damping", "gel.elastic", "gel.mass_damping"}
 EXPECTED = {
     "press": {"card.bending", "gel.elastic", "contact.gel-card.0", "card.drag"},
     "drag": {"contact.gel-card.0"},
     "rub": {"gel.elastic", "contact.gel-post"},
     "forming": {"contact.gel-card.0", "contact.gel-card.1", "contact.gel-card.edges", "contact.card-table"},
     "ball": {"contact.card-ball"},
+    "damped": DAMPED,
+    "damped, looking back": DAMPED,
 }
 """Terms that must be at work in a scene, lest the comparison be of zeros."""
 
@@ -94,15 +108,16 @@ def test_every_term(scene, small_rig, visit):
         remembered = rng.standard_normal(len(memory)) * np.concatenate([np.empty(0), *scales]) * (memory != 0.0)
         moved, still, nothing = rng.standard_normal(size), np.zeros(size), np.zeros(len(memory))
         waves = {
-            "start": ((moved, nothing, still), moved, 1e-10),
-            "memory": ((still, remembered, still), remembered, 1e-7),
-            "end": ((still, nothing, moved), moved, 1e-10),
+            "start": ((moved, nothing, still, still), moved, 1e-10),
+            "memory": ((still, remembered, still, still), remembered, 1e-7),
+            "end": ((still, nothing, moved, still), moved, 1e-10),
+            "past": ((still, nothing, still, moved), moved, 1e-10),
         }
         for name, (along, vector, h) in waves.items():
-            by_step = [differences(simulation, term, step, internals, along, k * h) for k in (1.0, 0.1)]
+            by_step = [differences(simulation, term, step, internals, along, k * h, before.past) for k in (1.0, 0.1)]
             for what, references in zip(("force", "memory"), zip(*by_step, strict=True), strict=True):
-                if (what, name) == ("force", "end"):
-                    continue  # that is the Hessian
+                if (what, name) in (("force", "end"), ("memory", "past")):
+                    continue  # the Hessian; and what nothing looks back for
                 ours = times(getattr(found, f"{what}_{name}"), vector) + np.zeros(len(references[0]))
                 for part in parts(after) if what == "memory" else [slice(None)]:
                     scale = np.abs(references[0][part]).max(initial=0.0)

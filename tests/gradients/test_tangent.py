@@ -53,6 +53,17 @@ def test_gel_parameters_through_sticking_and_sliding(small_rig, visit, name):
     compare(small_rig(), visit(*RUB), name)
 
 
+@pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2"])
+@pytest.mark.parametrize(
+    "name", ["card.mass_damping_per_s", "card.stiffness_damping_s", "gel.stiffness_damping_s", "card.density_kg_m3"]
+)
+def test_damping(small_rig, visit, name, integrator):
+    """As a parameter, and while others are differentiated."""
+    rig = small_rig(solver={"dt_s": 0.02, "inertia": True, "integrator": integrator})
+    given = {"card.mass_damping_per_s": 5.0, "card.stiffness_damping_s": 5e-3, "gel.stiffness_damping_s": 0.02}
+    compare(with_parameters(rig, given), visit(*PRESS), name, 2e-6, wide=3e-3 if "damping" in name else 3e-4)
+
+
 def test_effect_with_memory(small_rig, visit):
     rig = small_rig(effects={"gel_relaxation": {"share": 0.3, "tau_s": 0.2}})
     compare(rig, visit(*RUB), "effects.gel_relaxation.tau_s", wide=3e-4)

@@ -10,14 +10,14 @@ MESHES = pytest.mark.parametrize(("pattern", "cells"), [("regular", (10, 4)), ("
 
 
 @MESHES
-@pytest.mark.parametrize("hardening", [0.0, 0.5])
+@pytest.mark.parametrize("hardening", [0.02, 0.5])
 def test_a_sheet_keeps_what_its_yield_curvature_says(pattern, cells, hardening):
     """On any mesh, in any number of steps, and no more when it is bent again."""
     plastic = 2.0 / (1.0 + hardening)
     for parts in (2, 11):
         bender = Bender(pattern, cells, hardening)
         moment = bender.bend((YIELD * np.linspace(0.0, 3.0, parts)[1:]).tolist())[-1]
-        assert moment == pytest.approx((3.0 - plastic) * STIFFNESS * YIELD, rel=0.005)
+        assert moment == pytest.approx((3.0 - plastic) * STIFFNESS * YIELD, rel=0.002)
         kept = bender.release()
         assert kept == pytest.approx(plastic * YIELD, rel=0.005)
         bender.bend([3.0 * YIELD])
@@ -25,16 +25,19 @@ def test_a_sheet_keeps_what_its_yield_curvature_says(pattern, cells, hardening):
 
 
 @MESHES
-def test_below_its_yield_curvature_a_sheet_is_elastic_bit_for_bit(pattern, cells):
+def test_below_its_yield_curvature_a_sheet_is_elastic(pattern, cells):
     yielding, elastic = Bender(pattern, cells), Bender(pattern, cells, yield_curvature=np.inf)
     for bender in (yielding, elastic):
         bender.bend([0.4 * YIELD, 0.9 * YIELD])
-    assert np.array_equal(yielding.state.x, elastic.state.x)
+    assert not yielding.state.internals["bending"]["plastic_curvature"].any()
+    np.testing.assert_allclose(yielding.state.x, elastic.state.x, atol=1e-9)
 
 
 def test_the_work_lost_is_that_of_the_yield_moment():
-    lost = dissipated(Bender("regular", (10, 4)), 3.0 * YIELD)
-    assert lost == pytest.approx(2.0 * STIFFNESS * YIELD**2 * LENGTH, rel=0.002)
+    plastic, hardening = 2.0 / 1.1, 0.1
+    lost = dissipated(Bender("regular", (10, 4), hardening), 3.0 * YIELD)
+    exact = plastic + 0.5 * hardening * plastic**2
+    assert lost == pytest.approx(exact * STIFFNESS * YIELD**2 * LENGTH, rel=0.002)
 
 
 def test_the_closed_form_has_the_limits_of_a_bar_and_of_a_plate():

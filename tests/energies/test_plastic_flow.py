@@ -1,0 +1,92 @@
+"""The return mapping of sheets that flow: on the yield surface, of least energy, whatever the step."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+from shell_terms import ORTHOTROPIC, bending, check_derivatives, full, strip
+
+from sim_core.energies.plastic_flow import PlasticFlow
+from sim_core.materials.elastic import plane_stress
+from sim_core.solve.integrator import step_context
+from sim_core.validation.springback import STIFFNESS, YIELD, Bender
+
+D = plane_stress(ORTHOTROPIC) * ORTHOTROPIC["thickness_m"] ** 3 / 12.0
+ONSET, HARDENING = 12.0, 0.3
+
+
+def norm(kappa):
+    return np.sqrt(np.einsum("mi,ij,mj->m", kappa, D, kappa) / D[0, 0])
+
+
+def some_curvatures(count=40, seed=4):
+    return 10.0 * np.random.default_rng(seed).standard_normal((count, 3))
+
+
+def test_flow_ends_on_the_yield_surface_and_is_none_within():
+    elastic = some_curvatures()
+    flow = PlasticFlow(elastic, np.full(len(elastic), ONSET), HARDENING, D)
+    flows = norm(elastic) > ONSET
+    assert 5 < flows.sum() < 35
+    np.testing.assert_allclose(norm(flow.left)[flows], ONSET + HARDENING * flow.amount[flows], rtol=1e-12)
+    assert np.array_equal(flow.left[~flows], elastic[~flows]) and not flow.amount[~flows].any()
+    moments = flow.left @ D
+    normal = flow.slope / np.linalg.norm(flow.slope, axis=1, keepdims=True)
+    np.testing.assert_allclose(moments / np.linalg.norm(moments, axis=1, keepdims=True), normal, atol=1e-12)
+
+
+def plastic_sheet(hardening=HARDENING, accumulated=7.0):
+    mesh = strip("irregular")
+    values = {**ORTHOTROPIC, "yield_curvature_per_m": ONSET, "hardening_ratio": hardening}
+    system, term = bending(mesh, values)
+    rng = np.random.default_rng(3)
+    internals = {
+        "plastic_curvature": 10.0 * rng.standard_normal((len(mesh.triangles), 3)),
+        "accumulated_curvature": accumulated * rng.random(len(mesh.triangles)),
+    }
+    term.begin_step(step_context(mesh.nodes, np.zeros_like(mesh.nodes), 0.01), internals)
+    system.x[:] = mesh.nodes
+    system.x[:, 2] += 5e-5 * rng.standard_normal(len(mesh.nodes))
+    return mesh, system, term, internals
+
+
+def test_the_energy_is_the_least_over_all_flows():
+    """Of what is stored and lost, D_11 [(n - g)^2 / 2 + s g + H g^2 / 2] a triangle, searched for by golden section."""
+    mesh, system, term, internals = plastic_sheet()
+    n = norm(term.curvatures() - internals["plastic_curvature"])
+    onset = ONSET + HARDENING * internals["accumulated_curvature"]
+    assert (n > onset).any() and (n < onset).any()
+    total = 0.0
+    for area, nt, s in zip(mesh.areas, n, onset, strict=True):
+        found = minimize_scalar(
+            lambda g, nt=nt, s=s: 0.5 * (nt - g) ** 2 + s * g + 0.5 * HARDENING * g**2,
+            bounds=(0.0, 2.0 * nt), method="bounded", options={"xatol": 1e-9},
+        )  # fmt: skip
+        total += area * D[0, 0] * min(found.fun, 0.5 * nt**2)
+    assert system.energy() == pytest.approx(total, rel=1e-9)
+
+
+@pytest.mark.parametrize("hardening", [0.0, 0.01, HARDENING])
+def test_derivatives_match_differences_while_the_sheet_flows(hardening):
+    _, system, term, internals = plastic_sheet(hardening)
+    check_derivatives(system, system.x.copy())
+    assert term.end_step(None, internals)["accumulated_curvature"].sum() > internals["accumulated_curvature"].sum()
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_the_tangent_of_a_triangle_is_positive_semidefinite(exact):
+    _, system, term, _ = plastic_sheet()
+    system.hessian(exact=exact)
+    assert np.linalg.eigvalsh(term._tangent).min() >= -1e-12 * D[0, 0]
+    if not exact:
+        values = np.linalg.eigvalsh(full(system.hessian()))
+        assert values[0] > -1e-12 * values[-1]
+
+
+@pytest.mark.parametrize("hardening", [0.05, 0.5])
+def test_the_moment_while_flowing_does_not_depend_on_the_step(hardening):
+    """In one step of twice the yield curvature: yield moment and hardening to 0.1 %, as in forty steps."""
+    expected = (1.0 + hardening * 2.0 / (1.0 + hardening)) * STIFFNESS * YIELD
+    few, many = Bender("regular", (10, 4), hardening), Bender("regular", (10, 4), hardening)
+    moments = [few.bend([YIELD, 3.0 * YIELD])[-1], many.bend((YIELD * np.linspace(0.0, 3.0, 41)[1:]).tolist())[-1]]
+    np.testing.assert_allclose(moments, expected, rtol=1e-3)
+    np.testing.assert_allclose(moments[0], moments[1], rtol=1e-6)
