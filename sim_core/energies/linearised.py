@@ -87,6 +87,16 @@ class Linearised:
     moment_turn: Matrix | None = None
     numbers: dict[str, ByNumber] = field(default_factory=dict)
 
+    def size_bytes(self) -> int:
+        """Memory of all matrices and numbers."""
+        total = sum(a.nbytes for n in self.numbers.values() for a in (n.force, n.memory, n.moment))
+        for matrix in vars(self).values():
+            if isinstance(matrix, Blocks):
+                total += matrix.values.nbytes + matrix.rows.nbytes + matrix.columns.nbytes
+            elif sp.issparse(matrix):
+                total += 2 * matrix.data.nbytes  # two indices of half the length a value
+        return total
+
 
 def times(matrix: Matrix | None, vector: np.ndarray) -> np.ndarray | float:
     """Product with a matrix that may be zero."""

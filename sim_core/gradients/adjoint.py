@@ -31,6 +31,7 @@ from sim_core.gradients.tape import MEMORY_MB, Made, Tape
 from sim_core.rigs import Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
+from sim_core.sensing.observe import Sensed
 from sim_core.simulate import FOREVER_S, Trace, midway
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings
@@ -110,7 +111,7 @@ class Backward:
                     last = made is interval.made[-1]
                     state = state or Weights(zero, zero, no_memory(made.after))
                     target = poses[k] if last else inner.setdefault(id(made.frames), _Frames())
-                    state = self._through(made, state, k if last else None, target)
+                    state = self._through(made, state, k if last else None, target, interval.sensed)
                 for middle, start, end in reversed(interval.middles):
                     weights = inner.get(id(middle))
                     if weights is not None:
@@ -134,13 +135,18 @@ class Backward:
             tape.trace,
         )
 
-    def _through(self, made: Made, state: Weights, k: int | None, target: _Frames) -> Weights:
+    def _through(
+        self, made: Made, state: Weights, k: int | None, target: _Frames, sensed: Mapping[str, Sensed] | None
+    ) -> Weights:
         """Weights before one step from those after it. ``k``: number of the time at its end, if readings are there;
-        ``target``: takes the weights of the frames at its end."""
-        self._enter(made)
-        linear = LinearStep(self._scene, made.before, made.after, made.dt, False)
+        ``target``: takes the weights of the frames at its end; ``sensed``: derivatives of the readings, if kept."""
+        linear = made.linear
+        if linear is None or self._columns.keys or self._cameras:
+            self._enter(made)
+        if linear is None:
+            linear = LinearStep(self._scene, self._tape.keeper, made.before, made.after, made.dt, False)
         if k is not None:
-            state = self._read_back(k, made.frames, state, target)
+            state = self._read_back(k, made.frames, state, target, sensed)
         pulled = linear.pull(
             state, self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
         )
@@ -180,8 +186,16 @@ class Backward:
         system.set_unknowns(made.unknowns)
         system.cover()
 
-    def _read_back(self, k: int, frames: Mapping[str, Frame], state: Weights, target: _Frames) -> Weights:
-        """Weights of a state with those that its readings at time number ``k`` add."""
+    def _read_back(
+        self,
+        k: int,
+        frames: Mapping[str, Frame],
+        state: Weights,
+        target: _Frames,
+        sensed_by: Mapping[str, Sensed] | None = None,
+    ) -> Weights:
+        """Weights of a state with those that its readings at time number ``k`` add. ``sensed_by``: derivatives of the
+        readings, if they were kept; else the system holds the state."""
         given = {c: w[k].ravel() for c, w in self._by_readings.items() if np.any(w[k])}
         if not given:
             return state
@@ -195,8 +209,9 @@ class Backward:
         moment: dict[str, np.ndarray] = {}
         unknowns = np.zeros(system.n_unknowns)
         deflections = unknowns[len(unknowns) - system.deflections.size :].reshape(-1, 3)
-        for name, sensed in self._observer.linearise(rig, actual, given).items():
-            w = given[name]
+        sensed_by = sensed_by or self._observer.linearise(rig, actual, given)
+        for name, w in given.items():
+            sensed = sensed_by[name]
             x += (sensed.by_x.T @ w).reshape(-1, 3)
             if sensed.by_force is not None:
                 force -= (sensed.by_force.T @ w).reshape(-1, 3)
@@ -222,7 +237,7 @@ class Backward:
             try:
                 made = Made(tape.settled_from, tape.start, FOREVER_S, tape.mounts, tape.start_unknowns)
                 self._enter(made, still=True)
-                linear = LinearStep(scene, made.before, made.after, FOREVER_S, True)
+                linear = LinearStep(scene, tape.keeper, made.before, made.after, FOREVER_S, True)
                 state = self._read_back(0, tape.mounts, state, target)
                 columns = self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
                 self._collect(linear.pull(state, columns), tape.mounts, target)

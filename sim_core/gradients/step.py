@@ -24,9 +24,9 @@ from sim_core.energies.term import StepContext
 from sim_core.errors import ConfigError
 from sim_core.gradients.columns import Column
 from sim_core.scene.scene import Scene
-from sim_core.solve.factor import Factor, NotPositiveDefinite
 from sim_core.solve.integrator import Past, step_context
 from sim_core.solve.step import State
+from sim_core.solve.stiffness import Keeper
 
 
 @dataclass
@@ -79,19 +79,20 @@ class Pulled:
 
 
 class LinearStep:
-    """The step from ``before`` to ``after`` that the scene's system holds the end of.
+    """The step from ``before`` to ``after``, linearised while the scene's system holds the end of it; may be used
+    when it has gone on.
 
     ``still``: it is the first equilibrium; where the search for it came from counts as given.
     """
 
-    def __init__(self, scene: Scene, before: State, after: State, dt: float, still: bool) -> None:
+    def __init__(self, scene: Scene, keeper: Keeper, before: State, after: State, dt: float, still: bool) -> None:
         system = scene.system
         self._system = system
         self._before = before = replace(before, past=None) if still else before
         self._still = still
         self._dt = dt
         self.step: StepContext = step_context(before.x, before.v, dt, before.past)
-        self._factor = self._factorised()
+        self._hessian = keeper.keep()
         self.terms: dict[str, Linearised] = {}
         """What the terms with memory know of themselves in this step."""
         for term in system.terms:
@@ -102,13 +103,9 @@ class LinearStep:
                     self.terms[term.name] = found
         self._sizes = {name: flatten(internals).size for name, internals in after.internals.items()}
 
-    def _factorised(self) -> Factor:
-        """The true Hessian; it is definite at a stable equilibrium, and need not be where motion holds one."""
-        data = self._system.hessian_data(exact=True)
-        try:
-            return self._system.factor_data(data, definite=True)
-        except NotPositiveDefinite:
-            return self._system.factor_data(data, definite=False)
+    def size_bytes(self) -> int:
+        """Memory of what is kept."""
+        return self._hessian.size_bytes + sum(term.size_bytes() for term in self.terms.values())
 
     def _restrict(self, gradient: np.ndarray) -> np.ndarray:
         """Transpose of :meth:`System.spread`."""
@@ -116,8 +113,7 @@ class LinearStep:
 
     def _stiffness(self, move: np.ndarray) -> np.ndarray:
         """Change of what the terms exert for a move of the nodes."""
-        system = self._system
-        out = system.nodal_product(move)
+        system, out = self._system, self._hessian.product(move)
         return np.asarray(out - system.mass @ move / self.step.tau**2) if system.inertia else out
 
     # Forwards
@@ -154,7 +150,7 @@ class LinearStep:
                 moment[name] = moment.get(name, 0.0) + np.outer(turned, slope)
         total = (force + body).reshape(shape)
         residual = np.column_stack([self._restrict(np.ascontiguousarray(total[..., k])) for k in range(count)])
-        moved = -self._factor.solve(residual + unknowns)
+        moved = -self._hessian.solve(residual + unknowns)
         x = np.stack([system.spread(moved[:, k]) for k in range(count)], axis=-1)
         force = force.reshape(shape) + np.stack([self._stiffness(x[..., k]) for k in range(count)], axis=-1)
         if system.passes_on:
@@ -203,7 +199,7 @@ class LinearStep:
         pulled = self._restrict(x)
         if weights.unknowns is not None:
             pulled += weights.unknowns
-        answer = -self._factor.solve(pulled)
+        answer = -self._hessian.solve(pulled)
         spread = system.spread(answer)
         exerted = spread if weights.force is None else spread + weights.force
         start, memory = np.zeros_like(x), {}
@@ -218,7 +214,7 @@ class LinearStep:
         if past is not None:
             before.x, before.v = before.x + past[0], before.v + past[1]
         before.memory = memory
-        targets = system.fold(x + system.nodal_product(spread))
+        targets = system.fold(x + self._hessian.product(spread))
         numbers = np.array([self._along(c, weights, exerted, spread, answer) for c in columns])
         return Pulled(before, targets, turns, numbers)
 

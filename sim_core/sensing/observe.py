@@ -71,6 +71,12 @@ class Sensed:
     mount: str
     by_frame: np.ndarray
 
+    def size_bytes(self) -> int:
+        """Memory of the derivatives."""
+        blocks = [self.by_x, *([] if self.by_force is None else [self.by_force])]
+        arrays = [a for b in blocks for a in (b.values, b.rows, b.columns)]
+        return sum(a.nbytes for a in (*arrays, *self.by_moment.values(), self.by_frame))
+
 
 class Observer:
     """Sensors and cameras of a scene. ``kinds``: channel name to 'wrench', 'markers' or 'tracks'."""
