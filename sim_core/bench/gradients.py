@@ -45,7 +45,7 @@ class GradientBenchmark:
     """Steps per second of the processor. ``forward``: without recording; ``recorded``: with states and linearised steps
     kept; ``backward``: from there, by poses and start alone, and by ``parameters`` parameters besides;
     ``backward_states``: from the states alone; ``backward_again``: with the steps made again from checkpoints, that
-    included."""
+    included; ``recorded_factors``, ``backward_factors``: with the factorisations kept too."""
 
     unknowns: int
     steps: int
@@ -56,6 +56,8 @@ class GradientBenchmark:
     backward_parameters: float
     backward_states: float
     backward_again: float
+    recorded_factors: float
+    backward_factors: float
     horizons: tuple[Horizon, ...]
     machine: str
 
@@ -78,7 +80,7 @@ def measure_gradients(steps: int = DOWN_STEPS + ALONG_STEPS, horizons: Sequence[
     poses, times = path(scene, steps, rig.solver.dt_s)
     names = [p.name for p in list_parameters(rig) if p.value is not None]
     along = directions(rig, names)
-    _gradient(Backward(Tape(scene, poses, times[:8]), along))  # the first launch of a kernel loads its code
+    _gradient(Backward(Tape(scene, poses, times[: DOWN_STEPS // 2]), along))  # the first launch of a kernel loads it
     forward = _timed(lambda: simulate(scene, poses, times))[0]
     recorded, tape = _timed(lambda: Tape(scene, poses, times, memory_mb=math.inf))
     again = Tape(scene, poses, times, memory_mb=0.0)
@@ -86,6 +88,10 @@ def measure_gradients(steps: int = DOWN_STEPS + ALONG_STEPS, horizons: Sequence[
     for interval in tape.everything():
         interval.forget()
     states = _timed(partial(_gradient, Backward(tape, [])))[0]
+    del tape, again
+    recorded_factors, tape = _timed(lambda: Tape(scene, poses, times, memory_mb=math.inf, factors=True))
+    backward_factors = _timed(partial(_gradient, Backward(tape, [])))[0]
+    del tape
     return GradientBenchmark(
         unknowns=scene.system.n_unknowns,
         steps=steps,
@@ -96,6 +102,8 @@ def measure_gradients(steps: int = DOWN_STEPS + ALONG_STEPS, horizons: Sequence[
         backward_parameters=steps / spent[1],
         backward_states=steps / states,
         backward_again=steps / spent[2],
+        recorded_factors=steps / recorded_factors,
+        backward_factors=steps / backward_factors,
         horizons=measure_horizons(scene, horizons),
         machine=machine_name(),
     )
@@ -147,6 +155,8 @@ def gradient_lines(found: GradientBenchmark) -> list[str]:
         line(f"  and {found.parameters} parameters", found.backward_parameters),
         line("backward from states alone", found.backward_states),
         line("backward, steps made again from checkpoints", found.backward_again),
+        line("forward, factorised and all kept", found.recorded_factors),
+        line("backward from there: poses and start", found.backward_factors),
         "",
         f"{'steps':>7}{'all kept [MB]':>16}{'states [MB]':>16}{'checkpoints [MB]':>18}",
     ]

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.contact.rigid import RigidContact
-from sim_core.energies.linearised import skew
+from sim_core.energies.linearised import cross, skew
 from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, slopes
 from sim_core.gradients.step import LinearStep, Pulled, Weights, no_memory
@@ -141,8 +141,10 @@ class Backward:
         """Weights before one step from those after it. ``k``: number of the time at its end, if readings are there;
         ``target``: takes the weights of the frames at its end; ``sensed``: derivatives of the readings, if kept."""
         linear = made.linear
-        if linear is None or self._columns.keys or self._cameras:
+        if linear is None or self._columns.need_contact(linear.terms):
             self._enter(made)
+        elif self._columns.keys or self._cameras:
+            self._place(made)
         if linear is None:
             linear = LinearStep(self._scene, self._tape.keeper, made.before, made.after, made.dt, False)
         if k is not None:
@@ -161,7 +163,7 @@ class Backward:
             rotation = frames[follower.mount][1].as_matrix()
             force = pulled.targets[follower.nodes] @ rotation
             target.of(follower.mount)[:3] += force.sum(axis=0)
-            target.of(follower.mount)[3:] += np.cross(follower.local, force).sum(axis=0)
+            target.of(follower.mount)[3:] += cross(follower.local, force).sum(axis=0)
         for body, term in self._carried():
             if term.name in pulled.turns:
                 own = body.spec.pose.rotation().as_matrix()
@@ -172,6 +174,13 @@ class Backward:
         terms = [t for t in self._scene.system.terms if isinstance(t, RigidContact)]
         bodies = [b for b in self._scene.bodies.values() if isinstance(b.spec, Rigid)]
         return [(b, t) for b in bodies for t in terms if t.body_node == int(b.nodes[0])]
+
+    def _place(self, made: Made) -> None:
+        """Put the system where a step ended, without looking for contact."""
+        system = self._scene.system
+        system.x[:] = made.after.x
+        system.set_targets(self._scene.targets(made.frames))
+        system.set_unknowns(made.unknowns)
 
     def _enter(self, made: Made, still: bool = False) -> None:
         """Let the system hold the end of a step that was made."""
@@ -223,10 +232,10 @@ class Backward:
                 rotation = actual[sensed.mount][1].as_matrix()
                 deflections[scene.compliant.index(sensed.mount)] += rotation @ by_frame[:3]
         for d in self._cameras:
-            ends = [self._observer.read(r, actual) for r in (self._along[d].high, self._along[d].low)]
-            for name, w in given.items():
+            ends = [self._observer.see(r, actual) for r in (self._along[d].high, self._along[d].low)]
+            for name in ends[0].keys() & given.keys():
                 change = (ends[0][name] - ends[1][name]).ravel() / self._along[d].width
-                self._sensed[d] += float(np.nan_to_num(change) @ w)
+                self._sensed[d] += float(np.nan_to_num(change) @ given[name])
         return replace(state, x=x, force=force if force.any() else None, moment=moment, unknowns=unknowns)
 
     def _at_start(self, state: Weights, target: _Frames) -> None:
@@ -270,7 +279,7 @@ class Backward:
                 local = rotation.inv().apply(tape.start.x[body.nodes[free]] - origin)
                 force = x[body.nodes[free]] @ rotation.as_matrix()
                 target.of(scene.mount_of(body.name))[:3] += force.sum(axis=0)
-                target.of(scene.mount_of(body.name))[3:] += np.cross(local, force).sum(axis=0)
+                target.of(scene.mount_of(body.name))[3:] += cross(local, force).sum(axis=0)
 
 
 class _Frames:

@@ -87,10 +87,10 @@ class Checkpoint:
 class Recorder(Simulation):
     """A simulation that writes down the steps that it makes. ``linearising``: and linearises them."""
 
-    def __init__(self, scene: Scene, settings: NewtonSettings | None = None) -> None:
+    def __init__(self, scene: Scene, settings: NewtonSettings | None = None, factors: bool = False) -> None:
         self.interval = Interval()
         self.linearising = False
-        self.keeper = Keeper(scene.system)
+        self.keeper = Keeper(scene.system, factors)
         self._open: list[tuple[Mapping[str, Frame], Mapping[str, Frame]]] = []
         super().__init__(scene, settings)
 
@@ -141,13 +141,15 @@ class Tape:
         settings: NewtonSettings | None = None,
         memory_mb: float = MEMORY_MB,
         on_step: Callable[[int, int], None] | None = None,
+        factors: bool = False,
     ) -> None:
-        """Make the rollout. ``memory_mb``: bound on the steps that are kept. Raises ``ConvergenceError``."""
+        """Make the rollout. ``memory_mb``: bound on the steps that are kept; ``factors``: let their factorisations be
+        kept too, for three losses and more. Raises ``ConvergenceError``."""
         self.scene = scene
         self._times = np.asarray(times, dtype=float)
         tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
         self._frames = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
-        self._simulation = simulation = Recorder(scene, settings)
+        self._simulation = simulation = Recorder(scene, settings, factors)
         count = len(times) - 1
         length = max(1, math.ceil(math.sqrt(count)))
         self.segments = range(0, count, length)
@@ -164,14 +166,17 @@ class Tape:
         for first in self.segments:
             self._points.append(simulation.checkpoint())
             intervals: list[Interval] = []
+            size = last = 0
             for k in range(first, min(first + length, count)):
-                interval, report = self._make(k, self._affords(intervals, count - k))
+                interval, report = self._make(k, self._affords(size + last, count - k))
                 intervals.append(interval)
+                last = interval.size_bytes()
+                size += last
                 reports.append(report)
                 readings.append(simulation.read())
                 if on_step is not None:
                     on_step(k + 1, count)
-            size = self._note(intervals)
+            self.most_bytes = max(self.most_bytes, self.kept_bytes + size)
             if self.kept_bytes + size <= self._bound:
                 self._kept[first] = intervals
                 self.kept_bytes += size
@@ -179,17 +184,10 @@ class Tape:
         self.observer = observer = simulation.observer
         self.trace = Trace(self._times, outputs, observer.kinds, observer.ids, tuple(reports))
 
-    def _affords(self, intervals: list[Interval], left: int) -> bool:
-        """Whether there is room to linearise one more step after these of a segment, with ``left`` steps to come."""
-        state = 2 * _bytes(self.start)  # with unknowns, and internal variables that grow
-        linear = max((i.size_bytes() for i in intervals[-1:]), default=state)
-        return self.kept_bytes + sum(i.size_bytes() for i in intervals) + linear + left * state <= self._bound
-
-    def _note(self, intervals: list[Interval]) -> int:
-        """Size of a segment, beside what is kept."""
-        size = sum(i.size_bytes() for i in intervals)
-        self.most_bytes = max(self.most_bytes, self.kept_bytes + size)
-        return size
+    def _affords(self, size: int, left: int) -> bool:
+        """Whether there is room to linearise one more step beside a segment of ``size`` [B], that step included, and
+        for the states of the ``left`` steps to come, unknowns and growing internal variables included."""
+        return self.kept_bytes + size + 2 * left * _bytes(self.start) <= self._bound
 
     @property
     def memory_mb(self) -> float:
@@ -203,7 +201,7 @@ class Tape:
         self._simulation.go_to(self._points[list(self.segments).index(first)])
         last = min(first + self.segments.step, len(self._times) - 1)
         intervals = [self._make(k, True)[0] for k in range(first, last)]
-        self._note(intervals)
+        self.most_bytes = max(self.most_bytes, self.kept_bytes + sum(i.size_bytes() for i in intervals))
         return intervals
 
     def everything(self) -> Iterator[Interval]:

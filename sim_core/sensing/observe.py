@@ -73,9 +73,8 @@ class Sensed:
 
     def size_bytes(self) -> int:
         """Memory of the derivatives."""
-        blocks = [self.by_x, *([] if self.by_force is None else [self.by_force])]
-        arrays = [a for b in blocks for a in (b.values, b.rows, b.columns)]
-        return sum(a.nbytes for a in (*arrays, *self.by_moment.values(), self.by_frame))
+        given = (self.by_x, self.by_force, *self.by_moment.values(), self.by_frame)
+        return sum(a.nbytes for a in given if a is not None)
 
 
 class Observer:
@@ -168,6 +167,12 @@ class Observer:
                 body = _within(placed[self._mounts[sensor.body]], self._body_poses[sensor.body])
                 origin, rotation = _within(body, self._poses[name])
                 out[name] = (self._tracked[name][0].positions(x) - origin) @ rotation
+        return {**out, **self.see(rig, frames)}
+
+    def see(self, rig: Rig, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
+        """The part of :meth:`read` that cameras see, for which positions suffice."""
+        x, out = self._scene.system.x, {}
+        placed = {mount: (origin, rotation.as_matrix()) for mount, (origin, rotation) in frames.items()}
         for name, camera in rig.cameras.items():
             origin, rotation = _within(placed[camera.mount], self._poses[name])
             points = np.vstack([t.positions(x) for t in self._tracked[name]])

@@ -1,8 +1,9 @@
 """The true Hessian of a system at one instant, kept: to solve with and to multiply by when the system has gone on.
 
-Kept are the values by pairs of nodes, about a tenth of what a factorisation with its analysis takes; where they belong
-is shared by all that have the same pattern. The numerical factorisation is done when a solution is asked for. What is
-costly to prepare for a pattern, its symbolic analysis above all, is prepared once while neighbours in time share it.
+Kept are the values by pairs of nodes; where they belong is shared by all that have the same pattern. The numerical
+factorisation is done when a solution is asked for, with a symbolic analysis that neighbours in time share; or it is
+made at once and kept too, which takes ten times the memory, and four times the time, because no two factorisations can
+share an analysis. That pays from the third right-hand side on.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from sim_core.solve.system import System
 
 
 class Keeper:
-    """Keeps the stiffness of a system; a friend of :class:`System`, whose storage it reads."""
+    """Keeps the stiffness of a system; a friend of :class:`System`, whose storage it reads. ``factors``: factorised."""
 
-    def __init__(self, system: System) -> None:
-        self._system = system
+    def __init__(self, system: System, factors: bool = False) -> None:
+        self._system, self._factors = system, factors
         self._layout: Pattern | None = None
         self._prepared: _Prepared | None = None
 
@@ -41,6 +42,8 @@ class Keeper:
         springs = data[diagonal] - live.data(system._hessian)[diagonal] if len(diagonal) else np.empty(0)
         kept = Stiffness(self, self._layout, system._hessian[: live.n_used].copy(), springs)
         kept.size_bytes += _size_bytes(self._layout) if new else 0
+        if self._factors:
+            kept.factorise()
         return kept
 
     def prepared(self, layout: Pattern) -> _Prepared:
@@ -70,6 +73,7 @@ class Stiffness:
     def __init__(self, keeper: Keeper, layout: Pattern, values: np.ndarray, springs: np.ndarray) -> None:
         self._keeper, self.layout = keeper, layout
         self._values, self._springs = values, springs
+        self._factor: Factor | None = None
         self.size_bytes = values.nbytes + springs.nbytes
 
     def product(self, move: np.ndarray) -> np.ndarray:
@@ -77,25 +81,51 @@ class Stiffness:
         :meth:`System.nodal_product`."""
         return self._keeper.prepared(self.layout).product(self._values, move)
 
+    def factorise(self) -> None:
+        """Make and keep a factorisation of its own."""
+        self._factor = _Analysis(self.layout).factor(self._data())
+        self.size_bytes += self._factor.size_bytes()
+
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solve over the unknowns for one right-hand side ``(n,)`` or several ``(n, k)``. The Hessian is definite at
-        a stable equilibrium, and need not be where motion holds one."""
-        data, layout = self.layout.data(self._values), self.layout
+        """Solve over the unknowns for one right-hand side ``(n,)`` or several ``(n, k)``."""
+        return (self._factor or self._keeper.prepared(self.layout).factor(self._data())).solve(rhs)
+
+    def _data(self) -> np.ndarray:
+        """Entries of the upper triangle over the unknowns."""
+        data = self.layout.data(self._values)
         if len(self._springs):
-            data[layout.indptr[-1 - len(self._springs) : -1]] += self._springs
-        prepared = self._keeper.prepared(layout)
-        try:
-            return prepared.factor(data, definite=True).solve(rhs)
-        except NotPositiveDefinite:
-            return prepared.factor(data, definite=False).solve(rhs)
+            data[self.layout.indptr[-1 - len(self._springs) : -1]] += self._springs
+        return data
 
 
-class _Prepared:
-    """Analysis of one layout, and its product."""
+class _Analysis:
+    """Factorisations of one layout, one after the other."""
 
     def __init__(self, layout: Pattern) -> None:
         self.layout = layout
         self._factors: dict[bool, Factor] = {}
+
+    def factor(self, data: np.ndarray) -> Factor:
+        """Factorise entries in the layout's order. The Hessian is definite at a stable equilibrium, and need not be
+        where motion holds one."""
+        try:
+            return self._factorised(data, definite=True)
+        except NotPositiveDefinite:
+            return self._factorised(data, definite=False)
+
+    def _factorised(self, data: np.ndarray, definite: bool) -> Factor:
+        if definite not in self._factors:
+            self._factors[definite] = factorise(self.layout.matrix(data), definite)
+        else:
+            self._factors[definite].refactor(data)
+        return self._factors[definite]
+
+
+class _Prepared(_Analysis):
+    """And its product."""
+
+    def __init__(self, layout: Pattern) -> None:
+        super().__init__(layout)
         self._values = np.empty(layout.n_used)
         table = layout.table
         self._move, self._out = (np.empty((len(table.start) - 1, 3)) for _ in range(2))
@@ -104,14 +134,7 @@ class _Prepared:
         )
 
     def product(self, values: np.ndarray, move: np.ndarray) -> np.ndarray:
+        """H ``move`` with the ``values`` of H."""
         self._values[:], self._move[:] = values, move
         self._product()
         return np.array(self._out)
-
-    def factor(self, data: np.ndarray, definite: bool) -> Factor:
-        """Factorise entries in the layout's order."""
-        if definite not in self._factors:
-            self._factors[definite] = factorise(self.layout.matrix(data), definite)
-        else:
-            self._factors[definite].refactor(data)
-        return self._factors[definite]
