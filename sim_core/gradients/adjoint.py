@@ -26,9 +26,9 @@ from sim_core.contact.rigid import RigidContact
 from sim_core.energies.linearised import cross, skew
 from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, slopes
-from sim_core.gradients.step import LinearStep, Pulled, Weights, no_memory
+from sim_core.gradients.step import LinearStep, Pulled, Weights, no_memory, passed_on_by
 from sim_core.gradients.tape import MEMORY_MB, Made, Tape
-from sim_core.rigs import Rigid
+from sim_core.rigs import WORLD, Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Sensed
@@ -261,25 +261,43 @@ class Backward:
         made = Made(tape.start, tape.start, scene.rig.solver.dt_s, tape.mounts, tape.start_unknowns)
         self._enter(made)
         state = self._read_back(0, tape.mounts, state, target)
-        x = state.x
+        x, v, numbers = state.x, state.v, np.zeros_like(self._numbers)
         if state.force is not None:
+            force = state.force
+            if system.passes_on:
+                passed = passed_on_by(system, force)
+                force = force + passed
+                v = v - system.mass @ passed / made.dt if system.inertia else v
+                step = step_context(made.before.x, made.before.v, made.dt)
+                for k, column in enumerate(
+                    self._columns.of_step(step, made.before.internals, made.after.internals, {})
+                ):
+                    parts = ((column.force, force), (column.body, passed))
+                    numbers[k] = sum(float(np.vdot(by, w)) for by, w in parts if by is not None)
             system.hessian_data(exact=True)
-            x = x + system.nodal_product(state.force)
+            x = x + system.nodal_product(force)
             if system.inertia:
-                x = x - system.mass @ state.force / made.dt**2
+                x = x - system.mass @ force / made.dt**2
         turns = {}
         for _, term in self._carried():
             turned = np.stack([term.rotation @ skew(e) for e in np.eye(3)])
             turns[term.name] = turned.reshape(3, 9) @ state.memory[term.name][:9]
-        self._collect(Pulled(state, x, turns, np.zeros_like(self._numbers)), tape.mounts, target)
-        for body in scene.bodies.values():
-            if body.mesh is not None and scene.held(body.name).any():
-                free = ~scene.held(body.name)
-                origin, rotation = tape.mounts[scene.mount_of(body.name)]
-                local = rotation.inv().apply(tape.start.x[body.nodes[free]] - origin)
-                force = x[body.nodes[free]] @ rotation.as_matrix()
-                target.of(scene.mount_of(body.name))[:3] += force.sum(axis=0)
-                target.of(scene.mount_of(body.name))[3:] += cross(local, force).sum(axis=0)
+        self._collect(Pulled(state, x, turns, numbers), tape.mounts, target)
+        carried = scene.carried_by()
+        for name, body in scene.bodies.items():
+            if body.mesh is not None and scene.held(name).any():
+                mount, nodes = scene.mount_of(name), body.nodes[~scene.held(name)]
+            elif carried.get(name, WORLD) != WORLD:
+                mount, nodes = carried[name], body.nodes
+            else:
+                continue
+            origin, rotation = tape.mounts[mount]
+            arms, speeds, force, push = (
+                a @ rotation.as_matrix()
+                for a in (tape.start.x[nodes] - origin, tape.start.v[nodes], x[nodes], v[nodes])
+            )
+            target.of(mount)[:3] += force.sum(axis=0)
+            target.of(mount)[3:] += (cross(arms, force) + cross(speeds, push)).sum(axis=0)
 
 
 class _Frames:

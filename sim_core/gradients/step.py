@@ -21,12 +21,12 @@ import numpy as np
 
 from sim_core.energies.linearised import Linearised, flatten, times
 from sim_core.energies.term import StepContext
-from sim_core.errors import ConfigError
 from sim_core.gradients.columns import Column
 from sim_core.scene.scene import Scene
 from sim_core.solve.integrator import Past, step_context
 from sim_core.solve.step import State
 from sim_core.solve.stiffness import Keeper
+from sim_core.solve.system import System
 
 
 @dataclass
@@ -181,7 +181,7 @@ class LinearStep:
     def pull(self, weights: Weights, columns: list[Column]) -> Pulled:
         """Weights of everything that the step depended on."""
         system, step = self._system, self.step
-        x, past = weights.x.copy(), weights.past
+        x, past, passed = weights.x.copy(), weights.past, np.zeros_like(weights.x)
         moving = system.inertia and not self._still
         if moving:
             x += weights.v / step.tau
@@ -190,18 +190,17 @@ class LinearStep:
             if term.moment_end is not None and name in weights.moment:
                 x += self._back(term.moment_end, weights.moment[name])
         if weights.force is not None:
-            if system.passes_on:
-                raise ConfigError(
-                    "Backward derivatives of the load on a mount that carries joints are not computed.",
-                    "Use forward ones (simulate_tangent), or leave this sensor out of the loss.",
-                )
             x += self._stiffness(weights.force)
+            if system.passes_on:
+                passed = passed_on_by(system, weights.force)
+                x += self._hessian.product(passed)
         pulled = self._restrict(x)
         if weights.unknowns is not None:
             pulled += weights.unknowns
         answer = -self._hessian.solve(pulled)
         spread = system.spread(answer)
-        exerted = spread if weights.force is None else spread + weights.force
+        borne = spread + passed
+        exerted = borne if weights.force is None else borne + weights.force
         start, memory = np.zeros_like(x), {}
         turns: dict[str, np.ndarray] = {}
         for name, internals in self._before.internals.items():
@@ -209,13 +208,13 @@ class LinearStep:
             if name in self.terms:
                 start, old = self._through(self.terms[name], name, weights, exerted, start, old, turns)
             memory[name] = old
-        before = self._measured_from(spread, weights if moving else None)
+        before = self._measured_from(borne, weights if moving else None)
         before.x += start
         if past is not None:
             before.x, before.v = before.x + past[0], before.v + past[1]
         before.memory = memory
         targets = system.fold(x + self._hessian.product(spread))
-        numbers = np.array([self._along(c, weights, exerted, spread, answer) for c in columns])
+        numbers = np.array([self._along(c, weights, exerted, borne, answer) for c in columns])
         return Pulled(before, targets, turns, numbers)
 
     def _through(
@@ -249,15 +248,15 @@ class LinearStep:
         out = matrix.T @ vector
         return out.reshape(-1, 3) if nodal else out
 
-    def _measured_from(self, spread: np.ndarray, weights: Weights | None) -> Weights:
-        """Weights of the states that velocity and acceleration are measured from. ``weights``: None where the end of
-        the step has no velocity."""
+    def _measured_from(self, borne: np.ndarray, weights: Weights | None) -> Weights:
+        """Weights of the states that velocity and acceleration are measured from. ``borne``: weights of inertia;
+        ``weights``: None where the end of the step has no velocity."""
         system, step = self._system, self.step
-        zero = np.zeros_like(spread)
+        zero = np.zeros_like(borne)
         if not system.inertia or self._still:
             return Weights(zero, zero.copy(), {})
         assert weights is not None
-        held = system.mass @ spread / step.tau**2
+        held = system.mass @ borne / step.tau**2
         x_base, v_base = -weights.v / step.tau - held, -held * step.tau
         if self._before.past is None:
             return Weights(x_base, v_base, {})
@@ -268,19 +267,27 @@ class LinearStep:
         return Weights(now * x_base, now * v_base, {}, (then * x_base, then * v_base))
 
     def _along(
-        self, column: Column, weights: Weights, exerted: np.ndarray, spread: np.ndarray, answer: np.ndarray
+        self, column: Column, weights: Weights, exerted: np.ndarray, borne: np.ndarray, answer: np.ndarray
     ) -> float:
         """Product of one number's column with the weights."""
         out = 0.0
         if column.force is not None:
             out += float(np.vdot(column.force, exerted))
         if column.body is not None:
-            out += float(np.vdot(column.body, spread))
+            out += float(np.vdot(column.body, borne))
         if column.unknowns is not None:
             out += float(column.unknowns @ answer)
         out += sum(float(kept @ weights.memory[name]) for name, kept in column.memory.items())
         out += sum(float(m @ weights.moment[name]) for name, m in column.moment.items() if name in weights.moment)
         return out
+
+
+def passed_on_by(system: System, weights: np.ndarray) -> np.ndarray:
+    """Transpose of :meth:`System.passed_on`: weights ``(n, 3)`` of nodal gradients from those of what is passed on."""
+    held = np.where(system.prescribed, weights, 0.0)
+    out = held.copy()
+    system.embed(out)
+    return np.asarray(out - held)
 
 
 def no_memory(state: State, count: int | None = None) -> dict[str, np.ndarray]:
