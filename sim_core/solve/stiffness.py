@@ -31,7 +31,6 @@ class Keeper:
     def keep(self) -> Stiffness:
         """Stiffness where the system is now, at the end of a step."""
         system = self._system
-        system.guard(True)
         data = system.hessian_data(exact=True)
         live = system._pattern
         new = self._layout is None or self._layout.indices is not live.indices
