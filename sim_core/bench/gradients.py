@@ -1,7 +1,8 @@
 """The adjoint on the workload of :mod:`sim_core.bench.forming`: steps per second backwards, and memory by horizon.
 
 The loss is a sum of all readings at all times with random weights. Times are of the processor, so that they mean
-something on a machine that is shared. Long horizons repeat the workload to and fro.
+something on a machine that is shared. Long horizons repeat the workload to and fro. Recording a step includes
+linearising it, so the way back has the factorisation and the back-substitution, and the products left to do.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -21,31 +24,40 @@ from sim_core.rigs import list_parameters, load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.scene.scene import Scene
+from sim_core.simulate import simulate
 
 HORIZONS = (125, 250, 500, 1000, 2000)
 
 
 @dataclass(frozen=True)
 class Horizon:
-    """Memory [MB] of a tape of so many ``steps``: all of them kept, and made again from checkpoints."""
+    """Memory [MB] of a tape of so many ``steps``: all kept with how they are linearised; only the states; and made
+    again from checkpoints, one segment at a time."""
 
     steps: int
     kept_mb: float
+    states_mb: float
     checkpoints_mb: float
 
 
 @dataclass(frozen=True)
 class GradientBenchmark:
-    """Steps per second of the processor: ``forward`` with recording; ``backward``: by poses and start alone, and by
-    ``parameters`` parameters besides; ``again``: backwards with the steps made again from checkpoints."""
+    """Steps per second of the processor. ``forward``: without recording; ``recorded``: with states and linearised steps
+    kept; ``backward``: from there, by poses and start alone, and by ``parameters`` parameters besides;
+    ``backward_states``: from the states alone; ``backward_again``: with the steps made again from checkpoints, that
+    included; ``recorded_factors``, ``backward_factors``: with the factorisations kept too."""
 
     unknowns: int
     steps: int
     parameters: int
     forward: float
+    recorded: float
     backward: float
     backward_parameters: float
+    backward_states: float
     backward_again: float
+    recorded_factors: float
+    backward_factors: float
     horizons: tuple[Horizon, ...]
     machine: str
 
@@ -68,38 +80,54 @@ def measure_gradients(steps: int = DOWN_STEPS + ALONG_STEPS, horizons: Sequence[
     poses, times = path(scene, steps, rig.solver.dt_s)
     names = [p.name for p in list_parameters(rig) if p.value is not None]
     along = directions(rig, names)
-    _gradient(Backward(Tape(scene, poses, times[:8]), along))  # the first launch of a kernel loads its code
-    begun = time.process_time()
-    tape = Tape(scene, poses, times)
-    forward = time.process_time() - begun
+    _gradient(Backward(Tape(scene, poses, times[: DOWN_STEPS // 2]), along))  # the first launch of a kernel loads it
+    forward = _timed(lambda: simulate(scene, poses, times))[0]
+    recorded, tape = _timed(lambda: Tape(scene, poses, times, memory_mb=math.inf))
     again = Tape(scene, poses, times, memory_mb=0.0)
-    spent = []
-    for backward in (Backward(tape, []), Backward(tape, along), Backward(again, [])):
-        begun = time.process_time()
-        _gradient(backward)
-        spent.append(time.process_time() - begun)
-    longest = Tape(scene, *path(scene, max(horizons), rig.solver.dt_s), memory_mb=0.0)
-    found = [horizon(longest.sizes_bytes[:count]) for count in horizons]
+    spent = [_timed(partial(_gradient, Backward(t, a)))[0] for t, a in ((tape, []), (tape, along), (again, []))]
+    for interval in tape.everything():
+        interval.forget()
+    states = _timed(partial(_gradient, Backward(tape, [])))[0]
+    del tape, again
+    recorded_factors, tape = _timed(lambda: Tape(scene, poses, times, memory_mb=math.inf, factors=True))
+    backward_factors = _timed(partial(_gradient, Backward(tape, [])))[0]
+    del tape
     return GradientBenchmark(
         unknowns=scene.system.n_unknowns,
         steps=steps,
         parameters=len(names),
         forward=steps / forward,
+        recorded=steps / recorded,
         backward=steps / spent[0],
         backward_parameters=steps / spent[1],
+        backward_states=steps / states,
         backward_again=steps / spent[2],
-        horizons=tuple(found),
+        recorded_factors=steps / recorded_factors,
+        backward_factors=steps / backward_factors,
+        horizons=measure_horizons(scene, horizons),
         machine=machine_name(),
     )
 
 
-def horizon(sizes_bytes: Sequence[int]) -> Horizon:
-    """Memory of a horizon from what its steps take; a checkpoint takes as much as the step after it."""
-    count = len(sizes_bytes)
-    length = math.ceil(math.sqrt(count))
-    points = sum(sizes_bytes[::length])
-    most = max(sum(sizes_bytes[k : k + length]) for k in range(0, count, length))
-    return Horizon(count, 1e-6 * (points + sum(sizes_bytes)), 1e-6 * (points + most))
+def measure_horizons(scene: Scene, horizons: Sequence[int]) -> tuple[Horizon, ...]:
+    """Memory by horizon, from what the steps of the longest take; a checkpoint takes as much as a state."""
+    tape = Tape(scene, *path(scene, max(horizons, default=1), scene.rig.solver.dt_s), memory_mb=0.0)
+    sizes = np.array([(i.size_bytes(), i.state_bytes()) for i in tape.everything()])
+    found = []
+    for count in horizons:
+        length = math.ceil(math.sqrt(count))
+        whole, states = 1e-6 * sizes[:count].T
+        points = states[::length].sum()
+        segment = max(whole[k : k + length].sum() for k in range(0, count, length))
+        found.append(Horizon(count, points + whole.sum(), points + states.sum(), points + segment))
+    return tuple(found)
+
+
+def _timed(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Processor time [s], and what came out."""
+    begun = time.process_time()
+    found = work()
+    return time.process_time() - begun, found
 
 
 def _gradient(backward: Backward) -> None:
@@ -115,14 +143,22 @@ def run_gradient_benchmark(as_json: bool = False) -> str:
 
 
 def gradient_lines(found: GradientBenchmark) -> list[str]:
+    def line(name: str, rate: float) -> str:
+        return f"  {name:<44}{rate:7.1f}{rate / found.forward:9.1f}"
+
     lines = [
-        f"forming, {found.unknowns} unknowns, {found.steps} steps; steps per second of the processor:",
-        f"  forward, recorded              {found.forward:7.1f}",
-        f"  backward, poses and start      {found.backward:7.1f}  ({found.backward / found.forward:.1f} times forward)",
-        f"  and {found.parameters:2d} parameters              {found.backward_parameters:7.1f}",
-        f"  backward, steps made again     {found.backward_again:7.1f}",
+        f"forming, {found.unknowns} unknowns, {found.steps} steps",
+        f"  {'steps per second of the processor':<44}{'':>7}{'/forward':>9}",
+        line("forward", found.forward),
+        line("forward, recorded and linearised", found.recorded),
+        line("backward from there: poses and start", found.backward),
+        line(f"  and {found.parameters} parameters", found.backward_parameters),
+        line("backward from states alone", found.backward_states),
+        line("backward, steps made again from checkpoints", found.backward_again),
+        line("forward, factorised and all kept", found.recorded_factors),
+        line("backward from there: poses and start", found.backward_factors),
         "",
-        f"{'steps':>7}{'all kept [MB]':>16}{'checkpoints [MB]':>18}",
+        f"{'steps':>7}{'all kept [MB]':>16}{'states [MB]':>16}{'checkpoints [MB]':>18}",
     ]
-    lines += [f"{h.steps:>7}{h.kept_mb:>16.1f}{h.checkpoints_mb:>18.2f}" for h in found.horizons]
+    lines += [f"{h.steps:>7}{h.kept_mb:>16.1f}{h.states_mb:>16.1f}{h.checkpoints_mb:>18.1f}" for h in found.horizons]
     return [*lines, f"on {found.machine}, one core"]

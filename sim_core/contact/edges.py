@@ -16,7 +16,6 @@ on its stiffness too. Laws:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -31,7 +30,8 @@ from sim_core.contact.edge_kernels import (
     measure,
     sides,
 )
-from sim_core.contact.framed_derivatives import Pairs, edge_frames, exerted, framed_derivatives, memory_places
+from sim_core.contact.framed_derivatives import Loads, Pairs, exerted, framed_derivatives, memory_places
+from sim_core.contact.framed_kernels import Frames
 from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
 from sim_core.contact.pair_distance import PairDistance
 from sim_core.contact.primitives import Primitives
@@ -85,6 +85,7 @@ class EdgeContact:
         self._count = np.zeros(1, dtype=np.int32)
         self._exact = np.zeros(1, dtype=np.int32)
         self._keep, self._way = np.zeros(1), np.ones(1)
+        self._frames_by = Frames()
         self._allocate(SPARE)
 
     def _allocate(self, capacity: int) -> None:
@@ -275,18 +276,18 @@ class EdgeContact:
         push, steep = pressure_and_slope(self._c, self._now.gap[some])
         fade, by_fade = self._now.fade[some].T
         pairs = Pairs(
-            nodes, np.broadcast_to(np.eye(4), (len(some), 4, 4)), start, end - start, self._limit[some],
+            nodes, np.arange(4), np.ones((len(some), 4)), end - start, self._limit[some],
             self._spring[some], memory, then, self._anchor[some], load, speed, area * fade * push,
         )  # fmt: skip
-        frames = edge_frames(start, self._lag.at[some], self._lag.direction[some])
         turned = (self._c[STIFFNESS] * area * self._lag.fade[some, 1])[:, None, None] * _parallel_derivative(start)
+        self._frames_by.of_edges(start, self._lag.at[some], self._lag.direction[some], turned)
         s, t = self._now.at[some].T
         shares = np.column_stack([1.0 - s, s, t - 1.0, -t])
         loads = -(area * fade * steep)[:, None, None] * shares[..., None] * self._now.direction[some][:, None]
         loads += (area * by_fade * push)[:, None, None] * _parallel_derivative(end)
         sizes = (len(self._x), sum(a.size for a in internals.values()), sum(a.size for a in after.values()))
-        frames, total = replace(frames, dspring=turned), exerted(self.add_gradient, self._buffers)
-        return framed_derivatives(pairs, frames, (loads, nodes), total, self._c, step.dt, sizes)
+        by, total = Loads(loads, nodes, area * fade * steep), exerted(self.add_gradient, self._buffers)
+        return framed_derivatives(pairs, self._frames_by, by, total, self._c, step.dt, sizes)
 
     def initial_internals(self) -> Internals:
         return {"pair": np.empty(0), "anchor": np.empty((0, 3)), "load": np.empty(0), "slip_speed": np.empty(0)}

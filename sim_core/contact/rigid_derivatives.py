@@ -16,7 +16,7 @@ import taichi as ti
 from sim_core.contact.law import OFFSET, RANGE, STIFFNESS
 from sim_core.contact.rubbing import limit_derivatives, limits_by_numbers, pressure_and_slope, rubbing
 from sim_core.contact.shapes import signed_distance
-from sim_core.energies.linearised import ByNumber, Linearised, axes_of, gathered, placed, places, skew
+from sim_core.energies.linearised import ByNumber, Linearised, axes_of, cross, gathered, placed, places, skew
 from sim_core.energies.term import Internals
 from sim_core.kernels import F1, F2, F3, BoundKernel, vec3
 
@@ -145,20 +145,20 @@ def rigid_derivatives(
     by_end = arms @ (pressed[0] - forces[4]) - skew(force)
     whole = 3 * n_nodes
 
-    def number(limit: np.ndarray, spring: np.ndarray, pressed: np.ndarray) -> ByNumber:
-        """Along changes of the samples' limits, springs and pressures (as shares)."""
+    def number(limit: np.ndarray, spring: np.ndarray, grown: np.ndarray) -> ByNumber:
+        """Along changes of the samples' limits, springs and loads."""
         turned_by = [by[2][..., 0] * limit[:, None] + by[3][..., 0] * spring[:, None] for by in
                      (rub.force_by, rub.slip_by, rub.speed_by)]  # fmt: skip
-        grown = pressed * areas * push
         force = turned_by[0] - grown[:, None] * (normal_now @ r.T)
         held = touching[:, 0]
         slip, speed = np.where(held, turned_by[1] @ r, 0.0), np.where(held, turned_by[2], 0.0)
         kept = gathered((slip, own), (grown, pair[:, 0]), (speed, pair[:, 1:]), size=size)
-        return ByNumber(gathered((rows(force[..., None]), axes), size=whole), kept, -np.cross(after, force).sum(axis=0))
+        return ByNumber(gathered((rows(force[..., None]), axes), size=whole), kept, -cross(after, force).sum(axis=0))
 
     none = np.zeros(count)
     numbers = {q: number(limit, none, none) for q, limit in limits_by_numbers(c, load, speed).items()}
-    numbers["stiffness_pa_per_m"] = number(none, areas, np.full(count, 1.0 / c[STIFFNESS]))
+    numbers["stiffness_pa_per_m"] = number(none, areas, areas * push / c[STIFFNESS])
+    numbers["offset_m"] = number(none, none, areas * steep)
     return Linearised(
         numbers=numbers,
         force_start=placed((columns(rows(forces[0])), axes, axes), shape=(whole, whole)),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_core.contact.law import CORE, EXCESS, MU, RANGE, SLIP_SCALE, STIFFNESS
-from sim_core.energies.linearised import complex_step, dot
+from sim_core.energies.linearised import dot
 
 
 @dataclass(frozen=True)
@@ -34,24 +34,43 @@ class Rubbing:
 
 
 def rubbing(w: np.ndarray, m: np.ndarray, limit: np.ndarray, spring: np.ndarray, dt: float) -> Rubbing:
-    """Differentiate the law; at a limit of zero on the side of a growing one."""
+    """Differentiate the law, F = u f; what changes with |u| alone changes along e = u / |u|."""
+    along = dot(m, w)
+    u = w - m * along[:, None]
+    length = np.sqrt(dot(u, u))
+    longest = 2.0 * limit / spring
+    beyond = length > longest
+    e = u / np.where(length > 0.0, length, 1.0)[:, None]
+    far, near = np.where(beyond, length, 1.0), np.where(longest > 0.0, longest, 1.0)
+    pull = np.where(beyond, limit / far, spring * (1.0 - 0.5 * length / near))
+    kept = np.where(beyond, longest / far, 1.0)
+    by_length = np.where(beyond, -pull / far, -0.5 * spring / near), np.where(beyond, -kept / far, 0.0)
+    in_plane = np.eye(3) - m[:, :, None] * m[:, None, :]
+    turned = -(along[:, None, None] * np.eye(3) + m[:, :, None] * w[:, None, :])
+    rate = np.where(beyond, 1.0 / dt, 0.0)
 
-    def law(w: np.ndarray, m: np.ndarray, limit: np.ndarray, spring: np.ndarray) -> tuple[np.ndarray, ...]:
-        u = w - m * dot(m, w)[..., None]
-        length = np.sqrt(dot(u, u))[..., None]
-        longest = 2.0 * limit / spring
-        beyond = length.real > longest.real
-        at_rest = length == 0.0
-        far = np.where(at_rest, 1.0, length)
-        near = np.where(longest == 0.0, 1.0, longest)
-        pull = np.where(beyond, limit / far, spring * (1.0 - 0.5 * length / near))
-        kept = np.where(beyond, longest / far, 1.0)
-        speed = np.where(beyond, (length - longest) / dt, 0.0)
-        return u * pull, u * kept, speed
+    def by_slip(share: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of u times a share, by w and m."""
+        by_u = share[:, None, None] * np.eye(3) + (slope[:, None] * u)[:, :, None] * e[:, None, :]
+        return by_u @ in_plane, by_u @ turned
 
-    force_by, slip_by, speed_by = complex_step(law, w, m, limit[:, None], spring[:, None])
-    force, slip, _ = (out[0] for out in law(w[None], m[None], limit[None, :, None], spring[None, :, None]))
-    return Rubbing(force, slip, tuple(force_by), tuple(slip_by), tuple(speed_by))
+    by_limit = 2.0 / spring  # of the longest elastic slip
+    by_spring = -longest / spring
+    held = 0.5 * spring * length / near**2  # of the pull by the longest elastic slip, before it is reached
+    pulls = (
+        np.where(beyond, 1.0 / far, held * by_limit),
+        np.where(beyond, 0.0, 1.0 - 0.5 * length / near + held * by_spring),
+    )
+    shares = (np.where(beyond, by / far, 0.0) for by in (by_limit, by_spring))
+    speeds = (-rate * by for by in (by_limit, by_spring))
+    row = (rate[:, None] * e)[:, None, :]
+    return Rubbing(
+        u * pull[:, None],
+        u * kept[:, None],
+        (*by_slip(pull, by_length[0]), *((u * by[:, None])[..., None] for by in pulls)),
+        (*by_slip(kept, by_length[1]), *((u * by[:, None])[..., None] for by in shares)),
+        (row @ in_plane, row @ turned, *(by[:, None, None] for by in speeds)),
+    )
 
 
 def limit_derivatives(c: np.ndarray, load: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -30,7 +30,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from sim_core.contact.candidates import Candidates
-from sim_core.contact.framed_derivatives import Pairs, exerted, framed_derivatives, memory_places, triangle_frames
+from sim_core.contact.framed_derivatives import Loads, Pairs, exerted, framed_derivatives, memory_places
+from sim_core.contact.framed_kernels import Frames
 from sim_core.contact.law import (
     BLEND,
     OFFSET,
@@ -104,6 +105,7 @@ class SurfaceContact:
         self._now, self._lag = _Closest(count), _Closest(count)
         self._exact = np.zeros(1, dtype=np.int32)
         self._keep, self._way = np.zeros(1), np.ones(1)
+        self._frames_by = Frames()
 
     def blocks(self) -> np.ndarray:
         """Pairs of the samples' nodes and of the corners of all triangles in the wider search, and of the
@@ -281,25 +283,30 @@ class SurfaceContact:
             return Linearised()
         count, own = len(some), self._own.shape[1]
         nodes = np.hstack([self._own[some], self._triangles[lag.triangles[some, 0]]])
-        weights = np.zeros((count, own + 3, 4))
-        weights[:, :own, 0] = self._weights[some]
-        weights[:, [own, own + 1, own + 2], [1, 2, 3]] = 1.0
-        start, now_at = (np.einsum("nka,nkj->naj", weights, x[nodes]) for x in (step.x_start, self._x))
+        point, weights = np.repeat([0, 1, 2, 3], [own, 1, 1, 1]), np.ones((count, own + 3))
+        weights[:, :own] = self._weights[some]
+        start, now_at = (self._points(some, nodes, x) for x in (step.x_start, self._x))
         old, new = places(internals), places(after)
         push, steep = pressure_and_slope(self._c, now.gap[some])
         pairs = Pairs(
-            nodes, weights, start, now_at - start, self._limit[some], self._c[STIFFNESS] * self._areas[some],
+            nodes, point, weights, now_at - start, self._limit[some], self._c[STIFFNESS] * self._areas[some],
             memory_places(old, some), memory_places(new, some), internals["anchor"][some], internals["load"][some],
             internals["slip_speed"][some], self._areas[some] * push,
         )  # fmt: skip
-        frames = triangle_frames(start, lag.kind[some, 0], lag.weights[some, :3], lag.directions[some, :3])
+        self._frames_by.of_triangles(start, lag.kind[some, 0], lag.weights[some, :3], lag.directions[some, :3])
         sizes = (len(self._x), sum(a.size for a in internals.values()), sum(a.size for a in after.values()))
         loads = self._load_derivatives(some, steep)
         total = exerted(self.add_gradient, self._buffers)
-        return framed_derivatives(pairs, frames, loads, total, self._c, step.dt, sizes)
+        return framed_derivatives(pairs, self._frames_by, loads, total, self._c, step.dt, sizes)
 
-    def _load_derivatives(self, some: np.ndarray, steep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the loads of some samples by nodes [N/m] ``(n, q, 3)``, and the nodes ``(n, q)``."""
+    def _points(self, some: np.ndarray, nodes: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Some samples and the corners of the triangles that they are over [m], ``(n, 4, 3)``."""
+        own = self._own.shape[1]
+        sample = np.einsum("nk,nkj->nj", self._weights[some], x[nodes[:, :own]])
+        return np.concatenate([sample[:, None], x[nodes[:, own:]]], axis=1)
+
+    def _load_derivatives(self, some: np.ndarray, steep: np.ndarray) -> Loads:
+        """Derivatives of the loads of some samples."""
         now = self._now
         most = max(int(now.number[some].max()), 1)
         share = np.where(np.arange(most) < now.number[some, None], now.share[some, :most], 0.0)
@@ -308,8 +315,8 @@ class SurfaceContact:
         at = now.weights[some, : 3 * most].reshape(-1, most, 3)
         corners = -(at[..., None] * towards[:, :, None]).reshape(len(some), 3 * most, 3)
         nodes = np.hstack([self._own[some], self._triangles[now.triangles[some, :most]].reshape(len(some), -1)])
-        stiff = -(self._areas[some] * steep)[:, None, None]
-        return stiff * np.hstack([own, corners]), nodes
+        stiff = self._areas[some] * steep
+        return Loads(-stiff[:, None, None] * np.hstack([own, corners]), nodes, stiff)
 
     def initial_internals(self) -> Internals:
         count = len(self._areas)

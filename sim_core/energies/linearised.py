@@ -25,27 +25,39 @@ _TINY = 1e-30
 
 @dataclass(frozen=True)
 class Blocks:
-    """A sparse matrix as values at rows and columns, which may repeat. Cheaper to make than one of scipy."""
+    """A sparse matrix as a sum of small dense blocks. ``parts``: values ``(n, a, b)`` at rows ``(n, a)`` and columns
+    ``(n, b)``, which may repeat."""
 
-    values: np.ndarray
-    rows: np.ndarray
-    columns: np.ndarray
+    parts: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
     shape: tuple[int, int]
 
     @property
     def T(self) -> Blocks:
         """The transpose."""
-        return Blocks(self.values, self.columns, self.rows, self.shape[::-1])
+        return Blocks(tuple((v.swapaxes(1, 2), c, r) for v, r, c in self.parts), self.shape[::-1])
+
+    @property
+    def nbytes(self) -> int:
+        return sum(a.nbytes for part in self.parts for a in part)
 
     def __matmul__(self, other: np.ndarray) -> np.ndarray:
         """Product with a vector, or with several in the columns of a matrix."""
-        if other.ndim == 1:
-            return np.bincount(self.rows, weights=self.values * other[self.columns], minlength=self.shape[0])
-        return np.asarray(self.tocsr() @ other)
+        if other.ndim > 1:
+            return np.asarray(self.tocsr() @ other)
+        return gathered(
+            *((np.einsum("nab,nb->na", v, other[columns]), rows) for v, rows, columns in self.parts),
+            size=self.shape[0],
+        )
 
     def tocsr(self) -> sp.csr_matrix:
         """The same as a matrix of scipy."""
-        return sp.csr_matrix((self.values, (self.rows, self.columns)), shape=self.shape)
+        flat = [[np.empty(0)], [np.empty(0, dtype=int)], [np.empty(0, dtype=int)]]
+        for v, rows, columns in self.parts:
+            flat[0].append(v.ravel())
+            flat[1].append(np.broadcast_to(rows[:, :, None], v.shape).ravel())
+            flat[2].append(np.broadcast_to(columns[:, None, :], v.shape).ravel())
+        values, at, by = (np.concatenate(f) for f in flat)
+        return sp.csr_matrix((values, (at, by)), shape=self.shape)
 
 
 Matrix = Any
@@ -89,6 +101,16 @@ class Linearised:
     moment_turn: Matrix | None = None
     numbers: dict[str, ByNumber] = field(default_factory=dict)
 
+    def size_bytes(self) -> int:
+        """Memory of all matrices and numbers."""
+        total = sum(a.nbytes for n in self.numbers.values() for a in (n.force, n.memory, n.moment))
+        for matrix in vars(self).values():
+            if isinstance(matrix, Blocks):
+                total += matrix.nbytes
+            elif sp.issparse(matrix):
+                total += 2 * matrix.data.nbytes  # two indices of half the length a value
+        return total
+
 
 def times(matrix: Matrix | None, vector: np.ndarray) -> np.ndarray | float:
     """Product with a matrix that may be zero."""
@@ -122,12 +144,9 @@ def axes_of(nodes: np.ndarray) -> np.ndarray:
 
 def placed(*parts: tuple[np.ndarray, np.ndarray, np.ndarray], shape: tuple[int, int]) -> Blocks:
     """Sum of dense blocks ``(n, a, b)`` at rows ``(n, a)`` and columns ``(n, b)``; a part: all three."""
-    values, rows, columns = [], [], []
-    for blocks, row, column in parts:
-        values.append(blocks.ravel())
-        rows.append(np.broadcast_to(row[:, :, None], blocks.shape).ravel())
-        columns.append(np.broadcast_to(column[:, None, :], blocks.shape).ravel())
-    return Blocks(np.concatenate(values), np.concatenate(rows), np.concatenate(columns), shape)
+    index = np.int32 if max(shape) < 2**31 else np.int64
+    kept = [(np.ascontiguousarray(v), r.astype(index), c.astype(index)) for v, r, c in parts if v.size]
+    return Blocks(tuple(kept), shape)
 
 
 def complex_step(function: Callable[..., tuple[np.ndarray, ...]], *inputs: np.ndarray) -> list[list[np.ndarray]]:

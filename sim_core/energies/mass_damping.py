@@ -15,7 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 import scipy.sparse as sp
 
-from sim_core.energies.linearised import Blocks, Linearised
+from sim_core.energies.linearised import Linearised
 from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext
 
 
@@ -82,6 +82,5 @@ class MassDamping(Memoryless):
         rows, columns = ((3 * (self._nodes.start + index) + axes).ravel() for index in (entries.row, entries.col))
         values = np.tile(-self._factor * entries.data, 3)
         now, before = step.weights
-        size = self._base.size
-        past = None if step.x_past is None else Blocks(before * values, rows, columns, (size, size))
-        return Linearised(force_start=Blocks(now * values, rows, columns, (size, size)), force_past=past)
+        matrix = sp.csr_matrix((values, (rows, columns)), shape=(self._base.size,) * 2)
+        return Linearised(force_start=now * matrix, force_past=None if step.x_past is None else before * matrix)

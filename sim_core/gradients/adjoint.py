@@ -23,14 +23,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.contact.rigid import RigidContact
-from sim_core.energies.linearised import skew
+from sim_core.energies.linearised import cross, skew
 from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, slopes
-from sim_core.gradients.step import LinearStep, Pulled, Weights, no_memory
+from sim_core.gradients.step import LinearStep, Pulled, Weights, no_memory, passed_on_by
 from sim_core.gradients.tape import MEMORY_MB, Made, Tape
-from sim_core.rigs import Rigid
+from sim_core.rigs import WORLD, Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
+from sim_core.sensing.observe import Sensed
 from sim_core.simulate import FOREVER_S, Trace, midway
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings
@@ -110,7 +111,7 @@ class Backward:
                     last = made is interval.made[-1]
                     state = state or Weights(zero, zero, no_memory(made.after))
                     target = poses[k] if last else inner.setdefault(id(made.frames), _Frames())
-                    state = self._through(made, state, k if last else None, target)
+                    state = self._through(made, state, k if last else None, target, interval.sensed)
                 for middle, start, end in reversed(interval.middles):
                     weights = inner.get(id(middle))
                     if weights is not None:
@@ -134,13 +135,20 @@ class Backward:
             tape.trace,
         )
 
-    def _through(self, made: Made, state: Weights, k: int | None, target: _Frames) -> Weights:
+    def _through(
+        self, made: Made, state: Weights, k: int | None, target: _Frames, sensed: Mapping[str, Sensed] | None
+    ) -> Weights:
         """Weights before one step from those after it. ``k``: number of the time at its end, if readings are there;
-        ``target``: takes the weights of the frames at its end."""
-        self._enter(made)
-        linear = LinearStep(self._scene, made.before, made.after, made.dt, False)
+        ``target``: takes the weights of the frames at its end; ``sensed``: derivatives of the readings, if kept."""
+        linear = made.linear
+        if linear is None or self._columns.need_contact(linear.terms):
+            self._enter(made)
+        elif self._columns.keys or self._cameras:
+            self._place(made)
+        if linear is None:
+            linear = LinearStep(self._scene, self._tape.keeper, made.before, made.after, made.dt, False)
         if k is not None:
-            state = self._read_back(k, made.frames, state, target)
+            state = self._read_back(k, made.frames, state, target, sensed)
         pulled = linear.pull(
             state, self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
         )
@@ -155,7 +163,7 @@ class Backward:
             rotation = frames[follower.mount][1].as_matrix()
             force = pulled.targets[follower.nodes] @ rotation
             target.of(follower.mount)[:3] += force.sum(axis=0)
-            target.of(follower.mount)[3:] += np.cross(follower.local, force).sum(axis=0)
+            target.of(follower.mount)[3:] += cross(follower.local, force).sum(axis=0)
         for body, term in self._carried():
             if term.name in pulled.turns:
                 own = body.spec.pose.rotation().as_matrix()
@@ -166,6 +174,13 @@ class Backward:
         terms = [t for t in self._scene.system.terms if isinstance(t, RigidContact)]
         bodies = [b for b in self._scene.bodies.values() if isinstance(b.spec, Rigid)]
         return [(b, t) for b in bodies for t in terms if t.body_node == int(b.nodes[0])]
+
+    def _place(self, made: Made) -> None:
+        """Put the system where a step ended, without looking for contact."""
+        system = self._scene.system
+        system.x[:] = made.after.x
+        system.set_targets(self._scene.targets(made.frames))
+        system.set_unknowns(made.unknowns)
 
     def _enter(self, made: Made, still: bool = False) -> None:
         """Let the system hold the end of a step that was made."""
@@ -180,8 +195,16 @@ class Backward:
         system.set_unknowns(made.unknowns)
         system.cover()
 
-    def _read_back(self, k: int, frames: Mapping[str, Frame], state: Weights, target: _Frames) -> Weights:
-        """Weights of a state with those that its readings at time number ``k`` add."""
+    def _read_back(
+        self,
+        k: int,
+        frames: Mapping[str, Frame],
+        state: Weights,
+        target: _Frames,
+        sensed_by: Mapping[str, Sensed] | None = None,
+    ) -> Weights:
+        """Weights of a state with those that its readings at time number ``k`` add. ``sensed_by``: derivatives of the
+        readings, if they were kept; else the system holds the state."""
         given = {c: w[k].ravel() for c, w in self._by_readings.items() if np.any(w[k])}
         if not given:
             return state
@@ -195,8 +218,9 @@ class Backward:
         moment: dict[str, np.ndarray] = {}
         unknowns = np.zeros(system.n_unknowns)
         deflections = unknowns[len(unknowns) - system.deflections.size :].reshape(-1, 3)
-        for name, sensed in self._observer.linearise(rig, actual, given).items():
-            w = given[name]
+        sensed_by = sensed_by or self._observer.linearise(rig, actual, given)
+        for name, w in given.items():
+            sensed = sensed_by[name]
             x += (sensed.by_x.T @ w).reshape(-1, 3)
             if sensed.by_force is not None:
                 force -= (sensed.by_force.T @ w).reshape(-1, 3)
@@ -208,10 +232,10 @@ class Backward:
                 rotation = actual[sensed.mount][1].as_matrix()
                 deflections[scene.compliant.index(sensed.mount)] += rotation @ by_frame[:3]
         for d in self._cameras:
-            ends = [self._observer.read(r, actual) for r in (self._along[d].high, self._along[d].low)]
-            for name, w in given.items():
+            ends = [self._observer.see(r, actual) for r in (self._along[d].high, self._along[d].low)]
+            for name in ends[0].keys() & given.keys():
                 change = (ends[0][name] - ends[1][name]).ravel() / self._along[d].width
-                self._sensed[d] += float(np.nan_to_num(change) @ w)
+                self._sensed[d] += float(np.nan_to_num(change) @ given[name])
         return replace(state, x=x, force=force if force.any() else None, moment=moment, unknowns=unknowns)
 
     def _at_start(self, state: Weights, target: _Frames) -> None:
@@ -222,7 +246,7 @@ class Backward:
             try:
                 made = Made(tape.settled_from, tape.start, FOREVER_S, tape.mounts, tape.start_unknowns)
                 self._enter(made, still=True)
-                linear = LinearStep(scene, made.before, made.after, FOREVER_S, True)
+                linear = LinearStep(scene, tape.keeper, made.before, made.after, FOREVER_S, True)
                 state = self._read_back(0, tape.mounts, state, target)
                 columns = self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
                 self._collect(linear.pull(state, columns), tape.mounts, target)
@@ -237,25 +261,43 @@ class Backward:
         made = Made(tape.start, tape.start, scene.rig.solver.dt_s, tape.mounts, tape.start_unknowns)
         self._enter(made)
         state = self._read_back(0, tape.mounts, state, target)
-        x = state.x
+        x, v, numbers = state.x, state.v, np.zeros_like(self._numbers)
         if state.force is not None:
+            force = state.force
+            if system.passes_on:
+                passed = passed_on_by(system, force)
+                force = force + passed
+                v = v - system.mass @ passed / made.dt if system.inertia else v
+                step = step_context(made.before.x, made.before.v, made.dt)
+                for k, column in enumerate(
+                    self._columns.of_step(step, made.before.internals, made.after.internals, {})
+                ):
+                    parts = ((column.force, force), (column.body, passed))
+                    numbers[k] = sum(float(np.vdot(by, w)) for by, w in parts if by is not None)
             system.hessian_data(exact=True)
-            x = x + system.nodal_product(state.force)
+            x = x + system.nodal_product(force)
             if system.inertia:
-                x = x - system.mass @ state.force / made.dt**2
+                x = x - system.mass @ force / made.dt**2
         turns = {}
         for _, term in self._carried():
             turned = np.stack([term.rotation @ skew(e) for e in np.eye(3)])
             turns[term.name] = turned.reshape(3, 9) @ state.memory[term.name][:9]
-        self._collect(Pulled(state, x, turns, np.zeros_like(self._numbers)), tape.mounts, target)
-        for body in scene.bodies.values():
-            if body.mesh is not None and scene.held(body.name).any():
-                free = ~scene.held(body.name)
-                origin, rotation = tape.mounts[scene.mount_of(body.name)]
-                local = rotation.inv().apply(tape.start.x[body.nodes[free]] - origin)
-                force = x[body.nodes[free]] @ rotation.as_matrix()
-                target.of(scene.mount_of(body.name))[:3] += force.sum(axis=0)
-                target.of(scene.mount_of(body.name))[3:] += np.cross(local, force).sum(axis=0)
+        self._collect(Pulled(state, x, turns, numbers), tape.mounts, target)
+        carried = scene.carried_by()
+        for name, body in scene.bodies.items():
+            if body.mesh is not None and scene.held(name).any():
+                mount, nodes = scene.mount_of(name), body.nodes[~scene.held(name)]
+            elif carried.get(name, WORLD) != WORLD:
+                mount, nodes = carried[name], body.nodes
+            else:
+                continue
+            origin, rotation = tape.mounts[mount]
+            arms, speeds, force, push = (
+                a @ rotation.as_matrix()
+                for a in (tape.start.x[nodes] - origin, tape.start.v[nodes], x[nodes], v[nodes])
+            )
+            target.of(mount)[:3] += force.sum(axis=0)
+            target.of(mount)[3:] += (cross(arms, force) + cross(speeds, push)).sum(axis=0)
 
 
 class _Frames:

@@ -55,7 +55,25 @@ class Columns:
     ) -> list[Column]:
         """One column a key. ``internals``, ``after``: internal variables before and after the step; ``exact``: what the
         terms with memory know of themselves."""
-        return [_known(key, exact) or self._column(key, step, internals, after) for key in self.keys]
+        return [self._known(key, exact) or self._column(key, step, internals, after) for key in self.keys]
+
+    def need_contact(self, exact: Mapping[str, Linearised]) -> bool:
+        """Whether contact has to be looked for in a step, because a number of it has to be stepped."""
+        touching = [k for k in self.keys if k[0] == "terms" and hasattr(self._terms.get(k[1]), "free_way")]
+        return any(self._known(key, exact) is None for key in touching)
+
+    def _known(self, key: Key, exact: Mapping[str, Linearised]) -> Column | None:
+        """Column of a number that its term differentiates itself, or of a contact in which nothing touches."""
+        kind, owner, quantity = key
+        if kind != "terms" or owner not in exact:
+            return None
+        numbers = exact[owner].numbers
+        if quantity not in numbers:
+            idle = not numbers and hasattr(self._terms[owner], "free_way")
+            return Column() if idle else None
+        found = numbers[quantity]
+        column = Column(force=found.force.reshape(-1, 3), memory={owner: found.memory})
+        return replace(column, moment={owner: found.moment}) if found.moment.any() else column
 
     def _column(
         self, key: Key, step: StepContext, internals: dict[str, Internals], after: dict[str, Internals]
@@ -122,16 +140,6 @@ class Columns:
         force, memory, moment = ((a - b) / width for a, b in zip(*found, strict=True))
         column = Column(force=force)
         return replace(column, memory={term.name: memory}, moment={term.name: moment} if moment.any() else {})
-
-
-def _known(key: Key, exact: Mapping[str, Linearised]) -> Column | None:
-    """Column of a number that its term differentiates itself."""
-    kind, owner, quantity = key
-    if kind != "terms" or owner not in exact or quantity not in exact[owner].numbers:
-        return None
-    found = exact[owner].numbers[quantity]
-    column = Column(force=found.force.reshape(-1, 3), memory={owner: found.memory})
-    return replace(column, moment={owner: found.moment}) if found.moment.any() else column
 
 
 def moment_on_body(term: Any) -> np.ndarray:

@@ -21,12 +21,12 @@ import numpy as np
 
 from sim_core.energies.linearised import Linearised, flatten, times
 from sim_core.energies.term import StepContext
-from sim_core.errors import ConfigError
 from sim_core.gradients.columns import Column
 from sim_core.scene.scene import Scene
-from sim_core.solve.factor import Factor, NotPositiveDefinite
 from sim_core.solve.integrator import Past, step_context
 from sim_core.solve.step import State
+from sim_core.solve.stiffness import Keeper
+from sim_core.solve.system import System
 
 
 @dataclass
@@ -79,19 +79,20 @@ class Pulled:
 
 
 class LinearStep:
-    """The step from ``before`` to ``after`` that the scene's system holds the end of.
+    """The step from ``before`` to ``after``, linearised while the scene's system holds the end of it; may be used
+    when it has gone on.
 
     ``still``: it is the first equilibrium; where the search for it came from counts as given.
     """
 
-    def __init__(self, scene: Scene, before: State, after: State, dt: float, still: bool) -> None:
+    def __init__(self, scene: Scene, keeper: Keeper, before: State, after: State, dt: float, still: bool) -> None:
         system = scene.system
         self._system = system
         self._before = before = replace(before, past=None) if still else before
         self._still = still
         self._dt = dt
         self.step: StepContext = step_context(before.x, before.v, dt, before.past)
-        self._factor = self._factorised()
+        self._hessian = keeper.keep()
         self.terms: dict[str, Linearised] = {}
         """What the terms with memory know of themselves in this step."""
         for term in system.terms:
@@ -102,13 +103,9 @@ class LinearStep:
                     self.terms[term.name] = found
         self._sizes = {name: flatten(internals).size for name, internals in after.internals.items()}
 
-    def _factorised(self) -> Factor:
-        """The true Hessian; it is definite at a stable equilibrium, and need not be where motion holds one."""
-        data = self._system.hessian_data(exact=True)
-        try:
-            return self._system.factor_data(data, definite=True)
-        except NotPositiveDefinite:
-            return self._system.factor_data(data, definite=False)
+    def size_bytes(self) -> int:
+        """Memory of what is kept."""
+        return self._hessian.size_bytes + sum(term.size_bytes() for term in self.terms.values())
 
     def _restrict(self, gradient: np.ndarray) -> np.ndarray:
         """Transpose of :meth:`System.spread`."""
@@ -116,8 +113,7 @@ class LinearStep:
 
     def _stiffness(self, move: np.ndarray) -> np.ndarray:
         """Change of what the terms exert for a move of the nodes."""
-        system = self._system
-        out = system.nodal_product(move)
+        system, out = self._system, self._hessian.product(move)
         return np.asarray(out - system.mass @ move / self.step.tau**2) if system.inertia else out
 
     # Forwards
@@ -156,7 +152,7 @@ class LinearStep:
                 moment[name] = moment.get(name, 0.0) + np.outer(turned, slope)
         total = (force + body).reshape(shape)
         residual = np.column_stack([self._restrict(np.ascontiguousarray(total[..., k])) for k in range(count)])
-        moved = -self._factor.solve(residual + unknowns)
+        moved = -self._hessian.solve(residual + unknowns)
         x = np.stack([system.spread(moved[:, k]) for k in range(count)], axis=-1)
         force = force.reshape(shape) + np.stack([self._stiffness(x[..., k]) for k in range(count)], axis=-1)
         if system.passes_on:
@@ -187,7 +183,7 @@ class LinearStep:
     def pull(self, weights: Weights, columns: list[Column]) -> Pulled:
         """Weights of everything that the step depended on."""
         system, step = self._system, self.step
-        x, past = weights.x.copy(), weights.past
+        x, past, passed = weights.x.copy(), weights.past, np.zeros_like(weights.x)
         moving = system.inertia and not self._still
         if moving:
             x += weights.v / step.tau
@@ -196,18 +192,17 @@ class LinearStep:
             if term.moment_end is not None and name in weights.moment:
                 x += self._back(term.moment_end, weights.moment[name])
         if weights.force is not None:
-            if system.passes_on:
-                raise ConfigError(
-                    "Backward derivatives of the load on a mount that carries joints are not computed.",
-                    "Use forward ones (simulate_tangent), or leave this sensor out of the loss.",
-                )
             x += self._stiffness(weights.force)
+            if system.passes_on:
+                passed = passed_on_by(system, weights.force)
+                x += self._hessian.product(passed)
         pulled = self._restrict(x)
         if weights.unknowns is not None:
             pulled += weights.unknowns
-        answer = -self._factor.solve(pulled)
+        answer = -self._hessian.solve(pulled)
         spread = system.spread(answer)
-        exerted = spread if weights.force is None else spread + weights.force
+        borne = spread + passed
+        exerted = borne if weights.force is None else borne + weights.force
         start, memory = np.zeros_like(x), {}
         turns: dict[str, np.ndarray] = {}
         for name, internals in self._before.internals.items():
@@ -215,7 +210,7 @@ class LinearStep:
             if name in self.terms:
                 start, old = self._through(self.terms[name], name, weights, exerted, start, old, turns)
             memory[name] = old
-        before = self._measured_from(spread, weights if moving else None)
+        before = self._measured_from(borne, weights if moving else None)
         before.x += start
         for term in self.terms.values():
             if term.force_past is not None and before.past is not None:
@@ -223,8 +218,8 @@ class LinearStep:
         if past is not None:
             before.x, before.v = before.x + past[0], before.v + past[1]
         before.memory = memory
-        targets = system.fold(x + system.nodal_product(spread))
-        numbers = np.array([self._along(c, weights, exerted, spread, answer) for c in columns])
+        targets = system.fold(x + self._hessian.product(spread))
+        numbers = np.array([self._along(c, weights, exerted, borne, answer) for c in columns])
         return Pulled(before, targets, turns, numbers)
 
     def _through(
@@ -258,15 +253,15 @@ class LinearStep:
         out = matrix.T @ vector
         return out.reshape(-1, 3) if nodal else out
 
-    def _measured_from(self, spread: np.ndarray, weights: Weights | None) -> Weights:
-        """Weights of the states that velocity and acceleration are measured from. ``weights``: None where the end of
-        the step has no velocity."""
+    def _measured_from(self, borne: np.ndarray, weights: Weights | None) -> Weights:
+        """Weights of the states that velocity and acceleration are measured from. ``borne``: weights of inertia;
+        ``weights``: None where the end of the step has no velocity."""
         system, step = self._system, self.step
-        zero = np.zeros_like(spread)
+        zero = np.zeros_like(borne)
         if not system.inertia or self._still:
             return Weights(zero, zero.copy(), {})
         assert weights is not None
-        held = system.mass @ spread / step.tau**2
+        held = system.mass @ borne / step.tau**2
         x_base, v_base = -weights.v / step.tau - held, -held * step.tau
         if self._before.past is None:
             return Weights(x_base, v_base, {})
@@ -277,19 +272,27 @@ class LinearStep:
         return Weights(now * x_base, now * v_base, {}, (then * x_base, then * v_base))
 
     def _along(
-        self, column: Column, weights: Weights, exerted: np.ndarray, spread: np.ndarray, answer: np.ndarray
+        self, column: Column, weights: Weights, exerted: np.ndarray, borne: np.ndarray, answer: np.ndarray
     ) -> float:
         """Product of one number's column with the weights."""
         out = 0.0
         if column.force is not None:
             out += float(np.vdot(column.force, exerted))
         if column.body is not None:
-            out += float(np.vdot(column.body, spread))
+            out += float(np.vdot(column.body, borne))
         if column.unknowns is not None:
             out += float(column.unknowns @ answer)
         out += sum(float(kept @ weights.memory[name]) for name, kept in column.memory.items())
         out += sum(float(m @ weights.moment[name]) for name, m in column.moment.items() if name in weights.moment)
         return out
+
+
+def passed_on_by(system: System, weights: np.ndarray) -> np.ndarray:
+    """Transpose of :meth:`System.passed_on`: weights ``(n, 3)`` of nodal gradients from those of what is passed on."""
+    held = np.where(system.prescribed, weights, 0.0)
+    out = held.copy()
+    system.embed(out)
+    return np.asarray(out - held)
 
 
 def no_memory(state: State, count: int | None = None) -> dict[str, np.ndarray]:

@@ -24,6 +24,7 @@ from sim_core.scene.scene import Frame, Scene
 from sim_core.simulate import FOREVER_S, Simulation, Trace, run
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State, StepReport
+from sim_core.solve.stiffness import Keeper
 
 
 class TangentSimulation(Simulation):
@@ -36,6 +37,7 @@ class TangentSimulation(Simulation):
         self._along = list(along)
         keys, self._slopes = slopes(scene, along)
         self._columns = Columns(scene, scene.values(scene.rig), keys)
+        self._keeper = Keeper(scene.system)
         super().__init__(scene, settings)
 
     def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
@@ -82,7 +84,7 @@ class TangentSimulation(Simulation):
 
     def _propagate(self, before: State, dt: float, still: bool) -> None:
         """Carry the derivatives over the step of ``dt`` [s] from ``before`` that has just been solved."""
-        linear = LinearStep(self.scene, before, self.state, dt, still)
+        linear = LinearStep(self.scene, self._keeper, before, self.state, dt, still)
         motion = self._motion
         if still:
             motion = Motion(motion.x, motion.v, no_memory(before, len(self._along)))

@@ -1,24 +1,31 @@
 """A rollout that can be gone through backwards: the steps that were made, kept or made again from checkpoints.
 
 The times of a rollout are cut into about sqrt(T) segments. Where one begins the state is kept, and the search for
-contact starts afresh, so that a segment made again is the same to the last bit. The steps of a segment are
-kept too as long as all of them together stay within a bound on memory; beyond it only one segment at a time is, and
-the memory is that of O(sqrt(T)) states. No Hessian is kept.
+contact starts afresh, so that a segment made again is the same to the last bit. Of the steps are kept, within a bound
+on memory:
+
+* the states, as long as those of a whole segment find room; other segments are made again when their turn comes,
+* how they are linearised (:class:`sim_core.gradients.step.LinearStep`, and the readings' derivatives), as long as
+  there is room for the states of all that is still to come; other steps are linearised when their turn comes.
+
+A segment that is made again is linearised as it is made. The least memory is that of O(sqrt(T)) steps.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sim_core.gradients.step import LinearStep
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
-from sim_core.sensing.observe import frame_of
+from sim_core.sensing.observe import Sensed, frame_of
 from sim_core.simulate import Simulation, Trace
 from sim_core.solve.step import NewtonSettings, State, StepReport
+from sim_core.solve.stiffness import Keeper
 
 MEMORY_MB = 1024.0
 """Bound on what the steps that are kept may take, where none is given."""
@@ -27,26 +34,45 @@ MEMORY_MB = 1024.0
 @dataclass(frozen=True)
 class Made:
     """One step without subdivision: from ``before`` to ``after`` in ``dt`` [s]; at its end the mounts are at
-    ``frames`` and the system has the ``unknowns``."""
+    ``frames`` and the system has the ``unknowns``. ``linear``: the step linearised, if that was kept."""
 
     before: State
     after: State
     dt: float
     frames: Mapping[str, Frame]
     unknowns: np.ndarray
+    linear: LinearStep | None = None
+
+    def state_bytes(self) -> int:
+        """Memory of the state at the end; that before is the step before's."""
+        return _bytes(self.after) + self.unknowns.nbytes
+
+    def size_bytes(self) -> int:
+        """Memory of the state and of the linearisation."""
+        return self.state_bytes() + (self.linear.size_bytes() if self.linear else 0)
 
 
 @dataclass
 class Interval:
     """All that was done between two times of the rollout. ``middles``: frames halfway between two others, in the order
-    in which they were made: (middle, start, end)."""
+    in which they were made: (middle, start, end). ``sensed``: derivatives of the readings at its end, if kept."""
 
     made: list[Made] = field(default_factory=list)
     middles: list[tuple[Mapping[str, Frame], Mapping[str, Frame], Mapping[str, Frame]]] = field(default_factory=list)
+    sensed: dict[str, Sensed] | None = None
+
+    def forget(self) -> None:
+        """Keep the states alone."""
+        self.made = [replace(m, linear=None) for m in self.made]
+        self.sensed = None
+
+    def state_bytes(self) -> int:
+        """Memory of the states."""
+        return sum(m.state_bytes() for m in self.made)
 
     def size_bytes(self) -> int:
-        """Memory of the steps; each shares its first state with the one before."""
-        return sum(_bytes(m.after) + m.unknowns.nbytes for m in self.made)
+        """Memory of the steps and the derivatives of readings."""
+        return sum(m.size_bytes() for m in self.made) + sum(s.size_bytes() for s in (self.sensed or {}).values())
 
 
 @dataclass(frozen=True)
@@ -59,10 +85,12 @@ class Checkpoint:
 
 
 class Recorder(Simulation):
-    """A simulation that writes down the steps that it makes."""
+    """A simulation that writes down the steps that it makes. ``linearising``: and linearises them."""
 
-    def __init__(self, scene: Scene, settings: NewtonSettings | None = None) -> None:
+    def __init__(self, scene: Scene, settings: NewtonSettings | None = None, factors: bool = False) -> None:
         self.interval = Interval()
+        self.linearising = False
+        self.keeper = Keeper(scene.system, factors)
         self._open: list[tuple[Mapping[str, Frame], Mapping[str, Frame]]] = []
         super().__init__(scene, settings)
 
@@ -78,8 +106,13 @@ class Recorder(Simulation):
     def _advance(self, end: Mapping[str, Frame], dt: float) -> StepReport:
         before = self.state
         report = super()._advance(end, dt)
-        self.interval.made.append(Made(before, self.state, dt, end, self.scene.system.unknowns()))
+        linear = LinearStep(self.scene, self.keeper, before, self.state, dt, False) if self.linearising else None
+        self.interval.made.append(Made(before, self.state, dt, end, self.scene.system.unknowns(), linear))
         return report
+
+    def sense(self) -> None:
+        """Write down the derivatives of the readings now."""
+        self.interval.sensed = self.observer.linearise(self.scene.rig, self.actual_frames(), self.observer.kinds)
 
     def checkpoint(self) -> Checkpoint:
         """Where the simulation stands; contact is looked for afresh from here on."""
@@ -97,7 +130,8 @@ class Recorder(Simulation):
 
 
 class Tape:
-    """A rollout as recorded. ``trace``: its readings; ``segments``: first time of each."""
+    """A rollout as recorded. ``trace``: its readings; ``segments``: first time of each; ``kept_bytes``,
+    ``most_bytes``: what is kept of its steps, and the most that there was of them at a time."""
 
     def __init__(
         self,
@@ -107,20 +141,22 @@ class Tape:
         settings: NewtonSettings | None = None,
         memory_mb: float = MEMORY_MB,
         on_step: Callable[[int, int], None] | None = None,
+        factors: bool = False,
     ) -> None:
-        """Make the rollout. ``memory_mb``: bound on the steps that are kept. Raises ``ConvergenceError``."""
+        """Make the rollout. ``memory_mb``: bound on the steps that are kept; ``factors``: let their factorisations be
+        kept too, for three losses and more. Raises ``ConvergenceError``."""
         self.scene = scene
         self._times = np.asarray(times, dtype=float)
         tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
         self._frames = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
-        self._simulation = simulation = Recorder(scene, settings)
+        self._simulation = simulation = Recorder(scene, settings, factors)
         count = len(times) - 1
         length = max(1, math.ceil(math.sqrt(count)))
         self.segments = range(0, count, length)
         self._points: list[Checkpoint] = []
         self._kept: dict[int, list[Interval]] = {}
+        self._bound = 1e6 * memory_mb
         self.kept_bytes = self.most_bytes = 0
-        self.sizes_bytes: list[int] = []  # of what was done between two times, kept or not
         scene.system.forget()
         simulation.reset(self._frames[0])
         self.mounts = dict(simulation.frames)
@@ -129,23 +165,29 @@ class Tape:
         readings, reports = [simulation.read()], []
         for first in self.segments:
             self._points.append(simulation.checkpoint())
-            intervals = []
+            intervals: list[Interval] = []
+            size = last = 0
             for k in range(first, min(first + length, count)):
-                interval, report = self._make(k)
+                interval, report = self._make(k, self._affords(size + last, count - k))
                 intervals.append(interval)
+                last = interval.size_bytes()
+                size += last
                 reports.append(report)
                 readings.append(simulation.read())
                 if on_step is not None:
                     on_step(k + 1, count)
-            size = sum(i.size_bytes() for i in intervals)
-            self.sizes_bytes += [i.size_bytes() for i in intervals]
             self.most_bytes = max(self.most_bytes, self.kept_bytes + size)
-            if self.kept_bytes + size <= 1e6 * memory_mb:
+            if self.kept_bytes + size <= self._bound:
                 self._kept[first] = intervals
                 self.kept_bytes += size
         outputs = {c: np.stack([r[c] for r in readings]) for c in readings[0]}
         self.observer = observer = simulation.observer
         self.trace = Trace(self._times, outputs, observer.kinds, observer.ids, tuple(reports))
+
+    def _affords(self, size: int, left: int) -> bool:
+        """Whether there is room to linearise one more step beside a segment of ``size`` [B], that step included, and
+        for the states of the ``left`` steps to come, unknowns and growing internal variables included."""
+        return self.kept_bytes + size + 2 * left * _bytes(self.start) <= self._bound
 
     @property
     def memory_mb(self) -> float:
@@ -158,12 +200,26 @@ class Tape:
             return self._kept[first]
         self._simulation.go_to(self._points[list(self.segments).index(first)])
         last = min(first + self.segments.step, len(self._times) - 1)
-        return [self._make(k)[0] for k in range(first, last)]
+        intervals = [self._make(k, True)[0] for k in range(first, last)]
+        self.most_bytes = max(self.most_bytes, self.kept_bytes + sum(i.size_bytes() for i in intervals))
+        return intervals
 
-    def _make(self, k: int) -> tuple[Interval, StepReport]:
+    def everything(self) -> Iterator[Interval]:
+        """What was done, from the start on, in one segment after the other."""
+        for first in self.segments:
+            yield from self.intervals(first)
+
+    @property
+    def keeper(self) -> Keeper:
+        """Keeps the Hessians of steps that are linearised."""
+        return self._simulation.keeper
+
+    def _make(self, k: int, linearising: bool) -> tuple[Interval, StepReport]:
         simulation = self._simulation
-        simulation.interval = Interval()
+        simulation.interval, simulation.linearising = Interval(), linearising
         report = simulation.step(self._frames[k + 1], float(self._times[k + 1] - self._times[k]))
+        if linearising:
+            simulation.sense()
         return simulation.interval, report
 
 

@@ -305,7 +305,7 @@ class Scene:
         """Positions [m] and velocities [m/s], ``(n, 3)`` each, at the start, when the mounts are at ``frames``."""
         x = self.targets(frames)
         v = np.zeros_like(x)
-        carried = self._carried_by()
+        carried = self.carried_by()
         for body in self.bodies.values():
             if isinstance(body.spec, Affine):
                 velocity, spin = np.array(body.spec.velocity_m_s), np.deg2rad(body.spec.angular_velocity_deg_s)
@@ -330,7 +330,7 @@ class Scene:
             )
         return x, v
 
-    def _carried_by(self) -> dict[str, str]:
+    def carried_by(self) -> dict[str, str]:
         """Mount that an affine body is connected to, through other bodies or not; those of the world are left out."""
         carried: dict[str, str] = {}
         for _ in self.rig.joints:

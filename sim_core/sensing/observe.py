@@ -71,6 +71,11 @@ class Sensed:
     mount: str
     by_frame: np.ndarray
 
+    def size_bytes(self) -> int:
+        """Memory of the derivatives."""
+        given = (self.by_x, self.by_force, *self.by_moment.values(), self.by_frame)
+        return sum(a.nbytes for a in given if a is not None)
+
 
 class Observer:
     """Sensors and cameras of a scene. ``kinds``: channel name to 'wrench', 'markers' or 'tracks'."""
@@ -162,6 +167,12 @@ class Observer:
                 body = _within(placed[self._mounts[sensor.body]], self._body_poses[sensor.body])
                 origin, rotation = _within(body, self._poses[name])
                 out[name] = (self._tracked[name][0].positions(x) - origin) @ rotation
+        return {**out, **self.see(rig, frames)}
+
+    def see(self, rig: Rig, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
+        """The part of :meth:`read` that cameras see, for which positions suffice."""
+        x, out = self._scene.system.x, {}
+        placed = {mount: (origin, rotation.as_matrix()) for mount, (origin, rotation) in frames.items()}
         for name, camera in rig.cameras.items():
             origin, rotation = _within(placed[camera.mount], self._poses[name])
             points = np.vstack([t.positions(x) for t in self._tracked[name]])

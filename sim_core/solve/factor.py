@@ -41,6 +41,10 @@ class Factor(Protocol):
         """Solve for one right-hand side ``(n,)`` or several ``(n, k)``."""
         ...
 
+    def size_bytes(self) -> int:
+        """Memory of factors and analysis."""
+        ...
+
 
 class PardisoFactor:
     """MKL PARDISO, positive definite or symmetric indefinite."""
@@ -75,6 +79,10 @@ class PardisoFactor:
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         return np.asarray(self._solver.solve(np.asfortranarray(rhs) if rhs.ndim == 2 else rhs))
 
+    def size_bytes(self) -> int:
+        analysis_kb, factors_kb = (self._solver.get_iparm_value(k) for k in (15, 16))
+        return int(1024 * (analysis_kb + factors_kb) + 16 * self._solver.nnz)  # and its copy of the matrix
+
 
 class _Columns:
     """From values in rows of the upper triangle to a matrix in columns, without sorting anew."""
@@ -83,6 +91,7 @@ class _Columns:
         numbered = sp.csr_matrix((np.arange(1.0, upper.nnz + 1.0), upper.indices, upper.indptr), upper.shape)
         self._pattern = numbered.tocsc()
         self._order = self._pattern.data.astype(np.int64) - 1
+        self.nnz = int(upper.nnz)
 
     def upper(self, values: np.ndarray) -> sp.csc_matrix:
         pattern = self._pattern
@@ -116,6 +125,9 @@ class QdldlFactor:
             return np.column_stack([self._solver.solve(column) for column in rhs.T])
         return np.asarray(self._solver.solve(rhs))
 
+    def size_bytes(self) -> int:
+        return 16 * (int(self._solver.factors()[0].nnz) + self._columns.nnz)
+
 
 class SuperluFactor:
     """LU of scipy, without pivoting where a positive definite matrix is wanted; works everywhere."""
@@ -140,6 +152,9 @@ class SuperluFactor:
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         return np.asarray(self._solver.solve(rhs))
+
+    def size_bytes(self) -> int:
+        return 12 * int(self._solver.L.nnz + self._solver.U.nnz) + 16 * self._columns.nnz
 
 
 def factorise(upper: sp.csr_matrix, definite: bool = True) -> Factor:

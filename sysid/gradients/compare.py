@@ -96,7 +96,7 @@ class Comparison:
         trace, raw = simulate_tangent(scene, self._poses, self._times, along, settings=TIGHT)
         self.trace = trace
         self._on_work("adjoint")
-        tape = Tape(scene, self._poses, self._times, TIGHT)
+        tape = Tape(scene, self._poses, self._times, TIGHT, factors=True)
         backward = Backward(tape, along)
         found = {c: self._derivatives(c, raw[c], backward) for c in trace.outputs}
         self._switches = any(r.contacts for r in trace.reports) or "bending_plasticity" in self.rig.effects

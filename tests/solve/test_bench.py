@@ -6,7 +6,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from sim_core.bench import measure
+from sim_core.bench import measure, measure_gradients
+from sim_core.bench.gradients import gradient_lines
 from sim_core.bench.machine import peak_memory_mb
 from sim_core.bench.report import run_benchmarks, scaling_lines
 from sim_core.bench.scale import DIFFCLOTH, MESHES, Mesh, Published, Scaling, Size, growth, measure_size
@@ -99,3 +100,18 @@ def test_a_scene_is_measured_and_takes_a_line():
 def test_quick_and_scenes_exclude_each_other():
     with pytest.raises(ConfigError, match="one of the two"):
         run_benchmarks(quick=True, scenes=True)
+
+
+def test_the_adjoint_is_timed_every_way_and_memory_grows_with_the_horizon():
+    found = measure_gradients(steps=4, horizons=(4, 9))
+    rates = {name: value for name, value in asdict(found).items() if isinstance(value, float)}
+    assert len(rates) == 8
+    assert min(rates.values()) > 0.0
+    short, long = found.horizons
+    for horizon in found.horizons:
+        assert horizon.states_mb < horizon.checkpoints_mb < horizon.kept_mb
+    assert long.kept_mb / short.kept_mb > 1.1 * long.checkpoints_mb / short.checkpoints_mb  # 9 to 4 steps, and 3 to 2
+    text = "\n".join(gradient_lines(found))
+    for rate in (found.backward, found.backward_factors):
+        assert f"{rate:7.1f}{rate / found.forward:9.1f}" in text
+    assert json.loads(json.dumps(asdict(found)))["horizons"][1]["steps"] == 9

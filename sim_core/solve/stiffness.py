@@ -1,0 +1,139 @@
+"""The true Hessian of a system at one instant, kept: to solve with and to multiply by when the system has gone on.
+
+Kept are the values by pairs of nodes; where they belong is shared by all that have the same pattern. The numerical
+factorisation is done when a solution is asked for, with a symbolic analysis that neighbours in time share; or it is
+made at once and kept too, which takes ten times the memory, and four times the time, because no two factorisations can
+share an analysis. That pays from the third right-hand side on.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+
+from sim_core.energies.term import PairTable
+from sim_core.kernels import BoundKernel
+from sim_core.solve.factor import Factor, NotPositiveDefinite, factorise
+from sim_core.solve.pattern import Pattern
+from sim_core.solve.product import nodal_product
+from sim_core.solve.system import System
+
+
+class Keeper:
+    """Keeps the stiffness of a system; a friend of :class:`System`, whose storage it reads. ``factors``: factorised."""
+
+    def __init__(self, system: System, factors: bool = False) -> None:
+        self._system, self._factors = system, factors
+        self._layout: Pattern | None = None
+        self._prepared: _Prepared | None = None
+
+    def keep(self) -> Stiffness:
+        """Stiffness where the system is now, at the end of a step."""
+        system = self._system
+        data = system.hessian_data(exact=True)
+        live = system._pattern
+        new = self._layout is None or self._layout.indices is not live.indices
+        if new:
+            self._layout = _snapshot(live)
+        assert self._layout is not None
+        diagonal = live.indptr[system.n_unknowns - system.deflections.size : -1]
+        springs = data[diagonal] - live.data(system._hessian)[diagonal] if len(diagonal) else np.empty(0)
+        kept = Stiffness(self, self._layout, system._hessian[: live.n_used].copy(), springs)
+        kept.size_bytes += _size_bytes(self._layout) if new else 0
+        if self._factors:
+            kept.factorise()
+        return kept
+
+    def prepared(self, layout: Pattern) -> _Prepared:
+        """What the layout needs; that of the one before is given up."""
+        if self._prepared is None or self._prepared.layout is not layout:
+            self._prepared = _Prepared(layout)
+        return self._prepared
+
+
+def _snapshot(pattern: Pattern) -> Pattern:
+    """The pattern as it is now: what it replaces is shared, what it writes in place is copied."""
+    out, used = copy.copy(pattern), pattern.n_used // 9
+    table = pattern.table
+    out.table = PairTable(table.start.copy(), table.column[:used].copy(), table.place[:used].copy())
+    return out
+
+
+def _size_bytes(layout: Pattern) -> int:
+    arrays = [a for a in (*vars(layout).values(), *vars(layout.table).values()) if isinstance(a, np.ndarray)]
+    return sum(a.nbytes for a in arrays)
+
+
+class Stiffness:
+    """True Hessian at one instant. ``values``: as stored by pairs of nodes; ``springs``: of compliant mounts [N/m];
+    ``size_bytes``: memory, of the layout too where that is not the one before's."""
+
+    def __init__(self, keeper: Keeper, layout: Pattern, values: np.ndarray, springs: np.ndarray) -> None:
+        self._keeper, self.layout = keeper, layout
+        self._values, self._springs = values, springs
+        self._factor: Factor | None = None
+        self.size_bytes = values.nbytes + springs.nbytes
+
+    def product(self, move: np.ndarray) -> np.ndarray:
+        """Change of the nodal gradient [N] for a move of all nodes [m], ``(n, 3)`` both, as
+        :meth:`System.nodal_product`."""
+        return self._keeper.prepared(self.layout).product(self._values, move)
+
+    def factorise(self) -> None:
+        """Make and keep a factorisation of its own."""
+        self._factor = _Analysis(self.layout).factor(self._data())
+        self.size_bytes += self._factor.size_bytes()
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """Solve over the unknowns for one right-hand side ``(n,)`` or several ``(n, k)``."""
+        return (self._factor or self._keeper.prepared(self.layout).factor(self._data())).solve(rhs)
+
+    def _data(self) -> np.ndarray:
+        """Entries of the upper triangle over the unknowns."""
+        data = self.layout.data(self._values)
+        if len(self._springs):
+            data[self.layout.indptr[-1 - len(self._springs) : -1]] += self._springs
+        return data
+
+
+class _Analysis:
+    """Factorisations of one layout, one after the other."""
+
+    def __init__(self, layout: Pattern) -> None:
+        self.layout = layout
+        self._factors: dict[bool, Factor] = {}
+
+    def factor(self, data: np.ndarray) -> Factor:
+        """Factorise entries in the layout's order. The Hessian is definite at a stable equilibrium, and need not be
+        where motion holds one."""
+        try:
+            return self._factorised(data, definite=True)
+        except NotPositiveDefinite:
+            return self._factorised(data, definite=False)
+
+    def _factorised(self, data: np.ndarray, definite: bool) -> Factor:
+        if definite not in self._factors:
+            self._factors[definite] = factorise(self.layout.matrix(data), definite)
+        else:
+            self._factors[definite].refactor(data)
+        return self._factors[definite]
+
+
+class _Prepared(_Analysis):
+    """And its product."""
+
+    def __init__(self, layout: Pattern) -> None:
+        super().__init__(layout)
+        self._values = np.empty(layout.n_used)
+        table = layout.table
+        self._move, self._out = (np.empty((len(table.start) - 1, 3)) for _ in range(2))
+        self._product = BoundKernel(
+            nodal_product, table.start, table.column, table.place, self._values, self._move, self._out
+        )
+
+    def product(self, values: np.ndarray, move: np.ndarray) -> np.ndarray:
+        """H ``move`` with the ``values`` of H."""
+        self._values[:], self._move[:] = values, move
+        self._product()
+        return np.array(self._out)
