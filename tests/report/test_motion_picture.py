@@ -16,6 +16,8 @@ from sysid.fit.plan import Expected, Outlook, plan_experiments
 from sysid.report.experiments_page import _section, by_rig, identifying, parameters_of
 from sysid.report.motion_picture import draw_experiment, telling_instants
 
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
 
 def pull(**changes: Any) -> Experiment:
     motions = [
@@ -60,6 +62,13 @@ def test_every_experiment_that_identifies_names_a_rig_and_parameters_that_exist(
         rig = load_rig(experiment.rig)
         compile_experiment(experiment, rig)
         assert fit_parameters(rig, parameters_of(rig, [experiment]))
+
+
+def test_every_experiment_that_identifies_is_in_the_documentation() -> None:
+    page = (DOCS / "experiments.md").read_text()
+    for experiment in identifying():
+        assert f"experiments/{experiment.name}.svg" in page
+        assert (DOCS / "experiments" / f"{experiment.name}.svg").read_text().startswith("<?xml")
 
 
 def test_a_table_has_relative_standard_deviations() -> None:
