@@ -35,6 +35,7 @@ setup(
             "thinshell = sysid.cli.app:main",
             "sim_node = thinshell_ros.sim_node:main",
             "record_node = thinshell_ros.record_node:main",
+            "sysid_node = thinshell_ros.sysid_node:main",
         ],
     },
 )

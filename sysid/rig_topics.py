@@ -1,9 +1,10 @@
-"""Which topics of a recording belong to which part of a rig."""
+"""Which topics of a recording belong to which part of a rig, and rigs with less to measure."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
+from sim_core.errors import ConfigError, nearest_match
 from sim_core.rigs import Rig
 from sysid.recording import EETopics, SensorTopic, TopicNames
 
@@ -63,3 +64,21 @@ def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str
         time=rig.recording_clock,
     )
     return names, tuple(missing)
+
+
+def without(rig: Rig, names: Collection[str]) -> Rig:
+    """The rig as if it did not have these sensors and cameras. Raises ``ConfigError``."""
+    known = [*rig.sensors, *rig.cameras]
+    for name in names:
+        if name not in known:
+            raise ConfigError(
+                f"The rig {rig.name!r} has no sensor or camera {name!r} to leave out.", nearest_match(name, known)
+            )
+    if known and set(known) <= set(names):
+        raise ConfigError(f"Nothing that the rig {rig.name!r} measures is left.", "Leave out less.")
+    return rig.model_copy(
+        update={
+            "sensors": {name: sensor for name, sensor in rig.sensors.items() if name not in names},
+            "cameras": {name: camera for name, camera in rig.cameras.items() if name not in names},
+        }
+    )

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import array
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
-from std_msgs.msg import Header
+from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
 from sim_core.rigs import FisheyeCamera, PinholeCamera
 from thinshell_ros.clouds import Points
@@ -84,18 +84,24 @@ def camera_info(stamp_ns: int, frame_id: str, camera: PinholeCamera | FisheyeCam
     )
 
 
-def diagnostics(stamp_ns: int, node: str, hardware: str, reports: Iterable[Report]) -> DiagnosticArray:
-    """One status a report, named ``node: report``. ``hardware``: what it is about, such as a rig."""
-    return DiagnosticArray(
-        header=header(stamp_ns, ""),
-        status=[
-            DiagnosticStatus(
-                level=_LEVELS[report.level],
-                name=f"{node}: {report.name}",
-                message=report.message,
-                hardware_id=hardware,
-                values=[KeyValue(key=key, value=value) for key, value in report.values.items()],
-            )
-            for report in reports
-        ],
+def status(node: str, hardware: str, report: Report) -> DiagnosticStatus:
+    """A report as a status named ``node: report``. ``hardware``: what it is about, such as a rig."""
+    return DiagnosticStatus(
+        level=_LEVELS[report.level],
+        name=f"{node}: {report.name}",
+        message=report.message,
+        hardware_id=hardware,
+        values=[KeyValue(key=key, value=value) for key, value in report.values.items()],
     )
+
+
+def diagnostics(stamp_ns: int, node: str, hardware: str, reports: Iterable[Report]) -> DiagnosticArray:
+    """One status a report."""
+    return DiagnosticArray(header=header(stamp_ns, ""), status=[status(node, hardware, report) for report in reports])
+
+
+def named_numbers(values: Mapping[str, float]) -> Float64MultiArray:
+    """Numbers in their order, each with its name as the label of a dimension of one element."""
+    dimensions = [MultiArrayDimension(label=name, size=1, stride=1) for name in values]
+    data = [float(value) for value in values.values()]
+    return Float64MultiArray(layout=MultiArrayLayout(dim=dimensions), data=data)

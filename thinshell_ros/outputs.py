@@ -9,7 +9,6 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, PointCloud2
@@ -17,13 +16,11 @@ from sensor_msgs.msg import CameraInfo, PointCloud2
 from sim_core.rigs import OrthographicCamera, Rig
 from thinshell_ros import clouds, messages, physics
 from thinshell_ros.poses import Floats, Pose
+from thinshell_ros.qos import LATCHED, LATEST, STREAM
 from thinshell_ros.sampling import Reading
 from thinshell_ros.streams import Channel, rest_topic
 from thinshell_ros.tare import Tare
 
-STREAM = QoSProfile(depth=5)
-LATEST = QoSProfile(depth=1)
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _TYPES = {"pose": PoseStamped, "wrench": WrenchStamped, "markers": PointCloud2, "tracks": PointCloud2}
 
 

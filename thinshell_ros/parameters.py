@@ -5,21 +5,35 @@ from __future__ import annotations
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterUninitializedException,
+)
 from rclpy.node import Node
 
 from sim_core.errors import ConfigError
 
 
-def declare(node: Node, name: str, default: Any, description: str, *, bounds: tuple[float, float] | None = None) -> Any:
-    """Declare a parameter that is read once, at the start, and return its value.
+def declare(
+    node: Node,
+    name: str,
+    default: Any,
+    description: str,
+    *,
+    bounds: tuple[float, float] | None = None,
+    fixed: bool = True,
+    any_type: bool = False,
+) -> Any:
+    """Declare a parameter and return its value.
 
-    ``bounds``: of a number, both included.
+    ``bounds``: of a number, both included; ``fixed``: it is read once, at the start, and cannot be set later;
+    ``any_type``: its value may be of another type than its default.
 
     Raises:
         ConfigError: the value given on the command line or in a file does not fit.
     """
-    descriptor = ParameterDescriptor(description=description, read_only=True)
+    descriptor = ParameterDescriptor(description=description, read_only=fixed, dynamic_typing=any_type)
     if bounds is not None:
         low, high = bounds
         if isinstance(default, int):
@@ -38,3 +52,11 @@ def declare(node: Node, name: str, default: Any, description: str, *, bounds: tu
     if bounds is not None and not bounds[0] <= value <= bounds[1]:  # NaN passes the middleware's check
         raise ConfigError(f"The parameter {name} is {value}.", f"Choose from {bounds[0]:g} to {bounds[1]:g}.")
     return value
+
+
+def value_of(node: Node, name: str) -> Any:
+    """Value of a declared parameter now; None if it has none."""
+    try:
+        return node.get_parameter(name).value
+    except ParameterUninitializedException:
+        return None

@@ -25,9 +25,10 @@ from std_srvs.srv import SetBool, Trigger
 from sim_core.rigs import load_rig
 from thinshell_ros import messages, physics
 from thinshell_ros.health import CommandLog, physics_report
-from thinshell_ros.outputs import LATEST, Outputs
+from thinshell_ros.outputs import Outputs
 from thinshell_ros.parameters import declare
 from thinshell_ros.poses import Floats, Pose, PoseGate
+from thinshell_ros.qos import LATEST
 from thinshell_ros.runner import run
 from thinshell_ros.streams import channels_of
 from thinshell_ros.worker import Worker

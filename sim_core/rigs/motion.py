@@ -255,19 +255,27 @@ Motion = Annotated[Wait | Press | Slide | Bend | Pull | Drop | Waypoints | Rando
 
 
 class Experiment(Strict):
-    """What each end effector does. All motions begin at time 0; who is done first holds still."""
+    """What each end effector does. All motions begin at time 0; who is done first holds still.
+
+    ``rig``: the one that it is meant for, where it is to identify materials, and ``identifies``: the parameters that it
+    is made to tell, as 'thinshell params' lists them.
+    """
 
     name: Name = Field(description="short name, as in the file's name")
     description: Text = ""
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 0
     command_rate_hz: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0, le=1000.0)] = 100.0
     duration_s: Duration | None = None
+    rig: Name | None = None
+    identifies: tuple[Text, ...] = ()
     motions: dict[Name, tuple[Motion, ...]] = Field(default={})
 
     @model_validator(mode="after")
     def _lasts(self) -> Experiment:
         if not any(self.motions.values()) and not self.duration_s:
             raise trouble("has neither motions nor duration_s.", "Say what moves, or how long to watch.", "motions")
+        if bool(self.identifies) != (self.rig is not None):
+            raise trouble("has only one of rig and identifies.", "Give both or neither.", "rig")
         return self
 
 

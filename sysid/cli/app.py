@@ -20,6 +20,7 @@ from sysid.cli import (
     coverage,
     diagnose,
     doctor,
+    experiments,
     fit,
     inspect,
     plan,
@@ -73,6 +74,7 @@ app.command("inspect")(inspect.inspect)
 app.command("track")(track.track)
 app.command("rigs")(rigs.rigs)
 app.command("params")(rigs.params)
+app.command("experiments")(experiments.experiments)
 app.command("check-gradients")(check_gradients.check_gradients)
 app.command("validate")(validate.validate)
 app.command("bench")(bench.bench)

@@ -13,6 +13,7 @@ from sysid.cli.options import (
     NuisanceOption,
     RigArgument,
     SeedOption,
+    WithoutOption,
     check_bags,
     check_new,
     parse_names,
@@ -32,14 +33,16 @@ def fit(
     held_out: HeldOutOption = None,
     seed: SeedOption = 0,
     nuisance: NuisanceOption = "all",
+    without: WithoutOption = None,
 ) -> None:
     """Estimate parameters of a rig, their uncertainty, and how well held-out recordings are predicted.
 
     Example: thinshell fit card_press run1 run2 --params card.E,gel.E --held-out run3 --out fit
     """
     from sim_core.rigs import load_rig, resolve_name
+    from sysid import rig_topics
 
-    chosen = load_rig(rig)
+    chosen = rig_topics.without(load_rig(rig), without or [])
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
     kinds = parse_nuisance(nuisance)
     check_bags(bags, held_out or [])

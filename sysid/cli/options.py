@@ -32,6 +32,10 @@ NuisanceOption = Annotated[
         "all, or none.",
     ),
 ]
+WithoutOption = Annotated[
+    list[str] | None,
+    typer.Option("--without", metavar="NAME", help="Sensor or camera that is not used; may be repeated."),
+]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything random.")]
 
 

@@ -6,7 +6,14 @@ from typing import Annotated
 
 import typer
 
-from sysid.cli.options import NuisanceOption, RigArgument, parse_names, parse_nuisance, parse_settings
+from sysid.cli.options import (
+    NuisanceOption,
+    RigArgument,
+    WithoutOption,
+    parse_names,
+    parse_nuisance,
+    parse_settings,
+)
 from sysid.cli.progress import progress
 
 
@@ -25,6 +32,7 @@ def plan(
         typer.Option("--set", metavar="NAME=VALUE", help="Expected value of a parameter; may be repeated."),
     ] = None,
     nuisance: NuisanceOption = "all",
+    without: WithoutOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Tell what experiments can determine and how well, before the robot is touched.
@@ -33,8 +41,9 @@ def plan(
     """
     from sim_core.rigs import load_rig, resolve_name, with_parameters
     from sim_core.rigs.motion import compile_experiment, load_experiment
+    from sysid import rig_topics
 
-    chosen = with_parameters(load_rig(rig), parse_settings(settings or []))
+    chosen = with_parameters(rig_topics.without(load_rig(rig), without or []), parse_settings(settings or []))
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
     kinds = parse_nuisance(nuisance)
     planned = [load_experiment(name) for name in experiments]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -114,6 +114,29 @@ def fit_parameters(rig: Rig, names: Sequence[str]) -> list[FitParameter]:
     for name in names_found:
         if names_found.count(name) > 1:
             raise ConfigError(f"The parameter {name} is to be fitted twice.", "Name it once.")
+    return found
+
+
+def within_bounds(
+    parameters: Sequence[FitParameter], rig: Rig, bounds: Mapping[str, tuple[float, float]]
+) -> list[FitParameter]:
+    """The parameters with narrower bounds, in their own units, where ``bounds`` names them. Raises ``ConfigError``."""
+    asked = {resolve_name(rig, name): pair for name, pair in bounds.items()}
+    values = {p.name: p.value for p in list_parameters(rig)}
+    found = []
+    for p in parameters:
+        low, high = asked.pop(p.name, (p.lower, p.upper))
+        low, high = max(low, p.lower), min(high, p.upper)
+        if not low < high:
+            raise ConfigError(
+                f"The bounds of {p.name} leave nothing between {low:g} and {high:g}.",
+                f"Give a lower bound below the upper one, both within {p.lower:g} and {p.upper:g}.",
+            )
+        value = values[p.name]
+        assert value is not None
+        found.append(_within(replace(p, lower=low, upper=high), rig, value))
+    if asked:
+        raise ConfigError(f"There are bounds of {', '.join(asked)}, which is not fitted.", "Leave them out.")
     return found
 
 

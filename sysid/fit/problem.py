@@ -162,7 +162,7 @@ class Problem:
         start: np.ndarray | None = None,
         max_evaluations: int = 30,
         tolerance: float = 0.5,
-        on_evaluation: Callable[[int, float], None] | None = None,
+        on_evaluation: Callable[[Fitted], None] | None = None,
     ) -> Fitted:
         """Minimise the whitened residuals (:class:`sysid.fit.search.Search`).
 

@@ -26,13 +26,13 @@ SHARPER = 0.5
 
 class Search:
     """One minimisation. ``evaluate``: the problem at scaled values ``(p,)``; ``parameters``: at least one;
-    ``on_evaluation``: told the number of evaluations and the least chi-square."""
+    ``on_evaluation``: told after each evaluation what is best so far."""
 
     def __init__(
         self,
         evaluate: Callable[[np.ndarray], Fitted],
         parameters: Sequence[FitParameter],
-        on_evaluation: Callable[[int, float], None] | None,
+        on_evaluation: Callable[[Fitted], None] | None,
     ) -> None:
         self._evaluate = evaluate
         self._parameters = parameters
@@ -100,7 +100,7 @@ class Search:
         if self._best is None or self._weighted(here) < self._weighted(self._best):
             self._best = here
         if self._on_evaluation is not None:
-            self._on_evaluation(self._evaluations, self._best.chi2)
+            self._on_evaluation(self._best)
         return here
 
     def _weigh(self, fitted: Fitted, rows: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.result import plot_series, rms_errors
 from sysid.fit.runs import Run, load_runs
+from sysid.folder import whole_folder
 from sysid.mismatch import words
 from sysid.mismatch.account import fates, limits, notes
 from sysid.mismatch.baseline import open_parameters
@@ -302,9 +303,6 @@ def diagnose_bags(
 
     runs, kept = load_runs(rig, bags, held_out)
     diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
-    out.mkdir(parents=True, exist_ok=True)
-    diagnosis.write(out / "diagnosis.json")
-    (out / "rig.yaml").write_text(rig_to_yaml(rig))
     overlay = {
         "overlay_of": "rig.yaml",
         "name": f"{rig.name}_amended",
@@ -316,8 +314,11 @@ def diagnose_bags(
         },
         "effects": {name: dict(values) for name, values in amended.effects.items()},
     }
-    (out / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))
-    report = write_diagnosis_report(diagnosis, out / "report.html")
+    with whole_folder(out) as folder:
+        diagnosis.write(folder / "diagnosis.json")
+        (folder / "rig.yaml").write_text(rig_to_yaml(rig))
+        (folder / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))
+        report = write_diagnosis_report(diagnosis, folder / "report.html")
     lines = [diagnosis.sentence, *diagnosis.notes, ""]
     for effect in diagnosis.effects:
         for p in effect.parameters:
@@ -325,6 +326,6 @@ def diagnose_bags(
     lines += [
         f"Not explained: {diagnosis.not_explained}",
         f"Next: {diagnosis.next_experiment}",
-        f"Report: {report}",
+        f"Report: {out / report.name}",
     ]
     return "\n".join(lines)

@@ -62,7 +62,10 @@ def run_of(name: str, *channels: str) -> Run:
 
 
 def result_of(engine: Readings, rig: Any, runs: list[Run], held_out: list[Run]) -> fit.FitResult:
-    return fit._fit_runs(cast(PooledEngine, engine), rig, runs, ["gel.E"], held_out, 0, None, None)[0]
+    return fit._fit_runs(
+        cast(PooledEngine, engine), rig, runs, fit.fit_parameters(rig, ["gel.E"]), held_out, 0, None,
+        fit._Evaluations(None, None, None), None, frozenset(),
+    )[0]  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -104,6 +107,25 @@ def test_a_restart_that_cannot_be_simulated_is_left_out(small_rig: Any, monkeypa
     parameters = fit.fit_parameters(small_rig(), ["gel.E"])
     noise = {"markers": ChannelNoise(np.array([0.01]), 0.0, "test")}
     problem = Problem([run_of("press", "markers")], noise, cast(PooledEngine, Readings()))
-    found = fit._best_of_restarts(problem, small_rig(), parameters, np.array([11.0]), 0, lambda count, chi2: None)
+    evaluations = fit._Evaluations(None, None, None)
+    found = fit._best_of_restarts(problem, small_rig(), parameters, np.array([11.0]), 0, evaluations)
     assert len(calls) == 1 + fit.MOST_RESTARTS
     assert np.exp(found.scaled[0]) == pytest.approx(TRUTH, rel=0.05)
+
+
+def test_a_fit_counts_its_evaluations_over_all_searches_and_stops_at_the_most_allowed(small_rig: Any) -> None:
+    parameters = fit.fit_parameters(small_rig(), ["gel.E"])
+    noise = {"markers": ChannelNoise(np.array([0.01]), 0.0, "test")}
+    problem = Problem([run_of("press", "markers")], noise, cast(PooledEngine, Readings()))
+    steps: list[fit.Step] = []
+    shares: list[float] = []
+    evaluations = fit._Evaluations(3, lambda share, words: shares.append(share), steps.append)
+    first = problem.fit(small_rig(), parameters, np.array([11.0]), evaluations.left, on_evaluation=evaluations)
+    second = problem.fit(small_rig(), parameters, np.array([11.5]), evaluations.left, on_evaluation=evaluations)
+    assert evaluations.left == 1
+    assert [s.evaluations for s in steps] == list(range(1, 1 + first.evaluations + second.evaluations))
+    assert first.evaluations == 3 and second.evaluations == 1
+    assert not first.converged and not second.converged
+    assert shares == sorted(shares)
+    assert steps[2].values == {"gel.E_pa": pytest.approx(np.exp(first.scaled[0]))}
+    assert steps[2].misfit == pytest.approx(first.misfit)

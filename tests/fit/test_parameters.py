@@ -10,7 +10,7 @@ import pytest
 from sim_core.effects import EFFECTS, effect_by_name
 from sim_core.errors import ConfigError
 from sim_core.rigs import list_parameters, with_parameters
-from sysid.fit.parameters import SCALES, FitParameter, fit_parameters, start_of
+from sysid.fit.parameters import SCALES, FitParameter, fit_parameters, start_of, within_bounds
 
 STIFFNESS = "contacts.gel-post.stiffness_pa_per_m"
 
@@ -46,6 +46,21 @@ def test_a_value_outside_of_the_bounds_of_a_fit_is_an_error(small_rig: Any) -> N
         fit_parameters(soft, ["gel.nu"])
     with pytest.raises(ConfigError, match=r"gel\.nu is 0\.499"):
         start_of(soft, fit_parameters(small_rig(), ["gel.nu"]))
+
+
+def test_bounds_can_be_narrowed_and_not_widened(small_rig: Any) -> None:
+    rig = with_parameters(small_rig(), {"gel.nu": 0.4})
+    parameters = fit_parameters(rig, ["gel.E", "gel.nu"])
+    same, narrow = within_bounds(parameters, rig, {"gel.nu": (0.35, 7.0)})
+    assert same == parameters[0]
+    assert (narrow.lower, narrow.upper) == (0.35, parameters[1].upper)
+    assert narrow.physical(0.1) == 0.35
+    with pytest.raises(ConfigError, match=r"leave nothing between 0\.45 and 0\.44"):
+        within_bounds(parameters, rig, {"gel.nu": (0.45, 0.44)})
+    with pytest.raises(ConfigError, match=r"gel\.nu is 0\.4 in the rig 'small', below 0\.45"):
+        within_bounds(parameters, rig, {"gel.nu": (0.45, 0.49)})
+    with pytest.raises(ConfigError, match="which is not fitted"):
+        within_bounds(parameters[:1], rig, {"gel.nu": (0.35, 0.45)})
 
 
 @pytest.mark.parametrize(

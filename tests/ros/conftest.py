@@ -46,7 +46,7 @@ def simulator(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[N
             assert time.monotonic() < end, node.output
             time.sleep(0.1)
         yield node
-        physics = node.physics()
+        physics = node.spawned()
         assert node.stop() == 0, node.output
         assert not is_alive(physics), "the physics process is left over"
     finally:

@@ -31,6 +31,19 @@ def is_alive(pid: int) -> bool:
         return False
 
 
+def group(leader: int) -> list[int]:
+    """Numbers of the processes that run in the group of a process."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state, _, number = (folder / "stat").read_text().rpartition(")")[2].split()[:3]
+        except OSError:
+            continue  # it has just ended
+        if int(number) == leader and state != "Z":
+            found.append(int(folder.name))
+    return found
+
+
 class NodeProcess:
     """A node started as a user would, with its output in a file."""
 
@@ -47,8 +60,8 @@ class NodeProcess:
         """What the node has printed."""
         return self._log.read_text()
 
-    def physics(self) -> int:
-        """Number of the physics process, which the node spawns; 0 before."""
+    def spawned(self) -> int:
+        """Number of the process that the node spawns for its work; 0 before."""
         pid = self.process.pid
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
         spawned = (int(p) for p in children if "spawn_main" in Path(f"/proc/{p}/cmdline").read_text())

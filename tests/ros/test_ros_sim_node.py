@@ -178,7 +178,7 @@ def test_it_ends_cleanly_while_it_still_builds_its_scene(ros: None, tmp_path: Pa
     node = NodeProcess("sim_node", tmp_path / "output", rig=RIG)
     try:
         end = time.monotonic() + 30.0
-        while not (physics := node.physics()):
+        while not (physics := node.spawned()):
             assert time.monotonic() < end
             time.sleep(0.05)
         node.process.send_signal(number)
@@ -202,7 +202,7 @@ def test_a_lost_physics_process_is_said_and_a_reset_starts_it_again(ros: None, t
         client.listen(DiagnosticArray, "/diagnostics")
         clock = client.listen(Clock, "/clock")
         client.wait(lambda: clock, f"no clock: {node.output}", START_S)
-        os.kill(node.physics(), signal.SIGKILL)
+        os.kill(node.spawned(), signal.SIGKILL)
         client.diagnosis("/other/thinshell_sim: physics", lambda s: "ended with code -9" in s.message)
         last = clock[-1].clock.sec + 1e-9 * clock[-1].clock.nanosec
         assert client.call(Trigger, "/other/thinshell_sim/reset", Trigger.Request()).success

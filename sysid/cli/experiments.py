@@ -1,0 +1,46 @@
+"""``thinshell experiments``: pictures of motions, and a page on what each of them determines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sysid.cli.options import FolderOption, check_new
+from sysid.cli.progress import progress
+
+
+def experiments(
+    out: FolderOption,
+    chosen: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="EXPERIMENT...", help="Experiments that name a rig and what they identify; without any, all."
+        ),
+    ] = None,
+    page: Annotated[
+        bool, typer.Option("--page", help="Also write DIR.md: what 'thinshell plan' says of them; takes minutes.")
+    ] = False,
+) -> None:
+    """Draw experiments: the rig from the side at some instants, and what is commanded; one SVG each.
+
+    Example: thinshell experiments slacken press_post --out pictures
+    """
+    from sim_core.errors import ConfigError
+    from sim_core.rigs.motion import load_experiment
+    from sysid.report.experiments_page import by_rig, identifying, write_page, write_pictures
+
+    found = [load_experiment(name) for name in chosen or []] or identifying()
+    by_rig(found)
+    check_new(out, "folder")
+    beside = out.with_suffix(".md")
+    if page and beside.exists():
+        raise ConfigError(f"The page {beside} already exists.", "Remove it, or name another folder with --out.")
+    with progress("pictures") as report:
+        write_pictures(found, out, report)
+    print(f"Pictures: {out}")
+    if page:
+        words = ["thinshell experiments", *(chosen or []), f"--out {out} --page"]
+        with progress("plans") as report:
+            print(f"Page: {write_page(found, Path(out), ' '.join(words), report)}")

@@ -1,0 +1,134 @@
+"""The page that says which motion determines what: pictures of experiments, and what ``thinshell plan`` finds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from sim_core.errors import ConfigError
+from sim_core.rigs import Rig, load_rig, resolve_name
+from sim_core.rigs.load import names_in
+from sim_core.rigs.motion import Experiment, load_experiment
+from sysid.fit.plan import Expected, Outlook, plan_experiments
+from sysid.folder import whole_folder
+from sysid.report.motion_picture import draw_experiment
+
+Progress = Callable[[float, str], None]
+
+HEAD = """# Experiments that identify materials
+
+Each picture shows the rig from the side at some instants, the paths of the end effectors, and the commanded
+displacement and turn against time. Each table says how well the readings of an experiment would determine each
+parameter, as `thinshell plan` computes it: the expected relative standard deviation, with the noise that the rig
+declares, the error of mesh and time step, and unknown time offsets, wrench biases and camera intrinsics; a dash where
+the readings do not tell. Values are those of the rig.
+
+Made by `{command}`.
+"""
+
+
+def identifying() -> list[Experiment]:
+    """The experiments that come with the package and are meant to identify materials."""
+    found = [load_experiment(name) for name in names_in("experiments")]
+    return [experiment for experiment in found if experiment.rig is not None]
+
+
+def by_rig(experiments: Sequence[Experiment]) -> dict[str, list[Experiment]]:
+    """The experiments of each rig. Raises ``ConfigError`` for one that names none."""
+    groups: dict[str, list[Experiment]] = {}
+    for experiment in experiments:
+        if experiment.rig is None:
+            raise ConfigError(
+                f"The experiment {experiment.name!r} names no rig and no parameters that it identifies.",
+                "Add rig and identifies to its file.",
+            )
+        groups.setdefault(experiment.rig, []).append(experiment)
+    return groups
+
+
+def parameters_of(rig: Rig, experiments: Sequence[Experiment]) -> list[str]:
+    """Full names of what the experiments are to identify, each once."""
+    return list(dict.fromkeys(resolve_name(rig, name) for e in experiments for name in e.identifies))
+
+
+def write_pictures(experiments: Sequence[Experiment], out: Path, on_progress: Progress) -> None:
+    """One SVG an experiment into the new folder ``out``."""
+    groups = by_rig(experiments)
+    done = 0
+    with whole_folder(out) as folder:
+        for rig_name, members in groups.items():
+            rig = load_rig(rig_name)
+            for experiment in members:
+                on_progress(done / len(experiments), f"picture of {experiment.name}")
+                (folder / f"{experiment.name}.svg").write_text(draw_experiment(rig, experiment))
+                done += 1
+
+
+def write_page(experiments: Sequence[Experiment], pictures: Path, command: str, on_progress: Progress) -> Path:
+    """The page beside the folder of the pictures, named after it."""
+    groups = by_rig(experiments)
+    parts = [HEAD.format(command=command)]
+    for k, (rig_name, members) in enumerate(groups.items()):
+        rig = load_rig(rig_name)
+        names = parameters_of(rig, members)
+
+        def share(done: float, text: str, k: int = k) -> None:
+            on_progress((k + done) / len(groups), text)
+
+        plan = plan_experiments(rig, members, names, share)
+        parts.append(_section(rig, members, names, plan.outlooks, pictures.name))
+    page = pictures.with_suffix(".md")
+    page.write_text("\n".join(parts))
+    return page
+
+
+def _section(
+    rig: Rig, experiments: Sequence[Experiment], names: Sequence[str], outlooks: Sequence[Outlook], folder: str
+) -> str:
+    """All of one rig: the pictures, then the table with a column for each experiment and one for all together."""
+    lines = [f"\n## {rig.name}\n", f"{' '.join(rig.description.split())}\n"]
+    for experiment in experiments:
+        lines += [f"**{experiment.name}.** {experiment.description}\n"]
+        lines += [f"![{experiment.name}: side views and commands]({folder}/{experiment.name}.svg)\n"]
+    titles = [o.experiments[0] if len(o.experiments) == 1 else "all together" for o in outlooks]
+    lines += [f"| parameter | value | {' | '.join(titles)} | from |", f"| --- | --- |{' --- |' * (len(titles) + 1)}"]
+    for k, name in enumerate(names):
+        cells = [_relative(outlook.parameters[k]) for outlook in outlooks]
+        last = outlooks[-1].parameters[k]
+        sources = ", ".join(f"{c} {100 * s:.0f} %" for c, s in last.from_channels.items() if s >= 0.05)
+        told = sources if last.determined else ""
+        lines.append(f"| `{name}` | {last.value:.4g} {last.unit} | {' | '.join(cells)} | {told} |".replace("  ", " "))
+    lines += ["", *_stiffnesses(rig, outlooks[-1])]
+    words = " ".join(e.name for e in experiments)
+    lines += [f"`thinshell plan {rig.name} {words} --params {','.join(names)}`", ""]
+    return "\n".join(lines)
+
+
+def _relative(expected: Expected) -> str:
+    """Relative standard deviation of a parameter, a dash where it is not determined."""
+    if not expected.determined:
+        return "\u2013"
+    relative = expected.sd if expected.log else expected.sd / max(abs(expected.value), 1e-300)
+    return f"{100.0 * relative:.2g} %"
+
+
+def _stiffnesses(rig: Rig, outlook: Outlook) -> list[str]:
+    """For each sheet whose modulus and thickness are both asked for: how well its two stiffnesses would be known."""
+    known = {p.name: k for k, p in enumerate(outlook.parameters)}
+    lines = []
+    for body in rig.bodies:
+        pair = known.get(f"{body}.E_pa"), known.get(f"{body}.thickness_m")
+        if pair[0] is None or pair[1] is None:
+            continue
+        modulus, thickness = (outlook.parameters[k] for k in pair if k is not None)
+        if modulus.determined and thickness.determined:
+            both = outlook.correlation[pair[0]][pair[1]] * modulus.sd * thickness.sd
+            stretch, bend = (
+                100.0 * math.sqrt(modulus.sd**2 + (n * thickness.sd) ** 2 + 2.0 * n * both) for n in (1, 3)
+            )
+            lines.append(
+                f"All together, the stretching stiffness E t of the {body}: {stretch:.2g} %, its bending stiffness "
+                f"E t\u00b3/12: {bend:.2g} % (at a given Poisson's ratio).\n"
+            )
+    return lines

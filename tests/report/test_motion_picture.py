@@ -1,0 +1,113 @@
+"""Pictures of experiments, and the page on what they determine."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from sim_core.rigs import load_rig
+from sim_core.rigs.motion import Experiment, compile_experiment
+from sysid.cli.app import main
+from sysid.fit.parameters import fit_parameters
+from sysid.fit.plan import Expected, Outlook, plan_experiments
+from sysid.report.experiments_page import _section, by_rig, identifying, parameters_of
+from sysid.report.motion_picture import draw_experiment, telling_instants
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+def pull(**changes: Any) -> Experiment:
+    motions = [
+        {"type": "wait", "duration_s": 0.2},
+        {"type": "pull", "distance_m": 0.0006, "speed_m_s": 0.001, "hold_s": 0.5},
+    ]
+    return Experiment.model_validate({"name": "pull", "motions": {"gripper": motions}, **changes})
+
+
+def test_instants_are_in_the_middle_of_holds() -> None:
+    """Of a wait, a pull of 0.7 s (0.1 s to full speed), a hold of 0.5 s and the way back."""
+    poses = compile_experiment(pull(), load_rig("strip_pull"))
+    instants = telling_instants(poses)
+    assert instants[0] == 0.0
+    assert instants[1] == pytest.approx(0.2 + 0.7 + 0.25, abs=0.011)
+    assert len(instants) == 2, "where it has come back is where it started"
+
+
+def test_instants_of_a_motion_without_holds_are_far_from_each_other() -> None:
+    wander = {"type": "random", "duration_s": 5.0, "bounds_m": [0.004, 0.004, 0.002], "seed": 1}
+    experiment = Experiment.model_validate({"name": "wander", "motions": {"gripper": [wander]}})
+    poses = compile_experiment(experiment, load_rig("strip_pull"))
+    instants = telling_instants(poses)
+    assert len(instants) == 4
+    there, anywhere = poses["gripper"].sample(instants)[0], poses["gripper"].positions
+    apart = np.linalg.norm(there[:, None] - there[None], axis=2)[np.triu_indices(4, 1)]
+    left = np.linalg.norm(anywhere[:, None] - there[None], axis=2).min(axis=1)
+    assert left.max() <= apart.min(), "each is as far from the others as any pose could be"
+
+
+def test_a_picture_shows_the_instants_and_only_what_moves() -> None:
+    svg = draw_experiment(load_rig("strip_pull"), pull())
+    texts = re.findall(r">([^<>]+)</text>", svg)
+    assert {"pull on strip_pull", "0.00 s", "1.15 s", "gripper [mm]", "x", "time [s]"} <= set(texts)
+    assert not {"y", "z", "about y", "deg"} & set(texts)
+    assert svg == draw_experiment(load_rig("strip_pull"), pull())
+
+
+def test_every_experiment_that_identifies_names_a_rig_and_parameters_that_exist() -> None:
+    for experiment in identifying():
+        assert experiment.rig is not None
+        rig = load_rig(experiment.rig)
+        compile_experiment(experiment, rig)
+        assert fit_parameters(rig, parameters_of(rig, [experiment]))
+
+
+def test_every_experiment_that_identifies_is_in_the_documentation() -> None:
+    page = (DOCS / "experiments.md").read_text()
+    for experiment in identifying():
+        assert f"experiments/{experiment.name}.svg" in page
+        assert (DOCS / "experiments" / f"{experiment.name}.svg").read_text().startswith("<?xml")
+
+
+def test_a_table_has_relative_standard_deviations() -> None:
+    rig = load_rig("strip_pull")
+    experiment = pull(rig="strip_pull", identifies=["strip.E", "strip.thickness", "strip.nu"])
+    names = parameters_of(rig, [experiment])
+    assert names == ["strip.E_pa", "strip.thickness_m", "strip.nu"]
+    parameters = (
+        Expected(names[0], "Pa", 4.9e9, (0.0, 1.0), 0.02, True, True, {"load_cell": 0.97, "above": 0.03}),
+        Expected(names[1], "m", 1e-4, (0.0, 1.0), 0.01, True, True, {"above": 1.0}),
+        Expected(names[2], "", 0.38, (0.0, 1.0), 0.5, False, False, {"above": 1.0}),
+    )
+    correlation = [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    text = _section(rig, [experiment], names, [Outlook(("pull",), parameters, correlation, ())], "pictures")
+    assert "| `strip.E_pa` | 4.9e+09 Pa | 2 % | load_cell 97 % |" in text
+    assert "| `strip.nu` | 0.38 | \u2013 | |" in text
+    # Fully opposed: E t is known to 2 - 1 %, E t^3 to |2 - 3| %.
+    assert "E t of the strip: 1 %, its bending stiffness E t\u00b3/12: 1 %" in text
+
+
+def test_an_experiment_without_a_rig_cannot_be_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["experiments", "drop", "--out", str(tmp_path / "pictures")]) == 2
+    assert "names no rig" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ValidationError, match="only one of rig and identifies"):
+        Experiment.model_validate({"name": "a", "duration_s": 1.0, "rig": "strip_pull"})
+
+
+@pytest.mark.slow
+def test_the_bench_determines_sheet_gel_and_friction() -> None:
+    """Gel modulus and Poisson's ratio, stretching and bending stiffness (E, t, nu), density, two frictions: below 3 %,
+    with unknown time offsets, biases and intrinsics."""
+    rig = load_rig("material_bench")
+    experiments = by_rig(identifying())["material_bench"]
+    names = parameters_of(rig, experiments)
+    assert set(names) == {
+        "strip.E_pa", "strip.nu", "strip.thickness_m", "strip.density_kg_m3", "gel.E_pa", "gel.nu",
+        "contacts.gel-strip.friction", "contacts.gel-post.friction",
+    }  # fmt: skip
+    together = plan_experiments(rig, experiments, names).outlooks[-1]
+    for p in together.parameters:
+        assert p.determined and (p.sd if p.log else p.sd / p.value) < 0.03, p

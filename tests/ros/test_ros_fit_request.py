@@ -1,0 +1,114 @@
+"""What parameters of the node that fits stand for, and what it says of a fit. Needs no ROS."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="thinshell_ros needs the ROS message packages")
+
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig, list_parameters, load_rig
+from sysid.fit.fit import Step
+from thinshell_ros.fit_process import Failed, Share, Succeeded
+from thinshell_ros.fit_request import FitRequest, fit_request, topic_names, with_topics
+from thinshell_ros.fit_state import FitState
+
+NONE: dict[str, Any] = {
+    "held_out_uri": "", "fit.initial": None, "fit.lower": None, "fit.upper": None, "fit.max_iterations": 50,
+    "fit.seed": 3, "fit.nuisance": "all", "fit.parameters": ["strip.E", "strip.nu"],
+}  # fmt: skip
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return load_rig(Path(__file__).parent / "data" / "pull_coarse.yaml")
+
+
+def request_of(rig: Rig, folder: Path, **values: Any) -> FitRequest:
+    for name in ("one", "two"):
+        (folder / name).mkdir(exist_ok=True)
+    given = {k.replace("__", "."): v for k, v in values.items()}
+    asked = {"bag_uri": str(folder / "one"), "output_dir": str(folder / "fits"), **NONE, **given}
+    return fit_request(rig, {}, asked, "fit_7")
+
+
+def test_values_become_arguments(rig: Rig, tmp_path: Path) -> None:
+    asked = request_of(
+        rig, tmp_path, held_out_uri=[str(tmp_path / "two")], fit__initial=[5e9, 0.3], fit__lower=[1e9, 0.1],
+        fit__nuisance="time, bias",
+    )  # fmt: skip
+    assert asked.bags == (tmp_path / "one",)
+    assert asked.held_out == (tmp_path / "two",)
+    assert asked.names == ("strip.E_pa", "strip.nu")
+    assert asked.bounds == {"strip.E_pa": (1e9, math.inf), "strip.nu": (0.1, math.inf)}
+    assert {p.name: p.value for p in list_parameters(asked.rig)}["strip.E_pa"] == 5e9
+    assert asked.nuisance == {"time", "bias"}
+    assert (asked.max_evaluations, asked.seed) == (50, 3)
+    assert asked.out == tmp_path / "fits" / "fit_7"
+    assert (tmp_path / "fits").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"bag_uri": []}, "no recording to fit"),
+        ({"bag_uri": ["one", 2]}, "Give a path or a list of paths"),
+        ({"fit__parameters": None}, "not said what to fit"),
+        ({"fit__upper": [5e9, math.nan]}, "one finite number"),
+        ({"fit__lower": [1e9, 0.4], "fit__upper": [9e9, 0.39]}, "strip.nu leave nothing between 0.4 and 0.39"),
+        ({"fit__upper": [4e9, 0.4]}, "above 4e+09 Pa"),
+    ],
+)
+def test_values_that_cannot_be_used_are_refused(rig: Rig, tmp_path: Path, values: dict[str, Any], words: str) -> None:
+    with pytest.raises(ThinshellError, match="(?s)" + words.replace("+", r"\+")):
+        request_of(rig, tmp_path, **values)
+
+
+def test_topics_are_renamed_one_by_one(rig: Rig) -> None:
+    names = topic_names(rig)
+    assert names["gripper.current_pose"] == "current_pose"
+    assert names["load_cell"] == "wrench"
+    changed = {name: f"other/{topic}" for name, topic in names.items()}
+    assert topic_names(with_topics(rig, changed)) == changed
+    assert topic_names(with_topics(rig, {"load_cell": "ft"})) == {**names, "load_cell": "ft"}
+    assert with_topics(rig, names) == rig
+
+
+def test_the_state_follows_the_fit(rig: Rig, tmp_path: Path) -> None:
+    asked = request_of(rig, tmp_path)
+    state = FitState("fit_7", "running", "starting", 50)
+    report = state.report(1.0)
+    assert (report.level, report.message) == ("ok", "running")
+    assert report.values["eta_s"] == "nan"
+    assert state.estimate() == {}
+    state.take(Share(0.2, "evaluation 2"), asked)
+    state.take(Step(2, 7.5, {"strip.E_pa": 4e9}), asked)
+    values = state.report(3.0).values
+    assert (values["iteration"], values["max_iterations"], values["loss"]) == ("2", "50", "7.5")
+    assert values["eta_s"] == "12.0"  # a fifth took 3 s
+    assert state.estimate() == {"strip.E_pa": 4e9}
+    state.take(Failed("No."), asked)
+    report = state.report(4.0)
+    assert (report.level, report.message, report.values["detail"]) == ("error", "failed", "No.")
+
+
+def test_standard_deviations_are_in_the_units_of_the_parameters(rig: Rig, tmp_path: Path) -> None:
+    estimates = [
+        {"name": "strip.E_pa", "value": 4e9, "sd": 0.01, "log": True, "ci95": [3.92e9, 4.08e9], "unit": "Pa"},
+        {"name": "strip.nu", "value": 0.3, "sd": 0.01, "log": False, "ci95": [0.28, 0.32], "unit": ""},
+    ]
+    fit = {
+        "rig": "pull", "estimates": estimates, "correlation": [[1.0, 0.2], [0.2, 1.0]], "reduced_chi2": 1.1,
+        "converged": True, "identifiability": ["a"], "remarks": [], "notes": ["b"],
+        "provenance": {"bags": [{"path": "one", "sha256": ["ab"]}], "versions": {"thinshell_ros": "0.1.0"}},
+    }  # fmt: skip
+    state = FitState("fit_7", "running")
+    state.take(Succeeded(fit), request_of(rig, tmp_path))
+    assert state.state == "succeeded"
+    assert state.estimate() == {"strip.E_pa": 4e9, "strip.nu": 0.3}
+    assert state.result["std"] == {"strip.E_pa": 4e7, "strip.nu": 0.01}
+    assert state.result["bag_sha256"] == {"one": ["ab"]}
+    assert state.result["code_version"] == {"thinshell_ros": "0.1.0"}
+    assert state.result["loss"] == 1.1

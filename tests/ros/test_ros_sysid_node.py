@@ -1,0 +1,266 @@
+"""The node that fits, as a process of its own, over loopback."""
+
+import json
+import os
+import re
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ros_live import Client, NodeProcess, group
+
+from sim_core.rigs import load_rig, with_parameters
+from sim_core.rigs.motion import load_experiment
+from sysid.fit import fit_bags
+from sysid.simulate import simulate_to_bag
+
+pytestmark = pytest.mark.ros
+
+DATA = Path(__file__).parent / "data"
+RIG = DATA / "pull_coarse.yaml"
+FIT_S = 300.0
+"""A fit starts processes that compile their kernels, on a machine that may be busy."""
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A pull of a strip that is stiffer than the rig says."""
+    path = tmp_path_factory.mktemp("bags") / "pull"
+    rig = with_parameters(load_rig(RIG), {"strip.E_pa": 4.4e9})
+    simulate_to_bag(rig, load_experiment(DATA / "short_pull.yaml"), path, seed=1)
+    return path
+
+
+class Fitter(Client):
+    """A client of the node: sets parameters, calls its services, keeps what it publishes."""
+
+    def __init__(self, name: str) -> None:
+        from diagnostic_msgs.msg import DiagnosticStatus
+        from std_msgs.msg import Float64MultiArray, String
+
+        super().__init__(name)
+        self.statuses = self.listen(DiagnosticStatus, "tactile_sysid/status", latched=True)
+        self.estimates = self.listen(Float64MultiArray, "tactile_sysid/parameters_estimate", latched=True)
+        self.results = self.listen(String, "tactile_sysid/result", latched=True)
+
+    def set(self, **values: Any) -> None:
+        """Set parameters; ``__`` in a name stands for a dot."""
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        none = Parameter.Type.DOUBLE_ARRAY  # the type of an empty list has to be said
+        given = [Parameter(name.replace("__", "."), none if v == [] else None, v) for name, v in values.items()]
+        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in given])
+        answer = self.call(SetParameters, "tactile_sysid/set_parameters", request)
+        assert all(result.successful for result in answer.results), answer.results
+
+    def ask(self, service: str) -> Any:
+        """Response of ``start`` or ``cancel``, which are not asked twice."""
+        from std_srvs.srv import Trigger
+
+        client = self.node.create_client(Trigger, f"tactile_sysid/{service}")
+        self.wait(client.service_is_ready, f"no service {service}")
+        self.spin(0.5)  # the server has to discover the client too
+        future = client.call_async(Trigger.Request())
+        self.wait(future.done, f"no answer of {service}")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def until(self, job: str, *states: str) -> Any:
+        """The next status of a job that is in one of these states."""
+
+        def wanted() -> Any:
+            return next((s for s in self.statuses if values_of(s)["job_id"] == job and s.message in states), None)
+
+        return self.wait(wanted, f"{job} did not become {' or '.join(states)}", FIT_S)
+
+
+def values_of(status: Any) -> dict[str, str]:
+    return {pair.key: pair.value for pair in status.values}
+
+
+@pytest.fixture(scope="module")
+def node(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeProcess]:
+    """A node that must end with code 0 when it is interrupted, a fit of its or not, and says no traceback."""
+    node = NodeProcess("sysid_node", tmp_path_factory.mktemp("node") / "output", rig=RIG)
+    try:
+        yield node
+        assert node.stop() == 0, node.output
+        assert "Traceback" not in node.output, node.output
+    finally:
+        node.kill()
+
+
+@pytest.fixture
+def fitter(node: NodeProcess, bag: Path, tmp_path: Path) -> Iterator[Fitter]:
+    """A client of a node that is told to fit the pull."""
+    fitter = Fitter("fitter")
+    fitter.set(
+        bag_uri=str(bag), held_out_uri="", output_dir=str(tmp_path / "fits"), fit__parameters=["strip.E"],
+        fit__initial=[], fit__lower=[], fit__upper=[], fit__nuisance="none", topics__load_cell="wrench",
+        topics__above__marker_tracks="marker_tracks",
+    )  # fmt: skip
+    yield fitter
+    fitter.node.destroy_node()
+
+
+@pytest.fixture
+def running(fitter: Fitter, node: NodeProcess) -> Callable[[], tuple[str, int]]:
+    """Function that starts a fit and waits until it simulates; returns its name and its process."""
+
+    def start() -> tuple[str, int]:
+        answer = fitter.ask("start")
+        assert answer.success, answer.message
+        worker = fitter.wait(node.spawned, "no process was started")
+        fitter.wait(lambda: len(group(worker)) > 1, "the fit has started no processes", FIT_S)
+        return answer.message, worker
+
+    return start
+
+
+def test_a_fit_tells_how_far_it_is_and_gives_what_the_library_gives(
+    fitter: Fitter, running: Callable[[], tuple[str, int]], bag: Path, tmp_path: Path
+) -> None:
+    job, worker = running()
+    second = fitter.ask("start")
+    assert not second.success
+    assert second.message == f"{job} is running. Wait for its end, or call ~/cancel first."
+    done = fitter.until(job, "succeeded", "failed")
+    assert done.message == "succeeded", values_of(done)
+    assert not group(worker)
+    mine = [values_of(s) for s in fitter.statuses if values_of(s)["job_id"] == job]
+    steps = [int(v["iteration"]) for v in mine]
+    assert steps == sorted(steps)
+    assert steps[0] == 0 < steps[-1] <= int(mine[-1]["max_iterations"])
+    assert any(float(v["eta_s"]) > 0.0 for v in mine[:-1])
+
+    late = Fitter("late")  # gets the last of each
+    late.wait(lambda: late.statuses and late.estimates and late.results, "nothing is latched")
+    assert late.statuses[-1].message == "succeeded"
+    result = json.loads(late.results[-1].data)
+    assert result["job_id"] == job
+    (dimension,) = late.estimates[-1].layout.dim
+    assert dimension.label == "strip.E_pa"
+    assert result["estimate"] == {"strip.E_pa": late.estimates[-1].data[0]}
+    late.node.destroy_node()
+
+    folder = tmp_path / "fits" / job
+    assert sorted(p.name for p in (tmp_path / "fits").rglob("*")) == sorted(
+        [job, "fit.json", "fitted_rig.yaml", "report.html"]
+    )
+    fit_bags(load_rig(RIG), [bag], ["strip.E_pa"], nuisance=("none",), out=tmp_path / "library")
+    here, there = (json.loads((f / "fit.json").read_text()) for f in (folder, tmp_path / "library"))
+    assert here["estimates"] == there["estimates"]
+    assert result["ci95"]["strip.E_pa"] == there["estimates"][0]["ci95"]
+    assert result["loss"] == there["reduced_chi2"]
+    assert list(result["bag_sha256"].values()) == [there["provenance"]["bags"][0]["sha256"]]
+
+
+def test_a_cancelled_fit_ends_with_all_its_processes_and_leaves_no_file(
+    fitter: Fitter, running: Callable[[], tuple[str, int]], tmp_path: Path
+) -> None:
+    job, worker = running()
+    answer = fitter.ask("cancel")
+    assert answer.success, answer.message
+    assert not group(worker), "nothing of it runs when the answer comes"
+    assert fitter.until(job, "cancelled", "failed").message == "cancelled"
+    assert not list((tmp_path / "fits").iterdir())
+    again = fitter.ask("cancel")
+    assert (again.success, again.message) == (False, "No fit is running.")
+
+
+def test_a_crash_is_told_in_words_and_the_node_lives_on(
+    fitter: Fitter, running: Callable[[], tuple[str, int]], tmp_path: Path
+) -> None:
+    job, worker = running()
+    os.kill(worker, signal.SIGKILL)
+    failed = fitter.until(job, "failed")
+    assert failed.level == b"\x02"
+    reason = values_of(failed)["detail"]
+    assert "ended by SIGKILL" in reason
+    assert "ran out of memory" in reason
+    assert "~/start" in reason
+    fitter.wait(lambda: not group(worker), "what it started still runs")
+    assert not list((tmp_path / "fits").iterdir())
+
+    job, worker = running()
+    simulating = next(pid for pid in group(worker) if pid != worker)
+    os.kill(simulating, signal.SIGKILL)
+    assert "was ended from outside" in values_of(fitter.until(job, "failed"))["detail"]
+    fitter.wait(lambda: not group(worker), "what it started still runs")
+    assert fitter.ask("cancel").message == "No fit is running."
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"bag_uri": ""}, "Set the parameter bag_uri"),
+        ({"bag_uri": "/nowhere/run1"}, "The recording /nowhere/run1 does not exist."),
+        ({"bag_uri": 3}, "Give a path or a list of paths"),
+        ({"fit__parameters": ["strip.Eh"]}, "strip.E_pa"),
+        ({"fit__parameters": ["strip.E", "strip.nu"], "fit__initial": [4e9]}, "as many numbers"),
+        ({"fit__initial": [-1.0]}, "strip.E_pa"),
+        ({"fit__lower": [5e9]}, "below 5e+09 Pa, the bound"),
+        ({"fit__nuisance": "clocks"}, "There is no nuisance 'clocks'"),
+        ({"output_dir": ""}, "Set the parameter output_dir"),
+        ({"output_dir": "/dev/null/fits"}, "cannot be made"),
+    ],
+)
+def test_a_request_that_cannot_be_met_is_refused_in_one_paragraph(
+    fitter: Fitter, values: dict[str, Any], words: str
+) -> None:
+    fitter.set(**values)
+    answer = fitter.ask("start")
+    assert not answer.success
+    assert words in answer.message
+    assert "\n" not in answer.message
+
+
+def test_a_bag_that_does_not_fit_the_rig_fails_in_words(fitter: Fitter) -> None:
+    fitter.set(topics__load_cell="nobody", topics__above__marker_tracks="nobody_either")
+    answer = fitter.ask("start")
+    assert answer.success
+    reason = values_of(fitter.until(answer.message, "succeeded", "failed"))["detail"]
+    assert "holds no measurement" in reason
+
+
+@pytest.mark.parametrize("kill", [False, True], ids=["interrupted", "killed"])
+def test_a_node_that_ends_takes_its_fit_along(ros: None, bag: Path, tmp_path: Path, kill: bool) -> None:
+    from std_srvs.srv import Trigger
+
+    own = NodeProcess(
+        "sysid_node", tmp_path / "output", namespace="/other", rig=RIG, bag_uri=bag, output_dir=tmp_path / "fits",
+        **{"fit.parameters": "[strip.E]"},
+    )  # fmt: skip
+    client = Client("other_client")
+    try:
+        client.call(Trigger, "other/tactile_sysid/start", Trigger.Request())
+        worker = client.wait(own.spawned, "no process was started")
+        client.wait(lambda: len(group(worker)) > 1, "the fit has started no processes", FIT_S)
+        if kill:
+            own.kill()
+        else:
+            assert own.stop() == 0, own.output
+        client.wait(lambda: not group(worker), "the fit outlives its node")
+        assert not list((tmp_path / "fits").iterdir())
+    finally:
+        client.node.destroy_node()
+        own.kill()
+
+
+def test_a_rig_that_is_not_there_ends_the_node_in_one_paragraph(ros: None, tmp_path: Path) -> None:
+    own = NodeProcess("sysid_node", tmp_path / "output", rig="/nowhere/rig.yaml")
+    try:
+        assert own.process.wait(30.0) == 2
+        assert re.search(r"error: .*/nowhere/rig.yaml", own.output)
+        assert "Traceback" not in own.output
+    finally:
+        own.kill()
+
+
+def test_a_fit_can_be_cancelled_while_it_only_starts(fitter: Fitter, tmp_path: Path) -> None:
+    assert fitter.ask("start").success
+    assert fitter.ask("cancel").success
+    assert not list((tmp_path / "fits").iterdir())

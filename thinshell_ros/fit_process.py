@@ -1,0 +1,146 @@
+"""The process that fits, and what it tells. No ROS."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from shutil import rmtree
+from typing import Any
+
+from sim_core.errors import ThinshellError
+from sysid.fit import fit_bags
+from sysid.fit.fit import Step
+from sysid.folder import unfinished
+from thinshell_ros.fit_request import FitRequest
+
+MEMORY = (
+    "Usually the machine ran out of memory, which its kernel log says: fit fewer recordings at once or use coarser "
+    "cells. Nothing was written; call ~/start to try again."
+)
+
+
+@dataclass(frozen=True)
+class Share:
+    """Share of the work that is done, 0 to 1, and what is being done."""
+
+    share: float
+    words: str
+
+
+@dataclass(frozen=True)
+class Succeeded:
+    """``fit``: the content of ``fit.json``."""
+
+    fit: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Failed:
+    """``reason``: one paragraph."""
+
+    reason: str
+
+
+Event = Share | Step | Succeeded | Failed
+
+
+def run(link: Connection, request: FitRequest) -> None:
+    """Fit, and send events until ``Succeeded`` or ``Failed``.
+
+    The process and those that it starts are a process group, which ends at once when the other end of the link closes.
+    """
+    os.setsid()
+    threading.Thread(target=_end_with, args=(link,), daemon=True).start()
+    try:
+        fit_bags(
+            request.rig, request.bags, request.names, held_out=request.held_out, out=request.out, seed=request.seed,
+            nuisance=request.nuisance, bounds=request.bounds, max_evaluations=request.max_evaluations,
+            on_progress=lambda share, words: link.send(Share(share, words)), on_step=link.send,
+        )  # fmt: skip
+        link.send(Succeeded(json.loads((request.out / "fit.json").read_text())))
+    except ThinshellError as error:
+        link.send(Failed(str(error)))
+    except BrokenProcessPool:
+        link.send(Failed(f"A process that simulates for the fit was ended from outside. {MEMORY}"))
+    except Exception as error:
+        link.send(Failed(f"This is a defect of the program: {type(error).__name__}: {error}. Please report it."))
+
+
+def _end_with(link: Connection) -> None:
+    """Kill the process group when nobody holds the other end of the link any more; nothing is ever sent over it."""
+    try:
+        link.poll(None)
+    finally:
+        os.killpg(0, signal.SIGKILL)
+
+
+class FitProcess:
+    """One fit in a process of its own.
+
+    It is spawned, not forked: neither threads of the middleware nor of Taichi survive a fork.
+    """
+
+    def __init__(self, request: FitRequest) -> None:
+        self._request = request
+        self._over = False
+        context = get_context("spawn")
+        self._link, far = context.Pipe()
+        self._process = context.Process(target=run, args=(far, request), name="thinshell-fit")
+        self._started = time.monotonic()
+        self._process.start()
+        far.close()
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the process."""
+        return self._process.pid
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time [s] since the start."""
+        return time.monotonic() - self._started
+
+    def events(self) -> Iterator[Event]:
+        """What has arrived, without waiting. The last is ``Succeeded`` or ``Failed``, after a crash too."""
+        alive = self._process.is_alive()  # before the link is read, which then holds all that there will be
+        try:
+            while not self._over and self._link.poll():
+                event = self._link.recv()
+                self._over = isinstance(event, Succeeded | Failed)
+                yield event
+        except (EOFError, OSError):
+            pass
+        if not alive and not self._over:
+            self._over = True
+            yield Failed(self._crash())
+        if self._over:
+            self.stop()
+
+    def _crash(self) -> str:
+        code = self._process.exitcode
+        if code is not None and code < 0:
+            return f"The process that fits was ended by {signal.Signals(-code).name}. {MEMORY}"
+        return f"The process that fits ended with code {code}. The node's output says more. Call ~/start to try again."
+
+    def stop(self) -> None:
+        """End the process and all that it started, and remove what is not finished."""
+        if self._link.closed:
+            return
+        self._over = True
+        assert self._process.pid is not None
+        try:
+            os.killpg(self._process.pid, signal.SIGKILL)
+        except ProcessLookupError:
+            pass  # it has no group yet, or all of it is gone
+        self._process.kill()
+        self._process.join()
+        self._link.close()
+        rmtree(unfinished(self._request.out), ignore_errors=True)

@@ -1,0 +1,122 @@
+"""What a fit over ROS is asked to do: parameter values, checked and made into arguments of the library. No ROS."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sim_core.errors import ConfigError
+from sim_core.rigs import Rig, resolve_name, with_parameters
+from sysid.cli.options import check_bags
+from sysid.fit.nuisance import checked_kinds
+from sysid.fit.parameters import fit_parameters, within_bounds
+
+
+@dataclass(frozen=True)
+class FitRequest:
+    """Arguments of :func:`sysid.fit.fit_bags`. ``rig``: at the values where the fit starts; ``out``: new folder."""
+
+    rig: Rig
+    bags: tuple[Path, ...]
+    held_out: tuple[Path, ...]
+    names: tuple[str, ...]
+    bounds: dict[str, tuple[float, float]]
+    max_evaluations: int
+    seed: int
+    nuisance: frozenset[str]
+    out: Path
+
+
+def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], job_id: str) -> FitRequest:
+    """The request that parameter values stand for, None where one has no value. Raises ``ThinshellError``.
+
+    ``topics``: of the recordings, by the names of :func:`topic_names`; ``values``: by the names of the node's
+    parameters; ``job_id``: name of the folder that is made in ``output_dir``.
+    """
+    bags = _paths(values["bag_uri"], "bag_uri")
+    held_out = _paths(values["held_out_uri"], "held_out_uri")
+    if not bags:
+        raise ConfigError("There is no recording to fit.", "Set the parameter bag_uri to a bag, or to a list of them.")
+    check_bags(bags, held_out)
+    rig = with_topics(rig, topics)
+    names = [resolve_name(rig, name) for name in values["fit.parameters"] or []]
+    if not names:
+        raise ConfigError(
+            "It is not said what to fit.",
+            "Set fit.parameters to a list of names, as 'thinshell params' prints them.",
+        )
+    initial = _numbers(values["fit.initial"], names, "fit.initial")
+    rig = with_parameters(rig, dict(zip(names, initial, strict=False)))
+    lower = _numbers(values["fit.lower"], names, "fit.lower") or [-math.inf] * len(names)
+    upper = _numbers(values["fit.upper"], names, "fit.upper") or [math.inf] * len(names)
+    bounds = dict(zip(names, zip(lower, upper, strict=True), strict=True))
+    within_bounds(fit_parameters(rig, names), rig, bounds)
+    kinds = checked_kinds([word.strip() for word in values["fit.nuisance"].split(",")])
+    out = _folder(values["output_dir"]) / job_id
+    return FitRequest(
+        rig, bags, held_out, tuple(names), bounds, values["fit.max_iterations"], values["fit.seed"], kinds, out
+    )
+
+
+def topic_names(rig: Rig) -> dict[str, str]:
+    """Topics of a rig that a recording may have under other names: ``gripper.current_pose``, ``load_cell``, ..."""
+    named = {name: effector.topics for name, effector in rig.end_effectors.items()}
+    found = {f"{n}.{key}": getattr(t, key) for n, t in named.items() for key in ("target_pose", "current_pose")}
+    found |= {name: sensor.topic for name, sensor in rig.sensors.items()}
+    for name, camera in rig.cameras.items():
+        found |= {f"{name}.{key}": topic for key, topic in camera.topics.model_dump().items()}
+    return found
+
+
+def with_topics(rig: Rig, topics: Mapping[str, str]) -> Rig:
+    """The rig with its topics replaced by those of the same names (:func:`topic_names`)."""
+
+    def changed(part: Any, name: str) -> Any:
+        wanted = {key: topics[f"{name}.{key}"] for key in type(part.topics).model_fields if f"{name}.{key}" in topics}
+        return part.model_copy(update={"topics": part.topics.model_copy(update=wanted)})
+
+    sensors = {n: s.model_copy(update={"topic": topics.get(n, s.topic)}) for n, s in rig.sensors.items()}
+    return rig.model_copy(
+        update={
+            "end_effectors": {name: changed(effector, name) for name, effector in rig.end_effectors.items()},
+            "sensors": sensors,
+            "cameras": {name: changed(camera, name) for name, camera in rig.cameras.items()},
+        }
+    )
+
+
+def _paths(value: Any, name: str) -> tuple[Path, ...]:
+    """One path or several."""
+    given = value if isinstance(value, list) else [value]
+    if not all(isinstance(word, str) for word in given):
+        raise ConfigError(f"The parameter {name} is {value!r}.", "Give a path or a list of paths.")
+    return tuple(Path(word).expanduser() for word in given if word)
+
+
+def _numbers(value: Sequence[float] | None, names: Sequence[str], parameter: str) -> list[float]:
+    """One finite number for each name, or none at all."""
+    numbers = [] if value is None else [float(number) for number in value]
+    if numbers and (len(numbers) != len(names) or not all(map(math.isfinite, numbers))):
+        raise ConfigError(
+            f"{parameter} is {numbers}, which is not one finite number for each of {', '.join(names)}.",
+            "Give as many numbers as fit.parameters has names, in that order, or none.",
+        )
+    return numbers
+
+
+def _folder(text: str) -> Path:
+    """A folder that results can be written into; made if it is not there."""
+    if not text:
+        raise ConfigError("There is no folder for the results.", "Set the parameter output_dir.")
+    folder = Path(text).expanduser().absolute()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"The folder {folder} cannot be made: {error.strerror}.", "Set another output_dir.") from None
+    if not os.access(folder, os.W_OK):
+        raise ConfigError(f"The folder {folder} cannot be written.", "Set another output_dir.")
+    return folder

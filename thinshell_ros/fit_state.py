@@ -1,0 +1,84 @@
+"""What is known of the latest fit, and what the node says of it. No ROS."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from sysid.fit.fit import Step
+from thinshell_ros.fit_process import Event, Failed, Share, Succeeded
+from thinshell_ros.fit_request import FitRequest
+from thinshell_ros.health import Level, Report
+
+State = Literal["idle", "running", "succeeded", "cancelled", "failed"]
+
+
+@dataclass
+class FitState:
+    """The latest fit. ``state``: as it is published; ``doing``: what is being done, or why it failed."""
+
+    job_id: str = ""
+    state: State = "idle"
+    doing: str = ""
+    max_iterations: int = 0
+    share: float = 0.0
+    step: Step | None = None
+    result: dict[str, Any] = field(default_factory=dict)
+
+    def take(self, event: Event, request: FitRequest) -> None:
+        """Take in what the process told."""
+        if isinstance(event, Share):
+            self.share, self.doing = event.share, event.words
+        elif isinstance(event, Step):
+            self.step = event
+        elif isinstance(event, Succeeded):
+            self.state, self.share, self.doing = "succeeded", 1.0, f"results in {request.out}"
+            self.result = result_of(event.fit, self.job_id, request)
+        elif isinstance(event, Failed):
+            self.state, self.doing = "failed", event.reason
+
+    def estimate(self) -> dict[str, float]:
+        """Values of the parameters that are fitted, as far as they are known."""
+        return self.result["estimate"] if self.state == "succeeded" else self.step.values if self.step else {}
+
+    def report(self, elapsed_s: float) -> Report:
+        """The state after some time [s] since the start, until the end."""
+        left = elapsed_s * (1.0 / self.share - 1.0) if self.state == "running" and self.share > 0.0 else math.nan
+        loss = self.result["loss"] if self.result else self.step.misfit if self.step else math.nan
+        values = {
+            "job_id": self.job_id,
+            "iteration": str(self.step.evaluations if self.step else 0),
+            "max_iterations": str(self.max_iterations),
+            "loss": f"{loss:.6g}",
+            "elapsed_s": f"{elapsed_s:.1f}",
+            "eta_s": f"{left:.1f}",
+            "detail": self.doing,
+        }
+        levels: dict[State, Level] = {"failed": "error", "cancelled": "warn"}
+        return Report("fit", levels.get(self.state, "ok"), self.state, values)
+
+
+def result_of(fit: dict[str, Any], job_id: str, request: FitRequest) -> dict[str, Any]:
+    """The result as it is published, from the content of ``fit.json``.
+
+    ``std``: standard deviations in the units of the parameters (to first order where the logarithm is fitted);
+    ``correlation``: rows and columns in the order of ``estimate``; ``loss``: mean squared whitened residual.
+    """
+    estimates = fit["estimates"]
+    source = fit["provenance"]
+    return {
+        "job_id": job_id,
+        "rig": fit["rig"],
+        "output_dir": str(request.out),
+        "estimate": {e["name"]: e["value"] for e in estimates},
+        "std": {e["name"]: e["sd"] * (abs(e["value"]) if e["log"] else 1.0) for e in estimates},
+        "ci95": {e["name"]: e["ci95"] for e in estimates},
+        "unit": {e["name"]: e["unit"] for e in estimates},
+        "correlation": fit["correlation"],
+        "loss": fit["reduced_chi2"],
+        "converged": fit["converged"],
+        "remarks": [*fit["identifiability"], *fit["remarks"], *fit["notes"]],
+        "bag_sha256": {bag["path"]: bag["sha256"] for bag in source["bags"]},
+        "code_version": source["versions"],
+    }

@@ -1,0 +1,147 @@
+"""``sysid_node``: fits a rig to recordings when it is asked to, and tells how far it is.
+
+The fit is that of ``thinshell fit``, in a process of its own; here are only services, parameters and what is published.
+Parameters are read when a fit is started, so that they can be set between fits.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import Trigger
+
+from sim_core.errors import ThinshellError
+from sim_core.rigs import load_rig
+from thinshell_ros import messages
+from thinshell_ros.fit_process import FitProcess
+from thinshell_ros.fit_request import FitRequest, fit_request, topic_names
+from thinshell_ros.fit_state import FitState
+from thinshell_ros.parameters import declare, value_of
+from thinshell_ros.qos import LATCHED
+from thinshell_ros.runner import run
+
+VALUES = (
+    "bag_uri", "held_out_uri", "fit.parameters", "fit.initial", "fit.lower", "fit.upper", "fit.max_iterations",
+    "fit.seed", "fit.nuisance", "output_dir",
+)  # fmt: skip
+
+
+class SysidNode(Node):
+    """One fit at a time: ``~/start``, ``~/cancel``; ``~/status``, ``~/parameters_estimate``, ``~/result``, latched."""
+
+    def __init__(self) -> None:
+        super().__init__("tactile_sysid")
+        self._process: FitProcess | None = None
+        self._rig = load_rig(declare(self, "rig", "", "rig to fit: a name or a YAML file"))
+        self._topics = topic_names(self._rig)
+        for name, topic in self._topics.items():
+            declare(self, f"topics.{name}", topic, "topic of the recordings", fixed=False)
+        declare(self, "bag_uri", "", "recording, or list of recordings, to fit", fixed=False, any_type=True)
+        declare(self, "held_out_uri", "", "recordings kept for the check", fixed=False, any_type=True)
+        numbers, words = Parameter.Type.DOUBLE_ARRAY, Parameter.Type.STRING_ARRAY
+        declare(self, "fit.parameters", words, "parameters of the rig to estimate", fixed=False)
+        declare(self, "fit.initial", numbers, "values to start from; none: the rig's", fixed=False)
+        declare(self, "fit.lower", numbers, "lower bounds; none: those of the physics", fixed=False)
+        declare(self, "fit.upper", numbers, "upper bounds; none: those of the physics", fixed=False)
+        declare(self, "fit.max_iterations", 200, "evaluations at most", bounds=(1, 100_000), fixed=False)
+        declare(self, "fit.seed", 0, "seed of everything random", bounds=(0, 2**31), fixed=False)
+        declare(self, "fit.nuisance", "all", "what is estimated beside: time,bias,camera; all; none", fixed=False)
+        declare(self, "output_dir", "", "each fit makes a folder of its own in this one", fixed=False)
+
+        self._state = FitState()
+        self._request: FitRequest | None = None
+        self._elapsed_s = self._told_s = 0.0
+        self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
+        self._estimate = self.create_publisher(Float64MultiArray, "~/parameters_estimate", LATCHED)
+        self._result = self.create_publisher(String, "~/result", LATCHED)
+        self.create_service(Trigger, "~/start", self._on_start)
+        self.create_service(Trigger, "~/cancel", self._on_cancel)
+        self.create_timer(0.05, self._on_poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._tell()
+        self.get_logger().info(f"Ready to fit {self._rig.name}.")
+
+    def _on_start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        del request
+        if self._process is not None:
+            response.success = False
+            response.message = f"{self._state.job_id} is running. Wait for its end, or call ~/cancel first."
+            return response
+        job_id = f"fit_{time.strftime('%Y%m%d_%H%M%S')}_{time.time_ns() // 1_000_000 % 1000:03d}"
+        topics = {name: value_of(self, f"topics.{name}") for name in self._topics}
+        values = {name: value_of(self, name) for name in VALUES}
+        try:
+            self._request = fit_request(self._rig, topics, values, job_id)
+        except ThinshellError as error:
+            response.success, response.message = False, str(error)
+            return response
+        self._process = FitProcess(self._request)
+        self._state = FitState(job_id, "running", "starting", self._request.max_evaluations)
+        self.get_logger().info(f"{job_id}: fitting {', '.join(self._request.names)} of {self._rig.name}.")
+        self._tell()
+        response.success, response.message = True, job_id
+        return response
+
+    def _on_cancel(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        del request
+        self._on_poll()  # it may just have ended
+        if self._process is None:
+            response.success, response.message = False, "No fit is running."
+            return response
+        self._process.stop()
+        self._process = None
+        self._state.state, self._state.doing = "cancelled", "nothing was written"
+        self.get_logger().info(f"{self._state.job_id} was cancelled.")
+        self._tell()
+        response.success, response.message = True, f"{self._state.job_id} was cancelled; nothing was written"
+        return response
+
+    def _on_poll(self) -> None:
+        """Take what the fit told, and publish: what is new at once, the time that passes every second."""
+        if self._process is None or self._request is None:
+            return
+        self._elapsed_s = self._process.elapsed_s
+        events = list(self._process.events())
+        step = self._state.step
+        for event in events:
+            self._state.take(event, self._request)
+        if self._state.step is not step or self._state.result:
+            self._estimate.publish(messages.named_numbers(self._state.estimate()))
+        if self._state.result:
+            self._result.publish(String(data=json.dumps(self._state.result, allow_nan=False)))
+        if self._state.state != "running":
+            self._process = None
+            if self._state.state == "failed":
+                self.get_logger().error(f"{self._state.job_id} failed: {self._state.doing}")
+            else:
+                self.get_logger().info(f"{self._state.job_id} succeeded: {self._state.doing}")
+        if events or time.monotonic() - self._told_s > 1.0:
+            self._tell()
+
+    def _tell(self) -> None:
+        self._told_s = time.monotonic()
+        report = self._state.report(self._elapsed_s)
+        self._status.publish(messages.status(self.get_fully_qualified_name(), self._rig.name, report))
+
+    def destroy_node(self) -> None:
+        """End the fit, then the node."""
+        if self._process is not None:
+            self._process.stop()
+        super().destroy_node()
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run(SysidNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
