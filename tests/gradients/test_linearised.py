@@ -9,6 +9,7 @@ import pytest
 from step_differences import differences, last_step
 
 from sim_core.energies.linearised import flatten, times
+from sim_core.gradients.columns import Columns
 from sim_core.rigs import load_rig, parse_rig, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 
@@ -132,3 +133,23 @@ def parts(internals):
     """Where each internal variable is in the flattened vector."""
     ends = np.cumsum([0, *(a.size for a in internals.values())])
     return [slice(a, b) for a, b in pairwise(ends)]
+
+
+def test_distance_without_gap_and_stiffness_of_every_contact():
+    """What contacts say of themselves against central differences of their forces, memory and moments."""
+    simulation, before, step = last_step(*forming())
+    scene, after = simulation.scene, simulation.state.internals
+    columns, compared = Columns(scene, scene.values(scene.rig), []), set()
+    for term in scene.system.terms:
+        if not term.name.startswith("contact."):
+            continue
+        own = term.linearise(step, before.internals[term.name], after[term.name]).numbers
+        for number in ("offset_m", "stiffness_pa_per_m"):
+            column = columns._of_term(term, number, step, before.internals[term.name], after[term.name])
+            found, moment = own[number], column.moment.get(term.name, np.zeros(3))
+            pairs = ((column.force.ravel(), found.force), (column.memory[term.name], found.memory))
+            for reference, ours in (*pairs, (moment, found.moment)):
+                scale = np.abs(reference).max()
+                assert np.abs(ours - reference).max() <= 1e-8 * scale
+                compared |= {term.name} if scale > 0.0 else set()
+    assert compared == EXPECTED["forming"]
