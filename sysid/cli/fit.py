@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
-
 from sysid.cli.options import (
     BagsArgument,
     FolderOption,
     HeldOutOption,
     NuisanceOption,
+    ParamsOption,
     RigArgument,
     SeedOption,
     check_bags,
@@ -24,10 +21,7 @@ from sysid.cli.progress import progress
 def fit(
     rig: RigArgument,
     bags: BagsArgument,
-    params: Annotated[
-        str,
-        typer.Option("--params", metavar="A,B", help="Parameters to estimate, as 'thinshell params' lists them."),
-    ],
+    params: ParamsOption,
     out: FolderOption,
     held_out: HeldOutOption = None,
     seed: SeedOption = 0,

@@ -6,20 +6,22 @@ from typing import Annotated
 
 import typer
 
-from sysid.cli.options import NuisanceOption, RigArgument, parse_names, parse_nuisance, parse_settings
+from sysid.cli.options import (
+    ExperimentsArgument,
+    NuisanceOption,
+    ParamsOption,
+    RigArgument,
+    parse_names,
+    parse_nuisance,
+    parse_settings,
+)
 from sysid.cli.progress import progress
 
 
 def plan(
     rig: RigArgument,
-    experiments: Annotated[
-        list[str],
-        typer.Argument(metavar="EXPERIMENT...", help="Experiments: names from 'thinshell rigs' or YAML files."),
-    ],
-    params: Annotated[
-        str,
-        typer.Option("--params", metavar="A,B", help="Parameters to determine, as 'thinshell params' lists them."),
-    ],
+    experiments: ExperimentsArgument,
+    params: ParamsOption,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Expected value of a parameter; may be repeated."),
