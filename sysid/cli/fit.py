@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
+
 from sysid.cli.options import (
     BagsArgument,
     FolderOption,
@@ -26,6 +30,12 @@ def fit(
     held_out: HeldOutOption = None,
     seed: SeedOption = 0,
     nuisance: NuisanceOption = "all",
+    profile: Annotated[
+        bool,
+        typer.Option(
+            "--profile", help="Find each interval from the likelihood itself; takes about as long as the fit."
+        ),
+    ] = False,
 ) -> None:
     """Estimate parameters of a rig, their uncertainty, and how well held-out recordings are predicted.
 
@@ -42,6 +52,14 @@ def fit(
 
     with progress("fit") as report:
         summary = fit_bags(
-            chosen, bags, names, held_out=held_out or [], out=out, seed=seed, nuisance=kinds, on_progress=report
+            chosen,
+            bags,
+            names,
+            held_out=held_out or [],
+            out=out,
+            seed=seed,
+            nuisance=kinds,
+            intervals="profiled" if profile else "checked",
+            on_progress=report,
         )
     print(summary)

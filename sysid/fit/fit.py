@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -17,12 +18,17 @@ from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
+from sysid.fit.profile import Profile, Profiler
 from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series, rms_errors
 from sysid.fit.runs import Run, load_runs
 from sysid.fit.untold import blamed, nuisances_of, remarks
 from sysid.provenance import provenance
 
 Progress = Callable[[float, str], None]
+
+Intervals = Literal["quadratic", "checked", "profiled"]
+"""Intervals from the covariance alone; with a simulation at each end that tells whether they hold; or those of the
+profile likelihood beside them (:mod:`sysid.fit.profile`)."""
 
 MOST_RESTARTS = 4
 RESTART_WIDTH = 0.05
@@ -44,16 +50,18 @@ def fit_runs(
     seed: int = 0,
     start: np.ndarray | None = None,
     nuisance: Collection[str] = ("all",),
+    intervals: Intervals = "checked",
     on_progress: Progress | None = None,
 ) -> tuple[FitResult, Rig]:
     """Fit ``names`` to ``runs``; the result and the rig with the fitted values, of nuisances too.
 
     ``start``: scaled values of ``names`` to start from; ``nuisance``: kinds of nuisances that are estimated beside
-    them (:func:`sysid.fit.nuisance.checked_kinds`).
+    them (:func:`sysid.fit.nuisance.checked_kinds`); ``intervals``: how far those of ``names`` are
+    looked into (:data:`Intervals`).
     """
     kinds = checked_kinds(nuisance)
     with PooledEngine(os.cpu_count()) as engine:
-        return _fit_runs(engine, rig, runs, names, held_out, seed, start, on_progress, kinds)
+        return _fit_runs(engine, rig, runs, names, held_out, seed, start, on_progress, kinds, intervals)
 
 
 def _shown_sigma(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> float:
@@ -110,6 +118,7 @@ def _fit_runs(
     start: np.ndarray | None,
     on_progress: Progress | None,
     kinds: frozenset[str] = frozenset(),
+    intervals: Intervals = "checked",
 ) -> tuple[FitResult, Rig]:
     noise = channel_noise(rig, [*runs, *held_out])
     asked = fit_parameters(rig, names)
@@ -130,13 +139,14 @@ def _fit_runs(
     before = problem.evaluate(rig, [], np.zeros(0))
     estimates, correlation, sentences, reduced = estimates_of(fitted, first)
     sentences += blamed(problem, fitted, sorted(kinds))
+    profiles, sentences = _profiled(problem, fitted, sentences, intervals, on_progress)
     nuisances = nuisances_of(problem, fitted)
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False)
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
     notes += loud(problem) + out_of_sight(problem, before, fitted)
     if held_out and on_progress is not None:
-        on_progress(0.92, "held-out recordings")
+        on_progress(0.98, "held-out recordings")
     for run in held_out:
         check = Problem([run], noise, engine, bias=bias)
         try:
@@ -168,8 +178,33 @@ def _fit_runs(
         series=series,
         nuisances=nuisances,
         remarks=remarks(rig, nuisances),
+        profiles=profiles,
     )
     return result, fitted.rig
+
+
+def _profiled(
+    problem: Problem, fitted: Fitted, sentences: list[str], intervals: Intervals, on_progress: Progress | None
+) -> tuple[list[Profile], list[str]]:
+    """Profiles, where they are wanted, and what is then known of the parameters in words.
+
+    A limit on one side says more than that a parameter is not determined, and takes the place of that sentence.
+    """
+    if intervals == "quadratic" or fitted.interrupted or not fitted.parameters:
+        return [], sentences
+
+    def tell(share: float, text: str) -> None:
+        if on_progress is not None:
+            on_progress(0.9 + 0.08 * share, text)
+
+    profiler = Profiler(problem, fitted, tell)
+    if intervals == "checked":
+        return [], sentences + profiler.check()
+    profiles = profiler.profiles()
+    better = profiler.lower()
+    limited = tuple(f"The data do not determine {p.name}:" for p in profiles if p.sentence)
+    kept = [s for s in sentences if not s.startswith(limited)]
+    return profiles, kept + [p.sentence for p in profiles if p.sentence] + ([better] if better else [])
 
 
 def fit_bags(
@@ -181,13 +216,16 @@ def fit_bags(
     out: Path,
     seed: int = 0,
     nuisance: Collection[str] = ("all",),
+    intervals: Intervals = "checked",
     on_progress: Progress | None = None,
 ) -> str:
     """Fit bags and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``."""
     from sysid.report import write_fit_report
 
     runs, kept = load_runs(rig, bags, held_out)
-    result, fitted = fit_runs(rig, runs, names, held_out=kept, seed=seed, nuisance=nuisance, on_progress=on_progress)
+    result, fitted = fit_runs(
+        rig, runs, names, held_out=kept, seed=seed, nuisance=nuisance, intervals=intervals, on_progress=on_progress
+    )
     out.mkdir(parents=True, exist_ok=True)
     result.write(out / "fit.json")
     (out / "fitted_rig.yaml").write_text(rig_to_yaml(fitted))

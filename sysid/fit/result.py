@@ -11,6 +11,7 @@ import numpy as np
 
 from sysid.fit.fitted import Fitted
 from sysid.fit.problem import Problem
+from sysid.fit.profile import Profile
 from sysid.fit.runs import UNITS, Measured
 from sysid.fit.uncertainty import interval, uncertainty
 from sysid.fit.untold import Nuisance
@@ -62,7 +63,8 @@ class Series:
 
 @dataclass
 class FitResult:
-    """Everything that a fit found. ``nuisances``: what was estimated beside what was asked for."""
+    """Everything that a fit found. ``nuisances``: what was estimated beside what was asked for; ``profiles``: deviance
+    against each parameter, where that was asked for (:mod:`sysid.fit.profile`)."""
 
     rig: str
     estimates: list[Estimate]
@@ -80,6 +82,7 @@ class FitResult:
     series: list[Series] = field(default_factory=list)
     nuisances: list[Nuisance] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    profiles: list[Profile] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series."""
@@ -98,7 +101,7 @@ class FitResult:
             low, high = e.ci95
             mark = "  (at its bound)" if e.at_bound else ""
             lines.append(f"{e.name:<34}{e.value:>13.5g}  {f'{low:.5g} .. {high:.5g}':<27}{e.unit}{mark}")
-        lines += ["", *self._nuisance_table()]
+        lines += ["", *self._profile_table(), *self._nuisance_table()]
         runs = [c.run + (" (held out)" if c.held_out else "") for c in self.errors]
         wide = max(24, *map(len, runs)) + 2 if runs else 26
         lines.append(f"{'run':<{wide}}{'channel':<22}{'before':>11}{'after':>11}{'noise':>11}  unit")
@@ -111,6 +114,14 @@ class FitResult:
         if not self.converged:
             lines.append(f"The fit did not converge: {self.message}")
         return "\n".join(lines)
+
+    def _profile_table(self) -> list[str]:
+        """Intervals from the profile likelihood, as text."""
+        if not self.profiles:
+            return []
+        lines = [f"{'by profile likelihood':<34}{'value':>13}  {'95 % interval':<27}unit"]
+        lines += [f"{p.name:<34}{p.value:>13.5g}  {p.text():<27}{p.unit}" for p in self.profiles]
+        return [*lines, ""]
 
     def _nuisance_table(self) -> list[str]:
         """What the data tell of nuisances, as text."""

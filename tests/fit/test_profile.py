@@ -1,0 +1,152 @@
+"""Profile likelihood: intervals of misfits that are parabolas, that are not, and that are flat on one side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from sim_core.errors import ConvergenceError
+from sim_core.simulate import Trace
+from sysid.fit.engine import Engine, Prediction
+from sysid.fit.fitted import Fitted
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.parameters import FitParameter
+from sysid.fit.problem import Problem
+from sysid.fit.profile import Profiler
+from sysid.fit.runs import Measured, Run
+from sysid.fit.uncertainty import uncertainty
+
+T = np.linspace(0.0, 2.0, 60)
+SIGMA = 0.05
+Model = Callable[[float, float], np.ndarray]
+
+
+class Curve:
+    """An engine that reads ``model(a, b)``; its derivatives are central differences."""
+
+    def __init__(self, model: Model, broken_from: float = np.inf) -> None:
+        self.model, self.broken_from, self.calls = model, broken_from, 0
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        self.calls += 1
+        if scaled[0] >= self.broken_from:
+            raise ConvergenceError("The step does not converge.")
+        steps = 1e-5 * np.eye(2)[: len(scaled)]
+        slopes = np.stack([(self.model(*(scaled + s)) - self.model(*(scaled - s))) / 2e-5 for s in steps], axis=1)
+        return [Prediction({"c": self.model(*scaled)[:, None]}, {"c": slopes[:, None]}, cast(Trace, None))]
+
+
+def parameters(low: float, high: float) -> list[FitParameter]:
+    return [
+        FitParameter("contacts.a-b.friction", "", False, low, high, 1.0, ""),
+        FitParameter("b", "Pa", False, -1e3, 1e3, 1e3, ""),
+    ]
+
+
+@pytest.fixture(autouse=True)
+def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sysid.fit.problem.start_of", lambda rig, given: np.zeros(len(given)))
+    monkeypatch.setattr("sysid.fit.problem.rig_at", lambda rig, given, scaled: rig)
+
+
+def fitted_to(
+    model: Model, truth: tuple[float, float], low: float = -100.0, high: float = 100.0, **engine: float
+) -> tuple[Problem, Fitted]:
+    values = model(*truth)[:, None] + SIGMA * np.random.default_rng(5).standard_normal((len(T), 1))
+    run = Run("r", "", (), {}, (Measured("c", "markers", T, values, ("u",)),), 2.0)
+    noise = {"c": ChannelNoise(np.array([SIGMA]), 0.0, "test")}
+    problem = Problem([run], noise, cast(Engine, Curve(model, **engine)))
+    return problem, problem.fit(cast(Any, None), parameters(low, high), start=np.array(truth), tolerance=1e-9)
+
+
+def linear(a: float, b: float) -> np.ndarray:
+    return a * np.sin(3.0 * T) + b * (T + 0.5 * np.sin(3.0 * T))
+
+
+def cubic(a: float, b: float) -> np.ndarray:
+    return a**3 * np.sin(3.0 * T) + b * T
+
+
+def sticking(a: float, b: float) -> np.ndarray:
+    """A force that friction carries up to ``a``: beyond 1.2 nothing slips."""
+    return np.minimum(a, 1.2 * np.sin(T)) + 1e-3 * b * T
+
+
+def calibration(fitted: Fitted) -> float:
+    known = uncertainty(fitted)
+    return float((known.sd**2 / np.diag(np.linalg.inv(fitted.jacobian.T @ fitted.jacobian)))[0])
+
+
+def test_of_a_parabola_it_is_the_quadratic_interval() -> None:
+    problem, fitted = fitted_to(linear, (0.4, -0.3))
+    (a, b) = Profiler(problem, fitted).profiles()
+    sd = uncertainty(fitted).sd
+    for profile, at, s in zip((a, b), fitted.scaled, sd, strict=True):
+        assert profile.ends == ("found", "found") and profile.sentence == ""
+        np.testing.assert_allclose(profile.ci95, [at - 1.959964 * s, at + 1.959964 * s], atol=0.01 * s)
+        np.testing.assert_allclose(profile.deviance, ((np.array(profile.values) - at) / s) ** 2, atol=1e-3)
+    assert Profiler(problem, fitted).check() == []
+
+
+def test_of_a_cube_it_is_the_cube_root_of_that_of_the_cube() -> None:
+    problem, fitted = fitted_to(cubic, (0.25, 0.3))
+    (a, _) = Profiler(problem, fitted).profiles()
+    cube = fitted.scaled[0] ** 3
+    jacobian = np.column_stack([np.sin(3.0 * T), T]) / SIGMA
+    sd = np.sqrt(np.linalg.inv(jacobian.T @ jacobian)[0, 0] * calibration(fitted))
+    np.testing.assert_allclose(a.ci95, np.cbrt([cube - 1.959964 * sd, cube + 1.959964 * sd]), rtol=0.02)
+    assert abs(a.quadratic[0] - a.ci95[0]) > 0.2 * abs(fitted.scaled[0] - a.ci95[0])
+    assert "not a parabola" in a.sentence and f"{a.ci95[0]:.3g} to {a.ci95[1]:.3g}" in a.sentence
+    (said,) = Profiler(problem, fitted).check()
+    assert "The interval of contacts.a-b.friction" in said and "--profile" in said
+
+
+def test_friction_that_never_slips_has_a_lower_limit() -> None:
+    problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0)
+    (a, _) = Profiler(problem, fitted).profiles()
+    assert a.ends == ("found", "open") and a.one_sided and a.ci95[1] == pytest.approx(3.0)
+    y = problem.runs[0].measured[0].values[:, 0]
+
+    def least(x: float) -> float:
+        miss, slope = y - np.minimum(x, 1.2 * np.sin(T)), 1e-3 * T
+        return float(np.sum((miss - slope * (slope @ miss) / (slope @ slope)) ** 2)) / SIGMA**2
+
+    limit = least(2.0) + 3.841459 * calibration_of_misfit(fitted)
+    expected = brentq(lambda x: least(x) - limit, 0.8, 1.2)
+    assert a.ci95[0] == pytest.approx(expected, abs=0.02)
+    assert a.sentence.startswith(f"contacts.a-b.friction is at least {a.ci95[0]:.3g}: nothing slipped")
+
+
+def calibration_of_misfit(fitted: Fitted) -> float:
+    return max(1.0, uncertainty(fitted).reduced_chi2) * float(uncertainty(fitted).inflation[0]) ** 2
+
+
+def test_where_nothing_can_be_simulated_the_interval_is_open() -> None:
+    problem, fitted = fitted_to(linear, (0.4, -0.3), broken_from=0.41)
+    (a, _) = Profiler(problem, fitted).profiles()
+    assert a.ends == ("found", "failed") and a.ci95[1] < 0.41
+    assert "nothing could be simulated beyond" in a.sentence
+
+
+def test_the_number_of_evaluations_is_bounded() -> None:
+    problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0)
+    engine = cast(Curve, problem.engine)
+    engine.calls = 0
+    told: list[tuple[float, str]] = []
+    Profiler(problem, fitted, lambda share, text: told.append((share, text))).profiles()
+    assert engine.calls == len(told) <= 40
+    assert all(0.0 < share < 1.0 and "s left" in text for share, text in told)
+
+
+def test_a_better_fit_on_the_way_is_told() -> None:
+    """Where the search stands, the readings do not change with the first parameter."""
+    problem, _ = fitted_to(cubic, (1.0, 0.1))
+    there = problem.evaluate(cast(Any, None), parameters(-5.0, 5.0), np.array([0.0, 0.1]))
+    profiler = Profiler(problem, there)
+    profiler.profiles()
+    assert "The search had ended too early" in profiler.lower()
+    assert "contacts.a-b.friction = " in profiler.lower()
