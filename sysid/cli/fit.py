@@ -30,12 +30,19 @@ def fit(
     held_out: HeldOutOption = None,
     seed: SeedOption = 0,
     nuisance: NuisanceOption = "all",
+    per_bag: Annotated[
+        str,
+        typer.Option("--per-bag", metavar="A,B", help="Those of --params that each bag has a value of its own of."),
+    ] = "",
     profile: Annotated[
         bool,
         typer.Option(
             "--profile", help="Find each interval from the likelihood itself; takes about as long as the fit."
         ),
     ] = False,
+    robust: Annotated[
+        bool, typer.Option("--robust/--no-robust", help="Leave out marker readings that are mistakes of a tracker.")
+    ] = True,
 ) -> None:
     """Estimate parameters of a rig, their uncertainty, and how well held-out recordings are predicted.
 
@@ -46,6 +53,7 @@ def fit(
     chosen = load_rig(rig)
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
     kinds = parse_nuisance(nuisance)
+    apart = parse_names(per_bag, "--per-bag") if per_bag else []
     check_bags(bags, held_out or [])
     check_new(out, "folder")
     from sysid.fit import fit_bags
@@ -59,7 +67,9 @@ def fit(
             out=out,
             seed=seed,
             nuisance=kinds,
+            per_bag=apart,
             intervals="profiled" if profile else "checked",
+            robust=robust,
             on_progress=report,
         )
     print(summary)

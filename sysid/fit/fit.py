@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,11 +13,13 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
+from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
 from sysid.fit.nuisance import checked_kinds, has_bias, nuisance_parameters
+from sysid.fit.outliers import DIMENSIONS, Outliers, without_outliers, worth_another_fit
 from sysid.fit.own_error import fit_beside_own_error, loud
-from sysid.fit.parameters import FitParameter, fit_parameters, start_of
+from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of, with_bags
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.profile import Profile, Profiler
@@ -37,6 +41,9 @@ RESTART_WIDTH = 0.05
 GOOD_MISFIT = 1.5
 """Misfit over noise below which a fit is not tried again."""
 
+LOOKS = 3
+"""Times that mistaken readings are looked for and the fit repeated without them."""
+
 TYPICAL_EVALUATIONS = 10
 """Evaluations that a fit usually takes; the progress bar is scaled with it."""
 
@@ -50,18 +57,25 @@ def fit_runs(
     seed: int = 0,
     start: np.ndarray | None = None,
     nuisance: Collection[str] = ("all",),
+    per_bag: Collection[str] = (),
     intervals: Intervals = "checked",
+    robust: bool = True,
+    engine: PooledEngine | None = None,
     on_progress: Progress | None = None,
 ) -> tuple[FitResult, Rig]:
     """Fit ``names`` to ``runs``; the result and the rig with the fitted values, of nuisances too.
 
     ``start``: scaled values of ``names`` to start from; ``nuisance``: kinds of nuisances that are estimated beside
-    them (:func:`sysid.fit.nuisance.checked_kinds`); ``intervals``: how far those of ``names`` are
-    looked into (:data:`Intervals`).
+    them (:func:`sysid.fit.nuisance.checked_kinds`); ``per_bag``: those of ``names`` that each run has a value of its
+    own of, named ``friction[run]`` (the rig that is returned has their mean); ``intervals``: how far those of
+    ``names`` are looked into (:data:`Intervals`); ``robust``: leave out marker readings that are mistakes
+    (:mod:`sysid.fit.outliers`); ``engine``: worker processes at hand, for several fits in a row.
     """
     kinds = checked_kinds(nuisance)
-    with PooledEngine(os.cpu_count()) as engine:
-        return _fit_runs(engine, rig, runs, names, held_out, seed, start, on_progress, kinds, intervals)
+    with nullcontext(engine) if engine is not None else PooledEngine(os.cpu_count()) as engine:
+        return _fit_runs(
+            engine, rig, runs, names, held_out, seed, start, on_progress, kinds, intervals, robust, per_bag
+        )
 
 
 def _shown_sigma(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> float:
@@ -119,13 +133,16 @@ def _fit_runs(
     on_progress: Progress | None,
     kinds: frozenset[str] = frozenset(),
     intervals: Intervals = "checked",
+    robust: bool = False,
+    per_bag: Collection[str] = (),
 ) -> tuple[FitResult, Rig]:
-    noise = channel_noise(rig, [*runs, *held_out])
-    asked = fit_parameters(rig, names)
+    single = fit_parameters(rig, names)
+    asked = with_bags(single, per_bag, [run.name for run in runs], rig)
     beside = nuisance_parameters(rig, runs, asked, kinds) if asked else []
     bias = bool(asked) and has_bias(runs, asked, kinds)
     parameters = [*asked, *beside]
-    first = np.concatenate([start_of(rig, asked) if start is None else start, start_of(rig, beside)])
+    at_first = dict(zip([p.name for p in single], start_of(rig, single) if start is None else start, strict=True))
+    first = np.concatenate([[at_first[p.target] for p in asked], start_of(rig, beside)])
 
     def on_evaluation(count: int, chi2: float) -> None:
         if on_progress is not None:
@@ -135,16 +152,35 @@ def _fit_runs(
     def search(problem: Problem, at: np.ndarray) -> Fitted:
         return _best_of_restarts(problem, rig, parameters, at, seed, on_evaluation)
 
-    problem, fitted = fit_beside_own_error(engine, runs, noise, rig, parameters, start=first, bias=bias, search=search)
+    look = _Look(list(runs), list(held_out), [], None)
+    if robust:
+        look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
+    at, evaluations, spent = first, 0, 0.0
+    for _ in range(LOOKS):
+        noise = channel_noise(rig, [*look.runs, *look.held_out])
+        problem, fitted = fit_beside_own_error(
+            engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
+        )
+        fitted.evaluations, fitted.seconds = fitted.evaluations + evaluations, fitted.seconds + spent
+        if not robust or fitted.interrupted:
+            break
+        again, told = without_outliers(runs, fitted.predictions)
+        if not worth_another_fit(look.runs, again):
+            break
+        look = replace(look, runs=again, outliers=told, plain=fitted.predictions)
+        at, evaluations, spent = fitted.scaled, fitted.evaluations, fitted.seconds
+    outliers = list(look.outliers)
     before = problem.evaluate(rig, [], np.zeros(0))
     estimates, correlation, sentences, reduced = estimates_of(fitted, first)
     sentences += blamed(problem, fitted, sorted(kinds))
     profiles, sentences = _profiled(problem, fitted, sentences, intervals, on_progress)
     nuisances = nuisances_of(problem, fitted)
     errors = rms_errors(problem, before, fitted, held_out=False)
-    series = plot_series(problem, before, fitted, held_out=False)
+    series = plot_series(problem, before, fitted, held_out=False, raw=runs)
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
     notes += loud(problem) + out_of_sight(problem, before, fitted)
+    if held_out and any(p.bag for p in asked):
+        notes.append("Held-out recordings are predicted with the mean of the values that each bag has for itself.")
     if held_out and on_progress is not None:
         on_progress(0.98, "held-out recordings")
     for run in held_out:
@@ -155,9 +191,15 @@ def _fit_runs(
         except ThinshellError as error:
             notes.append(f"{run.name}: could not be simulated: {error}")
             continue
+        if robust:
+            clean, mistaken = without_outliers([run], scored.predictions)
+            check = Problem(clean, noise, engine, bias=bias)
+            there, scored = (check.compare(f.predictions, f.rig, [], np.zeros(0)) for f in (there, scored))
+            outliers += mistaken
         errors += rms_errors(check, there, scored, held_out=True)
         notes += out_of_sight(check, there, scored)
-        series += plot_series(check, there, scored, held_out=True)
+        series += plot_series(check, there, scored, held_out=True, raw=[run])
+    notes += [o.sentence for o in outliers]
     result = FitResult(
         rig=rig.name,
         estimates=estimates,
@@ -179,8 +221,41 @@ def _fit_runs(
         nuisances=nuisances,
         remarks=remarks(rig, nuisances),
         profiles=profiles,
+        outliers=outliers,
     )
     return result, fitted.rig
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Runs without mistaken readings, and those readings. ``plain``: predictions where the next fit starts."""
+
+    runs: list[Run]
+    held_out: list[Run]
+    outliers: list[Outliers]
+    plain: list[Prediction] | None
+
+
+def _first_look(engine: PooledEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run]) -> _Look:
+    """The runs without what are mistakes beside the rig that a fit starts from; as they are where it cannot follow."""
+    if not any(m.kind in DIMENSIONS for run in runs for m in run.measured):
+        return _Look(list(runs), list(held_out), [], None)
+    pending = [(run, engine.submit(rig, run)) for run in [*runs, *held_out]]
+    clean: list[Run] = []
+    outliers: list[Outliers] = []
+    plain: list[Prediction] = []
+    for k, (run, future) in enumerate(pending):
+        try:
+            prediction = future.result()
+        except ThinshellError:
+            clean.append(run)
+            continue
+        found, told = without_outliers([run], [prediction])
+        clean += found
+        if k < len(runs):
+            outliers += told
+            plain.append(prediction)
+    return _Look(clean[: len(runs)], clean[len(runs) :], outliers, plain if len(plain) == len(runs) else None)
 
 
 def _profiled(
@@ -216,7 +291,9 @@ def fit_bags(
     out: Path,
     seed: int = 0,
     nuisance: Collection[str] = ("all",),
+    per_bag: Collection[str] = (),
     intervals: Intervals = "checked",
+    robust: bool = True,
     on_progress: Progress | None = None,
 ) -> str:
     """Fit bags and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``."""
@@ -224,7 +301,15 @@ def fit_bags(
 
     runs, kept = load_runs(rig, bags, held_out)
     result, fitted = fit_runs(
-        rig, runs, names, held_out=kept, seed=seed, nuisance=nuisance, intervals=intervals, on_progress=on_progress
+        rig,
+        runs,
+        names,
+        held_out=kept,
+        seed=seed,
+        nuisance=nuisance,
+        intervals=intervals,
+        robust=robust,
+        on_progress=on_progress,
     )
     out.mkdir(parents=True, exist_ok=True)
     result.write(out / "fit.json")

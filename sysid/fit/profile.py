@@ -366,8 +366,8 @@ def in_words(
     if ends == ("open", "open"):
         return f"The data do not determine {name}: anything from {low} to {high} fits as well."
     if ends[1] == "open":
-        why = ": nothing slipped beyond that" if name.endswith(".friction") or ".friction[" in name else ""
-        return f"{name} is at least {low}{why}; anything above, as far as {high}, fits as well."
+        why = ": with more nothing slips, so" if ".friction" in name else ";"
+        return f"{name} is at least {low}{why} anything above, as far as {high}, fits as well."
     if ends[0] == "open":
         return f"{name} is at most {high}; anything below, as far as {low}, fits as well."
     if "failed" in ends or "unfinished" in ends:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -10,15 +12,21 @@ import pytest
 from scipy.optimize import brentq
 
 from sim_core.errors import ConvergenceError
+from sim_core.rigs import with_parameters
+from sim_core.rigs.motion import Experiment
 from sim_core.simulate import Trace
+from sysid.fit import fit_runs
 from sysid.fit.engine import Engine, Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.parameters import FitParameter
+from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.profile import Profiler
-from sysid.fit.runs import Measured, Run
+from sysid.fit.runs import Measured, Run, load_run
 from sysid.fit.uncertainty import uncertainty
+from sysid.report import write_fit_report
+from sysid.simulate import simulate_to_bag
 
 T = np.linspace(0.0, 2.0, 60)
 SIGMA = 0.05
@@ -118,7 +126,7 @@ def test_friction_that_never_slips_has_a_lower_limit() -> None:
     limit = least(2.0) + 3.841459 * calibration_of_misfit(fitted)
     expected = brentq(lambda x: least(x) - limit, 0.8, 1.2)
     assert a.ci95[0] == pytest.approx(expected, abs=0.02)
-    assert a.sentence.startswith(f"contacts.a-b.friction is at least {a.ci95[0]:.3g}: nothing slipped")
+    assert a.sentence.startswith(f"contacts.a-b.friction is at least {a.ci95[0]:.3g}: with more nothing slips")
 
 
 def calibration_of_misfit(fitted: Fitted) -> float:
@@ -150,3 +158,38 @@ def test_a_better_fit_on_the_way_is_told() -> None:
     profiler.profiles()
     assert "The search had ended too early" in profiler.lower()
     assert "contacts.a-b.friction = " in profiler.lower()
+
+
+@pytest.mark.slow
+def test_a_gel_that_sticks_says_how_much_friction_there_is_at_least(
+    small_rig: Any, tmp_path: Path, workers: PooledEngine
+) -> None:
+    """Pressed on a post and pulled aside by less than its friction holds."""
+    rig = small_rig()
+    finger = rig.end_effectors["finger"].model_copy(
+        update={"start": rig.end_effectors["finger"].start.model_copy(update={"position_m": (0.08, 0.004, 0.0545)})}
+    )
+    rig = rig.model_copy(
+        update={
+            "bodies": {n: b for n, b in rig.bodies.items() if n != "card"}, "clamps": (), "cameras": {},
+            "contacts": rig.contacts[1:], "end_effectors": {"finger": finger},
+            "solver": rig.solver.model_copy(update={"inertia": False}),
+        }
+    )  # fmt: skip
+    poses = [{"position_m": [0.0, 0.0, -0.0008]}, {"position_m": [0.0002, 0.0, -0.0008]}]
+    motion = [
+        {"type": "wait", "duration_s": 0.2},
+        {"type": "waypoints", "speed_m_s": 2e-3, "hold_s": 0.2, "poses": poses},
+    ]
+    experiment = Experiment.model_validate({"name": "stick", "motions": {"finger": motion}})
+    name = "contacts.gel-post.friction"
+    simulate_to_bag(with_parameters(rig, {name: 1.2}), experiment, tmp_path / "bag", seed=4)
+    start = with_parameters(rig, {name: 1.0})
+    result, _ = fit_runs(start, [load_run(rig, tmp_path / "bag")], [name], intervals="profiled", engine=workers)
+    (profile,) = result.profiles
+    assert profile.ends == ("found", "open") and 0.1 < profile.ci95[0] < 1.0
+    assert profile.sentence.startswith(f"{name} is at least") and profile.sentence in result.identifiability
+    assert "by profile likelihood" in result.table() and "(open)" in result.table()
+    page = write_fit_report(result, tmp_path / "report.html").read_text()
+    assert "Deviance against each parameter" in page and f"Deviance against {name}" in page
+    assert json.loads(json.dumps(result.to_json()))["profiles"][0]["ends"] == ["found", "open"]
