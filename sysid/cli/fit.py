@@ -49,11 +49,13 @@ def fit(
     Example: thinshell fit card_press run1 run2 --params card.E,gel.E --held-out run3 --out fit
     """
     from sim_core.rigs import load_rig, resolve_name
+    from sysid.fit.parameters import fit_parameters, with_bags
 
     chosen = load_rig(rig)
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
     kinds = parse_nuisance(nuisance)
     apart = parse_names(per_bag, "--per-bag") if per_bag else []
+    with_bags(fit_parameters(chosen, names), apart, [str(bag) for bag in bags], chosen)
     check_bags(bags, held_out or [])
     check_new(out, "folder")
     from sysid.fit import fit_bags

@@ -22,7 +22,8 @@ from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of, with_bags
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
-from sysid.fit.profile import Profile, Profiler
+from sysid.fit.profile import Profile
+from sysid.fit.profiler import Profiler
 from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series, rms_errors
 from sysid.fit.runs import Run, load_runs
 from sysid.fit.untold import blamed, nuisances_of, remarks
@@ -32,7 +33,7 @@ Progress = Callable[[float, str], None]
 
 Intervals = Literal["quadratic", "checked", "profiled"]
 """Intervals from the covariance alone; with a simulation at each end that tells whether they hold; or those of the
-profile likelihood beside them (:mod:`sysid.fit.profile`)."""
+profile likelihood beside them (:mod:`sysid.fit.profiler`)."""
 
 MOST_RESTARTS = 4
 RESTART_WIDTH = 0.05
@@ -74,8 +75,9 @@ def fit_runs(
     kinds = checked_kinds(nuisance)
     with nullcontext(engine) if engine is not None else PooledEngine(os.cpu_count()) as engine:
         return _fit_runs(
-            engine, rig, runs, names, held_out, seed, start, on_progress, kinds, intervals, robust, per_bag
-        )
+            engine, rig, runs, names, held_out, seed, start, on_progress,
+            kinds=kinds, per_bag=per_bag, intervals=intervals, robust=robust,
+        )  # fmt: skip
 
 
 def _shown_sigma(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> float:
@@ -131,10 +133,11 @@ def _fit_runs(
     seed: int,
     start: np.ndarray | None,
     on_progress: Progress | None,
+    *,
     kinds: frozenset[str] = frozenset(),
+    per_bag: Collection[str] = (),
     intervals: Intervals = "checked",
     robust: bool = False,
-    per_bag: Collection[str] = (),
 ) -> tuple[FitResult, Rig]:
     single = fit_parameters(rig, names)
     asked = with_bags(single, per_bag, [run.name for run in runs], rig)
@@ -156,13 +159,13 @@ def _fit_runs(
     if robust:
         look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
     at, evaluations, spent = first, 0, 0.0
-    for _ in range(LOOKS):
+    for left in reversed(range(LOOKS)):
         noise = channel_noise(rig, [*look.runs, *look.held_out])
         problem, fitted = fit_beside_own_error(
             engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
         )
         fitted.evaluations, fitted.seconds = fitted.evaluations + evaluations, fitted.seconds + spent
-        if not robust or fitted.interrupted:
+        if not robust or not left or fitted.interrupted:
             break
         again, told = without_outliers(runs, fitted.predictions)
         if not worth_another_fit(look.runs, again):

@@ -22,7 +22,7 @@ from sysid.fit.noise import ChannelNoise
 from sysid.fit.parameters import FitParameter
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
-from sysid.fit.profile import Profiler
+from sysid.fit.profiler import Profiler
 from sysid.fit.runs import Measured, Run, load_run
 from sysid.fit.uncertainty import uncertainty
 from sysid.report import write_fit_report
