@@ -39,7 +39,7 @@ LEVEL = 9
 MOST_OF_FRAME = 1.0 / 3.0
 """Share of the markers of a frame that may stand out at once (one always may, and two exchanged ones)."""
 
-MOST = 0.25
+MOST = 0.2
 """Share of the readings of a channel from which they are no exceptions."""
 
 OTHERS = 0.3

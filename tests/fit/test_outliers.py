@@ -72,6 +72,14 @@ def test_a_marker_that_has_moved_to_the_place_of_another_stays() -> None:
     assert not found(miss).any()
 
 
+def test_a_marker_at_the_place_of_one_that_left_stays() -> None:
+    """Both drift, and nobody has the place of the first: nothing was exchanged."""
+    miss = np.zeros((N, M, 2))
+    miss[:, 4, 0] = np.clip(T - 2.0, 0.0, 1.0) * -30.0
+    miss[:, 3, 1] = np.clip(T - 2.0, 0.0, 1.0) * -45.0
+    assert not found(miss).any()
+
+
 def misses() -> dict[str, np.ndarray]:
     """What a law that is missing leaves: smooth, a step for good, a bump of many markers at once, a steep drift."""
     one = np.zeros((N, M, 2))
@@ -109,13 +117,16 @@ def test_what_was_left_out_is_told() -> None:
 
 
 def test_too_many_are_kept_and_told() -> None:
-    miss = jumps(0.3, 5.0)
+    """Nine of the thirty in every frame."""
+    rng = np.random.default_rng(7)
+    miss = np.zeros((N, M, 2))
+    for k in range(N):
+        miss[k, rng.permutation(M)[:9], 0] = 5.0
     run = Run("press", "", (), {}, (track(miss),), T[-1])
     prediction = Prediction({"video": PLACE.reshape(N, -1)}, {}, cast(Trace, None))
-    (clean,), told = without_outliers([run], [prediction])
-    if told and told[0].share > 0.25:
-        assert told[0].kept and "too many" in told[0].sentence
-        np.testing.assert_array_equal(clean.measured[0].values, run.measured[0].values)
+    (clean,), (told,) = without_outliers([run], [prediction])
+    assert told.share > 0.2 and told.kept and "too many to be exceptions" in told.sentence
+    np.testing.assert_array_equal(clean.measured[0].values, run.measured[0].values)
 
 
 def test_nothing_near_the_noise_is_a_mistake() -> None:

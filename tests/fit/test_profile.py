@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 from sim_core.errors import ConvergenceError
 from sim_core.rigs import with_parameters
@@ -79,6 +79,11 @@ def cubic(a: float, b: float) -> np.ndarray:
     return a**3 * np.sin(3.0 * T) + b * T
 
 
+def valley(a: float, b: float) -> np.ndarray:
+    """Little changes along b = 200 a + constant."""
+    return a * np.sin(3.0 * T) + np.exp(-np.abs(b - 200.0 * a) * T)
+
+
 def sticking(a: float, b: float) -> np.ndarray:
     """A force that friction carries up to ``a``: beyond 1.2 nothing slips."""
     return np.minimum(a, 1.2 * np.sin(T)) + 1e-3 * b * T
@@ -98,6 +103,24 @@ def test_of_a_parabola_it_is_the_quadratic_interval() -> None:
         np.testing.assert_allclose(profile.ci95, [at - 1.959964 * s, at + 1.959964 * s], atol=0.01 * s)
         np.testing.assert_allclose(profile.deviance, ((np.array(profile.values) - at) / s) ** 2, atol=1e-3)
     assert Profiler(problem, fitted).check() == []
+
+
+def test_the_others_follow_along_a_valley() -> None:
+    """By scalar searches over d = b - 200 a."""
+    problem, fitted = fitted_to(valley, (0.01, 3.5))
+    (a, _) = Profiler(problem, fitted).profiles()
+    y = problem.runs[0].measured[0].values[:, 0]
+
+    def least(x: float) -> float:
+        def square(d: float) -> float:
+            return float(np.sum((y - x * np.sin(3.0 * T) - np.exp(-d * T)) ** 2)) / SIGMA**2
+
+        return float(minimize_scalar(square, bounds=(0.0, 20.0), method="bounded", options={"xatol": 1e-9}).fun)
+
+    limit = least(fitted.scaled[0]) + 3.841459 * calibration(fitted)
+    at = fitted.scaled[0]
+    expected = [brentq(lambda x: least(x) - limit, *ends) for ends in ((at - 0.2, at), (at, at + 0.2))]
+    np.testing.assert_allclose(a.ci95, expected, atol=0.03 * (expected[1] - expected[0]))
 
 
 def test_of_a_cube_it_is_the_cube_root_of_that_of_the_cube() -> None:
