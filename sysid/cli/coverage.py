@@ -6,20 +6,14 @@ from typing import Annotated
 
 import typer
 
-from sysid.cli.options import RigArgument, SeedOption, parse_names
+from sysid.cli.options import ExperimentsArgument, ParamsOption, RigArgument, SeedOption, parse_names
 from sysid.cli.progress import progress
 
 
 def coverage(
     rig: RigArgument,
-    experiments: Annotated[
-        list[str],
-        typer.Argument(metavar="EXPERIMENT...", help="Experiments: names from 'thinshell rigs' or YAML files."),
-    ],
-    params: Annotated[
-        str,
-        typer.Option("--params", metavar="A,B", help="Parameters to estimate, as 'thinshell params' lists them."),
-    ],
+    experiments: ExperimentsArgument,
+    params: ParamsOption,
     cases: Annotated[int, typer.Option("--cases", min=1, help="How many cases.")] = 20,
     first: Annotated[int, typer.Option("--first", min=0, help="Number of the first case.")] = 0,
     spread: Annotated[

@@ -11,6 +11,7 @@ from sysid.cli.options import (
     FolderOption,
     HeldOutOption,
     NuisanceOption,
+    ParamsOption,
     RigArgument,
     SeedOption,
     WithoutOption,
@@ -25,15 +26,25 @@ from sysid.cli.progress import progress
 def fit(
     rig: RigArgument,
     bags: BagsArgument,
-    params: Annotated[
-        str,
-        typer.Option("--params", metavar="A,B", help="Parameters to estimate, as 'thinshell params' lists them."),
-    ],
+    params: ParamsOption,
     out: FolderOption,
     held_out: HeldOutOption = None,
     seed: SeedOption = 0,
     nuisance: NuisanceOption = "all",
     without: WithoutOption = None,
+    per_bag: Annotated[
+        str,
+        typer.Option("--per-bag", metavar="A,B", help="Those of --params that each bag has a value of its own of."),
+    ] = "",
+    profile: Annotated[
+        bool,
+        typer.Option(
+            "--profile", help="Find each interval from the likelihood itself; takes about as long as the fit."
+        ),
+    ] = False,
+    robust: Annotated[
+        bool, typer.Option("--robust/--no-robust", help="Leave out marker readings that are mistakes of a tracker.")
+    ] = True,
 ) -> None:
     """Estimate parameters of a rig, their uncertainty, and how well held-out recordings are predicted.
 
@@ -41,16 +52,29 @@ def fit(
     """
     from sim_core.rigs import load_rig, resolve_name
     from sysid import rig_topics
+    from sysid.fit.parameters import fit_parameters, with_bags
 
     chosen = rig_topics.without(load_rig(rig), without or [])
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
     kinds = parse_nuisance(nuisance)
+    apart = parse_names(per_bag, "--per-bag") if per_bag else []
+    with_bags(fit_parameters(chosen, names), apart, [str(bag) for bag in bags], chosen)
     check_bags(bags, held_out or [])
     check_new(out, "folder")
     from sysid.fit import fit_bags
 
     with progress("fit") as report:
         summary = fit_bags(
-            chosen, bags, names, held_out=held_out or [], out=out, seed=seed, nuisance=kinds, on_progress=report
+            chosen,
+            bags,
+            names,
+            held_out=held_out or [],
+            out=out,
+            seed=seed,
+            nuisance=kinds,
+            per_bag=apart,
+            intervals="profiled" if profile else "checked",
+            robust=robust,
+            on_progress=report,
         )
     print(summary)

@@ -22,6 +22,13 @@ HeldOutOption = Annotated[
     list[Path] | None,
     typer.Option("--held-out", metavar="BAG", help="Recording kept for the check; may be repeated."),
 ]
+ExperimentsArgument = Annotated[
+    list[str],
+    typer.Argument(metavar="EXPERIMENT...", help="Experiments: names from 'thinshell rigs' or YAML files."),
+]
+ParamsOption = Annotated[
+    str, typer.Option("--params", metavar="A,B", help="Parameters to determine, as 'thinshell params' lists them.")
+]
 FolderOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder for the results.")]
 NuisanceOption = Annotated[
     str,

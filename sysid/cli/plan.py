@@ -7,7 +7,9 @@ from typing import Annotated
 import typer
 
 from sysid.cli.options import (
+    ExperimentsArgument,
     NuisanceOption,
+    ParamsOption,
     RigArgument,
     WithoutOption,
     parse_names,
@@ -19,14 +21,8 @@ from sysid.cli.progress import progress
 
 def plan(
     rig: RigArgument,
-    experiments: Annotated[
-        list[str],
-        typer.Argument(metavar="EXPERIMENT...", help="Experiments: names from 'thinshell rigs' or YAML files."),
-    ],
-    params: Annotated[
-        str,
-        typer.Option("--params", metavar="A,B", help="Parameters to determine, as 'thinshell params' lists them."),
-    ],
+    experiments: ExperimentsArgument,
+    params: ParamsOption,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Expected value of a parameter; may be repeated."),

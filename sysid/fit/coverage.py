@@ -133,7 +133,8 @@ def _case(
         for k, (experiment, bag) in enumerate(zip(experiments, bags, strict=True)):
             simulate_to_bag(rig_at(rig, parameters, truth), experiment, bag, seed=noise_seed + k, refine=refine)
         runs, _ = load_runs(rig, bags)
-    result, _ = fit_runs(rig_at(rig, parameters, start), runs, [p.name for p in parameters])
+    names = [p.name for p in parameters]
+    result, _ = fit_runs(rig_at(rig, parameters, start), runs, names, intervals="quadratic")
     outcomes = []
     for p, true, found in zip(parameters, truth, result.estimates, strict=True):
         value, low, high = p.physical(true), *found.ci95

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from sim_core.gradients import Direction, simulate_tangent
 from sim_core.rigs import Rig
 from sim_core.scene import Scene, build_scene
 from sim_core.simulate import Trace, simulate, step_times
-from sysid.fit.parameters import FitParameter, rig_at
+from sysid.fit.parameters import FitParameter, acting_in, rig_at
 from sysid.fit.runs import Run
 from sysid.streams import predicted, predicted_derivatives
 
@@ -62,7 +62,15 @@ class Engine:
     def predict_with_derivatives(
         self, rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray
     ) -> Prediction:
-        """Predict one run at ``scaled`` values of the parameters, with derivatives."""
+        """Predict one run at ``scaled`` values of the parameters, with derivatives, which are zero by those that other
+        runs have for themselves."""
+        own = acting_in(parameters, run.name)
+        if len(own) < len(parameters):
+            found = self.predict_with_derivatives(rig, run, [parameters[k] for k in own], scaled[own])
+            wide = {c: np.zeros((*d.shape[:-1], len(parameters))) for c, d in found.derivatives.items()}
+            for c, d in found.derivatives.items():
+                wide[c][..., own] = d
+            return replace(found, derivatives=wide)
         rig = run.seen_by(rig)
         here = rig_at(rig, parameters, scaled)
         along = [_direction(rig, parameters, scaled, k) for k in range(len(parameters))]

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
+from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
 from sysid.fit.nuisance import checked_kinds, has_bias, nuisance_parameters
+from sysid.fit.outliers import DIMENSIONS, Outliers, without_outliers, worth_another_fit
 from sysid.fit.own_error import fit_beside_own_error, loud
-from sysid.fit.parameters import FitParameter, fit_parameters, start_of, within_bounds
+from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of, with_bags, within_bounds
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
+from sysid.fit.profile import Profile
+from sysid.fit.profiler import Profiler
 from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series, rms_errors
 from sysid.fit.runs import Run, load_runs
 from sysid.fit.untold import blamed, nuisances_of, remarks
@@ -28,6 +34,9 @@ Progress = Callable[[float, str], None]
 
 Bounds = Mapping[str, tuple[float, float]]
 """Lowest and highest value of parameters by name, in their own units, within those that the fit has."""
+Intervals = Literal["quadratic", "checked", "profiled"]
+"""Intervals from the covariance alone; with a simulation at each end that tells whether they hold; or those of the
+profile likelihood beside them (:mod:`sysid.fit.profiler`)."""
 
 MOST_RESTARTS = 4
 RESTART_WIDTH = 0.05
@@ -35,6 +44,9 @@ RESTART_WIDTH = 0.05
 
 GOOD_MISFIT = 1.5
 """Misfit over noise below which a fit is not tried again."""
+
+LOOKS = 3
+"""Times that mistaken readings are looked for and the fit repeated without them."""
 
 TYPICAL_EVALUATIONS = 10
 """Evaluations that a fit usually takes; the progress bar is scaled with it."""
@@ -90,6 +102,10 @@ def fit_runs(
     nuisance: Collection[str] = ("all",),
     bounds: Bounds | None = None,
     max_evaluations: int | None = None,
+    per_bag: Collection[str] = (),
+    intervals: Intervals = "checked",
+    robust: bool = True,
+    engine: PooledEngine | None = None,
     on_progress: Progress | None = None,
     on_step: Callable[[Step], None] | None = None,
 ) -> tuple[FitResult, Rig]:
@@ -97,13 +113,21 @@ def fit_runs(
 
     ``start``: scaled values of ``names`` to start from; ``nuisance``: kinds of nuisances that are estimated beside
     them (:func:`sysid.fit.nuisance.checked_kinds`); ``max_evaluations``: of all searches together, after which the
-    result says that it did not converge; ``on_step``: told after each of them.
+    result says that it did not converge; ``on_step``: told after each of them; ``per_bag``: those of ``names`` that
+    each run has a value of its own of, named ``friction[run]`` (the rig that is returned has their mean);
+    ``intervals``: how far those of ``names`` are looked into (:data:`Intervals`); ``robust``: leave out marker readings
+    that are mistakes (:mod:`sysid.fit.outliers`); ``engine``: worker processes at hand, for several fits in a row.
     """
     kinds = checked_kinds(nuisance)
-    asked = within_bounds(fit_parameters(rig, names), rig, bounds or {})
+    single = within_bounds(fit_parameters(rig, names), rig, bounds or {})
+    asked = with_bags(single, per_bag, [run.name for run in runs], rig)
+    at_first = dict(zip([p.name for p in single], start_of(rig, single) if start is None else start, strict=True))
+    first = np.array([at_first[p.target] for p in asked])
     evaluations = _Evaluations(max_evaluations, on_progress, on_step)
-    with PooledEngine(os.cpu_count()) as engine:
-        return _fit_runs(engine, rig, runs, asked, held_out, seed, start, evaluations, on_progress, kinds)
+    with nullcontext(engine) if engine is not None else PooledEngine(os.cpu_count()) as engine:
+        return _fit_runs(
+            engine, rig, runs, asked, held_out, seed, first, evaluations, on_progress, kinds, intervals, robust
+        )
 
 
 def _shown_sigma(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> float:
@@ -157,31 +181,52 @@ def _fit_runs(
     asked: list[FitParameter],
     held_out: Sequence[Run],
     seed: int,
-    start: np.ndarray | None,
+    start: np.ndarray,
     evaluations: _Evaluations,
     on_progress: Progress | None,
     kinds: frozenset[str],
+    intervals: Intervals,
+    robust: bool,
 ) -> tuple[FitResult, Rig]:
-    noise = channel_noise(rig, [*runs, *held_out])
     beside = nuisance_parameters(rig, runs, asked, kinds) if asked else []
     bias = bool(asked) and has_bias(runs, asked, kinds)
     parameters = [*asked, *beside]
-    first = np.concatenate([start_of(rig, asked) if start is None else start, start_of(rig, beside)])
+    first = np.concatenate([start, start_of(rig, beside)])
 
     def search(problem: Problem, at: np.ndarray) -> Fitted:
         return _best_of_restarts(problem, rig, parameters, at, seed, evaluations)
 
-    problem, fitted = fit_beside_own_error(engine, runs, noise, rig, parameters, start=first, bias=bias, search=search)
+    look = _Look(list(runs), list(held_out), [], None)
+    if robust:
+        look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
+    at, done, spent = first, 0, 0.0
+    for left in reversed(range(LOOKS)):
+        noise = channel_noise(rig, [*look.runs, *look.held_out])
+        problem, fitted = fit_beside_own_error(
+            engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
+        )
+        fitted.evaluations, fitted.seconds = fitted.evaluations + done, fitted.seconds + spent
+        if not robust or not left or fitted.interrupted:
+            break
+        again, told = without_outliers(runs, fitted.predictions)
+        if not worth_another_fit(look.runs, again):
+            break
+        look = replace(look, runs=again, outliers=told, plain=fitted.predictions)
+        at, done, spent = fitted.scaled, fitted.evaluations, fitted.seconds
+    outliers = list(look.outliers)
     before = problem.evaluate(rig, [], np.zeros(0))
     estimates, correlation, sentences, reduced = estimates_of(fitted, first)
     sentences += blamed(problem, fitted, sorted(kinds))
+    profiles, sentences = _profiled(problem, fitted, sentences, intervals, on_progress)
     nuisances = nuisances_of(problem, fitted)
     errors = rms_errors(problem, before, fitted, held_out=False)
-    series = plot_series(problem, before, fitted, held_out=False)
+    series = plot_series(problem, before, fitted, held_out=False, raw=runs)
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
     notes += loud(problem) + out_of_sight(problem, before, fitted)
+    if held_out and any(p.bag for p in asked):
+        notes.append("Held-out recordings are predicted with the mean of the values that each bag has for itself.")
     if held_out and on_progress is not None:
-        on_progress(0.92, "held-out recordings")
+        on_progress(0.98, "held-out recordings")
     for run in held_out:
         check = Problem([run], noise, engine, bias=bias)
         try:
@@ -190,9 +235,15 @@ def _fit_runs(
         except ThinshellError as error:
             notes.append(f"{run.name}: could not be simulated: {error}")
             continue
+        if robust:
+            clean, mistaken = without_outliers([run], scored.predictions)
+            check = Problem(clean, noise, engine, bias=bias)
+            there, scored = (check.compare(f.predictions, f.rig, [], np.zeros(0)) for f in (there, scored))
+            outliers += mistaken
         errors += rms_errors(check, there, scored, held_out=True)
         notes += out_of_sight(check, there, scored)
-        series += plot_series(check, there, scored, held_out=True)
+        series += plot_series(check, there, scored, held_out=True, raw=[run])
+    notes += [o.sentence for o in outliers]
     result = FitResult(
         rig=rig.name,
         estimates=estimates,
@@ -213,8 +264,66 @@ def _fit_runs(
         series=series,
         nuisances=nuisances,
         remarks=remarks(rig, nuisances),
+        profiles=profiles,
+        outliers=outliers,
     )
     return result, fitted.rig
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Runs without mistaken readings, and those readings. ``plain``: predictions where the next fit starts."""
+
+    runs: list[Run]
+    held_out: list[Run]
+    outliers: list[Outliers]
+    plain: list[Prediction] | None
+
+
+def _first_look(engine: PooledEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run]) -> _Look:
+    """The runs without what are mistakes beside the rig that a fit starts from; as they are where it cannot follow."""
+    if not any(m.kind in DIMENSIONS for run in runs for m in run.measured):
+        return _Look(list(runs), list(held_out), [], None)
+    pending = [(run, engine.submit(rig, run)) for run in [*runs, *held_out]]
+    clean: list[Run] = []
+    outliers: list[Outliers] = []
+    plain: list[Prediction] = []
+    for k, (run, future) in enumerate(pending):
+        try:
+            prediction = future.result()
+        except ThinshellError:
+            clean.append(run)
+            continue
+        found, told = without_outliers([run], [prediction])
+        clean += found
+        if k < len(runs):
+            outliers += told
+            plain.append(prediction)
+    return _Look(clean[: len(runs)], clean[len(runs) :], outliers, plain if len(plain) == len(runs) else None)
+
+
+def _profiled(
+    problem: Problem, fitted: Fitted, sentences: list[str], intervals: Intervals, on_progress: Progress | None
+) -> tuple[list[Profile], list[str]]:
+    """Profiles, where they are wanted, and what is then known of the parameters in words.
+
+    A limit on one side says more than that a parameter is not determined, and takes the place of that sentence.
+    """
+    if intervals == "quadratic" or fitted.interrupted or not fitted.parameters:
+        return [], sentences
+
+    def tell(share: float, text: str) -> None:
+        if on_progress is not None:
+            on_progress(0.9 + 0.08 * share, text)
+
+    profiler = Profiler(problem, fitted, tell)
+    if intervals == "checked":
+        return [], sentences + profiler.check()
+    profiles = profiler.profiles()
+    better = profiler.lower()
+    limited = tuple(f"The data do not determine {p.name}:" for p in profiles if p.sentence)
+    kept = [s for s in sentences if not s.startswith(limited)]
+    return profiles, kept + [p.sentence for p in profiles if p.sentence] + ([better] if better else [])
 
 
 def fit_bags(
@@ -228,6 +337,9 @@ def fit_bags(
     nuisance: Collection[str] = ("all",),
     bounds: Bounds | None = None,
     max_evaluations: int | None = None,
+    per_bag: Collection[str] = (),
+    intervals: Intervals = "checked",
+    robust: bool = True,
     on_progress: Progress | None = None,
     on_step: Callable[[Step], None] | None = None,
 ) -> str:
@@ -237,7 +349,7 @@ def fit_bags(
     runs, kept = load_runs(rig, bags, held_out)
     result, fitted = fit_runs(
         rig, runs, names, held_out=kept, seed=seed, nuisance=nuisance, bounds=bounds, max_evaluations=max_evaluations,
-        on_progress=on_progress, on_step=on_step,
+        per_bag=per_bag, intervals=intervals, robust=robust, on_progress=on_progress, on_step=on_step,
     )  # fmt: skip
     with whole_folder(out) as folder:
         result.write(folder / "fit.json")

@@ -62,7 +62,7 @@ def nuisance_parameters(
 
     Left out are those that are asked for, and offsets in time beside an effect that is one.
     """
-    names = {p.name for p in asked}
+    names = {p.target for p in asked}
     found: list[FitParameter] = []
 
     def add(name: str, sd: float, tied: tuple[str, ...] = ()) -> None:

@@ -24,7 +24,7 @@ from sysid.fit.directions import Direction
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, quantities
-from sysid.fit.parameters import FitParameter, rig_at, start_of
+from sysid.fit.parameters import FitParameter, rig_in, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Run
@@ -44,18 +44,20 @@ Minimise = Callable[[Problem, np.ndarray], Fitted]
 
 
 def discretisation(
-    engine: PooledEngine, rig: Rig, runs: Sequence[Run], plain: Sequence[Prediction] | None = None
+    engine: PooledEngine, rig: Rig | Sequence[Rig], runs: Sequence[Run], plain: Sequence[Prediction] | None = None
 ) -> list[Direction]:
     """How the predictions change when the mesh, and when the time step, is refined once.
 
-    ``plain``: the predictions of ``rig`` as it is, where they are at hand.
+    ``rig``: one for all runs, or one for each; ``plain``: its predictions as it is, where they are at hand.
 
     The true error is about 4/3 (mesh, order two) and twice (step, order one) of these differences; the
     directions are scaled accordingly. Raises ``ThinshellError`` where a refined simulation fails.
     """
-    pending = [engine.submit(rig, run) for run in runs] if plain is None else []
-    fine = [engine.submit(rig, run, 2) for run in runs]
-    short = [engine.submit(rig, run, 1, 0.5 * rig.solver.dt_s) for run in runs]
+    rigs = rig if isinstance(rig, Sequence) else [rig] * len(runs)
+    pairs = list(zip(rigs, runs, strict=True))
+    pending = [engine.submit(there, run) for there, run in pairs] if plain is None else []
+    fine = [engine.submit(there, run, 2) for there, run in pairs]
+    short = [engine.submit(there, run, 1, 0.5 * there.solver.dt_s) for there, run in pairs]
     base = plain or [_outcome(f, run, "as it is") for f, run in zip(pending, runs, strict=True)]
     finer = [_outcome(f, run, "on a finer mesh") for f, run in zip(fine, runs, strict=True)]
     shorter = [_outcome(f, run, "with half the time step") for f, run in zip(short, runs, strict=True)]
@@ -89,6 +91,7 @@ def fit_beside_own_error(
     parameters: Sequence[FitParameter],
     *,
     start: np.ndarray | None = None,
+    plain: Sequence[Prediction] | None = None,
     prior: bool = False,
     bias: bool = False,
     rounds: int = MOST_ROUNDS,
@@ -96,12 +99,18 @@ def fit_beside_own_error(
 ) -> tuple[Problem, Fitted]:
     """Fit ``parameters`` of ``rig``; the problem holds the own error measured at the solution.
 
+    ``plain``: the predictions where the fit starts, where they are at hand.
+
     ``Fitted.converged`` is false, and its message says so, when the rounds ended before both settled.
     Ctrl-C keeps the best so far.
     """
     scaled = start_of(rig, parameters) if start is None else np.asarray(start, dtype=float)
     look = search or (lambda problem, at: problem.fit(rig, parameters, start=at))
-    directions = discretisation(engine, rig_at(rig, parameters, scaled), runs)
+
+    def each(at: np.ndarray) -> list[Rig]:
+        return [rig_in(rig, parameters, at, run.name) for run in runs]
+
+    directions = discretisation(engine, each(scaled), runs, plain)
     evaluations, seconds, settled = 0, 0.0, False
     for _ in range(rounds):
         problem = Problem(runs, noise, engine, directions, prior, bias)
@@ -112,7 +121,7 @@ def fit_beside_own_error(
             return problem, _counted(fitted, evaluations, seconds)
         step = fitted.scaled - scaled
         try:
-            measured = discretisation(engine, fitted.rig, runs, fitted.predictions)
+            measured = discretisation(engine, each(fitted.scaled), runs, fitted.predictions)
         except KeyboardInterrupt:
             fitted.message, fitted.converged = "interrupted; the best values so far are kept", False
             return problem, _counted(fitted, evaluations, seconds)

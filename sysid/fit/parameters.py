@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,7 +55,7 @@ SCALES = {
 class FitParameter:
     """``lower``, ``upper``: bounds in ``unit``; ``prior_sd``: plausible width in the fitted scale. ``nuisance``: not
     asked for, and pulled to the rig's value with ``prior_sd``; ``tied``: parameters of the rig that change in
-    proportion."""
+    proportion; ``bag``: the recording that has this value for itself, which the name then ends with in brackets."""
 
     name: str
     unit: str
@@ -66,6 +66,12 @@ class FitParameter:
     words: str
     nuisance: bool = False
     tied: tuple[str, ...] = ()
+    bag: str = ""
+
+    @property
+    def target(self) -> str:
+        """Name of the parameter of the rig."""
+        return self.name.removesuffix(f"[{self.bag}]") if self.bag else self.name
 
     def scaled(self, value: float) -> float:
         """Value in the fitted scale."""
@@ -153,9 +159,45 @@ def _within(parameter: FitParameter, rig: Rig, value: float) -> FitParameter:
     )
 
 
+def with_bags(
+    parameters: Sequence[FitParameter], names: Collection[str], bags: Sequence[str], rig: Rig
+) -> list[FitParameter]:
+    """The parameters with those of ``names`` once for each of the ``bags``. Raises ``ConfigError``."""
+    wanted = {resolve_name(rig, name) for name in names}
+    unknown = sorted(wanted - {p.name for p in parameters})
+    if unknown:
+        raise ConfigError(
+            f"{unknown[0]} is to have a value for each bag, but is not fitted.", "Name it among the parameters as well."
+        )
+    if wanted and len(bags) < 2:
+        raise ConfigError(
+            f"{min(wanted)} is to have a value for each bag, but there is only one.",
+            "Give several recordings, or one value for all.",
+        )
+    return [
+        q
+        for p in parameters
+        for q in ([replace(p, name=f"{p.name}[{bag}]", bag=bag) for bag in bags] if p.name in wanted else [p])
+    ]
+
+
+def acting_in(parameters: Sequence[FitParameter], bag: str) -> list[int]:
+    """Numbers of the parameters that a recording depends on."""
+    return [k for k, p in enumerate(parameters) if p.bag in ("", bag)]
+
+
+def rig_in(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray, bag: str) -> Rig:
+    """The rig with the parameters at scaled values, as in one recording."""
+    own = acting_in(parameters, bag)
+    return rig_at(rig, [parameters[k] for k in own], scaled[own])
+
+
 def rig_at(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray) -> Rig:
-    """The rig with the parameters at scaled values."""
-    values: dict[str, float] = {p.name: p.physical(s) for p, s in zip(parameters, scaled, strict=True)}
+    """The rig with the parameters at scaled values; those that each recording has for itself at their mean."""
+    shared: dict[str, list[float]] = {}
+    for p, s in zip(parameters, scaled, strict=True):
+        shared.setdefault(p.target, []).append(s)
+    values = {p.target: p.physical(float(np.mean(shared[p.target]))) for p in parameters}
     if any(p.tied for p in parameters):
         now = {p.name: p.value for p in list_parameters(rig) if p.value is not None}
         values |= {t: now[t] * values[p.name] / now[p.name] for p in parameters for t in p.tied}
@@ -167,7 +209,7 @@ def start_of(rig: Rig, parameters: Sequence[FitParameter]) -> np.ndarray:
     known = {p.name: p.value for p in list_parameters(rig)}
     out = []
     for p in parameters:
-        value = known[p.name]
+        value = known[p.target]
         assert value is not None
         out.append(_within(p, rig, value).scaled(value))
     return np.asarray(out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,15 +11,18 @@ from typing import Any
 import numpy as np
 
 from sysid.fit.fitted import Fitted
+from sysid.fit.outliers import Outliers
 from sysid.fit.problem import Problem
-from sysid.fit.runs import UNITS, Measured
+from sysid.fit.profile import Profile
+from sysid.fit.runs import UNITS, Measured, Run
 from sysid.fit.uncertainty import interval, uncertainty
 from sysid.fit.untold import Nuisance
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One fitted parameter. ``sd``: in the fitted scale; ``log``: that scale is logarithmic."""
+    """One fitted parameter. ``sd``: in the fitted scale; ``log``: that scale is logarithmic; ``bag``: the recording
+    that has this value for itself."""
 
     name: str
     unit: str
@@ -28,6 +32,7 @@ class Estimate:
     sd: float
     log: bool
     at_bound: bool
+    bag: str = ""
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ class ChannelError:
 @dataclass(frozen=True)
 class Series:
     """One column of a channel for plotting: measured (None where missing), predicted before and after the
-    fit (NaN where out of sight)."""
+    fit (NaN where out of sight); ``outliers``: times and readings that were left out."""
 
     run: str
     channel: str
@@ -58,11 +63,14 @@ class Series:
     measured: list[float | None]
     before: list[float]
     after: list[float]
+    outliers: list[tuple[float, float]] = field(default_factory=list)
 
 
 @dataclass
 class FitResult:
-    """Everything that a fit found. ``nuisances``: what was estimated beside what was asked for."""
+    """Everything that a fit found. ``nuisances``: what was estimated beside what was asked for; ``profiles``: deviance
+    against each parameter, where that was asked for (:mod:`sysid.fit.profiler`); ``outliers``: marker readings that
+    were left out (:mod:`sysid.fit.outliers`)."""
 
     rig: str
     estimates: list[Estimate]
@@ -80,6 +88,8 @@ class FitResult:
     series: list[Series] = field(default_factory=list)
     nuisances: list[Nuisance] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    profiles: list[Profile] = field(default_factory=list)
+    outliers: list[Outliers] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series."""
@@ -98,7 +108,7 @@ class FitResult:
             low, high = e.ci95
             mark = "  (at its bound)" if e.at_bound else ""
             lines.append(f"{e.name:<34}{e.value:>13.5g}  {f'{low:.5g} .. {high:.5g}':<27}{e.unit}{mark}")
-        lines += ["", *self._nuisance_table()]
+        lines += ["", *self._profile_table(), *self._nuisance_table()]
         runs = [c.run + (" (held out)" if c.held_out else "") for c in self.errors]
         wide = max(24, *map(len, runs)) + 2 if runs else 26
         lines.append(f"{'run':<{wide}}{'channel':<22}{'before':>11}{'after':>11}{'noise':>11}  unit")
@@ -111,6 +121,14 @@ class FitResult:
         if not self.converged:
             lines.append(f"The fit did not converge: {self.message}")
         return "\n".join(lines)
+
+    def _profile_table(self) -> list[str]:
+        """Intervals from the profile likelihood, as text."""
+        if not self.profiles:
+            return []
+        lines = [f"{'by profile likelihood':<34}{'value':>13}  {'95 % interval':<27}unit"]
+        lines += [f"{p.name:<34}{p.value:>13.5g}  {p.text():<27}{p.unit}" for p in self.profiles]
+        return [*lines, ""]
 
     def _nuisance_table(self) -> list[str]:
         """What the data tell of nuisances, as text."""
@@ -142,6 +160,7 @@ def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], lis
                 float(known.sd[k]),
                 p.log,
                 p.at_bound(float(fitted.scaled[k]), float(known.sd[k])),
+                p.bag,
             )
         )
     return out, known.correlation[np.ix_(asked, asked)].tolist(), list(known.sentences), known.reduced_chi2
@@ -210,11 +229,14 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def plot_series(problem: Problem, before: Fitted, after: Fitted, held_out: bool, most: int = 6) -> list[Series]:
-    """The columns of each channel that move most, thinned for plotting."""
+def plot_series(
+    problem: Problem, before: Fitted, after: Fitted, held_out: bool, raw: Sequence[Run] = (), most: int = 6
+) -> list[Series]:
+    """The columns of each channel that move most, thinned for plotting; ``raw``: the runs with what was left out."""
     out = []
     for i, run in enumerate(problem.runs):
-        for m in run.measured:
+        for number, m in enumerate(run.measured):
+            whole = raw[i].measured[number].values if raw else m.values
             finite = [column[np.isfinite(column)] for column in m.values.T]
             spread = np.array([np.std(column) if len(column) else -1.0 for column in finite])
             chosen = np.sort(np.argsort(-spread, kind="stable")[: min(most, int(np.sum(spread >= 0.0)))])
@@ -223,6 +245,7 @@ def plot_series(problem: Problem, before: Fitted, after: Fitted, held_out: bool,
             for k in chosen:
                 unit = UNITS[m.kind][1 if m.kind == "wrench" and k >= 3 else 0]
                 values = m.values[::step, k]
+                gone = np.isnan(m.values[:, k]) & np.isfinite(whole[:, k])
                 out.append(
                     Series(
                         run.name,
@@ -234,6 +257,7 @@ def plot_series(problem: Problem, before: Fitted, after: Fitted, held_out: bool,
                         [float(v) if np.isfinite(v) else None for v in values],
                         was[::step, k].tolist(),
                         now[::step, k].tolist(),
+                        [(float(t), float(v)) for t, v in zip(m.t[gone], whole[gone, k], strict=True)],
                     )
                 )
     return out

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sysid.report.numbers import MISSING, seconds, significant, times, with_unit
 from sysid.report.page import embedded_json, write_page
 from sysid.report.panels import run_views, showcase
+from sysid.report.profiles import profile_pictures
 from sysid.report.strips import LEVELS
 from sysid.report.tables import (
     ErrorRow,
@@ -62,6 +63,7 @@ def write_fit_report(result: FitResult, path: Path) -> Path:
         tiles=tiles(result, undetermined),
         parameters=[estimate_row(e, e.name in undetermined) for e in result.estimates],
         nuisances=[nuisance_row(n) for n in result.nuisances if n.told],
+        profiles=profile_pictures(result.profiles),
         correlation=correlation_cells([e.name for e in result.estimates], result.correlation),
         runs=runs,
         names=("before", "after"),
@@ -95,8 +97,8 @@ class ErrorTables:
 
 
 def undetermined_names(result: FitResult) -> set[str]:
-    """Parameters that some sentence says the data do not determine."""
-    found = set()
+    """Parameters that some sentence says the data do not determine, or of which they only give a limit."""
+    found = {p.name for p in result.profiles if p.one_sided}
     for sentence in result.identifiability:
         if "do not determine" not in sentence:
             continue

@@ -205,6 +205,9 @@ def _panel(
             axes.axvspan(a, b, color=WINDOW, alpha=0.2, linewidth=0)
     step = max(1, -(-len(t) // MOST_POINTS))
     top.plot(t[::step], measured[::step], ".", color=MEASURED, markersize=4)
+    if series.outliers:
+        when, what = np.array(series.outliers).T
+        top.plot(when, what * scale.factor, "x", color=WINDOW, markersize=5)
     if both:
         top.plot(t, before, color=BEFORE, linewidth=1.3, dashes=(4, 2))
     top.plot(t, after, color=AFTER, linewidth=1.5)

@@ -86,6 +86,12 @@ FAULTS: dict[str, Fault] = {
     "fit beside nothing known": Fault(
         "fit card_press a.mcap --params card.E --nuisance clock --out o", "no nuisance 'clock'", BAG
     ),
+    "own value of what is not fitted": Fault(
+        "fit card_press a.mcap b.mcap --params card.E --per-bag gel.E --out o", "gel.E_pa.*but is not fitted", BAG
+    ),
+    "own value of one bag": Fault(
+        "fit card_press a.mcap --params card.E --per-bag card.E --out o", "there is only one", BAG
+    ),
     "fit of an empty name": Fault("fit card_press a.mcap --params card.E,,gel.E --out o", "empty name", BAG),
     # motions
     "experiment misspelt": Fault("simulate card_press slid --out o", "Did you mean 'slide'"),

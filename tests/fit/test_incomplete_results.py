@@ -62,9 +62,10 @@ def run_of(name: str, *channels: str) -> Run:
 
 
 def result_of(engine: Readings, rig: Any, runs: list[Run], held_out: list[Run]) -> fit.FitResult:
+    asked = fit.fit_parameters(rig, ["gel.E"])
     return fit._fit_runs(
-        cast(PooledEngine, engine), rig, runs, fit.fit_parameters(rig, ["gel.E"]), held_out, 0, None,
-        fit._Evaluations(None, None, None), None, frozenset(),
+        cast(PooledEngine, engine), rig, runs, asked, held_out, 0, fit.start_of(rig, asked),
+        fit._Evaluations(None, None, None), None, frozenset(), "quadratic", False,
     )[0]  # fmt: skip
 
 

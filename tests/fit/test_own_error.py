@@ -78,10 +78,11 @@ class Vector:
 
 @pytest.fixture
 def vectors(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("sysid.fit.problem", "sysid.fit.own_error"):
-        monkeypatch.setattr(
-            f"{module}.rig_at", lambda rig, parameters, scaled: Vector(scaled if len(scaled) else rig.x)
-        )
+    def rig_at(rig: Vector, parameters: Any, scaled: np.ndarray, bag: str = "") -> Vector:
+        return Vector(scaled if len(scaled) else rig.x)
+
+    for module, name in (("sysid.fit.problem", "rig_at"), ("sysid.fit.own_error", "rig_in")):
+        monkeypatch.setattr(f"{module}.{name}", rig_at)
         monkeypatch.setattr(f"{module}.start_of", lambda rig, parameters: rig.x)
 
 

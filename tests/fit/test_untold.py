@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_round_trip import MOTION, STARTS, TRUTH
 
 from sim_core.rigs import Rig, with_parameters
 from sim_core.rigs.motion import Experiment
@@ -17,19 +18,9 @@ from sysid.fit.runs import Run, load_run
 from sysid.report import write_fit_report
 from sysid.simulate import WhiteNoise, simulate_to_bag
 
-TRUTH = {"card.E_pa": 2.6e9, "gel.E_pa": 1.3e5, "contacts.gel-post.friction": 0.5}
-START = {"card.E_pa": 1.8e9, "gel.E_pa": 0.9e5, "contacts.gel-post.friction": 0.35}
+START = STARTS[0]
 UNTOLD = {"markers.latency_s": 0.02, "side.fx_px": 1407.0, "side.fy_px": 1407.0}
 BIAS = np.array([0.3, -0.2, 0.5, 0.0, 0.0, 0.0])
-MOTION = [
-    {"type": "wait", "duration_s": 0.4},
-    {"type": "waypoints", "speed_m_s": 0.1, "hold_s": 0.1,
-     "poses": [{"position_m": [0.0, 0.0, -0.012]}, {"position_m": [0.0, 0.0, 0.0]},
-               {"position_m": [0.055, 0.0, 0.0]}]},
-    {"type": "waypoints", "speed_m_s": 0.02, "hold_s": 0.1,
-     "poses": [{"position_m": [0.055, 0.0, -0.0008]}, {"position_m": [0.059, 0.0, -0.0008]},
-               {"position_m": [0.055, 0.0, 0.0]}]},
-]  # fmt: skip
 
 MOST_GROWTH = 1.25
 """How much wider the intervals of a clean recording may be for what is estimated beside the parameters."""

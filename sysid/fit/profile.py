@@ -1,0 +1,78 @@
+"""What the profile likelihood of a parameter says (:mod:`sysid.fit.profiler` finds it)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sysid.fit.parameters import FitParameter
+
+LIMIT = 1.959964
+"""Root of the deviance at the ends of the interval."""
+
+BELIEVED = (1.5, 2.5)
+"""Roots of the deviance at the ends of a quadratic interval that is believed: 23 % off at the most."""
+
+
+@dataclass(frozen=True)
+class End:
+    """One end of an interval, in the fitted scale. ``kind``: 'found'; 'open', the deviance stays below its limit as far
+    as ``at``; 'failed', nothing could be simulated beyond ``at``; 'unfinished', the points allowed ended at ``at``."""
+
+    at: float
+    kind: str
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Deviance against one parameter. ``values`` and ``ci95``: in its own unit; ``ends``: what each end of ``ci95`` is
+    (:class:`End`); ``sentence``: what the quadratic interval does not say, empty where the two agree."""
+
+    name: str
+    unit: str
+    log: bool
+    value: float
+    values: tuple[float, ...]
+    deviance: tuple[float, ...]
+    ci95: tuple[float, float]
+    ends: tuple[str, str]
+    quadratic: tuple[float, float]
+    evaluations: int
+    seconds: float
+    sentence: str
+
+    @property
+    def one_sided(self) -> bool:
+        """The data set a limit on one side only."""
+        return (self.ends[0] == "open") != (self.ends[1] == "open")
+
+    def text(self) -> str:
+        """The interval in words."""
+        words = ["" if kind == "found" else f" ({kind})" for kind in self.ends]
+        return f"{self.ci95[0]:.5g}{words[0]} .. {self.ci95[1]:.5g}{words[1]}"
+
+
+def in_words(
+    parameter: FitParameter, ci95: tuple[float, float], ends: tuple[str, str], quadratic: tuple[float, float]
+) -> str:
+    """What the profile of a parameter says and its quadratic interval does not; empty where they agree."""
+    name, unit = parameter.name, f" {parameter.unit}".rstrip(" -")
+    low, high = (f"{v:.3g}{unit}" for v in ci95)
+    if ends == ("open", "open"):
+        return f"The data do not determine {name}: anything from {low} to {high} fits as well."
+    if ends[1] == "open":
+        why = ": with more nothing slips, so" if ".friction" in name else ";"
+        return f"{name} is at least {low}{why} anything above, as far as {high}, fits as well."
+    if ends[0] == "open":
+        return f"{name} is at most {high}; anything below, as far as {low}, fits as well."
+    if "failed" in ends or "unfinished" in ends:
+        where = " and ".join(v for v, kind in zip((low, high), ends, strict=True) if kind != "found")
+        why = "nothing could be simulated beyond it" if "failed" in ends else "the points allowed ended there"
+        return f"The interval of {name} may reach beyond {where}: {why}."
+    scaled, parabola = ([parameter.scaled(v) for v in pair] for pair in (ci95, quadratic))
+    half = 0.5 * (parabola[1] - parabola[0])
+    if max(abs(a - b) for a, b in zip(scaled, parabola, strict=True)) > (1.0 - BELIEVED[0] / LIMIT) * half:
+        return (
+            f"The misfit is not a parabola in {name}: its 95 % interval is {low} to {high}, where the quadratic one is "
+            f"{quadratic[0]:.3g} to {quadratic[1]:.3g}{unit}."
+        )
+    return ""

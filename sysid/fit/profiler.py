@@ -1,0 +1,335 @@
+"""Profile likelihood: how far each parameter can go while all others follow it.
+
+The quadratic interval takes chi-square for a parabola. The profile deviance of parameter k is
+
+    D(x) = [min over the others of chi2(theta | theta_k = x) - min chi2] / c,    c = sd_k^2 / (J^T J)^-1_kk,
+
+with c the calibration of the quadratic interval (misfit and sandwich, :mod:`sysid.fit.uncertainty`), so that the two
+agree where chi-square is a parabola (vertical scaling, Chandler & Bate 2007). The 95 % interval is where D is at most
+3.84 = chi2_1(0.95) (Venzon & Moolgavkar 1988). Where D stays below that as far as a value is plausible, the data give a
+limit on one side only.
+
+From each point the others follow along their linear prediction; Gauss-Newton steps within bounds go on from there
+until they promise less than :data:`WORTH` of deviance. The simulator's own error is that measured at the optimum.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import lsq_linear
+
+from sim_core.errors import ThinshellError
+from sysid.fit.fitted import Fitted
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Problem
+from sysid.fit.profile import BELIEVED, LIMIT, End, Profile, in_words
+from sysid.fit.uncertainty import WIDEST, chance, uncertainty
+
+REACH = 3.0
+"""Farthest that a parameter is taken, in plausible ranges."""
+
+MOST_POINTS = 10
+"""Points on each side of the optimum."""
+
+MOST_STEPS = 4
+"""Evaluations of the rig at one point."""
+
+WORTH = 0.1
+"""Promised fall of the deviance from which another evaluation is worth its time."""
+
+BEYOND = 2.1
+"""Root of the deviance that a point beyond the end aims at."""
+
+NARROW = 0.05
+"""An end is known when it is bracketed to this share of its distance from the optimum."""
+
+TYPICAL_POINTS = 2.5
+"""Evaluations that a side usually takes; the time left is estimated with it."""
+
+Progress = Callable[[float, str], None]
+
+Job = TypeVar("Job")
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A point of a profile. ``scaled``: where it was evaluated; ``least``: least chi-square of the others there."""
+
+    scaled: np.ndarray
+    least: float
+    residual: np.ndarray
+    jacobian: np.ndarray
+
+
+class Profiler:
+    """Profiles of a fit, both sides of all parameters side by side where the engine has workers."""
+
+    def __init__(self, problem: Problem, fitted: Fitted, on_progress: Progress | None = None) -> None:
+        self._problem, self._fitted = problem, fitted
+        self._parameters = fitted.parameters
+        self._low, self._high = np.array([p.scaled_bounds for p in self._parameters]).T
+        self._prior = np.array([p.prior_sd for p in self._parameters])
+        self._weight = float(np.sqrt(chance(fitted))) if fitted.has_prior else 1.0
+        known = uncertainty(fitted)
+        self._sd = known.sd
+        self._misfit = max(1.0, known.reduced_chi2)
+        self._calibration = self._misfit * known.inflation**2
+        self._on_progress = on_progress
+        self._stop = threading.Event()
+        self._lock = threading.Lock()
+        self._started = time.monotonic()
+        self._evaluations = 0
+        self._expected = 1.0
+        self._best = self._point(fitted, None)
+        self._lowest = self._best
+
+    def check(self) -> list[str]:
+        """A sentence for each quadratic interval that is not to be believed: one evaluation at each of its ends."""
+        jobs = [(k, side) for k in self._asked() for side in (-1, 1)]
+        roots = self._run(lambda job: self._root_at_end(*job), jobs, 1.0)
+        said = []
+        for k, pair in zip(self._asked(), zip(roots[::2], roots[1::2], strict=True), strict=True):
+            off = [r for r in pair if r is not None and not BELIEVED[0] <= r <= BELIEVED[1]]
+            if off:
+                way = "too narrow" if min(off) < BELIEVED[0] else "too wide"
+                if min(off) < BELIEVED[0] and max(off) > BELIEVED[1]:
+                    way = "too narrow on one side and too wide on the other"
+                said.append(
+                    f"The interval of {self._parameters[k].name} takes the misfit for a parabola, which it is not: it "
+                    f"is {way}. '--profile' finds the interval that the recordings give."
+                )
+        return said
+
+    def profiles(self) -> list[Profile]:
+        """The profile of every parameter that was asked for. Ctrl-C ends with what was found so far."""
+        jobs = [(k, side) for k in self._asked() for side in (-1, 1)]
+        sides = self._run(lambda job: self._side(*job), jobs, TYPICAL_POINTS)
+        found = []
+        for n, k in enumerate(self._asked()):
+            low, high = sides[2 * n], sides[2 * n + 1]
+            if low is not None and high is not None:
+                found.append(self._profile(k, low, high))
+        return found
+
+    def lower(self) -> str:
+        """A sentence if a better fit was met on the way, else empty."""
+        gain = self._best.least - self._lowest.least
+        if gain < LIMIT**2 * self._misfit:
+            return ""
+        values = ", ".join(
+            f"{p.name} = {p.physical(s):.5g}"
+            for p, s in zip(self._parameters, self._lowest.scaled, strict=True)
+            if not p.nuisance
+        )
+        return (
+            f"The search had ended too early: chi-square is lower by {gain:.3g} at {values}. Write these values into "
+            "the rig and fit again."
+        )
+
+    def _asked(self) -> list[int]:
+        return [k for k, p in enumerate(self._parameters) if not p.nuisance]
+
+    def _run(self, do: Callable[[Job], Found], jobs: Sequence[Job], each: float) -> list[Found | None]:
+        """All jobs, as many at once as the engine has workers; None for those that Ctrl-C cut off."""
+        self._expected = each * len(jobs)
+        workers = (os.cpu_count() or 1) if isinstance(self._problem.engine, PooledEngine) else 1
+        with ThreadPoolExecutor(min(workers, max(1, len(jobs)))) as threads:
+            futures = [threads.submit(do, job) for job in jobs]
+            try:
+                return [f.result() for f in futures]
+            except KeyboardInterrupt:
+                self._stop.set()
+                for f in futures:
+                    f.cancel()
+        return [f.result() if f.done() and not f.cancelled() else None for f in futures]
+
+    def _evaluate(self, scaled: np.ndarray) -> Fitted | None:
+        """The problem at these values, None where they cannot be simulated."""
+        found: Fitted | None
+        try:
+            found = self._problem.evaluate(self._fitted.centre, self._parameters, scaled)
+        except ThinshellError:
+            found = None
+        with self._lock:
+            self._evaluations += 1
+            if self._on_progress is not None:
+                share = 1.0 - np.exp(-1.5 * self._evaluations / self._expected)
+                each = (time.monotonic() - self._started) / self._evaluations
+                left = each * max(1.0, self._expected - self._evaluations)
+                self._on_progress(share, f"profile, evaluation {self._evaluations}, about {left:.0f} s left")
+        return found
+
+    def _point(self, fitted: Fitted, k: int | None) -> _Point:
+        """A point with parameter ``k`` (None: none) fixed."""
+        r, j = fitted.residual.copy(), fitted.jacobian.copy()
+        if fitted.pulls:
+            r[-fitted.pulls :] *= self._weight
+            j[-fitted.pulls :] *= self._weight
+        least = self._follow(fitted.scaled, r, j, k, 0.0)[1]
+        return _Point(fitted.scaled, least, r, j)
+
+    def _follow(
+        self, scaled: np.ndarray, residual: np.ndarray, jacobian: np.ndarray, k: int | None, move: float
+    ) -> tuple[np.ndarray, float]:
+        """Where the other parameters go, by one linear step within bounds, when parameter ``k`` moves by ``move``, and
+        the least chi-square that the step promises."""
+        others = [i for i in range(len(scaled)) if i != k]
+        to = scaled.copy()
+        if k is not None:
+            residual = residual + jacobian[:, k] * move
+            to[k] += move
+        if not others:
+            return to, float(residual @ residual)
+        # A direction that the data do not see stays where it is.
+        ridge = np.diag(1.0 / (WIDEST * self._prior[others]))
+        upper: np.ndarray = np.linalg.qr(np.column_stack([jacobian[:, others], residual]))[1]
+        matrix = np.vstack([upper[:, :-1], ridge])
+        target = -np.concatenate([upper[:, -1], np.zeros(len(others))])
+        reach = self._prior[others]
+        low = np.minimum(np.maximum(self._low[others] - scaled[others], -reach), -1e-12)
+        high = np.maximum(np.minimum(self._high[others] - scaled[others], reach), 1e-12)
+        step = lsq_linear(matrix, target, bounds=(low, high)).x
+        left = residual + jacobian[:, others] @ step
+        to[others] = np.clip(scaled[others] + step, self._low[others], self._high[others])
+        return to, float(left @ left)
+
+    def _at(self, k: int, x: float, near: _Point, most: int = MOST_STEPS) -> _Point | None:
+        """The point of the profile of parameter ``k`` at ``x``, starting from ``near``; None: not simulated."""
+        guess, _ = self._follow(near.scaled, near.residual, near.jacobian, k, x - near.scaled[k])
+        best: _Point | None = None
+        for _ in range(most):
+            here = self._evaluate(guess)
+            if here is None:
+                return best
+            point = self._point(here, k)
+            if best is None or _square(point.residual) < _square(best.residual):
+                best = point
+                with self._lock:
+                    self._lowest = min(self._lowest, point, key=lambda q: _square(q.residual))
+                promised = (_square(point.residual) - point.least) / self._calibration[k]
+                if promised < WORTH or self._stop.is_set():
+                    break
+                guess, _ = self._follow(point.scaled, point.residual, point.jacobian, k, 0.0)
+            else:
+                guess = 0.5 * (guess + best.scaled)
+        return best
+
+    def _root(self, k: int, point: _Point | None) -> float:
+        """Root of the deviance of a point of the profile of parameter ``k``."""
+        if point is None:
+            return np.inf
+        return float(np.sqrt(max(0.0, (point.least - self._best.least) / self._calibration[k])))
+
+    def _plausible(self, k: int, side: int) -> float:
+        """As far as parameter ``k`` is taken on one side."""
+        far = self._fitted.scaled[k] + side * REACH * self._prior[k]
+        return float(max(far, self._low[k]) if side < 0 else min(far, self._high[k]))
+
+    def _root_at_end(self, k: int, side: int) -> float | None:
+        """Root of the deviance at one end of the quadratic interval; None where that is at a bound."""
+        end = self._fitted.scaled[k] + side * LIMIT * self._sd[k]
+        if not self._low[k] < end < self._high[k] or abs(end - self._fitted.scaled[k]) > REACH * self._prior[k]:
+            return None
+        return self._root(k, self._at(k, end, self._best, 1))
+
+    def _side(self, k: int, side: int) -> tuple[list[tuple[float, float]], End]:
+        """Points (value, root of the deviance) on one side, in the order of the value's distance, and the end."""
+        start, far = float(self._fitted.scaled[k]), self._plausible(k, side)
+        found = [(start, self._root(k, self._best))]
+        if abs(far - start) < 1e-9 * self._prior[k]:
+            return found, End(start, "open")
+        inside, point = found[0], self._best
+        beyond: tuple[float, float] | None = None
+        step = min(self._sd[k], self._prior[k])
+        x = start + side * step
+        for _ in range(MOST_POINTS):
+            x = min(x, far) if side > 0 else max(x, far)
+            there = self._at(k, x, point)
+            root = self._root(k, there)
+            found.append((x, root))
+            if self._stop.is_set():
+                break
+            if root >= LIMIT:
+                beyond = (x, root)
+            else:
+                assert there is not None
+                step = self._longer(inside, (x, root))
+                inside, point = (x, root), there
+                if x == far:
+                    return sorted(found, key=lambda f: side * f[0]), End(far, "open")
+            if beyond is None:
+                x = inside[0] + side * step
+            elif self._known(start, inside, beyond):
+                break
+            else:
+                x = _between(inside, beyond)
+        found.sort(key=lambda f: side * f[0])
+        if beyond is None:
+            return found, End(inside[0], "unfinished")
+        if not np.isfinite(beyond[1]):
+            return found, End(inside[0], "failed")
+        return found, End(_crossing(found, inside, beyond), "found")
+
+    @staticmethod
+    def _longer(before: tuple[float, float], now: tuple[float, float]) -> float:
+        """Next step outwards: to just beyond the limit by the slope so far, at most twice the last one."""
+        last, rise = abs(now[0] - before[0]), now[1] - before[1]
+        wanted = last * (BEYOND - now[1]) / rise if rise > 0.0 else np.inf
+        return float(np.clip(wanted, 0.3 * last, 2.0 * last))
+
+    @staticmethod
+    def _known(start: float, inside: tuple[float, float], beyond: tuple[float, float]) -> bool:
+        """The limit is between two points that are near enough to interpolate."""
+        if abs(beyond[0] - inside[0]) < NARROW * abs(beyond[0] - start):
+            return True
+        return inside[1] > 0.4 * LIMIT and beyond[1] < 1.5 * LIMIT
+
+    def _profile(
+        self, k: int, low: tuple[list[tuple[float, float]], End], high: tuple[list[tuple[float, float]], End]
+    ) -> Profile:
+        p = self._parameters[k]
+        points = [*reversed(low[0][1:]), *high[0]]
+        known = [(x, root) for x, root in points if np.isfinite(root)]
+        ends, at = (low[1], high[1]), float(self._fitted.scaled[k])
+        ci95 = (p.physical(low[1].at), p.physical(high[1].at))
+        quadratic = tuple(p.physical(at + s * LIMIT * self._sd[k]) for s in (-1.0, 1.0))
+        with self._lock:
+            evaluations = self._evaluations
+        return Profile(
+            p.name, p.unit, p.log, p.physical(at), tuple(p.physical(x) for x, _ in known),
+            tuple(root**2 for _, root in known), ci95, (ends[0].kind, ends[1].kind),
+            (quadratic[0], quadratic[1]), evaluations, time.monotonic() - self._started,
+            in_words(p, ci95, (ends[0].kind, ends[1].kind), (quadratic[0], quadratic[1])),
+        )  # fmt: skip
+
+
+def _square(rows: np.ndarray) -> float:
+    return float(rows @ rows)
+
+
+def _between(inside: tuple[float, float], beyond: tuple[float, float]) -> float:
+    """A value between two points that are on either side of the limit: nearer to where it is, but not at an end."""
+    share = (LIMIT - inside[1]) / (beyond[1] - inside[1]) if np.isfinite(beyond[1]) else 0.5
+    return inside[0] + (beyond[0] - inside[0]) * float(np.clip(share, 0.3, 0.7))
+
+
+def _crossing(found: Sequence[tuple[float, float]], inside: tuple[float, float], beyond: tuple[float, float]) -> float:
+    """Where the root of the deviance passes its limit, by monotone interpolation."""
+    kept = [found[0]]
+    for x, root in found[1:]:
+        if np.isfinite(root) and root > kept[-1][1]:
+            kept.append((x, root))
+    xs, roots = np.array(kept).T
+    if roots[-1] >= LIMIT and len(kept) > 2:
+        return float(PchipInterpolator(roots, xs)(LIMIT))
+    return float(np.interp(LIMIT, [inside[1], beyond[1]], [inside[0], beyond[0]]))

@@ -1,0 +1,218 @@
+"""Profile likelihood: intervals of misfits that are parabolas, that are not, and that are flat on one side."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq, minimize_scalar
+
+from sim_core.errors import ConvergenceError
+from sim_core.rigs import with_parameters
+from sim_core.rigs.motion import Experiment
+from sim_core.simulate import Trace
+from sysid.fit import fit_runs
+from sysid.fit.engine import Engine, Prediction
+from sysid.fit.fitted import Fitted
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.parameters import FitParameter
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Problem
+from sysid.fit.profiler import Profiler
+from sysid.fit.runs import Measured, Run, load_run
+from sysid.fit.uncertainty import uncertainty
+from sysid.report import write_fit_report
+from sysid.simulate import simulate_to_bag
+
+T = np.linspace(0.0, 2.0, 60)
+SIGMA = 0.05
+Model = Callable[[float, float], np.ndarray]
+
+
+class Curve:
+    """An engine that reads ``model(a, b)``; its derivatives are central differences."""
+
+    def __init__(self, model: Model, broken_from: float = np.inf) -> None:
+        self.model, self.broken_from, self.calls = model, broken_from, 0
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        self.calls += 1
+        if scaled[0] >= self.broken_from:
+            raise ConvergenceError("The step does not converge.")
+        steps = 1e-5 * np.eye(2)[: len(scaled)]
+        slopes = np.stack([(self.model(*(scaled + s)) - self.model(*(scaled - s))) / 2e-5 for s in steps], axis=1)
+        return [Prediction({"c": self.model(*scaled)[:, None]}, {"c": slopes[:, None]}, cast(Trace, None))]
+
+
+def parameters(low: float, high: float) -> list[FitParameter]:
+    return [
+        FitParameter("contacts.a-b.friction", "", False, low, high, 1.0, ""),
+        FitParameter("b", "Pa", False, -1e3, 1e3, 1e3, ""),
+    ]
+
+
+@pytest.fixture(autouse=True)
+def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sysid.fit.problem.start_of", lambda rig, given: np.zeros(len(given)))
+    monkeypatch.setattr("sysid.fit.problem.rig_at", lambda rig, given, scaled: rig)
+
+
+def fitted_to(
+    model: Model, truth: tuple[float, float], low: float = -100.0, high: float = 100.0, **engine: float
+) -> tuple[Problem, Fitted]:
+    values = model(*truth)[:, None] + SIGMA * np.random.default_rng(5).standard_normal((len(T), 1))
+    run = Run("r", "", (), {}, (Measured("c", "markers", T, values, ("u",)),), 2.0)
+    noise = {"c": ChannelNoise(np.array([SIGMA]), 0.0, "test")}
+    problem = Problem([run], noise, cast(Engine, Curve(model, **engine)))
+    return problem, problem.fit(cast(Any, None), parameters(low, high), start=np.array(truth), tolerance=1e-9)
+
+
+def linear(a: float, b: float) -> np.ndarray:
+    return a * np.sin(3.0 * T) + b * (T + 0.5 * np.sin(3.0 * T))
+
+
+def cubic(a: float, b: float) -> np.ndarray:
+    return a**3 * np.sin(3.0 * T) + b * T
+
+
+def valley(a: float, b: float) -> np.ndarray:
+    """Little changes along b = 200 a + constant."""
+    return a * np.sin(3.0 * T) + np.exp(-np.abs(b - 200.0 * a) * T)
+
+
+def sticking(a: float, b: float) -> np.ndarray:
+    """A force that friction carries up to ``a``: beyond 1.2 nothing slips."""
+    return np.minimum(a, 1.2 * np.sin(T)) + 1e-3 * b * T
+
+
+def calibration(fitted: Fitted) -> float:
+    known = uncertainty(fitted)
+    return float((known.sd**2 / np.diag(np.linalg.inv(fitted.jacobian.T @ fitted.jacobian)))[0])
+
+
+def test_of_a_parabola_it_is_the_quadratic_interval() -> None:
+    problem, fitted = fitted_to(linear, (0.4, -0.3))
+    (a, b) = Profiler(problem, fitted).profiles()
+    sd = uncertainty(fitted).sd
+    for profile, at, s in zip((a, b), fitted.scaled, sd, strict=True):
+        assert profile.ends == ("found", "found") and profile.sentence == ""
+        np.testing.assert_allclose(profile.ci95, [at - 1.959964 * s, at + 1.959964 * s], atol=0.01 * s)
+        np.testing.assert_allclose(profile.deviance, ((np.array(profile.values) - at) / s) ** 2, atol=1e-3)
+    assert Profiler(problem, fitted).check() == []
+
+
+def test_the_others_follow_along_a_valley() -> None:
+    """By scalar searches over d = b - 200 a."""
+    problem, fitted = fitted_to(valley, (0.01, 3.5))
+    (a, _) = Profiler(problem, fitted).profiles()
+    y = problem.runs[0].measured[0].values[:, 0]
+
+    def least(x: float) -> float:
+        def square(d: float) -> float:
+            return float(np.sum((y - x * np.sin(3.0 * T) - np.exp(-d * T)) ** 2)) / SIGMA**2
+
+        return float(minimize_scalar(square, bounds=(0.0, 20.0), method="bounded", options={"xatol": 1e-9}).fun)
+
+    limit = least(fitted.scaled[0]) + 3.841459 * calibration(fitted)
+    at = fitted.scaled[0]
+    expected = [brentq(lambda x: least(x) - limit, *ends) for ends in ((at - 0.2, at), (at, at + 0.2))]
+    np.testing.assert_allclose(a.ci95, expected, atol=0.03 * (expected[1] - expected[0]))
+
+
+def test_of_a_cube_it_is_the_cube_root_of_that_of_the_cube() -> None:
+    problem, fitted = fitted_to(cubic, (0.25, 0.3))
+    (a, _) = Profiler(problem, fitted).profiles()
+    cube = fitted.scaled[0] ** 3
+    jacobian = np.column_stack([np.sin(3.0 * T), T]) / SIGMA
+    sd = np.sqrt(np.linalg.inv(jacobian.T @ jacobian)[0, 0] * calibration(fitted))
+    np.testing.assert_allclose(a.ci95, np.cbrt([cube - 1.959964 * sd, cube + 1.959964 * sd]), rtol=0.02)
+    assert abs(a.quadratic[0] - a.ci95[0]) > 0.2 * abs(fitted.scaled[0] - a.ci95[0])
+    assert "not a parabola" in a.sentence and f"{a.ci95[0]:.3g} to {a.ci95[1]:.3g}" in a.sentence
+    (said,) = Profiler(problem, fitted).check()
+    assert "The interval of contacts.a-b.friction" in said and "--profile" in said
+
+
+def test_friction_that_never_slips_has_a_lower_limit() -> None:
+    problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0)
+    (a, _) = Profiler(problem, fitted).profiles()
+    assert a.ends == ("found", "open") and a.one_sided and a.ci95[1] == pytest.approx(3.0)
+    y = problem.runs[0].measured[0].values[:, 0]
+
+    def least(x: float) -> float:
+        miss, slope = y - np.minimum(x, 1.2 * np.sin(T)), 1e-3 * T
+        return float(np.sum((miss - slope * (slope @ miss) / (slope @ slope)) ** 2)) / SIGMA**2
+
+    limit = least(2.0) + 3.841459 * calibration_of_misfit(fitted)
+    expected = brentq(lambda x: least(x) - limit, 0.8, 1.2)
+    assert a.ci95[0] == pytest.approx(expected, abs=0.02)
+    assert a.sentence.startswith(f"contacts.a-b.friction is at least {a.ci95[0]:.3g}: with more nothing slips")
+
+
+def calibration_of_misfit(fitted: Fitted) -> float:
+    return max(1.0, uncertainty(fitted).reduced_chi2) * float(uncertainty(fitted).inflation[0]) ** 2
+
+
+def test_where_nothing_can_be_simulated_the_interval_is_open() -> None:
+    problem, fitted = fitted_to(linear, (0.4, -0.3), broken_from=0.41)
+    (a, _) = Profiler(problem, fitted).profiles()
+    assert a.ends == ("found", "failed") and a.ci95[1] < 0.41
+    assert "nothing could be simulated beyond" in a.sentence
+
+
+def test_the_number_of_evaluations_is_bounded() -> None:
+    problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0)
+    engine = cast(Curve, problem.engine)
+    engine.calls = 0
+    told: list[tuple[float, str]] = []
+    Profiler(problem, fitted, lambda share, text: told.append((share, text))).profiles()
+    assert engine.calls == len(told) <= 40
+    assert all(0.0 < share < 1.0 and "s left" in text for share, text in told)
+
+
+def test_a_better_fit_on_the_way_is_told() -> None:
+    """Where the search stands, the readings do not change with the first parameter."""
+    problem, _ = fitted_to(cubic, (1.0, 0.1))
+    there = problem.evaluate(cast(Any, None), parameters(-5.0, 5.0), np.array([0.0, 0.1]))
+    profiler = Profiler(problem, there)
+    profiler.profiles()
+    assert "The search had ended too early" in profiler.lower()
+    assert "contacts.a-b.friction = " in profiler.lower()
+
+
+@pytest.mark.slow
+def test_a_gel_that_sticks_says_how_much_friction_there_is_at_least(
+    small_rig: Any, tmp_path: Path, workers: PooledEngine
+) -> None:
+    """Pressed on a post and pulled aside by less than its friction holds."""
+    rig = small_rig()
+    finger = rig.end_effectors["finger"].model_copy(
+        update={"start": rig.end_effectors["finger"].start.model_copy(update={"position_m": (0.08, 0.004, 0.0545)})}
+    )
+    rig = rig.model_copy(
+        update={
+            "bodies": {n: b for n, b in rig.bodies.items() if n != "card"}, "clamps": (), "cameras": {},
+            "contacts": rig.contacts[1:], "end_effectors": {"finger": finger},
+            "solver": rig.solver.model_copy(update={"inertia": False}),
+        }
+    )  # fmt: skip
+    poses = [{"position_m": [0.0, 0.0, -0.0008]}, {"position_m": [0.0002, 0.0, -0.0008]}]
+    motion = [
+        {"type": "wait", "duration_s": 0.2},
+        {"type": "waypoints", "speed_m_s": 2e-3, "hold_s": 0.2, "poses": poses},
+    ]
+    experiment = Experiment.model_validate({"name": "stick", "motions": {"finger": motion}})
+    name = "contacts.gel-post.friction"
+    simulate_to_bag(with_parameters(rig, {name: 1.2}), experiment, tmp_path / "bag", seed=4)
+    start = with_parameters(rig, {name: 1.0})
+    result, _ = fit_runs(start, [load_run(rig, tmp_path / "bag")], [name], intervals="profiled", engine=workers)
+    (profile,) = result.profiles
+    assert profile.ends == ("found", "open") and 0.1 < profile.ci95[0] < 1.0
+    assert profile.sentence.startswith(f"{name} is at least") and profile.sentence in result.identifiability
+    assert "by profile likelihood" in result.table() and "(open)" in result.table()
+    page = write_fit_report(result, tmp_path / "report.html").read_text()
+    assert "Deviance against each parameter" in page and f"Deviance against {name}" in page
+    assert json.loads(json.dumps(result.to_json()))["profiles"][0]["ends"] == ["found", "open"]

@@ -1,0 +1,88 @@
+"""Fits of recordings in which a tracker makes mistakes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from strip import PULL, START, TRUTH, pulled, strip_rig
+
+from sim_core.rigs import with_parameters
+from sim_core.rigs.motion import compile_experiment
+from sysid.fit import FitResult, fit_runs
+from sysid.fit.pool import PooledEngine
+from sysid.fit.runs import Run
+from sysid.report import write_fit_report
+
+RIG = strip_rig()
+FRAMES = int(np.floor(max(p.times[-1] for p in compile_experiment(PULL, RIG).values()) * 30.0 + 1e-9)) + 1
+
+
+def blurred() -> np.ndarray:
+    """5 px away from the middle line of 5 % of the readings, while the strip moves ``(FRAMES, 33, 2)``."""
+    rng = np.random.default_rng(8)
+    jumps = np.zeros((FRAMES, 33, 2))
+    moving = np.arange(FRAMES) > 0.3 * 30
+    hit = (rng.uniform(size=(FRAMES, 33)) < 0.05 / np.mean(moving)) & moving[:, None]
+    jumps[hit, 1] = np.broadcast_to(np.tile([-5.0, 0.0, 5.0], 11), (FRAMES, 33))[hit]
+    return jumps
+
+
+@pytest.fixture(scope="module")
+def dirty(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return pulled(RIG, TRUTH, tmp_path_factory.mktemp("dirty") / "bag", jumps=blurred())
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return pulled(RIG, TRUTH, tmp_path_factory.mktemp("clean") / "bag")
+
+
+def fitted(run: Run, robust: bool, workers: PooledEngine) -> FitResult:
+    rig = with_parameters(RIG, START)
+    return fit_runs(rig, [run], list(TRUTH), robust=robust, nuisance=("none",), intervals="quadratic", engine=workers)[
+        0
+    ]
+
+
+@pytest.fixture(scope="module")
+def careful(dirty: Run, workers: PooledEngine) -> FitResult:
+    return fitted(dirty, True, workers)
+
+
+@pytest.fixture(scope="module")
+def plain(clean: Run, workers: PooledEngine) -> FitResult:
+    return fitted(clean, True, workers)
+
+
+def test_mistakes_of_the_tracker_do_not_fool_a_fit(careful: FitResult, plain: FitResult, tmp_path: Path) -> None:
+    assert careful.converged and careful.reduced_chi2 < 1.1
+    for e, alone in zip(careful.estimates, plain.estimates, strict=True):
+        assert e.ci95[0] <= TRUTH[e.name] <= e.ci95[1]
+        assert e.sd < 1.15 * alone.sd
+    (told,) = careful.outliers
+    number = np.sum(np.any(blurred() != 0.0, axis=2))
+    assert told.share == pytest.approx(number / (FRAMES * 33), rel=0.05)
+    assert told.sentence in careful.notes and "are treated as outliers: markers" in careful.table()
+    assert json.loads(json.dumps(careful.to_json()))["outliers"][0]["channel"] == "above"
+    assert any(s.outliers for s in careful.series)
+    write_fit_report(careful, tmp_path / "report.html")
+    assert "are treated as outliers" in (tmp_path / "report.html").read_text()
+
+
+def test_without_care_they_would(careful: FitResult, dirty: Run, workers: PooledEngine) -> None:
+    """Poisson's ratio leaves the interval that honest readings give by far, and nothing is known any more."""
+    result = fitted(dirty, False, workers)
+    known, fooled = careful.estimates[1], result.estimates[1]
+    assert abs(fooled.value - TRUTH["strip.nu"]) > 4.0 * known.sd
+    assert result.estimates[0].sd > 5.0 * careful.estimates[0].sd
+    assert result.reduced_chi2 > 10.0 and result.outliers == []
+
+
+def test_a_clean_recording_loses_nothing(plain: FitResult, clean: Run, workers: PooledEngine) -> None:
+    without = fitted(clean, False, workers)
+    assert plain.outliers == []
+    for a, b in zip(plain.estimates, without.estimates, strict=True):
+        assert (a.value, a.sd) == (b.value, b.sd)
