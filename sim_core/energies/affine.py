@@ -61,28 +61,17 @@ def _gradient(x: F2, nodes: I2, slope: F3, stiffness: F1, out: F2):
 
 
 @ti.kernel
-def _foresee(x: F2, nodes: I2, slope: F3, stiffness: F1, move: F2, out: F3):
-    """Stress [J] after ``move`` by the strain's linear part: 8 V kappa (G + sym(A^T dA))."""
-    ti.loop_config(serialize=True)
-    for e in range(nodes.shape[0]):
-        a = _gradient_of(x, nodes, slope, e)
-        change = a.transpose() @ _gradient_of(move, nodes, slope, e)
-        s = stiffness[e] * (_strain(a) + 0.5 * (change + change.transpose()))
-        for i, j in ti.static(ti.ndrange(3, 3)):
-            out[e, i, j] = s[i, j]
-
-
-@ti.kernel
 def _hessian(
-    x: F2, nodes: I2, slope: F3, stiffness: F1, exact: I1, foreseen: I1, stress: F3, slots: I2, out: F1
+    x: F2, nodes: I2, slope: F3, stiffness: F1, exact: I1, foreseen: I1, move: F2, slots: I2, out: F1
 ):  # fmt: skip
+    """``foreseen``: take the stress that the ``move`` to x has by the strain's linear part, G - sym(dA^T dA) / 2."""
     ti.loop_config(serialize=True)
     for e in range(nodes.shape[0]):
         a = _gradient_of(x, nodes, slope, e)
         s = stiffness[e] * _strain(a)
         if foreseen[0] == 1:
-            for i, j in ti.static(ti.ndrange(3, 3)):
-                s[i, j] = stress[e, i, j]
+            change = _gradient_of(move, nodes, slope, e)
+            s -= 0.5 * stiffness[e] * change.transpose() @ change
         if exact[0] == 0:
             values, axes = symmetric_eigen(s)
             s = mat3(0.0)
@@ -122,7 +111,6 @@ class AffineShape(Memoryless):
         self._arms = corners - corners.mean(axis=1, keepdims=True)
         self._stiffness = 8.0 * KAPPA_PA * np.asarray(volumes, dtype=float)
         self._exact, self._foreseen = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32)
-        self._stress = np.zeros((len(control), 3, 3))
 
     def blocks(self) -> np.ndarray:
         i, j = np.triu_indices(4)
@@ -134,9 +122,8 @@ class AffineShape(Memoryless):
         self.add_energy = BoundKernel(_energy, *bodies, buffers.energy)
         self.add_gradient = BoundKernel(_gradient, *bodies, buffers.gradient)
         self._move = np.zeros_like(buffers.x)
-        self._foresee = BoundKernel(_foresee, *bodies, self._move, self._stress)
         self._add_hessian = BoundKernel(
-            _hessian, *bodies, self._exact, self._foreseen, self._stress, slots, buffers.hessian
+            _hessian, *bodies, self._exact, self._foreseen, self._move, slots, buffers.hessian
         )
 
     def add_hessian(self, exact: bool) -> None:
@@ -148,7 +135,6 @@ class AffineShape(Memoryless):
         self._foreseen[0] = move is not None
         if move is not None:
             self._move[:] = move
-            self._foresee()
 
     def straighten(self, start: np.ndarray, free: np.ndarray) -> None:
         """Give bodies, where they are now, the strain that a move of their nodes from ``start`` [m] ``(n, 3)`` has to

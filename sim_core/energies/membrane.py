@@ -108,30 +108,19 @@ def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, out: 
 
 
 @ti.kernel
-def _foresee(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, move: F2, out: F2):
-    """Stress [N/m] after ``move`` by the strain's linear part: C (eps + sym(F^T dF))."""
-    ti.loop_config(serialize=True)
-    for e in range(tri.shape[0]):
-        b = _shape(dm_inverse, e)
-        f1, f2 = _columns(x, tri, e, b)
-        d1, d2 = _columns(move, tri, e, b)
-        eps = _strain(f1, f2) - _row(before, e) + vec3(f1.dot(d1), f2.dot(d2), f1.dot(d2) + f2.dot(d1))
-        s = _stress(c, eps)
-        for i in ti.static(range(3)):
-            out[e, i] = s[i]
-
-
-@ti.kernel
 def _hessian(
-    x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, exact: I1, foreseen: I1, stress: F2, slots: I2, out: F1
+    x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, exact: I1, foreseen: I1, move: F2, slots: I2, out: F1
 ):
+    """``foreseen``: take the stress that the ``move`` to x has by the strain's linear part, eps - sym(dF^T dF) / 2."""
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
         f1, f2 = _columns(x, tri, e, b)
-        s = _stress(c, _strain(f1, f2) - _row(before, e))
+        eps = _strain(f1, f2) - _row(before, e)
         if foreseen[0] == 1:
-            s = vec3(stress[e, 0], stress[e, 1], stress[e, 2])
+            d1, d2 = _columns(move, tri, e, b)
+            eps -= vec3(0.5 * d1.dot(d1), 0.5 * d2.dot(d2), d1.dot(d2))
+        s = _stress(c, eps)
         if exact[0] == 0:
             mean = 0.5 * (s[0] + s[1])
             half = 0.5 * (s[0] - s[1])
@@ -193,7 +182,6 @@ class Membrane(Memoryless):
         self._before, self._strains = np.zeros((len(triangles), 3)), np.zeros((len(triangles), 3))
         self._damping = self._constant = 0.0
         self._exact, self._foreseen = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32)
-        self._stress = np.zeros((len(triangles), 3))
 
     def blocks(self) -> np.ndarray:
         pairs = np.asarray(_PAIRS)
@@ -208,9 +196,8 @@ class Membrane(Memoryless):
         self._energy, self._total = BoundKernel(_energy, *mesh, buffers.energy), buffers.energy
         self.add_gradient = BoundKernel(_gradient, *mesh, buffers.gradient)
         self._move = np.zeros_like(buffers.x)
-        self._foresee = BoundKernel(_foresee, *mesh, self._move, self._stress)
         self._add_hessian = BoundKernel(
-            _hessian, *mesh, self._exact, self._foreseen, self._stress, slots, buffers.hessian
+            _hessian, *mesh, self._exact, self._foreseen, self._move, slots, buffers.hessian
         )
 
     def add_hessian(self, exact: bool) -> None:
@@ -218,12 +205,11 @@ class Membrane(Memoryless):
         self._add_hessian()
 
     def foresee(self, move: np.ndarray | None) -> None:
-        """Until told otherwise, let the Hessian's stress part be that after ``move`` [m] ``(n, 3)`` from
-        here by linear extrapolation (None: that of the positions)."""
+        """Until told otherwise, let the Hessian's stress part be that which ``move`` [m] ``(n, 3)``, at whose end it
+        is taken, has to first order (None: that of the positions)."""
         self._foreseen[0] = move is not None
         if move is not None:
             self._move[:] = move
-            self._foresee()
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters)

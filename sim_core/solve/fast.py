@@ -118,7 +118,6 @@ class FastNewton:
         system, move = self._system, self._move
         start, placed = system.unknowns(), system.targets()
         step = system.spread(direction)
-        system.foresee(step if move is None else step + move)
 
         def go(share: float) -> None:
             if move is not None:
@@ -139,7 +138,7 @@ class FastNewton:
         self._update = share * float(np.abs(direction).max(initial=0.0))
         if share < 1.0:
             self._error = max(self._error, (1.0 - share) / share * self._update)
-            system.foresee(None)
+        system.foresee(share * (step if move is None else step + move))
         self._move = None if move is None or share == 1.0 else (1.0 - share) * move
         if self._move is not None:
             self._tangent = None

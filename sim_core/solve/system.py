@@ -432,8 +432,8 @@ class System:
         return self._pattern.matrix(self.hessian_data(exact, shift))
 
     def foresee(self, move: np.ndarray | None) -> None:
-        """Let the stress part of the next Hessians be that of a linear extrapolation by ``move`` [m]
-        ``(n, 3)`` from here, where a term can (None: the true one)."""
+        """Let the stress part of the next Hessians be that which ``move`` [m] ``(n, 3)``, at whose end they are taken,
+        has to first order, where a term can (None: the true one)."""
         for term in self.terms:
             if hasattr(term, "foresee"):
                 term.foresee(move)
