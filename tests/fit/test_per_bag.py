@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from strip import START, TRUTH, pulled, strip_rig
 
 from sim_core.errors import ConfigError
 from sim_core.rigs import with_parameters
-from sysid.fit import fit_runs
+from sysid.fit import fit_bags, fit_runs
 from sysid.fit.parameters import acting_in, fit_parameters, rig_at, rig_in, start_of, with_bags
 from sysid.fit.pool import PooledEngine
 
@@ -66,3 +67,17 @@ def test_two_strips_of_one_film_that_aged(workers: PooledEngine, tmp_path: Path)
     alone, _ = fit_runs(start, runs[:1], NAMES, nuisance=("none",), intervals="quadratic", engine=workers)
     assert nu.sd < alone.estimates[1].sd
     assert soft.sd == pytest.approx(alone.estimates[0].sd, rel=0.3)
+
+
+def test_the_result_of_a_fit_of_bags_has_a_value_for_each(tmp_path: Path) -> None:
+    bags = [tmp_path / name for name in BAGS]
+    for k, (bag, values) in enumerate(zip(bags, (TRUTH, STIFF), strict=True)):
+        pulled(RIG, values, bag, seed=k)
+    table = fit_bags(
+        RIG, bags, NAMES, per_bag=["strip.E"], nuisance=("none",), intervals="quadratic", out=tmp_path / "out"
+    )
+    found = json.loads((tmp_path / "out" / "fit.json").read_text())["estimates"]
+    values = {e["name"]: e["value"] for e in found}
+    assert list(values) == ["strip.E_pa[soft]", "strip.E_pa[stiff]", "strip.nu"]
+    assert values["strip.E_pa[stiff]"] > 1.1 * values["strip.E_pa[soft]"]
+    assert all(name in table for name in values)
