@@ -25,7 +25,8 @@ from sim_core.scene.assembly import (
 )
 from sim_core.scene.joints import Link, embedding, guides, joint_label, make_link
 from sim_core.scene.touching import ContactTerm, contact_of_surfaces, contact_with_rigid
-from sim_core.solve.system import Compliant, System
+from sim_core.solve.system import System
+from sim_core.solve.unknowns import Compliant
 
 CONTACT_STIFFNESS_PA_PER_M = 5e9
 """Contact pressure per approach where a rig names none."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -24,15 +23,7 @@ from sim_core.solve.factor import Factor, factorise
 from sim_core.solve.inertia import inertia_energy, inertia_gradient
 from sim_core.solve.pattern import Pattern
 from sim_core.solve.product import nodal_product
-
-
-@dataclass(frozen=True)
-class Compliant:
-    """Prescribed components of nodes that give way together by a translation. ``nodes``: ``(k,)``;
-    ``compliance_m_per_n``: along the world axes ``(3,)``, all positive."""
-
-    nodes: np.ndarray
-    compliance_m_per_n: np.ndarray
+from sim_core.solve.unknowns import Compliant, Unknowns
 
 
 class System:
@@ -72,7 +63,7 @@ class System:
         self._contact, self._contact_at = np.zeros_like(self.nodes), np.full_like(self.nodes, np.nan)
         self._turning: list[Any] = [t for t in self.terms if hasattr(t, "turn")]
         self._straightening: list[Any] = [t for t in self.terms if hasattr(t, "straighten")]
-        self._number_unknowns(compliant)
+        self._unknowns = Unknowns(prescribed, compliant, embedding)
         self._targets = np.zeros_like(self.nodes)
         self._x: np.ndarray = self.nodes.copy()
         self._energy = np.zeros(1)
@@ -86,25 +77,6 @@ class System:
         self._factor: dict[bool, Factor] = {}
         self._lay_out()
 
-    def _number_unknowns(self, compliant: Sequence[Compliant]) -> None:
-        """Number free components first, then three deflections for each compliant group."""
-        self._compliant = list(compliant)
-        free = ~self.prescribed
-        if self._embedding is not None:
-            free[self._embedding.nodes] = False
-        self._own = np.flatnonzero(free.ravel())
-        self._number = np.full(self.prescribed.size, -1)
-        self._number[self._own] = np.arange(len(self._own))
-        for k, group in enumerate(self._compliant):
-            for axis in range(3):
-                held = group.nodes[self.prescribed[group.nodes, axis]]
-                self._number[3 * held + axis] = len(self._own) + 3 * k + axis
-        self._yielding = np.flatnonzero(self._number >= len(self._own))
-        self._yielding_by = self._number[self._yielding] - len(self._own)
-        self._moved = np.flatnonzero(self._number >= 0)
-        self._spring = np.concatenate([1.0 / g.compliance_m_per_n for g in self._compliant] or [np.empty(0)])
-        self._deflection = np.zeros(3 * len(self._compliant))
-
     def _lay_out(self) -> None:
         """Lay out the storage of the Hessian and bind everything that is not dynamic."""
         inertia = sp.csr_matrix(self.mass)
@@ -115,7 +87,7 @@ class System:
         self._mass_column = inertia.indices.astype(np.int32)
         self._mass = np.zeros(len(rows))
         static = [(self._mass_blocks, True), *((t.blocks(), t.mirrored) for t in self._static)]
-        self._pattern = Pattern(self._number, self.n_unknowns, static, self._embedding)
+        self._pattern = Pattern(self._unknowns.number, self.n_unknowns, static, self._embedding)
         self._bind()
 
     def _bind(self) -> None:
@@ -140,30 +112,22 @@ class System:
 
     @property
     def n_unknowns(self) -> int:
-        return len(self._own) + len(self._deflection)
+        return self._unknowns.count
 
     @property
     def deflections(self) -> np.ndarray:
         """How far each compliant group has given way [m], ``(n_groups, 3)``."""
-        return self._deflection.reshape(-1, 3)
+        return self._unknowns.deflection.reshape(-1, 3)
 
     def set_targets(self, targets: np.ndarray) -> None:
         """Place prescribed nodes at ``targets`` [m] ``(n, 3)``, plus what their group has given way."""
         self._targets[:] = targets
         self._x[self.prescribed] = targets[self.prescribed]
-        self._give_way()
-
-    def _give_way(self) -> None:
-        """Write what follows from prescribed and free nodes: nodes that give way, embedded nodes."""
-        if self._compliant:
-            given = self._targets.reshape(-1)[self._yielding]
-            self._x.reshape(-1)[self._yielding] = given + self._deflection[self._yielding_by]
-        self.embed(self._x)
+        self._unknowns.give_way(self._targets, self._x)
 
     def embed(self, x: np.ndarray) -> None:
         """Write positions or motions ``(n, 3)`` of embedded nodes from those of the others, in place."""
-        if self._embedding is not None:
-            self._embedding.fill(x)
+        self._unknowns.embed(x)
 
     def prescribed_move(self, start: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Moves [m] ``(n, 3)`` from ``start`` to ``targets`` of what is prescribed, and of what is embedded in it."""
@@ -177,14 +141,12 @@ class System:
 
     def unknowns(self) -> np.ndarray:
         """Copy of the unknowns: free components [m], then deflections [m]."""
-        return np.concatenate([self._x.reshape(-1)[self._own], self._deflection])
+        return self._unknowns.read(self._x)
 
     def set_unknowns(self, values: np.ndarray) -> None:
         """Write the unknowns into :attr:`x`."""
-        self._x.reshape(-1)[self._own] = values[: len(self._own)]
-        if self._compliant:
-            self._deflection[:] = values[len(self._own) :]
-        self._give_way()
+        self._unknowns.write(values, self._x)
+        self._unknowns.give_way(self._targets, self._x)
 
     def residual(self) -> np.ndarray:
         """Derivative of the potential with respect to the unknowns [N]."""
@@ -192,7 +154,7 @@ class System:
 
     def contact_residual(self) -> np.ndarray:
         """Derivative of the energy of contact alone with respect to the unknowns [N]."""
-        return self._gather(self._contact_gradient())
+        return self._unknowns.gather(self._contact_gradient())
 
     def contact_load(self) -> float:
         """Largest force of contact on any node [N]."""
@@ -210,16 +172,9 @@ class System:
 
     def restrict(self, gradient: np.ndarray) -> np.ndarray:
         """Part of a nodal gradient [N] ``(n, 3)`` that belongs to the unknowns, springs included."""
-        out = self._gather(gradient)
-        out[len(self._own) :] += self._spring * self._deflection
+        out = self._unknowns.gather(gradient)
+        self._unknowns.pull(out)
         return out
-
-    def _gather(self, gradient: np.ndarray) -> np.ndarray:
-        """Sums of a nodal gradient over what each unknown moves; a new array."""
-        flat = self.fold(gradient).reshape(-1)
-        if not self._compliant:
-            return np.asarray(flat[self._own])
-        return np.bincount(self._number[self._moved], weights=flat[self._moved], minlength=self.n_unknowns)
 
     def force_scale(self) -> float:
         """Largest force on any node at the last gradient [N]: reactions, imbalance, weights and loads."""
@@ -231,11 +186,7 @@ class System:
 
     def spread(self, direction: np.ndarray) -> np.ndarray:
         """Change of all nodes ``(n, 3)`` for a change of the unknowns."""
-        out = np.zeros(self._x.size)
-        out[self._moved] = direction[self._number[self._moved]]
-        moves = out.reshape(-1, 3)
-        self.embed(moves)
-        return moves
+        return self._unknowns.spread(direction)
 
     def reduced_mass(self) -> sp.csr_matrix:
         """Mass matrix over the unknowns [kg]."""
@@ -264,9 +215,7 @@ class System:
 
     def set_compliance(self, compliance_m_per_n: Sequence[np.ndarray]) -> None:
         """Change the compliances of the compliant groups, in their order [m/N]."""
-        if len(compliance_m_per_n) != len(self._compliant):
-            raise ValueError("one compliance a group")
-        self._spring = np.concatenate([1.0 / c for c in compliance_m_per_n] or [np.empty(0)])
+        self._unknowns.set_compliance(compliance_m_per_n)
 
     def begin_step(self, step: StepContext, internals: dict[str, Internals], search: bool = True) -> None:
         """Freeze the constants of a step in all terms and predict inertial motion.
@@ -362,7 +311,7 @@ class System:
         self._inertia_energy()
         for term in self.terms:
             term.add_energy()
-        return float(self._energy[0]) + 0.5 * float(self._spring @ self._deflection**2)
+        return float(self._energy[0]) + self._unknowns.spring_energy()
 
     def gradient(self) -> np.ndarray:
         """Derivative of the potential [N], ``(n, 3)``; on prescribed components the reaction's negative.
@@ -402,7 +351,7 @@ class System:
 
     def fold(self, gradient: np.ndarray) -> np.ndarray:
         """A nodal gradient ``(n, 3)`` with that of embedded nodes carried to those that they are embedded in."""
-        return gradient if self._embedding is None else self._embedding.fold(gradient)
+        return self._unknowns.fold(gradient)
 
     def gradient_of(self, term: Term) -> np.ndarray:
         """What one term exerts, dE/dx [N] ``(n, 3)``."""
@@ -421,8 +370,10 @@ class System:
             term.add_hessian(exact)
         data: np.ndarray = self._pattern.data(self._hessian)
         diagonal = self._pattern.indptr[:-1]
-        if self._compliant:
-            data[diagonal[len(self._own) :]] += self._spring
+        if self._unknowns.deflection.size:
+            stiff = data[diagonal]
+            self._unknowns.stiffen(stiff)
+            data[diagonal] = stiff
         if shift:
             data[diagonal] += shift
         return data
@@ -444,7 +395,7 @@ class System:
         if not self._straightening:
             return False
         for term in self._straightening:
-            term.straighten(start, self._number.reshape(-1, 3) >= 0)
+            term.straighten(start, self._unknowns.number.reshape(-1, 3) >= 0)
         self.embed(self._x)
         return True
 

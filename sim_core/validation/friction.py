@@ -31,7 +31,8 @@ from sim_core.energies.membrane import Membrane
 from sim_core.energies.term import Term
 from sim_core.geometry.sheets import SheetMesh, rectangle
 from sim_core.solve.step import State, advance
-from sim_core.solve.system import Compliant, System
+from sim_core.solve.system import System
+from sim_core.solve.unknowns import Compliant
 from sim_core.validation.case import STATICS, THRESHOLDS, Case, NotCovered
 from sim_core.validation.specimens import rest
 

@@ -14,7 +14,8 @@ from sim_core.energies.membrane import Membrane
 from sim_core.energies.term import Term
 from sim_core.geometry.sheets import SheetMesh, rectangle
 from sim_core.solve.step import State, advance
-from sim_core.solve.system import Compliant, System
+from sim_core.solve.system import System
+from sim_core.solve.unknowns import Compliant
 
 DENSITY = 1000.0
 FREE_M_PER_N = 1e9

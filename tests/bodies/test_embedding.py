@@ -10,7 +10,8 @@ from sim_core.energies.membrane import Membrane
 from sim_core.geometry.sheets import rectangle
 from sim_core.solve.embedding import Embedding, eliminate, embed
 from sim_core.solve.integrator import step_context
-from sim_core.solve.system import Compliant, System
+from sim_core.solve.system import System
+from sim_core.solve.unknowns import Compliant
 
 FILM = {"E_pa": 2e9, "nu": 0.3, "thickness_m": 1e-4}
 

@@ -11,7 +11,7 @@ from sim_core.simulate import Simulation
 from sim_core.solve.factor import factorise
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import State, advance
-from sim_core.solve.system import Compliant
+from sim_core.solve.unknowns import Compliant
 
 
 def rough(system, amplitude=2e-4, seed=0):
