@@ -158,7 +158,7 @@ class Bending:
             self._plastic[:] = internals["plastic_curvature"]
             self._onset[:] = self._yield_curvature + self._law[HARDENING] * internals["accumulated_curvature"]
         self._law[RATE] = self._damping / step.tau
-        if self._damping > 0.0:
+        if self._damping > 0.0 or internals:  # beside flow, also for the derivative by a damping of zero
             self._base[:] = step.base(self._curvatures_at)
 
     def _measure_angles(self) -> None:

@@ -120,12 +120,13 @@ class Columns:
         return np.asarray((ends[0] - ends[1]) / (2.0 * RELATIVE_STEP * given[group][axis]))
 
     def _of_term(self, term: Any, quantity: str, step: StepContext, internals: Internals, after: Internals) -> Column:
-        """One number of a term. A number of zero is stepped to the side of more of it."""
+        """One number of a term. A number of zero is stepped to the side of more of it, and so is a damping: forces are
+        linear in it, and below zero there is none."""
         given = self._values.terms[term.name]
         value = given[quantity]
         wide = {"offset_m": GAP_STEP_M, "stiffness_damping_s": DAMPING_STEP * step.dt}
         h = wide.get(quantity) or RELATIVE_STEP * abs(value) or FROM_ZERO
-        ends = [value + h, value - h if value != 0.0 else value]
+        ends = [value + h, value if value == 0.0 or quantity == "stiffness_damping_s" else value - h]
         found = []
         for there in ends:
             term.configure({**given, quantity: there})

@@ -64,6 +64,25 @@ def test_damping(small_rig, visit, name, integrator):
     compare(with_parameters(rig, given), visit(*PRESS), name, 2e-6, wide=3e-3 if "damping" in name else 3e-4)
 
 
+@pytest.mark.parametrize("flow", [False, True], ids=["elastic", "plastic"])
+@pytest.mark.parametrize("beta", [0.0, 1e-3])
+@pytest.mark.parametrize("name", ["card.stiffness_damping_s", "gel.stiffness_damping_s"])
+def test_little_damping_or_none(small_rig, visit, name, beta, flow):
+    """Far less than the time step, where a central difference would go below zero: differences to one side."""
+    effects = {"bending_plasticity": {"yield_curvature_per_m": 0.5, "hardening_ratio": 0.3}} if flow else {}
+    rig = with_parameters(small_rig(effects=effects), {name: beta})
+    poses, times, h = visit(*PRESS), step_times(0.0, 0.26, rig.solver.dt_s), 2e-5
+    _, derivatives = simulate_tangent(build_scene(rig), poses, times, directions(rig, [name]), settings=TIGHT)
+    here, near, far = (
+        simulate(build_scene(with_parameters(rig, {name: beta + k * h})), poses, times, settings=TIGHT)
+        for k in range(3)
+    )
+    for channel in ("wrench", "side"):
+        sided = (4.0 * near.outputs[channel] - 3.0 * here.outputs[channel] - far.outputs[channel]) / (2.0 * h)
+        ours = derivatives[channel][..., 0]
+        assert np.nanmax(np.abs(ours - sided)) < 1e-3 * np.nanmax(np.abs(sided)) > 0.0, channel
+
+
 def test_effect_with_memory(small_rig, visit):
     rig = small_rig(effects={"gel_relaxation": {"share": 0.3, "tau_s": 0.2}})
     compare(rig, visit(*RUB), "effects.gel_relaxation.tau_s", wide=3e-4)
