@@ -85,6 +85,10 @@ CASES = {
 }
 
 
+MILLISECOND = 1e-3
+"""Size of dampings, by which what is nothing but round-off is told: a card that nothing moves has no rates."""
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_adjoint_is_the_transpose_of_the_tangent(case, small_rig, visit):
     """For every channel and every parameter of the rig, to round-off of the sums."""
@@ -104,7 +108,8 @@ def test_adjoint_is_the_transpose_of_the_tangent(case, small_rig, visit):
         for k, direction in enumerate(along):
             compared += sizes[k] > nothing
             error = abs(found.parameters[direction.name] - products[..., k].sum())
-            assert error <= 1e-8 * sizes[k] + nothing, direction.name
+            usual = MILLISECOND if direction.name.endswith("stiffness_damping_s") else 1.0
+            assert error <= 1e-8 * sizes[k] + nothing / usual, direction.name
     assert compared >= 5
 
 
