@@ -246,7 +246,7 @@ def test_the_width_of_a_bias_follows_large_readings() -> None:
 TWO_HANDS = {
     "name": "two_hands",
     "bodies": {
-        "table": {"type": "rigid", "shape": {"type": "half_space"}, "pose": {"position_m": [0.0, 0.0, -0.1]}},
+        "table": {"type": "rigid", "shape": {"type": "plane"}, "pose": {"position_m": [0.0, 0.0, -0.1]}},
         "card": {
             "type": "sheet", "shape": {"type": "rectangle", "length_m": 0.06, "width_m": 0.04, "cells": [4, 2]},
             "material": {"preset": "card_200gsm"},
