@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from sim_core.errors import ConvergenceError
 from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene.offset import with_offsets
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Observer, frame_of
 from sim_core.solve.integrator import step_context
@@ -55,8 +56,8 @@ def interpolate(times: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.nda
 
 
 class Simulation:
-    """A scene being stepped. ``frames``: where the mounts are now; ``halvings``: how often a step was halved since the
-    last reset."""
+    """A scene being stepped. ``frames``: where the mounts are now, offsets of end effectors against their poses
+    included; ``halvings``: how often a step was halved since the last reset."""
 
     def __init__(self, scene: Scene, settings: NewtonSettings | None = None, settle: bool = True) -> None:
         self.scene = scene
@@ -66,10 +67,10 @@ class Simulation:
         self.reset()
 
     def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
-        """Back to rest at the start poses (or ``frames``), in equilibrium when everything is held."""
+        """Back to rest at the start poses (or ``frames``, as told), in equilibrium when everything is held."""
         scene = self.scene
         self.halvings = 0
-        self.frames = {**scene.start, **(frames or {})}
+        self.frames = with_offsets(scene.rig, {**scene.start, **(frames or {})})
         targets = scene.targets(self.frames)
         x, v = scene.start_state(self.frames)
         self.state = State(0.0, x, v, scene.system.initial_internals())
@@ -83,8 +84,8 @@ class Simulation:
             scene.system.begin_step(step_context(x, self.state.v, scene.rig.solver.dt_s), self.state.internals)
 
     def step(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
-        """Move the mounts to ``frames`` within ``dt`` [s]; halve the step where it does not converge."""
-        begin, target = self.frames, {**self.frames, **frames}
+        """Move the mounts to ``frames``, as told, within ``dt`` [s]; halve the step where it does not converge."""
+        begin, target = self.frames, {**self.frames, **with_offsets(self.scene.rig, frames)}
         try:
             return self._step(begin, target, dt, MAX_HALVINGS)
         except ConvergenceError as error:
@@ -106,11 +107,15 @@ class Simulation:
             if halvings == 0:
                 raise
             self.halvings += 1
-            middle = {m: midway(start[m], end[m]) for m in end}
+            middle = self._between(start, end)
             self._step(start, middle, dt / 2, halvings - 1)
             report = self._step(middle, end, dt / 2, halvings - 1)
         self.frames = dict(end)
         return report
+
+    def _between(self, start: Mapping[str, Frame], end: Mapping[str, Frame]) -> dict[str, Frame]:
+        """Frames halfway, to which a step goes first that does not converge."""
+        return {m: midway(start[m], end[m]) for m in end}
 
     def _advance(self, end: Mapping[str, Frame], dt: float) -> StepReport:
         """One step without subdivision."""

@@ -146,14 +146,12 @@ class Physics:
         self.rest = self._begin()
 
     def _begin(self) -> dict[str, Floats]:
-        self._poses = {name: _pose(frame) for name, frame in self._frames().items()}
+        start = self._simulation.scene.start
+        self._poses = {name: _pose(start[name]) for name in self._settings.rig.end_effectors}
         self._targets = dict(self._poses)
         readings = self._read()
         self._sampler.restart(self.time, readings)
         return readings
-
-    def _frames(self) -> dict[str, Frame]:
-        return {name: self._simulation.frames[name] for name in self._settings.rig.end_effectors}
 
     def _read(self) -> dict[str, Floats]:
         return {**{n: p.array() for n, p in self._poses.items()}, **self._simulation.read()}

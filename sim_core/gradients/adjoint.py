@@ -5,9 +5,9 @@ and cameras to positions and forces, and from step to step back to the start (:m
 factorisation and one back-substitution a step, however many parameters there are. Steps that were subdivided are gone
 through in their parts. Steps are recorded on a :class:`sim_core.gradients.tape.Tape`.
 
-Poses are differentiated by small motions of a mount in its own frame at every time: translation [m] and turn [rad],
-p + R rho and R exp(phi). At the start they take the first equilibrium along, by the static problem; the path on which
-it was searched for counts as given.
+Poses are differentiated by small motions of a mount in its own true frame at every time: translation [m] and turn
+[rad], p + R rho and R exp(phi); an offset of an end effector is the sum over time. At the start they take the first
+equilibrium along, by the static problem; the path on which it was searched for counts as given.
 
 Where the true derivative jumps it is that of the branch that the rollout took, as in
 :mod:`sim_core.gradients.tangent`: both are the same derivative, and agree to round-off.
@@ -17,18 +17,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim_core.contact.rigid import RigidContact
 from sim_core.energies.linearised import cross, skew
 from sim_core.gradients.columns import Columns
-from sim_core.gradients.directions import Direction, slopes
+from sim_core.gradients.directions import Direction, motions, slopes
+from sim_core.gradients.mounts import carried_contacts, carried_freely
 from sim_core.gradients.step import LinearStep, Pulled, Weights, no_memory, passed_on_by
 from sim_core.gradients.tape import MEMORY_MB, Made, Tape
-from sim_core.rigs import WORLD, Rigid
+from sim_core.rigs import Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Sensed
@@ -82,6 +81,7 @@ class Backward:
         self._observer = tape.observer
         keys, self._slopes = slopes(self._scene, along)
         self._columns = Columns(self._scene, self._scene.values(self._scene.rig), keys)
+        self._moved = motions(self._scene.rig, along)
         self._cameras = [k for k, d in enumerate(self._along) if d.low.cameras != d.high.cameras]
 
     @property
@@ -125,6 +125,8 @@ class Backward:
         state = state or Weights(zero, zero, no_memory(tape.start))
         self._at_start(state, poses[0])
         found = self._slopes.T @ self._numbers + self._sensed
+        for mount, moved in self._moved.items():
+            found += np.sum([p.of(mount) for p in poses], axis=0) @ moved
         movable = [m for m in scene.start if m in scene.rig.end_effectors]
         return Gradient(
             value,
@@ -164,16 +166,10 @@ class Backward:
             force = pulled.targets[follower.nodes] @ rotation
             target.of(follower.mount)[:3] += force.sum(axis=0)
             target.of(follower.mount)[3:] += cross(follower.local, force).sum(axis=0)
-        for body, term in self._carried():
-            if term.name in pulled.turns:
+        for body, term in carried_contacts(scene):
+            if term.name in pulled.turns and isinstance(body.spec, Rigid):
                 own = body.spec.pose.rotation().as_matrix()
                 target.of(body.spec.mount)[3:] += own @ pulled.turns[term.name]
-
-    def _carried(self) -> list[tuple[Any, RigidContact]]:
-        """Rigid bodies and the terms that turn with them."""
-        terms = [t for t in self._scene.system.terms if isinstance(t, RigidContact)]
-        bodies = [b for b in self._scene.bodies.values() if isinstance(b.spec, Rigid)]
-        return [(b, t) for b in bodies for t in terms if t.body_node == int(b.nodes[0])]
 
     def _place(self, made: Made) -> None:
         """Put the system where a step ended, without looking for contact."""
@@ -279,18 +275,11 @@ class Backward:
             if system.inertia:
                 x = x - system.mass @ force / made.dt**2
         turns = {}
-        for _, term in self._carried():
+        for _, term in carried_contacts(scene):
             turned = np.stack([term.rotation @ skew(e) for e in np.eye(3)])
             turns[term.name] = turned.reshape(3, 9) @ state.memory[term.name][:9]
         self._collect(Pulled(state, x, turns, numbers), tape.mounts, target)
-        carried = scene.carried_by()
-        for name, body in scene.bodies.items():
-            if body.mesh is not None and scene.held(name).any():
-                mount, nodes = scene.mount_of(name), body.nodes[~scene.held(name)]
-            elif carried.get(name, WORLD) != WORLD:
-                mount, nodes = carried[name], body.nodes
-            else:
-                continue
+        for mount, nodes in carried_freely(scene):
             origin, rotation = tape.mounts[mount]
             arms, speeds, force, push = (
                 a @ rotation.as_matrix()

@@ -2,7 +2,8 @@
 
 The mechanics depend on :class:`sim_core.scene.scene.Values`: numbers of terms, densities, gravity, compliances. A
 parameter of the rig changes some of them, mostly one or two terms' worth. Derivatives of a step are taken by these
-numbers and combined with their slopes along the parameter, which are the same all through a rollout.
+numbers and combined with their slopes along the parameter, which are the same all through a rollout. So are the small
+motions of the mounts in their own frames that offsets of end effectors amount to.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_core.rigs import Rig, list_parameters, resolve_name, with_parameters
+from sim_core.scene.offset import offset_motion
 from sim_core.scene.scene import Scene, Values
 
 RELATIVE_STEP = 1e-5
@@ -73,3 +75,15 @@ def slopes(scene: Scene, along: Sequence[Direction]) -> tuple[list[Key], np.ndar
         for row, key in enumerate(keys):
             table[row, column] = (high[key] - low[key]) / direction.width
     return keys, table
+
+
+def motions(rig: Rig, along: Sequence[Direction]) -> dict[str, np.ndarray]:
+    """Motion of each end effector in its own true frame, translation [m] and turn [rad], by the parameters that shift
+    or turn it against its poses, ``(6, n_parameters)``; others are left out."""
+    found = {}
+    for name, effector in rig.end_effectors.items():
+        ends = [(d.high.end_effectors[name].offset(), d.low.end_effectors[name].offset(), d.width) for d in along]
+        slopes = np.array([(high - low) / width for high, low, width in ends]).reshape(-1, 6).T
+        if slopes.any():
+            found[name] = offset_motion(effector) @ slopes
+    return found

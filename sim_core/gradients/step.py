@@ -2,11 +2,12 @@
 
 With the positions x' of all nodes, of which the unknowns make R(x'; s, theta) = 0 and the rest follow the mounts,
 
-    forwards    dx' = -H^-1 [dR/ds ds + dR/dtheta],            dxi' = dG/dx' dx' + dG/ds ds + dG/dtheta
+    forwards    dx' = -H^-1 [dR/ds ds + dR/dtheta + H dm] + dm, dxi' = dG/dx' dx' + dG/ds ds + dG/dtheta
     backwards   lambda = -H^-1 [xbar' + dG/dx'^T xibar'],      sbar = dR/ds^T lambda + dG/ds^T xibar',
                 thetabar = dR/dtheta^T lambda + dG/dtheta^T xibar'
 
-s = (x, v, the state before for BDF2, internal variables xi), H the true Hessian at the solution, factorised once.
+s = (x, v, the state before for BDF2, internal variables xi), H the true Hessian at the solution, factorised once; dm:
+motion of what follows the mounts (:mod:`sim_core.gradients.mounts`), of which the inverse takes the unknowns' rows.
 dR/ds and dG/ds come from the terms (:meth:`sim_core.energies.term.RememberingTerm.linearise`), inertia is linear, and
 dR/dtheta, dG/dtheta are columns (:mod:`sim_core.gradients.columns`). Readings depend on x' and on the forces of the
 terms on the nodes, so a weight w on these forces joins lambda.
@@ -22,6 +23,7 @@ import numpy as np
 from sim_core.energies.linearised import Linearised, flatten, times
 from sim_core.energies.term import StepContext
 from sim_core.gradients.columns import Column
+from sim_core.gradients.mounts import Driven
 from sim_core.scene.scene import Scene
 from sim_core.solve.integrator import Past, step_context
 from sim_core.solve.step import State
@@ -118,8 +120,11 @@ class LinearStep:
 
     # Forwards
 
-    def push(self, motion: Motion, columns: list[Column], slopes: np.ndarray) -> tuple[Motion, Outcome]:
-        """Derivatives at the end of the step; ``slopes``: of the columns' numbers by the parameters ``(k, p)``."""
+    def push(
+        self, motion: Motion, columns: list[Column], slopes: np.ndarray, driven: Driven | None = None
+    ) -> tuple[Motion, Outcome]:
+        """Derivatives at the end of the step; ``slopes``: of the columns' numbers by the parameters ``(k, p)``;
+        ``driven``: of what follows the mounts, if they move by the parameters."""
         system, count = self._system, slopes.shape[1]
         shape = (*system.x.shape, count)
         step = self._linear(motion)
@@ -135,6 +140,12 @@ class LinearStep:
             memory[name] += times(term.memory_start, start) + times(term.memory_memory, old)
             if term.moment_end is not None:
                 moment[name] = times(term.moment_start, start) + times(term.moment_memory, old) + np.zeros((3, count))
+            if driven is not None and name in driven.turns:
+                turn = driven.turns[name]
+                force += times(term.force_turn, turn)
+                memory[name] += times(term.memory_turn, turn)
+                if term.moment_turn is not None:
+                    moment[name] = moment[name] + times(term.moment_turn, turn)
         body, unknowns = np.zeros((whole, count)), np.zeros((system.n_unknowns, count))
         if system.inertia:
             begun = (step.x_base + step.tau * step.v_base).reshape(-1, 3 * count)
@@ -151,9 +162,13 @@ class LinearStep:
             for name, turned in column.moment.items():
                 moment[name] = moment.get(name, 0.0) + np.outer(turned, slope)
         total = (force + body).reshape(shape)
+        if driven is not None:
+            total = total + np.stack([self._hessian.product(driven.x[..., k]) for k in range(count)], axis=-1)
         residual = np.column_stack([self._restrict(np.ascontiguousarray(total[..., k])) for k in range(count)])
         moved = -self._hessian.solve(residual + unknowns)
         x = np.stack([system.spread(moved[:, k]) for k in range(count)], axis=-1)
+        if driven is not None:
+            x += driven.x
         force = force.reshape(shape) + np.stack([self._stiffness(x[..., k]) for k in range(count)], axis=-1)
         if system.passes_on:
             whole = force + body.reshape(shape)

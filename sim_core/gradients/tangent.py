@@ -2,7 +2,8 @@
 
 Each step is linearised where it ended (:mod:`sim_core.gradients.step`) and carries the derivative of the state along
 every parameter: one factorisation a step, one back-substitution a parameter. The derivatives are those of the
-discrete rollout, exact but for round-off and for the slopes of the parameters themselves.
+discrete rollout, exact but for round-off and for the slopes of the parameters themselves. Offsets of end effectors
+move what follows them, in every step and at the start (:mod:`sim_core.gradients.mounts`).
 
 Where the true derivative jumps (a contact made or lost within the step, the onset of yield, a point that has just
 begun to press) it is that of the branch that the rollout took. A number of zero (friction, a share) is differentiated
@@ -15,8 +16,17 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from sim_core.energies.linearised import skew
 from sim_core.gradients.columns import Columns
-from sim_core.gradients.directions import Direction, slopes
+from sim_core.gradients.directions import Direction, motions, slopes
+from sim_core.gradients.mounts import (
+    Motions,
+    carried_along,
+    carried_contacts,
+    carried_freely,
+    driven,
+    midway_motion,
+)
 from sim_core.gradients.step import LinearStep, Motion, Outcome, no_memory
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
@@ -37,24 +47,63 @@ class TangentSimulation(Simulation):
         self._along = list(along)
         keys, self._slopes = slopes(scene, along)
         self._columns = Columns(scene, scene.values(scene.rig), keys)
+        self._moved: Motions = motions(scene.rig, along)
+        self._halves: list[tuple[Mapping[str, Frame], Motions]] = []
         self._keeper = Keeper(scene.system)
         super().__init__(scene, settings)
 
     def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
         super().reset(frames)
         count = len(self._along)
+        self._moved_now = self._moved
         zero = np.zeros((*self.state.x.shape, count))
         self._motion = Motion(zero, zero, no_memory(self.state, count))
         self.derivatives = self._read_derivatives(None)
-        if self.settled_from is not None and self._columns.keys:
+        if self.settled_from is not None and self._depends:
             system = self.scene.system
             inertia, system.inertia = system.inertia, False
             try:
                 self._propagate(self.settled_from, FOREVER_S, still=True)
             finally:
                 system.inertia = inertia
-        elif self.scene.system.passes_on:
-            self._add_what_mounts_bear()
+        elif self.settled_from is None:
+            if self._moved:
+                self._put()
+            if self.scene.system.passes_on:
+                self._add_what_mounts_bear()
+
+    @property
+    def _depends(self) -> bool:
+        """Whether the states depend on the parameters."""
+        return bool(self._columns.keys or self._moved)
+
+    def _put(self) -> None:
+        """Derivatives at a start at which nothing settled: bodies are where their mounts put them."""
+        scene, system = self.scene, self.scene.system
+        dt, count = scene.rig.solver.dt_s, len(self._along)
+        follow = driven(scene, self.frames, self._moved, count)
+        x, v, memory = follow.x.copy(), np.zeros_like(follow.x), no_memory(self.state, count)
+        for mount, nodes in carried_freely(scene):
+            if mount in self._moved:
+                frame, moved = self.frames[mount], self._moved[mount]
+                x[nodes] = carried_along(frame[1].inv().apply(self.state.x[nodes] - frame[0]), frame, moved)
+                turned = np.concatenate([np.zeros_like(moved[:3]), moved[3:]])
+                v[nodes] = carried_along(frame[1].inv().apply(self.state.v[nodes]), frame, turned)
+        for _, term in carried_contacts(scene):
+            if term.name in follow.turns:
+                turns = np.stack([(term.rotation @ skew(e)).ravel() for e in np.eye(3)], axis=-1)
+                memory[term.name][:9] = turns @ follow.turns[term.name]
+        self._motion = Motion(x, v, memory)
+        system.hessian_data(exact=True)
+        force = np.zeros_like(x)
+        for k in range(count):
+            move = np.ascontiguousarray(x[..., k])
+            gradient = system.nodal_product(move)
+            if system.inertia:
+                gradient -= system.mass @ move / dt**2
+            borne = gradient - system.mass @ v[..., k] / dt if system.inertia else gradient
+            force[..., k] = gradient + system.passed_on(borne) if system.passes_on else gradient
+        self.derivatives = self._read_derivatives(Outcome(x, force, {}, np.zeros((system.n_unknowns, count))))
 
     def _add_what_mounts_bear(self) -> None:
         """Derivatives of the loads on mounts with joints at a start that does not depend on the parameters itself."""
@@ -72,11 +121,26 @@ class TangentSimulation(Simulation):
                 self.derivatives[name][..., k] += (high[name] - low[name]) / direction.width
         read(scene.rig)
 
+    def step(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
+        self._halves.clear()
+        return super().step(frames, dt)
+
+    def _between(self, start: Mapping[str, Frame], end: Mapping[str, Frame]) -> dict[str, Frame]:
+        middle = super()._between(start, end)
+        ends = ((start, self._motion_at(start)), (end, self._motion_at(end)))
+        self._halves.append((middle, midway_motion(middle, *ends)))
+        return middle
+
+    def _motion_at(self, frames: Mapping[str, Frame]) -> Motions:
+        """Motions of the mounts by the parameters, at whole steps or halfway."""
+        return next((moved for halfway, moved in self._halves if halfway is frames), self._moved)
+
     def _advance(self, end: Mapping[str, Frame], dt: float) -> StepReport:
         before = self.state
         report = super()._advance(end, dt)
         self.frames = {**self.frames, **end}
-        if self._columns.keys:
+        self._moved_now = self._motion_at(end)
+        if self._depends:
             self._propagate(before, dt, still=False)
         else:
             self.derivatives = self._read_derivatives(None)
@@ -89,7 +153,8 @@ class TangentSimulation(Simulation):
         if still:
             motion = Motion(motion.x, motion.v, no_memory(before, len(self._along)))
         columns = self._columns.of_step(linear.step, before.internals, self.state.internals, linear.terms)
-        self._motion, outcome = linear.push(motion, columns, self._slopes)
+        follow = driven(self.scene, self.frames, self._moved_now, len(self._along)) if self._moved else None
+        self._motion, outcome = linear.push(motion, columns, self._slopes, follow)
         self.derivatives = self._read_derivatives(outcome)
 
     def _read_derivatives(self, outcome: Outcome | None) -> dict[str, np.ndarray]:
@@ -119,14 +184,14 @@ class TangentSimulation(Simulation):
         return out
 
     def _frame_motion(self, mount: str, outcome: Outcome) -> np.ndarray:
-        """Motion of a mount in its own frame, ``(6, n_parameters)``: what a compliant one gives way."""
+        """Motion of a mount in its own frame, ``(6, n_parameters)``: of its pose, and what it gives way."""
         count = len(self._along)
-        out = np.zeros((6, count))
+        out = np.array(self._moved_now.get(mount, np.zeros((6, count))))
         if mount in self.scene.compliant:
             group = self.scene.compliant.index(mount)
             deflections = outcome.unknowns[len(outcome.unknowns) - 3 * len(self.scene.compliant) :]
             rotation = self.frames[mount][1].as_matrix()
-            out[:3] = rotation.T @ deflections.reshape(-1, 3, count)[group]
+            out[:3] += rotation.T @ deflections.reshape(-1, 3, count)[group]
         return out
 
 

@@ -1,9 +1,9 @@
 """The numbers of a rig that can be changed or fitted, by name.
 
 Names: ``gravity.x_m_s2``, ``<body>.<quantity>`` (``card.E_pa``), ``contacts.<body>-<body>.<quantity>``,
-``<sensor or camera>.latency_s``, ``<camera>.<intrinsic>``, ``effects.<effect>.<parameter>``. The unit
-suffix may be left out (``card.E``), the two bodies of a contact may be in any order, and where a rig
-has one body of a type the type may stand for it (``sheet.E``).
+``<end effector>.offset_x_m``, ``<sensor or camera>.latency_s``, ``<camera>.<intrinsic>``,
+``effects.<effect>.<parameter>``. The unit suffix may be left out (``card.E``), the two bodies of a contact may be in
+any order, and where a rig has one body of a type the type may stand for it (``sheet.E``).
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ from sim_core.rigs.schema import Rig
 from sim_core.rigs.yamlfile import validate
 
 _INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "scale_m_per_px")
+
+OFFSETS = ("offset_x_m", "offset_y_m", "offset_z_m", "offset_rx_deg", "offset_ry_deg", "offset_rz_deg")
+"""Shift and turn of an end effector against its poses, in the order of :meth:`EndEffector.offset`."""
 
 Path = tuple[str | int, ...]
 
@@ -131,6 +134,9 @@ def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
     for index, contact in enumerate(rig.contacts):
         for key in ("friction", "stiffness_pa_per_m"):
             yield ("contacts", index, key), _parameter(f"contacts.{contact.name}.{key}", contact, key)
+    for name, effector in rig.end_effectors.items():
+        for key in OFFSETS:
+            yield ("end_effectors", name, key), _parameter(f"{name}.{key}", effector, key)
     for name, sensor in rig.sensors.items():
         yield ("sensors", name, "latency_s"), _parameter(f"{name}.latency_s", sensor, "latency_s")
     for name, camera in rig.cameras.items():

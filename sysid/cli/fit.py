@@ -30,7 +30,7 @@ def fit(
     out: FolderOption,
     held_out: HeldOutOption = None,
     seed: SeedOption = 0,
-    nuisance: NuisanceOption = "all",
+    nuisance: NuisanceOption = "time,bias,camera",
     without: WithoutOption = None,
     per_bag: Annotated[
         str,

@@ -35,8 +35,8 @@ NuisanceOption = Annotated[
     typer.Option(
         "--nuisance",
         metavar="A,B",
-        help="What is estimated beside: time (offset of each stream), bias (of wrenches), camera (scale and centre); "
-        "all, or none.",
+        help="What is estimated beside: time (offset of each stream), bias (of wrenches), camera (scale and centre), "
+        "pose (offset of each end effector); all, or none.",
     ),
 ]
 WithoutOption = Annotated[

@@ -9,6 +9,7 @@ import numpy as np
 
 from sim_core.gradients import Direction, simulate_tangent
 from sim_core.rigs import Rig
+from sim_core.rigs.parameters import OFFSETS
 from sim_core.scene import Scene, build_scene
 from sim_core.simulate import Trace, simulate, step_times
 from sysid.fit.parameters import FitParameter, acting_in, rig_at
@@ -116,6 +117,9 @@ def _geometry(rig: Rig) -> object:
         material = body.pop("material", None)
         if material is not None and "thickness_m" in material:
             body["thickness_m"] = material["thickness_m"]
+    for effector in data["end_effectors"].values():
+        for key in OFFSETS:
+            effector.pop(key)
     for contact in data["contacts"]:
         contact.pop("friction")
         contact.pop("stiffness_pa_per_m")

@@ -16,7 +16,7 @@ from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
-from sysid.fit.nuisance import checked_kinds, has_bias, nuisance_parameters
+from sysid.fit.nuisance import USUAL, checked_kinds, has_bias, nuisance_parameters
 from sysid.fit.outliers import DIMENSIONS, Outliers, without_outliers, worth_another_fit
 from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of, with_bags, within_bounds
@@ -99,7 +99,7 @@ def fit_runs(
     held_out: Sequence[Run] = (),
     seed: int = 0,
     start: np.ndarray | None = None,
-    nuisance: Collection[str] = ("all",),
+    nuisance: Collection[str] = USUAL,
     bounds: Bounds | None = None,
     max_evaluations: int | None = None,
     per_bag: Collection[str] = (),
@@ -334,7 +334,7 @@ def fit_bags(
     held_out: Sequence[Path] = (),
     out: Path,
     seed: int = 0,
-    nuisance: Collection[str] = ("all",),
+    nuisance: Collection[str] = USUAL,
     bounds: Bounds | None = None,
     max_evaluations: int | None = None,
     per_bag: Collection[str] = (),

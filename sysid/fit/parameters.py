@@ -39,6 +39,8 @@ SCALES = {
     "friction": Scale(False, 0.5, 0.0, 3.0),
     "stiffness_pa_per_m": Scale(True, PRIOR_SD_LOG, 1.0, 1e15),
     "latency_s": Scale(False, 0.05, -10.0, 10.0),
+    **{f"offset_{axis}_m": Scale(False, 5e-3, -0.1, 0.1) for axis in "xyz"},
+    **{f"offset_r{axis}_deg": Scale(False, 5.0, -45.0, 45.0) for axis in "xyz"},
     "fx_px": Scale(True, 0.2, 1.0, 1e6),
     "fy_px": Scale(True, 0.2, 1.0, 1e6),
     "cx_px": Scale(False, 50.0, -1e6, 1e6),

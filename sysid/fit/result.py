@@ -133,14 +133,15 @@ class FitResult:
     def _nuisance_table(self) -> list[str]:
         """What the data tell of nuisances, as text."""
         told = [n for n in self.nuisances if n.told]
-        if not told:
-            return []
-        lines = [f"{'estimated beside them':<34}{'value':>13}  {'95 % interval':<30}unit"]
+        rest = [n.name for n in self.nuisances if not n.told and not n.run]
+        lines = [f"{'estimated beside them':<34}{'value':>13}  {'95 % interval':<30}unit"] if told else []
         for n in told:
             low, high = n.ci95
             run = f"  {n.run}" if n.run else ""
             lines.append(f"{n.name:<34}{n.value:>13.6g}  {f'{low:.6g} .. {high:.6g}':<30}{n.unit}{run}")
-        return [*lines, ""]
+        if rest:
+            lines.append(f"The data do not tell {', '.join(rest)}, known no better than before.")
+        return [*lines, ""] if lines else []
 
 
 def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], list[list[float]], list[str], float]:

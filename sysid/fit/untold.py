@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim_core.rigs import Rig
+from sim_core.rigs.parameters import OFFSETS
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import quantities
@@ -23,6 +24,8 @@ FAR = 3.0
 REMEDIES = {
     "time": "the time offsets were known: share one clock, and leave 'time' out of --nuisance",
     "bias": "force sensors had no bias: tare them with nothing in touch, and leave 'bias' out of --nuisance",
+    "pose": "the end effectors' poses were known: calibrate how the tools are mounted, and leave 'pose' out of "
+    "--nuisance",
     "camera": "the cameras' intrinsics were known: calibrate them, and leave 'camera' out of --nuisance",
 }
 
@@ -151,6 +154,18 @@ def remarks(rig: Rig, found: Sequence[Nuisance]) -> list[str]:
                 f"write {n.name} = {n.value:.4g} into the rig."
             )
             continue
+        if kind_of(n.name) == "pose":
+            axis = quantity.removeprefix("offset_").split("_")[0]
+            if n.unit == "m":
+                what = f"shifted by {_pair(1e3 * n.off, 1e3 * half)} mm along {axis}"
+            else:
+                what = f"turned by {_pair(n.off, half)} deg about {axis[1:]}"
+            beside = f", where the rig says {n.start:.4g} {n.unit}" if n.start else ""
+            said.append(
+                f"The end effector {owner} is {what} of its own frame{beside}: write {n.name} = {n.value:.4g} into the "
+                "rig, or correct how its poses are calibrated."
+            )
+            continue
         write = " and ".join([f"{n.name} = {n.value:.6g}", *(f"{t} in proportion" for t in n.tied)])
         if n.log:
             what = f"The scale of the camera {owner} is off by {_pair(100 * n.off, 100 * n.sd)} %"
@@ -193,7 +208,7 @@ def blamed(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> list[str]:
 def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str, float]:
     """Standard deviation of the parameters that were asked for, in units of their plausible ranges, as the noise alone
     leaves it with the nuisances of some kinds known."""
-    kept = [k for k, p in enumerate(fitted.parameters) if not (p.nuisance and kind_of(p) in known)]
+    kept = [k for k, p in enumerate(fitted.parameters) if not (p.nuisance and kind_of(p.name) in known)]
     jacobian, rows = fitted.jacobian, fitted.pulls
     if "bias" in known and problem.bias:
         plain = Problem(problem.runs, problem.noise, problem.engine, problem.directions, problem.prior)
@@ -206,6 +221,7 @@ def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str,
     return {p.name: float(np.sqrt(v)) for p, v in zip(parameters, variance, strict=True)}
 
 
-def kind_of(parameter: FitParameter) -> str:
+def kind_of(name: str) -> str:
     """Kind of a nuisance that is a parameter of the rig."""
-    return "time" if parameter.name.endswith(".latency_s") else "camera"
+    quantity = name.rpartition(".")[2]
+    return "time" if quantity == "latency_s" else "pose" if quantity in OFFSETS else "camera"

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError
-from sim_core.rigs import load_rig, with_parameters
+from sim_core.rigs import load_rig, parse_rig, with_parameters
+from sim_core.rigs.parameters import OFFSETS
 from sim_core.simulate import Trace
 from sysid.fit.directions import Direction
 from sysid.fit.engine import Engine, Prediction
@@ -17,6 +18,7 @@ from sysid.fit.noise import ChannelNoise
 from sysid.fit.nuisance import (
     BIAS_SD,
     KINDS,
+    USUAL,
     bias_sd,
     checked_kinds,
     has_bias,
@@ -24,9 +26,10 @@ from sysid.fit.nuisance import (
 )
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.fit.problem import Problem
+from sysid.fit.reach import acting
 from sysid.fit.runs import Measured, Run
 from sysid.fit.uncertainty import uncertainty
-from sysid.fit.untold import REMEDIES, Nuisance, blamed, nuisances_of, remarks, with_explicit_bias
+from sysid.fit.untold import REMEDIES, Nuisance, blamed, kind_of, nuisances_of, remarks, with_explicit_bias
 
 T = np.linspace(0.0, 2.0, 80)
 RNG = np.random.default_rng(11)
@@ -199,13 +202,15 @@ def test_every_stream_and_camera_has_its_nuisances_once(small_rig: Any) -> None:
         "side.fx_px",
         "side.cx_px",
         "side.cy_px",
+        *(f"finger.{key}" for key in OFFSETS),
     ]
+    assert [found[f"finger.{key}"].prior_sd for key in OFFSETS] == [5e-4] * 3 + [0.5] * 3
     assert all(p.nuisance for p in found.values())
     assert nuisance_parameters(rig, runs, asked, ()) == [] and not has_bias(runs, asked, ())
     assert has_bias(runs, asked, KINDS)
-    own = fit_parameters(rig, ["side.latency_s", "side.fy_px"])
+    own = fit_parameters(rig, ["side.latency_s", "side.fy_px", *(f"finger.{key}" for key in OFFSETS[1:])])
     left = [p.name for p in nuisance_parameters(rig, runs, own, KINDS)]
-    assert left == ["wrench.latency_s", "markers.latency_s", "side.cx_px", "side.cy_px"]
+    assert left == ["wrench.latency_s", "markers.latency_s", "side.cx_px", "side.cy_px", "finger.offset_x_m"]
     late = small_rig(effects={"stream_delay": {"wrench_s": 0.0, "vision_s": 0.0}})
     effect = fit_parameters(late, ["effects.stream_delay.vision_s"])
     assert [p.name for p in nuisance_parameters(late, runs, effect, ("time",))] == ["wrench.latency_s"]
@@ -238,9 +243,63 @@ def test_the_width_of_a_bias_follows_large_readings() -> None:
     assert bias_sd(Measured("g", "markers", T, values, LABELS)) is None
 
 
+TWO_HANDS = {
+    "name": "two_hands",
+    "bodies": {
+        "table": {"type": "rigid", "shape": {"type": "plane"}, "pose": {"position_m": [0.0, 0.0, -0.1]}},
+        "card": {
+            "type": "sheet", "shape": {"type": "rectangle", "length_m": 0.06, "width_m": 0.04, "cells": [4, 2]},
+            "material": {"preset": "card_200gsm"},
+        },
+        "strip": {
+            "type": "sheet", "shape": {"type": "rectangle", "length_m": 0.06, "width_m": 0.04, "cells": [4, 2]},
+            "pose": {"position_m": [0.5, 0.0, 0.0]}, "material": {"preset": "card_200gsm"},
+        },
+    },
+    "clamps": [
+        {"name": "left_grip", "body": "card", "mount": "left", "region": {"x_m": [-0.03, -0.02]}},
+        {"name": "right_grip", "body": "strip", "mount": "right", "region": {"x_m": [-0.03, -0.02]}},
+    ],
+    "contacts": [{"between": ["card", "table"]}, {"between": ["strip", "table"]}],
+    "end_effectors": {
+        "left": {"topics": {"current_pose": "left/pose", "target_pose": "left/target"}},
+        "right": {"start": {"position_m": [0.5, 0.0, 0.0]}},
+        "idle": {"topics": {"current_pose": "idle/pose", "target_pose": "idle/target"}},
+    },
+    "sensors": {
+        "grip": {"type": "wrench", "on": "left_grip", "topic": "grip"},
+        "under": {"type": "wrench", "on": "table", "topic": "under"},
+        "hand": {"type": "wrench", "on": "idle", "topic": "hand"},
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("channel", "expected"), [("grip", ["left"]), ("under", ["left", "right"]), ("hand", ["idle"])]
+)
+def test_an_end_effector_acts_through_what_it_carries_and_touches(channel: str, expected: list[str]) -> None:
+    """The table passes on nothing from one sheet to the other, but feels both."""
+    assert acting(parse_rig(TWO_HANDS, "two hands"), [channel]) == expected
+
+
+def test_remarks_say_how_an_end_effector_is_off(small_rig: Any) -> None:
+    shift = Nuisance("finger.offset_x_m", "", "m", 0.0, 4e-4, (3.804e-4, 4.196e-4), 1e-5, 5e-4, False, ())
+    turn = Nuisance("finger.offset_rz_deg", "", "deg", 0.1, -0.3, (-0.3392, -0.2608), 0.02, 0.5, False, ())
+    vague = replace(shift, sd=6e-4)
+    assert [kind_of(n.name) for n in (shift, turn)] == ["pose", "pose"]
+    assert kind_of("side.cx_px") == "camera" and kind_of("side.latency_s") == "time"
+    assert remarks(small_rig(), [shift, turn, vague]) == [
+        "The end effector finger is shifted by 0.400 +- 0.010 mm along x of its own frame: write finger.offset_x_m = "
+        "0.0004 into the rig, or correct how its poses are calibrated.",
+        "The end effector finger is turned by -0.400 +- 0.020 deg about z of its own frame, where the rig says 0.1 "
+        "deg: write finger.offset_rz_deg = -0.3 into the rig, or correct how its poses are calibrated.",
+    ]
+
+
 def test_kinds_are_checked() -> None:
     assert checked_kinds(["all"]) == set(KINDS) and checked_kinds(["none"]) == set()
     assert checked_kinds(["time", "bias"]) == {"time", "bias"}
+    assert set(USUAL) == set(KINDS) - {"pose"}
     for wrong in (["tine"], ["none", "time"]):
         with pytest.raises(ConfigError, match="no nuisance"):
             checked_kinds(wrong)

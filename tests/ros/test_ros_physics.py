@@ -4,7 +4,7 @@ import multiprocessing
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConvergenceError
-from sim_core.rigs import load_rig
+from sim_core.rigs import load_rig, with_parameters
 from thinshell_ros.health import CommandLog, physics_report, recording_report
 from thinshell_ros.physics import (
     Batch,
@@ -285,3 +285,15 @@ def test_a_recorder_says_what_is_missing() -> None:
     bad = recording_report({"/a": 3, "/b": 0}, ["/c"], {"/d": "is odd"}, "bag")
     assert bad.level == "warn"
     assert all(part in bad.message for part in ("/b", "nobody publishes /c", "/d: is odd"))
+
+
+def test_poses_are_told_without_the_offset_of_the_end_effector() -> None:
+    """The probe is 1 mm higher than it says: the pose that goes out is that of the command, and stays so at rest."""
+    plain = settings()
+    off = replace(plain, rig=with_parameters(plain.rig, {"probe.offset_z_m": 1e-3}))
+    physics = Physics(off)
+    np.testing.assert_array_equal(physics.rest["probe"], Physics(plain).rest["probe"])
+    high = physics._simulation.frames["probe"][0] - plain.rig.end_effectors["probe"].start.position()
+    np.testing.assert_allclose(np.linalg.norm(high), 1e-3, rtol=1e-9)
+    physics.step()
+    np.testing.assert_allclose(physics._simulation.frames["probe"][0], high + physics.rest["probe"][:3], atol=1e-12)

@@ -1,0 +1,84 @@
+"""What follows the mounts, linearised: positions of nodes and turns of rigid bodies for small motions of the mounts.
+
+A motion of a mount is a translation rho [m] and a turn phi [rad] in its own frame. What is at y in that frame moves by
+R (rho + phi x y), and a rigid body with the rotation Q in its mount turns by Q^T phi in its own frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_core.contact.rigid import RigidContact
+from sim_core.energies.linearised import skew
+from sim_core.rigs import WORLD, Rigid
+from sim_core.scene.assembly import BuiltBody
+from sim_core.scene.scene import Frame, Scene
+
+Motions = Mapping[str, np.ndarray]
+"""Motions of mounts by p parameters, ``(6, p)`` each."""
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Derivatives by p parameters of what drives a step: ``x``: of prescribed nodes, and what is embedded in them,
+    ``(n, 3, p)``; ``turns``: of rigid bodies in their own frames by their terms, ``(3, p)``."""
+
+    x: np.ndarray
+    turns: dict[str, np.ndarray]
+
+
+def carried_contacts(scene: Scene) -> list[tuple[BuiltBody, RigidContact]]:
+    """Rigid bodies and the terms that turn with them."""
+    terms = [t for t in scene.system.terms if isinstance(t, RigidContact)]
+    bodies = [b for b in scene.bodies.values() if isinstance(b.spec, Rigid)]
+    return [(b, t) for b in bodies for t in terms if t.body_node == int(b.nodes[0])]
+
+
+def carried_freely(scene: Scene) -> list[tuple[str, np.ndarray]]:
+    """Mounts and nodes that follow them to the start alone: what is free of a body of which something is held, and
+    affine bodies that are connected to a mount."""
+    carried, found = scene.carried_by(), []
+    for name, body in scene.bodies.items():
+        if body.mesh is not None and scene.held(name).any():
+            found.append((scene.mount_of(name), body.nodes[~scene.held(name)]))
+        elif carried.get(name, WORLD) != WORLD:
+            found.append((carried[name], body.nodes))
+    return found
+
+
+def driven(scene: Scene, frames: Mapping[str, Frame], moved: Motions, count: int) -> Driven:
+    """What follows mounts at ``frames`` that move by ``count`` parameters."""
+    x = np.zeros((*scene.rest.shape, count))
+    for follower in scene.followers:
+        if follower.mount in moved:
+            x[follower.nodes] = carried_along(follower.local, frames[follower.mount], moved[follower.mount])
+    x[~scene.system.prescribed] = 0.0
+    for k in range(count):
+        column = np.ascontiguousarray(x[..., k])
+        scene.system.embed(column)
+        x[..., k] = column
+    turns = {
+        t.name: b.spec.pose.rotation().as_matrix().T @ moved[b.spec.mount][3:]
+        for b, t in carried_contacts(scene)
+        if isinstance(b.spec, Rigid) and b.spec.mount in moved
+    }
+    return Driven(x, turns)
+
+
+def carried_along(local: np.ndarray, frame: Frame, moved: np.ndarray) -> np.ndarray:
+    """Motion ``(k, 3, p)`` in the world of points ``local`` [m] ``(k, 3)`` of a frame."""
+    inner = moved[:3] - skew(local) @ moved[3:]
+    return np.asarray(frame[1].as_matrix() @ inner)
+
+
+def midway_motion(middle: Mapping[str, Frame], *ends: tuple[Mapping[str, Frame], Motions]) -> dict[str, np.ndarray]:
+    """Motion of frames halfway (:func:`sim_core.simulate.midway`) by that of the two ``ends`` that they are between,
+    which turn alike in their own frames, as by a constant offset: so does the one between them."""
+    out = {}
+    for mount, moved in ends[0][1].items():
+        shift = sum(0.5 * frames[mount][1].as_matrix() @ at[mount][:3] for frames, at in ends)
+        out[mount] = np.concatenate([middle[mount][1].as_matrix().T @ shift, moved[3:]])
+    return out
