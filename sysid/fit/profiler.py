@@ -2,10 +2,11 @@
 
 The quadratic interval takes chi-square for a parabola. The profile deviance of parameter k is
 
-    D(x) = [min over the others of chi2(theta | theta_k = x) - min chi2] / c,    c = sd_k^2 / (J^T J)^-1_kk,
+    D(x) = [min over the others of chi2(theta | theta_k = x) - min chi2] / c,    c = sd_k^2 / (J^T J)^-1_kk.
 
-with c the calibration of the quadratic interval (misfit and sandwich, :mod:`sysid.fit.uncertainty`), so that the two
-agree where chi-square is a parabola (vertical scaling, Chandler & Bate 2007). The 95 % interval is where D is at most
+Chi2, and J with it, has the prior weighed up as the search does (:mod:`sysid.fit.search`), so that its minimum is the
+fit; sd_k is that of the quadratic interval (:mod:`sysid.fit.uncertainty`). The two therefore agree where chi-square is
+a parabola (vertical scaling, Chandler & Bate 2007). The 95 % interval is where D is at most
 3.84 = chi2_1(0.95) (Venzon & Moolgavkar 1988). Where D stays below that as far as a value is plausible, the data give a
 limit on one side only.
 
@@ -32,7 +33,7 @@ from sysid.fit.fitted import Fitted
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.profile import BELIEVED, LIMIT, End, Profile, in_words
-from sysid.fit.uncertainty import WIDEST, chance, uncertainty
+from sysid.fit.uncertainty import WIDEST, chance, inverse_information, uncertainty
 
 REACH = 3.0
 """Farthest that a parameter is taken, in plausible ranges."""
@@ -83,7 +84,6 @@ class Profiler:
         known = uncertainty(fitted)
         self._sd = known.sd
         self._misfit = max(1.0, known.reduced_chi2)
-        self._calibration = self._misfit * known.inflation**2
         self._on_progress = on_progress
         self._stop = threading.Event()
         self._lock = threading.Lock()
@@ -92,6 +92,8 @@ class Profiler:
         self._expected = 1.0
         self._best = self._point(fitted, None)
         self._lowest = self._best
+        plain, weighed = (np.diag(inverse_information(j, self._prior)) for j in (fitted.jacobian, self._best.jacobian))
+        self._calibration = self._misfit * known.inflation**2 * plain / weighed
 
     def check(self) -> list[str]:
         """A sentence for each quadratic interval that is not to be believed: one evaluation at each of its ends."""

@@ -105,6 +105,31 @@ def test_of_a_parabola_it_is_the_quadratic_interval() -> None:
     assert Profiler(problem, fitted).check() == []
 
 
+@pytest.mark.parametrize("amplitude", [0.0, 1.0, 2.0, 6.0])
+def test_beside_a_nuisance_and_a_misfit_with_structure_it_is_the_quadratic_interval(amplitude: float) -> None:
+    """Of a linear model; nearly all that separates the two is what is known of the nuisance before."""
+    t = np.linspace(0.0, 2.0, 200)
+    slopes = np.column_stack([np.sin(3.0 * t), np.sin(3.0 * t) + 0.02 * t])
+
+    class Linear:
+        def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+            return [Prediction({"c": (slopes @ scaled)[:, None]}, {"c": slopes[:, None]}, cast(Trace, None))]
+
+    noise = np.random.default_rng(1).standard_normal(len(t))
+    values = 0.4 * slopes[:, 0] + SIGMA * (amplitude * np.sin(9.0 * t) + noise)
+    run = Run("r", "", (), {}, (Measured("c", "markers", t, values[:, None], ("u",)),), 2.0)
+    asked = FitParameter("a", "", False, -100.0, 100.0, 5.0, "")
+    beside = FitParameter("lag", "", False, -100.0, 100.0, 0.05, "", nuisance=True)
+    problem = Problem([run], {"c": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(Engine, Linear()))
+    fitted = problem.fit(cast(Any, None), [asked, beside], start=np.array([0.4, 0.0]), tolerance=1e-9)
+    (profile,) = Profiler(problem, fitted).profiles()
+    at, sd = fitted.scaled[0], uncertainty(fitted).sd[0]
+    assert profile.ends == ("found", "found") and profile.sentence == ""
+    np.testing.assert_allclose(profile.ci95, [at - 1.959964 * sd, at + 1.959964 * sd], atol=1e-3 * sd)
+    np.testing.assert_allclose(profile.deviance, ((np.array(profile.values) - at) / sd) ** 2, atol=1e-3)
+    assert Profiler(problem, fitted).check() == []
+
+
 def test_the_others_follow_along_a_valley() -> None:
     """By scalar searches over d = b - 200 a."""
     problem, fitted = fitted_to(valley, (0.01, 3.5))
