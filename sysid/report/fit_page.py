@@ -98,7 +98,7 @@ class ErrorTables:
 
 def undetermined_names(result: FitResult) -> set[str]:
     """Parameters that some sentence says the data do not determine, or of which they only give a limit."""
-    found = {p.name for p in result.profiles if p.one_sided}
+    found = {p.name for p in result.profiles if p.undetermined}
     for sentence in result.identifiability:
         if "do not determine" not in sentence:
             continue
