@@ -307,10 +307,14 @@ def _profiled(
 ) -> tuple[list[Profile], list[str]]:
     """Profiles, where they are wanted, and what is then known of the parameters in words.
 
-    A limit on one side says more than that a parameter is not determined, and takes the place of that sentence.
+    Where a profile says how far the data limit a parameter on both sides, that takes the place of the sentence that
+    they do not determine it. Around values that are not the best fit intervals mean nothing, and little is said.
     """
-    if intervals == "quadratic" or fitted.interrupted or not fitted.parameters:
+    if intervals == "quadratic" or not fitted.parameters:
         return [], sentences
+    if not fitted.converged:
+        left_out = ["No interval was sought by profile likelihood, since the fit did not converge."]
+        return [], sentences + (left_out if intervals == "profiled" else [])
 
     def tell(share: float, text: str) -> None:
         if on_progress is not None:
@@ -321,9 +325,11 @@ def _profiled(
         return [], sentences + profiler.check()
     profiles = profiler.profiles()
     better = profiler.lower()
-    limited = tuple(f"The data do not determine {p.name}:" for p in profiles if p.sentence)
-    kept = [s for s in sentences if not s.startswith(limited)]
-    return profiles, kept + [p.sentence for p in profiles if p.sentence] + ([better] if better else [])
+    if better:
+        return profiles, [*sentences, better]
+    said = [p for p in profiles if p.sentence]
+    replaced = tuple(f"The data do not determine {p.name}:" for p in said if p.limited)
+    return profiles, [s for s in sentences if not s.startswith(replaced)] + [p.sentence for p in said]
 
 
 def fit_bags(

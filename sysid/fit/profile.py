@@ -36,14 +36,17 @@ class Profile:
     ci95: tuple[float, float]
     ends: tuple[str, str]
     quadratic: tuple[float, float]
-    evaluations: int
-    seconds: float
     sentence: str
 
     @property
-    def one_sided(self) -> bool:
-        """The data set a limit on one side only."""
-        return (self.ends[0] == "open") != (self.ends[1] == "open")
+    def limited(self) -> bool:
+        """How far the data limit the parameter is known on both sides: an end was found, or the data set none."""
+        return set(self.ends) <= {"found", "open"}
+
+    @property
+    def undetermined(self) -> bool:
+        """The data set no limit on one side at least."""
+        return "open" in self.ends
 
     def text(self) -> str:
         """The interval in words."""
@@ -59,15 +62,24 @@ def in_words(
     low, high = (f"{v:.3g}{unit}" for v in ci95)
     if ends == ("open", "open"):
         return f"The data do not determine {name}: anything from {low} to {high} fits as well."
-    if ends[1] == "open":
-        why = ": with more nothing slips, so" if ".friction" in name else ";"
-        return f"{name} is at least {low}{why} anything above, as far as {high}, fits as well."
-    if ends[0] == "open":
-        return f"{name} is at most {high}; anything below, as far as {low}, fits as well."
-    if "failed" in ends or "unfinished" in ends:
-        where = " and ".join(v for v, kind in zip((low, high), ends, strict=True) if kind != "found")
-        why = "nothing could be simulated beyond it" if "failed" in ends else "the points allowed ended there"
-        return f"The interval of {name} may reach beyond {where}: {why}."
+    stopped = [
+        f"nothing could be simulated beyond {v}" if kind == "failed" else f"the points allowed ended at {v}"
+        for v, kind in zip((low, high), ends, strict=True)
+        if kind in ("failed", "unfinished")
+    ]
+    if "open" in ends:
+        side, other, most = ("lower", "an upper", low) if ends[0] == "open" else ("upper", "a lower", high)
+        if stopped:
+            return (
+                f"The data set no {side} limit to {name} as far as {most}; whether they set {other} one is not "
+                f"known, since {stopped[0]}."
+            )
+        if side == "lower":
+            return f"{name} is at most {high}; anything below, as far as {low}, fits as well."
+        why = " A contact that sticks sets friction no upper limit." if parameter.target.endswith(".friction") else ""
+        return f"{name} is at least {low}; anything above, as far as {high}, fits as well.{why}"
+    if stopped:
+        return f"The interval of {name} may reach further: {', and '.join(stopped)}."
     scaled, parabola = ([parameter.scaled(v) for v in pair] for pair in (ci95, quadratic))
     half = 0.5 * (parabola[1] - parabola[0])
     if max(abs(a - b) for a, b in zip(scaled, parabola, strict=True)) > (1.0 - BELIEVED[0] / LIMIT) * half:

@@ -2,10 +2,11 @@
 
 The quadratic interval takes chi-square for a parabola. The profile deviance of parameter k is
 
-    D(x) = [min over the others of chi2(theta | theta_k = x) - min chi2] / c,    c = sd_k^2 / (J^T J)^-1_kk,
+    D(x) = [min over the others of chi2(theta | theta_k = x) - min chi2] / c,    c = sd_k^2 / (J^T J)^-1_kk.
 
-with c the calibration of the quadratic interval (misfit and sandwich, :mod:`sysid.fit.uncertainty`), so that the two
-agree where chi-square is a parabola (vertical scaling, Chandler & Bate 2007). The 95 % interval is where D is at most
+Chi2, and J with it, has the prior weighed up as the search does (:mod:`sysid.fit.search`), so that its minimum is the
+fit; sd_k is that of the quadratic interval (:mod:`sysid.fit.uncertainty`). The two therefore agree where chi-square is
+a parabola (vertical scaling, Chandler & Bate 2007). The 95 % interval is where D is at most
 3.84 = chi2_1(0.95) (Venzon & Moolgavkar 1988). Where D stays below that as far as a value is plausible, the data give a
 limit on one side only.
 
@@ -32,7 +33,7 @@ from sysid.fit.fitted import Fitted
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.profile import BELIEVED, LIMIT, End, Profile, in_words
-from sysid.fit.uncertainty import WIDEST, chance, uncertainty
+from sysid.fit.uncertainty import WIDEST, chance, inverse_information, uncertainty
 
 REACH = 3.0
 """Farthest that a parameter is taken, in plausible ranges."""
@@ -79,11 +80,13 @@ class Profiler:
         self._parameters = fitted.parameters
         self._low, self._high = np.array([p.scaled_bounds for p in self._parameters]).T
         self._prior = np.array([p.prior_sd for p in self._parameters])
-        self._weight = float(np.sqrt(chance(fitted))) if fitted.has_prior else 1.0
+        by_chance = chance(fitted)
+        self._weight = float(np.sqrt(by_chance)) if fitted.has_prior else 1.0
         known = uncertainty(fitted)
         self._sd = known.sd
-        self._misfit = max(1.0, known.reduced_chi2)
-        self._calibration = self._misfit * known.inflation**2
+        misfit = max(1.0, known.reduced_chi2)
+        # A fall of chi-square that is neither misfit nor chance, nor what a search leaves that ends at its tolerance.
+        self._gain = LIMIT**2 * max(misfit, by_chance)
         self._on_progress = on_progress
         self._stop = threading.Event()
         self._lock = threading.Lock()
@@ -92,21 +95,38 @@ class Profiler:
         self._expected = 1.0
         self._best = self._point(fitted, None)
         self._lowest = self._best
+        plain, weighed = (np.diag(inverse_information(j, self._prior)) for j in (fitted.jacobian, self._best.jacobian))
+        self._calibration = misfit * known.inflation**2 * plain / weighed
 
     def check(self) -> list[str]:
-        """A sentence for each quadratic interval that is not to be believed: one evaluation at each of its ends."""
+        """A sentence for each quadratic interval that is not to be believed, by an evaluation at each of its ends;
+        where a better fit is met there, a sentence about that alone."""
         jobs = [(k, side) for k in self._asked() for side in (-1, 1)]
         roots = self._run(lambda job: self._root_at_end(*job), jobs, 1.0)
+        better = self.lower()
+        if better:
+            return [better]
         said = []
         for k, pair in zip(self._asked(), zip(roots[::2], roots[1::2], strict=True), strict=True):
-            off = [r for r in pair if r is not None and not BELIEVED[0] <= r <= BELIEVED[1]]
+            p = self._parameters[k]
+            off = [r for r in pair if r is not None and np.isfinite(r) and not BELIEVED[0] <= r <= BELIEVED[1]]
             if off:
                 way = "too narrow" if min(off) < BELIEVED[0] else "too wide"
                 if min(off) < BELIEVED[0] and max(off) > BELIEVED[1]:
                     way = "too narrow on one side and too wide on the other"
                 said.append(
-                    f"The interval of {self._parameters[k].name} takes the misfit for a parabola, which it is not: it "
-                    f"is {way}. '--profile' finds the interval that the recordings give."
+                    f"The interval of {p.name} takes the misfit for a parabola, which it is not: it is {way}. "
+                    "'--profile' finds the interval that the recordings give."
+                )
+            failed = [
+                f"{p.name} = {p.physical(self._end(k, side)):.3g} {p.unit}".rstrip(" -")
+                for side, root in zip((-1, 1), pair, strict=True)
+                if root == np.inf
+            ]
+            if failed:
+                said.append(
+                    f"The rig could not be simulated with {' or '.join(failed)}, where the interval ends: whether the "
+                    "interval holds there was not checked."
                 )
         return said
 
@@ -123,8 +143,8 @@ class Profiler:
 
     def lower(self) -> str:
         """A sentence if a better fit was met on the way, else empty."""
-        gain = self._best.least - self._lowest.least
-        if gain < LIMIT**2 * self._misfit:
+        gain = _square(self._best.residual) - _square(self._lowest.residual)
+        if gain < self._gain:
             return ""
         values = ", ".join(
             f"{p.name} = {p.physical(s):.5g}"
@@ -235,12 +255,21 @@ class Profiler:
         far = self._fitted.scaled[k] + side * REACH * self._prior[k]
         return float(max(far, self._low[k]) if side < 0 else min(far, self._high[k]))
 
+    def _end(self, k: int, side: int) -> float:
+        """One end of the quadratic interval."""
+        return float(self._fitted.scaled[k] + side * LIMIT * self._sd[k])
+
     def _root_at_end(self, k: int, side: int) -> float | None:
-        """Root of the deviance at one end of the quadratic interval; None where that is at a bound."""
-        end = self._fitted.scaled[k] + side * LIMIT * self._sd[k]
+        """Root of the deviance at one end of the quadratic interval, infinite where that cannot be simulated; None
+        where it is at a bound."""
+        end = self._end(k, side)
         if not self._low[k] < end < self._high[k] or abs(end - self._fitted.scaled[k]) > REACH * self._prior[k]:
             return None
-        return self._root(k, self._at(k, end, self._best, 1))
+        point = self._at(k, end, self._best, 1)
+        if point is not None and point.least < self._best.least - self._gain:
+            # A better fit is in sight: whether it is there takes more than one evaluation.
+            point = self._at(k, end, point) or point
+        return self._root(k, point)
 
     def _side(self, k: int, side: int) -> tuple[list[tuple[float, float]], End]:
         """Points (value, root of the deviance) on one side, in the order of the value's distance, and the end."""
@@ -302,14 +331,11 @@ class Profiler:
         known = [(x, root) for x, root in points if np.isfinite(root)]
         ends, at = (low[1], high[1]), float(self._fitted.scaled[k])
         ci95 = (p.physical(low[1].at), p.physical(high[1].at))
-        quadratic = tuple(p.physical(at + s * LIMIT * self._sd[k]) for s in (-1.0, 1.0))
-        with self._lock:
-            evaluations = self._evaluations
+        quadratic = (p.physical(self._end(k, -1)), p.physical(self._end(k, 1)))
         return Profile(
             p.name, p.unit, p.log, p.physical(at), tuple(p.physical(x) for x, _ in known),
-            tuple(root**2 for _, root in known), ci95, (ends[0].kind, ends[1].kind),
-            (quadratic[0], quadratic[1]), evaluations, time.monotonic() - self._started,
-            in_words(p, ci95, (ends[0].kind, ends[1].kind), (quadratic[0], quadratic[1])),
+            tuple(root**2 for _, root in known), ci95, (ends[0].kind, ends[1].kind), quadratic,
+            in_words(p, ci95, (ends[0].kind, ends[1].kind), quadratic),
         )  # fmt: skip
 
 

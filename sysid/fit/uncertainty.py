@@ -51,9 +51,7 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     if p == 0:
         return Uncertainty(np.zeros(0), np.ones(0), np.zeros((0, 0)), (), reduced)
     prior = np.array([q.prior_sd for q in parameters])
-    values, vectors = _information(fitted.jacobian * prior)
-    inverse = (vectors / np.maximum(values, WIDEST**-2)) @ vectors.T
-    inverse = inverse * np.outer(prior, prior)
+    inverse = inverse_information(fitted.jacobian, prior)
     plain = inverse * max(1.0, reduced)
     scores = _scores(fitted, fitted.residual)
     sandwich = inverse @ (scores.T @ scores) @ inverse
@@ -66,6 +64,13 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     sentences += _anywhere(fitted, sd, sentences) + _together(parameters, correlation, sd)
     inflation = np.sqrt(variance / np.maximum(np.diag(plain), 1e-300))
     return Uncertainty(sd, inflation, correlation, tuple(sentences), reduced)
+
+
+def inverse_information(jacobian: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """(J^T J)^-1 ``(p, p)``, no direction wider than :data:`WIDEST` of the plausible ranges ``prior`` ``(p,)``."""
+    values, vectors = _information(jacobian * prior)
+    inverse = (vectors / np.maximum(values, WIDEST**-2)) @ vectors.T
+    return np.asarray(inverse * np.outer(prior, prior))
 
 
 def marginal(fitted: Fitted) -> tuple[list[FitParameter], np.ndarray, np.ndarray]:

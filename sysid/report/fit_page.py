@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,12 +99,14 @@ class ErrorTables:
 
 def undetermined_names(result: FitResult) -> set[str]:
     """Parameters that some sentence says the data do not determine, or of which they only give a limit."""
-    found = {p.name for p in result.profiles if p.one_sided}
+    found = {p.name for p in result.profiles if p.undetermined}
+    # Names are matched whole: that of a bag, in brackets, may hold anything.
+    names = "|".join(re.escape(e.name) for e in sorted(result.estimates, key=lambda e: -len(e.name)))
+    subject = re.compile(f"The data do not determine ((?:{names})(?: and (?:{names}))*)(?:: | separately,)")
     for sentence in result.identifiability:
-        if "do not determine" not in sentence:
-            continue
-        words = {w.strip(".,:;()") for w in sentence.split(":", 1)[0].split()}
-        found |= {e.name for e in result.estimates if e.name in words}
+        told = subject.match(sentence)
+        if told:
+            found |= set(re.findall(names, told[1]))
     return found
 
 

@@ -17,11 +17,13 @@ from sim_core.rigs.motion import Experiment
 from sim_core.simulate import Trace
 from sysid.fit import fit_runs
 from sysid.fit.engine import Engine, Prediction
+from sysid.fit.fit import Intervals, _profiled
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.parameters import FitParameter
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
+from sysid.fit.profile import in_words
 from sysid.fit.profiler import Profiler
 from sysid.fit.runs import Measured, Run, load_run
 from sysid.fit.uncertainty import uncertainty
@@ -105,6 +107,31 @@ def test_of_a_parabola_it_is_the_quadratic_interval() -> None:
     assert Profiler(problem, fitted).check() == []
 
 
+@pytest.mark.parametrize("amplitude", [0.0, 1.0, 2.0, 6.0])
+def test_beside_a_nuisance_and_a_misfit_with_structure_it_is_the_quadratic_interval(amplitude: float) -> None:
+    """Of a linear model; nearly all that separates the two is what is known of the nuisance before."""
+    t = np.linspace(0.0, 2.0, 200)
+    slopes = np.column_stack([np.sin(3.0 * t), np.sin(3.0 * t) + 0.02 * t])
+
+    class Linear:
+        def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+            return [Prediction({"c": (slopes @ scaled)[:, None]}, {"c": slopes[:, None]}, cast(Trace, None))]
+
+    noise = np.random.default_rng(1).standard_normal(len(t))
+    values = 0.4 * slopes[:, 0] + SIGMA * (amplitude * np.sin(9.0 * t) + noise)
+    run = Run("r", "", (), {}, (Measured("c", "markers", t, values[:, None], ("u",)),), 2.0)
+    asked = FitParameter("a", "", False, -100.0, 100.0, 5.0, "")
+    beside = FitParameter("lag", "", False, -100.0, 100.0, 0.05, "", nuisance=True)
+    problem = Problem([run], {"c": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(Engine, Linear()))
+    fitted = problem.fit(cast(Any, None), [asked, beside], start=np.array([0.4, 0.0]), tolerance=1e-9)
+    (profile,) = Profiler(problem, fitted).profiles()
+    at, sd = fitted.scaled[0], uncertainty(fitted).sd[0]
+    assert profile.ends == ("found", "found") and profile.sentence == ""
+    np.testing.assert_allclose(profile.ci95, [at - 1.959964 * sd, at + 1.959964 * sd], atol=1e-3 * sd)
+    np.testing.assert_allclose(profile.deviance, ((np.array(profile.values) - at) / sd) ** 2, atol=1e-3)
+    assert Profiler(problem, fitted).check() == []
+
+
 def test_the_others_follow_along_a_valley() -> None:
     """By scalar searches over d = b - 200 a."""
     problem, fitted = fitted_to(valley, (0.01, 3.5))
@@ -139,7 +166,7 @@ def test_of_a_cube_it_is_the_cube_root_of_that_of_the_cube() -> None:
 def test_friction_that_never_slips_has_a_lower_limit() -> None:
     problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0)
     (a, _) = Profiler(problem, fitted).profiles()
-    assert a.ends == ("found", "open") and a.one_sided and a.ci95[1] == pytest.approx(3.0)
+    assert a.ends == ("found", "open") and a.undetermined and a.ci95[1] == pytest.approx(3.0)
     y = problem.runs[0].measured[0].values[:, 0]
 
     def least(x: float) -> float:
@@ -149,7 +176,8 @@ def test_friction_that_never_slips_has_a_lower_limit() -> None:
     limit = least(2.0) + 3.841459 * calibration_of_misfit(fitted)
     expected = brentq(lambda x: least(x) - limit, 0.8, 1.2)
     assert a.ci95[0] == pytest.approx(expected, abs=0.02)
-    assert a.sentence.startswith(f"contacts.a-b.friction is at least {a.ci95[0]:.3g}: with more nothing slips")
+    assert a.sentence.startswith(f"contacts.a-b.friction is at least {a.ci95[0]:.3g}; anything above, as far as 3,")
+    assert a.sentence.endswith("A contact that sticks sets friction no upper limit.")
 
 
 def calibration_of_misfit(fitted: Fitted) -> float:
@@ -161,6 +189,45 @@ def test_where_nothing_can_be_simulated_the_interval_is_open() -> None:
     (a, _) = Profiler(problem, fitted).profiles()
     assert a.ends == ("found", "failed") and a.ci95[1] < 0.41
     assert "nothing could be simulated beyond" in a.sentence
+
+
+def test_an_end_that_cannot_be_simulated_is_said_to_be_unchecked() -> None:
+    problem, fitted = fitted_to(linear, (0.4, -0.3), broken_from=0.41)
+    (said,) = Profiler(problem, fitted).check()
+    end = fitted.scaled[0] + 1.959964 * uncertainty(fitted).sd[0]
+    assert said.startswith(f"The rig could not be simulated with contacts.a-b.friction = {end:.3g}, where the")
+    problem, fitted = fitted_to(cubic, (0.25, 0.3))
+    cast(Curve, problem.engine).broken_from = fitted.scaled[0] + 0.01
+    wide, unchecked = (said for said in Profiler(problem, fitted).check() if "friction" in said)
+    assert "takes the misfit for a parabola" in wide and "could not be simulated" in unchecked
+
+
+def test_only_an_end_that_was_found_is_a_limit() -> None:
+    mu = FitParameter("contacts.a-b.friction", "", False, 0.0, 3.0, 0.5, "")
+
+    def said(*ends: str) -> str:
+        return in_words(mu, (0.35, 3.0), cast(tuple[str, str], ends), (0.1, 0.9))
+
+    for stop, why in (("failed", "nothing could be simulated beyond"), ("unfinished", "the points allowed ended at")):
+        for sentence, at, side in ((said(stop, "open"), "0.35", "upper"), (said("open", stop), "3", "lower")):
+            assert "is at least" not in sentence and "is at most" not in sentence and "slip" not in sentence
+            assert f"no {side} limit to {mu.name}" in sentence and sentence.endswith(f"{why} {at}.")
+    assert said("failed", "unfinished") == (
+        f"The interval of {mu.name} may reach further: nothing could be simulated beyond 0.35, and the points allowed "
+        "ended at 3."
+    )
+    assert said("found", "open").startswith(f"{mu.name} is at least 0.35;")
+    assert said("open", "found") == f"{mu.name} is at most 3; anything below, as far as 0.35, fits as well."
+
+
+@pytest.mark.parametrize(("broken_from", "replaced"), [(np.inf, True), (1.61, False)])
+def test_only_what_says_as_much_takes_the_place_of_not_determined(broken_from: float, replaced: bool) -> None:
+    """Friction that never slips has a lower limit; where more cannot be simulated nobody knows if there is an upper."""
+    problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0, broken_from=broken_from)
+    before = f"The data do not determine {fitted.parameters[0].name}: any value in its plausible range fits as well."
+    profiles, said = _profiled(problem, fitted, [before], "profiled", None)
+    assert profiles[0].ends == ("found", "open" if replaced else "failed")
+    assert profiles[0].sentence in said and (before in said) != replaced
 
 
 def test_the_number_of_evaluations_is_bounded() -> None:
@@ -181,6 +248,24 @@ def test_a_better_fit_on_the_way_is_told() -> None:
     profiler.profiles()
     assert "The search had ended too early" in profiler.lower()
     assert "contacts.a-b.friction = " in profiler.lower()
+
+
+def escaping(a: float, b: float) -> np.ndarray:
+    """Changes with ``a`` by its square at first, so that a search at 0 stays there."""
+    return a * a * np.sin(3.0 * T) + b * T
+
+
+@pytest.mark.parametrize("intervals", ["checked", "profiled"])
+def test_a_better_fit_at_the_ends_is_no_narrow_interval(intervals: Intervals) -> None:
+    """Where the search stands, the readings hardly change with the first parameter."""
+    problem, _ = fitted_to(escaping, (1.0, 0.1))
+    there = problem.evaluate(cast(Any, None), parameters(-5.0, 5.0), np.array([0.05, 0.1]))
+    _, (said,) = _profiled(problem, there, [], intervals, None)
+    assert said.startswith("The search had ended too early: chi-square is lower by")
+    there.converged = False
+    _, silent = _profiled(problem, there, [], intervals, None)
+    assert not any("too early" in s or "interval of" in s for s in silent)
+    assert intervals == "checked" or "did not converge" in silent[0]
 
 
 @pytest.mark.slow

@@ -41,6 +41,7 @@ from sysid.mismatch.diagnose import _collect
 from sysid.mismatch.locate import structure
 from sysid.mismatch.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
 from sysid.report import write_diagnosis_report, write_fit_report
+from sysid.report.fit_page import undetermined_names
 from sysid.report.numbers import TIMES
 
 NAN = float("nan")
@@ -342,6 +343,22 @@ def test_a_fit_that_failed_says_so_first(tmp_path: Path) -> None:
     errors = make_errors(RUNS[:2], before=9.0, after=1.0) + make_errors(RUNS[2:], before=9.0, after=6.0)
     page = fit_page(tmp_path, make_fit(errors=errors, series=[]))
     assert "but not those held out" in page.words
+
+
+@pytest.mark.parametrize("bag", ["press (2)", "two words", "a: b", "a and b", "x[1]"])
+def test_what_a_bag_has_for_itself_is_undetermined_whatever_the_bag_is_called(bag: str) -> None:
+    """Beside a parameter of another bag, the name of which is a part of it."""
+    first, second, third = make_fit().estimates[:3]
+    own, whole = f"gel.E_pa[{bag}]", f"big_gel.E_pa[{bag}]"
+    estimates = [replace(first, name=own, bag=bag), replace(second, name=whole, bag=bag), third]
+    for said, expected in (
+        (f"The data do not determine {own}: any value in its plausible range fits as well.", {own}),
+        (f"The data do not determine {whole}: its 95 % interval spans all possible values.", {whole}),
+        (f"The data do not determine {whole} and {third.name} separately, only in combination: {own} up.",
+         {whole, third.name}),
+        (f"{own} and {whole} are traded off against each other: The data do not determine {own}: no.", set()),
+    ):  # fmt: skip
+        assert undetermined_names(make_fit(estimates=estimates, identifiability=[said])) == expected
 
 
 def test_what_is_determined_is_said_first(tmp_path: Path) -> None:
