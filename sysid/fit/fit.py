@@ -17,7 +17,7 @@ from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
 from sysid.fit.nuisance import USUAL, checked_kinds, has_bias, nuisance_parameters
-from sysid.fit.outliers import DIMENSIONS, Outliers, without_outliers, worth_another_fit
+from sysid.fit.outliers import DIMENSIONS, Outliers, not_looked_for, without_outliers, worth_another_fit
 from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of, with_bags, within_bounds
 from sysid.fit.pool import PooledEngine
@@ -116,7 +116,8 @@ def fit_runs(
     result says that it did not converge; ``on_step``: told after each of them; ``per_bag``: those of ``names`` that
     each run has a value of its own of, named ``friction[run]`` (the rig that is returned has their mean);
     ``intervals``: how far those of ``names`` are looked into (:data:`Intervals`); ``robust``: leave out marker readings
-    that are mistakes (:mod:`sysid.fit.outliers`); ``engine``: worker processes at hand, for several fits in a row.
+    that are mistakes (:mod:`sysid.fit.outliers`; those of ``held_out`` count in its scores); ``engine``: worker
+    processes at hand, for several fits in a row.
     """
     kinds = checked_kinds(nuisance)
     single = within_bounds(fit_parameters(rig, names), rig, bounds or {})
@@ -208,12 +209,11 @@ def _fit_runs(
         fitted.evaluations, fitted.seconds = fitted.evaluations + done, fitted.seconds + spent
         if not robust or not left or fitted.interrupted:
             break
-        again, told = without_outliers(runs, fitted.predictions)
+        again, told = without_outliers(runs, fitted.predictions, noise)
         if not worth_another_fit(look.runs, again):
             break
         look = replace(look, runs=again, outliers=told, plain=fitted.predictions)
         at, done, spent = fitted.scaled, fitted.evaluations, fitted.seconds
-    outliers = list(look.outliers)
     before = problem.evaluate(rig, [], np.zeros(0))
     estimates, correlation, sentences, reduced = estimates_of(fitted, first)
     sentences += blamed(problem, fitted, sorted(kinds))
@@ -227,6 +227,8 @@ def _fit_runs(
         notes.append("Held-out recordings are predicted with the mean of the values that each bag has for itself.")
     if held_out and on_progress is not None:
         on_progress(0.98, "held-out recordings")
+    mistaken = [o.sentence for o in look.outliers]
+    seen, followed = list(runs), list(fitted.predictions)
     for run in held_out:
         check = Problem([run], noise, engine, bias=bias)
         try:
@@ -236,14 +238,12 @@ def _fit_runs(
             notes.append(f"{run.name}: could not be simulated: {error}")
             continue
         if robust:
-            clean, mistaken = without_outliers([run], scored.predictions)
-            check = Problem(clean, noise, engine, bias=bias)
-            there, scored = (check.compare(f.predictions, f.rig, [], np.zeros(0)) for f in (there, scored))
-            outliers += mistaken
+            mistaken += [o.sentence_of_score for o in without_outliers([run], scored.predictions, noise)[1]]
+            seen, followed = [*seen, run], [*followed, *scored.predictions]
         errors += rms_errors(check, there, scored, held_out=True)
         notes += out_of_sight(check, there, scored)
         series += plot_series(check, there, scored, held_out=True, raw=[run])
-    notes += [o.sentence for o in outliers]
+    notes += mistaken + (not_looked_for(seen, followed, noise) if robust else [])
     result = FitResult(
         rig=rig.name,
         estimates=estimates,
@@ -265,7 +265,7 @@ def _fit_runs(
         nuisances=nuisances,
         remarks=remarks(rig, nuisances),
         profiles=profiles,
-        outliers=outliers,
+        outliers=look.outliers,
     )
     return result, fitted.rig
 
@@ -285,6 +285,7 @@ def _first_look(engine: PooledEngine, rig: Rig, runs: Sequence[Run], held_out: S
     if not any(m.kind in DIMENSIONS for run in runs for m in run.measured):
         return _Look(list(runs), list(held_out), [], None)
     pending = [(run, engine.submit(rig, run)) for run in [*runs, *held_out]]
+    noise = channel_noise(rig, [*runs, *held_out])
     clean: list[Run] = []
     outliers: list[Outliers] = []
     plain: list[Prediction] = []
@@ -294,7 +295,7 @@ def _first_look(engine: PooledEngine, rig: Rig, runs: Sequence[Run], held_out: S
         except ThinshellError:
             clean.append(run)
             continue
-        found, told = without_outliers([run], [prediction])
+        found, told = without_outliers([run], [prediction], noise)
         clean += found
         if k < len(runs):
             outliers += told

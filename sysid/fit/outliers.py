@@ -3,31 +3,39 @@
 Least squares believes every reading, and one that is 50 noise deviations off counts 2500 times. Readings are therefore
 looked at one by one, as vectors of a marker in a frame, and those that are mistakes get the weight 0, all others 1.
 A loss with long tails would shrink what honest readings say, and would take away from a law that is missing what makes
-it known. A reading is only a mistake if it is isolated,
+it known. A reading is where another marker should be that is elsewhere itself, which no motion explains, or it stands
+out in time: its miss (measured minus predicted) is far from what the misses of that marker before it let expect, from
+what those after it do, as a level and as a straight line, and from the mean of both, so that neither a step nor a
+drift of the miss counts, and a marker that stays away for more than four frames has moved. One that stands out is kept
+where it may be physics:
 
-- in time: its miss (measured minus predicted) is far from what the misses of that marker before it let expect, from
-  what those after it do, as a level and as a straight line, and from the mean of both, so that neither a step nor a
-  drift of the miss counts, and a marker that stays away for more than four frames has moved; or it is where another
-  marker should be that is elsewhere itself, which no motion explains;
-- in space: at most :data:`MOST_OF_FRAME` of the markers of that frame stand out at once.
+- several markers of the frame, or of the nearest ones, miss by a similar vector, more of them than mistakes that are
+  as frequent as those of the recording would by chance (binomial), even if half of them were alike;
+- the same marker stands out again and again, more often than mistakes that fall on any marker would;
+- more than :data:`MOST_OF_FRAME` of the markers of that frame stand out at once.
 
-What is far, the recording says: the least of these squared distances is taken for a mixture of the noise and of a rare,
-wide scatter (a contaminated normal distribution, Tukey 1960), whose share and widths are found by expectation
-maximisation; a mistake is more probably of the latter. Since a law that is missing makes misses that are smooth in time
-or shared by neighbours, it stays. Diagnoses look at every reading all the same.
+What is far, the recording says: the least of these squared distances, of what is not kept for these reasons, is taken
+for a mixture of the noise and of a rare, wide scatter (a contaminated normal distribution, Tukey 1960), whose share and
+widths are found by expectation maximisation; a mistake is more probably of the latter.
+
+Nothing is left out where fewer than :data:`FEWEST` markers are seen, which are too few to compare, and where half of
+the readings are far from the model, beside which none is an exception. What remains in doubt is a lone marker that is
+displaced for at most four frames and is so seldom: it is taken for a mistake, whatever moved it. Diagnoses look at
+every reading all the same.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 
 from sysid.fit.engine import Prediction
+from sysid.fit.noise import ChannelNoise
 from sysid.fit.runs import Measured, Run
 
 FAR = 6.0
@@ -44,6 +52,21 @@ MOST = 0.2
 
 OTHERS = 0.3
 """A reading this much nearer to another marker's place than to its own is of that marker."""
+
+FEWEST = 5
+"""Markers of a frame below which nothing is a mistake."""
+
+ALIKE = 0.5
+"""Vectors are alike that differ by less than this share of the longer one."""
+
+NEIGHBOURS = 4
+"""Nearest markers that a reading is compared with."""
+
+BY_CHANCE = 0.01
+"""Probability below which as many alike, or as many times the same marker, are no chance."""
+
+OFTEN = 4
+"""Times that a marker stands out from which it may be physics."""
 
 DIMENSIONS = {"markers": 3, "tracks": 2}
 
@@ -63,9 +86,22 @@ class Outliers:
     kept: bool = False
 
     @property
+    def _percent(self) -> str:
+        return f"{100.0 * self.share:.2g} %"
+
+    @property
+    def sentence_of_score(self) -> str:
+        """What is wrong with a held-out recording, which is scored with all of its readings, in words."""
+        number = sum(len(times) for times in self.markers.values())
+        return (
+            f"{self.run}: {number} of the marker readings of {self.channel} ({self._percent}) look like mistakes of "
+            "the tracker. The scores of this held-out recording count them all the same."
+        )
+
+    @property
     def sentence(self) -> str:
         """What was left out, in words."""
-        percent = f"{100.0 * self.share:.2g} %"
+        percent = self._percent
         if self.kept:
             return (
                 f"{self.run}: {percent} of the marker readings of {self.channel} jump about, too many to be "
@@ -86,14 +122,18 @@ class Outliers:
         )
 
 
-def without_outliers(runs: Sequence[Run], predictions: Sequence[Prediction]) -> tuple[list[Run], list[Outliers]]:
-    """The runs with mistakes as missing, and what they are; ``predictions``: of the runs, near enough to the truth to
-    follow what moves."""
+def without_outliers(
+    runs: Sequence[Run], predictions: Sequence[Prediction], noise: Mapping[str, ChannelNoise]
+) -> tuple[list[Run], list[Outliers]]:
+    """The runs with mistakes as missing, and what they are; ``noise``: of each channel. A channel that its prediction
+    does not follow (:func:`astray`) stays as it is."""
     clean, found = [], []
     for run, prediction in zip(runs, predictions, strict=True):
         measured = []
         for m in run.measured:
-            mask = mistakes(m, prediction.values[m.channel]) if m.kind in DIMENSIONS else None
+            there = prediction.values[m.channel]
+            known = m.kind in DIMENSIONS and not astray(m, there, noise[m.channel])
+            mask = mistakes(m, there) if known else None
             if mask is None or not mask.any():
                 measured.append(m)
                 continue
@@ -103,6 +143,33 @@ def without_outliers(runs: Sequence[Run], predictions: Sequence[Prediction]) -> 
             measured.append(replace(m, values=np.where(gone, np.nan, m.values)))
         clean.append(replace(run, measured=tuple(measured)))
     return clean, found
+
+
+def astray(measured: Measured, predicted: np.ndarray, noise: ChannelNoise) -> bool:
+    """Whether half of the readings are more than :data:`FAR` noise deviations from the prediction ``(n, m)``, as they
+    are where a law is missing or wrong: it is then the model that stands out."""
+    d = DIMENSIONS[measured.kind]
+    miss = ((measured.values - predicted) / noise.sigma).reshape(len(measured.t), -1, d)
+    far = np.sqrt(_square(miss))
+    return bool(np.isfinite(far).any() and np.nanmedian(far) > FAR)
+
+
+def not_looked_for(
+    runs: Sequence[Run], predictions: Sequence[Prediction], noise: Mapping[str, ChannelNoise]
+) -> list[str]:
+    """A sentence that names the channels in which no mistakes were looked for, if there are any."""
+    where = [
+        f"{run.name} ({m.channel})"
+        for run, prediction in zip(runs, predictions, strict=True)
+        for m in run.measured
+        if m.kind in DIMENSIONS and astray(m, prediction.values[m.channel], noise[m.channel])
+    ]
+    if not where:
+        return []
+    return [
+        f"No marker readings are treated as outliers in {', '.join(where)}: half of them or more are over {FAR:.0f} "
+        "noise deviations from the model, so that no single one is an exception."
+    ]
 
 
 def worth_another_fit(before: Sequence[Run], after: Sequence[Run]) -> bool:
@@ -135,11 +202,61 @@ def mistakes(measured: Measured, predicted: np.ndarray) -> Mask:
     # Beside the first and the last reading there is only one side to compare with.
     q = np.min(np.nan_to_num(apart, nan=np.inf), axis=0)
     q = np.where(there & np.isfinite(q), q, 0.0) / _usual(np.where(there, q, np.nan), sigma, d)
-    found = (q > FAR**2) & (_of_the_rare(q[there], d, q) > 0.5)
+    far = q > FAR**2
+    one_side = np.where(np.isfinite(forward[0]), forward[0], backward[0])
+    away = miss - np.where(np.isfinite(between[0]), between[0], one_side)
+    kept = _maybe_physics(far, away, there, place)
+    alone = there & ~kept
+    found = far & ~kept & (_of_the_rare(q[alone], d, q) > 0.5)
     others = _of_others(seen, place, there, FAR * sigma)
-    restless = (q > (0.5 * FAR) ** 2).sum(axis=1) > np.maximum(2.0, MOST_OF_FRAME * there.sum(axis=1))
-    crowded = others.sum(axis=1) > np.maximum(2.0, MOST_OF_FRAME * there.sum(axis=1))
-    return np.asarray((found & ~restless[:, None]) | (others & ~crowded[:, None]))
+    most = np.maximum(2.0, MOST_OF_FRAME * there.sum(axis=1))
+    restless = (q > (0.5 * FAR) ** 2).sum(axis=1) > most
+    crowded = others.sum(axis=1) > most
+    mask = (found & ~restless[:, None]) | (others & ~crowded[:, None])
+    return np.asarray(mask & (there.sum(axis=1) >= FEWEST)[:, None])
+
+
+def _maybe_physics(far: Mask, away: np.ndarray, there: Mask, place: np.ndarray) -> Mask:
+    """Readings of ``far`` that others are like, or of markers that recur; ``away`` ``(n, m, d)``: from the level of the
+    frames about. How frequent mistakes are is known once what is kept is not counted, so this goes round."""
+    in_frame, nearby = _alike(far, away, there, place)
+    others = np.broadcast_to(there.sum(axis=1, keepdims=True) - 1, far.shape)
+    kept = np.zeros(far.shape, dtype=bool)
+    while True:
+        left = far & ~kept
+        chance = 0.5 * left.sum() / max(int(there.sum()), 1)
+        more = (in_frame > 1) & (binom.sf(in_frame - 1, others, chance) < BY_CHANCE)
+        more |= (nearby > 0) & (binom.sf(nearby - 1, NEIGHBOURS, chance) < BY_CHANCE)
+        more |= _recurring(left)
+        if not (left & more).any():
+            return kept
+        kept |= left & more
+
+
+def _alike(far: Mask, away: np.ndarray, there: Mask, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How many other readings of the frame, and of the :data:`NEIGHBOURS` nearest markers, each of ``far`` is like."""
+    count = np.zeros((2, *far.shape), dtype=int)
+    size = np.linalg.norm(away, axis=2)
+    for k in np.flatnonzero(far.any(axis=1)):
+        own = np.flatnonzero(far[k])
+        apart = np.linalg.norm(away[k][own, None] - away[k][None], axis=2)
+        alike = (apart < ALIKE * np.maximum(size[k][own, None], size[k][None])) & there[k]
+        alike[np.arange(len(own)), own] = False
+        count[0, k, own] = alike.sum(axis=1)
+        distance = np.linalg.norm(place[k][own, None] - place[k][None], axis=2)
+        distance[np.arange(len(own)), own] = np.inf
+        distance = np.where(there[k], distance, np.inf)
+        nearest = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS]
+        count[1, k, own] = np.take_along_axis(alike, nearest, axis=1).sum(axis=1)
+    return count[0], count[1]
+
+
+def _recurring(far: Mask) -> Mask:
+    """Readings of markers that stand out more often than their share of all times (frames in a row are one)."""
+    before = np.concatenate([np.zeros((1, far.shape[1]), dtype=bool), far[:-1]])
+    times = (far & ~before).sum(axis=0)
+    seldom = binom.sf(times - 1, times.sum(), 1.0 / len(times)) < BY_CHANCE / len(times)
+    return np.asarray(far & seldom & (times >= OFTEN))
 
 
 def _usual(q: np.ndarray, sigma: float, d: int) -> np.ndarray:

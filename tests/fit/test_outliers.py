@@ -10,6 +10,7 @@ import pytest
 
 from sim_core.simulate import Trace
 from sysid.fit.engine import Prediction
+from sysid.fit.noise import ChannelNoise
 from sysid.fit.outliers import FAR, mistakes, without_outliers, worth_another_fit
 from sysid.fit.runs import Measured, Run
 
@@ -19,6 +20,7 @@ LABELS = tuple(f"marker {k} {a}" for k in range(M) for a in "uv")
 RNG = np.random.default_rng(2)
 GRID = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(M, 2) * 30.0
 PLACE = GRID + 40.0 * np.sin(2.0 * T)[:, None, None] * [1.0, 0.3]
+KNOWN = {"video": ChannelNoise(np.full(2 * M, SIGMA), 0.0, "known")}
 NOISE = SIGMA * RNG.standard_normal(PLACE.shape)
 
 
@@ -104,7 +106,7 @@ def test_what_was_left_out_is_told() -> None:
     miss[40, 12] = 5.0
     run = Run("press", "", (), {}, (track(miss),), T[-1])
     prediction = Prediction({"video": PLACE.reshape(N, -1)}, {}, cast(Trace, None))
-    (clean,), (told,) = without_outliers([run], [prediction])
+    (clean,), (told,) = without_outliers([run], [prediction], KNOWN)
     assert told.markers == {"12": [T[36], T[40]], "17": [T[36]]}
     assert told.sentence == (
         "press: 0.05 % of the marker readings of video are treated as outliers: markers 12 (2 from 1.20 s), "
@@ -124,7 +126,7 @@ def test_too_many_are_kept_and_told() -> None:
         miss[k, rng.permutation(M)[:9], 0] = 5.0
     run = Run("press", "", (), {}, (track(miss),), T[-1])
     prediction = Prediction({"video": PLACE.reshape(N, -1)}, {}, cast(Trace, None))
-    (clean,), (told,) = without_outliers([run], [prediction])
+    (clean,), (told,) = without_outliers([run], [prediction], KNOWN)
     assert told.share > 0.2 and told.kept and "too many to be exceptions" in told.sentence
     np.testing.assert_array_equal(clean.measured[0].values, run.measured[0].values)
 
