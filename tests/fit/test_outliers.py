@@ -11,7 +11,7 @@ import pytest
 from sim_core.simulate import Trace
 from sysid.fit.engine import Prediction
 from sysid.fit.noise import ChannelNoise
-from sysid.fit.outliers import FAR, mistakes, without_outliers, worth_another_fit
+from sysid.fit.outliers import FAR, astray, mistakes, not_looked_for, without_outliers, worth_another_fit
 from sysid.fit.runs import Measured, Run
 
 N, M, SIGMA = 200, 30, 0.1
@@ -98,6 +98,123 @@ def misses() -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("name", list(misses()))
 def test_what_a_missing_law_leaves_stays(name: str) -> None:
     assert found(misses()[name]).sum() <= 1
+
+
+def line(miss: np.ndarray) -> np.ndarray:
+    """What is found of as many markers as ``miss`` ``(N, m, 2)`` has, in a row."""
+    m = miss.shape[1]
+    place = np.arange(m)[None, :, None] * 30.0 + 40.0 * np.sin(2.0 * T)[:, None, None] * [1.0, 0.3]
+    seen = place + SIGMA * np.random.default_rng(2).standard_normal(place.shape) + miss
+    labels = tuple(f"marker {k} {a}" for k in range(m) for a in "uv")
+    return mistakes(Measured("video", "tracks", T, seen.reshape(N, -1), labels), place.reshape(N, -1))
+
+
+def bumps(m: int, who: slice, at: tuple[int, ...] = (70,)) -> np.ndarray:
+    """Four frames long, smooth, the same for all of ``who``."""
+    miss = np.zeros((N, m, 2))
+    for first in at:
+        miss[first : first + 4, who, 0] = 5.0 * np.sin(np.pi * (np.arange(4) + 0.5) / 4.0)[:, None]
+    return miss
+
+
+def ring_downs(m: int, who: slice, hertz: float, tau: float) -> np.ndarray:
+    """Three that die away with ``tau`` [s]."""
+    miss = np.zeros((N, m, 2))
+    for start in (2.0, 3.5, 5.0):
+        since = np.maximum(T - start, 0.0)
+        miss[:, who, 1] += ((T >= start) * 5.0 * np.exp(-since / tau) * np.cos(2.0 * np.pi * hertz * since))[:, None]
+    return miss
+
+
+BURSTS = (30, 55, 80, 105, 130, 155)
+SHARED = {
+    "bump of 8 of 30": bumps(30, slice(10, 18)),
+    "bump of 10 of 30": bumps(30, slice(10, 20)),
+    "bump of 2 of 30": bumps(30, slice(10, 12)),
+    "stick-slip of 8 of 30": bumps(30, slice(10, 18), BURSTS),
+    "stick-slip of 16 of 49": bumps(49, slice(10, 26), BURSTS),
+    "ring-down of 6 Hz of 8 of 30": ring_downs(30, slice(5, 13), 6.0, 0.1),
+    "ring-down of 10 Hz of 8 of 30": ring_downs(30, slice(5, 13), 10.0, 0.1),
+    "ring-down of 4 Hz of 8 of 30": ring_downs(30, slice(5, 13), 4.0, 0.2),
+    "ring-down of 12 Hz of 16 of 49": ring_downs(49, slice(5, 21), 12.0, 0.15),
+}
+
+
+@pytest.mark.parametrize("name", list(SHARED))
+def test_what_markers_share_stays(name: str) -> None:
+    assert not line(SHARED[name]).any()
+
+
+@pytest.mark.parametrize("who", [slice(8, 10), slice(6, 12), slice(12, 24)])
+def test_what_neighbours_on_a_grid_share_stays(who: slice) -> None:
+    assert not found(bumps(M, who)).any()
+
+
+def test_a_marker_that_slips_again_and_again_stays() -> None:
+    """Once it is one that may as well be a mistake."""
+    assert not found(bumps(M, slice(4, 5), BURSTS)).any()
+    assert found(bumps(M, slice(4, 5)))[70:74, 4].sum() > 2
+
+
+@pytest.mark.parametrize("m", [1, 2, 4])
+def test_few_markers_lose_nothing(m: int) -> None:
+    assert not line(bumps(m, slice(0, 1))).any() and not line(bumps(m, slice(0, 2))).any()
+    assert line(bumps(5, slice(0, 1))).sum() == 4
+
+
+def test_a_frame_with_few_markers_in_sight_loses_nothing() -> None:
+    miss = bumps(M, slice(4, 5))
+    miss[60:80, 5:, :] = np.nan
+    miss[60:80, 0, :] = np.nan
+    assert not found(miss).any()
+
+
+def test_mistakes_beside_shared_slips_are_found() -> None:
+    """Between the slips; during them more than a third of the markers stand out, and all are kept."""
+    slips = bumps(M, slice(6, 18), BURSTS)
+    slipping = np.any(slips != 0.0, axis=(1, 2))
+    wrong = np.where(slipping[:, None, None], 0.0, jumps(0.05, 5.0))
+    true = np.any(wrong != 0.0, axis=2)
+    mask = found(slips + wrong)
+    assert np.mean(mask[true]) > 0.95
+    assert not mask[~true].any()
+
+
+def test_exchanges_of_single_frames_are_found() -> None:
+    rng = np.random.default_rng(5)
+    seen = PLACE + NOISE
+    true = np.zeros((N, M), dtype=bool)
+    for k in range(5, N, 10):
+        pair = rng.permutation(M)[:2]
+        seen[k, pair] = seen[k, pair[::-1]]
+        true[k, pair] = True
+    mask = mistakes(replace(track(), values=seen.reshape(N, -1)), PLACE.reshape(N, -1))
+    np.testing.assert_array_equal(mask, true)
+
+
+def lost(by: float) -> tuple[Run, Prediction]:
+    """A recording with jumps, and a model that misses all of it by ``by`` noise deviations."""
+    run = Run("press", "", (), {}, (track(jumps(0.05, 5.0)),), T[-1])
+    return run, Prediction({"video": (PLACE + [by * SIGMA, 0.0]).reshape(N, -1)}, {}, cast(Trace, None))
+
+
+def test_beside_a_model_that_is_far_off_nothing_is_a_mistake() -> None:
+    run, prediction = lost(2.0 * FAR)
+    clean, told = without_outliers([run], [prediction], KNOWN)
+    assert clean == [run] and told == [] and not worth_another_fit([run], clean)
+    (sentence,) = not_looked_for([run, replace(run, name="pull")], [prediction, prediction], KNOWN)
+    assert sentence == (
+        "No marker readings are treated as outliers in press (video), pull (video): half of them or more are over 6 "
+        "noise deviations from the model, so that no single one is an exception."
+    )
+
+
+def test_beside_one_that_is_not_they_are() -> None:
+    run, prediction = lost(0.5 * FAR)
+    assert len(without_outliers([run], [prediction], KNOWN)[1]) == 1
+    assert not_looked_for([run], [prediction], KNOWN) == []
+    unseen = replace(run.measured[0], values=np.full_like(run.measured[0].values, np.nan))
+    assert not astray(unseen, prediction.values["video"], KNOWN["video"])
 
 
 def test_what_was_left_out_is_told() -> None:

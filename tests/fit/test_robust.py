@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from strip import PULL, START, TRUTH, pulled, strip_rig
 
 from sim_core.rigs import with_parameters
 from sim_core.rigs.motion import compile_experiment
-from sysid.fit import FitResult, fit_runs
+from sysid.fit import FitResult, fit, fit_runs
 from sysid.fit.pool import PooledEngine
 from sysid.fit.runs import Run
 from sysid.report import write_fit_report
@@ -86,3 +87,38 @@ def test_a_clean_recording_loses_nothing(plain: FitResult, clean: Run, workers: 
     assert plain.outliers == []
     for a, b in zip(plain.estimates, without.estimates, strict=True):
         assert (a.value, a.sd) == (b.value, b.sd)
+
+
+def test_held_out_scores_count_every_reading(clean: Run, dirty: Run, workers: PooledEngine) -> None:
+    """The mean square of the misses is that of the noise and that of the jumps together."""
+    result = fit_runs(RIG, [clean], [], held_out=[dirty], nuisance=("none",), intervals="quadratic", engine=workers)[0]
+    mine, score = ([e for e in result.errors if e.channel == "above" and e.held_out is kept] for kept in (False, True))
+    jumps = blurred()
+    assert score[0].after == pytest.approx(np.sqrt(mine[0].after ** 2 + np.mean(jumps**2)), rel=0.05)
+    assert score[0].after > 4.0 * mine[0].after
+    assert result.outliers == [] and not any(s.outliers for s in result.series)
+    (told,) = (note for note in result.notes if "look like mistakes" in note)
+    number = int(told.split(": ")[1].split()[0])
+    assert number == pytest.approx(np.sum(np.any(jumps != 0.0, axis=2)), rel=0.05) and "count them all" in told
+
+
+def test_no_fit_is_repeated_where_the_model_is_far_off(
+    tmp_path: Path, workers: PooledEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clamped strip bends in the plane of the pictures, which the rig's cannot."""
+    bent = np.zeros((FRAMES, 33, 2))
+    bent[:, :, 1] = 20.0 * np.sin(np.linspace(0.0, np.pi, 33)) + 40.0 * np.linspace(0.0, 1.0, FRAMES)[:, None]
+    fits = []
+    once = fit.fit_beside_own_error
+
+    def counted(*given: Any, **named: Any) -> Any:
+        fits.append(given)
+        return once(*given, **named)
+
+    monkeypatch.setattr(fit, "fit_beside_own_error", counted)
+    run = pulled(RIG, TRUTH, tmp_path / "bag", jumps=blurred() + bent)
+    result = fit_runs(
+        RIG, [run], ["strip.E"], nuisance=("none",), intervals="quadratic", max_evaluations=3, engine=workers
+    )[0]
+    assert len(fits) == 1 and result.outliers == []
+    assert sum("No marker readings are treated as outliers in bag (above)" in note for note in result.notes) == 1
