@@ -346,12 +346,13 @@ def fit_bags(
     """Fit bags (:func:`fit_runs`) and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``."""
     from sysid.report import write_fit_report
 
-    runs, kept = load_runs(rig, bags, held_out)
-    result, fitted = fit_runs(
-        rig, runs, names, held_out=kept, seed=seed, nuisance=nuisance, bounds=bounds, max_evaluations=max_evaluations,
-        per_bag=per_bag, intervals=intervals, robust=robust, on_progress=on_progress, on_step=on_step,
-    )  # fmt: skip
     with whole_folder(out) as folder:
+        runs, kept = load_runs(rig, bags, held_out)
+        result, fitted = fit_runs(
+            rig, runs, names, held_out=kept, seed=seed, nuisance=nuisance, bounds=bounds,
+            max_evaluations=max_evaluations, per_bag=per_bag, intervals=intervals, robust=robust,
+            on_progress=on_progress, on_step=on_step,
+        )  # fmt: skip
         result.write(folder / "fit.json")
         (folder / "fitted_rig.yaml").write_text(rig_to_yaml(fitted))
         report = write_fit_report(result, folder / "report.html")
