@@ -111,6 +111,7 @@ def test_a_restart_that_cannot_be_simulated_is_left_out(small_rig: Any, monkeypa
     evaluations = fit._Evaluations(None, None, None)
     found = fit._best_of_restarts(problem, small_rig(), parameters, np.array([11.0]), 0, evaluations)
     assert len(calls) == 1 + fit.MOST_RESTARTS
+    assert evaluations.done == found.evaluations + fit.MOST_RESTARTS, "each has cost an evaluation"
     assert np.exp(found.scaled[0]) == pytest.approx(TRUTH, rel=0.05)
 
 
