@@ -9,9 +9,11 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
@@ -58,14 +60,14 @@ def run(link: Connection, request: FitRequest) -> None:
     The process and those that it starts are a process group, which ends at once when the other end of the link closes.
     """
     os.setsid()
-    threading.Thread(target=_end_with, args=(link,), daemon=True).start()
+    threading.Thread(target=_end_with, args=(link, unfinished(request.out)), daemon=True).start()
     try:
         fit_bags(
             request.rig, request.bags, request.names, held_out=request.held_out, out=request.out, seed=request.seed,
             nuisance=request.nuisance, bounds=request.bounds, max_evaluations=request.max_evaluations,
             on_progress=lambda share, words: link.send(Share(share, words)), on_step=link.send,
         )  # fmt: skip
-        link.send(Succeeded(json.loads((request.out / "fit.json").read_text())))
+        link.send(_succeeded(request))
     except ThinshellError as error:
         link.send(Failed(str(error)))
     except BrokenProcessPool:
@@ -74,11 +76,20 @@ def run(link: Connection, request: FitRequest) -> None:
         link.send(Failed(f"This is a defect of the program: {type(error).__name__}: {error}. Please report it."))
 
 
-def _end_with(link: Connection) -> None:
-    """Kill the process group when nobody holds the other end of the link any more; nothing is ever sent over it."""
+def _succeeded(request: FitRequest) -> Succeeded:
+    return Succeeded(json.loads((request.out / "fit.json").read_text()))
+
+
+def _end_with(link: Connection, part: Path) -> None:
+    """Kill the process group when nobody holds the other end of the link any more; nothing is ever sent over it.
+
+    ``part``: the folder of results, which goes too if it is still empty.
+    """
     try:
         link.poll(None)
     finally:
+        with suppress(OSError):
+            part.rmdir()
         os.killpg(0, signal.SIGKILL)
 
 
@@ -119,9 +130,8 @@ class FitProcess:
         except (EOFError, OSError):
             pass
         if not alive and not self._over:
-            self._over = True
-            yield Failed(self._crash())
-        if self._over:
+            yield self.stop() or Failed(self._crash())
+        elif self._over:
             self.stop()
 
     def _crash(self) -> str:
@@ -130,11 +140,13 @@ class FitProcess:
             return f"The process that fits was ended by {signal.Signals(-code).name}. {MEMORY}"
         return f"The process that fits ended with code {code}. The node's output says more. Call ~/start to try again."
 
-    def stop(self) -> None:
-        """End the process and all that it started, and remove what is not finished."""
+    def stop(self) -> Succeeded | None:
+        """End the process and all that it started, and remove what is not finished.
+
+        If it had not told its end: what it would have told if all was written before it ended.
+        """
         if self._link.closed:
-            return
-        self._over = True
+            return None
         assert self._process.pid is not None
         try:
             os.killpg(self._process.pid, signal.SIGKILL)
@@ -143,4 +155,10 @@ class FitProcess:
         self._process.kill()
         self._process.join()
         self._link.close()
+        told, self._over = self._over, True
+        if told:
+            return None  # it has cleared up itself, or said where it left what is finished
+        if self._request.out.exists():
+            return _succeeded(self._request)
         rmtree(unfinished(self._request.out), ignore_errors=True)
+        return None

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 from sim_core.errors import ThinshellError
 from sim_core.rigs import load_rig
 from thinshell_ros import messages
-from thinshell_ros.fit_process import FitProcess
+from thinshell_ros.fit_process import Event, FitProcess
 from thinshell_ros.fit_request import FitRequest, fit_request, topic_names
 from thinshell_ros.fit_state import FitState
 from thinshell_ros.parameters import declare, value_of
@@ -97,7 +97,12 @@ class SysidNode(Node):
         if self._process is None:
             response.success, response.message = False, "No fit is running."
             return response
-        self._process.stop()
+        done = self._process.stop()
+        if done is not None:
+            self._take([done])
+            response.success = False
+            response.message = f"{self._state.job_id} succeeded before it could be cancelled; {self._state.doing}"
+            return response
         self._process = None
         self._state.state, self._state.doing = "cancelled", "nothing was written"
         self.get_logger().info(f"{self._state.job_id} was cancelled.")
@@ -107,10 +112,13 @@ class SysidNode(Node):
 
     def _on_poll(self) -> None:
         """Take what the fit told, and publish: what is new at once, the time that passes every second."""
-        if self._process is None or self._request is None:
+        if self._process is None:
             return
         self._elapsed_s = self._process.elapsed_s
-        events = list(self._process.events())
+        self._take(list(self._process.events()))
+
+    def _take(self, events: Sequence[Event]) -> None:
+        assert self._request is not None
         step = self._state.step
         for event in events:
             self._state.take(event, self._request)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -29,18 +28,17 @@ def experiments(
     """
     from sim_core.errors import ConfigError
     from sim_core.rigs.motion import load_experiment
-    from sysid.report.experiments_page import by_rig, identifying, write_page, write_pictures
+    from sysid.report.experiments_page import by_rig, identifying, page_beside, write_experiments
 
     found = [load_experiment(name) for name in chosen or []] or identifying()
     by_rig(found)
     check_new(out, "folder")
-    beside = out.with_suffix(".md")
+    beside = page_beside(out)
     if page and beside.exists():
         raise ConfigError(f"The page {beside} already exists.", "Remove it, or name another folder with --out.")
-    with progress("pictures") as report:
-        write_pictures(found, out, report)
+    command = " ".join(["thinshell experiments", *(chosen or []), f"--out {out} --page"])
+    with progress("experiments") as report:
+        write_experiments(found, out, page, command, report)
     print(f"Pictures: {out}")
     if page:
-        words = ["thinshell experiments", *(chosen or []), f"--out {out} --page"]
-        with progress("plans") as report:
-            print(f"Page: {write_page(found, Path(out), ' '.join(words), report)}")
+        print(f"Page: {beside}")

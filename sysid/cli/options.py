@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from sim_core.errors import ConfigError, RecordingError, ThinshellError
+from sysid.folder import UNFINISHED
 
 RigArgument = Annotated[
     str, typer.Argument(metavar="RIG", help="Rig or overlay: a name from 'thinshell rigs' or a YAML file.")
@@ -97,8 +98,8 @@ def check_bags(bags: Iterable[Path], held_out: Iterable[Path] = ()) -> None:
 
 
 def check_new(path: Path, what: str) -> None:
-    """A place to write that does not exist yet, in a folder that does and that can be written."""
-    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+    """A place to write that does not exist yet or is empty but for what a killed process left; not below a file."""
+    if path.exists() and not (path.is_dir() and all(found.name == UNFINISHED for found in path.iterdir())):
         raise ConfigError(f"The {what} {path} already exists.", "Name a new one with --out; nothing is overwritten.")
     parent = path.absolute().parent
     while not parent.exists():

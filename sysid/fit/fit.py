@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim_core.errors import ThinshellError
+from sim_core.errors import ConfigError, ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
@@ -72,23 +72,29 @@ class _Evaluations:
         self._most = most
         self._on_progress = on_progress
         self._on_step = on_step
-        self._done = 0
+        self.done = 0
 
     @property
     def left(self) -> int:
-        """Evaluations that the next search may make; always one, without which there is nothing to report."""
-        left = EVALUATIONS_OF_A_SEARCH if self._most is None else self._most - self._done
-        return min(max(left, 1), EVALUATIONS_OF_A_SEARCH)
+        """Evaluations that the next search may make."""
+        return EVALUATIONS_OF_A_SEARCH if self._most is None else min(self._most - self.done, EVALUATIONS_OF_A_SEARCH)
+
+    def limit(self, fitted: Fitted) -> Fitted:
+        """The outcome of a search, which says so if none are left."""
+        if self.left == 0 and fitted.parameters and not fitted.interrupted:
+            fitted.limited, fitted.converged = True, False
+            fitted.message = f"the evaluations allowed, {self._most}, are used up; the best values so far are kept"
+        return fitted
 
     def __call__(self, best: Fitted) -> None:
         """One more has been made, after which ``best`` is the best of its search."""
-        self._done += 1
+        self.done += 1
         if self._on_progress is not None:
-            share = 1.0 - np.exp(-self._done / TYPICAL_EVALUATIONS)
-            self._on_progress(0.9 * share, f"evaluation {self._done}, misfit {best.chi2:.4g}")
+            share = 1.0 - np.exp(-self.done / TYPICAL_EVALUATIONS)
+            self._on_progress(0.9 * share, f"evaluation {self.done}, misfit {best.chi2:.4g}")
         if self._on_step is not None:
             asked = {p.name for p in best.parameters if not p.nuisance}
-            self._on_step(Step(self._done, best.misfit, {n: v for n, v in best.values.items() if n in asked}))
+            self._on_step(Step(self.done, best.misfit, {n: v for n, v in best.values.items() if n in asked}))
 
 
 def fit_runs(
@@ -112,13 +118,15 @@ def fit_runs(
     """Fit ``names`` to ``runs``; the result and the rig with the fitted values, of nuisances too.
 
     ``start``: scaled values of ``names`` to start from; ``nuisance``: kinds of nuisances that are estimated beside
-    them (:func:`sysid.fit.nuisance.checked_kinds`); ``max_evaluations``: of all searches together, after which the
-    result says that it did not converge; ``on_step``: told after each of them; ``per_bag``: those of ``names`` that
-    each run has a value of its own of, named ``friction[run]`` (the rig that is returned has their mean);
-    ``intervals``: how far those of ``names`` are looked into (:data:`Intervals`); ``robust``: leave out marker readings
-    that are mistakes (:mod:`sysid.fit.outliers`; those of ``held_out`` count in its scores); ``engine``: worker
-    processes at hand, for several fits in a row.
+    them (:func:`sysid.fit.nuisance.checked_kinds`); ``max_evaluations``: of all searches together, after which
+    nothing is searched or looked into any more and the result says that it did not converge; ``on_step``: told after
+    each of them; ``per_bag``: those of ``names`` that each run has a value of its own of, named ``friction[run]`` (the
+    rig that is returned has their mean); ``intervals``: how far those of ``names`` are looked into
+    (:data:`Intervals`); ``robust``: leave out marker readings that are mistakes (:mod:`sysid.fit.outliers`; those of
+    ``held_out`` count in its scores); ``engine``: worker processes at hand, for several fits in a row.
     """
+    if max_evaluations is not None and max_evaluations < 1:
+        raise ConfigError(f"A fit cannot be made in {max_evaluations} evaluations.", "Allow at least one.")
     kinds = checked_kinds(nuisance)
     single = within_bounds(fit_parameters(rig, names), rig, bounds or {})
     asked = with_bags(single, per_bag, [run.name for run in runs], rig)
@@ -158,21 +166,21 @@ def _best_of_restarts(
     rng = np.random.default_rng(seed)
     width = np.array([min(p.prior_sd, 1.0) for p in parameters])
     for _ in range(MOST_RESTARTS):
-        if not parameters or fitted.interrupted or fitted.misfit < GOOD_MISFIT:
+        if not parameters or not evaluations.left or fitted.interrupted or fitted.misfit < GOOD_MISFIT:
             break
         near = fitted.scaled + RESTART_WIDTH * width * rng.standard_normal(len(width))
         try:
             again = problem.fit(rig, parameters, near, evaluations.left, on_evaluation=evaluations)
         except ThinshellError:
+            evaluations(fitted)
             continue
         better = again.chi2 < 0.98 * fitted.chi2
         if again.chi2 < fitted.chi2:
-            again.evaluations += fitted.evaluations
             again.seconds += fitted.seconds
             fitted = again
         if again.interrupted or not better:
             break
-    return fitted
+    return evaluations.limit(fitted)
 
 
 def _fit_runs(
@@ -200,20 +208,20 @@ def _fit_runs(
     look = _Look(list(runs), list(held_out), [], None)
     if robust:
         look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
-    at, done, spent = first, 0, 0.0
+    at, spent = first, 0.0
     for left in reversed(range(LOOKS)):
         noise = channel_noise(rig, [*look.runs, *look.held_out])
         problem, fitted = fit_beside_own_error(
             engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
         )
-        fitted.evaluations, fitted.seconds = fitted.evaluations + done, fitted.seconds + spent
-        if not robust or not left or fitted.interrupted:
+        fitted.seconds += spent
+        if not robust or not left or fitted.cut_short:
             break
         again, told = without_outliers(runs, fitted.predictions, noise)
         if not worth_another_fit(look.runs, again):
             break
         look = replace(look, runs=again, outliers=told, plain=fitted.predictions)
-        at, done, spent = fitted.scaled, fitted.evaluations, fitted.seconds
+        at, spent = fitted.scaled, fitted.seconds
     before = problem.evaluate(rig, [], np.zeros(0))
     estimates, correlation, sentences, reduced = estimates_of(fitted, first)
     sentences += blamed(problem, fitted, sorted(kinds))
@@ -253,7 +261,7 @@ def _fit_runs(
         reduced_chi2=reduced,
         converged=fitted.converged,
         message=fitted.message,
-        evaluations=fitted.evaluations,
+        evaluations=evaluations.done,
         seconds=fitted.seconds,
         noise={
             c: {"sigma": _shown_sigma([*runs, *held_out], c, n), "correlation": n.rho, "from": n.source}
@@ -311,7 +319,7 @@ def _profiled(
     Where a profile says how far the data limit a parameter on both sides, that takes the place of the sentence that
     they do not determine it. Around values that are not the best fit intervals mean nothing, and little is said.
     """
-    if intervals == "quadratic" or not fitted.parameters:
+    if intervals == "quadratic" or fitted.cut_short or not fitted.parameters:
         return [], sentences
     if not fitted.converged:
         left_out = ["No interval was sought by profile likelihood, since the fit did not converge."]
@@ -353,12 +361,13 @@ def fit_bags(
     """Fit bags (:func:`fit_runs`) and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``."""
     from sysid.report import write_fit_report
 
-    runs, kept = load_runs(rig, bags, held_out)
-    result, fitted = fit_runs(
-        rig, runs, names, held_out=kept, seed=seed, nuisance=nuisance, bounds=bounds, max_evaluations=max_evaluations,
-        per_bag=per_bag, intervals=intervals, robust=robust, on_progress=on_progress, on_step=on_step,
-    )  # fmt: skip
     with whole_folder(out) as folder:
+        runs, kept = load_runs(rig, bags, held_out)
+        result, fitted = fit_runs(
+            rig, runs, names, held_out=kept, seed=seed, nuisance=nuisance, bounds=bounds,
+            max_evaluations=max_evaluations, per_bag=per_bag, intervals=intervals, robust=robust,
+            on_progress=on_progress, on_step=on_step,
+        )  # fmt: skip
         result.write(folder / "fit.json")
         (folder / "fitted_rig.yaml").write_text(rig_to_yaml(fitted))
         report = write_fit_report(result, folder / "report.html")

@@ -17,7 +17,8 @@ class Fitted:
     """Outcome of one minimisation. ``scaled``: best values; ``residual`` and ``jacobian``: whitened,
     ``(n,)`` and ``(n, p)``, nuisance sizes eliminated; ``labels``: run, channel and times of the residuals;
     ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable
-    coefficients of the simulator's own error by run and channel (:mod:`sysid.fit.directions`)."""
+    coefficients of the simulator's own error by run and channel (:mod:`sysid.fit.directions`); ``limited``: the
+    evaluations allowed for all searches together are used up."""
 
     parameters: list[FitParameter]
     scaled: np.ndarray
@@ -32,11 +33,17 @@ class Fitted:
     message: str
     seconds: float
     sizes: dict[tuple[int, str], Sizes] = field(default_factory=dict)
+    limited: bool = False
 
     @property
     def interrupted(self) -> bool:
         """The search was stopped by Ctrl-C."""
         return self.message.startswith("interrupted")
+
+    @property
+    def cut_short(self) -> bool:
+        """Nothing is to be searched any more, from elsewhere or beside another error."""
+        return self.interrupted or self.limited
 
     @property
     def has_prior(self) -> bool:

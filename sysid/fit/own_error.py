@@ -102,7 +102,7 @@ def fit_beside_own_error(
     ``plain``: the predictions where the fit starts, where they are at hand.
 
     ``Fitted.converged`` is false, and its message says so, when the rounds ended before both settled.
-    Ctrl-C keeps the best so far.
+    Ctrl-C, and a limit to the evaluations of ``search``, keep the best so far, beside the error last measured.
     """
     scaled = start_of(rig, parameters) if start is None else np.asarray(start, dtype=float)
     look = search or (lambda problem, at: problem.fit(rig, parameters, start=at))
@@ -117,7 +117,7 @@ def fit_beside_own_error(
         fitted = look(problem, scaled)
         evaluations += fitted.evaluations
         seconds += fitted.seconds
-        if fitted.interrupted:
+        if fitted.cut_short:
             return problem, _counted(fitted, evaluations, seconds)
         step = fitted.scaled - scaled
         try:
@@ -132,7 +132,7 @@ def fit_beside_own_error(
             break
         directions = [_learnt(old, new, step, fitted) for old, new in zip(directions, measured, strict=True)]
     problem = Problem(runs, noise, engine, measured, prior, bias)
-    final = problem.evaluate(rig, parameters, scaled)
+    final = problem.compare(fitted.predictions, rig, parameters, scaled)
     final.message, final.converged = fitted.message, fitted.converged and settled
     if fitted.converged and not settled:
         final.message = (

@@ -173,6 +173,8 @@ class Problem:
         if not parameters:
             found = self.evaluate(rig, parameters, start)
             found.message = "nothing to fit"
+            if on_evaluation is not None:
+                on_evaluation(found)
             return found
         search = Search(lambda scaled: self.evaluate(rig, parameters, scaled), parameters, on_evaluation)
         return search.run(start, max_evaluations, tolerance)

@@ -68,9 +68,9 @@ class Series:
 
 @dataclass
 class FitResult:
-    """Everything that a fit found. ``nuisances``: what was estimated beside what was asked for; ``profiles``: deviance
-    against each parameter, where that was asked for (:mod:`sysid.fit.profiler`); ``outliers``: marker readings that
-    were left out (:mod:`sysid.fit.outliers`)."""
+    """Everything that a fit found. ``evaluations``: of all searches; ``nuisances``: what was estimated beside what was
+    asked for; ``profiles``: deviance against each parameter, where that was asked for (:mod:`sysid.fit.profiler`);
+    ``outliers``: marker readings that were left out (:mod:`sysid.fit.outliers`)."""
 
     rig: str
     estimates: list[Estimate]

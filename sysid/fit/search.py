@@ -26,7 +26,7 @@ SHARPER = 0.5
 
 class Search:
     """One minimisation. ``evaluate``: the problem at scaled values ``(p,)``; ``parameters``: at least one;
-    ``on_evaluation``: told after each evaluation what is best so far."""
+    ``on_evaluation``: told after each evaluation, also one that failed, what is best so far."""
 
     def __init__(
         self,
@@ -95,13 +95,17 @@ class Search:
         except ThinshellError:
             if self._best is None:
                 raise
+            self._tell()
             return None
         self._last = here
         if self._best is None or self._weighted(here) < self._weighted(self._best):
             self._best = here
-        if self._on_evaluation is not None:
-            self._on_evaluation(self._best)
+        self._tell()
         return here
+
+    def _tell(self) -> None:
+        if self._on_evaluation is not None:
+            self._on_evaluation(self.best)
 
     def _weigh(self, fitted: Fitted, rows: np.ndarray) -> np.ndarray:
         """Rows of the residual or the jacobian with the prior's weighed up."""

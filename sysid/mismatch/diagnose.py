@@ -301,20 +301,20 @@ def diagnose_bags(
     """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``."""
     from sysid.report import write_diagnosis_report
 
-    runs, kept = load_runs(rig, bags, held_out)
-    diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
-    overlay = {
-        "overlay_of": "rig.yaml",
-        "name": f"{rig.name}_amended",
-        "description": diagnosis.sentence,
-        "parameters": {
-            p.name: p.value
-            for p in (diagnosis.amended_parameters or diagnosis.baseline_parameters)
-            if not p.name.startswith("effects.")
-        },
-        "effects": {name: dict(values) for name, values in amended.effects.items()},
-    }
     with whole_folder(out) as folder:
+        runs, kept = load_runs(rig, bags, held_out)
+        diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
+        overlay = {
+            "overlay_of": "rig.yaml",
+            "name": f"{rig.name}_amended",
+            "description": diagnosis.sentence,
+            "parameters": {
+                p.name: p.value
+                for p in (diagnosis.amended_parameters or diagnosis.baseline_parameters)
+                if not p.name.startswith("effects.")
+            },
+            "effects": {name: dict(values) for name, values in amended.effects.items()},
+        }
         diagnosis.write(folder / "diagnosis.json")
         (folder / "rig.yaml").write_text(rig_to_yaml(rig))
         (folder / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from sim_core.errors import ConfigError
@@ -11,10 +12,13 @@ from sim_core.rigs import Rig, load_rig, resolve_name
 from sim_core.rigs.load import names_in
 from sim_core.rigs.motion import Experiment, load_experiment
 from sysid.fit.plan import Expected, Outlook, plan_experiments
-from sysid.folder import whole_folder
+from sysid.folder import whole_file, whole_folder
 from sysid.report.motion_picture import draw_experiment
 
 Progress = Callable[[float, str], None]
+
+PICTURES = 0.1
+"""Share of the time that the pictures take where there is a page too."""
 
 HEAD = """# Experiments that identify materials
 
@@ -35,14 +39,21 @@ def identifying() -> list[Experiment]:
 
 
 def by_rig(experiments: Sequence[Experiment]) -> dict[str, list[Experiment]]:
-    """The experiments of each rig. Raises ``ConfigError`` for one that names none."""
+    """The experiments of each rig. Raises ``ConfigError`` for one that names none, and for two of one name."""
     groups: dict[str, list[Experiment]] = {}
+    names: set[str] = set()
     for experiment in experiments:
         if experiment.rig is None:
             raise ConfigError(
                 f"The experiment {experiment.name!r} names no rig and no parameters that it identifies.",
                 "Add rig and identifies to its file.",
             )
+        if experiment.name in names:
+            raise ConfigError(
+                f"Two experiments are named {experiment.name!r}, after which their pictures are named.",
+                "Name each once, and give each a name of its own in its file.",
+            )
+        names.add(experiment.name)
         groups.setdefault(experiment.rig, []).append(experiment)
     return groups
 
@@ -52,35 +63,49 @@ def parameters_of(rig: Rig, experiments: Sequence[Experiment]) -> list[str]:
     return list(dict.fromkeys(resolve_name(rig, name) for e in experiments for name in e.identifies))
 
 
-def write_pictures(experiments: Sequence[Experiment], out: Path, on_progress: Progress) -> None:
-    """One SVG an experiment into the new folder ``out``."""
-    groups = by_rig(experiments)
-    done = 0
-    with whole_folder(out) as folder:
-        for rig_name, members in groups.items():
-            rig = load_rig(rig_name)
+def page_beside(pictures: Path) -> Path:
+    """The page of a folder of pictures: ``DIR.md`` beside ``DIR``."""
+    pictures = pictures.absolute()
+    return pictures.with_name(f"{pictures.name}.md")
+
+
+def write_experiments(
+    experiments: Sequence[Experiment], out: Path, page: bool, command: str, on_progress: Progress
+) -> None:
+    """One SVG an experiment into the new folder ``out``; ``page``: also the page on them (:func:`page_beside`), which
+    says that ``command`` made it. All appear together, when all is done."""
+    groups = [(load_rig(rig), members) for rig, members in by_rig(experiments).items()]
+    with ExitStack() as together:
+        folder = together.enter_context(whole_folder(out))
+        sheet = together.enter_context(whole_file(page_beside(out))) if page else None
+        drawn = PICTURES if page else 1.0
+        done = 0
+        for rig, members in groups:
             for experiment in members:
-                on_progress(done / len(experiments), f"picture of {experiment.name}")
+                on_progress(drawn * done / len(experiments), f"picture of {experiment.name}")
                 (folder / f"{experiment.name}.svg").write_text(draw_experiment(rig, experiment))
                 done += 1
+        if sheet is not None:
+
+            def planned(share: float, text: str) -> None:
+                on_progress(drawn + (1.0 - drawn) * share, text)
+
+            sheet.write_text(_page(groups, out.absolute().name, command, planned))
 
 
-def write_page(experiments: Sequence[Experiment], pictures: Path, command: str, on_progress: Progress) -> Path:
-    """The page beside the folder of the pictures, named after it."""
-    groups = by_rig(experiments)
+def _page(
+    groups: Sequence[tuple[Rig, Sequence[Experiment]]], pictures: str, command: str, on_progress: Progress
+) -> str:
     parts = [HEAD.format(command=command)]
-    for k, (rig_name, members) in enumerate(groups.items()):
-        rig = load_rig(rig_name)
+    for k, (rig, members) in enumerate(groups):
         names = parameters_of(rig, members)
 
         def share(done: float, text: str, k: int = k) -> None:
             on_progress((k + done) / len(groups), text)
 
         plan = plan_experiments(rig, members, names, share)
-        parts.append(_section(rig, members, names, plan.outlooks, pictures.name))
-    page = pictures.with_suffix(".md")
-    page.write_text("\n".join(parts))
-    return page
+        parts.append(_section(rig, members, names, plan.outlooks, pictures))
+    return "\n".join(parts)
 
 
 def _section(

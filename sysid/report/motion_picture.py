@@ -61,13 +61,7 @@ def draw_experiment(rig: Rig, experiment: Experiment) -> str:
     moving = [name for name in poses if np.ptp(displacements(poses[name]), axis=0).any()]
     instants = telling_instants(poses)
     seen = _side_views(rig, poses, instants)
-    settings: dict[Any, Any] = {
-        "svg.fonttype": "none",
-        "svg.hashsalt": "thinshell",
-        "font.size": 8.0,
-        "axes.linewidth": 0.6,
-    }
-    with matplotlib.rc_context(settings):
+    with matplotlib.rc_context(RC):
         figure = Figure(figsize=(9.0, 3.6), dpi=72)
         grid = figure.add_gridspec(max(2, len(moving)), 4, left=0.06, right=0.945, bottom=0.13, top=0.9, wspace=0.35,
                                    hspace=0.45)  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sim_core.errors import ConvergenceError
+from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.simulate import Trace
 from sysid.fit import fit
 from sysid.fit.engine import Prediction
@@ -111,7 +111,66 @@ def test_a_restart_that_cannot_be_simulated_is_left_out(small_rig: Any, monkeypa
     evaluations = fit._Evaluations(None, None, None)
     found = fit._best_of_restarts(problem, small_rig(), parameters, np.array([11.0]), 0, evaluations)
     assert len(calls) == 1 + fit.MOST_RESTARTS
+    assert evaluations.done == found.evaluations + fit.MOST_RESTARTS, "each has cost an evaluation"
     assert np.exp(found.scaled[0]) == pytest.approx(TRUTH, rel=0.05)
+
+
+class Counted(Readings):
+    """Counts the evaluations with derivatives."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.evaluations = 0
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        self.evaluations += bool(parameters)
+        return super().predict_all(rig, runs, parameters, scaled)
+
+
+def fit_within(rig: Any, most: int | None) -> tuple[int, list[int], fit.FitResult]:
+    """Evaluations made and told, and the result, of a fit with all that may follow its first search."""
+    engine, steps = Counted(), []
+    result, _ = fit.fit_runs(
+        rig, [run_of("press", "markers")], ["gel.E"], nuisance=("none",), max_evaluations=most,
+        engine=cast(PooledEngine, engine), on_step=lambda step: steps.append(step.evaluations),
+    )  # fmt: skip
+    return engine.evaluations, steps, result
+
+
+def test_a_fit_makes_no_more_evaluations_than_it_may(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither in restarts, which no misfit prevents here, nor in further looks, nor at the ends of intervals."""
+    monkeypatch.setattr(fit, "GOOD_MISFIT", 0.0)
+    monkeypatch.setattr(fit, "without_outliers", lambda runs, predictions: (list(runs), []))
+    monkeypatch.setattr(fit, "worth_another_fit", lambda *given: True)
+    made, steps, free = fit_within(small_rig(), None)
+    assert free.converged
+    assert made == len(steps) + 2, "an interval has two ends"
+    for most in range(1, len(steps)):
+        made, steps, result = fit_within(small_rig(), most)
+        assert steps == list(range(1, most + 1))
+        assert made == result.evaluations == most
+        assert not result.converged
+        assert result.message.startswith(f"the evaluations allowed, {most}, are used up")
+    with pytest.raises(ConfigError, match="Allow at least one"):
+        fit_within(small_rig(), 0)
+
+
+def test_evaluations_that_fail_are_counted(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first steps of a search, and starts of others, beyond what can be simulated."""
+    monkeypatch.setattr(fit, "GOOD_MISFIT", 0.0)
+    monkeypatch.setattr(fit, "without_outliers", lambda runs, predictions: (list(runs), []))
+
+    class Brittle(Counted):
+        def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+            found = super().predict_all(rig, runs, parameters, scaled)
+            if self.evaluations > 1 and parameters:
+                raise ConvergenceError("The step does not converge.")
+            return found
+
+    monkeypatch.setitem(globals(), "Counted", Brittle)
+    made, steps, result = fit_within(small_rig(), 6)
+    assert steps == list(range(1, made + 1))
+    assert made == result.evaluations <= 6
 
 
 def test_a_fit_counts_its_evaluations_over_all_searches_and_stops_at_the_most_allowed(small_rig: Any) -> None:
@@ -120,10 +179,10 @@ def test_a_fit_counts_its_evaluations_over_all_searches_and_stops_at_the_most_al
     problem = Problem([run_of("press", "markers")], noise, cast(PooledEngine, Readings()))
     steps: list[fit.Step] = []
     shares: list[float] = []
-    evaluations = fit._Evaluations(3, lambda share, words: shares.append(share), steps.append)
-    first = problem.fit(small_rig(), parameters, np.array([11.0]), evaluations.left, on_evaluation=evaluations)
+    evaluations = fit._Evaluations(4, lambda share, words: shares.append(share), steps.append)
+    first = problem.fit(small_rig(), parameters, np.array([11.0]), 3, on_evaluation=evaluations)
     second = problem.fit(small_rig(), parameters, np.array([11.5]), evaluations.left, on_evaluation=evaluations)
-    assert evaluations.left == 1
+    assert evaluations.left == 0
     assert [s.evaluations for s in steps] == list(range(1, 1 + first.evaluations + second.evaluations))
     assert first.evaluations == 3 and second.evaluations == 1
     assert not first.converged and not second.converged

@@ -1,18 +1,23 @@
 """Pictures of experiments, and the page on what they determine."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from sim_core.errors import ConvergenceError
 from sim_core.rigs import load_rig
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sysid.cli.app import main
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.plan import Expected, Outlook, plan_experiments
+from sysid.report import experiments_page
 from sysid.report.experiments_page import _section, by_rig, identifying, parameters_of
 from sysid.report.motion_picture import draw_experiment, telling_instants
 
@@ -95,6 +100,76 @@ def test_an_experiment_without_a_rig_cannot_be_drawn(tmp_path: Path, capsys: pyt
     assert not list(tmp_path.iterdir())
     with pytest.raises(ValidationError, match="only one of rig and identifies"):
         Experiment.model_validate({"name": "a", "duration_s": 1.0, "rig": "strip_pull"})
+
+
+SHORT = """name: {name}
+rig: strip_pull
+identifies: [strip.E]
+motions: {{gripper: [{{type: pull, distance_m: 0.0002, speed_m_s: 0.002}}]}}
+"""
+
+
+@pytest.fixture
+def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with two experiments, whose pictures and plans are stand-ins."""
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.yaml").write_text(SHORT.format(name=name))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(experiments_page, "draw_experiment", lambda rig, experiment: f"picture of {experiment.name}")
+    expected = Expected("strip.E_pa", "Pa", 4.9e9, (0.0, 1.0), 0.02, True, True, {"load_cell": 1.0})
+    plan = SimpleNamespace(outlooks=[Outlook(("one", "two"), (expected,), [[1.0]], ())])
+    monkeypatch.setattr(experiments_page, "plan_experiments", lambda *given: plan)
+    return tmp_path
+
+
+def test_pictures_and_page_are_named_after_the_folder(drawn: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["experiments", "one.yaml", "two.yaml", "--out", "deep/pics.v2", "--page"]) == 0
+    assert sorted(str(p.relative_to(drawn / "deep")) for p in (drawn / "deep").rglob("*")) == [
+        "pics.v2", "pics.v2.md", "pics.v2/one.svg", "pics.v2/two.svg",
+    ]  # fmt: skip
+    assert f"Page: {drawn}/deep/pics.v2.md" in capsys.readouterr().out
+    assert experiments_page.page_beside(Path(".")) == drawn.with_name(f"{drawn.name}.md")
+    page = (drawn / "deep" / "pics.v2.md").read_text()
+    assert "(pics.v2/one.svg)" in page and "`thinshell experiments one.yaml two.yaml --out deep/pics.v2 --page`" in page
+
+
+def test_pictures_without_a_page(drawn: Path) -> None:
+    assert main(["experiments", "one.yaml", "--out", "pics"]) == 0
+    assert sorted(p.name for p in drawn.iterdir()) == ["one.yaml", "pics", "two.yaml"]
+
+
+def test_a_plan_that_fails_leaves_nothing_so_that_the_same_can_be_asked_again(
+    drawn: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["experiments", "one.yaml", "--out", "deep/pics", "--page"]
+
+    def fails(*given: Any) -> None:
+        raise ConvergenceError("The step does not converge.")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(experiments_page, "plan_experiments", fails)
+        assert main(words) == 2
+    assert "does not converge" in capsys.readouterr().err
+    assert sorted(p.name for p in drawn.iterdir()) == ["one.yaml", "two.yaml"]
+    assert main(words) == 0
+
+
+def test_two_experiments_of_one_name_are_refused(drawn: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (drawn / "again.yaml").write_text(SHORT.format(name="one"))
+    assert main(["experiments", "one.yaml", "again.yaml", "--out", "pics"]) == 2
+    assert "Two experiments are named 'one'" in capsys.readouterr().err
+    assert not (drawn / "pics").exists()
+
+
+def test_pictures_may_go_into_the_working_folder(tmp_path: Path) -> None:
+    """As a process of its own, whose working folder has no name but its dot, and with pictures that are drawn."""
+    (tmp_path / "one.yaml").write_text(SHORT.format(name="one"))
+    (tmp_path / "here").mkdir()
+    command = [sys.executable, "-m", "sysid", "experiments", "../one.yaml", "--out", "."]
+    done = subprocess.run(command, cwd=tmp_path / "here", capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert [p.name for p in (tmp_path / "here").iterdir()] == ["one.svg"]
+    assert (tmp_path / "here" / "one.svg").read_text().startswith("<?xml")
 
 
 @pytest.mark.slow
