@@ -266,7 +266,7 @@ class Profiler:
         if not self._low[k] < end < self._high[k] or abs(end - self._fitted.scaled[k]) > REACH * self._prior[k]:
             return None
         point = self._at(k, end, self._best, 1)
-        if point is not None and point.least < self._best.least - self._gain:
+        if point is not None and point.least < _square(self._best.residual) - self._gain:
             # A better fit is in sight: whether it is there takes more than one evaluation.
             point = self._at(k, end, point) or point
         return self._root(k, point)

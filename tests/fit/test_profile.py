@@ -268,6 +268,19 @@ def test_a_better_fit_at_the_ends_is_no_narrow_interval(intervals: Intervals) ->
     assert intervals == "checked" or "did not converge" in silent[0]
 
 
+def test_a_better_fit_in_sight_of_the_ends_is_gone_to() -> None:
+    """Of a product: beside a factor that is far off the other goes too far at first, and is right only then."""
+    problem, _ = fitted_to(lambda a, b: a * b * np.sin(3.0 * T), (1.0, 1.0))
+    there = problem.evaluate(cast(Any, None), parameters(-100.0, 100.0), np.array([0.05, 0.05]))
+    profiler = Profiler(problem, there)
+    (said,) = profiler.check()
+    gain = float(said.split("lower by ")[1].split(" at ")[0])
+    y = problem.runs[0].measured[0].values[:, 0]
+    shape = np.sin(3.0 * T)
+    least = float(np.sum((y - shape * (shape @ y) / (shape @ shape)) ** 2)) / SIGMA**2
+    assert gain == pytest.approx(there.chi2 - least, rel=0.01)
+
+
 @pytest.mark.slow
 def test_a_gel_that_sticks_says_how_much_friction_there_is_at_least(
     small_rig: Any, tmp_path: Path, workers: PooledEngine
