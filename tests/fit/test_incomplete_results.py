@@ -140,7 +140,7 @@ def fit_within(rig: Any, most: int | None) -> tuple[int, list[int], fit.FitResul
 def test_a_fit_makes_no_more_evaluations_than_it_may(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither in restarts, which no misfit prevents here, nor in further looks, nor at the ends of intervals."""
     monkeypatch.setattr(fit, "GOOD_MISFIT", 0.0)
-    monkeypatch.setattr(fit, "without_outliers", lambda runs, predictions: (list(runs), []))
+    monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
     monkeypatch.setattr(fit, "worth_another_fit", lambda *given: True)
     made, steps, free = fit_within(small_rig(), None)
     assert free.converged
@@ -158,7 +158,7 @@ def test_a_fit_makes_no_more_evaluations_than_it_may(small_rig: Any, monkeypatch
 def test_evaluations_that_fail_are_counted(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first steps of a search, and starts of others, beyond what can be simulated."""
     monkeypatch.setattr(fit, "GOOD_MISFIT", 0.0)
-    monkeypatch.setattr(fit, "without_outliers", lambda runs, predictions: (list(runs), []))
+    monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
 
     class Brittle(Counted):
         def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
