@@ -109,7 +109,7 @@ def line(miss: np.ndarray) -> np.ndarray:
     return mistakes(Measured("video", "tracks", T, seen.reshape(N, -1), labels), place.reshape(N, -1))
 
 
-def bumps(m: int, who: slice, at: tuple[int, ...] = (70,)) -> np.ndarray:
+def bumps(m: int, who: slice | list[int], at: tuple[int, ...] = (70,)) -> np.ndarray:
     """Four frames long, smooth, the same for all of ``who``."""
     miss = np.zeros((N, m, 2))
     for first in at:
@@ -148,6 +148,11 @@ def test_what_markers_share_stays(name: str) -> None:
 @pytest.mark.parametrize("who", [slice(8, 10), slice(6, 12), slice(12, 24)])
 def test_what_neighbours_on_a_grid_share_stays(who: slice) -> None:
     assert not found(bumps(M, who)).any()
+
+
+def test_what_markers_apart_from_each_other_share_stays() -> None:
+    """A mode of the sheet: none of the six is next to another."""
+    assert not found(bumps(M, [0, 2, 4, 13, 15, 17])).any()
 
 
 def test_a_marker_that_slips_again_and_again_stays() -> None:
