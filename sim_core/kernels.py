@@ -27,6 +27,21 @@ mat3 = ti.types.matrix(3, 3, ti.f64)
 
 
 @ti.func
+def row(values: ti.template(), i: ti.i32):
+    """Row of an array ``(n, 3)`` as a vector."""
+    return vec3(values[i, 0], values[i, 1], values[i, 2])
+
+
+@ti.func
+def times3(c: ti.template(), v):
+    """Product of an array ``(3, 3)`` with a vector."""
+    out = vec3(0.0, 0.0, 0.0)
+    for i in ti.static(range(3)):
+        out[i] = c[i, 0] * v[0] + c[i, 1] * v[1] + c[i, 2] * v[2]
+    return out
+
+
+@ti.func
 def add_block(start: ti.template(), column: ti.template(), place: ti.template(), out: ti.template(), i, j, m):
     """Add the 3 x 3 block d2E/dx_i dx_j, listed once for i != j, to the Hessian's values at pair (i, j)."""
     low = ti.min(i, j)

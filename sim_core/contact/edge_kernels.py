@@ -26,17 +26,12 @@ from sim_core.contact.segments import (
     parallel_derivatives,
     segment_second_derivative,
 )
-from sim_core.kernels import F1, F2, F3, I1, I2, add_block, mat3, vec3
-
-
-@ti.func
-def _row(x: ti.template(), i: ti.i32):
-    return vec3(x[i, 0], x[i, 1], x[i, 2])
+from sim_core.kernels import F1, F2, F3, I1, I2, add_block, mat3, row
 
 
 @ti.func
 def _end(x: ti.template(), ends: ti.template(), k: ti.i32, a: ti.template()):
-    return _row(x, ends[k, a])
+    return row(x, ends[k, a])
 
 
 @ti.func
@@ -62,8 +57,8 @@ def distances(x: F2, ours: I2, theirs: I2, count: I1, first: I1, second: I1, out
     """Distance [m] of pairs of edges."""
     ti.loop_config(serialize=True)
     for k in range(count[0]):
-        p0, p1 = _row(x, ours[first[k], 0]), _row(x, ours[first[k], 1])
-        q0, q1 = _row(x, theirs[second[k], 0]), _row(x, theirs[second[k], 1])
+        p0, p1 = row(x, ours[first[k], 0]), row(x, ours[first[k], 1])
+        q0, q1 = row(x, theirs[second[k], 0]), row(x, theirs[second[k], 1])
         s, t = closest_on_segments(p0, p1, q0, q1)
         out[k] = (p0 + s * (p1 - p0) - q0 - t * (q1 - q0)).norm()
 
@@ -178,8 +173,8 @@ def _elastic_slip(
     anchor: ti.template(), k: ti.i32,
 ):  # fmt: skip
     """Elastic slip [m] and projector, of the points that were closest at the start."""
-    projector = tangent_projector(_row(lag_n, k))
-    move = _row(anchor, k)
+    projector = tangent_projector(row(lag_n, k))
+    move = row(anchor, k)
     for a in ti.static(range(4)):
         move += _frame(lag_a, k, a) @ (_end(x, ends, k, a) - _end(x_start, ends, k, a))
     return projector @ move, projector

@@ -41,7 +41,7 @@ from sim_core.contact.samples import Samples
 from sim_core.contact.shapes import signed_distance
 from sim_core.energies.linearised import Linearised
 from sim_core.energies.term import Buffers, Internals, StepContext
-from sim_core.kernels import F1, F2, I1, I2, BoundKernel, mat3, vec3
+from sim_core.kernels import F1, F2, I1, I2, BoundKernel, mat3, row, vec3
 
 
 @ti.func
@@ -65,15 +65,10 @@ def _origin(x: ti.template(), nodes: ti.template(), s: ti.i32):
 
 
 @ti.func
-def _row(a: ti.template(), s: ti.i32):
-    return vec3(a[s, 0], a[s, 1], a[s, 2])
-
-
-@ti.func
 def _slip(offset_vector, rotation, s: ti.i32, y_start: ti.template(), anchor: ti.template(), normal: ti.template()):
     """Elastic slip [m] and tangent projector."""
-    t = tangent_projector(_row(normal, s))
-    u = rotation @ _row(anchor, s) + t @ (offset_vector - rotation @ _row(y_start, s))
+    t = tangent_projector(row(normal, s))
+    u = rotation @ row(anchor, s) + t @ (offset_vector - rotation @ row(y_start, s))
     return t @ u, t
 
 
@@ -214,7 +209,7 @@ def _free_way(y: F2, dy: F2, shape: F1, c: F1, keep: F1, way: F1):
     """Shorten ``way`` to the share of ``dy`` from ``y`` on (in the body frame) that is free for all points."""
     ti.loop_config(serialize=True)
     for s in range(y.shape[0]):
-        way[0] = ti.min(way[0], point_shape_way(_row(y, s), _row(dy, s), shape, c[OFFSET], keep[0]))
+        way[0] = ti.min(way[0], point_shape_way(row(y, s), row(dy, s), shape, c[OFFSET], keep[0]))
 
 
 class RigidContact:

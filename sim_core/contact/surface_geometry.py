@@ -9,12 +9,7 @@ import taichi as ti
 from sim_core.contact.advancement import point_triangle_way
 from sim_core.contact.closest import closest_point
 from sim_core.contact.law import OFFSET
-from sim_core.kernels import F1, F2, I1, I2, vec3
-
-
-@ti.func
-def row(x: ti.template(), i: ti.i32):
-    return vec3(x[i, 0], x[i, 1], x[i, 2])
+from sim_core.kernels import F1, F2, I1, I2, row, vec3
 
 
 @ti.func

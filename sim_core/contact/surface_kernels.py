@@ -21,8 +21,8 @@ from sim_core.contact.law import (
     slope,
     tangent_projector,
 )
-from sim_core.contact.surface_geometry import closest_on, row, sample_at
-from sim_core.kernels import F1, F2, F3, I1, I2, add_block, mat3, vec3
+from sim_core.contact.surface_geometry import closest_on, sample_at
+from sim_core.kernels import F1, F2, F3, I1, I2, add_block, mat3, row, vec3
 
 MOST = 12
 """Triangles that may share in the gap of one sample."""

@@ -2,8 +2,8 @@
 
 import taichi as ti
 
-from sim_core.energies.dihedral import angle, angle_gradient, corner, side_curvature
-from sim_core.kernels import F1, F2, F3, I1, I2, mat3, vec3
+from sim_core.energies.dihedral import angle, angle_gradient, side_curvature
+from sim_core.kernels import F1, F2, F3, I1, I2, mat3, row, times3, vec3
 
 # Places in the array of constants that the kernels read.
 HARDENING, RATE = range(2)
@@ -12,10 +12,10 @@ HARDENING, RATE = range(2)
 @ti.func
 def _load(x: ti.template(), hinge: ti.template(), h: ti.i32):
     return (
-        corner(x, hinge[h, 0]),
-        corner(x, hinge[h, 1]),
-        corner(x, hinge[h, 2]),
-        corner(x, hinge[h, 3]),
+        row(x, hinge[h, 0]),
+        row(x, hinge[h, 1]),
+        row(x, hinge[h, 2]),
+        row(x, hinge[h, 3]),
     )
 
 
@@ -38,19 +38,6 @@ def _curvature(t: ti.i32, d: ti.template(), first: ti.template(), around: ti.tem
 
 
 @ti.func
-def _row(values: ti.template(), t: ti.i32):
-    return vec3(values[t, 0], values[t, 1], values[t, 2])
-
-
-@ti.func
-def _moment(c: ti.template(), kappa):
-    m = vec3(0.0, 0.0, 0.0)
-    for i in ti.static(range(3)):
-        m[i] = c[i, 0] * kappa[0] + c[i, 1] * kappa[1] + c[i, 2] * kappa[2]
-    return m
-
-
-@ti.func
 def _excess(c: ti.template(), kappa, moment, onset):
     """Norm of an elastic curvature if nothing flows, and by how much it is beyond the onset (0: it is not) [1/m]."""
     norm = ti.sqrt(kappa.dot(moment) / c[0, 0])
@@ -61,15 +48,15 @@ def _excess(c: ti.template(), kappa, moment, onset):
 def energy(d: F1, first: I1, around: I1, b: F2, plastic: F2, base: F2, onset: F1, area: F1, c: F2, law: F1, out: F1):
     ti.loop_config(serialize=True)
     for t in range(area.shape[0]):
-        kappa = _curvature(t, d, first, around, b, _row(plastic, t))
-        moment = _moment(c, kappa)
+        kappa = _curvature(t, d, first, around, b, row(plastic, t))
+        moment = times3(c, kappa)
         out[0] = out[0] + 0.5 * area[t] * kappa.dot(moment)
         _, excess = _excess(c, kappa, moment, onset[t])
         if excess > 0.0:
             out[0] = out[0] - 0.5 * area[t] * c[0, 0] * excess**2 / (1.0 + law[HARDENING])
         if law[RATE] > 0.0:
-            change = _curvature(t, d, first, around, b, _row(base, t))
-            out[0] = out[0] + 0.5 * area[t] * law[RATE] * change.dot(_moment(c, change))
+            change = _curvature(t, d, first, around, b, row(base, t))
+            out[0] = out[0] + 0.5 * area[t] * law[RATE] * change.dot(times3(c, change))
 
 
 @ti.kernel
@@ -80,13 +67,13 @@ def moments(d: F1, first: I1, around: I1, b: F2, plastic: F2, base: F2, onset: F
         out[h] = 0.0
     ti.loop_config(serialize=True)
     for t in range(area.shape[0]):
-        kappa = _curvature(t, d, first, around, b, _row(plastic, t))
-        m = _moment(c, kappa)
+        kappa = _curvature(t, d, first, around, b, row(plastic, t))
+        m = times3(c, kappa)
         norm, excess = _excess(c, kappa, m, onset[t])
         if excess > 0.0:
             m *= 1.0 - excess / (1.0 + law[HARDENING]) / norm
         if law[RATE] > 0.0:
-            m += law[RATE] * _moment(c, _curvature(t, d, first, around, b, _row(base, t)))
+            m += law[RATE] * times3(c, _curvature(t, d, first, around, b, row(base, t)))
         m *= area[t]
         for k in range(first[t], first[t + 1]):
             out[around[k]] = out[around[k]] + b[k, 0] * m[0] + b[k, 1] * m[1] + b[k, 2] * m[2]
@@ -98,8 +85,8 @@ def tangents(d: F1, first: I1, around: I1, b: F2, plastic: F2, onset: F1, c: F2,
     which is larger."""
     ti.loop_config(serialize=True)
     for t in range(onset.shape[0]):
-        kappa = _curvature(t, d, first, around, b, _row(plastic, t))
-        m = _moment(c, kappa)
+        kappa = _curvature(t, d, first, around, b, row(plastic, t))
+        m = times3(c, kappa)
         norm, excess = _excess(c, kappa, m, onset[t])
         share, turn = 1.0, 0.0
         if excess > 0.0:

@@ -25,11 +25,6 @@ vec12 = ti.types.vector(12, ti.f64)
 
 
 @ti.func
-def corner(x: ti.template(), i: ti.i32):
-    return vec3(x[i, 0], x[i, 1], x[i, 2])
-
-
-@ti.func
 def angle(x0, x1, x2, x3):
     """Dihedral angle [rad] in (-pi, pi]."""
     e = x1 - x0

@@ -23,7 +23,7 @@ import taichi as ti
 
 from sim_core.energies.linearised import Blocks, Linearised, axes_of, placed
 from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext
-from sim_core.kernels import F1, F2, F3, I1, I2, BoundKernel, vec3
+from sim_core.kernels import F1, F2, F3, I1, I2, BoundKernel, row, times3, vec3
 from sim_core.materials.elastic import plane_stress
 
 # Upper blocks of the 3 x 3 node blocks, in storage order.
@@ -58,20 +58,6 @@ def _strain(f1, f2):
     return vec3(0.5 * (f1.dot(f1) - 1.0), 0.5 * (f2.dot(f2) - 1.0), f1.dot(f2))
 
 
-@ti.func
-def _row(values: ti.template(), e: ti.i32):
-    return vec3(values[e, 0], values[e, 1], values[e, 2])
-
-
-@ti.func
-def _stress(c: ti.template(), eps):
-    s = vec3(0.0, 0.0, 0.0)
-    for i in ti.static(range(3)):
-        for j in ti.static(range(3)):
-            s[i] += c[i, j] * eps[j]
-    return s
-
-
 @ti.kernel
 def _strain_of_all(x: F2, tri: I2, dm_inverse: F3, out: F2):
     ti.loop_config(serialize=True)
@@ -88,8 +74,8 @@ def _energy(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, out: F1
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
         f1, f2 = _columns(x, tri, e, b)
-        eps = _strain(f1, f2) - _row(before, e)
-        out[0] = out[0] + 0.5 * area[e] * eps.dot(_stress(c, eps))
+        eps = _strain(f1, f2) - row(before, e)
+        out[0] = out[0] + 0.5 * area[e] * eps.dot(times3(c, eps))
 
 
 @ti.kernel
@@ -98,7 +84,7 @@ def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, out: 
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
         f1, f2 = _columns(x, tri, e, b)
-        s = _stress(c, _strain(f1, f2) - _row(before, e)) * area[e]
+        s = times3(c, _strain(f1, f2) - row(before, e)) * area[e]
         p1 = f1 * s[0] + f2 * s[2]
         p2 = f1 * s[2] + f2 * s[1]
         for a in ti.static(range(3)):
@@ -116,11 +102,11 @@ def _hessian(
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
         f1, f2 = _columns(x, tri, e, b)
-        eps = _strain(f1, f2) - _row(before, e)
+        eps = _strain(f1, f2) - row(before, e)
         if foreseen[0] == 1:
             d1, d2 = _columns(move, tri, e, b)
             eps -= vec3(0.5 * d1.dot(d1), 0.5 * d2.dot(d2), d1.dot(d2))
-        s = _stress(c, eps)
+        s = times3(c, eps)
         if exact[0] == 0:
             mean = 0.5 * (s[0] + s[1])
             half = 0.5 * (s[0] - s[1])
