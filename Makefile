@@ -10,8 +10,8 @@ LOCKER := $(VENV)/.locker
 
 help:
 	@echo "make demo      simulate a press, record it, fit it back, and write a report"
-	@echo "make test      the tests that take seconds"
-	@echo "make test-all  all tests"
+	@echo "make test      all tests but those marked slow (20 minutes on 2 cores)"
+	@echo "make test-all  those too"
 	@echo "make lint      style and types"
 	@echo "make format    put the code into the style that lint asks for"
 	@echo "make lock      resolve requirements.lock again from pyproject.toml"
