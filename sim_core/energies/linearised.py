@@ -32,11 +32,6 @@ class Blocks:
     shape: tuple[int, int]
 
     @property
-    def T(self) -> Blocks:
-        """The transpose."""
-        return Blocks(tuple((v.swapaxes(1, 2), c, r) for v, r, c in self.parts), self.shape[::-1])
-
-    @property
     def nbytes(self) -> int:
         return sum(a.nbytes for part in self.parts for a in part)
 
@@ -47,6 +42,13 @@ class Blocks:
         return gathered(
             *((np.einsum("nab,nb->na", v, other[columns]), rows) for v, rows, columns in self.parts),
             size=self.shape[0],
+        )
+
+    def back(self, other: np.ndarray) -> np.ndarray:
+        """Product of the transpose with a vector."""
+        return gathered(
+            *((np.einsum("nab,na->nb", v, other[rows]), columns) for v, rows, columns in self.parts),
+            size=self.shape[1],
         )
 
     def tocsr(self) -> sp.csr_matrix:

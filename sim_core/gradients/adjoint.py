@@ -81,6 +81,11 @@ class Backward:
         self._observer = tape.observer
         keys, self._slopes = slopes(self._scene, along)
         self._columns = Columns(self._scene, self._scene.values(self._scene.rig), keys)
+        self._turning = [
+            (body.spec.mount, term.name, body.spec.pose.rotation().as_matrix())
+            for body, term in carried_contacts(self._scene)
+            if isinstance(body.spec, Rigid)
+        ]
         self._moved = motions(self._scene.rig, along)
         self._cameras = [k for k, d in enumerate(self._along) if d.low.cameras != d.high.cameras]
 
@@ -166,10 +171,9 @@ class Backward:
             force = pulled.targets[follower.nodes] @ rotation
             target.of(follower.mount)[:3] += force.sum(axis=0)
             target.of(follower.mount)[3:] += cross(follower.local, force).sum(axis=0)
-        for body, term in carried_contacts(scene):
-            if term.name in pulled.turns and isinstance(body.spec, Rigid):
-                own = body.spec.pose.rotation().as_matrix()
-                target.of(body.spec.mount)[3:] += own @ pulled.turns[term.name]
+        for mount, term, own in self._turning:
+            if term in pulled.turns:
+                target.of(mount)[3:] += own @ pulled.turns[term]
 
     def _place(self, made: Made) -> None:
         """Put the system where a step ended, without looking for contact."""
@@ -217,9 +221,9 @@ class Backward:
         sensed_by = sensed_by or self._observer.linearise(rig, actual, given)
         for name, w in given.items():
             sensed = sensed_by[name]
-            x += (sensed.by_x.T @ w).reshape(-1, 3)
+            x += sensed.by_x.back(w).reshape(-1, 3)
             if sensed.by_force is not None:
-                force -= (sensed.by_force.T @ w).reshape(-1, 3)
+                force -= sensed.by_force.back(w).reshape(-1, 3)
             for term, by_moment in sensed.by_moment.items():
                 moment[term] = moment.get(term, 0.0) + by_moment.T @ w
             by_frame = sensed.by_frame.T @ w

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_core.energies.linearised import Linearised, flatten, times
+from sim_core.energies.linearised import Blocks, Linearised, flatten, times
 from sim_core.energies.term import StepContext
 from sim_core.gradients.columns import Column
 from sim_core.gradients.mounts import Driven
@@ -265,7 +265,7 @@ class LinearStep:
         """Product with a transpose, as nodal vectors ``(n, 3)`` if ``nodal``."""
         if matrix is None:
             return 0.0
-        out = matrix.T @ vector
+        out = matrix.back(vector) if isinstance(matrix, Blocks) else matrix.T @ vector
         return out.reshape(-1, 3) if nodal else out
 
     def _measured_from(self, borne: np.ndarray, weights: Weights | None) -> Weights:

@@ -12,6 +12,7 @@ weight 1, or none; embedded nodes (:mod:`sim_core.solve.embedding`) have the unk
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -105,6 +106,36 @@ class Pattern:
             self._allocate()
         self._gather()
         return grown
+
+    @property
+    def n_dynamic(self) -> int:
+        """Number of dynamic pairs."""
+        return len(self._dynamic)
+
+    def shared_with(self, others: Sequence[Pattern], most: float) -> list[Pattern]:
+        """This pattern and the first of ``others``, as long as all together have at most ``most`` times the pairs of
+        any of them."""
+        shared, pairs, fewest = [self], self._dynamic, len(self._dynamic)
+        for other in others:
+            pairs, fewest = np.union1d(pairs, other._dynamic), min(fewest, len(other._dynamic))
+            if len(self._static) + len(pairs) > most * (len(self._static) + fewest):
+                break
+            shared.append(other)
+        return shared
+
+    def joined(self, others: Sequence[Pattern]) -> Pattern:
+        """A pattern of the same system with the dynamic pairs of ``others`` as well."""
+        out = copy.copy(self)
+        out._dynamic = np.unique(np.concatenate([self._dynamic, *(p._dynamic for p in others)]))
+        out._capacity = len(out._dynamic)
+        out._allocate()
+        out._gather()
+        return out
+
+    def places_in(self, wider: Pattern) -> np.ndarray:
+        """Where a pattern that has all pairs of this one stores the values of its dynamic pairs, in order."""
+        place = len(self._static) + np.searchsorted(wider._dynamic, self._dynamic)
+        return np.asarray((9 * place[:, None] + np.arange(9)).ravel())
 
     def _gather(self) -> None:
         """Write the table of pairs and the order in which values make up the matrix."""

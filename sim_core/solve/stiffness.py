@@ -1,14 +1,17 @@
 """The true Hessian of a system at one instant, kept: to solve with and to multiply by when the system has gone on.
 
 Kept are the values by pairs of nodes; where they belong is shared by all that have the same pattern. The numerical
-factorisation is done when a solution is asked for, with a symbolic analysis that neighbours in time share; or it is
-made at once and kept too, which takes ten times the memory, and four times the time, because no two factorisations can
-share an analysis. That pays from the third right-hand side on.
+factorisation is done when a solution is asked for. Its symbolic analysis costs three of them, so neighbours in time
+share one, of all pairs that any of them has. Or the factorisation is made at once and kept too, which takes ten times
+the memory, and four times the time, because no two factorisations can share an analysis. That pays from the third
+right-hand side on.
 """
 
 from __future__ import annotations
 
 import copy
+import weakref
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,6 +22,9 @@ from sim_core.solve.pattern import Pattern
 from sim_core.solve.product import nodal_product
 from sim_core.solve.system import System
 
+SHARING = 1.1
+"""An analysis is shared while it has at most this many times the pairs of nodes that one of its own would have."""
+
 
 class Keeper:
     """Keeps the stiffness of a system; a friend of :class:`System`, whose storage it reads. ``factors``: factorised."""
@@ -26,6 +32,7 @@ class Keeper:
     def __init__(self, system: System, factors: bool = False) -> None:
         self._system, self._factors = system, factors
         self._layout: Pattern | None = None
+        self._layouts: list[weakref.ref[Pattern]] = []
         self._prepared: _Prepared | None = None
 
     def keep(self) -> Stiffness:
@@ -36,6 +43,7 @@ class Keeper:
         new = self._layout is None or self._layout.indices is not live.indices
         if new:
             self._layout = _snapshot(live)
+            self._layouts.append(weakref.ref(self._layout))
         assert self._layout is not None
         diagonal = live.indptr[system.n_unknowns - system.deflections.size : -1]
         springs = data[diagonal] - live.data(system._hessian)[diagonal] if len(diagonal) else np.empty(0)
@@ -46,10 +54,17 @@ class Keeper:
         return kept
 
     def prepared(self, layout: Pattern) -> _Prepared:
-        """What the layout needs; that of the one before is given up."""
-        if self._prepared is None or self._prepared.layout is not layout:
-            self._prepared = _Prepared(layout)
+        """What the layout needs, shared with those kept before it; that of those after it is given up."""
+        if self._prepared is None or not self._prepared.serves(layout):
+            self._prepared = _Prepared(layout, self._earlier(layout))
         return self._prepared
+
+    def _earlier(self, layout: Pattern) -> list[Pattern]:
+        """Layouts kept before this one, the latest first, as far as they are still there."""
+        self._layouts = [ref for ref in self._layouts if ref() is not None]
+        alive = [found for ref in self._layouts if (found := ref()) is not None]
+        at = next((k for k, found in enumerate(alive) if found is layout), 0)
+        return alive[:at][::-1]
 
 
 def _snapshot(pattern: Pattern) -> Pattern:
@@ -78,23 +93,26 @@ class Stiffness:
     def product(self, move: np.ndarray) -> np.ndarray:
         """Change of the nodal gradient [N] for a move of all nodes [m], ``(n, 3)`` both, as
         :meth:`System.nodal_product`."""
-        return self._keeper.prepared(self.layout).product(self._values, move)
+        return self._keeper.prepared(self.layout).product(self.layout, self._values, move)
 
     def factorise(self) -> None:
         """Make and keep a factorisation of its own."""
-        self._factor = _Analysis(self.layout).factor(self._data())
+        data = _with_springs(self.layout, self.layout.data(self._values), self._springs)
+        self._factor = _Analysis(self.layout).factor(data)
         self.size_bytes += self._factor.size_bytes()
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solve over the unknowns for one right-hand side ``(n,)`` or several ``(n, k)``."""
-        return (self._factor or self._keeper.prepared(self.layout).factor(self._data())).solve(rhs)
+        if self._factor is not None:
+            return self._factor.solve(rhs)
+        return self._keeper.prepared(self.layout).factorised(self.layout, self._values, self._springs).solve(rhs)
 
-    def _data(self) -> np.ndarray:
-        """Entries of the upper triangle over the unknowns."""
-        data = self.layout.data(self._values)
-        if len(self._springs):
-            data[self.layout.indptr[-1 - len(self._springs) : -1]] += self._springs
-        return data
+
+def _with_springs(layout: Pattern, data: np.ndarray, springs: np.ndarray) -> np.ndarray:
+    """Entries of the upper triangle over the unknowns with the springs of compliant mounts, which come last."""
+    if len(springs):
+        data[layout.indptr[-1 - len(springs) : -1]] += springs
+    return data
 
 
 class _Analysis:
@@ -121,19 +139,44 @@ class _Analysis:
 
 
 class _Prepared(_Analysis):
-    """And its product."""
+    """One analysis, and one product, of a layout and as many of the ``earlier`` ones as fit well with it."""
 
-    def __init__(self, layout: Pattern) -> None:
-        super().__init__(layout)
-        self._values = np.empty(layout.n_used)
-        table = layout.table
+    def __init__(self, layout: Pattern, earlier: Sequence[Pattern]) -> None:
+        self._shared = layout.shared_with(earlier, SHARING)
+        joined = layout.joined(self._shared)
+        super().__init__(joined)
+        self._places: dict[int, np.ndarray] = {}
+        self._values = np.zeros(joined.n_used)
+        self._held: np.ndarray | None = None
+        table = joined.table
         self._move, self._out = (np.empty((len(table.start) - 1, 3)) for _ in range(2))
         self._product = BoundKernel(
             nodal_product, table.start, table.column, table.place, self._values, self._move, self._out
         )
 
-    def product(self, values: np.ndarray, move: np.ndarray) -> np.ndarray:
-        """H ``move`` with the ``values`` of H."""
-        self._values[:], self._move[:] = values, move
+    def serves(self, layout: Pattern) -> bool:
+        """Whether this layout is among those that share it."""
+        return any(layout is mine for mine in self._shared)
+
+    def product(self, layout: Pattern, values: np.ndarray, move: np.ndarray) -> np.ndarray:
+        """H ``move`` with the ``values`` of H as the layout stores them."""
+        self._take(layout, values)
+        self._move[:] = move
         self._product()
         return np.array(self._out)
+
+    def factorised(self, layout: Pattern, values: np.ndarray, springs: np.ndarray) -> Factor:
+        """H factorised."""
+        self._take(layout, values)
+        return self.factor(_with_springs(self.layout, self.layout.data(self._values), springs))
+
+    def _take(self, layout: Pattern, values: np.ndarray) -> None:
+        """Store values as the joined layout does, if they are not there yet."""
+        if values is self._held:
+            return
+        known = len(values) - 9 * layout.n_dynamic
+        if id(layout) not in self._places:
+            self._places[id(layout)] = layout.places_in(self.layout)
+        self._values[:known], self._values[known:] = values[:known], 0.0
+        self._values[self._places[id(layout)]] = values[known:]
+        self._held = values

@@ -188,18 +188,21 @@ def test_start_state_against_differences_of_rollouts(small_rig, visit):
         assert min(errors) < 1e-5 * np.abs(by * move).sum(), name
 
 
-def test_steps_made_again_give_the_same_bits(small_rig, visit):
+def test_steps_made_again_have_the_same_bits(small_rig, visit):
+    """And the same gradient but for round-off: how entries are ordered in a factorisation depends on what is kept."""
     rig, poses, times = small(PRESS)(small_rig, visit, effects=EFFECTS)
     along = directions(rig, ["card.E_pa", "gel.E_pa", "contacts.gel-card.friction"])
     scene = build_scene(rig)
     kept, again = (Tape(scene, poses, times, memory_mb=m) for m in (1000.0, 0.0))
     assert kept.kept_bytes > 0 and again.kept_bytes == 0
     assert again.memory_mb < 0.6 * kept.memory_mb  # 6 checkpoints and 6 steps, instead of 6 and 30
+    made = zip(kept.everything(), again.everything(), strict=True)
+    assert all(np.array_equal(a.made[-1].after.x, b.made[-1].after.x) for a, b in made)
     given = weights(kept.trace)
     first, second = (Backward(tape, along).gradient(0.0, given) for tape in (kept, again))
-    assert first.parameters == second.parameters
-    assert np.array_equal(first.poses["finger"], second.poses["finger"])
-    assert np.array_equal(first.start_x, second.start_x)
+    assert first.parameters == pytest.approx(second.parameters, rel=1e-10)
+    for one, other in ((first.poses["finger"], second.poses["finger"]), (first.start_x, second.start_x)):
+        assert np.abs(one - other).max() < 1e-10 * np.abs(one).max()
 
 
 def test_what_is_kept_changes_nothing_but_round_off(small_rig, visit):
