@@ -19,7 +19,7 @@ from typing import Any
 
 from sim_core.errors import ThinshellError
 from sysid.fit import fit_bags
-from sysid.fit.fit import Step
+from sysid.fit.starts import Step
 from sysid.folder import unfinished
 from thinshell_ros.fit_request import FitRequest
 
@@ -63,8 +63,7 @@ def run(link: Connection, request: FitRequest) -> None:
     threading.Thread(target=_end_with, args=(link, unfinished(request.out)), daemon=True).start()
     try:
         fit_bags(
-            request.rig, request.bags, request.names, held_out=request.held_out, out=request.out, seed=request.seed,
-            nuisance=request.nuisance, bounds=request.bounds, max_evaluations=request.max_evaluations,
+            request.rig, request.bags, request.names, request.options, held_out=request.held_out, out=request.out,
             on_progress=lambda share, words: link.send(Share(share, words)), on_step=link.send,
         )  # fmt: skip
         link.send(_succeeded(request))

@@ -11,9 +11,9 @@ from typing import Any
 
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, resolve_name, with_parameters
-from sysid.cli.options import check_bags
-from sysid.fit.nuisance import checked_kinds
+from sysid.fit.options import FitOptions
 from sysid.fit.parameters import fit_parameters, within_bounds
+from sysid.parts import check_parts
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,7 @@ class FitRequest:
     bags: tuple[Path, ...]
     held_out: tuple[Path, ...]
     names: tuple[str, ...]
-    bounds: dict[str, tuple[float, float]]
-    max_evaluations: int
-    seed: int
-    nuisance: frozenset[str]
+    options: FitOptions
     out: Path
 
 
@@ -41,7 +38,7 @@ def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], 
     held_out = _paths(values["held_out_uri"], "held_out_uri")
     if not bags:
         raise ConfigError("There is no recording to fit.", "Set the parameter bag_uri to a bag, or to a list of them.")
-    check_bags(bags, held_out)
+    check_parts(bags, held_out)
     rig = with_topics(rig, topics)
     names = [resolve_name(rig, name) for name in values["fit.parameters"] or []]
     if not names:
@@ -55,11 +52,14 @@ def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], 
     upper = _numbers(values["fit.upper"], names, "fit.upper") or [math.inf] * len(names)
     bounds = dict(zip(names, zip(lower, upper, strict=True), strict=True))
     within_bounds(fit_parameters(rig, names), rig, bounds)
-    kinds = checked_kinds([word.strip() for word in values["fit.nuisance"].split(",")])
-    out = _folder(values["output_dir"]) / job_id
-    return FitRequest(
-        rig, bags, held_out, tuple(names), bounds, values["fit.max_iterations"], values["fit.seed"], kinds, out
+    options = FitOptions(
+        nuisance=[word.strip() for word in values["fit.nuisance"].split(",")],
+        bounds=bounds,
+        max_evaluations=values["fit.max_iterations"],
+        seed=values["fit.seed"],
     )
+    out = _folder(values["output_dir"]) / job_id
+    return FitRequest(rig, bags, held_out, tuple(names), options, out)
 
 
 def topic_names(rig: Rig) -> dict[str, str]:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from sysid.fit.fit import Step
+from sysid.fit.starts import Step
 from thinshell_ros.fit_process import Event, Failed, Share, Succeeded
 from thinshell_ros.fit_request import FitRequest
 from thinshell_ros.health import Level, Report

@@ -85,7 +85,7 @@ class SysidNode(Node):
             response.success, response.message = False, str(error)
             return response
         self._process = FitProcess(self._request)
-        self._state = FitState(job_id, "running", "starting", self._request.max_evaluations)
+        self._state = FitState(job_id, "running", "starting", values["fit.max_iterations"])
         self.get_logger().info(f"{job_id}: fitting {', '.join(self._request.names)} of {self._rig.name}.")
         self._tell()
         response.success, response.message = True, job_id

@@ -7,11 +7,11 @@ from sysid.cli.options import (
     FolderOption,
     HeldOutOption,
     RigArgument,
-    check_bags,
     check_new,
     library,
 )
 from sysid.cli.progress import progress
+from sysid.parts import check_parts
 
 
 def diagnose(
@@ -27,7 +27,7 @@ def diagnose(
     from sim_core.rigs import load_rig
 
     chosen = load_rig(rig)
-    check_bags(bags, held_out or [])
+    check_parts(bags, held_out or [])
     check_new(out, "folder")
     find = library("sysid.mismatch", "diagnose_bags")
     with progress("diagnose") as report:

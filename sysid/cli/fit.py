@@ -15,12 +15,12 @@ from sysid.cli.options import (
     RigArgument,
     SeedOption,
     WithoutOption,
-    check_bags,
     check_new,
     parse_names,
     parse_nuisance,
 )
 from sysid.cli.progress import progress
+from sysid.parts import check_parts
 
 
 def fit(
@@ -36,6 +36,10 @@ def fit(
         str,
         typer.Option("--per-bag", metavar="A,B", help="Those of --params that each bag has a value of its own of."),
     ] = "",
+    starts: Annotated[
+        int,
+        typer.Option("--starts", min=1, help="Searches from so many starts, the rig's values and others drawn."),
+    ] = 1,
     profile: Annotated[
         bool,
         typer.Option(
@@ -52,29 +56,30 @@ def fit(
     """
     from sim_core.rigs import load_rig, resolve_name
     from sysid import rig_topics
+    from sysid.fit import FitOptions, fit_bags
     from sysid.fit.parameters import fit_parameters, with_bags
 
     chosen = rig_topics.without(load_rig(rig), without or [])
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
-    kinds = parse_nuisance(nuisance)
-    apart = parse_names(per_bag, "--per-bag") if per_bag else []
-    with_bags(fit_parameters(chosen, names), apart, [str(bag) for bag in bags], chosen)
-    check_bags(bags, held_out or [])
+    options = FitOptions(
+        nuisance=parse_nuisance(nuisance),
+        per_bag=parse_names(per_bag, "--per-bag") if per_bag else [],
+        starts=starts,
+        intervals="profiled" if profile else "checked",
+        robust=robust,
+        seed=seed,
+    )
+    with_bags(fit_parameters(chosen, names), options.per_bag, [str(bag) for bag in bags], chosen)
+    check_parts(bags, held_out or [])
     check_new(out, "folder")
-    from sysid.fit import fit_bags
-
     with progress("fit") as report:
         summary = fit_bags(
             chosen,
             bags,
             names,
+            options,
             held_out=held_out or [],
             out=out,
-            seed=seed,
-            nuisance=kinds,
-            per_bag=apart,
-            intervals="profiled" if profile else "checked",
-            robust=robust,
             on_progress=report,
         )
     print(summary)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sysid.cli.options import check_bags
+from sysid.cli.options import check_bag
 
 
 def inspect(
@@ -28,7 +28,7 @@ def inspect(
     from sysid.rig_topics import topics_of
 
     chosen = load_rig(rig) if rig is not None else None
-    check_bags([bag])
+    check_bag(bag)
     if chosen is None:
         print(read_recording(bag, need_pose=False).summary())
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,7 +17,10 @@ RigArgument = Annotated[
     str, typer.Argument(metavar="RIG", help="Rig or overlay: a name from 'thinshell rigs' or a YAML file.")
 ]
 BagsArgument = Annotated[
-    list[Path], typer.Argument(metavar="BAG...", help="Recordings: rosbag2 folders or single files.")
+    list[Path],
+    typer.Argument(
+        metavar="BAG...", help="Recordings: rosbag2 folders or single files; or windows of them, BAG@12.5:20, in s."
+    ),
 ]
 HeldOutOption = Annotated[
     list[Path] | None,
@@ -84,17 +87,10 @@ def parse_nuisance(text: str) -> list[str]:
     return sorted(checked_kinds(parse_names(text, "--nuisance"))) or ["none"]
 
 
-def check_bags(bags: Iterable[Path], held_out: Iterable[Path] = ()) -> None:
-    """Recordings exist, and none is both used and held out."""
-    seen: dict[Path, str] = {}
-    for path, role in [*((bag, "given") for bag in bags), *((bag, "held out") for bag in held_out)]:
-        if not path.exists():
-            raise RecordingError(f"The recording {path} does not exist.", "Check the path.")
-        key = path.resolve()
-        if key in seen:
-            both = "twice" if seen[key] == role else "both to use and to hold out"
-            raise RecordingError(f"The recording {path} is given {both}.", "Name every recording once.")
-        seen[key] = role
+def check_bag(path: Path) -> None:
+    """A recording exists."""
+    if not path.exists():
+        raise RecordingError(f"The recording {path} does not exist.", "Check the path.")
 
 
 def check_new(path: Path, what: str) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sysid.cli.options import FolderOption, check_bags, check_new
+from sysid.cli.options import FolderOption, check_bag, check_new
 from sysid.cli.progress import progress
 
 
@@ -33,7 +33,7 @@ def track(
     from sysid.rig_topics import topics_of
 
     chosen = load_rig(rig) if rig is not None else None
-    check_bags([bag])
+    check_bag(bag)
     check_new(out, "folder")
     topics = None if chosen is None else topics_of(chosen, open_bag(bag, Notes()).topics)[0]
     from sysid.vision.command import track as track_markers

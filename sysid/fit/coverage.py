@@ -19,6 +19,7 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
 from sysid.fit.fit import fit_runs
+from sysid.fit.options import FitOptions
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.fit.runs import load_runs
 from sysid.simulate import simulate_to_bag
@@ -134,7 +135,7 @@ def _case(
             simulate_to_bag(rig_at(rig, parameters, truth), experiment, bag, seed=noise_seed + k, refine=refine)
         runs, _ = load_runs(rig, bags)
     names = [p.name for p in parameters]
-    result, _ = fit_runs(rig_at(rig, parameters, start), runs, names, intervals="quadratic")
+    result, _ = fit_runs(rig_at(rig, parameters, start), runs, names, FitOptions(intervals="quadratic"))
     outcomes = []
     for p, true, found in zip(parameters, truth, result.estimates, strict=True):
         value, low, high = p.physical(true), *found.ci95

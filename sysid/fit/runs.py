@@ -22,6 +22,7 @@ from sim_core.rigs import (
 )
 from sim_core.rigs.observers import WRENCH_COMPONENTS
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.parts import part_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
 from sysid.recording.notes import Notes
@@ -79,9 +80,15 @@ class Run:
 
 
 def load_runs(rig: Rig, bags: Sequence[Path], held_out: Sequence[Path] = ()) -> tuple[list[Run], list[Run]]:
-    """Read the bags to use and those held out (:func:`load_run`), under names that tell all of them apart."""
+    """Read the bags, or windows of bags, to use and those held out (:func:`load_run`), under names that tell all of
+    them apart."""
+    from sysid.fit.windows import window_of
+
     paths = [*bags, *held_out]
-    runs = [replace(load_run(rig, p), name=n) for p, n in zip(paths, distinct_names(paths), strict=True)]
+    parts = [part_of(path) for path in paths]
+    whole = {path: load_run(rig, path) for path in dict.fromkeys(part.path for part in parts)}
+    named = zip(parts, distinct_names(paths), strict=True)
+    runs = [replace(window_of(rig, whole[part.path], part), name=name) for part, name in named]
     return runs[: len(bags)], runs[len(bags) :]
 
 

@@ -12,12 +12,13 @@ import pytest
 
 from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.simulate import Trace
-from sysid.fit import fit
+from sysid.fit import FitOptions, fit, starts
 from sysid.fit.engine import Prediction
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
+from sysid.fit.starts import Evaluations, Searches, Step
 from sysid.report import write_fit_report
 
 T = np.linspace(0.0, 1.0, 60)
@@ -62,11 +63,8 @@ def run_of(name: str, *channels: str) -> Run:
 
 
 def result_of(engine: Readings, rig: Any, runs: list[Run], held_out: list[Run]) -> fit.FitResult:
-    asked = fit.fit_parameters(rig, ["gel.E"])
-    return fit._fit_runs(
-        cast(PooledEngine, engine), rig, runs, asked, held_out, 0, fit.start_of(rig, asked),
-        fit._Evaluations(None, None, None), None, frozenset(), "quadratic", False,
-    )[0]  # fmt: skip
+    options = FitOptions(nuisance=("none",), intervals="quadratic", robust=False)
+    return fit.fit_runs(rig, runs, ["gel.E"], options, held_out=held_out, engine=cast(PooledEngine, engine))[0]
 
 
 @pytest.fixture(autouse=True)
@@ -104,14 +102,14 @@ def test_a_restart_that_cannot_be_simulated_is_left_out(small_rig: Any, monkeypa
         return plain(problem, *given, **more)
 
     monkeypatch.setattr(Problem, "fit", once)
-    monkeypatch.setattr(fit, "GOOD_MISFIT", 0.0)
+    monkeypatch.setattr(starts, "GOOD_MISFIT", 0.0)
     parameters = fit.fit_parameters(small_rig(), ["gel.E"])
     noise = {"markers": ChannelNoise(np.array([0.01]), 0.0, "test")}
     problem = Problem([run_of("press", "markers")], noise, cast(PooledEngine, Readings()))
-    evaluations = fit._Evaluations(None, None, None)
-    found = fit._best_of_restarts(problem, small_rig(), parameters, np.array([11.0]), 0, evaluations)
-    assert len(calls) == 1 + fit.MOST_RESTARTS
-    assert evaluations.done == found.evaluations + fit.MOST_RESTARTS, "each has cost an evaluation"
+    evaluations = Evaluations(FitOptions())
+    found = Searches(small_rig(), parameters, FitOptions(), evaluations)(problem, np.array([11.0]))
+    assert len(calls) == 1 + starts.MOST_RESTARTS
+    assert evaluations.done == found.evaluations + starts.MOST_RESTARTS, "each has cost an evaluation"
     assert np.exp(found.scaled[0]) == pytest.approx(TRUTH, rel=0.05)
 
 
@@ -131,7 +129,7 @@ def fit_within(rig: Any, most: int | None) -> tuple[int, list[int], fit.FitResul
     """Evaluations made and told, and the result, of a fit with all that may follow its first search."""
     engine, steps = Counted(), []
     result, _ = fit.fit_runs(
-        rig, [run_of("press", "markers")], ["gel.E"], nuisance=("none",), max_evaluations=most,
+        rig, [run_of("press", "markers")], ["gel.E"], FitOptions(nuisance=("none",), max_evaluations=most),
         engine=cast(PooledEngine, engine), on_step=lambda step: steps.append(step.evaluations),
     )  # fmt: skip
     return engine.evaluations, steps, result
@@ -139,7 +137,7 @@ def fit_within(rig: Any, most: int | None) -> tuple[int, list[int], fit.FitResul
 
 def test_a_fit_makes_no_more_evaluations_than_it_may(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither in restarts, which no misfit prevents here, nor in further looks, nor at the ends of intervals."""
-    monkeypatch.setattr(fit, "GOOD_MISFIT", 0.0)
+    monkeypatch.setattr(starts, "GOOD_MISFIT", 0.0)
     monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
     monkeypatch.setattr(fit, "not_looked_for", lambda *given: [])
     monkeypatch.setattr(fit, "worth_another_fit", lambda *given: True)
@@ -158,7 +156,7 @@ def test_a_fit_makes_no_more_evaluations_than_it_may(small_rig: Any, monkeypatch
 
 def test_evaluations_that_fail_are_counted(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first steps of a search, and starts of others, beyond what can be simulated."""
-    monkeypatch.setattr(fit, "GOOD_MISFIT", 0.0)
+    monkeypatch.setattr(starts, "GOOD_MISFIT", 0.0)
     monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
     monkeypatch.setattr(fit, "not_looked_for", lambda *given: [])
 
@@ -179,9 +177,9 @@ def test_a_fit_counts_its_evaluations_over_all_searches_and_stops_at_the_most_al
     parameters = fit.fit_parameters(small_rig(), ["gel.E"])
     noise = {"markers": ChannelNoise(np.array([0.01]), 0.0, "test")}
     problem = Problem([run_of("press", "markers")], noise, cast(PooledEngine, Readings()))
-    steps: list[fit.Step] = []
+    steps: list[Step] = []
     shares: list[float] = []
-    evaluations = fit._Evaluations(4, lambda share, words: shares.append(share), steps.append)
+    evaluations = Evaluations(FitOptions(max_evaluations=4), lambda share, words: shares.append(share), steps.append)
     first = problem.fit(small_rig(), parameters, np.array([11.0]), 3, on_evaluation=evaluations)
     second = problem.fit(small_rig(), parameters, np.array([11.5]), evaluations.left, on_evaluation=evaluations)
     assert evaluations.left == 0

@@ -12,7 +12,7 @@ from strip import START, TRUTH, pulled, strip_rig
 
 from sim_core.errors import ConfigError
 from sim_core.rigs import with_parameters
-from sysid.fit import fit_bags, fit_runs
+from sysid.fit import FitOptions, fit_bags, fit_runs
 from sysid.fit.parameters import acting_in, fit_parameters, rig_at, rig_in, start_of, with_bags
 from sysid.fit.pool import PooledEngine
 
@@ -56,7 +56,7 @@ def test_two_strips_of_one_film_that_aged(workers: PooledEngine, tmp_path: Path)
     ]
     start = with_parameters(RIG, START)
     result, rig = fit_runs(
-        start, runs, NAMES, per_bag=["strip.E"], nuisance=("none",), intervals="quadratic", engine=workers
+        start, runs, NAMES, FitOptions(per_bag=["strip.E"], nuisance=("none",), intervals="quadratic"), engine=workers
     )
     soft, stiff, nu = result.estimates
     assert (soft.name, soft.bag, nu.bag) == ("strip.E_pa[soft]", "soft", "")
@@ -64,7 +64,7 @@ def test_two_strips_of_one_film_that_aged(workers: PooledEngine, tmp_path: Path)
         assert e.ci95[0] <= true <= e.ci95[1], e
     assert soft.ci95[1] < stiff.ci95[0] and result.reduced_chi2 < 1.1
     assert rig.bodies["strip"].material.E_pa == pytest.approx(np.sqrt(soft.value * stiff.value))
-    alone, _ = fit_runs(start, runs[:1], NAMES, nuisance=("none",), intervals="quadratic", engine=workers)
+    alone, _ = fit_runs(start, runs[:1], NAMES, FitOptions(nuisance=("none",), intervals="quadratic"), engine=workers)
     assert nu.sd < alone.estimates[1].sd
     assert soft.sd == pytest.approx(alone.estimates[0].sd, rel=0.3)
 
@@ -74,7 +74,11 @@ def test_the_result_of_a_fit_of_bags_has_a_value_for_each(tmp_path: Path) -> Non
     for k, (bag, values) in enumerate(zip(bags, (TRUTH, STIFF), strict=True)):
         pulled(RIG, values, bag, seed=k)
     table = fit_bags(
-        RIG, bags, NAMES, per_bag=["strip.E"], nuisance=("none",), intervals="quadratic", out=tmp_path / "out"
+        RIG,
+        bags,
+        NAMES,
+        FitOptions(per_bag=["strip.E"], nuisance=("none",), intervals="quadratic"),
+        out=tmp_path / "out",
     )
     found = json.loads((tmp_path / "out" / "fit.json").read_text())["estimates"]
     values = {e["name"]: e["value"] for e in found}

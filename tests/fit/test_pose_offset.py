@@ -11,7 +11,7 @@ from test_round_trip import TRUTH
 from test_untold import BIAS, REST, START, record
 
 from sim_core.rigs import Rig, with_parameters
-from sysid.fit import FitResult, fit, fit_runs
+from sysid.fit import FitOptions, FitResult, fit_runs, starts
 from sysid.fit.nuisance import USUAL
 from sysid.fit.runs import Run
 
@@ -32,7 +32,7 @@ def askew(small_rig: Callable[..., Rig], tmp_path_factory: pytest.TempPathFactor
 
 
 def fitted(rig: Rig, run: Run, nuisance: tuple[str, ...], names: list[str]) -> FitResult:
-    return fit_runs(rig, [run], names, nuisance=nuisance, intervals="quadratic", robust=False)[0]
+    return fit_runs(rig, [run], names, FitOptions(nuisance=nuisance, intervals="quadratic", robust=False))[0]
 
 
 def test_a_recording_has_the_poses_that_are_told(small_rig: Any, askew: Run) -> None:
@@ -56,7 +56,7 @@ def test_an_offset_that_nobody_told_does_not_fool_a_fit(small_rig: Any, askew: R
 @pytest.mark.slow
 def test_without_the_nuisance_it_would(small_rig: Any, askew: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Even from the truth."""
-    monkeypatch.setattr(fit, "MOST_RESTARTS", 0)
+    monkeypatch.setattr(starts, "MOST_RESTARTS", 0)
     result = fitted(with_parameters(small_rig(), TRUTH), askew, USUAL, list(TRUTH))
     rubbing = next(e for e in result.estimates if e.name.endswith("friction"))
     assert not rubbing.ci95[0] <= TRUTH[rubbing.name] <= rubbing.ci95[1]

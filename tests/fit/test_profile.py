@@ -15,11 +15,12 @@ from sim_core.errors import ConvergenceError
 from sim_core.rigs import with_parameters
 from sim_core.rigs.motion import Experiment
 from sim_core.simulate import Trace
-from sysid.fit import fit_runs
+from sysid.fit import FitOptions, fit_runs
 from sysid.fit.engine import Engine, Prediction
-from sysid.fit.fit import Intervals, _profiled
+from sysid.fit.fit import _profiled
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
+from sysid.fit.options import Intervals
 from sysid.fit.parameters import FitParameter
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
@@ -306,7 +307,9 @@ def test_a_gel_that_sticks_says_how_much_friction_there_is_at_least(
     name = "contacts.gel-post.friction"
     simulate_to_bag(with_parameters(rig, {name: 1.2}), experiment, tmp_path / "bag", seed=4)
     start = with_parameters(rig, {name: 1.0})
-    result, _ = fit_runs(start, [load_run(rig, tmp_path / "bag")], [name], intervals="profiled", engine=workers)
+    result, _ = fit_runs(
+        start, [load_run(rig, tmp_path / "bag")], [name], FitOptions(intervals="profiled"), engine=workers
+    )
     (profile,) = result.profiles
     assert profile.ends == ("found", "open") and 0.1 < profile.ci95[0] < 1.0
     assert profile.sentence.startswith(f"{name} is at least") and profile.sentence in result.identifiability

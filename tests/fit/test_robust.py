@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,13 @@ from strip import PULL, START, TRUTH, pulled, strip_rig
 
 from sim_core.rigs import with_parameters
 from sim_core.rigs.motion import compile_experiment
-from sysid.fit import FitResult, fit, fit_runs
+from sysid.fit import FitOptions, FitResult, fit, fit_runs
 from sysid.fit.pool import PooledEngine
 from sysid.fit.runs import Run
 from sysid.report import write_fit_report
 
 RIG = strip_rig()
+PLAIN = FitOptions(nuisance=("none",), intervals="quadratic")
 FRAMES = int(np.floor(max(p.times[-1] for p in compile_experiment(PULL, RIG).values()) * 30.0 + 1e-9)) + 1
 
 
@@ -43,9 +45,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 def fitted(run: Run, robust: bool, workers: PooledEngine) -> FitResult:
     rig = with_parameters(RIG, START)
-    return fit_runs(rig, [run], list(TRUTH), robust=robust, nuisance=("none",), intervals="quadratic", engine=workers)[
-        0
-    ]
+    return fit_runs(rig, [run], list(TRUTH), replace(PLAIN, robust=robust), engine=workers)[0]
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_a_clean_recording_loses_nothing(plain: FitResult, clean: Run, workers: 
 
 def test_held_out_scores_count_every_reading(clean: Run, dirty: Run, workers: PooledEngine) -> None:
     """The mean square of the misses is that of the noise and that of the jumps together."""
-    result = fit_runs(RIG, [clean], [], held_out=[dirty], nuisance=("none",), intervals="quadratic", engine=workers)[0]
+    result = fit_runs(RIG, [clean], [], PLAIN, held_out=[dirty], engine=workers)[0]
     mine, score = ([e for e in result.errors if e.channel == "above" and e.held_out is kept] for kept in (False, True))
     jumps = blurred()
     assert score[0].after == pytest.approx(np.sqrt(mine[0].after ** 2 + np.mean(jumps**2)), rel=0.05)
@@ -117,8 +117,6 @@ def test_no_fit_is_repeated_where_the_model_is_far_off(
 
     monkeypatch.setattr(fit, "fit_beside_own_error", counted)
     run = pulled(RIG, TRUTH, tmp_path / "bag", jumps=blurred() + bent)
-    result = fit_runs(
-        RIG, [run], ["strip.E"], nuisance=("none",), intervals="quadratic", max_evaluations=3, engine=workers
-    )[0]
+    result = fit_runs(RIG, [run], ["strip.E"], replace(PLAIN, max_evaluations=3), engine=workers)[0]
     assert len(fits) == 1 and result.outliers == []
     assert sum("No marker readings are treated as outliers in bag (above)" in note for note in result.notes) == 1

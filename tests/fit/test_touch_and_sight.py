@@ -14,7 +14,7 @@ import pytest
 from sim_core.rigs import Rig, load_rig, parse_rig, with_parameters
 from sim_core.rigs.motion import Experiment
 from sysid.cli.app import main
-from sysid.fit import fit_runs
+from sysid.fit import FitOptions, fit_runs
 from sysid.fit.nuisance import USUAL
 from sysid.fit.plan import Expected, plan_experiments
 from sysid.fit.runs import load_run
@@ -69,7 +69,7 @@ def test_a_fit_by_sight_finds_what_a_fit_by_touch_does_not(tmp_path: Path) -> No
     rig = tissue()
     simulate_to_bag(with_parameters(rig, {"card.E_pa": TRUTH}), PRESS, tmp_path / "bag", seed=2)
     blind = without(rig, ["outside"])
-    felt, _ = fit_runs(blind, [load_run(blind, tmp_path / "bag")], ["card.E_pa"], nuisance=("none",))
+    felt, _ = fit_runs(blind, [load_run(blind, tmp_path / "bag")], ["card.E_pa"], FitOptions(nuisance=("none",)))
     seen, _ = fit_runs(rig, [load_run(rig, tmp_path / "bag")], ["card.E_pa"])
     (touch,), (sight,) = felt.estimates, seen.estimates
     assert touch.ci95[1] > 3.0 * touch.ci95[0]

@@ -13,7 +13,7 @@ from test_round_trip import MOTION, STARTS, TRUTH
 
 from sim_core.rigs import Rig, with_parameters
 from sim_core.rigs.motion import Experiment
-from sysid.fit import FitResult, fit, fit_runs
+from sysid.fit import FitOptions, FitResult, fit_runs, starts
 from sysid.fit.nuisance import USUAL
 from sysid.fit.runs import Run, load_run
 from sysid.report import write_fit_report
@@ -53,7 +53,7 @@ def clean(small_rig: Callable[..., Rig], tmp_path_factory: pytest.TempPathFactor
 
 
 def fitted(rig: Rig, run: Run, nuisance: tuple[str, ...]) -> tuple[FitResult, Rig]:
-    return fit_runs(with_parameters(rig, START), [run], list(TRUTH), nuisance=nuisance)
+    return fit_runs(with_parameters(rig, START), [run], list(TRUTH), FitOptions(nuisance=nuisance))
 
 
 def test_what_nobody_told_does_not_fool_a_fit(small_rig: Any, dirty: Run, tmp_path: Path) -> None:
@@ -83,8 +83,8 @@ def test_what_nobody_told_does_not_fool_a_fit(small_rig: Any, dirty: Run, tmp_pa
 @pytest.mark.slow
 def test_without_nuisances_it_would(small_rig: Any, dirty: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Even from the truth."""
-    monkeypatch.setattr(fit, "MOST_RESTARTS", 0)
-    result, _ = fit_runs(with_parameters(small_rig(), TRUTH), [dirty], list(TRUTH), nuisance=("none",))
+    monkeypatch.setattr(starts, "MOST_RESTARTS", 0)
+    result, _ = fit_runs(with_parameters(small_rig(), TRUTH), [dirty], list(TRUTH), FitOptions(nuisance=("none",)))
     assert result.nuisances == [] and result.remarks == []
     assert all(abs(e.value / TRUTH[e.name] - 1.0) > 0.03 for e in result.estimates)
 

@@ -10,7 +10,7 @@ pytest.importorskip("rclpy", reason="thinshell_ros needs the ROS message package
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, list_parameters, load_rig
-from sysid.fit.fit import Step
+from sysid.fit.starts import Step
 from thinshell_ros.fit_process import Failed, Share, Succeeded
 from thinshell_ros.fit_request import FitRequest, fit_request, topic_names, with_topics
 from thinshell_ros.fit_state import FitState
@@ -42,10 +42,10 @@ def test_values_become_arguments(rig: Rig, tmp_path: Path) -> None:
     assert asked.bags == (tmp_path / "one",)
     assert asked.held_out == (tmp_path / "two",)
     assert asked.names == ("strip.E_pa", "strip.nu")
-    assert asked.bounds == {"strip.E_pa": (1e9, math.inf), "strip.nu": (0.1, math.inf)}
+    assert asked.options.bounds == {"strip.E_pa": (1e9, math.inf), "strip.nu": (0.1, math.inf)}
     assert {p.name: p.value for p in list_parameters(asked.rig)}["strip.E_pa"] == 5e9
-    assert asked.nuisance == {"time", "bias"}
-    assert (asked.max_evaluations, asked.seed) == (50, 3)
+    assert asked.options.kinds == {"time", "bias"}
+    assert (asked.options.max_evaluations, asked.options.seed) == (50, 3)
     assert asked.out == tmp_path / "fits" / "fit_7"
     assert (tmp_path / "fits").is_dir()
 

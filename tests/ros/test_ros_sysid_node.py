@@ -13,7 +13,7 @@ from ros_live import Client, NodeProcess, group
 
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import load_experiment
-from sysid.fit import fit_bags
+from sysid.fit import FitOptions, fit_bags
 from sysid.simulate import simulate_to_bag
 
 pytestmark = pytest.mark.ros
@@ -150,7 +150,7 @@ def test_a_fit_tells_how_far_it_is_and_gives_what_the_library_gives(
     assert sorted(p.name for p in (tmp_path / "fits").rglob("*")) == sorted(
         [job, "fit.json", "fitted_rig.yaml", "report.html"]
     )
-    fit_bags(load_rig(RIG), [bag], ["strip.E_pa"], nuisance=("none",), out=tmp_path / "library")
+    fit_bags(load_rig(RIG), [bag], ["strip.E_pa"], FitOptions(nuisance=("none",)), out=tmp_path / "library")
     here, there = (json.loads((f / "fit.json").read_text()) for f in (folder, tmp_path / "library"))
     assert here["estimates"] == there["estimates"]
     assert result["ci95"]["strip.E_pa"] == there["estimates"][0]["ci95"]

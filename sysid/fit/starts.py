@@ -1,0 +1,215 @@
+"""From where a fit is searched for: from the rig's values, from others if that is asked for, and again from near the
+best while it is not good.
+
+Where contacts stick and slide the misfit has several minima. Starts beside the rig's own are drawn once, before
+anything is known, on a Latin hypercube over the plausible range of the parameters that are asked for. Restarts are for
+kinks, on which a search can end although the misfit falls on the other side; they stand close to the best so far, and
+once one of them has brought nothing none is made any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm, qmc
+
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig
+from sysid.fit.fitted import Fitted
+from sysid.fit.options import FitOptions
+from sysid.fit.parameters import FitParameter
+from sysid.fit.problem import Problem
+from sysid.fit.uncertainty import chance, uncertainty
+
+Progress = Callable[[float, str], None]
+
+MOST_RESTARTS = 4
+RESTART_WIDTH = 0.05
+"""Restarts start this far (standard deviations, in units of the fitted scale) from the best so far."""
+
+START_WIDTH = 0.7
+"""Standard deviation of starts about the rig's values in units of the plausible width: e^1.4 either way for a
+modulus, 0.35 for friction."""
+
+GOOD_MISFIT = 1.5
+"""Misfit over noise below which a fit is not tried again."""
+
+BETTER = 0.98
+"""A restart has brought something if it leaves less than this share of chi-square."""
+
+SAME_CHI2 = 4.0
+"""Two searches have ended equally well if their chi-squares differ by less than this, in units of what chance makes
+of it."""
+
+SAME_PLACE = 4.0
+"""They have ended in one place if no parameter that is asked for differs by this many standard deviations."""
+
+TYPICAL_EVALUATIONS = 10
+"""Evaluations that a search usually takes; the progress bar is scaled with it."""
+
+EVALUATIONS_OF_A_SEARCH = 30
+"""Evaluations after which one search ends, converged or not."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a fit knows while it runs. ``evaluations``: all until now; ``misfit``: mean squared whitened residual of
+    the best ``values`` (of the parameters that are asked for) of the search that is on."""
+
+    evaluations: int
+    misfit: float
+    values: dict[str, float]
+
+
+class Evaluations:
+    """Counts the evaluations of a fit, at most those that the options allow, and tells of each."""
+
+    def __init__(
+        self,
+        options: FitOptions,
+        on_progress: Progress | None = None,
+        on_step: Callable[[Step], None] | None = None,
+    ) -> None:
+        self._most = options.max_evaluations
+        self._typical = TYPICAL_EVALUATIONS * options.starts
+        self._on_progress = on_progress
+        self._on_step = on_step
+        self.done = 0
+
+    @property
+    def left(self) -> int:
+        """Evaluations that the next search may make."""
+        return EVALUATIONS_OF_A_SEARCH if self._most is None else min(self._most - self.done, EVALUATIONS_OF_A_SEARCH)
+
+    def limit(self, fitted: Fitted) -> Fitted:
+        """The outcome of a search, which says so if none are left."""
+        if self.left == 0 and fitted.parameters and not fitted.interrupted:
+            fitted.limited, fitted.converged = True, False
+            fitted.message = f"the evaluations allowed, {self._most}, are used up; the best values so far are kept"
+        return fitted
+
+    def __call__(self, best: Fitted) -> None:
+        """One more has been made, after which ``best`` is the best of its search."""
+        self.done += 1
+        if self._on_progress is not None:
+            share = 1.0 - np.exp(-self.done / self._typical)
+            self._on_progress(0.9 * share, f"evaluation {self.done}, misfit {best.chi2:.4g}")
+        if self._on_step is not None:
+            asked = {p.name for p in best.parameters if not p.nuisance}
+            self._on_step(Step(self.done, best.misfit, {n: v for n, v in best.values.items() if n in asked}))
+
+
+class Searches:
+    """The searches of one fit of ``parameters`` of ``rig``, which may be several in turns, each of one problem."""
+
+    def __init__(
+        self, rig: Rig, parameters: Sequence[FitParameter], options: FitOptions, evaluations: Evaluations
+    ) -> None:
+        self._rig = rig
+        self._parameters = list(parameters)
+        self._evaluations = evaluations
+        self._rng = np.random.default_rng(options.seed)
+        self._elsewhere = options.starts - 1 if self._parameters else 0
+        self._restarts = bool(self._parameters)
+        self.ends: list[str] = []
+        """What is to be said of where searches from different starts have ended."""
+
+    def __call__(self, problem: Problem, at: np.ndarray) -> Fitted:
+        """The best that is found from scaled values ``(p,)``. Raises ``ThinshellError`` if they cannot be simulated."""
+        fitted = self._search(problem, at)
+        if self._elsewhere:
+            fitted = self._from_elsewhere(problem, at, fitted)
+            self._elsewhere = 0
+        return self._evaluations.limit(self._again_from_near(problem, fitted))
+
+    def _search(self, problem: Problem, at: np.ndarray) -> Fitted:
+        return problem.fit(self._rig, self._parameters, at, self._evaluations.left, on_evaluation=self._evaluations)
+
+    def _may_go_on(self, fitted: Fitted) -> bool:
+        return self._evaluations.left > 0 and not fitted.interrupted
+
+    def _tried(self, problem: Problem, at: np.ndarray, best: Fitted) -> Fitted | None:
+        """A search from elsewhere; None where that cannot be simulated, which costs an evaluation all the same."""
+        try:
+            found = self._search(problem, at)
+        except ThinshellError:
+            self._evaluations(best)
+            return None
+        found.seconds = best.seconds = found.seconds + best.seconds
+        if found.interrupted:
+            best.message, best.converged = found.message, False
+        return found
+
+    def _from_elsewhere(self, problem: Problem, at: np.ndarray, first: Fitted) -> Fitted:
+        """The best of searches from the starts that were asked for beside the rig's."""
+        found, failed = [first], 0
+        best = first
+        for start in self._drawn(at):
+            if not self._may_go_on(found[-1]):
+                break
+            other = self._tried(problem, start, best)
+            if other is None:
+                failed += 1
+                continue
+            found.append(other)
+            best = min(best, other, key=lambda f: f.chi2)
+        self.ends = _said(best, found, failed)
+        return best
+
+    def _drawn(self, at: np.ndarray) -> np.ndarray:
+        """Starts ``(n, p)``, on a Latin hypercube in the parameters that are asked for."""
+        asked = [k for k, p in enumerate(self._parameters) if not p.nuisance]
+        share = qmc.LatinHypercube(len(asked), rng=self._rng).random(self._elsewhere)
+        width = START_WIDTH * np.array([self._parameters[k].prior_sd for k in asked])
+        starts = np.tile(at, (self._elsewhere, 1))
+        starts[:, asked] += width * norm.ppf(share)
+        low, high = np.array([p.scaled_bounds for p in self._parameters]).T
+        return np.asarray(np.clip(starts, low, high))
+
+    def _again_from_near(self, problem: Problem, fitted: Fitted) -> Fitted:
+        """The best of restarts, while they bring anything and the misfit stays above noise."""
+        width = np.array([min(p.prior_sd, 1.0) for p in self._parameters])
+        for _ in range(MOST_RESTARTS):
+            if not self._restarts or not self._may_go_on(fitted) or fitted.misfit < GOOD_MISFIT:
+                break
+            near = fitted.scaled + RESTART_WIDTH * width * self._rng.standard_normal(len(width))
+            again = self._tried(problem, near, fitted)
+            if again is None:
+                continue
+            self._restarts = again.chi2 < BETTER * fitted.chi2
+            fitted = min(fitted, again, key=lambda f: f.chi2)
+        return fitted
+
+
+def _said(best: Fitted, found: Sequence[Fitted], failed: int) -> list[str]:
+    """In words, where searches from several starts have ended beside the best."""
+    asked = np.array([not p.nuisance for p in best.parameters])
+    sd = np.where(asked, uncertainty(best).sd, np.inf)
+    alike, worse = [], []
+    for other in found:
+        if other.chi2 - best.chi2 > SAME_CHI2 * chance(best):
+            worse.append(other)
+        elif np.any(np.abs(other.scaled - best.scaled) > SAME_PLACE * sd):
+            alike.append(other)
+    there = len(found) - len(alike) - len(worse)
+    sentences = [f"Of searches from {len(found) + failed} starts {there} ended at the values given."]
+    if failed:
+        sentences.append(f"{failed} could not be simulated where they start.")
+    if alike:
+        sentences.append(
+            f"Values elsewhere fit as well, so the data do not determine one set of them: {_place(alike[0])}."
+        )
+    if worse:
+        nearest = min(worse, key=lambda f: f.chi2)
+        sentences.append(
+            f"{len(worse)} ended where the fit is worse, the best of them with a misfit of {nearest.misfit:.3g} "
+            f"against {best.misfit:.3g}, at {_place(nearest)}."
+        )
+    return [" ".join(sentences)]
+
+
+def _place(fitted: Fitted) -> str:
+    named = [(p, fitted.values[p.name]) for p in fitted.parameters if not p.nuisance]
+    return ", ".join(f"{p.name} {value:.4g}{f' {p.unit}' if p.unit else ''}" for p, value in named)

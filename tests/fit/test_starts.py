@@ -1,0 +1,131 @@
+"""Searches from several starts, and restarts, of a gauge whose misfit has two minima that are known."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sim_core.simulate import Trace
+from sysid.fit import FitOptions, starts
+from sysid.fit.engine import Prediction
+from sysid.fit.fitted import Fitted
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.parameters import FitParameter, fit_parameters
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Problem
+from sysid.fit.runs import Measured, Run
+from sysid.fit.starts import Evaluations, Searches, Step
+
+T = np.linspace(0.0, 1.0, 200)
+LOUD, SOFT = np.sin(6.0 * T), np.cos(6.0 * T)
+SIGMA = 0.01
+MIDDLE = 12.0
+
+
+class Gauge:
+    """Reads (s - 12)^2 sin + tilt (s - 12) cos, s = log(E): minima of the misfit at 11 and at 13 for data of either,
+    equally deep without a tilt."""
+
+    def __init__(self, tilt: float) -> None:
+        self.tilt = tilt
+
+    def read(self, s: float) -> np.ndarray:
+        return np.asarray((s - MIDDLE) ** 2 * LOUD + self.tilt * (s - MIDDLE) * SOFT)[:, None]
+
+    def slope(self, s: float) -> np.ndarray:
+        return np.asarray(2.0 * (s - MIDDLE) * LOUD + self.tilt * SOFT)[:, None, None]
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        s = float(scaled[0])
+        return [Prediction({"gauge": self.read(s)}, {"gauge": self.slope(s)}, cast(Trace, None)) for _ in runs]
+
+
+def problem(gauge: Gauge, off: float = 0.0) -> Problem:
+    """Data of s = 11; ``off``: of a curve that no value reads."""
+    rng = np.random.default_rng(2)
+    noise = SIGMA * rng.standard_normal((len(T), 1))
+    data = gauge.read(11.0) + noise + off * np.sin(40.0 * T)[:, None]
+    run = Run("press", "press", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
+    return Problem([run], {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(PooledEngine, gauge))
+
+
+def searches(rig: Any, evaluations: Evaluations | None = None, **chosen: Any) -> tuple[Searches, list[FitParameter]]:
+    parameters = fit_parameters(rig, ["gel.E"])
+    options = FitOptions(**chosen)
+    return Searches(rig, parameters, options, evaluations or Evaluations(options)), parameters
+
+
+def test_a_search_from_the_wrong_side_ends_there_and_one_of_several_starts_does_not(small_rig: Any) -> None:
+    wrong = np.array([12.8])
+    alone, _ = searches(small_rig())
+    assert alone(problem(Gauge(0.05)), wrong).scaled[0] == pytest.approx(13.0, abs=0.05)
+    assert alone.ends == []
+    several, _ = searches(small_rig(), starts=4)
+    found = several(problem(Gauge(0.05)), wrong)
+    assert found.scaled[0] == pytest.approx(11.0, abs=0.002)
+    (said,) = several.ends
+    assert said.startswith("Of searches from 4 starts") and "ended where the fit is worse" in said
+    assert f"gel.E_pa {np.exp(13.0):.2g}"[:11] in said
+
+
+def test_values_that_fit_as_well_are_told(small_rig: Any) -> None:
+    several, _ = searches(small_rig(), starts=4)
+    several(problem(Gauge(0.0)), np.array([12.8]))
+    assert "Values elsewhere fit as well" in several.ends[0]
+
+
+def test_other_starts_are_tried_once_and_are_the_same_for_a_seed(small_rig: Any) -> None:
+    ends = []
+    for _ in range(2):
+        told: list[Step] = []
+        several, _ = searches(small_rig(), Evaluations(FitOptions(starts=3), on_step=told.append), starts=3)
+        first = several(problem(Gauge(0.05)), np.array([12.8]))
+        made = len(told)
+        again = several(problem(Gauge(0.05)), first.scaled)
+        assert len(told) <= made + 3, "it only stays where it is"
+        ends.append((first.scaled[0], again.scaled[0]))
+    assert ends[0] == ends[1]
+
+
+def test_a_restart_that_brings_nothing_is_the_last(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a law is missing the misfit stays, in each of the rounds of a fit; only the first asks for more."""
+    fits: list[float] = []
+    plain = Problem.fit
+
+    def counted(self: Problem, *given: Any, **more: Any) -> Fitted:
+        found = plain(self, *given, **more)
+        fits.append(found.misfit)
+        return found
+
+    monkeypatch.setattr(Problem, "fit", counted)
+    search, _ = searches(small_rig())
+    wrong = problem(Gauge(0.05), off=0.2)
+    first = search(wrong, np.array([11.2]))
+    assert len(fits) == 2 and min(fits) > starts.GOOD_MISFIT
+    search(wrong, first.scaled)
+    assert len(fits) == 3
+
+
+def test_an_interruption_of_a_later_search_keeps_the_best_and_ends_the_fit(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, calls = Gauge.predict_all, []
+
+    def pressed(self: Gauge, *given: Any) -> list[Prediction]:
+        calls.append(given)
+        if len(calls) == stop:
+            raise KeyboardInterrupt
+        return plain(self, *given)
+
+    stop = 10**9
+    monkeypatch.setattr(Gauge, "predict_all", pressed)
+    alone, _ = searches(small_rig())
+    best = alone(problem(Gauge(0.05)), np.array([11.2]))
+    stop = 2 * len(calls) + 2
+    several, _ = searches(small_rig(), starts=4)
+    found = several(problem(Gauge(0.05)), np.array([11.2]))
+    assert len(calls) == stop, "nothing is searched any more"
+    assert found.interrupted and not found.converged
+    assert found.scaled[0] == best.scaled[0]
