@@ -10,6 +10,7 @@ Sentences are about the parameters that were asked for, with the nuisances besid
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,6 +158,11 @@ def _undetermined(parameters: list[FitParameter], values: np.ndarray, vectors: n
     return out
 
 
+def _names(sentence: str, name: str) -> bool:
+    """Whether a sentence names a parameter, and not one whose name goes on."""
+    return re.search(rf"(?<![\w.]){re.escape(name)}(?![\w\[])", sentence) is not None
+
+
 def _anywhere(fitted: Fitted, sd: np.ndarray, said: list[str]) -> list[str]:
     """One sentence for each parameter whose interval spans all that is possible, unless it was named before."""
     out = []
@@ -164,7 +170,11 @@ def _anywhere(fitted: Fitted, sd: np.ndarray, said: list[str]) -> list[str]:
         if p.nuisance:
             continue
         low, high = p.scaled_bounds
-        if scaled - 1.96 * spread <= low and scaled + 1.96 * spread >= high and not any(p.name in s for s in said):
+        if (
+            scaled - 1.96 * spread <= low
+            and scaled + 1.96 * spread >= high
+            and not any(_names(s, p.name) for s in said)
+        ):
             out.append(
                 f"The data do not determine {p.name}: its 95 % interval spans all possible values, "
                 f"{p.lower:g} to {p.upper:g} {p.unit}. Record a motion that depends on it, or fix it."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,7 +28,7 @@ from sysid.fit.problem import Problem
 from sysid.fit.profile import in_words
 from sysid.fit.profiler import Profiler
 from sysid.fit.runs import Measured, Run, load_run
-from sysid.fit.uncertainty import uncertainty
+from sysid.fit.uncertainty import chance, uncertainty
 from sysid.report import write_fit_report
 from sysid.simulate import simulate_to_bag
 
@@ -249,6 +250,23 @@ def test_a_better_fit_on_the_way_is_told() -> None:
     profiler.profiles()
     assert "The search had ended too early" in profiler.lower()
     assert "contacts.a-b.friction = " in profiler.lower()
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.9, False), (1.1, True)])
+def test_what_chance_makes_of_a_misfit_with_structure_is_no_better_fit(share: float, told: bool) -> None:
+    """Samples that repeat each other let chi-square fall by more than misfit over noise tells."""
+    problem, _ = fitted_to(linear, (0.4, -0.3))
+    (run,) = problem.runs
+    (m,) = run.measured
+    wave = replace(m, values=m.values + 3.0 * SIGMA * np.sin(8.0 * T)[:, None])
+    wrong = Problem([replace(run, measured=(wave,))], problem.noise, problem.engine)
+    fitted = wrong.fit(cast(Any, None), parameters(-100.0, 100.0), start=np.array([0.4, -0.3]), tolerance=1e-9)
+    by_chance = chance(fitted)
+    assert by_chance > 1.5 * uncertainty(fitted).reduced_chi2 > 1.5
+    profiler = Profiler(wrong, fitted)
+    least = fitted.chi2 - share * 1.959964**2 * by_chance
+    profiler._lowest = replace(profiler._best, residual=fitted.residual * np.sqrt(least / fitted.chi2))
+    assert bool(profiler.lower()) == told
 
 
 def escaping(a: float, b: float) -> np.ndarray:
