@@ -11,7 +11,7 @@ from sysid.fit.directions import Direction
 from sysid.fit.fitted import Fitted
 from sysid.fit.own_error import _learnt
 from sysid.fit.parameters import FitParameter
-from sysid.fit.uncertainty import UNDETERMINED_SHARE, WIDEST, interval, uncertainty
+from sysid.fit.uncertainty import UNDETERMINED_SHARE, WIDEST, _names, interval, uncertainty
 
 N = 50
 
@@ -66,3 +66,17 @@ def test_a_step_without_influence_teaches_nothing_of_the_own_error() -> None:
     assert _learnt(old, new, np.array([0.0, 0.3]), fit) is new
     assert _learnt(old, new, np.array([np.nan, 0.3]), fit) is new
     assert np.isfinite(_learnt(old, new, np.array([0.2, 0.3]), fit).slopes[0]["gauge"]).all()
+
+
+@pytest.mark.parametrize(
+    ("sentence", "named"),
+    [
+        ("The data do not determine gel.nu: any value", True),
+        ("only gel.nu, card.E_pa together", True),
+        ("The data do not determine gel.nu[press]: any value", False),
+        ("The data do not determine soft.gel.nu: any value", False),
+        ("The data do not determine gel.nu_2: any value", False),
+    ],
+)
+def test_a_name_is_not_found_in_a_longer_one(sentence: str, named: bool) -> None:
+    assert _names(sentence, "gel.nu") == named
