@@ -25,8 +25,8 @@ LISTED = 3.0
 AHEAD = 6.0
 """Steps that the outer ring looks ahead."""
 
-MOST_COUPLED, FEW_COUPLED = 2, 256
-"""How many times as many pairs as are near, and how many more, the outer ring may have."""
+MOST_WIDER, FEW_WIDER = 2, 256
+"""How many times as many pairs as are near, and how many more, a ring may have that a violent step has left."""
 
 
 class Candidates:
@@ -43,6 +43,7 @@ class Candidates:
         self._neighbours = Neighbours(ours, theirs, offset, distance, once)
         self._surplus, self._range, self._margin = 0.0, 0.0, 0.0
         self._searched_at: np.ndarray | None = None
+        self._wide = False
         self._forget_rings()
 
     def _forget_rings(self) -> None:
@@ -72,7 +73,8 @@ class Candidates:
         """
         approach = self._neighbours.approach
         if self._searched_at is not None and self._range == within and self._surplus <= SURPLUS * margin:
-            if max(approach(self._searched_at, x), approach(self._searched_at, towards)) <= self._surplus:
+            serves = max(approach(self._searched_at, x), approach(self._searched_at, towards)) <= self._surplus
+            if serves and not (self._wide and approach(x, towards) <= self._surplus):
                 return False, False
         self._searched_at = x.copy()
         self._range, self._surplus, self._margin = within, SURPLUS * margin, margin
@@ -83,9 +85,11 @@ class Candidates:
             inner = np.union1d(inner, bound)
         if more:
             inner, bound = np.union1d(inner, self.keys), np.union1d(bound, self.keys)
+        most = MOST_WIDER * (len(near) + len(bound)) + FEW_WIDER
+        self._wide = len(inner) > MOST_WIDER * len(near) + FEW_WIDER
         at = np.searchsorted(self._coupled_keys, inner)
         inside = bool(np.all(at < len(self._coupled_keys))) and bool(np.all(self._coupled_keys[at] == inner))
-        inside &= len(self._coupled_keys) <= MOST_COUPLED * (len(near) + len(bound)) + FEW_COUPLED
+        inside &= len(self._coupled_keys) <= most
         if not inside:
             self._couple(x, towards, near, bound)
         self.pairs = self._neighbours.split(inner)

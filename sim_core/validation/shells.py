@@ -26,12 +26,12 @@ SLIT = {0.1: (4.277, 5.876), 0.5: (10.468, 13.768), 1.0: (13.891, 17.528)}
 HEMISPHERE = {0.1: (1.84, 1.499), 0.5: (5.902, 3.406), 1.0: (8.178, 4.067)}
 """Share of the largest force: way inward of the pressed points and outward of the pulled ones."""
 
-SLIT_CELLS, HEMISPHERE_CELLS = (160, 20), 24
+SLIT_CELLS, HEMISPHERE_CELLS = (160, 20), 80
 
 SOURCE = "Sze, Liu & Lo 2004"
 STIFF = (
-    "flat triangles on a doubly curved shell resist a bend that does not stretch; the error goes down with the cell "
-    "(1.0 % on 4 x 64 x 64), hence the 4 %"
+    "flat triangles on a doubly curved shell resist a bend that does not stretch, so it takes a fine mesh: 1.9 % on "
+    "4 x 32 x 32, 1.0 % on 4 x 64 x 64"
 )
 
 
@@ -110,7 +110,7 @@ def hemisphere_system(cells: int) -> tuple[System, np.ndarray]:
     return sheet_system(mesh, values, np.zeros(len(mesh.nodes), dtype=bool), prescribed), points
 
 
-def hemisphere(cells: int, parts: int = 20, shares: tuple[float, ...] = tuple(HEMISPHERE)) -> list[tuple[float, float]]:
+def hemisphere(cells: int, parts: int = 10, shares: tuple[float, ...] = tuple(HEMISPHERE)) -> list[tuple[float, float]]:
     """Ways of the pressed and of the pulled points at shares of the largest force."""
     system, points = hemisphere_system(cells)
     full = np.zeros_like(system.nodes)
@@ -135,4 +135,4 @@ def shell_cases() -> Iterator[Case]:
     for (share, answers), ours, twice in zip(HEMISPHERE.items(), fine, coarse, strict=True):
         quantities = ("way, pressed points", "way, pulled points")
         name, mesh = f"hemisphere with a hole, {share:g} P", f"4 x {HEMISPHERE_CELLS} x {HEMISPHERE_CELLS}"
-        yield from compare(name, quantities, answers, ours, 4.0 * STATICS, mesh, SOURCE, twice, remark=STIFF)
+        yield from compare(name, quantities, answers, ours, STATICS, mesh, SOURCE, twice, remark=STIFF)

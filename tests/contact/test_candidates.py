@@ -69,6 +69,20 @@ def test_pairs_of_a_violent_step_are_given_up_afterwards():
     assert found.coupled[0].size < 0.2 * many
 
 
+def test_candidates_of_a_violent_motion_are_given_up_where_it_ends():
+    """Also if nothing moves any more; they would be measured in every step."""
+    found, points, _, x = two_sheets(5e-3)
+    start = x.copy()
+    start[points[:, 0], 2] -= 0.06
+    found.search(start, x, 2e-5, 1e-3)
+    assert len(found.pairs[0]) > 1000
+    assert found.search(x, x, 2e-5, 1e-3) == (True, True) and not found.any
+    found.search(x, start, 2e-5, 1e-3)
+    found.search(x, x, 2e-5, 1e-3)
+    assert not found.any and found.coupled[0].size == 0
+    assert found.search(x, x, 2e-5, 1e-3) == (False, False)
+
+
 def test_what_the_foreseen_motion_brings_together_is_found_and_nothing_else_far_away():
     found, points, _, x = two_sheets(5e-3)
     towards = x.copy()
