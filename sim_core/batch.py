@@ -9,9 +9,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 
 import numpy as np
 
@@ -46,7 +48,7 @@ def simulate_batch(
         return []
     count = min(workers or os.cpu_count() or 1, len(rollouts))
     traces = []
-    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), leave_interrupts_to_parent) as pool:
+    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), serve_parent) as pool:
         futures = [pool.submit(_run, rollout) for rollout in rollouts]
         try:
             for future in futures:
@@ -59,9 +61,18 @@ def simulate_batch(
     return traces
 
 
-def leave_interrupts_to_parent() -> None:
-    """Start of a worker process: Ctrl-C is for the parent to deal with."""
+def serve_parent() -> None:
+    """Start of a worker process: Ctrl-C is for the parent to deal with, and when that is gone, killed even, so is the
+    worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: BaseProcess) -> None:
+    parent.join()
+    os._exit(1)
 
 
 def _run(rollout: Rollout) -> Trace:

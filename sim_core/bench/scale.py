@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_core.batch import leave_interrupts_to_parent
+from sim_core.batch import serve_parent
 from sim_core.bench.machine import peak_memory_mb
 from sim_core.rigs import Rig, parse_rig
 from sim_core.scene import build_scene
@@ -136,7 +136,7 @@ def measure_sizes(meshes: Sequence[Mesh], on_size: Callable[[Size], None] | None
     """Run sizes, one after the other, each in a fresh process."""
     sizes = []
     for mesh in meshes:
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), leave_interrupts_to_parent) as pool:
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), serve_parent) as pool:
             sizes.append(pool.submit(measure_size, mesh).result())
         if on_size is not None:
             on_size(sizes[-1])

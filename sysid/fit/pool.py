@@ -10,7 +10,7 @@ from types import TracebackType
 
 import numpy as np
 
-from sim_core.batch import leave_interrupts_to_parent
+from sim_core.batch import serve_parent
 from sim_core.rigs import Rig
 from sysid.fit.engine import Engine, Prediction
 from sysid.fit.parameters import FitParameter
@@ -21,7 +21,7 @@ _ENGINE: list[Engine] = []
 
 def _start() -> None:
     """Each worker keeps its scenes; Ctrl-C is left to the parent."""
-    leave_interrupts_to_parent()
+    serve_parent()
     _ENGINE.append(Engine())
 
 
