@@ -2,22 +2,28 @@
 
 Each case draws true values and, independently, values to start from; simulates the experiments with the true ones,
 on a finer mesh with a shorter step and with the noise that the rig declares; fits; and looks whether the truth is
-inside. Cases are numbered, so that any of them can be run again by itself.
+inside. Cases are numbered, so that any of them can be run again by itself; one process a core.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
+from functools import cache
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
+from sim_core.batch import serve_parent
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
+from sysid.fit.engine import Engine
 from sysid.fit.fit import fit_runs
 from sysid.fit.options import FitOptions
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
@@ -97,17 +103,29 @@ def measure_coverage(
     parameters = fit_parameters(rig, names)
     outcomes: list[Outcome] = []
     failed: dict[int, str] = {}
-    for k, case in enumerate(cases):
-        rng = np.random.default_rng([seed, case])
-        truth, start = (draw(rig, parameters, spread, rng) for _ in range(2))
+    context = get_context("spawn")
+    workers = min(os.cpu_count() or 1, max(1, len(cases)))
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=serve_parent) as pool:
+        pending = {}
+        for case in cases:
+            rng = np.random.default_rng([seed, case])
+            truth, start = (draw(rig, parameters, spread, rng) for _ in range(2))
+            drawn = (truth, start, refine, int(rng.integers(2**31)))
+            pending[pool.submit(_case, rig, experiments, parameters, case, *drawn)] = case
         try:
-            outcomes += _case(rig, experiments, parameters, case, truth, start, refine, int(rng.integers(2**31)))
-        except ThinshellError as error:
-            failed[case] = str(error)
-        if on_progress is not None:
-            inside = sum(o.inside for o in outcomes)
-            on_progress((k + 1) / len(cases), f"case {case}, {inside} of {len(outcomes)} inside")
-    return Coverage(rig.name, len(cases), refine, seed, tuple(outcomes), failed)
+            for done, future in enumerate(as_completed(pending), 1):
+                try:
+                    outcomes += future.result()
+                except ThinshellError as error:
+                    failed[pending[future]] = str(error)
+                if on_progress is not None:
+                    inside = sum(o.inside for o in outcomes)
+                    on_progress(done / len(cases), f"case {pending[future]}, {inside} of {len(outcomes)} inside")
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    outcomes.sort(key=lambda o: o.case)
+    return Coverage(rig.name, len(cases), refine, seed, tuple(outcomes), dict(sorted(failed.items())))
 
 
 def draw(rig: Rig, parameters: Sequence[FitParameter], spread: float, rng: np.random.Generator) -> np.ndarray:
@@ -117,6 +135,12 @@ def draw(rig: Rig, parameters: Sequence[FitParameter], spread: float, rng: np.ra
     return np.array(
         [p.scaled(min(max(v * f, p.lower), p.upper)) for p, v, f in zip(parameters, values, factors, strict=True)]
     )
+
+
+@cache
+def _engine() -> Engine:
+    """Of this process, which keeps its scenes from case to case."""
+    return Engine()
 
 
 def _case(
@@ -135,7 +159,8 @@ def _case(
             simulate_to_bag(rig_at(rig, parameters, truth), experiment, bag, seed=noise_seed + k, refine=refine)
         runs, _ = load_runs(rig, bags)
     names = [p.name for p in parameters]
-    result, _ = fit_runs(rig_at(rig, parameters, start), runs, names, FitOptions(intervals="quadratic"))
+    options = FitOptions(intervals="quadratic")
+    result, _ = fit_runs(rig_at(rig, parameters, start), runs, names, options, engine=_engine())
     outcomes = []
     for p, true, found in zip(parameters, truth, result.estimates, strict=True):
         value, low, high = p.physical(true), *found.ci95

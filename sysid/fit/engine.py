@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim_core.errors import ThinshellError
 from sim_core.gradients import Direction, simulate_tangent
 from sim_core.rigs import Rig
 from sim_core.rigs.parameters import OFFSETS
@@ -54,6 +56,16 @@ class Engine:
         trace = simulate(scene, run.poses, self._times(rig, run, dt))
         return Prediction(_at_stamps(trace, rig, run), {}, trace)
 
+    def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        """A prediction without derivatives, made at once."""
+        return _made(lambda: self.predict(rig, run, refine, dt))
+
+    def submit_with_derivatives(
+        self, rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray
+    ) -> Future[Prediction]:
+        """A prediction with derivatives, made at once."""
+        return _made(lambda: self.predict_with_derivatives(rig, run, parameters, scaled))
+
     def predict_all(
         self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
     ) -> list[Prediction]:
@@ -96,6 +108,15 @@ class Engine:
     @staticmethod
     def _times(rig: Rig, run: Run, dt: float | None) -> np.ndarray:
         return step_times(0.0, run.end, dt or rig.solver.dt_s)
+
+
+def _made(prediction: Callable[[], Prediction]) -> Future[Prediction]:
+    future: Future[Prediction] = Future()
+    try:
+        future.set_result(prediction())
+    except ThinshellError as error:
+        future.set_exception(error)
+    return future
 
 
 def _direction(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray, k: int) -> Direction:

@@ -20,7 +20,7 @@ from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.outliers import DIMENSIONS, Outliers, not_looked_for, without_outliers, worth_another_fit
 from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of, with_bags, within_bounds
-from sysid.fit.pool import PooledEngine
+from sysid.fit.pool import AnyEngine, PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.profile import Profile
 from sysid.fit.profiler import Profiler
@@ -44,7 +44,7 @@ def fit_runs(
     options: FitOptions = USUAL_OPTIONS,
     *,
     held_out: Sequence[Run] = (),
-    engine: PooledEngine | None = None,
+    engine: AnyEngine | None = None,
     on_progress: Progress | None = None,
     on_step: Callable[[Step], None] | None = None,
 ) -> tuple[FitResult, Rig]:
@@ -57,7 +57,8 @@ def fit_runs(
     single = within_bounds(fit_parameters(rig, names), rig, options.bounds)
     asked = with_bags(single, options.per_bag, [run.name for run in runs], rig)
     evaluations = Evaluations(options, on_progress, on_step)
-    with nullcontext(engine) if engine is not None else PooledEngine(os.cpu_count()) as engine:
+    own = PooledEngine(os.cpu_count()) if engine is None else nullcontext(engine)
+    with own as engine:
         return _fit_runs(engine, rig, runs, asked, held_out, options, evaluations, on_progress)
 
 
@@ -72,7 +73,7 @@ def _shown_sigma(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> floa
 
 
 def _fit_runs(
-    engine: PooledEngine,
+    engine: AnyEngine,
     rig: Rig,
     runs: Sequence[Run],
     asked: list[FitParameter],
@@ -170,7 +171,7 @@ class _Look:
     plain: list[Prediction] | None
 
 
-def _first_look(engine: PooledEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run]) -> _Look:
+def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run]) -> _Look:
     """The runs without what are mistakes beside the rig that a fit starts from; as they are where it cannot follow."""
     if not any(m.kind in DIMENSIONS for run in runs for m in run.measured):
         return _Look(list(runs), list(held_out), [], None)

@@ -25,7 +25,7 @@ from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, quantities
 from sysid.fit.parameters import FitParameter, rig_in, start_of
-from sysid.fit.pool import PooledEngine
+from sysid.fit.pool import AnyEngine
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Run
 from sysid.fit.uncertainty import uncertainty
@@ -44,7 +44,7 @@ Minimise = Callable[[Problem, np.ndarray], Fitted]
 
 
 def discretisation(
-    engine: PooledEngine, rig: Rig | Sequence[Rig], runs: Sequence[Run], plain: Sequence[Prediction] | None = None
+    engine: AnyEngine, rig: Rig | Sequence[Rig], runs: Sequence[Run], plain: Sequence[Prediction] | None = None
 ) -> list[Direction]:
     """How the predictions change when the mesh, and when the time step, is refined once.
 
@@ -84,7 +84,7 @@ def _difference(refined: Prediction, base: Prediction, factor: float) -> dict[st
 
 
 def fit_beside_own_error(
-    engine: PooledEngine,
+    engine: AnyEngine,
     runs: Sequence[Run],
     noise: dict[str, ChannelNoise],
     rig: Rig,

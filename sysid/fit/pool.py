@@ -65,3 +65,7 @@ class PooledEngine:
         """Predictions with derivatives of several runs, side by side."""
         futures = [self.submit_with_derivatives(rig, run, parameters, scaled) for run in runs]
         return [future.result() for future in futures]
+
+
+AnyEngine = Engine | PooledEngine
+"""In this process, or in several."""

@@ -9,12 +9,12 @@ import numpy as np
 
 from sim_core.rigs import Rig
 from sysid.fit.directions import Basis, Direction, Sizes, basis_of
-from sysid.fit.engine import Engine, Prediction
+from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, whiten
 from sysid.fit.nuisance import bias_sd
 from sysid.fit.parameters import FitParameter, rig_at, start_of
-from sysid.fit.pool import PooledEngine
+from sysid.fit.pool import AnyEngine
 from sysid.fit.runs import Measured, Run
 from sysid.fit.search import Search
 
@@ -30,7 +30,7 @@ class Problem:
         self,
         runs: Sequence[Run],
         noise: dict[str, ChannelNoise],
-        engine: Engine | PooledEngine,
+        engine: AnyEngine,
         directions: Sequence[Direction] = (),
         prior: bool = False,
         bias: bool = False,
