@@ -10,7 +10,8 @@ Two estimates of dL_s/dtheta from pairs of rollouts at theta + sigma w and theta
 The first has little noise, but knows nothing of jumps: where L is discontinuous it is the derivative of the parts
 alone, wrong however many samples there are, with a standard error that does not say so. The second is right for any
 loss. b is the mean of the exact gradients of all other pairs, a baseline for the linear part of the loss: w w^T - 1 has
-no mean and does not depend on b, so b takes noise away and changes no expectation.
+no mean and does not depend on b, so b takes noise away and changes no expectation. What is left of a nearly linear
+loss is due to few large w: fewer than some hundred pairs may then have too small a standard error.
 
 Both are combined component by component (Suh, Simchowitz, Zhang & Tedrake, Do differentiable simulators give better
 policy gradients?, ICML 2022, sec. 4):
@@ -20,7 +21,7 @@ policy gradients?, ICML 2022, sec. 4):
 alpha_least has the least empirical variance; epsilon is the 95 % confidence radius of g_0. Where the two contradict
 each other by more than chance explains, they keep (gamma - epsilon) / |g_1 - g_0| of the first order, with a tolerated
 error gamma that is the user's; here none of it is kept. So the combination is never farther from the zeroth order than
-that is uncertain.
+that is uncertain. Its weights come from the same samples, which is a bias of a part of its error.
 """
 
 from __future__ import annotations
