@@ -1,4 +1,5 @@
-"""The gradient of a loss over a whole rollout by everything at once: parameters, initial state, poses of the mounts.
+"""The gradient of a loss over a whole rollout by everything at once: parameters, fields over elements, initial state,
+poses of the mounts.
 
 A loss is a function of the readings of a trace. Its derivatives by the readings are pulled back through the sensors
 and cameras to positions and forces, and from step to step back to the start (:mod:`sim_core.gradients.step`): one

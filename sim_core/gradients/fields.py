@@ -36,7 +36,7 @@ class FieldSums:
         terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
         self._terms = {(b, part): terms[f"{b}.{part}"] for b, part in self._parts if f"{b}.{part}" in terms}
         self._masses = {b: scene.fields.mass_blocks(b) for b, part in self._parts if part == MASS}
-        self._damped = scene.values(scene.rig)
+        self._numbers = scene.values(scene.rig)
         self.clear()
 
     def __bool__(self) -> bool:
@@ -72,9 +72,9 @@ class FieldSums:
     def _of_mass(self, body: str, step: StepContext, exerted: np.ndarray, borne: np.ndarray) -> np.ndarray:
         """Work of inertia, weight, and damping by mass of each element."""
         system, (nodes, blocks) = self._scene.system, self._masses[body]
-        density = self._damped.density[body]
+        density = self._numbers.density[body]
         pairs = [(density * accelerations(system, step), borne)]
-        damping = self._damped.terms[f"{body}.mass_damping"]["mass_damping_per_s"]
+        damping = self._numbers.terms[f"{body}.mass_damping"]["mass_damping_per_s"]
         if damping > 0.0:
             loose = ~system.prescribed.all(axis=1, keepdims=True)
             pairs.append((density * damping / step.tau * loose * (system.x - step.x_base), loose * exerted))
@@ -88,7 +88,6 @@ class FieldSums:
             if key == REST_ANGLE:
                 total = self._bending[body]
             else:
-                total = sum(p * self._work[body, part] for part, p in POWERS[key].items() if (body, part) in self._work)
-                total = total / values
+                total = sum(power * self._work[body, part] for part, power in POWERS[key].items()) / values
             out[name] = total + np.zeros(len(values))
         return out
