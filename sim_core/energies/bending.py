@@ -61,7 +61,8 @@ class Bending:
         rigid = np.zeros(count, dtype=bool) if held is None else held[mesh.triangles].all(axis=1)
         self._kappa = curvature_operator(mesh.nodes, mesh.triangles, self.hinges, frames, mesh.areas, rigid)
         self._hinge = np.ascontiguousarray(self.hinges.nodes + node_offset, dtype=np.int32)
-        self._areas = mesh.areas
+        self._whole_areas = mesh.areas
+        self._areas = self._whole_areas.copy()
         self._set_stencils()
         n_hinges = len(self._hinge)
         self._deviation = np.zeros(n_hinges)
@@ -144,6 +145,16 @@ class Bending:
             kernels.curved, buffers.x, self._hinge, self._moment, np.ascontiguousarray(outer), buffers.hessian
         )
 
+    def scale(self, factors: np.ndarray) -> None:
+        """Let each triangle have ``factors`` ``(m,)`` times the stiffness that is configured, and of its damping; the
+        curvature at which it yields stays as it is."""
+        self._areas[:] = self._whole_areas * factors
+
+    def set_rest_angles(self, angles: np.ndarray) -> None:
+        """Take other rest angles [rad] ``(n_hinges,)``."""
+        self.rest_angles[:] = angles
+        self._seen[:] = np.nan
+
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._given = dict(parameters)
         self._d[:] = parameters["thickness_m"] ** 3 / 12.0 * plane_stress(parameters)
@@ -202,6 +213,31 @@ class Bending:
         hardening = float(self._law[HARDENING])
         onset = self._yield_curvature + hardening * internals["accumulated_curvature"]
         return PlasticFlow(elastic, onset, hardening, self._d)
+
+    def work(self, along: np.ndarray, internals: Internals) -> np.ndarray:
+        """Work of each triangle's forces dE/dx along nodal vectors ``(n, 3)``, ``(m,)``."""
+        curvatures = self.curvatures()
+        moment = (self._flow(internals).left if internals else curvatures) @ self._d
+        if self._law[RATE] > 0.0:
+            moment += self._law[RATE] * (curvatures - self._base) @ self._d
+        return np.asarray(self._areas * (moment * self._curving(along)).sum(axis=1))
+
+    def by_rest_angles(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
+        """Derivative by the rest angles ``(n_hinges,)`` of the work of the forces along nodal vectors ``(n, 3)`` and of
+        the product of the new internal variables, flattened, with ``kept``. Rates of bending do not depend on them."""
+        moment = self._areas[:, None] * (self._curving(along) @ self._d)
+        if internals:
+            place, flow = places(internals), self._flow(internals)
+            turned = kept[place["plastic_curvature"]] - moment
+            moment = moment + np.einsum("mij,mi->mj", flow.by_curvature(), turned)
+            moment += (flow.rate * kept[place["accumulated_curvature"]])[:, None] * flow.slope
+        return np.asarray(-(self._kappa.T @ moment.ravel()))
+
+    def _curving(self, along: np.ndarray) -> np.ndarray:
+        """Change of the curvatures along nodal vectors ``(n, 3)``, ``(m, 3)``."""
+        self._gradients()
+        turning = (self._g * along[self._hinge].reshape(len(self._hinge), 12)).sum(axis=1)
+        return np.asarray(self._kappa @ turning).reshape(-1, 3)
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
         """Derivatives by plastic and accumulated curvature (at yield, those of going on elastically), and by the

@@ -28,14 +28,18 @@ class MassDamping(Memoryless):
 
     def __init__(self, name: str, unit_mass: sp.csr_matrix, offset: int, loose: np.ndarray) -> None:
         self.name = name
-        keep = sp.diags(loose.astype(float))
-        self._matrix = (keep @ unit_mass @ keep).tocsr()
-        self._matrix.eliminate_zeros()
+        self._keep = sp.diags(loose.astype(float))
         self._nodes = slice(offset, offset + len(loose))
-        upper = sp.triu(self._matrix).tocoo()
-        self._pairs = np.column_stack([upper.row, upper.col]) + offset
-        self._upper = upper.data
+        self.set_unit_mass(unit_mass)
         self._strength = self._factor = 0.0
+
+    def set_unit_mass(self, unit_mass: sp.csr_matrix) -> None:
+        """Take another mass per unit of density, of the same pattern."""
+        self._matrix = (self._keep @ unit_mass @ self._keep).tocsr()
+        self._matrix.eliminate_zeros()
+        upper = sp.triu(self._matrix).tocoo()
+        self._pairs = np.column_stack([upper.row, upper.col]) + self._nodes.start
+        self._upper = upper.data
 
     def blocks(self) -> np.ndarray:
         return self._pairs

@@ -78,19 +78,37 @@ def _energy(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, out: F1
         out[0] = out[0] + 0.5 * area[e] * eps.dot(times3(c, eps))
 
 
+@ti.func
+def _stress(
+    x: ti.template(), tri: ti.template(), e: ti.i32, b: ti.template(), area: ti.template(), c: ti.template(),
+    before: ti.template(),
+):  # fmt: skip
+    """The two columns of the first Piola-Kirchhoff stress, times the area."""
+    f1, f2 = _columns(x, tri, e, b)
+    s = times3(c, _strain(f1, f2) - row(before, e)) * area[e]
+    return f1 * s[0] + f2 * s[2], f1 * s[2] + f2 * s[1]
+
+
 @ti.kernel
 def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, out: F2):
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
-        f1, f2 = _columns(x, tri, e, b)
-        s = times3(c, _strain(f1, f2) - row(before, e)) * area[e]
-        p1 = f1 * s[0] + f2 * s[2]
-        p2 = f1 * s[2] + f2 * s[1]
+        p1, p2 = _stress(x, tri, e, b, area, c, before)
         for a in ti.static(range(3)):
             g = p1 * b[a, 0] + p2 * b[a, 1]
             for j in ti.static(range(3)):
                 out[tri[e, a], j] = out[tri[e, a], j] + g[j]
+
+
+@ti.kernel
+def _work(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, along: F2, out: F1):
+    ti.loop_config(serialize=True)
+    for e in range(tri.shape[0]):
+        b = _shape(dm_inverse, e)
+        p1, p2 = _stress(x, tri, e, b, area, c, before)
+        v1, v2 = _columns(along, tri, e, b)
+        out[e] = p1.dot(v1) + p2.dot(v2)
 
 
 @ti.kernel
@@ -163,7 +181,8 @@ class Membrane(Memoryless):
         )
         dm = np.einsum("mij,mik->mjk", frames, edges)
         self._dm_inverse = np.ascontiguousarray(np.linalg.inv(dm))
-        self._area = 0.5 * np.linalg.det(dm)
+        self._whole_area = 0.5 * np.linalg.det(dm)
+        self._area = self._whole_area.copy()
         self._elastic, self._c = np.zeros((3, 3)), np.zeros((3, 3))
         self._before, self._strains = np.zeros((len(triangles), 3)), np.zeros((len(triangles), 3))
         self._damping = self._constant = 0.0
@@ -181,6 +200,8 @@ class Membrane(Memoryless):
         mesh = (buffers.x, self._triangles, self._dm_inverse, self._area, self._c, self._before)
         self._energy, self._total = BoundKernel(_energy, *mesh, buffers.energy), buffers.energy
         self.add_gradient = BoundKernel(_gradient, *mesh, buffers.gradient)
+        self._along, self._work_of = np.zeros_like(buffers.x), np.zeros(len(self._triangles))
+        self._work = BoundKernel(_work, *mesh, self._along, self._work_of)
         self._move = np.zeros_like(buffers.x)
         self._add_hessian = BoundKernel(
             _hessian, *mesh, self._exact, self._foreseen, self._move, slots, buffers.hessian
@@ -196,6 +217,17 @@ class Membrane(Memoryless):
         self._foreseen[0] = move is not None
         if move is not None:
             self._move[:] = move
+
+    def scale(self, factors: np.ndarray) -> None:
+        """Let each triangle have ``factors`` ``(m,)`` times the stiffness that is configured, and of its damping."""
+        self._area[:] = self._whole_area * factors
+
+    def work(self, along: np.ndarray, internals: Internals) -> np.ndarray:
+        """Work of each triangle's forces dE/dx along nodal vectors ``(n, 3)``, ``(m,)``."""
+        del internals
+        self._along[:] = along
+        self._work()
+        return np.array(self._work_of)
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters)

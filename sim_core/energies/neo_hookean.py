@@ -68,6 +68,7 @@ from sim_core.energies.neo_hookean_kernels import (
     exact_hessian,
     isotropic,
     projected_tangent,
+    work,
 )
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.errors import ConfigError, nearest_match
@@ -103,7 +104,8 @@ class NeoHookean:
         grad, det = tet10.gradients(self._rest[self._tets], points)
         m = len(self._tets)
         self._grad = np.ascontiguousarray(grad.reshape(4 * m, 10, 3))
-        self._weight = np.ascontiguousarray(det * weights)
+        self._whole_weight = det * weights
+        self._weight = self._whole_weight.copy()
         self._constants = np.zeros(5)
         self._constants[SHARE] = 1.0
         self._history, self._fading = np.zeros((4 * m, 7)), np.zeros((4 * m, 6))
@@ -136,6 +138,10 @@ class NeoHookean:
         self._gradient = BoundKernel(
             add_gradient, *state, self._tets, self._grad, self._weight, self._constants, buffers.gradient
         )
+        self._along, self._work_of = np.zeros_like(buffers.x), np.zeros(m)
+        self._work = BoundKernel(
+            work, *state, self._tets, self._grad, self._weight, self._constants, self._along, self._work_of
+        )
         places = _places(slots.reshape(m, 10, 10, 3, 3), len(buffers.hessian) - 1)
         tangent, local = np.zeros((4 * m, 9, 9)), np.zeros(900)
         solid = self._grad, self._weight, self._constants
@@ -151,6 +157,12 @@ class NeoHookean:
             exact_hessian,
             *(deformation, dilatation, self._history, *solid, kept_part, places, np.zeros((5, 30)), buffers.hessian),
         )
+        self._isotropic_known = False
+
+    def scale(self, factors: np.ndarray) -> None:
+        """Let each element have ``factors`` ``(m,)`` times the modulus that is configured: all of its energy, relaxing
+        and damping parts included, is linear in it."""
+        self._weight[:] = self._whole_weight * factors[:, None]
         self._isotropic_known = False
 
     def configure(self, parameters: Mapping[str, float]) -> None:
@@ -243,6 +255,14 @@ class NeoHookean:
         """Add dE/dx [N]."""
         self._measure()
         self._gradient()
+
+    def work(self, along: np.ndarray, internals: Internals) -> np.ndarray:
+        """Work of each element's forces dE/dx along nodal vectors ``(n, 3)``, ``(m,)``."""
+        del internals
+        self._measure()
+        self._along[:] = along
+        self._work()
+        return np.array(self._work_of)
 
     def add_hessian(self, exact: bool) -> None:
         """Add d2E/dx2 [N/m], each quadrature point made positive semidefinite unless ``exact``."""

@@ -100,27 +100,52 @@ def add_energy(deformation: F3, dilatation: F1, history: F2, weight: F2, constan
         out[0] = out[0] + total
 
 
-@ti.kernel
-def add_gradient(deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, constants: F1, out: F2):
+@ti.func
+def _piola(
+    deformation: ti.template(), dilatation: ti.template(), history: ti.template(), constants: ti.template(), p: ti.i32
+):
+    """First Piola-Kirchhoff stress at quadrature point ``p`` [Pa]."""
     mu, bulk, share = constants[MU], constants[BULK], constants[SHARE]
     one = ti.Matrix.identity(ti.f64, 3)
+    g = _load(deformation, p)
+    f = one + g
+    cof_g = _cofactor(g)
+    theta = g.trace() + cof_g.trace() + g.determinant()
+    # F - cof F = G + G^T - tr(G) 1 - cof G, which is small when G is.
+    stress = share * mu * (g + g.transpose() - g.trace() * one - cof_g)
+    stress += (share * mu / 3.0 * theta + bulk * dilatation[p] + history[p, 6]) * _cofactor(f)
+    if constants[REMEMBERS] > 0.0:
+        stress += f @ _memory(history, p)
+    return stress
+
+
+@ti.kernel
+def add_gradient(deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, constants: F1, out: F2):
     ti.loop_config(serialize=True)
     for p in range(grad.shape[0]):
-        g = _load(deformation, p)
-        f = one + g
-        cof_g = _cofactor(g)
-        theta = g.trace() + cof_g.trace() + g.determinant()
-        # F - cof F = G + G^T - tr(G) 1 - cof G, which is small when G is.
-        stress = share * mu * (g + g.transpose() - g.trace() * one - cof_g)
-        stress += (share * mu / 3.0 * theta + bulk * dilatation[p] + history[p, 6]) * _cofactor(f)
-        if constants[REMEMBERS] > 0.0:
-            stress += f @ _memory(history, p)
-        stress *= weight[p // 4, p % 4]
+        stress = _piola(deformation, dilatation, history, constants, p) * weight[p // 4, p % 4]
         for a in range(10):
             n = tets[p // 4, a]
             for i in ti.static(range(3)):
                 force = stress[i, 0] * grad[p, a, 0] + stress[i, 1] * grad[p, a, 1] + stress[i, 2] * grad[p, a, 2]
                 out[n, i] = out[n, i] + force
+
+
+@ti.kernel
+def work(
+    deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, constants: F1, along: F2, out: F1
+):
+    """Work of each element's forces along nodal vectors: w P : sum_a v_a (x) g_a."""
+    ti.loop_config(serialize=True)
+    for e in range(tets.shape[0]):
+        out[e] = 0.0
+        for q in range(4):
+            p = 4 * e + q
+            slope = mat3(0.0)
+            for a in range(10):
+                for i, j in ti.static(ti.ndrange(3, 3)):
+                    slope[i, j] += along[tets[e, a], i] * grad[p, a, j]
+            out[e] = out[e] + weight[e, q] * (_piola(deformation, dilatation, history, constants, p) * slope).sum()
 
 
 @ti.kernel

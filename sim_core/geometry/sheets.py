@@ -32,9 +32,13 @@ class SheetMesh:
     @property
     def node_areas(self) -> np.ndarray:
         """Barycentric area of each node [m^2], shape ``(n,)``: a third of every triangle around it."""
-        areas = np.zeros(len(self.nodes))
-        np.add.at(areas, self.triangles.ravel(), np.repeat(self.areas / 3.0, 3))
-        return areas
+        return self.shared(self.areas)
+
+    def shared(self, amounts: np.ndarray) -> np.ndarray:
+        """What each node gets ``(n,)`` when triangles share amounts ``(m,)`` equally among their corners."""
+        nodal = np.zeros(len(self.nodes))
+        np.add.at(nodal, self.triangles.ravel(), np.repeat(amounts / 3.0, 3))
+        return nodal
 
 
 @dataclass(frozen=True)

@@ -67,8 +67,8 @@ def volume(mesh: TetMesh) -> float:
     return float((np.linalg.det(tet10.jacobian(mesh.nodes[mesh.tets], points)) @ weights).sum())
 
 
-def consistent_mass(mesh: TetMesh) -> csr_matrix:
-    """Consistent mass per unit density, integral of N_a N_b dV: sparse ``(n, n)`` [m^3].
+def element_masses(mesh: TetMesh) -> np.ndarray:
+    """Consistent mass of each element per unit density, integral of N_a N_b dV: ``(m, 10, 10)`` [m^3].
 
     The quadrature is exact to degree 7, which covers curved elements. The matrix for three components
     is its Kronecker product with the 3 x 3 identity, times the density [kg/m^3].
@@ -76,7 +76,12 @@ def consistent_mass(mesh: TetMesh) -> csr_matrix:
     points, weights = tet10.conical_rule(4)
     det = np.linalg.det(tet10.jacobian(mesh.nodes[mesh.tets], points))
     n = tet10.shape(points)
-    local = np.einsum("q,mq,qa,qb->mab", weights, det, n, n, optimize=True)
+    return np.asarray(np.einsum("q,mq,qa,qb->mab", weights, det, n, n, optimize=True))
+
+
+def consistent_mass(mesh: TetMesh, density: np.ndarray | float = 1.0) -> csr_matrix:
+    """Mass of all elements together: sparse ``(n, n)``. ``density``: of each element ``(m,)``, or of all."""
+    local = element_masses(mesh) * np.broadcast_to(density, len(mesh.tets))[:, None, None]
     rows = np.repeat(mesh.tets, 10, axis=1).ravel()
     columns = np.tile(mesh.tets, (1, 10)).ravel()
     return coo_matrix((local.ravel(), (rows, columns)), shape=(len(mesh.nodes),) * 2).tocsr()

@@ -2,6 +2,7 @@
 
 from sim_core.gradients.adjoint import Backward, Gradient, simulate_adjoint
 from sim_core.gradients.directions import Direction, directions
+from sim_core.gradients.smoothed import Smoothed, rollout_loss, smoothed_gradient
 from sim_core.gradients.tangent import TangentSimulation, simulate_tangent
 from sim_core.gradients.tape import Tape
 
@@ -9,9 +10,12 @@ __all__ = [
     "Backward",
     "Direction",
     "Gradient",
+    "Smoothed",
     "TangentSimulation",
     "Tape",
     "directions",
+    "rollout_loss",
     "simulate_adjoint",
     "simulate_tangent",
+    "smoothed_gradient",
 ]

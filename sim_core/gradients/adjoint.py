@@ -1,4 +1,5 @@
-"""The gradient of a loss over a whole rollout by everything at once: parameters, initial state, poses of the mounts.
+"""The gradient of a loss over a whole rollout by everything at once: parameters, fields over elements, initial state,
+poses of the mounts.
 
 A loss is a function of the readings of a trace. Its derivatives by the readings are pulled back through the sensors
 and cameras to positions and forces, and from step to step back to the start (:mod:`sim_core.gradients.step`): one
@@ -22,8 +23,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.energies.linearised import cross, skew
+from sim_core.energies.term import StepContext
 from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, motions, slopes
+from sim_core.gradients.fields import FieldSums
 from sim_core.gradients.mounts import carried_contacts, carried_freely
 from sim_core.gradients.step import LinearStep, Pulled, Weights, no_memory, passed_on_by
 from sim_core.gradients.tape import MEMORY_MB, Made, Tape
@@ -51,6 +54,8 @@ class Gradient:
     start_x: np.ndarray
     start_v: np.ndarray
     trace: Trace
+    fields: dict[str, np.ndarray]
+    """By name, one value an element or hinge (:class:`sim_core.scene.fields.Fields`)."""
 
 
 def simulate_adjoint(
@@ -63,20 +68,21 @@ def simulate_adjoint(
     settings: NewtonSettings | None = None,
     memory_mb: float = MEMORY_MB,
     on_step: Callable[[int, int], None] | None = None,
+    fields: Sequence[str] = (),
 ) -> Gradient:
-    """Make the rollout, and the gradient of ``loss`` by the parameters ``along`` and all else.
+    """Make the rollout, and the gradient of ``loss`` by the parameters ``along``, the ``fields`` and all else.
 
     ``memory_mb``: bound on the steps that are kept; those of longer rollouts are made twice.
     """
     tape = Tape(scene, poses, times, settings, memory_mb, on_step)
     value, by_readings = loss(tape.trace)
-    return Backward(tape, along).gradient(value, by_readings)
+    return Backward(tape, along, fields).gradient(value, by_readings)
 
 
 class Backward:
     """Goes through a tape backwards, for as many losses as there are."""
 
-    def __init__(self, tape: Tape, along: Sequence[Direction]) -> None:
+    def __init__(self, tape: Tape, along: Sequence[Direction], fields: Sequence[str] = ()) -> None:
         self._tape, self._scene, self._along = tape, tape.scene, list(along)
         self._observer = tape.observer
         keys, self._slopes = slopes(self._scene, along)
@@ -86,6 +92,7 @@ class Backward:
             for body, term in carried_contacts(self._scene)
             if isinstance(body.spec, Rigid)
         ]
+        self._fields = FieldSums(self._scene, fields)
         self._moved = motions(self._scene.rig, along)
         self._cameras = [k for k, d in enumerate(self._along) if d.low.cameras != d.high.cameras]
 
@@ -103,6 +110,7 @@ class Backward:
         }
         self._numbers = np.zeros(len(self._columns.keys))
         self._sensed = np.zeros(len(self._along))
+        self._fields.clear()
         zero, state = np.zeros_like(scene.rest), None
         poses = [_Frames() for _ in range(count)]
         for first in reversed(tape.segments):
@@ -140,6 +148,7 @@ class Backward:
             state.x,
             state.v,
             tape.trace,
+            self._fields.gradients(),
         )
 
     def _through(
@@ -150,7 +159,7 @@ class Backward:
         linear = made.linear
         if linear is None or self._columns.need_contact(linear.terms):
             self._enter(made)
-        elif self._columns.keys or self._cameras:
+        elif self._columns.keys or self._cameras or self._fields:
             self._place(made)
         if linear is None:
             linear = LinearStep(self._scene, self._tape.keeper, made.before, made.after, made.dt, False)
@@ -159,12 +168,14 @@ class Backward:
         pulled = linear.pull(
             state, self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
         )
-        self._collect(pulled, made.frames, target)
+        self._collect(pulled, linear.step, made, state, target)
         return pulled.state
 
-    def _collect(self, pulled: Pulled, frames: Mapping[str, Frame], target: _Frames) -> None:
-        """Take the weights of numbers, and those of what followed the mounts to ``frames``."""
+    def _collect(self, pulled: Pulled, step: StepContext, made: Made, after: Weights, target: _Frames) -> None:
+        """Take the weights of numbers, fields, and what followed the mounts. ``after``: of the end of the step."""
         self._numbers += pulled.numbers
+        self._fields.add(step, made.before.internals, pulled.exerted, pulled.borne, after.memory)
+        frames = made.frames
         scene = self._scene
         for follower in scene.followers:
             rotation = frames[follower.mount][1].as_matrix()
@@ -249,7 +260,7 @@ class Backward:
                 linear = LinearStep(scene, tape.keeper, made.before, made.after, FOREVER_S, True)
                 state = self._read_back(0, tape.mounts, state, target)
                 columns = self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
-                self._collect(linear.pull(state, columns), tape.mounts, target)
+                self._collect(linear.pull(state, columns), linear.step, made, state, target)
             finally:
                 system.inertia = inertia
             return
@@ -262,18 +273,17 @@ class Backward:
         self._enter(made)
         state = self._read_back(0, tape.mounts, state, target)
         x, v, numbers = state.x, state.v, np.zeros_like(self._numbers)
+        step = step_context(made.before.x, made.before.v, made.dt)
+        force = passed = np.zeros_like(x)
         if state.force is not None:
             force = state.force
             if system.passes_on:
                 passed = passed_on_by(system, force)
                 force = force + passed
                 v = v - system.mass @ passed / made.dt if system.inertia else v
-                step = step_context(made.before.x, made.before.v, made.dt)
-                for k, column in enumerate(
-                    self._columns.of_step(step, made.before.internals, made.after.internals, {})
-                ):
-                    parts = ((column.force, force), (column.body, passed))
-                    numbers[k] = sum(float(np.vdot(by, w)) for by, w in parts if by is not None)
+            for k, column in enumerate(self._columns.of_step(step, made.before.internals, made.after.internals, {})):
+                parts = ((column.force, force), (column.body, passed))
+                numbers[k] = sum(float(np.vdot(by, w)) for by, w in parts if by is not None)
             system.hessian_data(exact=True)
             x = x + system.nodal_product(force)
             if system.inertia:
@@ -282,7 +292,8 @@ class Backward:
         for _, term in carried_contacts(scene):
             turned = np.stack([term.rotation @ skew(e) for e in np.eye(3)])
             turns[term.name] = turned.reshape(3, 9) @ state.memory[term.name][:9]
-        self._collect(Pulled(state, x, turns, numbers), tape.mounts, target)
+        unmade = replace(state, memory=no_memory(tape.start))  # nothing was remembered yet
+        self._collect(Pulled(state, x, turns, numbers, force, passed), step, made, unmade, target)
         for mount, nodes in carried_freely(scene):
             origin, rotation = tape.mounts[mount]
             arms, speeds, force, push = (

@@ -18,6 +18,7 @@ from sim_core.energies.linearised import Linearised, flatten
 from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.directions import FROM_ZERO, RELATIVE_STEP, Key
 from sim_core.scene.scene import Scene, Values
+from sim_core.solve.system import System
 
 GAP_STEP_M = 1e-10
 """Step of the distance at which a contact has no gap: small beside gaps, which are micrometres."""
@@ -95,14 +96,8 @@ class Columns:
         """M_b (a - g) for a unit density of one body."""
         system, built = self._scene.system, self._scene.bodies[body]
         moved = np.zeros_like(system.x)
-        if built.unit_mass is None:
-            return moved
-        x = system.x[built.nodes]
-        a = np.broadcast_to(-system.gravity, x.shape)
-        if system.inertia:
-            begun = step.x_base[built.nodes] + step.tau * step.v_base[built.nodes]
-            a = a + (x - begun) / step.tau**2
-        moved[built.nodes] = built.unit_mass @ a
+        if built.unit_mass is not None:
+            moved[built.nodes] = built.unit_mass @ accelerations(system, step)[built.nodes]
         return moved
 
     def _of_compliance(self, group: int, axis: int) -> np.ndarray:
@@ -141,6 +136,14 @@ class Columns:
         force, memory, moment = ((a - b) / width for a, b in zip(*found, strict=True))
         column = Column(force=force)
         return replace(column, memory={term.name: memory}, moment={term.name: moment} if moment.any() else {})
+
+
+def accelerations(system: System, step: StepContext) -> np.ndarray:
+    """Accelerations of all nodes at the end of a step, less gravity [m/s^2] ``(n, 3)``."""
+    a = np.broadcast_to(-system.gravity, system.x.shape)
+    if system.inertia:
+        a = a + (system.x - (step.x_base + step.tau * step.v_base)) / step.tau**2
+    return a
 
 
 def moment_on_body(term: Any) -> np.ndarray:

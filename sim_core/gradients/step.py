@@ -72,12 +72,15 @@ class Weights:
 @dataclass
 class Pulled:
     """What one step passes back: ``state``: weights of the state before; ``targets``: of where prescribed and compliant
-    nodes were sent ``(n, 3)``; ``turns``: of turns of rigid bodies by term ``(3)``; ``numbers``: one a column."""
+    nodes were sent ``(n, 3)``; ``turns``: of turns of rigid bodies by term ``(3)``; ``numbers``: one a column;
+    ``exerted``, ``borne``: of the forces of the terms, and of inertia and weight ``(n, 3)``."""
 
     state: Weights
     targets: np.ndarray
     turns: dict[str, np.ndarray]
     numbers: np.ndarray
+    exerted: np.ndarray
+    borne: np.ndarray
 
 
 class LinearStep:
@@ -235,7 +238,7 @@ class LinearStep:
         before.memory = memory
         targets = system.fold(x + self._hessian.product(spread))
         numbers = np.array([self._along(c, weights, exerted, borne, answer) for c in columns])
-        return Pulled(before, targets, turns, numbers)
+        return Pulled(before, targets, turns, numbers, exerted, borne)
 
     def _through(
         self,

@@ -69,8 +69,7 @@ class TangentSimulation(Simulation):
         elif self.settled_from is None:
             if self._moved:
                 self._put()
-            if self.scene.system.passes_on:
-                self._add_what_mounts_bear()
+            self._add_what_mounts_bear()
 
     @property
     def _depends(self) -> bool:
@@ -106,7 +105,7 @@ class TangentSimulation(Simulation):
         self.derivatives = self._read_derivatives(Outcome(x, force, {}, np.zeros((system.n_unknowns, count))))
 
     def _add_what_mounts_bear(self) -> None:
-        """Derivatives of the loads on mounts with joints at a start that does not depend on the parameters itself."""
+        """Derivatives of the loads on mounts at a start that does not depend on the parameters itself."""
         scene, system = self.scene, self.scene.system
         step, frames = step_context(self.state.x, self.state.v, scene.rig.solver.dt_s), self.actual_frames()
 

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from sim_core.energies.affine import AffineShape, coordinates
+from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
 from sim_core.rigs import WORLD, Affine, Gel, Rig, Rigid, Sheet
@@ -23,6 +24,7 @@ from sim_core.scene.assembly import (
     rest_form,
     world_pose,
 )
+from sim_core.scene.fields import Fields
 from sim_core.scene.joints import Link, embedding, guides, joint_label, make_link
 from sim_core.scene.touching import ContactTerm, contact_of_surfaces, contact_with_rigid
 from sim_core.solve.system import System
@@ -88,7 +90,7 @@ class Scene:
         values = self.values(rig)
         self.compliant = list(values.compliance)
         """End effectors that give way, in the order of the system's groups."""
-        mass = self._mass(values)
+        mass = self._mass(self._densities(values))
         self.system = System(
             self.rest,
             mass,
@@ -103,6 +105,8 @@ class Scene:
         self._masses: dict[tuple[float, ...], sp.csr_matrix] = {}
         self._applied_mass: tuple[float, ...] | None = None
         self.apply(values)
+        self.fields = Fields(self)
+        """Material values and rest angles that differ from element to element."""
 
     @staticmethod
     def _carrier(spec: Sheet | Gel | Rigid | Affine) -> str:
@@ -205,10 +209,13 @@ class Scene:
 
         return [t for effect, given in active_effects(self.rig) for t in effect.terms(self, given)]
 
-    def _mass(self, values: Values) -> sp.csr_matrix:
+    def _densities(self, values: Values) -> tuple[float, ...]:
+        return tuple(values.density.get(name, 0.0) for name in self.bodies)
+
+    def _mass(self, densities: tuple[float, ...]) -> sp.csr_matrix:
         blocks = [
-            b.unit_mass * values.density[b.name] if b.unit_mass is not None else sp.csr_matrix((len(b.nodes),) * 2)
-            for b in self.bodies.values()
+            b.unit_mass * density if b.unit_mass is not None else sp.csr_matrix((len(b.nodes),) * 2)
+            for b, density in zip(self.bodies.values(), densities, strict=True)
         ]
         blocks += [sp.csr_matrix((4, 4)) for _ in self._stands]
         return sp.block_diag(blocks).tocsr()
@@ -255,16 +262,28 @@ class Scene:
         for term in self.system.terms:
             if term.name in values.terms:
                 term.configure(values.terms[term.name])
-        masses = tuple(values.density.get(name, 0.0) for name in self.bodies)
+        self._apply_mass(self._densities(values))
+        self.system.gravity = values.gravity
+        self.system.set_compliance(list(values.compliance.values()))
+
+    def _apply_mass(self, masses: tuple[float, ...]) -> None:
         if masses != self._applied_mass:
             if masses not in self._masses:
                 if len(self._masses) > 8:
                     self._masses.clear()
-                self._masses[masses] = self._mass(values)
+                self._masses[masses] = self._mass(masses)
             self.system.set_mass(self._masses[masses])
             self._applied_mass = masses
-        self.system.gravity = values.gravity
-        self.system.set_compliance(list(values.compliance.values()))
+
+    def renew_mass(self, body: BuiltBody) -> None:
+        """Take over a ``unit_mass`` that was changed."""
+        for term in body.terms:
+            if isinstance(term, MassDamping) and body.unit_mass is not None:
+                term.set_unit_mass(body.unit_mass)
+        applied, self._applied_mass = self._applied_mass, None
+        self._masses.clear()
+        if applied is not None:
+            self._apply_mass(applied)
 
     def use(self, rig: Rig) -> None:
         """Take the numbers of a rig of the same geometry."""

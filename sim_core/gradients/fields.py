@@ -1,0 +1,93 @@
+"""Derivatives by fields over elements (:mod:`sim_core.scene.fields`), summed up on the way back.
+
+The force of an element is its factor f times that of a uniform body, so the derivative of the residual by f, times the
+weights of the forces, is the work of the element's forces along these weights, over f; with f = prod (q / q_rig)^p
+
+    dL/dq = sum_parts p W_part / q,    W_part = weights . F_element    (of mass: weights . m_element (a - g))
+
+New internal variables do not depend on f: relaxing stresses are kept per f, plastic curvatures know no stiffness. A
+field costs one kernel a term and step. Rest angles enter through the curvatures of the triangles around a hinge
+(:meth:`sim_core.energies.bending.Bending.by_rest_angles`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sim_core.energies.term import Internals, StepContext
+from sim_core.gradients.columns import accelerations
+from sim_core.scene.fields import MASS, POWERS, REST_ANGLE
+from sim_core.scene.scene import Scene
+
+
+class FieldSums:
+    """Sums over the steps of a rollout, for fields by ``names``."""
+
+    def __init__(self, scene: Scene, names: Sequence[str]) -> None:
+        self._scene = scene
+        self._names = list(dict.fromkeys(scene.fields.resolve(name) for name in names))
+        self._values = {name: scene.fields[name] for name in self._names}
+        pairs = [name.split(".") for name in self._names]
+        self._parts = list(dict.fromkeys((b, part) for b, key in pairs for part in POWERS.get(key, ())))
+        self._bent = [body for body, key in pairs if key == REST_ANGLE]
+        terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
+        self._terms = {(b, part): terms[f"{b}.{part}"] for b, part in self._parts if f"{b}.{part}" in terms}
+        self._masses = {b: scene.fields.mass_blocks(b) for b, part in self._parts if part == MASS}
+        self._numbers = scene.values(scene.rig)
+        self.clear()
+
+    def __bool__(self) -> bool:
+        return bool(self._names)
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self._work: dict[tuple[str, str], Any] = dict.fromkeys(self._parts, 0.0)
+        self._bending: dict[str, Any] = dict.fromkeys(self._bent, 0.0)
+
+    def add(
+        self,
+        step: StepContext,
+        internals: Mapping[str, Internals],
+        exerted: np.ndarray,
+        borne: np.ndarray,
+        memory: Mapping[str, np.ndarray],
+    ) -> None:
+        """Add what a step has, at the end of which the system is. ``internals``: before it; ``exerted``, ``borne``:
+        weights of the forces of the terms, and of inertia and weight ``(n, 3)``; ``memory``: of the new internal
+        variables."""
+        for part, term in self._terms.items():
+            term.begin_step(step, internals[term.name])
+            self._work[part] = self._work[part] + term.work(exerted, internals[term.name])
+        for body in self._masses:
+            self._work[body, MASS] = self._work[body, MASS] + self._of_mass(body, step, exerted, borne)
+        for body in self._bent:
+            term = self._scene.fields.bending(body)
+            term.begin_step(step, internals[term.name])
+            found = term.by_rest_angles(exerted, memory[term.name], internals[term.name])
+            self._bending[body] = self._bending[body] + found
+
+    def _of_mass(self, body: str, step: StepContext, exerted: np.ndarray, borne: np.ndarray) -> np.ndarray:
+        """Work of inertia, weight, and damping by mass of each element."""
+        system, (nodes, blocks) = self._scene.system, self._masses[body]
+        density = self._numbers.density[body]
+        pairs = [(density * accelerations(system, step), borne)]
+        damping = self._numbers.terms[f"{body}.mass_damping"]["mass_damping_per_s"]
+        if damping > 0.0:
+            loose = ~system.prescribed.all(axis=1, keepdims=True)
+            pairs.append((density * damping / step.tau * loose * (system.x - step.x_base), loose * exerted))
+        return np.asarray(sum(np.einsum("mab,mai,mbi->m", blocks, v[nodes], w[nodes]) for v, w in pairs))
+
+    def gradients(self) -> dict[str, np.ndarray]:
+        """Derivatives by the values of each field in SI units."""
+        out = {}
+        for name, values in self._values.items():
+            body, key = name.split(".")
+            if key == REST_ANGLE:
+                total = self._bending[body]
+            else:
+                total = sum(power * self._work[body, part] for part, power in POWERS[key].items()) / values
+            out[name] = total + np.zeros(len(values))
+        return out

@@ -1,0 +1,170 @@
+"""Material values and rest angles that differ from element to element.
+
+    scene.fields["gel.E_pa"] = np.where(scene.fields.places("gel.E_pa")[:, 0] > 0.0, 5e4, 1e5)
+
+A field is kept as its share of the rig's number, so a rig with another number (:meth:`Scene.use`) scales all of it, and
+a field that is everywhere that number changes no bit of a rollout. Energies are linear in the modulus and masses in the
+density of an element; of a sheet's thickness h the membrane has the first power, bending the third, mass the first:
+
+    E_element = f E_uniform,    f = prod_q (q / q_rig)^p
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sp
+
+from sim_core.energies.bending import Bending
+from sim_core.errors import ConfigError, nearest_match
+from sim_core.geometry import solids
+from sim_core.geometry.sheets import SheetMesh
+from sim_core.rigs import Gel, Sheet
+from sim_core.rigs.fields import split_unit
+from sim_core.scene.assembly import BuiltBody
+
+if TYPE_CHECKING:
+    from sim_core.scene.scene import Scene
+
+MASS = "mass"
+
+REST_ANGLE = "rest_angle_rad"
+
+POWERS: dict[str, dict[str, int]] = {
+    "E_pa": {"elastic": 1, "membrane": 1, "bending": 1},
+    "thickness_m": {"membrane": 1, "bending": 3, MASS: 1},
+    "density_kg_m3": {MASS: 1},
+}
+"""Power of each quantity in the terms of a body and in its mass."""
+
+
+class Fields:
+    """All fields of a scene by name: ``<gel>.E_pa`` and ``.density_kg_m3``, one value a tetrahedron; ``<sheet>.E_pa``,
+    ``.thickness_m`` and ``.density_kg_m3``, one a triangle; ``<sheet>.rest_angle_rad``, one a hinge (inner edge): the
+    angle between the normals of its triangles. Units may be left out.
+
+    The thickness is that which stretches, bends and weighs; contact finds the surface where the rig's number puts it.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._shares: dict[str, np.ndarray] = {}
+        self._straight = {
+            name: self.bending(name).rest_angles.copy() for name, b in scene.bodies.items() if isinstance(b.spec, Sheet)
+        }
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All that there are."""
+        found: list[str] = []
+        for name, body in self._scene.bodies.items():
+            if isinstance(body.spec, Gel):
+                found += [f"{name}.E_pa", f"{name}.density_kg_m3"]
+            elif isinstance(body.spec, Sheet):
+                found += [f"{name}.{key}" for key in (*POWERS, REST_ANGLE)]
+        return tuple(found)
+
+    def resolve(self, name: str) -> str:
+        """Full name of a field."""
+        for full in self.names:
+            stem = full.removesuffix("_rad") if full.endswith(REST_ANGLE) else split_unit(full)[0]
+            if name in (full, stem):
+                return full
+        raise ConfigError(f"The rig {self._scene.rig.name!r} has no field {name!r}.", nearest_match(name, self.names))
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Values in SI units, one an element or hinge."""
+        body, key = self.resolve(name).split(".")
+        if key == REST_ANGLE:
+            return np.array(self.bending(body).rest_angles)
+        number = getattr(self._scene.rig.bodies[body].material, key)  # type: ignore[union-attr]
+        return np.asarray(number * self._share(body, key))
+
+    def __setitem__(self, name: str, values: np.ndarray | float) -> None:
+        """Take values in SI units for all elements or hinges, or one for all of them."""
+        full = self.resolve(name)
+        body, key = full.split(".")
+        given, count = np.asarray(values, dtype=float), len(self.places(full))
+        if given.ndim > 0 and given.shape != (count,):
+            raise ConfigError(
+                f"The field {full} has {count} values, not an array of shape {given.shape}.",
+                "Give one value an element, in the order of Fields.places.",
+            )
+        if not np.isfinite(given).all() or (key != REST_ANGLE and not (given > 0.0).all()):
+            raise ConfigError(f"The field {full} has values that are not finite and above zero.", "Correct them.")
+        if key == REST_ANGLE:
+            if np.abs(given).max(initial=0.0) >= np.pi:
+                raise ConfigError(f"The field {full} has angles of pi and more.", "Fold an edge by less than pi.")
+            self.bending(body).set_rest_angles(given)
+            return
+        number = getattr(self._scene.rig.bodies[body].material, key)  # type: ignore[union-attr]
+        self._shares[full] = np.broadcast_to(given / number, (count,)).copy()
+        self._spread(body)
+
+    def reset(self) -> None:
+        """Back to the rig's numbers, and to its shape at rest."""
+        for name, angles in self._straight.items():
+            self.bending(name).set_rest_angles(angles)
+        changed = {full.split(".")[0] for full in self._shares}
+        self._shares.clear()
+        for body in changed:
+            self._spread(body)
+
+    def places(self, name: str) -> np.ndarray:
+        """Middles of the elements or hinges of a field, at rest in the world [m], ``(m, 3)``."""
+        body, key = self.resolve(name).split(".")
+        built = self._scene.bodies[body]
+        corners = self.bending(body).hinges.nodes[:, :2] if key == REST_ANGLE else _elements(built)[:, :4]
+        return np.asarray(built.rest[corners].mean(axis=1))
+
+    def bending(self, body: str) -> Bending:
+        """The term by which a sheet bends."""
+        return next(t for t in self._scene.bodies[body].terms if isinstance(t, Bending))
+
+    def factor(self, body: str, part: str) -> np.ndarray:
+        """Factor of each element on the energy of a term (``elastic``, ``membrane``, ``bending``) or on the mass."""
+        out = np.ones(len(_elements(self._scene.bodies[body])))
+        for key, powers in POWERS.items():
+            if part in powers:
+                out *= self._share(body, key) ** powers[part]
+        return out
+
+    def mass_blocks(self, body: str) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes ``(m, k)`` of a body's elements among all, and masses ``(m, k, k)`` of the elements as they are, per
+        unit of what the rig has for the density of the body."""
+        built = self._scene.bodies[body]
+        mesh, factor = built.mesh, self.factor(body, MASS)
+        if isinstance(mesh, SheetMesh):
+            blocks = (mesh.areas / 3.0)[:, None, None] * np.eye(3)
+        else:
+            assert isinstance(mesh, solids.TetMesh)
+            blocks = solids.element_masses(mesh)
+        return built.nodes[_elements(built)], factor[:, None, None] * blocks
+
+    def _share(self, body: str, key: str) -> np.ndarray:
+        share = self._shares.get(f"{body}.{key}")
+        return np.ones(len(_elements(self._scene.bodies[body]))) if share is None else share
+
+    def _spread(self, name: str) -> None:
+        """Hand a body's factors on to its terms and its mass."""
+        body = self._scene.bodies[name]
+        for term in body.terms:
+            part = term.name.rpartition(".")[2]
+            if part in ("elastic", "membrane", "bending"):
+                term.scale(self.factor(name, part))  # type: ignore[attr-defined]
+        factor = self.factor(name, MASS)
+        mesh = body.mesh
+        if isinstance(mesh, SheetMesh):
+            body.unit_mass = sp.diags(mesh.shared(factor * mesh.areas)).tocsr()
+        elif isinstance(mesh, solids.TetMesh):
+            body.unit_mass = solids.consistent_mass(mesh, factor)
+        self._scene.renew_mass(body)
+
+
+def _elements(body: BuiltBody) -> np.ndarray:
+    """Nodes of the elements among those of the body."""
+    if isinstance(body.mesh, solids.TetMesh):
+        return body.mesh.tets
+    assert isinstance(body.mesh, SheetMesh)
+    return body.mesh.triangles

@@ -1,0 +1,242 @@
+"""Gradients by fields over elements and hinges: against differences of rollouts, scalars, and a field that is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from test_adjoint import EFFECTS, TIGHT, small, weights
+from test_linearised import PRESS, ball, damped
+
+from sim_core.errors import ConfigError
+from sim_core.gradients import Backward, Tape, directions, simulate_adjoint
+from sim_core.rigs import parse_rig
+from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene import build_scene
+from sim_core.simulate import simulate
+
+SHAKEN = {"clamps": [{"name": "vice", "body": "card", "region": {"x_m": [-0.04, -0.02]}, "mount": "finger"}]}
+BALL = {
+    "type": "affine", "shape": {"type": "sphere", "radius_m": 0.004}, "pose": {"position_m": [0.0, 0.1, 0.05]},
+    "material": {"density_kg_m3": 1000.0},
+}  # fmt: skip
+
+
+def shaken(small_rig, visit, **changes):
+    """The card in the finger's grip, off which nothing is touched; with a free ball nothing settles."""
+    rig = small_rig(**SHAKEN, **changes)
+    moves = ([0.0, 0.06, 0.12, 0.2], [[0, 0, 0], [0, 0, 0.004], [0, 0.002, -0.004], [0, 0, 0]])
+    return rig, visit(*moves), np.linspace(0.0, 0.2, 11)
+
+
+def unsettled(small_rig, visit):
+    rig, poses, times = shaken(small_rig, visit)
+    data = rig.model_dump()
+    data["bodies"]["ball"] = BALL
+    return parse_rig(data, "unsettled"), poses, times[:5]
+
+
+SCENES = {
+    "every effect": small(PRESS, 0.3),
+    "damped, looking back": lambda *given, **_: damped("bdf2", *given),
+    "ball on a card": lambda *given, **_: ball(),
+    "unsettled": lambda *given, **_: unsettled(*given),
+}
+
+
+def uneven(scene):
+    """Set all fields of a scene to something that varies, such that no sheet yields before it moves: the path to the
+    first equilibrium counts as given."""
+    rng = np.random.default_rng(1)
+    for name in scene.fields.names:
+        wave = rng.standard_normal(len(scene.fields[name]))
+        given = scene.fields[name]
+        scene.fields[name] = given + 3e-4 * wave if name.endswith("rest_angle_rad") else given * np.exp(0.1 * wave)
+
+
+@pytest.mark.parametrize("case", SCENES)
+def test_fields_against_differences_of_rollouts(case, small_rig, visit):
+    """Along a random direction and by single elements, through contact, friction, memory and dampings."""
+    rig, poses, times = SCENES[case](small_rig, visit, effects=EFFECTS)
+    scene = build_scene(rig)
+    fields, rng = scene.fields, np.random.default_rng(2)
+    uneven(scene)
+    tape = Tape(scene, poses, times, TIGHT)
+    assert not any(kept.get("accumulated_curvature", np.zeros(1)).any() for kept in tape.start.internals.values())
+    given = {c: w / np.nanmax(np.abs(tape.trace.outputs[c])) for c, w in weights(tape.trace).items()}
+    names = [n for n in fields.names if case != "unsettled" or n.startswith("card.")]  # nothing strains the gel there
+    found = Backward(tape, [], names).gradient(0.0, given).fields
+    assert list(found) == names
+    for name, gradient in found.items():
+        here = fields[name]
+        angles = name.endswith("rest_angle_rad")
+        scale = np.full(len(here), 0.01) if angles else here
+        assert gradient.shape == here.shape and np.abs(gradient).max() > 0.0
+        largest = int(np.argmax(np.abs(gradient * scale)))
+        for along in (rng.standard_normal(len(here)), *np.eye(len(here))[[largest, -1]]):
+            bound, errors = 5e-5 * np.abs(gradient * scale).max() * np.linalg.norm(along), []
+            for h in (1e-4, 1e-5, 1e-3):
+                ends = []
+                for s in (h, -h):
+                    fields[name] = here + s * along * scale
+                    outputs = simulate(scene, poses, times, settings=TIGHT).outputs
+                    ends.append(sum(np.nansum(outputs[c] * w) for c, w in given.items()))
+                errors.append(abs((ends[0] - ends[1]) / (2.0 * h) - gradient @ (along * scale)))
+                if errors[-1] < bound:
+                    break
+            fields[name] = here
+            assert min(errors) < bound, (name, along, errors)
+
+
+def test_what_all_elements_have_together(small_rig, visit):
+    """sum dL/dq_e q_e = q dL/dq of the rig's number, by which a whole field is scaled, whatever the field."""
+    rig, poses, times = small(PRESS, 0.4)(small_rig, visit, effects=EFFECTS)
+    names = ["gel.E_pa", "gel.density_kg_m3", "card.E_pa", "card.density_kg_m3"]
+    compare_with_scalars(rig, poses, times, names)
+
+
+def test_what_all_triangles_have_together_of_a_thickness(small_rig, visit):
+    """Where no contact has the half of it for its distance."""
+    compare_with_scalars(*shaken(small_rig, visit, contacts=[]), ["card.thickness_m", "card.E_pa"])
+
+
+def compare_with_scalars(rig, poses, times, names):
+    scene = build_scene(rig)
+    uneven(scene)
+    tape = Tape(scene, poses, times, TIGHT)
+    found = Backward(tape, directions(rig, names), names).gradient(0.0, weights(tape.trace))
+    for name in names:
+        body, key = name.split(".")
+        whole = found.parameters[name] * getattr(rig.bodies[body].material, key)
+        shares = found.fields[name] * scene.fields[name]
+        assert shares.sum() == pytest.approx(whole, rel=1e-7, abs=1e-9 * np.abs(shares).sum()), name
+
+
+def test_a_uniform_field_changes_no_bit(small_rig, visit):
+    rig, poses, times = damped("bdf2", small_rig, visit)
+    plain = simulate(build_scene(rig), poses, times)
+    scene = build_scene(rig)
+    for name in scene.fields.names:
+        scene.fields[name] = scene.fields[name]
+    same = simulate(scene, poses, times)
+    uneven(scene)
+    other = simulate(scene, poses, times)
+    scene.fields.reset()
+    again = simulate(scene, poses, times)
+    for channel, expected in plain.outputs.items():
+        assert np.array_equal(same.outputs[channel], expected, equal_nan=True)
+        assert np.array_equal(again.outputs[channel], expected, equal_nan=True)
+        assert not np.array_equal(other.outputs[channel], expected, equal_nan=True)
+
+
+def test_a_field_everywhere_the_same_is_the_number_of_the_rig(small_rig, visit):
+    """Twice the modulus and the density, and a quarter more thickness of a sheet that touches nothing."""
+    rig, poses, times = shaken(small_rig, visit, contacts=[])
+    card = rig.bodies["card"].material
+    changed = {
+        "E_pa": 2.0 * card.E_pa,
+        "density_kg_m3": 2.0 * card.density_kg_m3,
+        "thickness_m": 1.25 * card.thickness_m,
+    }
+    data = rig.model_dump()
+    data["bodies"]["card"]["material"].update(changed)
+    expected = simulate(build_scene(parse_rig(data, "changed")), poses, times, settings=TIGHT)
+    scene = build_scene(rig)
+    for key, value in changed.items():
+        scene.fields[f"card.{key}"] = value
+        assert scene.fields[f"card.{key}"] == pytest.approx(value)
+    found = simulate(scene, poses, times, settings=TIGHT)
+    for channel, there in expected.outputs.items():
+        assert np.nanmax(np.abs(found.outputs[channel] - there)) < 1e-8 * np.nanmax(np.abs(there))
+
+
+def test_rest_angles_of_an_arc(small_rig, visit):
+    """A flat card without weight that gets the rest angles of a bent one settles to the shape of that."""
+    rig, poses, times = shaken(small_rig, visit, contacts=[], gravity_m_s2=[0.0, 0.0, 0.0])
+    data = rig.model_dump()
+    data["bodies"]["card"]["shape"]["folds"] = [{"at_m": 0.01, "angle_deg": 40.0, "over_m": 0.03}]
+    bent, flat = build_scene(parse_rig(data, "bent")), build_scene(rig)
+    flat.fields["card.rest_angle"] = bent.fields["card.rest_angle"]
+    nodes = flat.bodies["card"].nodes
+    assert np.ptp(flat.rest[nodes, 2]) == 0.0 and np.ptp(bent.rest[nodes, 2]) > 0.01
+    settled = Tape(flat, poses, times[:1]).start.x
+    assert np.abs(settled - bent.rest)[nodes].max() < 1e-8
+
+
+def pad():
+    """A gel on a finger, pressed on a plate with friction and drawn, with markers on its face."""
+    rig = parse_rig(
+        {
+            "name": "pad",
+            "solver": {"dt_s": 0.02, "inertia": False},
+            "bodies": {
+                "gel": {
+                    "type": "gel",
+                    "shape": {"type": "block", "size_m": [0.03, 0.02, 0.006], "cells": [3, 2, 1]},
+                    "pose": {"rpy_deg": [180.0, 0.0, 0.0]},
+                    "material": {"E_pa": 1.0e5, "nu": 0.4, "density_kg_m3": 1000.0},
+                    "bonded": "bottom",
+                    "mount": "finger",
+                },
+                "plate": {
+                    "type": "rigid",
+                    "shape": {"type": "box", "size_m": [0.02, 0.05, 0.02]},
+                    "pose": {"position_m": [0.0, 0.0, -0.01]},
+                },
+            },
+            "end_effectors": {"finger": {"start": {"position_m": [0.0, 0.0, 0.0031]}}},
+            "contacts": [{"between": ["gel", "plate"], "friction": 0.5}],
+            "sensors": {
+                "face": {"type": "markers", "body": "gel", "points": {"face": "top", "grid": [9, 6]}},
+                "load": {"type": "wrench", "on": "finger"},
+            },
+        },
+        "pad",
+    )
+    path = [0.0, 0.0, 0.0031] + np.array([[0, 0, 0], [0, 0, -6e-4], [4e-4, 2e-4, -8e-4]])
+    poses = {"finger": PoseTrajectory(np.array([0.0, 0.1, 0.2]), path, np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)))}
+    return rig, poses, np.linspace(0.0, 0.2, 11)
+
+
+def test_a_soft_spot_is_found_from_markers():
+    """One third of a pad has half the modulus; each of 30 tetrahedra has its own, from a uniform pad on."""
+    rig, poses, times = pad()
+    scene = build_scene(rig)
+    fields, name = scene.fields, "gel.E_pa"
+    soft = fields.places(name)[:, 0] > 0.005
+    fields[name] = np.where(soft, 5e4, 1e5)
+    seen = simulate(scene, poses, times).outputs
+    noise = {"face": 1e-6, "load": np.array([1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])}
+
+    def loss(trace):
+        misses = {c: (trace.outputs[c] - seen[c]) / noise[c] for c in noise}
+        return sum(0.5 * float(np.sum(m**2)) for m in misses.values()), {c: m / noise[c] for c, m in misses.items()}
+
+    def evaluate(logarithm):
+        fields[name] = 1e5 * np.exp(logarithm)
+        found = simulate_adjoint(scene, poses, times, loss, [], fields=[name])
+        return found.value, found.fields[name] * fields[name]
+
+    result = minimize(evaluate, np.zeros(len(soft)), jac=True, method="L-BFGS-B", options={"maxiter": 40})
+    found = 1e5 * np.exp(result.x)
+    assert 0 < soft.sum() < len(soft) and result.fun < 1e-3 * evaluate(np.zeros(len(soft)))[0]
+    assert np.abs(found[soft] - 5e4).max() < 0.15 * 5e4
+    assert np.abs(found[~soft] - 1e5).max() < 0.15 * 1e5
+
+
+def test_fields_that_cannot_be_used(small_rig):
+    scene = build_scene(small_rig())
+    fields = scene.fields
+    assert len(fields["gel.E"]) == len(fields.places("gel.E_pa"))
+    assert fields.resolve("card.rest_angle") == "card.rest_angle_rad"
+    for name, values, words in (
+        ("gel.thickness_m", 1.0, "no field"),
+        ("gel.E_pa", np.ones(3), "values, not an array"),
+        ("gel.E_pa", 0.0, "above zero"),
+        ("card.density_kg_m3", np.nan, "finite"),
+        ("card.rest_angle_rad", 4.0, "pi"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            fields[name] = values
+    with pytest.raises(ConfigError, match=r"Did you mean 'gel\.E_pa'"):
+        fields.resolve("gel.E_p")
