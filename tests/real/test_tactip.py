@@ -20,12 +20,12 @@ SHARED = Path(os.environ.get("THINSHELL_SHARED", Path(__file__).resolve().parent
 DATA = SHARED / "data" / "tactip_shear" / "cr_tactip"
 
 FITTED = {
-    "dome-plate.friction": 0.264,
-    "dome.nu": 0.237,
-    "finger.offset_z": -1.7e-5,
-    "finger.offset_rx": 0.11,
-    "finger.offset_ry": 0.66,
-    "finger.offset_rz": -1.87,
+    "dome-plate.friction": 0.404,
+    "dome.nu": -0.054,
+    "finger.offset_z": -4e-6,
+    "finger.offset_rx": 0.12,
+    "finger.offset_ry": 0.56,
+    "finger.offset_rz": -1.13,
 }
 """Values that a fit of eight other presses found (README); the rig starts from others."""
 
