@@ -125,6 +125,22 @@ def locate(mesh: TetMesh, points: np.ndarray, tolerance: float = 1e-6) -> tuple[
     return element, weights
 
 
+def locate_pins(
+    mesh: TetMesh, points: np.ndarray, feet: np.ndarray, tolerance: float = 1e-6
+) -> tuple[np.ndarray, np.ndarray]:
+    """Follow points off the body as the tips of pins that stand on it, ``(p, 3)`` each, rest positions [m].
+
+    A tip goes on as the body does at its foot, ``x(tip) = x(foot) + F(foot) (tip - foot)`` with the deformation
+    gradient F: it moves and turns with the surface. Returns element and weights as :func:`locate`, whose ``tolerance``
+    is for the feet.
+    """
+    element, weights = locate(mesh, feet, tolerance)
+    for p, nodes in enumerate(mesh.nodes[mesh.tets[element]]):
+        slopes = tet10.shape_derivative(_invert(nodes[None], feet[p]))[0]
+        weights[p] += slopes @ np.linalg.solve(nodes.T @ slopes, points[p] - feet[p])
+    return element, weights
+
+
 def _invert(elements: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Barycentric ``(m, 4)`` of ``point`` in elements ``(m, 10, 3)``; -inf where there are none."""
     local = np.full((len(elements), 3), 0.25)

@@ -198,7 +198,8 @@ class Dome(Strict):
     """A half ball of gel, apex at +z, with a concentric half-ball cavity, like a tactile fingertip.
 
     The origin is the centre of the ball; ``base`` is the flat ring at z = 0, ``outer`` the skin,
-    ``inner`` the wall of the cavity.
+    ``inner`` the wall of the cavity. A marker in the cavity is the tip of a pin that stands on that wall, along the
+    radius, and moves and turns with it.
     """
 
     faces: ClassVar[tuple[str, ...]] = ("base", "outer", "inner")

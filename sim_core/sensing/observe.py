@@ -113,8 +113,14 @@ class Observer:
             nodes = built.mesh.triangles[element]
         else:
             assert isinstance(built.mesh, solids.TetMesh)
-            curved = isinstance(built.spec, Gel) and isinstance(built.spec.shape, Dome)
-            element, weights = solids.locate(built.mesh, local, ON_CURVED if curved else ON_FLAT)
+            shape = built.spec.shape if isinstance(built.spec, Gel) else None
+            if isinstance(shape, Dome):
+                # What is in the cavity stands on its wall, along the radius.
+                radius = np.linalg.norm(local, axis=1, keepdims=True)
+                feet = local * np.maximum(1.0, shape.cavity_radius_m / np.maximum(radius, 1e-300))
+                element, weights = solids.locate_pins(built.mesh, local, feet, ON_CURVED)
+            else:
+                element, weights = solids.locate(built.mesh, local, ON_FLAT)
             nodes = built.mesh.tets[element]
         return _Tracked(nodes + int(built.nodes[0]), weights)
 

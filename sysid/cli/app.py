@@ -24,6 +24,7 @@ from sysid.cli import (
     fit,
     inspect,
     plan,
+    presses,
     prove,
     rigs,
     simulate,
@@ -72,6 +73,7 @@ app.command("diagnose")(diagnose.diagnose)
 app.add_typer(prove.app, name="prove")
 app.command("inspect")(inspect.inspect)
 app.command("track")(track.track)
+app.command("presses")(presses.presses)
 app.command("rigs")(rigs.rigs)
 app.command("params")(rigs.params)
 app.command("experiments")(experiments.experiments)

@@ -7,7 +7,8 @@ lag-one correlation there tells coloured from white. Without such a stretch the 
 rounding, step / sqrt(12).
 
 A recording shows how much neighbouring samples scatter, but not what was smoothed, interpolated or rounded
-away before it was written: a much larger noise that the rig declares takes its place.
+away before it was written: a much larger noise that the rig declares takes its place. So it does where every reading
+is far from all others in time (single images at rest).
 """
 
 from __future__ import annotations
@@ -39,6 +40,10 @@ COARSEST_SHARE = 0.2
 
 LONGEST_EXACT = 400
 """Samples of a stretch up to which it matters what a line takes away from coloured noise."""
+
+NEIGHBOURS = 10.0
+"""Readings farther apart than this many sampling intervals of their sensor are states of their own: their differences
+are motion, not noise, and the noise is the declared one."""
 
 REPLACED_FROM = 2.0
 """A declared noise of this many times the estimated one takes the place of the latter altogether."""
@@ -109,8 +114,22 @@ def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
 
 def channel_noise(rig: Rig, runs: Sequence[Run]) -> dict[str, ChannelNoise]:
     """Noise of every channel that the runs have: estimated, or declared where that is much larger."""
-    channels = sorted({m.channel for run in runs for m in run.measured})
-    return {c: unless_larger(estimate_noise(list(runs), c), declared_noise(rig, c)) for c in channels}
+    found: dict[str, ChannelNoise] = {}
+    for channel in sorted({m.channel for run in runs for m in run.measured}):
+        declared = declared_noise(rig, channel)
+        if declared.all() and _far_apart(rig, runs, channel):
+            columns = next(m for run in runs for m in run.measured if m.channel == channel).values.shape[1]
+            found[channel] = ChannelNoise(np.broadcast_to(declared, columns).copy(), 0.0, "declared by the rig")
+        else:
+            found[channel] = unless_larger(estimate_noise(list(runs), channel), declared)
+    return found
+
+
+def _far_apart(rig: Rig, runs: Sequence[Run], channel: str) -> bool:
+    """Whether no reading of a channel has a neighbour within :data:`NEIGHBOURS` of its sampling intervals."""
+    rate = (rig.sensors.get(channel) or rig.cameras[channel]).rate_hz
+    pauses = [np.diff(m.t) for run in runs for m in run.measured if m.channel == channel]
+    return all((pause > NEIGHBOURS / rate).all() for pause in pauses)
 
 
 def declared_noise(rig: Rig, channel: str) -> np.ndarray:

@@ -137,6 +137,7 @@ def open_bag(path: Path, notes: Notes) -> Bag:
             else "Use another copy of the recording.",
         )
     _compare_counts(topics, metadata, notes)
+    _note_remarks(metadata, notes)
     kinds = {index.compression for index in files if index.compression}
     if str(metadata.get("compression_mode", "")).lower() == "message":
         kinds.add("zstd message")
@@ -241,3 +242,10 @@ def _compare_counts(topics: dict[str, TopicInfo], metadata: Mapping[str, Any], n
         found = topics[name].count if name in topics else 0
         if found != promised:
             notes.warning(name, f"{found} messages found where metadata.yaml counts {promised}")
+
+
+def _note_remarks(metadata: Mapping[str, Any], notes: Notes) -> None:
+    """Pass on what the metadata says of the recording in its own words."""
+    remarks = metadata.get("custom_data")
+    for name, text in remarks.items() if isinstance(remarks, Mapping) else ():
+        notes.info(METADATA, f"{name}: {text}")

@@ -52,6 +52,7 @@ class RecordingWriter:
         self.path = Path(path)
         self._refuse_existing()
         self._types: dict[str, str] = {}
+        self._remarks: dict[str, str] = {}
         self._index: list[tuple[int, str, int, int]] = []  # time, topic, offset and size in the spool
         self._folder: Path | None = None
         self._spool: Any = None
@@ -76,6 +77,10 @@ class RecordingWriter:
             self._spool.close()
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
+
+    def remark(self, name: str, text: str) -> None:
+        """Say something about the recording in its metadata; readers note it."""
+        self._remarks[name] = text
 
     def pose(self, topic: str, t_ns: int, position: ArrayLike, quaternion: ArrayLike, frame_id: str) -> None:
         """Add a pose.
@@ -290,7 +295,10 @@ class RecordingWriter:
     def _store(self, folder: Path) -> None:
         if not self._index:
             raise RecordingError(f"{self.path}: nothing was written.", "Add messages before the block ends.")
-        with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+        for name, text in self._remarks.items():
+            writer.set_custom_data(name, text)
+        with writer as bag:
             connections = {
                 name: bag.add_connection(name, msgtype, typestore=TYPESTORE) for name, msgtype in self._types.items()
             }

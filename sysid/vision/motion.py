@@ -131,6 +131,8 @@ class SlideSign:
     """Rotation of the pad that the images show per labelled rotation; its sign matters, its size is slip."""
     upright: bool
     """True when the image is not mirrored for a camera that looks along positive depth."""
+    roll_rad: float
+    """Where the pad's x points in an upright image: angle from ``u`` towards ``v``."""
 
     def __str__(self) -> str:
         """Say it in words."""
@@ -157,4 +159,5 @@ def slide_sign(check: PoseCheck) -> SlideSign:
     size = max(float(np.linalg.norm(camera) * np.linalg.norm(markers)), 1e-30)
     upright = bool(np.linalg.det(camera) > 0.0)
     twist = -slopes["rotation"]["rz"] * (1.0 if upright else -1.0)
-    return SlideSign(float(-np.sum(camera * markers) / size), twist, upright)
+    roll = float(np.arctan2(camera[1, 0] - camera[0, 1], camera[0, 0] + camera[1, 1]))
+    return SlideSign(float(-np.sum(camera * markers) / size), twist, upright, roll)

@@ -114,6 +114,7 @@ FAULTS: dict[str, Fault] = {
     "window is held out": Fault(f"{FIT} --held-out a.mcap@1:2", "window a.mcap@1:2 is given both", BAG),
     "held-out is used": Fault(f"{FIT} --held-out a.mcap", "both to use and to hold out", BAG),
     "recording to track missing": Fault("track no.bag --out o", "does not exist"),
+    "recording of presses missing": Fault("presses tactip_cr no.bag --out o", "does not exist"),
     "benchmark missing": Fault("prove score nowhere", "nowhere does not exist"),
     # output
     "output exists": Fault("simulate card_press slide --out taken", "already exists", {"taken/x": ""}),

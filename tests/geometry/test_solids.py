@@ -227,3 +227,25 @@ def test_quadrature_rules_are_exact_to_their_degree():
                 exact = factorial(a) * factorial(b) * factorial(c) / factorial(degree + 3)
                 value = np.sum(weights * points[:, 1] ** a * points[:, 2] ** b * points[:, 3] ** c)
                 assert value == pytest.approx(exact, rel=1e-12)
+
+
+def test_pins_move_and_turn_with_the_wall_that_they_stand_on():
+    # Straight elements hold any quadratic map, u = A x + c z^2 e_x + d x y e_z, without error.
+    mesh = solids.dome(0.02, 0.013, (3, 2, 1), curved=False)
+    stretch = np.array([[1.1, 0.2, 0.0], [-0.1, 0.9, 0.3], [0.0, 0.1, 1.2]])
+
+    def moved(x):
+        bent = np.column_stack([30.0 * x[:, 2] ** 2, np.zeros(len(x)), 20.0 * x[:, 0] * x[:, 1]])
+        return x @ stretch.T + bent
+
+    directions = np.array([[0.1, 0.2, 1.0], [0.5, -0.3, 0.8], [-0.6, 0.6, 0.4], [0.02, 0.01, 1.0]])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    feet, tips = 0.0145 * directions, 0.010 * directions
+    element, weights = solids.locate_pins(mesh, tips, feet)
+    found = np.einsum("pa,pai->pi", weights, moved(mesh.nodes)[mesh.tets[element]])
+    for foot, tip, at in zip(feet, tips, found, strict=True):
+        x, y, z = foot
+        gradient = stretch + np.array([[0.0, 0.0, 60.0 * z], [0.0, 0.0, 0.0], [20.0 * y, 20.0 * x, 0.0]])
+        np.testing.assert_allclose(at, moved(foot[None])[0] + gradient @ (tip - foot), atol=1e-14)
+    inside, plain = solids.locate_pins(mesh, feet, feet), solids.locate(mesh, feet)
+    np.testing.assert_array_equal(inside[1], plain[1])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sim_core.rigs import load_rig
-from sysid.fit.noise import ChannelNoise, declared_noise, unless_larger
+from sysid.fit.noise import ChannelNoise, channel_noise, declared_noise, unless_larger
+from sysid.fit.runs import Measured, Run
 
 
 def test_declared_noise_has_the_units_of_the_channel() -> None:
@@ -31,3 +32,16 @@ def test_declared_noise_counts_when_it_is_much_larger(declared: float, sigma: fl
     noise = unless_larger(ChannelNoise(np.full(4, 0.2), 0.6, "quiet stretches"), np.array([declared]))
     np.testing.assert_array_equal(noise.sigma, np.full(4, sigma))
     assert (noise.rho, noise.source) == (rho, source)
+
+
+@pytest.mark.parametrize(("pause", "source"), [(1.0 / 30.0, "second differences"), (7.0, "declared by the rig")])
+def test_readings_far_apart_do_not_tell_their_noise(pause: float, source: str) -> None:
+    # Single states, as of presses that have nothing to do with each other: they differ by 5 px, the noise is 0.1 px.
+    values = np.random.default_rng(0).normal(0.0, 5.0, (8, 54))
+    tracks = Measured("outside", "tracks", pause * np.arange(8), values, ("",) * 54)
+    run = Run("presses", "", (), {}, (tracks,), float(tracks.t[-1]))
+    noise = channel_noise(load_rig("card_press"), [run])["outside"]
+    assert noise.source == source
+    assert noise.sigma.shape == (54,)
+    expected = 0.1 if source == "declared by the rig" else 5.0
+    np.testing.assert_allclose(noise.sigma, expected, rtol=0.3)
