@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sysid.cli.options import FolderOption, RigArgument, check_bags, check_new
+from sysid.cli.options import FolderOption, RigArgument, check_bag, check_new
 
 
 def presses(
@@ -31,7 +31,7 @@ def presses(
     from sim_core.rigs import load_rig
 
     chosen = load_rig(rig)
-    check_bags([bag])
+    check_bag(bag)
     check_new(out, "folder")
     from sysid.vision.presses import prepare
 
