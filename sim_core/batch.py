@@ -56,7 +56,7 @@ def simulate_batch(
                 if on_done is not None:
                     on_done(len(traces), len(rollouts))
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
+            give_up(pool)
             raise
     return traces
 
@@ -68,6 +68,14 @@ def serve_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def give_up(pool: ProcessPoolExecutor) -> None:
+    """End the processes of a pool, whatever they are doing; what is pending is cancelled."""
+    workers = list((pool._processes or {}).values())
+    pool.shutdown(wait=False, cancel_futures=True)
+    for worker in workers:
+        worker.terminate()
 
 
 def _end_with(parent: BaseProcess) -> None:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from sim_core.errors import ConfigError, RecordingError
 
-_WINDOW = re.compile(r"^(?P<path>.+)@(?P<begin>[0-9.]+):(?P<end>[0-9.]+)$")
-
 
 @dataclass(frozen=True)
 class Part:
-    """A recording, or its readings from ``begin`` to ``end`` [s] after its start."""
+    """A recording, or its readings from ``begin`` until before ``end`` [s] after its start."""
 
     path: Path
     begin: float = 0.0
@@ -33,16 +30,17 @@ class Part:
 
 def part_of(path: Path) -> Part:
     """The recording, or the window of it, that a user names. Raises ``ConfigError``."""
-    found = None if path.exists() else _WINDOW.match(str(path))
-    if found is None:
+    name, _, window = str(path).rpartition("@")
+    if path.exists() or not name or not Path(name).exists():
         return Part(path)
+    begin, colon, end = window.partition(":")
     try:
-        begin, end = float(found["begin"]), float(found["end"])
+        part = Part(Path(name), float(begin), float(end))
     except ValueError:
-        begin = end = 0.0
-    if not begin < end:
-        raise ConfigError(f"{path} names no window.", "Write for example session.bag@12.5:20, in seconds.")
-    return Part(Path(found["path"]), begin, end)
+        part = Part(Path(name), math.inf)
+    if not colon or not 0.0 <= part.begin < part.end < math.inf:
+        raise ConfigError(f"{path} names no window of {name}.", f"Write for example {name}@12.5:20, in seconds.")
+    return part
 
 
 def check_parts(given: Iterable[Path], held_out: Iterable[Path] = ()) -> None:

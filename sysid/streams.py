@@ -9,9 +9,10 @@ from sim_core.rigs import Rig
 from sim_core.simulate import Trace, interpolate
 
 
-def predicted(trace: Trace, rig: Rig, channel: str, stamps: np.ndarray) -> np.ndarray:
-    """Readings of a channel at stamps [s], with latency and the sensor effects of the rig: ``(k, ...)``."""
-    return _read(trace.times, trace.outputs[channel], trace.kinds[channel], rig, channel, stamps)
+def predicted(trace: Trace, rig: Rig, channel: str, stamps: np.ndarray, since: float = 0.0) -> np.ndarray:
+    """Readings of a channel at stamps [s], with latency and the sensor effects of the rig: ``(k, ...)``. ``since``: how
+    long [s] the sensors have been at work when the trace begins."""
+    return _read(trace.times, trace.outputs[channel], trace.kinds[channel], rig, channel, stamps, since)
 
 
 def predicted_derivatives(
@@ -27,8 +28,10 @@ def total_delay(rig: Rig, channel: str, kind: str) -> float:
     return float(source.latency_s + sum(e.delay(rig, channel, kind, given) for e, given in active_effects(rig)))
 
 
-def _read(times: np.ndarray, values: np.ndarray, kind: str, rig: Rig, channel: str, stamps: np.ndarray) -> np.ndarray:
+def _read(
+    times: np.ndarray, values: np.ndarray, kind: str, rig: Rig, channel: str, stamps: np.ndarray, since: float
+) -> np.ndarray:
     out = interpolate(times, values, stamps - total_delay(rig, channel, kind))
     for effect, given in active_effects(rig):
-        out = effect.amend_output(rig, channel, kind, stamps, out, given)
+        out = effect.amend_output(rig, channel, kind, stamps + since, out, given)
     return out

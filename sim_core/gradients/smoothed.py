@@ -11,7 +11,8 @@ The first has little noise, but knows nothing of jumps: where L is discontinuous
 alone, wrong however many samples there are, with a standard error that does not say so. The second is right for any
 loss. b is the mean of the exact gradients of all other pairs, a baseline for the linear part of the loss: w w^T - 1 has
 no mean and does not depend on b, so b takes noise away and changes no expectation. What is left of a nearly linear
-loss is due to few large w: fewer than some hundred pairs may then have too small a standard error.
+loss is due to few large w: fewer than some hundred pairs may then have too small a standard error. So may they where
+the loss jumps so far away that few of them see it.
 
 Both are combined component by component (Suh, Simchowitz, Zhang & Tedrake, Do differentiable simulators give better
 policy gradients?, ICML 2022, sec. 4):
@@ -43,7 +44,8 @@ CONFIDENCE = 1.96
 """Standard errors in a radius of 95 % confidence."""
 
 Evaluate = Callable[[np.ndarray], tuple[float, np.ndarray]]
-"""Value and gradient ``(n,)`` of a loss at parameters ``(n,)``; raises ``ConvergenceError`` when a rollout fails."""
+"""Value and gradient ``(n,)`` of a loss at parameters ``(n,)``; raises ``ConvergenceError`` when a rollout fails, and
+``ConfigError`` where there is none."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +131,11 @@ def _evaluated(evaluate: Evaluate, at: np.ndarray, failures: list[tuple[np.ndarr
     except ConvergenceError as error:
         failures.append((at, str(error)))
         raise
+    except ConfigError as error:
+        raise ConfigError(
+            f"Smoothing leaves what can be simulated, at {at}: {error.problem}",
+            "Smooth by less, so that bounds are five sigma away, or by the logarithm of the parameter.",
+        ) from error
     if not (np.isfinite(value) and np.isfinite(slope).all()):
         raise ConfigError(f"The loss or its gradient is not finite at {at}.", "Correct the loss.")
     return value, slope

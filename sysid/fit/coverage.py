@@ -1,8 +1,9 @@
 """How often 95 % intervals hold the truth: the function behind ``thinshell coverage``.
 
 Each case draws true values and, independently, values to start from; simulates the experiments with the true ones,
-on a finer mesh with a shorter step and with the noise that the rig declares; fits; and looks whether the truth is
-inside. Cases are numbered, so that any of them can be run again by itself; one process a core.
+on a finer mesh with a shorter step, with the noise that the rig declares and with what nobody tells (offsets in time,
+biases of wrenches, cameras that are off) drawn from the priors that a fit has of it; fits; and looks whether the truth
+is inside. Cases are numbered, so that any of them can be run again by itself; one process a core.
 """
 
 from __future__ import annotations
@@ -19,16 +20,17 @@ from pathlib import Path
 
 import numpy as np
 
-from sim_core.batch import serve_parent
+from sim_core.batch import give_up, serve_parent
 from sim_core.errors import ThinshellError
-from sim_core.rigs import Rig
+from sim_core.rigs import Rig, WrenchSensor
 from sim_core.rigs.motion import Experiment
 from sysid.fit.engine import Engine
 from sysid.fit.fit import fit_runs
+from sysid.fit.nuisance import BIAS_SD, USUAL, nuisance_parameters
 from sysid.fit.options import FitOptions
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
-from sysid.fit.runs import load_runs
-from sysid.simulate import simulate_to_bag
+from sysid.fit.runs import Measured, Run, load_runs
+from sysid.simulate import Noise, WhiteNoise, simulate_to_bag
 
 Progress = Callable[[float, str], None]
 
@@ -122,7 +124,7 @@ def measure_coverage(
                     inside = sum(o.inside for o in outcomes)
                     on_progress(done / len(cases), f"case {pending[future]}, {inside} of {len(outcomes)} inside")
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
+            give_up(pool)
             raise
     outcomes.sort(key=lambda o: o.case)
     return Coverage(rig.name, len(cases), refine, seed, tuple(outcomes), dict(sorted(failed.items())))
@@ -135,6 +137,30 @@ def draw(rig: Rig, parameters: Sequence[FitParameter], spread: float, rng: np.ra
     return np.array(
         [p.scaled(min(max(v * f, p.lower), p.upper)) for p, v, f in zip(parameters, values, factors, strict=True)]
     )
+
+
+def _untold(rig: Rig, asked: Sequence[FitParameter], rng: np.random.Generator) -> Rig:
+    """The rig with offsets in time, and cameras that are off, as the priors of a fit expect them."""
+    kinds = {n: "wrench" if isinstance(s, WrenchSensor) else "markers" for n, s in rig.sensors.items()}
+    kinds |= dict.fromkeys(rig.cameras, "tracks")
+    channels = tuple(Measured(n, kind, np.empty(0), np.empty((0, 0)), ()) for n, kind in kinds.items())
+    found = nuisance_parameters(rig, [Run("", "", (), {}, channels, 0.0)], asked, USUAL)
+    return rig_at(rig, found, start_of(rig, found) + [p.prior_sd for p in found] * rng.standard_normal(len(found)))
+
+
+@dataclass(frozen=True)
+class _Biased:
+    """Noise with a constant in each component of a wrench."""
+
+    noise: Noise
+    seed: int
+
+    def __call__(self, channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.ndarray:
+        drawn = self.noise(channel, kind, stamps, clean)
+        if kind != "wrench":
+            return drawn
+        rng = np.random.default_rng([self.seed, *channel.encode()])
+        return drawn + np.repeat(BIAS_SD, 3) * rng.standard_normal(6)
 
 
 @cache
@@ -153,10 +179,13 @@ def _case(
     refine: int,
     noise_seed: int,
 ) -> list[Outcome]:
+    rng = np.random.default_rng(noise_seed)
+    true = _untold(rig_at(rig, parameters, truth), parameters, rng)
     with tempfile.TemporaryDirectory() as folder:
         bags = [Path(folder) / f"{k}" for k in range(len(experiments))]
         for k, (experiment, bag) in enumerate(zip(experiments, bags, strict=True)):
-            simulate_to_bag(rig_at(rig, parameters, truth), experiment, bag, seed=noise_seed + k, refine=refine)
+            noise = _Biased(WhiteNoise(true, noise_seed + k), noise_seed + k)
+            simulate_to_bag(true, experiment, bag, refine=refine, noise=noise)
         runs, _ = load_runs(rig, bags)
     names = [p.name for p in parameters]
     options = FitOptions(intervals="quadratic")

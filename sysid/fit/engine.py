@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -90,14 +91,12 @@ class Engine:
         scene = self.scene(here)
         trace, raw = simulate_tangent(scene, run.poses, self._times(here, run, None), along)
         values = _at_stamps(trace, here, run)
+        read = partial(predicted, trace, since=run.since)
         derivatives = {}
         for m in run.measured:
             mechanical = predicted_derivatives(trace, raw[m.channel], here, m.channel, m.t)
             sensor = np.stack(
-                [
-                    (predicted(trace, d.high, m.channel, m.t) - predicted(trace, d.low, m.channel, m.t)) / d.width
-                    for d in along
-                ]
+                [(read(d.high, m.channel, m.t) - read(d.low, m.channel, m.t)) / d.width for d in along]
                 or [np.zeros((*mechanical.shape[:-1],))],
                 axis=-1,
             )
@@ -128,7 +127,7 @@ def _direction(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray,
 
 
 def _at_stamps(trace: Trace, rig: Rig, run: Run) -> dict[str, np.ndarray]:
-    return {m.channel: predicted(trace, rig, m.channel, m.t).reshape(len(m.t), -1) for m in run.measured}
+    return {m.channel: predicted(trace, rig, m.channel, m.t, run.since).reshape(len(m.t), -1) for m in run.measured}
 
 
 def _geometry(rig: Rig) -> object:

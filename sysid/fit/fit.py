@@ -28,6 +28,7 @@ from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series,
 from sysid.fit.runs import Run, load_runs
 from sysid.fit.starts import Evaluations, Progress, Searches, Step
 from sysid.fit.untold import blamed, nuisances_of, remarks
+from sysid.fit.windows import not_from_rest
 from sysid.folder import whole_folder
 from sysid.provenance import provenance
 
@@ -114,6 +115,8 @@ def _fit_runs(
     series = plot_series(problem, before, fitted, held_out=False, raw=runs)
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
     notes += search.ends + loud(problem) + out_of_sight(problem, before, fitted)
+    for run in [*runs, *held_out]:
+        notes += [f"{run.name}: {note}" for note in not_from_rest(fitted.rig, run)]
     if held_out and any(p.bag for p in asked):
         notes.append("Held-out recordings are predicted with the mean of the values that each bag has for itself.")
     if held_out and on_progress is not None:
@@ -151,7 +154,7 @@ def _fit_runs(
             for c, n in noise.items()
         },
         notes=notes,
-        provenance=provenance(rig, list(runs), list(held_out), options.seed),
+        provenance=provenance(rig, list(runs), list(held_out), options.seed, options.told()),
         series=series,
         nuisances=nuisances,
         remarks=remarks(rig, nuisances),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, get_args
 
 from sim_core.errors import ConfigError
 from sysid.fit.nuisance import USUAL, checked_kinds
@@ -40,11 +40,28 @@ class FitOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        for name in ("nuisance", "per_bag"):
+            if isinstance(getattr(self, name), str):
+                raise ConfigError(f"{name} is the text {getattr(self, name)!r}.", "Give a list of names.")
         checked_kinds(self.nuisance)
+        if self.intervals not in get_args(Intervals):
+            raise ConfigError(f"There are no intervals {self.intervals!r}.", f"Use {', '.join(get_args(Intervals))}.")
+        numbers = {"max_evaluations": self.max_evaluations, "starts": self.starts, "seed": self.seed}
+        for name, number in numbers.items():
+            if number is not None and (isinstance(number, bool) or not isinstance(number, int)):
+                raise ConfigError(f"{name} is {number!r}.", "Give a whole number.")
         if self.max_evaluations is not None and self.max_evaluations < 1:
             raise ConfigError(f"A fit cannot be made in {self.max_evaluations} evaluations.", "Allow at least one.")
         if self.starts < 1:
             raise ConfigError(f"A fit cannot be made from {self.starts} starts.", "Start at least once.")
+        if self.seed < 0:
+            raise ConfigError(f"The seed is {self.seed}.", "Give a number that is not negative.")
+
+    def told(self) -> dict[str, Any]:
+        """What was chosen, as JSON, but for the seed."""
+        chosen = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "seed"}
+        bounds = {name: list(pair) for name, pair in self.bounds.items()}
+        return {**chosen, "nuisance": sorted(self.kinds), "per_bag": list(self.per_bag), "bounds": bounds}
 
     @property
     def kinds(self) -> frozenset[str]:

@@ -10,7 +10,7 @@ from types import TracebackType
 
 import numpy as np
 
-from sim_core.batch import serve_parent
+from sim_core.batch import give_up, serve_parent
 from sim_core.rigs import Rig
 from sysid.fit.engine import Engine, Prediction
 from sysid.fit.parameters import FitParameter
@@ -47,7 +47,10 @@ class PooledEngine:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._pool.shutdown(wait=kind is None, cancel_futures=True)
+        if kind is None:
+            self._pool.shutdown()
+        else:
+            give_up(self._pool)
 
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
         """Start a prediction without derivatives."""

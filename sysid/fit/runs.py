@@ -52,11 +52,23 @@ class Measured:
 
 
 @dataclass(frozen=True)
+class Change:
+    """How the readings of a channel have changed between the start of a recording and that of a window of it, measured
+    units: means of ``columns`` ``(k,)``, and their standard deviation ``scatter``."""
+
+    columns: np.ndarray
+    mean: np.ndarray
+    scatter: np.ndarray
+
+
+@dataclass(frozen=True)
 class Run:
     """One recording, ready to be compared.
 
     ``end`` [s]: time of its last measurement. ``sights``: what a camera sees in this recording, where the
-    rig leaves the places of markers to it (``placed: first_frame``).
+    rig leaves the places of markers to it (``placed: first_frame``). ``since`` [s]: for a window of a recording, the
+    time at which it begins; times of the run, poses before included, count from there; ``until``: its end, if it has
+    one; ``changes``: until then, by channel.
     """
 
     name: str
@@ -67,6 +79,9 @@ class Run:
     end: float
     notes: tuple[str, ...] = field(default=())
     sights: Mapping[str, tuple[Sight, ...]] = field(default_factory=dict)
+    since: float = 0.0
+    until: float | None = None
+    changes: Mapping[str, Change] = field(default_factory=dict)
 
     def seen_by(self, rig: Rig) -> Rig:
         """The rig with the markers where they are in this recording."""

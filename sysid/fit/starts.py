@@ -3,8 +3,8 @@ best while it is not good.
 
 Where contacts stick and slide the misfit has several minima. Starts beside the rig's own are drawn once, before
 anything is known, on a Latin hypercube over the plausible range of the parameters that are asked for. Restarts are for
-kinks, on which a search can end although the misfit falls on the other side; they stand close to the best so far, and
-once one of them has brought nothing none is made any more.
+kinks, on which a search can end although the misfit falls on the other side; they stand close to the best so far.
+There are a few in all, and none any more once one of them has brought nothing.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from sysid.fit.uncertainty import chance, uncertainty
 Progress = Callable[[float, str], None]
 
 MOST_RESTARTS = 4
+"""In a whole fit."""
+
 RESTART_WIDTH = 0.05
 """Restarts start this far (standard deviations, in units of the fitted scale) from the best so far."""
 
@@ -112,9 +114,9 @@ class Searches:
         self._evaluations = evaluations
         self._rng = np.random.default_rng(options.seed)
         self._elsewhere = options.starts - 1 if self._parameters else 0
-        self._restarts = bool(self._parameters)
-        self.ends: list[str] = []
-        """What is to be said of where searches from different starts have ended."""
+        self._restarts = MOST_RESTARTS if self._parameters else 0
+        self._found: list[Fitted] = []
+        self._failed = 0
 
     def __call__(self, problem: Problem, at: np.ndarray) -> Fitted:
         """The best that is found from scaled values ``(p,)``. Raises ``ThinshellError`` if they cannot be simulated."""
@@ -144,19 +146,22 @@ class Searches:
 
     def _from_elsewhere(self, problem: Problem, at: np.ndarray, first: Fitted) -> Fitted:
         """The best of searches from the starts that were asked for beside the rig's."""
-        found, failed = [first], 0
-        best = first
+        self._found, best = [first], first
         for start in self._drawn(at):
-            if not self._may_go_on(found[-1]):
+            if not self._may_go_on(self._found[-1]):
                 break
             other = self._tried(problem, start, best)
             if other is None:
-                failed += 1
+                self._failed += 1
                 continue
-            found.append(other)
+            self._found.append(other)
             best = min(best, other, key=lambda f: f.chi2)
-        self.ends = _said(best, found, failed)
         return best
+
+    @property
+    def ends(self) -> list[str]:
+        """In words, where searches from several starts have ended, if there were several."""
+        return _said(self._found, self._failed) if self._found else []
 
     def _drawn(self, at: np.ndarray) -> np.ndarray:
         """Starts ``(n, p)``, on a Latin hypercube in the parameters that are asked for."""
@@ -171,35 +176,30 @@ class Searches:
     def _again_from_near(self, problem: Problem, fitted: Fitted) -> Fitted:
         """The best of restarts, while they bring anything and the misfit stays above noise."""
         width = np.array([min(p.prior_sd, 1.0) for p in self._parameters])
-        for _ in range(MOST_RESTARTS):
-            if not self._restarts or not self._may_go_on(fitted) or fitted.misfit < GOOD_MISFIT:
-                break
+        while self._restarts and self._may_go_on(fitted) and fitted.misfit >= GOOD_MISFIT:
             near = fitted.scaled + RESTART_WIDTH * width * self._rng.standard_normal(len(width))
             again = self._tried(problem, near, fitted)
-            if again is None:
-                continue
-            self._restarts = again.chi2 < BETTER * fitted.chi2
-            fitted = min(fitted, again, key=lambda f: f.chi2)
+            better = again is not None and again.chi2 < BETTER * fitted.chi2
+            self._restarts = self._restarts - 1 if again is None or better else 0
+            fitted = fitted if again is None else min(fitted, again, key=lambda f: f.chi2)
         return fitted
 
 
-def _said(best: Fitted, found: Sequence[Fitted], failed: int) -> list[str]:
-    """In words, where searches from several starts have ended beside the best."""
+def _said(found: Sequence[Fitted], failed: int) -> list[str]:
+    """Compares searches among themselves: what is taken for error of the simulator changes afterwards."""
+    best = min(found, key=lambda f: f.chi2)
     asked = np.array([not p.nuisance for p in best.parameters])
     sd = np.where(asked, uncertainty(best).sd, np.inf)
-    alike, worse = [], []
-    for other in found:
-        if other.chi2 - best.chi2 > SAME_CHI2 * chance(best):
-            worse.append(other)
-        elif np.any(np.abs(other.scaled - best.scaled) > SAME_PLACE * sd):
-            alike.append(other)
-    there = len(found) - len(alike) - len(worse)
-    sentences = [f"Of searches from {len(found) + failed} starts {there} ended at the values given."]
+    as_good = [f for f in found if f.chi2 - best.chi2 <= SAME_CHI2 * chance(best)]
+    worse = [f for f in found if f.chi2 - best.chi2 > SAME_CHI2 * chance(best)]
+    apart = [f for f in as_good if np.any(np.abs(f.scaled - best.scaled) > SAME_PLACE * sd)]
+    sentences = [f"Of searches from {len(found) + failed} starts {len(as_good)} ended equally well."]
     if failed:
         sentences.append(f"{failed} could not be simulated where they start.")
-    if alike:
+    if apart:
         sentences.append(
-            f"Values elsewhere fit as well, so the data do not determine one set of them: {_place(alike[0])}."
+            f"They ended in different places, so the data do not determine one set of values: {_place(best)}; "
+            f"{_place(apart[0])}."
         )
     if worse:
         nearest = min(worse, key=lambda f: f.chi2)

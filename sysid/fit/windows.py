@@ -2,37 +2,33 @@
 
 A window is simulated by itself, beside others, from rest where the end effectors are at its first instant. That is true
 of what is held by end effectors or the world, if nothing moves and nothing touches then; what free bodies, plastic
-folds and relaxing gels remember of the time before is not in the data. A window that begins while something moves, or
-whose readings then are not those of rest, says so: as they have changed since the start of the recording, so must they
-in the simulation of both instants at rest.
+folds and relaxing gels remember of the time before is not in the data. A window that begins while something moves says
+so. So does one whose readings then are not those of rest: as they have changed since the start of the recording, so
+must they in simulations of both instants at rest, by the rig that was fitted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from sim_core.errors import ConfigError, RecordingError
+from sim_core.errors import ConfigError, RecordingError, ThinshellError
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
-from sim_core.scene import Scene, build_scene
+from sim_core.scene import build_scene
 from sim_core.simulate import simulate
-from sysid.fit.noise import channel_noise
-from sysid.fit.runs import Run
+from sysid.fit.noise import channel_noise, moving
+from sysid.fit.runs import Change, Run
 from sysid.parts import Part
 from sysid.streams import predicted
 
 STILL_S = 0.2
-"""Time before a window in which nothing should move."""
+"""Time before a window in which nothing should move, and of which readings are compared with those of rest."""
 
 FAR_OFF = 6.0
 """Difference from rest, over its standard deviation, that is told."""
-
-STILL_M, STILL_DEG = 1e-4, 0.1
-"""Motion of an end effector in that time below which it stands still."""
 
 
 def window_of(rig: Rig, run: Run, part: Part) -> Run:
@@ -40,74 +36,101 @@ def window_of(rig: Rig, run: Run, part: Part) -> Run:
     and ``ConfigError`` where it cannot be known how the window begins."""
     if part.whole:
         return run
-    measured = []
+    measured, notes = [], []
     for m in run.measured:
-        inside = (m.t >= part.begin) & (m.t <= part.end)
+        inside = (m.t >= part.begin) & (m.t < part.end)
         if np.isfinite(m.values[inside]).any():
             measured.append(replace(m, t=m.t[inside] - part.begin, values=m.values[inside]))
+        else:
+            notes.append(f"{m.channel}: no reading from {part.begin:g} to {part.end:g} s")
     if not measured:
         raise RecordingError(
             f"{part.path}: nothing was measured from {part.begin:g} to {part.end:g} s.",
             f"The recording has readings until {run.end:.3f} s.",
         )
     poses = {n: PoseTrajectory(p.times - part.begin, p.positions, p.quaternions) for n, p in run.poses.items()}
-    notes = (*run.notes, *_how_it_begins(rig, run, poses, part.begin)) if part.begin > 0.0 else run.notes
-    end = float(max(m.t[-1] for m in measured))
-    return replace(run, poses=poses, measured=tuple(measured), end=end, notes=notes)
+    changes: dict[str, Change] = {}
+    if part.begin > 0.0:
+        if not build_scene(run.seen_by(rig)).all_held:
+            raise ConfigError(
+                f"The rig {rig.name} has bodies that lie free, and where they are when a window begins is not "
+                "recorded.",
+                "Begin the window at 0 s, or use the whole recording.",
+            )
+        for name, trajectory in run.poses.items():
+            if any(end > part.begin - STILL_S for _, end in _motion(_until(trajectory, part.begin))):
+                notes.append(
+                    f"{name} moves in the {STILL_S:g} s before the window begins, which is simulated from rest. Begin "
+                    "it where the hand stands still."
+                )
+        changes = _changes(rig, run, part.begin)
+    return replace(
+        run,
+        poses=poses,
+        measured=tuple(measured),
+        end=float(max(m.t[-1] for m in measured)),
+        notes=(*run.notes, *notes),
+        since=part.begin,
+        until=part.end,
+        changes=changes,
+    )
 
 
-def _how_it_begins(rig: Rig, run: Run, poses: Mapping[str, PoseTrajectory], begin: float) -> Sequence[str]:
-    """What speaks against rest at ``begin`` of the run, where the ``poses`` count from."""
+def _motion(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
+    """Spans of time [s] in which an end effector moves; a single pose is that of one that stands still."""
+    return moving(trajectory) if len(trajectory.times) > 1 else []
+
+
+def _until(trajectory: PoseTrajectory, end: float) -> PoseTrajectory:
+    """The poses until ``end`` [s], at least one: what comes later is no motion before."""
+    count = max(1, int(np.searchsorted(trajectory.times, end, side="right")))
+    return PoseTrajectory(trajectory.times[:count], trajectory.positions[:count], trajectory.quaternions[:count])
+
+
+def _changes(rig: Rig, run: Run, begin: float) -> dict[str, Change]:
+    """How readings before ``begin`` differ from those before anything moved, for channels that have both."""
+    noise = channel_noise(rig, [run])
+    still = min((span[0] for p in run.poses.values() for span in _motion(p)[:1]), default=np.inf)
+    found = {}
+    for m in run.measured:
+        parts = [m.values[(m.t <= still) & (m.t < begin - STILL_S)], m.values[(m.t >= begin - STILL_S) & (m.t < begin)]]
+        counts = [np.isfinite(values).sum(axis=0) for values in parts]
+        columns = np.flatnonzero((counts[0] > 0) & (counts[1] > 0))
+        if not len(columns):
+            continue
+        first, before = (np.nanmean(values[:, columns], axis=0) for values in parts)
+        sigma, rho = np.broadcast_to(noise[m.channel].sigma, m.values.shape[1:])[columns], noise[m.channel].rho
+        alone = [np.maximum(1.0, count[columns] * (1.0 - rho) / (1.0 + rho)) for count in counts]
+        found[m.channel] = Change(columns, before - first, sigma * np.sqrt(1.0 / alone[0] + 1.0 / alone[1]))
+    return found
+
+
+def not_from_rest(rig: Rig, run: Run) -> list[str]:
+    """A note for each channel whose readings where a window begins are not those of rest, by a rig that was fitted."""
+    if not run.changes:
+        return []
     rig = run.seen_by(rig)
     scene = build_scene(rig)
-    if not scene.all_held:
-        raise ConfigError(
-            f"The rig {rig.name} has bodies that lie free, and where they are when a window begins is not recorded.",
-            "Begin the window at 0 s, or use the whole recording.",
-        )
-    notes = []
-    for name, trajectory in poses.items():
-        (before, now), (there, here) = trajectory.sample(np.array([-STILL_S, 0.0]))
-        way = float(np.linalg.norm(now - before))
-        turn = float(np.degrees((Rotation.from_quat(there).inv() * Rotation.from_quat(here)).magnitude()))
-        if way > STILL_M or turn > STILL_DEG:
-            notes.append(
-                f"The window begins while {name} moves ({1e3 * way:.2g} mm and {turn:.2g} deg in the {STILL_S:g} s "
-                "before), but is simulated from rest. Begin it where the hand stands still."
-            )
-    return [*notes, *_not_at_rest(rig, scene, run, poses, begin)]
-
-
-def _still_until(trajectory: PoseTrajectory) -> float:
-    """Time [s] until which an end effector has stood still since the start of a recording."""
-    first = Rotation.from_quat(trajectory.quaternions[0])
-    turned = np.degrees((first.inv() * Rotation.from_quat(trajectory.quaternions)).magnitude())
-    moved = np.linalg.norm(trajectory.positions - trajectory.positions[0], axis=1)
-    stood = np.logical_and.accumulate((moved < STILL_M) & (turned < STILL_DEG))
-    return float(trajectory.times[stood][-1])
-
-
-def _not_at_rest(rig: Rig, scene: Scene, run: Run, poses: Mapping[str, PoseTrajectory], begin: float) -> Sequence[str]:
-    """A note for each channel whose readings before ``begin`` are not those of rest."""
-    noise, still = channel_noise(rig, [run]), min(_still_until(p) for p in run.poses.values())
-    rest = [simulate(scene, p, np.zeros(1)) for p in (run.poses, poses)]
+    at_first = {n: PoseTrajectory(p.times + run.since, p.positions, p.quaternions) for n, p in run.poses.items()}
+    ends: list[Mapping[str, np.ndarray]] = []
+    for poses, since in ((at_first, 0.0), (run.poses, run.since)):
+        try:
+            trace = simulate(scene, poses, np.zeros(1))
+        except ThinshellError as error:
+            return [f"Whether the window begins at rest is not known: {error.problem}"]
+        ends.append({c: predicted(trace, rig, c, np.zeros(1), since).ravel() for c in run.changes})
     notes = []
     for m in run.measured:
-        stretches = [m.values[m.t <= still], m.values[(m.t >= begin - STILL_S) & (m.t <= begin)]]
-        counts = [np.isfinite(stretch).sum(axis=0) for stretch in stretches]
-        seen = np.flatnonzero((counts[0] > 0) & (counts[1] > 0))
-        if not len(seen):
+        if m.channel not in run.changes:
             continue
-        first, before = (np.nanmean(stretch[:, seen], axis=0) for stretch in stretches)
-        start, there = (predicted(trace, rig, m.channel, np.zeros(1)).ravel()[seen] for trace in rest)
-        sigma = np.broadcast_to(noise[m.channel].sigma, m.values.shape[1:])[seen]
-        scatter = sigma * np.sqrt(1.0 / counts[0][seen] + 1.0 / counts[1][seen])
-        off = np.nan_to_num(np.abs((before - first) - (there - start)) / scatter)
+        change = run.changes[m.channel]
+        expected = (ends[1][m.channel] - ends[0][m.channel])[change.columns]
+        off = np.nan_to_num(np.abs(change.mean - expected) / change.scatter)
         worst = int(np.argmax(off))
         if off[worst] > FAR_OFF:
             notes.append(
-                f"{m.channel}: {m.labels[seen[worst]]} is {off[worst]:.0f} standard deviations from rest where the "
-                f"window begins, at {begin:g} s. Something touches there, or remembers what was before: begin where "
-                "nothing touches."
+                f"{m.channel}: {m.labels[change.columns[worst]]} is {off[worst]:.0f} standard deviations from rest "
+                "where the window begins. Something touches there, or remembers what was before, or the sensor has "
+                "drifted: begin where nothing touches."
             )
     return notes

@@ -1,4 +1,4 @@
-"""Workers of a process that is killed do not stay behind."""
+"""Workers of a process that is killed or interrupted do not stay behind."""
 
 import os
 import signal
@@ -45,3 +45,42 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path):
         time.sleep(0.1)
     os.kill(worker, signal.SIGKILL)
     raise AssertionError("the worker goes on working for nobody")
+
+
+INTERRUPTED = textwrap.dedent(
+    """
+    import sys, time
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+    from pathlib import Path
+    from sim_core.batch import give_up, serve_parent
+
+    def work(folder, k):
+        Path(folder, str(k)).touch()
+        time.sleep(5)
+
+    if __name__ == "__main__":
+        with ProcessPoolExecutor(2, get_context("spawn"), serve_parent) as pool:
+            futures = [pool.submit(work, sys.argv[1], k) for k in range(40)]
+            try:
+                for future in futures:
+                    future.result()
+            except BaseException:
+                give_up(pool)
+                raise
+    """
+)
+
+
+def test_an_interrupt_ends_what_runs_and_what_waits(tmp_path):
+    script, started = tmp_path / "batch.py", tmp_path / "started"
+    script.write_text(INTERRUPTED)
+    started.mkdir()
+    batch = subprocess.Popen([sys.executable, str(script), str(started)], stderr=subprocess.PIPE, text=True)
+    while len(list(started.iterdir())) < 2:
+        time.sleep(0.1)
+        assert batch.poll() is None
+    batch.send_signal(signal.SIGINT)
+    _, told = batch.communicate(timeout=60)
+    assert "KeyboardInterrupt" in told
+    assert len(list(started.iterdir())) <= 4, "all 40 would take 100 s"

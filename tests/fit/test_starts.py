@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from sim_core.errors import ConfigError
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, starts
 from sysid.fit.engine import Prediction
@@ -73,7 +74,7 @@ def test_a_search_from_the_wrong_side_ends_there_and_one_of_several_starts_does_
 def test_values_that_fit_as_well_are_told(small_rig: Any) -> None:
     several, _ = searches(small_rig(), starts=4)
     several(problem(Gauge(0.0)), np.array([12.8]))
-    assert "Values elsewhere fit as well" in several.ends[0]
+    assert "4 ended equally well. They ended in different places" in several.ends[0]
 
 
 def test_other_starts_are_tried_once_and_are_the_same_for_a_seed(small_rig: Any) -> None:
@@ -129,3 +130,22 @@ def test_an_interruption_of_a_later_search_keeps_the_best_and_ends_the_fit(
     assert len(calls) == stop, "nothing is searched any more"
     assert found.interrupted and not found.converged
     assert found.scaled[0] == best.scaled[0]
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        {"intervals": "bogus"},
+        {"per_bag": "friction"},
+        {"nuisance": "all"},
+        {"nuisance": ["al"]},
+        {"starts": 2.5},
+        {"starts": 0},
+        {"starts": True},
+        {"max_evaluations": 0},
+        {"seed": -1},
+    ],
+)
+def test_choices_that_mean_nothing_are_refused(chosen: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError):
+        FitOptions(**chosen)

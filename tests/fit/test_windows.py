@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import Rig, load_rig, with_parameters
@@ -16,8 +19,9 @@ from sysid.fit import FitOptions, fit_runs
 from sysid.fit.engine import Engine
 from sysid.fit.pool import PooledEngine
 from sysid.fit.runs import Run, load_runs
-from sysid.fit.windows import window_of
+from sysid.fit.windows import not_from_rest, window_of
 from sysid.parts import Part, check_parts, part_of
+from sysid.provenance import provenance
 from sysid.simulate import simulate_to_bag
 
 TRUTH = {"card.E_pa": 2.6e9}
@@ -95,11 +99,12 @@ def test_a_window_that_begins_in_the_middle_of_things_says_so(rig: Rig, session:
     (run,), _ = load_runs(rig, [session])
     times = moving(run)
     coming = window_of(rig, run, Part(session, float(times[times > second][5]), 9.0))
-    assert any("begins while finger moves" in note for note in coming.notes)
+    assert any("finger moves in the 0.2 s before the window begins" in note for note in coming.notes)
     deepest = float(run.poses["finger"].times[np.argmin(run.poses["finger"].positions[:, 2])]) + 0.08
     pressed = window_of(rig, run, Part(session, deepest, 9.0))
-    told = [note for note in pressed.notes if "standard deviations from rest" in note]
+    told = not_from_rest(rig, pressed)
     assert {note.split(":")[0] for note in told} == {"markers", "side", "wrench"}
+    assert all("standard deviations from rest" in note for note in told)
 
 
 def test_where_nothing_was_measured(rig: Rig, session: Path) -> None:
@@ -116,35 +121,98 @@ def test_free_bodies_are_nowhere_in_the_middle_of_a_recording(tmp_path: Path) ->
     assert load_runs(rig, [Path(f"{bag}@0:1")])[0]
 
 
-def test_a_wrong_rig_does_not_make_rest_look_otherwise(rig: Rig, session: Path, second: float) -> None:
-    """The sag of the card is not that of the data, but has not changed."""
-    soft = with_parameters(rig, {"card.E_pa": 1.3e9, "gel.E_pa": 2e5})
-    (run,), _ = load_runs(soft, [Path(f"{session}@{second}:9")])
-    assert not any("rest" in note for note in run.notes)
+def test_rest_is_that_of_the_rig_that_was_fitted(rig: Rig, session: Path, second: float) -> None:
+    """A sag of the card that has not changed does not depend on it."""
+    (run,), _ = load_runs(with_parameters(rig, {"card.E_pa": 1.3e9}), [Path(f"{session}@{second}:9")])
+    for stiffness in (1.3e9, TRUTH["card.E_pa"]):
+        assert not_from_rest(with_parameters(rig, {"card.E_pa": stiffness}), run) == []
+    assert not_from_rest(rig, load_runs(rig, [session])[0][0]) == []
+
+
+def test_noise_that_repeats_itself_is_no_motion(rig: Rig, session: Path, second: float) -> None:
+    """A filtered wrench: the mean of 0.2 s is as uncertain as its few independent readings make it."""
+    (run,), _ = load_runs(rig, [session])
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        measured = []
+        for m in run.measured:
+            if m.channel == "wrench":
+                noise = lfilter([np.sqrt(1.0 - 0.95**2)], [1.0, -0.95], rng.standard_normal(m.values.shape), axis=0)
+                m = replace(m, values=m.values + noise * np.repeat([5e-3, 5e-5], 3))
+            measured.append(m)
+        filtered = replace(run, measured=tuple(measured))
+        assert not_from_rest(rig, window_of(rig, filtered, Part(session, second, 9.0))) == []
+
+
+def test_a_pose_that_is_measured_with_noise_stands_still(rig: Rig, session: Path, second: float) -> None:
+    (run,), _ = load_runs(rig, [session])
+    told = run.poses["finger"]
+    for seed in range(12):
+        noise = 1e-4 * np.random.default_rng(seed).standard_normal(told.positions.shape)
+        noisy = replace(run, poses={"finger": replace(told, positions=told.positions + noise)})
+        part = window_of(rig, noisy, Part(session, second, 9.0))
+        assert not any("moves" in note for note in part.notes) and set(part.changes) == {"markers", "side", "wrench"}
+
+
+def test_the_drift_of_a_sensor_goes_on(rig: Rig, session: Path, second: float) -> None:
+    offset = {f"{kind}_{axis}_{unit}": 0.0 for kind, unit in (("bias", "n"), ("drift", "n_per_s")) for axis in "xyz"}
+    offset["drift_z_n_per_s"] = 0.5
+    drifting = rig.model_copy(update={"effects": {"wrench_offset": offset}})
+    (whole, part), _ = load_runs(drifting, [session, Path(f"{session}@{second}:9")])
+    engine = Engine()
+    there, here = (engine.predict(drifting, run).values["wrench"] for run in (whole, part))
+    inside = next(m.t for m in whole.measured if m.channel == "wrench") >= second
+    rest = 5
+    np.testing.assert_allclose(here[:rest], there[inside][:rest], atol=1e-4)
+    assert here[0, 2] - there[0, 2] == pytest.approx(0.5 * second, rel=0.02)
+
+
+def test_windows_that_meet_share_no_reading(rig: Rig, session: Path, second: float) -> None:
+    (whole, before, after), _ = load_runs(rig, [session, Path(f"{session}@0:{second}"), Path(f"{session}@{second}:9")])
+    for m, a, b in zip(whole.measured, before.measured, after.measured, strict=True):
+        assert len(a.t) + len(b.t) == len(m.t)
+        assert a.t[-1] < second and b.t[0] >= 0.0
+
+
+def test_a_result_says_which_window_it_is_of(rig: Rig, session: Path, second: float) -> None:
+    (run,), _ = load_runs(rig, [Path(f"{session}@{second}:9")])
+    told = provenance(rig, [run], [], 0, FitOptions(starts=2, bounds={"gel.E_pa": (1e4, 1e6)}).told())
+    assert told["bags"][0]["window_s"] == [second, 9.0]
+    assert told["options"]["starts"] == 2
+    json.dumps(told, allow_nan=False)
+
+
+def test_a_channel_without_readings_in_a_window_is_told(rig: Rig, session: Path) -> None:
+    (run,), _ = load_runs(rig, [session])
+    late = tuple(replace(m, values=np.where(m.t[:, None] > 1.0, np.nan, m.values)) if m.channel == "side" else m
+                 for m in run.measured)  # fmt: skip
+    part = window_of(rig, replace(run, measured=late), Part(session, 2.0, 3.0))
+    assert {m.channel for m in part.measured} == {"wrench", "markers"}
+    assert "side: no reading from 2 to 3 s" in part.notes
 
 
 @pytest.mark.parametrize(
-    ("name", "part"),
+    ("name", "bag", "begin", "end"),
     [
-        ("a.bag", Part(Path("a.bag"))),
-        ("x/a.bag@0:12.5", Part(Path("x/a.bag"), 0.0, 12.5)),
-        ("a@3:4.bag", Part(Path("a@3:4.bag"))),
-        ("me@home@3:4", Part(Path("me@home"), 3.0, 4.0)),
+        ("a.bag", "a.bag", 0.0, np.inf),
+        ("a.bag@0:12.5", "a.bag", 0.0, 12.5),
+        ("a.bag@1e1:20", "a.bag", 10.0, 20.0),
+        ("a@3:4.bag", "a@3:4.bag", 0.0, np.inf),
+        ("me@home@3:4", "me@home", 3.0, 4.0),
+        ("a@3:4", "a@3:4", 0.0, np.inf),
     ],
 )
-def test_names(name: str, part: Part) -> None:
-    assert part_of(Path(name)) == part
+def test_names(tmp_path: Path, name: str, bag: str, begin: float, end: float) -> None:
+    """Those of recordings that are there, which may look like a window."""
+    (tmp_path / bag).mkdir()
+    assert part_of(tmp_path / name) == Part(tmp_path / bag, begin, end)
 
 
-def test_a_recording_may_have_a_name_like_a_window(tmp_path: Path) -> None:
-    (tmp_path / "a@3:4").mkdir()
-    assert part_of(tmp_path / "a@3:4") == Part(tmp_path / "a@3:4")
-
-
-@pytest.mark.parametrize("name", ["a@4:3", "a@3:3", "a@1.2.3:4"])
-def test_windows_of_nothing(name: str) -> None:
-    with pytest.raises(ConfigError, match="names no window"):
-        part_of(Path(name))
+@pytest.mark.parametrize("window", ["4:3", "3:3", "1.2.3:4", "12:", ":20", "12", "-1:3", "5s:9s", "1:inf", "nan:2"])
+def test_windows_of_nothing(tmp_path: Path, window: str) -> None:
+    (tmp_path / "a").mkdir()
+    with pytest.raises(ConfigError, match=r"names no window of .*a\. Write for example .*a@12\.5:20"):
+        part_of(tmp_path / f"a@{window}")
 
 
 @pytest.mark.parametrize(
@@ -154,7 +222,7 @@ def test_windows_of_nothing(name: str) -> None:
         (["a@0:3", "a@2:5"], [], "The window .*a@2:5 is given twice"),
         (["a@0:3"], ["a"], "The window .*a is given both to use and to hold out"),
         (["a", "b/../a"], [], "The recording .* is given twice"),
-        (["c@0:3"], [], "The recording .*c does not exist"),
+        (["c@0:3"], [], "The recording .*c@0:3 does not exist"),
     ],
 )
 def test_no_reading_is_named_twice(tmp_path: Path, given: list[str], held_out: list[str], words: str) -> None:

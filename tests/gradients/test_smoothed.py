@@ -150,3 +150,13 @@ def test_a_block_that_tips_over_or_stands():
     spread = np.hypot(still.first.error, still.zeroth.error)
     assert abs(still.first.gradient - still.zeroth.gradient) < 4.0 * spread + 1e-6 * still.first.gradient
     assert still.first.error < 0.01 * still.first.gradient
+
+
+def test_noise_beyond_a_bound_names_what_to_do():
+    def evaluate(at):
+        if at[0] < 0.0:
+            raise ConfigError("friction is below 0.", "Correct the value.")
+        return float(at[0] ** 2), 2.0 * at
+
+    with pytest.raises(ConfigError, match=r"Smoothing leaves what can be simulated.*Smooth by less"):
+        smoothed_gradient(evaluate, np.array([0.1]), 0.1, pairs=30)
