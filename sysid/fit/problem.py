@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.directions import Basis, Direction, Sizes, basis_of
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, whiten
 from sysid.fit.nuisance import bias_sd
-from sysid.fit.parameters import FitParameter, rig_at, start_of
+from sysid.fit.parameters import FitParameter, rig_at, rig_in, start_of
 from sysid.fit.pool import AnyEngine
 from sysid.fit.runs import Measured, Run
 from sysid.fit.search import Search
@@ -132,6 +133,22 @@ class Problem:
         started = time.monotonic()
         predictions = self.engine.predict_all(rig, self.runs, parameters, scaled)
         return self.compare(predictions, rig, parameters, scaled, started)
+
+    def glance(self, rig: Rig, parameters: Sequence[FitParameter], points: Sequence[np.ndarray]) -> list[float]:
+        """Chi-square at scaled ``points``, without priors; infinite where they cannot be simulated. Predictions have no
+        derivatives and are made side by side."""
+        pending = [
+            [self.engine.submit(rig_in(rig, parameters, at, run.name), run) for run in self.runs] for at in points
+        ]
+        found = []
+        for futures in pending:
+            try:
+                residual = self.assemble([future.result() for future in futures], 0)[0]
+            except ThinshellError:
+                found.append(np.inf)
+            else:
+                found.append(float(residual @ residual))
+        return found
 
     def compare(
         self,

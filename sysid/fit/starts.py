@@ -1,8 +1,9 @@
 """From where a fit is searched for: from the rig's values, from others if that is asked for, and again from near the
 best while it is not good.
 
-Where contacts stick and slide the misfit has several minima. Starts beside the rig's own are drawn once, before
-anything is known, on a Latin hypercube over the plausible range of the parameters that are asked for. Restarts are for
+Where contacts stick and slide the misfit has several minima. Starts beside the rig's own are chosen once by the data:
+the parameters that are asked for are drawn on a Latin hypercube over their plausible range, and those that fit best are
+searched from. Restarts are for
 kinks, on which a search can end although the misfit falls on the other side; they stand close to the best so far.
 There are a few in all, and none any more once one of them has brought nothing.
 """
@@ -34,6 +35,9 @@ RESTART_WIDTH = 0.05
 START_WIDTH = 0.7
 """Standard deviation of starts about the rig's values in units of the plausible width: e^1.4 either way for a
 modulus, 0.35 for friction."""
+
+GLANCES = 4
+"""Draws, without derivatives, for each start beside the rig's own."""
 
 GOOD_MISFIT = 1.5
 """Misfit over noise below which a fit is not tried again."""
@@ -147,7 +151,7 @@ class Searches:
     def _from_elsewhere(self, problem: Problem, at: np.ndarray, first: Fitted) -> Fitted:
         """The best of searches from the starts that were asked for beside the rig's."""
         self._found, best = [first], first
-        for start in self._drawn(at):
+        for start in self._drawn(problem, at):
             if not self._may_go_on(self._found[-1]):
                 break
             other = self._tried(problem, start, best)
@@ -163,15 +167,17 @@ class Searches:
         """In words, where searches from several starts have ended, if there were several."""
         return _said(self._found, self._failed) if self._found else []
 
-    def _drawn(self, at: np.ndarray) -> np.ndarray:
-        """Starts ``(n, p)``, on a Latin hypercube in the parameters that are asked for."""
+    def _drawn(self, problem: Problem, at: np.ndarray) -> list[np.ndarray]:
+        """Starts: those that fit best of a Latin hypercube in the parameters that are asked for."""
         asked = [k for k, p in enumerate(self._parameters) if not p.nuisance]
-        share = qmc.LatinHypercube(len(asked), rng=self._rng).random(self._elsewhere)
+        share = qmc.LatinHypercube(len(asked), rng=self._rng).random(GLANCES * self._elsewhere)
         width = START_WIDTH * np.array([self._parameters[k].prior_sd for k in asked])
-        starts = np.tile(at, (self._elsewhere, 1))
-        starts[:, asked] += width * norm.ppf(share)
+        drawn = np.tile(at, (len(share), 1))
+        drawn[:, asked] += width * norm.ppf(share)
         low, high = np.array([p.scaled_bounds for p in self._parameters]).T
-        return np.asarray(np.clip(starts, low, high))
+        points = list(np.clip(drawn, low, high))
+        misfits = problem.glance(self._rig, self._parameters, points)
+        return [points[k] for k in np.argsort(misfits, kind="stable")[: self._elsewhere]]
 
     def _again_from_near(self, problem: Problem, fitted: Fitted) -> Fitted:
         """The best of restarts, while they bring anything and the misfit stays above noise."""

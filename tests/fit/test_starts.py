@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from sim_core.errors import ConfigError
+from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, starts
 from sysid.fit.engine import Prediction
@@ -29,14 +30,23 @@ class Gauge:
     """Reads (s - 12)^2 sin + tilt (s - 12) cos, s = log(E): minima of the misfit at 11 and at 13 for data of either,
     equally deep without a tilt."""
 
-    def __init__(self, tilt: float) -> None:
-        self.tilt = tilt
+    def __init__(self, tilt: float, broken_from: float = np.inf) -> None:
+        self.tilt, self.broken_from = tilt, broken_from
 
     def read(self, s: float) -> np.ndarray:
         return np.asarray((s - MIDDLE) ** 2 * LOUD + self.tilt * (s - MIDDLE) * SOFT)[:, None]
 
     def slope(self, s: float) -> np.ndarray:
         return np.asarray(2.0 * (s - MIDDLE) * LOUD + self.tilt * SOFT)[:, None, None]
+
+    def submit(self, rig: Any, run: Run) -> Future[Prediction]:
+        future: Future[Prediction] = Future()
+        s = float(np.log(rig.bodies["gel"].material.E_pa))
+        if s > self.broken_from:
+            future.set_exception(ConvergenceError("The step does not converge."))
+        else:
+            future.set_result(Prediction({"gauge": self.read(s)}, {}, cast(Trace, None)))
+        return future
 
     def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
         s = float(scaled[0])
@@ -69,6 +79,22 @@ def test_a_search_from_the_wrong_side_ends_there_and_one_of_several_starts_does_
     (said,) = several.ends
     assert said.startswith("Of searches from 4 starts") and "ended where the fit is worse" in said
     assert f"gel.E_pa {np.exp(13.0):.2g}"[:11] in said
+
+
+def test_starts_are_those_of_many_draws_that_fit_best_and_can_be_simulated(small_rig: Any) -> None:
+    gauge = Gauge(0.05, broken_from=13.5)
+    several, parameters = searches(small_rig(), starts=5)
+    best_of_16 = several._drawn(problem(gauge), np.array([12.8]))
+    misfits = problem(gauge).glance(small_rig(), parameters, best_of_16)
+    assert len(misfits) == 4 and misfits == sorted(misfits) and misfits[-1] < np.inf
+    others, _ = searches(small_rig(), starts=17)
+    best_of_64 = others._drawn(problem(gauge), np.array([12.8]))
+    assert len(best_of_64) == 16
+    assert np.mean(problem(gauge).glance(small_rig(), parameters, best_of_64[:4])) < np.mean(misfits)
+    (far,) = problem(gauge).glance(small_rig(), parameters, [np.array([13.6])])
+    assert far == np.inf
+    expected = problem(gauge).evaluate(small_rig(), parameters, best_of_16[0]).chi2
+    assert misfits[0] == pytest.approx(expected)
 
 
 def test_values_that_fit_as_well_are_told(small_rig: Any) -> None:
