@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
@@ -58,9 +59,9 @@ class FitOptions:
             raise ConfigError(f"The seed is {self.seed}.", "Give a number that is not negative.")
 
     def told(self) -> dict[str, Any]:
-        """What was chosen, as JSON, but for the seed."""
+        """What was chosen, as JSON, but for the seed; None: no bound on that side."""
         chosen = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "seed"}
-        bounds = {name: list(pair) for name, pair in self.bounds.items()}
+        bounds = {name: [b if math.isfinite(b) else None for b in pair] for name, pair in self.bounds.items()}
         return {**chosen, "nuisance": sorted(self.kinds), "per_bag": list(self.per_bag), "bounds": bounds}
 
     @property
