@@ -53,6 +53,11 @@ def check_parts(given: Iterable[Path], held_out: Iterable[Path] = ()) -> None:
         for other, known in seen:
             if part.overlaps(other):
                 both = "twice" if known == role else "both to use and to hold out"
-                what = "recording" if part.whole and other.whole else "window"
-                raise RecordingError(f"The {what} {path} is given {both}.", "Name every reading once.")
+                if part.whole and other.whole:
+                    raise RecordingError(f"The recording {path} is given {both}.", "Name every recording once.")
+                begin, end = max(part.begin, other.begin), min(part.end, other.end)
+                raise RecordingError(
+                    f"Of {part.path} the readings from {begin:g} to {end:g} s are given {both}.",
+                    "Let one window end where the other begins.",
+                )
         seen.append((part, role))

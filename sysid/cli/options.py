@@ -12,6 +12,7 @@ import typer
 
 from sim_core.errors import ConfigError, RecordingError, ThinshellError
 from sysid.folder import UNFINISHED
+from sysid.parts import part_of
 
 RigArgument = Annotated[
     str, typer.Argument(metavar="RIG", help="Rig or overlay: a name from 'thinshell rigs' or a YAML file.")
@@ -88,7 +89,10 @@ def parse_nuisance(text: str) -> list[str]:
 
 
 def check_bag(path: Path) -> None:
-    """A recording exists."""
+    """A whole recording exists."""
+    part = part_of(path)
+    if not part.whole:
+        raise ConfigError(f"{path} is a window of {part.path}, and a whole recording is wanted.", f"Name {part.path}.")
     if not path.exists():
         raise RecordingError(f"The recording {path} does not exist.", "Check the path.")
 

@@ -115,8 +115,10 @@ def _fit_runs(
     series = plot_series(problem, before, fitted, held_out=False, raw=runs)
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
     notes += search.ends + loud(problem) + out_of_sight(problem, before, fitted)
-    for run in [*runs, *held_out]:
-        notes += [f"{run.name}: {note}" for note in not_from_rest(fitted.rig, run)]
+    moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
+    if moved:
+        sentences = ["What was fitted to a window that does not begin at rest means nothing.", *moved, *sentences]
+    notes += [f"{run.name}: {note}" for run in held_out for note in not_from_rest(fitted.rig, run)]
     if held_out and any(p.bag for p in asked):
         notes.append("Held-out recordings are predicted with the mean of the values that each bag has for itself.")
     if held_out and on_progress is not None:

@@ -103,7 +103,10 @@ def load_runs(rig: Rig, bags: Sequence[Path], held_out: Sequence[Path] = ()) -> 
     parts = [part_of(path) for path in paths]
     whole = {path: load_run(rig, path) for path in dict.fromkeys(part.path for part in parts)}
     named = zip(parts, distinct_names(paths), strict=True)
-    runs = [replace(window_of(rig, whole[part.path], part), name=name) for part, name in named]
+    runs = []
+    for part, name in named:
+        runs.append(replace(window_of(rig, whole[part.path], part), name=name))
+        whole[part.path] = replace(whole[part.path], notes=())  # told once
     return runs[: len(bags)], runs[len(bags) :]
 
 

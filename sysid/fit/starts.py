@@ -120,6 +120,7 @@ class Searches:
         self._elsewhere = options.starts - 1 if self._parameters else 0
         self._restarts = MOST_RESTARTS if self._parameters else 0
         self._found: list[Fitted] = []
+        self._begun: list[np.ndarray] = []
         self._failed = 0
 
     def __call__(self, problem: Problem, at: np.ndarray) -> Fitted:
@@ -149,8 +150,9 @@ class Searches:
         return found
 
     def _from_elsewhere(self, problem: Problem, at: np.ndarray, first: Fitted) -> Fitted:
-        """The best of searches from the starts that were asked for beside the rig's."""
-        self._found, best = [first], first
+        """The best of searches from the starts that were asked for beside the rig's, which is kept unless another has
+        ended where the fit is better by more than chance."""
+        self._found, self._begun, best = [first], [at], first
         for start in self._drawn(problem, at):
             if not self._may_go_on(self._found[-1]):
                 break
@@ -159,13 +161,15 @@ class Searches:
                 self._failed += 1
                 continue
             self._found.append(other)
-            best = min(best, other, key=lambda f: f.chi2)
+            self._begun.append(start)
+            if best.chi2 - other.chi2 > SAME_CHI2 * chance(best):
+                best = other
         return best
 
     @property
     def ends(self) -> list[str]:
         """In words, where searches from several starts have ended, if there were several."""
-        return _said(self._found, self._failed) if self._found else []
+        return _said(self._begun, self._found, self._failed) if self._found else []
 
     def _drawn(self, problem: Problem, at: np.ndarray) -> list[np.ndarray]:
         """Starts: those that fit best of a Latin hypercube in the parameters that are asked for."""
@@ -191,13 +195,12 @@ class Searches:
         return fitted
 
 
-def _said(found: Sequence[Fitted], failed: int) -> list[str]:
+def _said(begun: Sequence[np.ndarray], found: Sequence[Fitted], failed: int) -> list[str]:
     """Compares searches among themselves: what is taken for error of the simulator changes afterwards."""
     best = min(found, key=lambda f: f.chi2)
     asked = np.array([not p.nuisance for p in best.parameters])
     sd = np.where(asked, uncertainty(best).sd, np.inf)
     as_good = [f for f in found if f.chi2 - best.chi2 <= SAME_CHI2 * chance(best)]
-    worse = [f for f in found if f.chi2 - best.chi2 > SAME_CHI2 * chance(best)]
     apart = [f for f in as_good if np.any(np.abs(f.scaled - best.scaled) > SAME_PLACE * sd)]
     sentences = [f"Of searches from {len(found) + failed} starts {len(as_good)} ended equally well."]
     if failed:
@@ -207,15 +210,15 @@ def _said(found: Sequence[Fitted], failed: int) -> list[str]:
             f"They ended in different places, so the data do not determine one set of values: {_place(best)}; "
             f"{_place(apart[0])}."
         )
-    if worse:
-        nearest = min(worse, key=lambda f: f.chi2)
-        sentences.append(
-            f"{len(worse)} ended where the fit is worse, the best of them with a misfit of {nearest.misfit:.3g} "
-            f"against {best.misfit:.3g}, at {_place(nearest)}."
-        )
-    return [" ".join(sentences)]
+    ways = [
+        f"Search {k} began at {_place(f, at)} and ended at {_place(f)} with {f.misfit:.4g} times the noise's misfit."
+        for k, (at, f) in enumerate(zip(begun, found, strict=True), 1)
+    ]
+    return [" ".join(sentences), *ways]
 
 
-def _place(fitted: Fitted) -> str:
-    named = [(p, fitted.values[p.name]) for p in fitted.parameters if not p.nuisance]
+def _place(fitted: Fitted, scaled: np.ndarray | None = None) -> str:
+    """Values of what is asked for, of the fit or at scaled values."""
+    at = fitted.scaled if scaled is None else scaled
+    named = [(p, p.physical(s)) for p, s in zip(fitted.parameters, at, strict=True) if not p.nuisance]
     return ", ".join(f"{p.name} {value:.4g}{f' {p.unit}' if p.unit else ''}" for p, value in named)

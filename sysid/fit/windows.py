@@ -48,6 +48,8 @@ def window_of(rig: Rig, run: Run, part: Part) -> Run:
             f"{part.path}: nothing was measured from {part.begin:g} to {part.end:g} s.",
             f"The recording has readings until {run.end:.3f} s.",
         )
+    if part.end > run.end:
+        notes.append(f"The window ends at {part.end:g} s, the recording's readings at {run.end:.3f} s.")
     poses = {n: PoseTrajectory(p.times - part.begin, p.positions, p.quaternions) for n, p in run.poses.items()}
     changes: dict[str, Change] = {}
     if part.begin > 0.0:

@@ -111,7 +111,7 @@ FAULTS: dict[str, Fault] = {
     "recording to fit missing": Fault("fit card_press b.mcap --params card.E --out result", "does not exist"),
     "held-out missing": Fault(f"{FIT} --held-out b.mcap", r"b\.mcap does not exist", BAG),
     "recording twice": Fault("diagnose card_press a.mcap ./a.mcap --out result", "given twice", BAG),
-    "window is held out": Fault(f"{FIT} --held-out a.mcap@1:2", "window a.mcap@1:2 is given both", BAG),
+    "window is held out": Fault(f"{FIT} --held-out a.mcap@1:2", "readings from 1 to 2 s are given both", BAG),
     "held-out is used": Fault(f"{FIT} --held-out a.mcap", "both to use and to hold out", BAG),
     "recording to track missing": Fault("track no.bag --out o", "does not exist"),
     "recording of presses missing": Fault("presses tactip_cr no.bag --out o", "does not exist"),

@@ -77,7 +77,7 @@ def test_a_window_is_predicted_as_the_whole_recording_is_there(rig: Rig, session
         assert np.array_equal(m.values[inside], n.values, equal_nan=True)
         strongest = np.nanmax(np.abs(there[m.channel] - there[m.channel][0]))
         assert np.nanmax(np.abs(there[m.channel][inside] - here[n.channel])) < 2e-3 * strongest
-    assert part.notes == whole.notes
+    assert part.notes == ("The window ends at 9 s, the recording's readings at 5.400 s.",), "the others are told once"
 
 
 def test_one_press_is_fitted_and_the_other_held_out(
@@ -186,9 +186,10 @@ def test_a_channel_without_readings_in_a_window_is_told(rig: Rig, session: Path)
     (run,), _ = load_runs(rig, [session])
     late = tuple(replace(m, values=np.where(m.t[:, None] > 1.0, np.nan, m.values)) if m.channel == "side" else m
                  for m in run.measured)  # fmt: skip
-    part = window_of(rig, replace(run, measured=late), Part(session, 2.0, 3.0))
+    part = window_of(rig, replace(run, measured=late), Part(session, 2.0, 9.0))
     assert {m.channel for m in part.measured} == {"wrench", "markers"}
-    assert "side: no reading from 2 to 3 s" in part.notes
+    assert "side: no reading from 2 to 9 s" in part.notes
+    assert any(note.startswith("The window ends at 9 s, the recording's readings at 5.") for note in part.notes)
 
 
 @pytest.mark.parametrize(
@@ -219,8 +220,8 @@ def test_windows_of_nothing(tmp_path: Path, window: str) -> None:
     ("given", "held_out", "words"),
     [
         (["a@0:3", "a@3:5", "b"], ["a@5:6"], ""),
-        (["a@0:3", "a@2:5"], [], "The window .*a@2:5 is given twice"),
-        (["a@0:3"], ["a"], "The window .*a is given both to use and to hold out"),
+        (["a@0:3", "a@2:5"], [], "Of .*a the readings from 2 to 3 s are given twice"),
+        (["a@0:3"], ["a"], "Of .*a the readings from 0 to 3 s are given both to use and to hold out"),
         (["a", "b/../a"], [], "The recording .* is given twice"),
         (["c@0:3"], [], "The recording .*c@0:3 does not exist"),
     ],
