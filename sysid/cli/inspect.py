@@ -9,6 +9,12 @@ import typer
 
 from sysid.cli.options import check_bag
 
+STILL_S = 0.3
+"""Shortest rest that is listed; windows of a recording may begin in one."""
+
+MOST_SPANS = 20
+"""Rests that are listed."""
+
 
 def inspect(
     bag: Annotated[Path, typer.Argument(metavar="BAG", help="Recording: a rosbag2 folder or a single file.")],
@@ -22,6 +28,8 @@ def inspect(
     Example: thinshell inspect bags/press
     """
     from sim_core.rigs import load_rig
+    from sim_core.rigs.trajectory import PoseTrajectory
+    from sysid.fit.noise import standing_still
     from sysid.recording import read_recording
     from sysid.recording.bag import open_bag
     from sysid.recording.notes import Notes
@@ -29,10 +37,16 @@ def inspect(
 
     chosen = load_rig(rig) if rig is not None else None
     check_bag(bag)
-    if chosen is None:
-        print(read_recording(bag, need_pose=False).summary())
-        return
-    names, missing = topics_of(chosen, open_bag(bag, Notes()).topics)
-    print(read_recording(bag, names, need_pose=False).summary())
-    for topic in missing:
-        print(f"missing: {topic}: the rig {chosen.name!r} names it, the recording lacks it")
+    names, missing = None, []
+    if chosen is not None:
+        names, absent = topics_of(chosen, open_bag(bag, Notes()).topics)
+        missing = [f"missing: {t}: the rig {chosen.name!r} names it, the recording lacks it" for t in absent]
+    recording = read_recording(bag, names, need_pose=False)
+    print(recording.summary())
+    for name, stream in recording.poses.items():
+        trajectory = PoseTrajectory.from_samples(stream.t, stream.position, stream.quaternion)
+        spans = [f"{begin:.2f} to {end:.2f}" for begin, end in standing_still(trajectory, STILL_S)]
+        more = f" and {len(spans) - MOST_SPANS} more" if len(spans) > MOST_SPANS else ""
+        print(f"{name} stands still, s: {', '.join(spans[:MOST_SPANS]) or 'never'}{more}")
+    for line in missing:
+        print(line)

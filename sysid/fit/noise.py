@@ -112,6 +112,17 @@ def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
     return [(float(t[k]) - pause, float(t[k]) + pause) for k in np.flatnonzero(busy)]
 
 
+def standing_still(trajectory: PoseTrajectory, least_s: float) -> list[tuple[float, float]]:
+    """Spans of time [s] of at least ``least_s`` in which an end effector stands still."""
+    t = trajectory.times
+    spans, since = [], float(t[0])
+    for begin, end in [*(moving(trajectory) if len(t) > 1 else []), (float(t[-1]), float(t[-1]))]:
+        if begin - since >= least_s:
+            spans.append((since, begin))
+        since = max(since, end)
+    return spans
+
+
 def channel_noise(rig: Rig, runs: Sequence[Run]) -> dict[str, ChannelNoise]:
     """Noise of every channel that the runs have: estimated, or declared where that is much larger."""
     found: dict[str, ChannelNoise] = {}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.noise import estimate_noise, moving, quiet
+from sysid.fit.noise import estimate_noise, moving, quiet, standing_still
 from sysid.fit.runs import Measured, Run
 
 RATE = 100.0
@@ -64,3 +64,17 @@ def test_readings_in_steps_have_the_noise_of_their_rounding() -> None:
     force = np.round(np.cumsum(0.02 * rng.standard_normal((301, 6)), axis=0), 1)
     noise = estimate_noise([run_with(trajectory(rng, 0.0), force)], "gauge")
     assert np.all(noise.sigma >= 0.1 / np.sqrt(12.0) - 1e-9)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 1e-4])
+def test_rests_of_an_end_effector(noise_m: float) -> None:
+    """Still for 1 s, on its way for 1 s, still for 0.2 s, on its way for 1 s, still for 2 s."""
+    t = np.arange(0.0, 5.2, 0.01)
+    x = 0.02 * (np.clip(t - 1.0, 0.0, 1.0) + np.clip(t - 2.2, 0.0, 1.0))
+    x = x + noise_m * np.random.default_rng(1).standard_normal(len(t))
+    poses = PoseTrajectory(t, np.column_stack([x, 0.0 * t, 0.0 * t]), np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)))
+    blur = 0.015 if noise_m == 0.0 else 0.25
+    first, last = standing_still(poses, 0.3)
+    np.testing.assert_allclose([*first, *last], [0.0, 1.0, 3.2, 5.19], atol=blur)
+    lone = PoseTrajectory(t[:1], poses.positions[:1], poses.quaternions[:1])
+    assert standing_still(lone, 0.3) == []
