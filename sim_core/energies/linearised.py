@@ -124,6 +124,11 @@ def flatten(internals: Internals) -> np.ndarray:
     return np.concatenate([np.empty(0), *(a.ravel() for a in internals.values())])
 
 
+def size_of(internals: Internals) -> int:
+    """Length of that vector."""
+    return sum(a.size for a in internals.values())
+
+
 def unflatten(vector: np.ndarray, like: Internals) -> Internals:
     """The inverse of :func:`flatten`."""
     out, at = {}, 0
@@ -135,7 +140,7 @@ def unflatten(vector: np.ndarray, like: Internals) -> Internals:
 
 def places(internals: Internals) -> dict[str, np.ndarray]:
     """Where each internal variable is in the flattened vector: arrays of its shape."""
-    return unflatten(np.arange(sum(a.size for a in internals.values())), internals)
+    return unflatten(np.arange(size_of(internals)), internals)
 
 
 def axes_of(nodes: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_core.energies.linearised import Blocks, Linearised, flatten, times
+from sim_core.energies.linearised import Blocks, Linearised, size_of, times
 from sim_core.energies.term import StepContext
 from sim_core.gradients.columns import Column
 from sim_core.gradients.mounts import Driven
@@ -106,7 +106,7 @@ class LinearStep:
                 found = linearise(self.step, before.internals[term.name], after.internals[term.name])
                 if found is not None:
                     self.terms[term.name] = found
-        self._sizes = {name: flatten(internals).size for name, internals in after.internals.items()}
+        self._sizes = {name: size_of(internals) for name, internals in after.internals.items()}
 
     def size_bytes(self) -> int:
         """Memory of what is kept."""
@@ -224,7 +224,7 @@ class LinearStep:
         start, memory = np.zeros_like(x), {}
         turns: dict[str, np.ndarray] = {}
         for name, internals in self._before.internals.items():
-            old = np.zeros(flatten(internals).size)
+            old = np.zeros(size_of(internals))
             if name in self.terms:
                 start, old = self._through(self.terms[name], name, weights, exerted, start, old, turns)
             memory[name] = old
@@ -316,4 +316,4 @@ def passed_on_by(system: System, weights: np.ndarray) -> np.ndarray:
 def no_memory(state: State, count: int | None = None) -> dict[str, np.ndarray]:
     """Zero derivatives of all internal variables of a state by ``count`` parameters; None: zero weights of them."""
     last = () if count is None else (count,)
-    return {name: np.zeros((flatten(internals).size, *last)) for name, internals in state.internals.items()}
+    return {name: np.zeros((size_of(internals), *last)) for name, internals in state.internals.items()}

@@ -3,8 +3,8 @@
 Kept are the values by pairs of nodes; where they belong is shared by all that have the same pattern. The numerical
 factorisation is done when a solution is asked for. Its symbolic analysis costs three of them, so neighbours in time
 share one, of all pairs that any of them has. Or the factorisation is made at once and kept too, which takes ten times
-the memory, and four times the time, because no two factorisations can share an analysis. That pays from the third
-right-hand side on.
+the memory, and four times the time, because no two factorisations can share an analysis. That pays from about the
+thirteenth right-hand side on.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sim_core.solve.pattern import Pattern
 from sim_core.solve.product import nodal_product
 from sim_core.solve.system import System
 
-SHARING = 1.1
+SHARING = 1.04
 """An analysis is shared while it has at most this many times the pairs of nodes that one of its own would have."""
 
 
