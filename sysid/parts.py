@@ -49,7 +49,10 @@ def check_parts(given: Iterable[Path], held_out: Iterable[Path] = ()) -> None:
     for path, role in [*((bag, "given") for bag in given), *((bag, "held out") for bag in held_out)]:
         part = part_of(path)
         if not part.path.exists():
-            raise RecordingError(f"The recording {part.path} does not exist.", "Check the path.")
+            raise RecordingError(
+                f"The recording {part.path} does not exist.",
+                "Check the path; of a window, BAG@12.5:20, what stands before the last '@'.",
+            )
         for other, known in seen:
             if part.overlaps(other):
                 both = "twice" if known == role else "both to use and to hold out"

@@ -88,9 +88,12 @@ def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
     """Spans of time [s] in which an end effector moves, faster than 0.1 mm/s or 1 mrad/s.
 
     A measured pose has noise, which looks like speed between neighbouring samples. Where it does, the means
-    of :data:`STILL_WINDOW_S` before and after an instant are compared instead.
+    of :data:`STILL_WINDOW_S` before and after an instant are compared instead. A single pose is that of one that
+    stands still.
     """
     t = trajectory.times
+    if len(t) < 2:
+        return []
     rotation = Rotation.from_quat(trajectory.quaternions)
     turned = (rotation * rotation[0].inv()).as_rotvec()
     path = np.column_stack([trajectory.positions, turned])
@@ -116,7 +119,7 @@ def standing_still(trajectory: PoseTrajectory, least_s: float) -> list[tuple[flo
     """Spans of time [s] of at least ``least_s`` in which an end effector stands still."""
     t = trajectory.times
     spans, since = [], float(t[0])
-    for begin, end in [*(moving(trajectory) if len(t) > 1 else []), (float(t[-1]), float(t[-1]))]:
+    for begin, end in [*moving(trajectory), (float(t[-1]), float(t[-1]))]:
         if begin - since >= least_s:
             spans.append((since, begin))
         since = max(since, end)

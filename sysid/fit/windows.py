@@ -60,7 +60,7 @@ def window_of(rig: Rig, run: Run, part: Part) -> Run:
                 "Begin the window at 0 s, or use the whole recording.",
             )
         for name, trajectory in run.poses.items():
-            if any(end > part.begin - STILL_S for _, end in _motion(_until(trajectory, part.begin))):
+            if any(end > part.begin - STILL_S for _, end in moving(_until(trajectory, part.begin))):
                 notes.append(
                     f"{name} moves in the {STILL_S:g} s before the window begins, which is simulated from rest. Begin "
                     "it where the hand stands still."
@@ -78,11 +78,6 @@ def window_of(rig: Rig, run: Run, part: Part) -> Run:
     )
 
 
-def _motion(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
-    """Spans of time [s] in which an end effector moves; a single pose is that of one that stands still."""
-    return moving(trajectory) if len(trajectory.times) > 1 else []
-
-
 def _until(trajectory: PoseTrajectory, end: float) -> PoseTrajectory:
     """The poses until ``end`` [s], at least one: what comes later is no motion before."""
     count = max(1, int(np.searchsorted(trajectory.times, end, side="right")))
@@ -92,7 +87,7 @@ def _until(trajectory: PoseTrajectory, end: float) -> PoseTrajectory:
 def _changes(rig: Rig, run: Run, begin: float) -> dict[str, Change]:
     """How readings before ``begin`` differ from those before anything moved, for channels that have both."""
     noise = channel_noise(rig, [run])
-    still = min((span[0] for p in run.poses.values() for span in _motion(p)[:1]), default=np.inf)
+    still = min((span[0] for p in run.poses.values() for span in moving(p)[:1]), default=np.inf)
     found = {}
     for m in run.measured:
         parts = [m.values[(m.t <= still) & (m.t < begin - STILL_S)], m.values[(m.t >= begin - STILL_S) & (m.t < begin)]]
