@@ -12,7 +12,11 @@ from sim_core.simulate import Trace, interpolate
 def predicted(trace: Trace, rig: Rig, channel: str, stamps: np.ndarray, since: float = 0.0) -> np.ndarray:
     """Readings of a channel at stamps [s], with latency and the sensor effects of the rig: ``(k, ...)``. ``since``: how
     long [s] the sensors have been at work when the trace begins."""
-    return _read(trace.times, trace.outputs[channel], trace.kinds[channel], rig, channel, stamps, since)
+    kind = trace.kinds[channel]
+    out = interpolate(trace.times, trace.outputs[channel], stamps - total_delay(rig, channel, kind))
+    for effect, given in active_effects(rig):
+        out = effect.amend_output(rig, channel, kind, stamps + since, out, given)
+    return out
 
 
 def predicted_derivatives(
@@ -26,12 +30,3 @@ def total_delay(rig: Rig, channel: str, kind: str) -> float:
     """Delay [s] of the stamps of a channel against the motion, by the rig and its effects."""
     source = rig.sensors.get(channel) or rig.cameras[channel]
     return float(source.latency_s + sum(e.delay(rig, channel, kind, given) for e, given in active_effects(rig)))
-
-
-def _read(
-    times: np.ndarray, values: np.ndarray, kind: str, rig: Rig, channel: str, stamps: np.ndarray, since: float
-) -> np.ndarray:
-    out = interpolate(times, values, stamps - total_delay(rig, channel, kind))
-    for effect, given in active_effects(rig):
-        out = effect.amend_output(rig, channel, kind, stamps + since, out, given)
-    return out

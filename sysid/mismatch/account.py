@@ -10,6 +10,7 @@ from sysid.fit.own_error import loud
 from sysid.fit.parameters import start_of
 from sysid.fit.problem import Problem
 from sysid.fit.uncertainty import uncertainty
+from sysid.fit.windows import not_from_rest
 from sysid.mismatch.decide import Trial
 from sysid.mismatch.locate import Structure
 
@@ -44,7 +45,7 @@ def fates(trials: list[Trial], failed: dict[str, str], named: set[str]) -> dict[
 
 def notes(base: Fitted, problem: Problem, before: Structure) -> tuple[str, ...]:
     """What a reader should know of the baseline before believing the verdict."""
-    said = []
+    said = [f"{run.name} does not begin at rest: {n}" for run in problem.runs for n in not_from_rest(base.rig, run)]
     if not base.converged:
         said.append(f"The baseline fit did not converge: {base.message}.")
     if before.hidden:

@@ -227,9 +227,11 @@ def provenance_of(data: dict[str, Any]) -> Provenance:
     bags = []
     for bag in data.get("bags") or []:
         digests = bag.get("sha256") or []
+        window = bag.get("window_s")
+        part = f" from {window[0]:g} to {window[1]:g} s" if window else ""
         bags.append(
             {
-                "path": str(bag.get("path", "")),
+                "path": str(bag.get("path", "")) + part,
                 "sha256": [digests] if isinstance(digests, str) else [str(d) for d in digests],
                 "held_out": bool(bag.get("held_out")),
             }
