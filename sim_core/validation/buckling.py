@@ -4,9 +4,8 @@ Euler's loads P L^2 / B of a column with two ends of any kind (Timoshenko & Gere
 ed., sec. 2.1-2.2) and the weight w L^3 / B under which an upright column gives way (Greenhill 1881). Where the column
 is straight, the square of its lowest natural frequency falls to zero with the load: :func:`critical_load`.
 
-Beyond its first buckling load a column with two hinges is an elastica: with the slope a at the ends,
-P / P_E = (2 K(k) / pi)^2, k = sin(a/2); shortening and deflection by elliptic integrals. Driven here by the approach
-of the ends.
+Beyond its first buckling load a column with two hinges is an elastica (:mod:`sim_core.validation.planar_elastica`),
+driven here by the approach of the ends.
 """
 
 from __future__ import annotations
@@ -19,27 +18,23 @@ from sim_core.errors import ConfigError
 from sim_core.solve.modes import natural_vibrations
 from sim_core.solve.step import State, advance
 from sim_core.solve.system import System
+from sim_core.validation import planar_elastica
 from sim_core.validation.case import STATICS, THRESHOLDS, Case, compare
-from sim_core.validation.specimens import DENSITY, Strip, rest, strip
+from sim_core.validation.specimens import DENSITY, FINE, LONG, MESHES, Strip, described, rest, strip
 
 EULER = {
     ("clamped", "free"): np.pi**2 / 4.0,
     ("pinned", "rolling"): np.pi**2,
-    ("clamped", "rolling"): 20.1907,
+    ("clamped", "rolling"): 4.493409457909064**2,
     ("clamped", "guided"): 4.0 * np.pi**2,
 }
 """Ends: P L^2 / B."""
 
-GREENHILL = 7.837347
+GREENHILL = 7.83734744
 """Weight w L^3 / B of an upright column, w per length."""
 
-POST_BUCKLED = {
-    30: (1.03512, 0.0675678, 0.16195),
-    60: (1.15172, 0.25898, 0.296604),
-    90: (1.3932, 0.543053, 0.38138),
-    120: (1.8848, 0.87684, 0.401585),
-}
-"""Slope at the ends [deg]: P / P_E, approach of the ends and deflection at the middle over the length."""
+POST_BUCKLED = (0.0675678, 0.25898, 0.543053, 0.87684)
+"""Approaches of the ends over the length, at which their slope is 30, 60, 90 and 120 degrees."""
 
 STRIP = {"E_pa": 1e9, "nu": 0.0, "thickness_m": 2e-4}
 LENGTH, WIDTH = 0.2, 0.02
@@ -53,12 +48,12 @@ def critical_load(system: System, state: State, apply: Callable[[float], None], 
     """Load at which the equilibrium that it leads to from ``state`` ceases to be stable.
 
     ``apply`` puts a load on. The square of the lowest natural frequency is followed from ``guess``, which may be far
-    too low, towards its zero, which is extrapolated from the last two loads.
+    too low, towards its zero, which is extrapolated from the last three loads.
     """
     loads: list[float] = []
     squares: list[float] = []
     for _ in range(12):
-        load = guess * len(loads) if len(loads) < 2 else loads[-1] + 0.8 * (zero(loads, squares) - loads[-1])
+        load = guess * len(loads) if len(loads) < 2 else loads[-1] + 0.8 * (zero(loads[-2:], squares[-2:]) - loads[-1])
         apply(load)
         state, _ = advance(system, state, system.nodes, 1.0)
         loads.append(load)
@@ -66,14 +61,13 @@ def critical_load(system: System, state: State, apply: Callable[[float], None], 
         if len(loads) > 1 and squares[-1] >= squares[-2]:
             break
         if squares[-1] < 0.03 * squares[0]:
-            return zero(loads, squares)
+            return zero(loads[-3:], squares[-3:])
     raise ConfigError("The lowest frequency does not fall to zero with the load.", "Start from another load.")
 
 
 def zero(loads: list[float], squares: list[float]) -> float:
-    """Zero of the straight line through the last two points."""
-    slope = (squares[-1] - squares[-2]) / (loads[-1] - loads[-2])
-    return loads[-1] - squares[-1] / slope
+    """Load at which the polynomial through all points, load over square, has its zero."""
+    return float(np.polynomial.Polynomial.fit(squares, loads, len(loads) - 1)(0.0))
 
 
 def euler(ends: tuple[str, str], pattern: str, cells: tuple[int, int]) -> float:
@@ -121,7 +115,7 @@ def post_buckled(pattern: str, cells: tuple[int, int]) -> list[tuple[float, floa
     """P / P_E, slope at the ends [deg] and deflection at the middle at the approaches of :data:`POST_BUCKLED`."""
     column = strip(LENGTH, WIDTH, STRIP, cells, pattern, ("pinned", "pinned"))
     found = []
-    for state, force in pushed_together(column, [row[1] for row in POST_BUCKLED.values()]):
+    for state, force in pushed_together(column, list(POST_BUCKLED)):
         tangent = column.line(state.x, 0.0)[1]
         slope = float(np.degrees(np.arctan2(tangent[2], tangent[0])))
         middle = float(column.line(state.x, 0.5 * LENGTH)[0][2]) / LENGTH
@@ -132,23 +126,23 @@ def post_buckled(pattern: str, cells: tuple[int, int]) -> list[tuple[float, floa
 def buckling_cases() -> Iterator[Case]:
     """All comparisons of columns."""
     for pattern in ("regular", "irregular"):
+        mesh = described(pattern, MESHES)
         for ends, reference in EULER.items():
-            fine, coarse = euler(ends, pattern, (40, 4)), euler(ends, pattern, (20, 2))
+            *coarser, load = (euler(ends, pattern, cells) for cells in MESHES)
             yield Case(
-                f"column, {ends[0]} and {ends[1]}", "buckling load", "B/L^2", reference, fine, THRESHOLDS,
-                f"{pattern} 40 x 4", TIMOSHENKO, coarse,
+                f"column, {ends[0]} and {ends[1]}", "buckling load", "B/L^2", reference, load, THRESHOLDS, mesh,
+                TIMOSHENKO, tuple(coarser),
             )  # fmt: skip
-        fine, coarse = greenhill(pattern, (40, 4)), greenhill(pattern, (20, 2))
+        *coarser, weight = (greenhill(pattern, cells) for cells in MESHES)
         yield Case(
-            "upright column under its own weight", "buckling weight", "B/L^2", GREENHILL, fine, THRESHOLDS,
-            f"{pattern} 40 x 4", GREENHILL_1881, coarse,
+            "upright column under its own weight", "buckling weight", "B/L^2", GREENHILL, weight, THRESHOLDS, mesh,
+            GREENHILL_1881, tuple(coarser),
         )  # fmt: skip
-    for pattern, (along, across) in (("regular", (40, 4)), ("irregular", (40, 4)), ("crossed", (80, 2))):
-        found, coarser = post_buckled(pattern, (along, across)), post_buckled(pattern, (along // 2, across // 2))
-        for (slope, (force, approach, middle)), ours, twice in zip(POST_BUCKLED.items(), found, coarser, strict=True):
+    for pattern, meshes in (("regular", FINE), ("irregular", FINE), ("crossed", LONG)):
+        runs = zip(*(post_buckled(pattern, cells) for cells in meshes), strict=True)
+        for approach, found in zip(POST_BUCKLED, runs, strict=True):
+            force, slope, middle = planar_elastica.hinged(approach)
             name = f"column with two hinges, shortened by {approach:.3f} L"
             quantities = ("P / P_Euler", "slope at the ends [deg]", "deflection / length")
-            answers = (force, float(slope), middle)
-            yield from compare(
-                name, quantities, answers, ours, STATICS, f"{pattern} {along} x {across}", ELASTICA, twice
-            )
+            answers = (force, float(np.degrees(slope)), middle)
+            yield from compare(name, quantities, answers, found, STATICS, described(pattern, meshes), ELASTICA)

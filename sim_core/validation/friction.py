@@ -230,7 +230,7 @@ def friction_cases() -> Iterator[Case | NotCovered]:
         fine, coarse = (stopping_distance(TURNS["upright"], 0.5, 0.4, second_order, dt) for dt in (1e-3, 2e-3))
         yield Case(
             f"sheet thrown along a plane, {'BDF2' if second_order else 'implicit Euler'}", "stopping distance",
-            "v^2/(2 mu g)", 1.0, fine, STATICS, "irregular 4 x 3, dt = 1 ms", COULOMB, coarse,
+            "v^2/(2 mu g)", 1.0, fine, STATICS, "irregular 4 x 3, dt = 1 ms", COULOMB, (coarse,),
         )  # fmt: skip
     for excess in (0.25, 0.5):
         yield Case(

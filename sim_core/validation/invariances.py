@@ -200,6 +200,6 @@ def invariance_cases() -> Iterator[Case]:
         yield Case(name, "change of momentum, vibrating", "1", 0.0, linear, EXACT, mesh, CONSERVED, scale=1.0)
         angular, coarser = (flight(second_order, steps)[1] for steps in (400, 200))
         yield Case(
-            name, "change of angular momentum", "1", 0.0, angular, STATICS, mesh + ", 400 steps", CONSERVED, coarser,
+            name, "change of angular momentum", "1", 0.0, angular, STATICS, mesh + ", 400 steps", CONSERVED, (coarser,),
             scale=1.0,
         )  # fmt: skip

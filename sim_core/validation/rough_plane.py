@@ -4,7 +4,7 @@ A strip is clamped normal to a plane, tip on the plane right under the clamp, an
 the tip sticks, geometry alone sets the ratio of its tangential force to the normal one, B theta'' = -N sin(theta) -
 T cos(theta), theta(0) = theta'(L) = 0, no offset of the tip; it slips where T / N = mu. Beyond mu = 0.3564 it never
 does: it lies down first. Sano, Yamaguchi & Wada, Phys. Rev. Lett. 118, 2017; Romero et al., ACM Trans. Graph. 40(4),
-2021. Values by integration of the boundary value problem.
+2021. Answers: :mod:`sim_core.validation.planar_elastica`.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from sim_core.contact.samples import sheet_samples
 from sim_core.contact.shapes import HALF_SPACE
 from sim_core.solve.step import State, advance
 from sim_core.solve.system import System
+from sim_core.validation import planar_elastica
 from sim_core.validation.case import FORCES, THRESHOLDS, Case, compare
-from sim_core.validation.specimens import Strip, rest, strip
+from sim_core.validation.specimens import MESHES, Strip, described, rest, strip
 
-STICKING = {0.05: (20.5731, 2.13024), 0.1: (20.9586, 3.20232), 0.2: (21.7212, 5.16473), 0.3: (22.4177, 7.31919)}
-"""Lowering over the length: N L^2 / B and T L^2 / B while the tip sticks."""
+STICKING = (0.05, 0.1, 0.2, 0.3)
+"""Lowerings over the length, while the tip sticks."""
 
 ONSET = {0.1: 0.0468742, 0.15: 0.0969046, 0.2: 0.1548674, 0.25: 0.2144636, 0.3: 0.2715634, 0.35: 0.3239935}
 """mu: lowering over the length at which the tip slips."""
@@ -125,12 +126,12 @@ def onset(mu: float, pattern: str, cells: tuple[int, int], parts: int = 60) -> f
 def rough_plane_cases() -> Iterator[Case]:
     """All comparisons of a strip on a rough plane."""
     for pattern in ("regular", "irregular"):
-        mesh = f"{pattern} 40 x 4"
-        fine, coarse = sticking(pattern, (40, 4)), sticking(pattern, (20, 2))
-        for (eps, answers), ours, twice in zip(STICKING.items(), fine, coarse, strict=True):
-            name = f"strip on a rough plane, lowered by {eps:g} L"
-            quantities = ("normal force", "tangential force")
-            yield from compare(name, quantities, answers, ours, FORCES, mesh, SOURCE, twice, unit="B/L^2")
+        runs = zip(*(sticking(pattern, cells) for cells in MESHES), strict=True)
+        for eps, found in zip(STICKING, runs, strict=True):
+            yield from compare(
+                f"strip on a rough plane, lowered by {eps:g} L", ("normal force", "tangential force"),
+                planar_elastica.pressed(eps), found, FORCES, described(pattern, MESHES), SOURCE, unit="B/L^2",
+            )  # fmt: skip
     for pattern in ("regular", "irregular"):
         for mu, answer in ONSET.items():
             yield Case(

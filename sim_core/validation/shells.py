@@ -31,7 +31,8 @@ SLIT_CELLS, HEMISPHERE_CELLS = (160, 20), 80
 SOURCE = "Sze, Liu & Lo 2004"
 STIFF = (
     "flat triangles on a doubly curved shell resist a bend that does not stretch, so it takes a fine mesh: 1.9 % on "
-    "4 x 32 x 32, 1.0 % on 4 x 64 x 64"
+    "4 x 32 x 32, 1.0 % on 4 x 64 x 64. The printed answers, those of 16 x 16 quadrilaterals, are not exact enough for "
+    "an order: see the pinched hemisphere"
 )
 
 
@@ -126,13 +127,12 @@ def hemisphere(cells: int, parts: int = 10, shares: tuple[float, ...] = tuple(HE
 def shell_cases() -> Iterator[Case]:
     """All comparisons of shells that deflect far."""
     around, across = SLIT_CELLS
-    fine, coarse = slit_annulus(SLIT_CELLS), slit_annulus((around // 2, across // 2))
-    for (share, answers), ours, twice in zip(SLIT.items(), fine, coarse, strict=True):
+    runs = zip(*(slit_annulus((around // k, across // k)) for k in (4, 2, 1)), strict=True)
+    for (share, answers), found in zip(SLIT.items(), runs, strict=True):
         quantities = ("lift, inner corner", "lift, outer corner")
         name = f"slit annular plate, {share:g} P"
-        yield from compare(name, quantities, answers, ours, STATICS, f"{around} x {across}", SOURCE, twice)
-    fine, coarse = hemisphere(HEMISPHERE_CELLS), hemisphere(HEMISPHERE_CELLS // 2)
-    for (share, answers), ours, twice in zip(HEMISPHERE.items(), fine, coarse, strict=True):
+        yield from compare(name, quantities, answers, found, STATICS, f"{around} x {across}", SOURCE)
+    for (share, answers), found in zip(HEMISPHERE.items(), hemisphere(HEMISPHERE_CELLS), strict=True):
         quantities = ("way, pressed points", "way, pulled points")
         name, mesh = f"hemisphere with a hole, {share:g} P", f"4 x {HEMISPHERE_CELLS} x {HEMISPHERE_CELLS}"
-        yield from compare(name, quantities, answers, ours, STATICS, mesh, SOURCE, twice, remark=STIFF)
+        yield from compare(name, quantities, answers, [found], STATICS, mesh, SOURCE, remark=STIFF)

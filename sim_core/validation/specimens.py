@@ -21,6 +21,11 @@ DENSITY = 1000.0
 FREE_M_PER_N = 1e9
 """Compliance of a clamp that is free to shift."""
 
+MESHES = ((20, 2), (40, 4), (80, 8))
+FINE = ((40, 4), (80, 8), (160, 16))
+LONG = ((80, 2), (160, 4))
+"""Cells along and across a strip, on meshes that are refined."""
+
 ACROSS = np.array([0.0, 1.0, 0.0])
 """Axis about which a strip along x bends."""
 
@@ -38,6 +43,11 @@ FIXED = {
 }
 """Components that are prescribed on an end: clamped; guided along x; free but for a rigid tip that stays in its plane;
 turned as prescribed but free to shift; a hinge; a hinge that slides along x; nothing."""
+
+
+def described(pattern: str, meshes: Sequence[tuple[int, int]]) -> str:
+    """The finest mesh in words."""
+    return f"{pattern} {meshes[-1][0]} x {meshes[-1][1]}"
 
 
 def sheet_system(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from statistics import median
 
-from sim_core.validation.case import Case, NotCovered
+from sim_core.validation.case import LEAST_ORDER, Case, NotCovered
 
 HEAD = ("case", "quantity", "reference", "simulated", "error", "allowed", "order", "mesh", "")
 
@@ -43,6 +44,12 @@ def table(rows: Sequence[Case | NotCovered]) -> str:
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in (HEAD, *cells)]
     missed = sum(not case.passed for case in cases)
     lines.append(f"{len(cases) - missed} of {len(cases)} within what is allowed.")
+    orders = sorted(case.order for case in cases if case.order is not None)
+    if orders:
+        lines.append(
+            f"Observed orders of convergence: {orders[0]:.2f} to {orders[-1]:.2f}, median {median(orders):.2f}, of "
+            f"{len(orders)} cases; at least {LEAST_ORDER:g} is asked for."
+        )
     remarks: dict[str, str] = {}
     for case in cases:
         if case.remark:

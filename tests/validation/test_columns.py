@@ -5,7 +5,8 @@ import pytest
 
 from sim_core.errors import ConfigError
 from sim_core.validation.buckling import EULER, GREENHILL, POST_BUCKLED, critical_load, euler, greenhill, post_buckled
-from sim_core.validation.elasticas import END_MOMENT, END_SHEAR, HEAVY, end_moment, end_shear, heavy_strip
+from sim_core.validation.elasticas import SHARES, end_moment, end_shear, heavy_strip
+from sim_core.validation.planar_elastica import heavy, hinged, rolled, tip_loaded
 from sim_core.validation.specimens import rest, strip
 
 PATTERNS = pytest.mark.parametrize("pattern", ["regular", "irregular"])
@@ -15,18 +16,20 @@ PATTERNS = pytest.mark.parametrize("pattern", ["regular", "irregular"])
 @pytest.mark.parametrize("gamma", [1e3, 1e4])
 def test_a_very_heavy_strip_bends_in_a_layer_at_its_clamp(pattern, gamma):
     """The reach is that of the layer, a hundredth of the length: cells have to be small there."""
-    np.testing.assert_allclose(heavy_strip(gamma, pattern, (80, 2)), HEAVY[gamma], rtol=0.005)
+    np.testing.assert_allclose(heavy_strip(gamma, pattern, (80, 2)), heavy(gamma), rtol=0.005)
 
 
 @PATTERNS
 def test_a_cantilever_under_an_end_shear(pattern):
-    np.testing.assert_allclose(end_shear(pattern, (40, 4)), list(END_SHEAR.values()), rtol=0.01)
+    np.testing.assert_allclose(end_shear(pattern, (40, 4)), [tip_loaded(4.0 * share) for share in SHARES], rtol=0.005)
 
 
 @PATTERNS
 def test_a_couple_rolls_a_cantilever_into_a_circle(pattern):
     """Tip within 0.2 % of the length, at a quarter of a turn and at a full one, in large steps."""
-    np.testing.assert_allclose(end_moment(pattern, (40, 4)), list(END_MOMENT.values()), atol=0.002 * 12.0)
+    np.testing.assert_allclose(
+        end_moment(pattern, (40, 4)), [rolled(2.0 * np.pi * share) for share in SHARES], atol=0.002
+    )
 
 
 @PATTERNS
@@ -42,7 +45,7 @@ def test_a_column_gives_way_under_its_own_weight(pattern):
 
 @PATTERNS
 def test_a_column_beyond_its_buckling_load_is_an_elastica(pattern):
-    expected = [(force, slope, middle) for slope, (force, _, middle) in POST_BUCKLED.items()]
+    expected = [(force, np.degrees(slope), middle) for force, slope, middle in map(hinged, POST_BUCKLED)]
     np.testing.assert_allclose(post_buckled(pattern, (40, 4)), expected, rtol=0.01)
 
 

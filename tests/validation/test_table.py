@@ -7,6 +7,7 @@ import pytest
 
 from sim_core import validation
 from sim_core.validation import GROUPS, Case, NotCovered, run_validation
+from sim_core.validation.case import compare
 from sysid.cli import app
 
 
@@ -19,14 +20,29 @@ def test_a_case_passes_within_its_tolerance_only():
 
 
 def test_an_answer_of_zero_has_a_scale():
-    case = Case("c", "q", "1", 0.0, -0.03, 0.02, "m", "s", scale=2.0, coarser=0.12)
+    case = Case("c", "q", "1", 0.0, -0.03, 0.02, "m", "s", scale=2.0, coarser=(0.12,))
     assert case.error == pytest.approx(0.015)
     assert case.order == pytest.approx(2.0)
 
 
 def test_the_observed_order_is_that_of_halved_cells():
-    assert Case("c", "q", "1", 2.0, 2.02, 0.02, "m", "s", coarser=2.08).order == pytest.approx(2.0)
+    assert Case("c", "q", "1", 2.0, 2.02, 0.02, "m", "s", coarser=(2.08,)).order == pytest.approx(2.0)
+    assert Case("c", "q", "1", 2.0, 2.02, 0.02, "m", "s", coarser=(2.2, 2.0), ratio=3.0).order == pytest.approx(
+        0.5 * np.log(10.0) / np.log(3.0)
+    )
     assert Case("c", "q", "1", 2.0, 2.02, 0.02, "m", "s").order is None
+
+
+def test_a_case_that_does_not_converge_is_missed():
+    assert not Case("c", "q", "1", 2.0, 2.02, 0.02, "m", "s", coarser=(2.03,)).passed
+
+
+def test_quantities_of_one_run_converge_together():
+    """The second is right on the coarse mesh by accident."""
+    cases = list(compare("c", ("a", "b"), (1.0, 2.0), [(1.04, 2.0), (1.01, 2.004)], 0.02, "m", "s"))
+    assert [case.found for case in cases] == [1.01, 2.004]
+    expected = np.log2(0.04 / np.hypot(0.01, 0.002))
+    assert [case.order for case in cases] == pytest.approx([expected, expected])
 
 
 def two_rows():
