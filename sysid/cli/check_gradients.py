@@ -24,6 +24,9 @@ def check_gradients(
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter; may be repeated."),
     ] = None,
+    until: Annotated[
+        float | None, typer.Option("--until", metavar="SECONDS", help="End of the rollout; default: of the motion.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Check the gradients of a rollout; exit code 1 if one is off by more than its bound.
@@ -37,7 +40,9 @@ def check_gradients(
     names = None if params is None else parse_names(params, "--params")
     check = library("sysid.gradients", "check_gradients")
     with progress("check-gradients") as report:
-        passed, text = check(chosen, load_experiment(experiment), names, as_json=as_json, on_progress=report)
+        passed, text = check(
+            chosen, load_experiment(experiment), names, until_s=until, as_json=as_json, on_progress=report
+        )
     print(text)
     if not passed:
         raise typer.Exit(1)

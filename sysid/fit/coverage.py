@@ -132,11 +132,13 @@ def measure_coverage(
 
 def draw(rig: Rig, parameters: Sequence[FitParameter], spread: float, rng: np.random.Generator) -> np.ndarray:
     """Scaled values, log-uniform within a factor ``spread`` of those of the rig and inside the bounds."""
-    values = [p.physical(s) for p, s in zip(parameters, start_of(rig, parameters), strict=True)]
-    factors = np.exp(rng.uniform(-np.log(spread), np.log(spread), len(values)))
-    return np.array(
-        [p.scaled(min(max(v * f, p.lower), p.upper)) for p, v, f in zip(parameters, values, factors, strict=True)]
-    )
+    drawn = []
+    for p, at in zip(parameters, start_of(rig, parameters), strict=True):
+        ends = (np.clip(p.physical(at) * factor, p.lower, p.upper) for factor in (1.0 / spread, spread))
+        low, high = sorted(ends)
+        share = rng.uniform()
+        drawn.append(p.scaled(float(low * (high / low) ** share) if low else 0.0))
+    return np.array(drawn)
 
 
 def _untold(rig: Rig, asked: Sequence[FitParameter], rng: np.random.Generator) -> Rig:

@@ -24,13 +24,15 @@ def check_gradients(
     experiment: Experiment,
     names: Sequence[str] | None = None,
     *,
+    until_s: float | None = None,
     steps: Sequence[float] = STEPS,
     as_json: bool = False,
     on_progress: Callable[[float, str], None] | None = None,
 ) -> tuple[bool, str]:
     """Compare forward sensitivities, adjoint and central differences; whether all agree, and the table.
 
-    ``names``: full or short names of parameters, None for all of the rig. ``steps``: of the differences, relative.
+    ``names``: full or short names of parameters, None for all of the rig. ``until_s``: end of the rollout, None for
+    that of the motion. ``steps``: of the differences, relative.
     """
     known = {p.name: p for p in list_parameters(rig)}
     chosen = list(known) if names is None else [resolve_name(rig, n) for n in names]
@@ -45,8 +47,16 @@ def check_gradients(
     if not chosen:
         raise ConfigError(f"The rig {rig.name!r} has no parameters with values.", "Name another rig.")
     poses = compile_experiment(experiment, rig)
-    if max((p.times[-1] for p in poses.values()), default=0.0) <= 0.0:
+    end = max([experiment.duration_s or 0.0, *(float(p.times[-1]) for p in poses.values())])
+    if end <= 0.0:
         raise ConfigError(f"The experiment {experiment.name!r} moves nothing.", "Give it motions or waits.")
+    if until_s is not None:
+        if not rig.solver.dt_s <= until_s <= end:
+            raise ConfigError(
+                f"The rollout cannot end at {until_s:g} s.",
+                f"Give a time from {rig.solver.dt_s:g} s, a time step, to {end:g} s, the end of {experiment.name}.",
+            )
+        end = until_s
     if not (rig.sensors or rig.cameras):
         raise ConfigError(f"The rig {rig.name!r} has nothing that is measured.", "Give it a sensor or a camera.")
     work, done = Comparison.amount_of_work(chosen, steps), 0
@@ -57,7 +67,7 @@ def check_gradients(
             on_progress(done / work, what)
         done += 1
 
-    rows = list(Comparison(rig, poses, chosen, on_work).rows(steps))
+    rows = list(Comparison(rig, poses, end, chosen, on_work).rows(steps))
     passed = all(row.verdict != "differs" for row in rows)
     return passed, _as_json(rows, steps, passed) if as_json else _as_text(rows, steps)
 

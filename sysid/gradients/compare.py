@@ -72,13 +72,17 @@ class _Derivatives:
 
 
 class Comparison:
-    """A rig under a motion, and its parameters by their full names."""
+    """A rig under a motion until ``end`` [s], and its parameters by their full names."""
 
     def __init__(
-        self, rig: Rig, poses: Mapping[str, PoseTrajectory], names: Sequence[str], on_work: Callable[[str], None]
+        self,
+        rig: Rig,
+        poses: Mapping[str, PoseTrajectory],
+        end: float,
+        names: Sequence[str],
+        on_work: Callable[[str], None],
     ) -> None:
         self.rig, self._poses, self._on_work = rig, poses, on_work
-        end = max(float(p.times[-1]) for p in poses.values())
         self._times = step_times(0.0, end, rig.solver.dt_s)
         self._along = directions(rig, names)
         self._known = {p.name: p for p in list_parameters(rig)}

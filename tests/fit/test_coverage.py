@@ -28,7 +28,10 @@ def test_values_are_drawn_by_factors_and_stay_in_bounds(small_rig):
     factors = np.exp(drawn[:, 0]) / rig.bodies["card"].material.E_pa
     assert 0.5 <= factors.min() < 0.52 and 1.92 < factors.max() <= 2.0
     assert np.median(factors) == pytest.approx(1.0, abs=0.08)
-    assert drawn[:, 1].max() <= parameters[1].upper < 0.8
+    nu, lower, upper = rig.bodies["gel"].material.nu, 0.5 * rig.bodies["gel"].material.nu, parameters[1].upper
+    assert upper < 2.0 * nu
+    assert lower <= drawn[:, 1].min() and drawn[:, 1].max() < upper
+    assert np.median(drawn[:, 1]) == pytest.approx(np.sqrt(lower * upper), rel=0.05)
     np.testing.assert_array_equal(drawn[7], draw(rig, parameters, 2.0, np.random.default_rng([1, 7])))
 
 
