@@ -82,6 +82,19 @@ FAULTS: dict[str, Fault] = {
     "parameter not finite": Fault(f"{SLIDE} card.E=inf", "not finite"),
     "parameter out of bounds": Fault(f"{SLIDE} card.nu=0.9", r"must be less than 0\.5"),
     "parameter twice": Fault(f"{SLIDE} card.E=1e9 --set sheet.E=2e9", "given twice"),
+    "quantity misspelt for a fit": Fault(
+        "fit card_press a.mcap --params gel.F --out o", "Did you mean 'gel.E_pa'", BAG
+    ),
+    "quantity misspelt for a bag": Fault(
+        "fit card_press a.mcap b.mcap --params gel.E --per-bag gel.F --out o", "Did you mean 'gel.E_pa'", BAG
+    ),
+    "quantity misspelt in a plan": Fault("plan card_press slide --params gel.F", "Did you mean 'gel.E_pa'"),
+    "quantity misspelt in coverage": Fault("coverage card_press slide --params gel.F", "Did you mean 'gel.E_pa'"),
+    "quantity misspelt for gradients": Fault(
+        "check-gradients card_press slide --params gel.F", "Did you mean 'gel.E_pa'"
+    ),
+    "sensor misspelt": Fault("plan card_press slide --params gel.E --without outsid", "Did you mean 'outside'"),
+    "nuisance misspelt": Fault("plan card_press slide --params gel.E --nuisance tme", "Did you mean 'time'"),
     "fit of nothing known": Fault("fit card_press a.mcap --params card.Q --out o", "no parameter", BAG),
     "fit beside nothing known": Fault(
         "fit card_press a.mcap --params card.E --nuisance clock --out o", "no nuisance 'clock'", BAG
