@@ -9,12 +9,13 @@ import sys
 import xml.etree.ElementTree as ET
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import pytest
 
+from sim_core.errors import ConfigError
 from sim_core.rigs.load import names_in
-from sysid.cli import app
+from sysid.cli import app, prove
 from sysid.cli.doctor import _ros_traps
 from sysid.cli.progress import progress
 
@@ -40,6 +41,23 @@ def test_without_arguments_it_shows_its_help() -> None:
 def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert app.main([*command.split(), "--help"]) == 0
     assert f"Usage: thinshell {command}" in capsys.readouterr().out
+
+
+def test_every_number_on_the_command_line_has_bounds() -> None:
+    """Those of :mod:`sysid.cli.bounds`, which say the value, the bound and the remedy."""
+    commands = [*app.app.registered_commands, *prove.app.registered_commands]
+    numbers = {}
+    for command in commands:
+        assert command.callback is not None
+        for name, hint in get_type_hints(command.callback, include_extras=True).items():
+            kinds = {get_args(hint)[0], *get_args(get_args(hint)[0])} if get_args(hint) else {hint}
+            if kinds & {int, float}:
+                numbers[f"{command.name} {name}"] = hint.__metadata__[0]
+    assert {"fit starts", "coverage spread", "soak steps", "make cases", "simulate seed"} <= set(numbers)
+    for where, option in numbers.items():
+        assert option.parser is not None, where
+        with pytest.raises(ConfigError, match=rf"--{where.split()[1].replace('_', '-')} is 'nan', not a .*number"):
+            option.parser("nan")
 
 
 def test_rigs_lists_all_rigs_and_experiments() -> None:

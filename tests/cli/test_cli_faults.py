@@ -54,6 +54,13 @@ FAULTS: dict[str, Fault] = {
     "a diagnosis has no seed": Fault("diagnose card_press a.mcap --out o --seed 1", "--seed"),
     "seed is a word": Fault("simulate card_press slide --out o --seed one", "--seed"),
     "no cases": Fault("prove make --out o --cases 0", "--cases"),
+    "no starts": Fault(f"{FIT} --starts 0", "--starts is 0, but must be at least 1. Write a larger whole number", BAG),
+    "half a start": Fault(f"{FIT} --starts 1.5", r"--starts is '1\.5', not a whole number. Write a whole", BAG),
+    "negative seed": Fault(f"{FIT} --seed=-1", "--seed is -1, but must be at least 0. Write a larger", BAG),
+    "too fine": Fault(
+        "simulate card_press slide --out o --refine 9", "--refine is 9, but must be from 1 to 8. Write a smaller"
+    ),
+    "no spread": Fault("coverage card_press slide --params gel.E --spread nan", "--spread is 'nan', not a number"),
     # files
     "rig misspelt": Fault("params card_pres", r"Did you mean 'card_press'\?"),
     "rig file missing": Fault("params ./rig.yaml", r"not exist.*mean 'my_rig\.yaml'", {"my_rig.yaml": ""}),
