@@ -101,7 +101,7 @@ class Evaluations:
         self.done += 1
         if self._on_progress is not None:
             share = 1.0 - np.exp(-self.done / self._typical)
-            self._on_progress(0.9 * share, f"evaluation {self.done}, misfit {best.chi2:.4g}")
+            self._on_progress(0.9 * share, f"evaluation {self.done}, misfit {best.misfit:.3g} (up to 1: noise alone)")
         if self._on_step is not None:
             asked = {p.name for p in best.parameters if not p.nuisance}
             self._on_step(Step(self.done, best.misfit, {n: v for n, v in best.values.items() if n in asked}))
