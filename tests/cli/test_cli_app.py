@@ -164,6 +164,17 @@ def test_progress_without_a_terminal_is_a_line_every_tenth(capsys: pytest.Captur
     assert lines[-1].startswith("work: 100 % after")
 
 
+def test_progress_without_a_terminal_says_how_long_it_will_take(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = iter([100.0, 110.0, 140.0])
+    monkeypatch.setattr("sysid.cli.progress.time.monotonic", lambda: next(clock))
+    with progress("work") as report:
+        report(0.25, "first part")
+        report(1.0, "")
+    assert capsys.readouterr().err == "work: 20 % after 10 s, about 30 s left: first part\nwork: 100 % after 40 s\n"
+
+
 def test_package_xml_has_the_version_of_the_package() -> None:
     root = Path(__file__).resolve().parents[2]
     assert ET.parse(root / "package.xml").findtext("version") == version("thinshell_ros")
