@@ -45,12 +45,12 @@ def bounds_in_words(schema: dict[str, Any]) -> str:
 
 
 def default_in_words(key: str, model: dict[str, Any]) -> str:
-    """As YAML; a dash where the key has no value."""
+    """As YAML; in words where the key has no value."""
     if key in model.get("required", ()):
         return "required"
     default = model["properties"][key]["default"]
     if default is None:
-        return "–"
+        return "none"
     if default == "":
         return ""
     if isinstance(default, dict) and default:
