@@ -15,6 +15,7 @@ from sim_core.rigs import config_folder
 from sysid.cli.app import main
 
 GOOD_RIG = (config_folder() / "rigs" / "card_press.yaml").read_text()
+PRESS_POST = str(config_folder().parent / "bags" / "press_post")
 GOOD_MOTION = "name: test\nmotions:\n  finger:\n    - {type: press, depth_m: 0.004}\n"
 
 
@@ -130,6 +131,10 @@ FAULTS: dict[str, Fault] = {
     "folder without recording": Fault("inspect bag", "bag", {"bag/notes.txt": "hello"}),
     "recording to fit missing": Fault("fit card_press b.mcap --params card.E --out result", "does not exist"),
     "held-out missing": Fault(f"{FIT} --held-out b.mcap", r"b\.mcap does not exist", BAG),
+    "recording of another rig": Fault(
+        ["fit", "material_bench", PRESS_POST, "--params", "gel.E", "--out", "o"],
+        r"press_post does not match the rig 'material_bench': it lacks the pose of 'gripper'.*Give the rig that it was",
+    ),
     "recording twice": Fault("diagnose card_press a.mcap ./a.mcap --out result", "given twice", BAG),
     "window is held out": Fault(f"{FIT} --held-out a.mcap@1:2", "readings from 1 to 2 s are given both", BAG),
     "held-out is used": Fault(f"{FIT} --held-out a.mcap", "both to use and to hold out", BAG),
