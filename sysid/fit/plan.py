@@ -142,7 +142,7 @@ class _Count:
     def __call__(self) -> None:
         self._done += 1
         share = SIMULATED + (PREDICTED - SIMULATED) * self._done / self._all
-        self._say(share, f"derivatives, error of mesh and time step, {self._done} of {self._all} predictions")
+        self._say(share, f"{self._done} of {self._all} predictions: derivatives, error of mesh and time step")
 
 
 def declared_noise(rig: Rig, measured: Measured) -> ChannelNoise:

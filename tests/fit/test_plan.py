@@ -75,7 +75,7 @@ def test_progress_goes_on_all_the_time(plan, told):
     steps = np.diff([0.0, *shares])
     assert -1e-12 < min(steps) and max(steps) < 0.1 and shares[-1] == 1.0
     assert [text for _, text in told if "predictions" in text] == [
-        f"derivatives, error of mesh and time step, {k} of 12 predictions" for k in range(13)
+        f"{k} of 12 predictions: derivatives, error of mesh and time step" for k in range(13)
     ]
     assert "what press and touch and rub would tell" in told[-2][1]
 
