@@ -9,13 +9,14 @@ any order, and where a rig has one body of a type the type may stand for it (``s
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any, get_args
 
 import annotated_types
 
-from sim_core.errors import ConfigError, nearest_match
+from sim_core.errors import ConfigError
 from sim_core.rigs.fields import Strict, split_unit, unit_of
 from sim_core.rigs.schema import Rig
 from sim_core.rigs.yamlfile import validate
@@ -66,7 +67,35 @@ def resolve_name(rig: Rig, name: str) -> str:
             f"The parameter {name!r} is not unique in the rig {rig.name!r}.",
             f"Write one of: {', '.join(sorted(matches))}.",
         )
-    raise ConfigError(f"The rig {rig.name!r} has no parameter {name!r}.", nearest_match(name, known))
+    raise ConfigError(f"The rig {rig.name!r} has no parameter {name!r}.", nearest_names(name, spellings))
+
+
+def nearest_names(name: str, spellings: Mapping[str, Collection[str]]) -> str:
+    """Remedy for the name of a quantity that is not known: the nearest one, sought by owner first and then by quantity.
+
+    ``spellings``: the full names that each spelling ``owner.quantity`` may stand for.
+    """
+    owner, _, quantity = name.strip().lower().rpartition(".")
+    owned: dict[str, dict[str, set[str]]] = {}
+    for spelling, full in spellings.items():
+        holder, _, key = spelling.lower().rpartition(".")
+        owned.setdefault(holder, {}).setdefault(key, set()).update(full)
+    if not owner and quantity in owned:
+        return _choice(set().union(*owned[quantity].values()))
+    holders = ([owner] if owner in owned else get_close_matches(owner, owned, n=1)) or list(owned)
+    near: set[str] = set().union(*(owned[h][key] for h in holders for key in _near(quantity, owned[h])))
+    if near:
+        return f"Did you mean {min(near)!r}?" if len(near) == 1 else _choice(near)
+    return _choice(set().union(*(full for h in holders for full in owned[h].values())))
+
+
+def _near(word: str, known: Collection[str]) -> list[str]:
+    """The known word that is nearest, if one is near; of a single letter, another one."""
+    return get_close_matches(word, known, n=1) or [k for k in known if len(k) == len(word) == 1]
+
+
+def _choice(names: Collection[str]) -> str:
+    return f"Write one of: {', '.join(sorted(names))}."
 
 
 def with_parameters(rig: Rig, values: Mapping[str, float]) -> Rig:

@@ -17,11 +17,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from sim_core.energies.bending import Bending
-from sim_core.errors import ConfigError, nearest_match
+from sim_core.errors import ConfigError
 from sim_core.geometry import solids
 from sim_core.geometry.sheets import SheetMesh
 from sim_core.rigs import Gel, Sheet
 from sim_core.rigs.fields import split_unit
+from sim_core.rigs.parameters import nearest_names
 from sim_core.scene.assembly import BuiltBody
 
 if TYPE_CHECKING:
@@ -67,11 +68,13 @@ class Fields:
 
     def resolve(self, name: str) -> str:
         """Full name of a field."""
+        spellings: dict[str, list[str]] = {}
         for full in self.names:
             stem = full.removesuffix("_rad") if full.endswith(REST_ANGLE) else split_unit(full)[0]
             if name in (full, stem):
                 return full
-        raise ConfigError(f"The rig {self._scene.rig.name!r} has no field {name!r}.", nearest_match(name, self.names))
+            spellings |= {full: [full], stem: [full]}
+        raise ConfigError(f"The rig {self._scene.rig.name!r} has no field {name!r}.", nearest_names(name, spellings))
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Values in SI units, one an element or hinge."""

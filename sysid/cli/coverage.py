@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from sysid.cli.bounds import number, whole_number
 from sysid.cli.options import ExperimentsArgument, ParamsOption, RigArgument, SeedOption, parse_names
 from sysid.cli.progress import progress
 
@@ -14,14 +15,10 @@ def coverage(
     rig: RigArgument,
     experiments: ExperimentsArgument,
     params: ParamsOption,
-    cases: Annotated[int, typer.Option("--cases", min=1, help="How many cases.")] = 20,
-    first: Annotated[int, typer.Option("--first", min=0, help="Number of the first case.")] = 0,
-    spread: Annotated[
-        float, typer.Option("--spread", min=1.01, max=10.0, help="Factor either way within which truths are drawn.")
-    ] = 1.5,
-    refine: Annotated[
-        int, typer.Option("--refine", min=1, max=8, help="How much finer the truth is simulated than the fit.")
-    ] = 2,
+    cases: Annotated[int, whole_number("--cases", "How many cases.", 1)] = 20,
+    first: Annotated[int, whole_number("--first", "Number of the first case.", 0)] = 0,
+    spread: Annotated[float, number("--spread", "Factor either way within which truths are drawn.", 1.01, 10.0)] = 1.5,
+    refine: Annotated[int, whole_number("--refine", "How much finer the truth is simulated than the fit.", 1, 8)] = 2,
     seed: SeedOption = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from sysid.cli.bounds import whole_number
 from sysid.cli.options import (
     BagsArgument,
     FolderOption,
@@ -37,8 +38,7 @@ def fit(
         typer.Option("--per-bag", metavar="A,B", help="Those of --params that each bag has a value of its own of."),
     ] = "",
     starts: Annotated[
-        int,
-        typer.Option("--starts", min=1, help="Searches from so many starts, the rig's values and others drawn."),
+        int, whole_number("--starts", "Searches from so many starts, the rig's values and others drawn.", 1)
     ] = 1,
     profile: Annotated[
         bool,

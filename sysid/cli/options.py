@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from sim_core.errors import ConfigError, RecordingError, ThinshellError
+from sysid.cli.bounds import whole_number
 from sysid.folder import UNFINISHED
 from sysid.parts import part_of
 
@@ -48,7 +49,7 @@ WithoutOption = Annotated[
     list[str] | None,
     typer.Option("--without", metavar="NAME", help="Sensor or camera that is not used; may be repeated."),
 ]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything random.")]
+SeedOption = Annotated[int, whole_number("--seed", "Seed of everything random.", 0)]
 
 
 def parse_settings(settings: Sequence[str]) -> dict[str, float]:

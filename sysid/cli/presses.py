@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from sysid.cli.bounds import number, whole_number
 from sysid.cli.options import FolderOption, RigArgument, check_bag, check_new
 
 
@@ -15,10 +16,10 @@ def presses(
     bag: Annotated[Path, typer.Argument(metavar="BAG", help="Recording that 'thinshell track' wrote.")],
     out: FolderOption,
     most_tilt_deg: Annotated[
-        float, typer.Option("--most-tilt-deg", min=0.0, metavar="DEG", help="Take presses tilted by less than this.")
+        float, number("--most-tilt-deg", "Take presses tilted by less than this.", 0.0, metavar="DEG")
     ] = 3.0,
-    train: Annotated[int, typer.Option("--train", min=1, metavar="N", help="Number of presses to fit.")] = 8,
-    test: Annotated[int, typer.Option("--test", min=1, metavar="N", help="Number of presses to hold out.")] = 8,
+    train: Annotated[int, whole_number("--train", "Number of presses to fit.", 1)] = 8,
+    test: Annotated[int, whole_number("--test", "Number of presses to hold out.", 1)] = 8,
 ) -> None:
     """Write labelled presses of a domed pad on a plate as two recordings, 'train' and 'held_out'.
 

@@ -1,4 +1,7 @@
-"""Progress on the terminal: a bar where someone is looking, one line every ten percent elsewhere."""
+"""Progress on the terminal: a bar where someone is looking, one line every ten percent elsewhere.
+
+Both estimate the time that is left from the share that is done.
+"""
 
 from __future__ import annotations
 
@@ -25,16 +28,19 @@ def progress(title: str) -> Iterator[ProgressCallback]:
 def _bar(title: str) -> Iterator[ProgressCallback]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.table import Column
 
     columns = (
         TextColumn("{task.description}"),
-        BarColumn(),
+        BarColumn(bar_width=16, table_column=Column(min_width=16)),
         TextColumn("{task.percentage:3.0f} %"),
-        TimeRemainingColumn(),
+        TimeRemainingColumn(table_column=Column(min_width=7)),
+        TextColumn("{task.fields[words]}", table_column=Column(no_wrap=True)),  # cut where the terminal is narrow
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=1.0)
-        yield lambda share, text: bar.update(task, completed=share, description=f"{title}: {text}" if text else title)
+    speed_over_s = 3600.0  # of the whole: shares may come far apart
+    with Progress(*columns, console=Console(stderr=True), transient=True, speed_estimate_period=speed_over_s) as bar:
+        task = bar.add_task(title, total=1.0, words="")
+        yield lambda share, text: bar.update(task, completed=share, words=text)
 
 
 def _lines(title: str) -> ProgressCallback:
@@ -46,9 +52,8 @@ def _lines(title: str) -> ProgressCallback:
         tenth = int(10 * share)
         if tenth > last:
             last = tenth
-            print(
-                f"{title}: {10 * tenth} % after {time.monotonic() - started:.0f} s {text}".rstrip(),
-                file=sys.stderr,
-            )
+            spent = time.monotonic() - started
+            left = f", about {spent * (1.0 / share - 1.0):.0f} s left" if share < 1.0 else ""
+            print(f"{title}: {10 * tenth} % after {spent:.0f} s{left}: {text}".removesuffix(": "), file=sys.stderr)
 
     return report

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from sim_core.errors import ConfigError
+from sysid.cli.bounds import whole_number
 from sysid.cli.options import FolderOption, SeedOption, check_new, library
 from sysid.cli.progress import progress
 
@@ -19,7 +20,7 @@ CasesFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder made by
 @app.command("make")
 def make(
     out: FolderOption,
-    cases: Annotated[int, typer.Option("--cases", min=1, max=10_000, help="Number of cases.")] = 12,
+    cases: Annotated[int, whole_number("--cases", "Number of cases.", 1, 10_000)] = 12,
     seed: SeedOption = 0,
 ) -> None:
     """Simulate recordings with concealed effects; the truth is sealed beside them."""

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from sysid.cli.bounds import whole_number
 from sysid.cli.options import RigArgument, check_new, parse_settings
 from sysid.cli.progress import progress
 
@@ -18,16 +19,14 @@ def simulate(
         typer.Argument(metavar="EXPERIMENT", help="Experiment: a name from 'thinshell rigs' or a YAML file."),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="BAG", help="New rosbag2 folder to write.")],
-    seed: Annotated[
-        int | None, typer.Option("--seed", min=0, help="Seed of the noise; default: the experiment's.")
-    ] = None,
+    seed: Annotated[int | None, whole_number("--seed", "Seed of the noise; default: the experiment's.", 0)] = None,
     refine: Annotated[
         int,
-        typer.Option(
+        whole_number(
             "--refine",
-            min=1,
-            max=8,
-            help="Cells in each direction and steps in time, as a multiple of the rig's: less error of mesh and step.",
+            "Cells in each direction and steps in time, as a multiple of the rig's: less error of mesh and step.",
+            1,
+            8,
         ),
     ] = 1,
     settings: Annotated[

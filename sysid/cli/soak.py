@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from sysid.cli.bounds import whole_number
 from sysid.cli.options import SeedOption
 from sysid.cli.progress import progress
 
@@ -17,7 +18,7 @@ def soak(
     rigs: Annotated[
         list[str] | None, typer.Argument(metavar="[RIG]...", help="Rigs to run; default: all that come with it.")
     ] = None,
-    steps: Annotated[int, typer.Option("--steps", min=1, help="Steps in total, spread over the rigs.")] = 10_000,
+    steps: Annotated[int, whole_number("--steps", "Steps in total, spread over the rigs.", 1)] = 10_000,
     seed: SeedOption = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print every run as JSON.")] = False,
 ) -> None:

@@ -26,7 +26,7 @@ from sysid.fit.profile import Profile
 from sysid.fit.profiler import Profiler
 from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series, rms_errors
 from sysid.fit.runs import Run, load_runs
-from sysid.fit.starts import Evaluations, Progress, Searches, Step
+from sysid.fit.starts import SEARCHED, Evaluations, Progress, Searches, Step
 from sysid.fit.untold import blamed, nuisances_of, remarks
 from sysid.fit.windows import not_from_rest
 from sysid.folder import whole_folder
@@ -213,9 +213,11 @@ def _profiled(
         left_out = ["No interval was sought by profile likelihood, since the fit did not converge."]
         return [], sentences + (left_out if intervals == "profiled" else [])
 
+    searched = SEARCHED[intervals]
+
     def tell(share: float, text: str) -> None:
         if on_progress is not None:
-            on_progress(0.9 + 0.08 * share, text)
+            on_progress(searched + (0.98 - searched) * share, text)
 
     profiler = Profiler(problem, fitted, tell)
     if intervals == "checked":

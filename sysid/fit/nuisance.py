@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim_core.errors import ConfigError
+from sim_core.errors import ConfigError, nearest_match
 from sim_core.rigs import OrthographicCamera, Rig
 from sim_core.rigs.observers import Camera
 from sim_core.rigs.parameters import OFFSETS
@@ -64,7 +64,7 @@ def checked_kinds(words: Collection[str]) -> frozenset[str]:
         return frozenset()
     for word in words:
         if word not in KINDS:
-            raise ConfigError(f"There is no nuisance {word!r}.", f"Write 'all', 'none', or some of {', '.join(KINDS)}.")
+            raise ConfigError(f"There is no nuisance {word!r}.", nearest_match(word, (*KINDS, "all", "none")))
     return frozenset(words)
 
 

@@ -36,6 +36,12 @@ Progress = Callable[[float, str], None]
 WORTH_NAMING = 0.05
 """Share of what is known of a parameter from which a channel is named as its source."""
 
+PREDICTIONS = 4
+"""Predictions of each experiment: with derivatives, as it is, on a finer mesh, with a shorter step."""
+
+SIMULATED, PREDICTED = 0.2, 0.7
+"""Shares of the time, about, after which the experiments are simulated and the predictions made."""
+
 
 @dataclass(frozen=True)
 class Expected:
@@ -98,31 +104,45 @@ def plan_experiments(
     with tempfile.TemporaryDirectory() as folder:
         for k, experiment in enumerate(experiments):
             bag = Path(folder) / f"{k}"
-            at = 0.4 * k / len(experiments)
 
-            def share(done: float, text: str, at: float = at) -> None:
-                say(at + 0.4 * done / len(experiments), text)
+            def share(done: float, text: str, at: int = k, name: str = experiment.name) -> None:
+                say(SIMULATED * (at + done) / len(experiments), f"{name}, {text}")
 
             simulate_to_bag(rig, experiment, bag, noise=_none, on_progress=share)
             runs.append(replace(load_run(rig, bag), name=experiment.name))
     noise = {m.channel: declared_noise(rig, m) for run in runs for m in run.measured}
     parameters = [*asked, *nuisance_parameters(rig, runs, asked, kinds)]
     start, bias = start_of(rig, parameters), has_bias(runs, asked, kinds)
-    with PooledEngine(os.cpu_count()) as engine:
-        say(0.4, "derivatives, and the error of mesh and time step")
+    predicted = _Count(say, PREDICTIONS * len(runs))
+    with PooledEngine(os.cpu_count(), predicted) as engine:
         pending = [engine.submit_with_derivatives(rig, run, parameters, start) for run in runs]
         directions = discretisation(engine, rig, runs)
         predictions = [p.result() for p in pending]
-        say(0.95, "what can be told apart")
         outlooks = []
         groups = [[k] for k in range(len(runs))] + ([list(range(len(runs)))] if len(runs) > 1 else [])
-        for group in groups:
+        for done, group in enumerate(groups):
+            told = " and ".join(runs[k].name for k in group)
+            say(PREDICTED + (1.0 - PREDICTED) * done / len(groups), f"what {told} would tell")
             own = [replace(d, shapes=tuple(d.shapes[k] for k in group)) for d in directions]
             problem = Problem([runs[k] for k in group], noise, engine, own, bias=bias)
             fitted = problem.compare([predictions[k] for k in group], rig, parameters, start)
             fitted.residual[:] = 0.0
             outlooks.append(_outlook(problem, fitted, sorted(kinds)))
+        say(1.0, "")
     return Plan(rig.name, tuple(outlooks))
+
+
+class _Count:
+    """Tells the progress of predictions that are made side by side. Called after each."""
+
+    def __init__(self, say: Progress, all_of_them: int) -> None:
+        self._say, self._all, self._done = say, all_of_them, -1
+        self()
+
+    def __call__(self) -> None:
+        self._done += 1
+        share = SIMULATED + (PREDICTED - SIMULATED) * self._done / self._all
+        self._say(share, f"{self._done} of {self._all} predictions: derivatives, error of mesh and time step")
 
 
 def declared_noise(rig: Rig, measured: Measured) -> ChannelNoise:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from types import TracebackType
 
@@ -34,10 +34,14 @@ def _predict_with_derivatives(rig: Rig, run: Run, parameters: Sequence[FitParame
 
 
 class PooledEngine:
-    """As :class:`sysid.fit.engine.Engine`, in ``workers`` processes. Use as a context manager."""
+    """As :class:`sysid.fit.engine.Engine`, in ``workers`` processes. Use as a context manager.
 
-    def __init__(self, workers: int | None = None) -> None:
+    ``on_done``: called in a thread of the pool after each prediction, made or failed.
+    """
+
+    def __init__(self, workers: int | None = None, on_done: Callable[[], None] | None = None) -> None:
         self._workers = workers or os.cpu_count() or 1
+        self._on_done = on_done
 
     def __enter__(self) -> PooledEngine:
         context = multiprocessing.get_context("spawn")
@@ -54,13 +58,13 @@ class PooledEngine:
 
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
         """Start a prediction without derivatives."""
-        return self._pool.submit(_predict, rig, run, refine, dt)
+        return self._told(self._pool.submit(_predict, rig, run, refine, dt))
 
     def submit_with_derivatives(
         self, rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray
     ) -> Future[Prediction]:
         """Start a prediction with derivatives."""
-        return self._pool.submit(_predict_with_derivatives, rig, run, list(parameters), np.array(scaled))
+        return self._told(self._pool.submit(_predict_with_derivatives, rig, run, list(parameters), np.array(scaled)))
 
     def predict_all(
         self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
@@ -68,6 +72,13 @@ class PooledEngine:
         """Predictions with derivatives of several runs, side by side."""
         futures = [self.submit_with_derivatives(rig, run, parameters, scaled) for run in runs]
         return [future.result() for future in futures]
+
+    def _told(self, future: Future[Prediction]) -> Future[Prediction]:
+        """The same future, which tells when it is done."""
+        on_done = self._on_done
+        if on_done is not None:
+            future.add_done_callback(lambda _: on_done())
+        return future
 
 
 AnyEngine = Engine | PooledEngine

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import os
 import threading
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -54,7 +53,7 @@ NARROW = 0.05
 """An end is known when it is bracketed to this share of its distance from the optimum."""
 
 TYPICAL_POINTS = 2.5
-"""Evaluations that a side usually takes; the time left is estimated with it."""
+"""Evaluations that a side usually takes; progress is scaled with it."""
 
 Progress = Callable[[float, str], None]
 
@@ -90,7 +89,6 @@ class Profiler:
         self._on_progress = on_progress
         self._stop = threading.Event()
         self._lock = threading.Lock()
-        self._started = time.monotonic()
         self._evaluations = 0
         self._expected = 1.0
         self._best = self._point(fitted, None)
@@ -184,9 +182,8 @@ class Profiler:
             self._evaluations += 1
             if self._on_progress is not None:
                 share = 1.0 - np.exp(-1.5 * self._evaluations / self._expected)
-                each = (time.monotonic() - self._started) / self._evaluations
-                left = each * max(1.0, self._expected - self._evaluations)
-                self._on_progress(share, f"profile, evaluation {self._evaluations}, about {left:.0f} s left")
+                expected = max(self._expected, self._evaluations)
+                self._on_progress(share, f"profile, evaluation {self._evaluations} of about {expected:.0f}")
         return found
 
     def _point(self, fitted: Fitted, k: int | None) -> _Point:

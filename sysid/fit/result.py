@@ -11,12 +11,19 @@ from typing import Any
 import numpy as np
 
 from sysid.fit.fitted import Fitted
+from sysid.fit.noise import REPLACED_FROM, declared_noise
 from sysid.fit.outliers import Outliers
 from sysid.fit.problem import Problem
 from sysid.fit.profile import Profile
 from sysid.fit.runs import UNITS, Measured, Run
 from sysid.fit.uncertainty import interval, uncertainty
 from sysid.fit.untold import Nuisance
+
+NOISE_USED = (
+    "noise: what the fit used, estimated from the recordings; declared: what the rig says, which is used where it is "
+    f"more than {REPLACED_FROM:g} times the estimate."
+)
+"""Which of the two is used, in words."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +44,8 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ChannelError:
-    """Root-mean-square error of one channel of one run in its own unit (wrench: forces; torques apart)."""
+    """Root-mean-square error of one channel of one run in its own unit (wrench: forces; torques apart). ``noise``: what
+    the fit used; ``declared``: what the rig says."""
 
     run: str
     channel: str
@@ -47,6 +55,7 @@ class ChannelError:
     after: float
     noise: float
     held_out: bool
+    declared: float | None = None
 
 
 @dataclass(frozen=True)
@@ -111,12 +120,15 @@ class FitResult:
         lines += ["", *self._profile_table(), *self._nuisance_table()]
         runs = [c.run + (" (held out)" if c.held_out else "") for c in self.errors]
         wide = max(24, *map(len, runs)) + 2 if runs else 26
-        lines.append(f"{'run':<{wide}}{'channel':<22}{'before':>11}{'after':>11}{'noise':>11}  unit")
+        lines.append(f"{'run':<{wide}}{'channel':<22}{'before':>11}{'after':>11}{'noise':>11}{'declared':>11}  unit")
         for run, c in zip(runs, self.errors, strict=True):
+            declared = "" if c.declared is None else f"{c.declared:.4g}"
             lines.append(
                 f"{run:<{wide}}{c.channel + ' ' + c.quantity:<22}{c.before:>11.4g}{c.after:>11.4g}"
-                f"{c.noise:>11.4g}  {c.unit}"
+                f"{c.noise:>11.4g}{declared:>11}  {c.unit}"
             )
+        if self.errors:
+            lines.append(NOISE_USED)
         lines += ["", *self.identifiability, *self.remarks, *(f"Note: {note}" for note in self.notes)]
         if not self.converged:
             lines.append(f"The fit did not converge: {self.message}")
@@ -189,8 +201,9 @@ def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) 
                         UNITS[m.kind][unit],
                         _rms(misses[0]),
                         _rms(misses[1]),
-                        float(np.sqrt(np.mean(problem.noise[m.channel].sigma[columns] ** 2))),
+                        _rms(problem.noise[m.channel].sigma[columns]),
                         held_out,
+                        _rms(np.broadcast_to(declared_noise(after.rig, m.channel), m.values.shape[1])[columns]),
                     )
                 )
     return out

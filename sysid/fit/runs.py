@@ -22,6 +22,7 @@ from sim_core.rigs import (
 )
 from sim_core.rigs.observers import WRENCH_COMPONENTS
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.likeness import check_topics, differences, numbers_apart
 from sysid.parts import part_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
@@ -128,16 +129,13 @@ def load_run(rig: Rig, path: Path) -> Run:
     """Read a bag and line it up with a rig. Raises ``RecordingError`` when nothing can be compared."""
     from sysid.fit.placement import placed_sights
 
-    names, missing = topics_of(rig, open_bag(Path(path), Notes()).topics)
+    topics = open_bag(Path(path), Notes()).topics
+    check_topics(rig, path, topics)
+    names, missing = topics_of(rig, topics)
     recording = read_recording(path, names)
     poses = {}
     for name in rig.end_effectors:
-        stream = recording.poses.get(name)
-        if stream is None:
-            raise RecordingError(
-                f"{path}: no pose of the end effector {name!r} was recorded.",
-                "Record its current_pose or target_pose, or correct its topics in the rig.",
-            )
+        stream = recording.poses[name]
         poses[name] = PoseTrajectory.from_samples(
             stream.t,
             stream.position,
@@ -146,11 +144,7 @@ def load_run(rig: Rig, path: Path) -> Run:
             source=f"{path}: {stream.topic}",
         )
     recorded = tuple(_measured(rig, recording))
-    if not recorded:
-        raise RecordingError(
-            f"{path}: none of the rig's sensors and cameras has data in this bag.",
-            "Compare 'thinshell inspect' with the topics of the rig.",
-        )
+    unlike = " ".join(differences(rig, recording, _marker_numbers(rig)))
     measured, blanked = while_posed(rig, poses, recorded)
     if not measured:
         raise RecordingError(
@@ -168,6 +162,7 @@ def load_run(rig: Rig, path: Path) -> Run:
         notes=(
             *(f"{n.channel}: {n.text}" for n in recording.notes),
             *(f"{topic}: named by the rig, not in this recording" for topic in missing),
+            *([f"{unlike} Give the rig that it was recorded with, if that is another one."] if unlike else []),
             *blanked,
             *missed,
         ),
@@ -221,23 +216,29 @@ def _measured(rig: Rig, recording: Recording) -> Sequence[Measured]:
         values = np.where(measured, np.hstack([wrench.force, wrench.torque]), np.nan)
         labels = tuple(c.replace("_", " ") for c in WRENCH_COMPONENTS)
         out.append(Measured(name, "wrench", wrench.t, values, labels))
+    numbers = _marker_numbers(rig)
     for name, markers in recording.markers.items():
-        sensor = rig.sensors[name]
-        assert isinstance(sensor, MarkerSensor)
-        body = rig.bodies[sensor.body]
-        assert not isinstance(body, Rigid)
-        ids = marker_positions(sensor.points, body)[1]
+        ids = numbers[name]
         values = _by_id(markers.position, markers.ids, ids, name, recording)
         out.append(Measured(name, "markers", markers.t, values, _labels(ids, "xyz")))
-    bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
     for name, tracks in recording.tracks.items():
-        camera = rig.cameras[name]
-        ids = track_ids(camera, bodies)
+        camera, ids = rig.cameras[name], numbers[name]
         values = _by_id(tracks.uv, tracks.ids, ids, name, recording)
         if isinstance(camera, OrthographicCamera) and camera.origin_id is not None:
             values = _from_origin(values, camera)
         out.append(Measured(name, "tracks", tracks.t, values, _labels(ids, "uv")))
     return out
+
+
+def _marker_numbers(rig: Rig) -> dict[str, np.ndarray]:
+    """Numbers of the markers, in the order of the columns, by sensor or camera."""
+    bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
+    found = {
+        name: marker_positions(sensor.points, bodies[sensor.body])[1]
+        for name, sensor in rig.sensors.items()
+        if isinstance(sensor, MarkerSensor)
+    }
+    return found | {name: track_ids(camera, bodies) for name, camera in rig.cameras.items()}
 
 
 def _from_origin(values: np.ndarray, camera: OrthographicCamera) -> np.ndarray:
@@ -258,9 +259,9 @@ def _by_id(values: np.ndarray, recorded: np.ndarray, wanted: np.ndarray, name: s
     found = [places.get(int(i)) for i in wanted]
     if all(f is None for f in found):
         raise RecordingError(
-            f"{recording.provenance.path}: {name} has markers {recorded[:5].tolist()}..., none of which the "
-            f"rig knows (it has {wanted[:5].tolist()}...).",
-            "Give the marker numbers with 'ids' in the rig.",
+            f"{recording.provenance.path}: of the markers of {name} the rig knows none: "
+            f"{numbers_apart(recorded, wanted)}",
+            "Give the rig that it was recorded with, or the marker numbers with 'ids' in this one.",
         )
     out = np.full((len(values), len(wanted), values.shape[2]), np.nan)
     for k, f in enumerate(found):

@@ -19,7 +19,7 @@ from scipy.stats import norm, qmc
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.fitted import Fitted
-from sysid.fit.options import FitOptions
+from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.parameters import FitParameter
 from sysid.fit.problem import Problem
 from sysid.fit.uncertainty import chance, uncertainty
@@ -55,6 +55,9 @@ SAME_PLACE = 4.0
 TYPICAL_EVALUATIONS = 10
 """Evaluations that a search usually takes; the progress bar is scaled with it."""
 
+SEARCHED: dict[Intervals, float] = {"quadratic": 0.95, "checked": 0.8, "profiled": 0.5}
+"""Share of the time of a fit, about, that its search takes, by what is done about intervals afterwards."""
+
 EVALUATIONS_OF_A_SEARCH = 30
 """Evaluations after which one search ends, converged or not."""
 
@@ -80,6 +83,7 @@ class Evaluations:
     ) -> None:
         self._most = options.max_evaluations
         self._typical = TYPICAL_EVALUATIONS * options.starts
+        self._searched = SEARCHED[options.intervals]
         self._on_progress = on_progress
         self._on_step = on_step
         self.done = 0
@@ -100,8 +104,8 @@ class Evaluations:
         """One more has been made, after which ``best`` is the best of its search."""
         self.done += 1
         if self._on_progress is not None:
-            share = 1.0 - np.exp(-self.done / self._typical)
-            self._on_progress(0.9 * share, f"evaluation {self.done}, misfit {best.chi2:.4g}")
+            share = self._searched * (1.0 - np.exp(-self.done / self._typical))
+            self._on_progress(share, f"evaluation {self.done}, misfit {best.misfit:.3g} (up to 1: noise alone)")
         if self._on_step is not None:
             asked = {p.name for p in best.parameters if not p.nuisance}
             self._on_step(Step(self.done, best.misfit, {n: v for n, v in best.values.items() if n in asked}))

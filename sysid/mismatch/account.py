@@ -6,6 +6,7 @@ import numpy as np
 
 from sim_core.effects import EFFECTS
 from sysid.fit.fitted import Fitted
+from sysid.fit.noise import FROM_DIFFERENCES
 from sysid.fit.own_error import loud
 from sysid.fit.parameters import start_of
 from sysid.fit.problem import Problem
@@ -55,7 +56,7 @@ def notes(base: Fitted, problem: Problem, before: Structure) -> tuple[str, ...]:
         )
     said += loud(problem)
     for name, noise in problem.noise.items():
-        if noise.source == "second differences":
+        if noise.source == FROM_DIFFERENCES:
             said.append(
                 f"Nothing stands still long enough to see the noise of {name}; it was taken from neighbouring "
                 "samples. If it is smooth, misfit is overrated: record 0.3 s of rest, or declare it in the rig."

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sysid.fit.noise import REPLACED_FROM
 from sysid.report.numbers import MISSING, seconds, significant, times, with_unit
 from sysid.report.page import embedded_json, write_page
 from sysid.report.panels import run_views, showcase
@@ -73,6 +74,7 @@ def write_fit_report(result: FitResult, path: Path) -> Path:
         both=True,
         errors=ErrorTables.of(result.errors),
         noise=noise_rows(result),
+        noise_replaced_from=REPLACED_FROM,
         level_edges=LEVELS,
         provenance=provenance_of(result.provenance),
         notes=result.notes,
@@ -244,6 +246,7 @@ class NoiseRow:
 
     label: str
     sigma: str
+    declared: str
     correlation: str
     source: str
 
@@ -258,15 +261,16 @@ def noise_rows(result: FitResult) -> list[NoiseRow]:
             continue
         seen.add(key)
         model = result.noise.get(e.channel, {})
-        out.append(_noise_row(f"{e.channel} {e.quantity}".strip(), with_unit(e.noise, e.unit), model))
+        declared = MISSING if e.declared is None else with_unit(e.declared, e.unit)
+        out.append(_noise_row(f"{e.channel} {e.quantity}".strip(), with_unit(e.noise, e.unit), declared, model))
     measured = {channel for channel, _ in seen}
     for channel, model in result.noise.items():
         if channel not in measured:
-            out.append(_noise_row(channel, significant(model.get("sigma")), model))
+            out.append(_noise_row(channel, significant(model.get("sigma")), MISSING, model))
     return out
 
 
-def _noise_row(label: str, sigma: str, model: dict[str, object]) -> NoiseRow:
+def _noise_row(label: str, sigma: str, declared: str, model: dict[str, object]) -> NoiseRow:
     rho = model.get("correlation")
     if not isinstance(rho, int | float) or not math.isfinite(rho):
         colour = MISSING
@@ -274,7 +278,7 @@ def _noise_row(label: str, sigma: str, model: dict[str, object]) -> NoiseRow:
         colour = "white"
     else:
         colour = f"{significant(float(rho), 2)} from one sample to the next"
-    return NoiseRow(label, sigma, colour, str(model.get("from", MISSING)))
+    return NoiseRow(label, sigma, declared, colour, str(model.get("from", MISSING)))
 
 
 def recordings(bags: list[dict[str, Any]], errors: Iterable[ChannelError], held_out: bool) -> int:

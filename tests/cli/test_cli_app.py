@@ -9,12 +9,13 @@ import sys
 import xml.etree.ElementTree as ET
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import pytest
 
+from sim_core.errors import ConfigError
 from sim_core.rigs.load import names_in
-from sysid.cli import app
+from sysid.cli import app, prove
 from sysid.cli.doctor import _ros_traps
 from sysid.cli.progress import progress
 
@@ -40,6 +41,23 @@ def test_without_arguments_it_shows_its_help() -> None:
 def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert app.main([*command.split(), "--help"]) == 0
     assert f"Usage: thinshell {command}" in capsys.readouterr().out
+
+
+def test_every_number_on_the_command_line_has_bounds() -> None:
+    """Those of :mod:`sysid.cli.bounds`, which say the value, the bound and the remedy."""
+    commands = [*app.app.registered_commands, *prove.app.registered_commands]
+    numbers = {}
+    for command in commands:
+        assert command.callback is not None
+        for name, hint in get_type_hints(command.callback, include_extras=True).items():
+            kinds = {get_args(hint)[0], *get_args(get_args(hint)[0])} if get_args(hint) else {hint}
+            if kinds & {int, float}:
+                numbers[f"{command.name} {name}"] = hint.__metadata__[0]
+    assert {"fit starts", "coverage spread", "soak steps", "make cases", "simulate seed"} <= set(numbers)
+    for where, option in numbers.items():
+        assert option.parser is not None, where
+        with pytest.raises(ConfigError, match=rf"--{where.split()[1].replace('_', '-')} is 'nan', not a .*number"):
+            option.parser("nan")
 
 
 def test_rigs_lists_all_rigs_and_experiments() -> None:
@@ -144,6 +162,17 @@ def test_progress_without_a_terminal_is_a_line_every_tenth(capsys: pytest.Captur
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 10
     assert lines[-1].startswith("work: 100 % after")
+
+
+def test_progress_without_a_terminal_says_how_long_it_will_take(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = iter([100.0, 110.0, 140.0])
+    monkeypatch.setattr("sysid.cli.progress.time.monotonic", lambda: next(clock))
+    with progress("work") as report:
+        report(0.25, "first part")
+        report(1.0, "")
+    assert capsys.readouterr().err == "work: 20 % after 10 s, about 30 s left: first part\nwork: 100 % after 40 s\n"
 
 
 def test_package_xml_has_the_version_of_the_package() -> None:

@@ -15,6 +15,7 @@ from sim_core.rigs import config_folder
 from sysid.cli.app import main
 
 GOOD_RIG = (config_folder() / "rigs" / "card_press.yaml").read_text()
+PRESS_POST = str(config_folder().parent / "bags" / "press_post")
 GOOD_MOTION = "name: test\nmotions:\n  finger:\n    - {type: press, depth_m: 0.004}\n"
 
 
@@ -54,6 +55,13 @@ FAULTS: dict[str, Fault] = {
     "a diagnosis has no seed": Fault("diagnose card_press a.mcap --out o --seed 1", "--seed"),
     "seed is a word": Fault("simulate card_press slide --out o --seed one", "--seed"),
     "no cases": Fault("prove make --out o --cases 0", "--cases"),
+    "no starts": Fault(f"{FIT} --starts 0", "--starts is 0, but must be at least 1. Write a larger whole number", BAG),
+    "half a start": Fault(f"{FIT} --starts 1.5", r"--starts is '1\.5', not a whole number. Write a whole", BAG),
+    "negative seed": Fault(f"{FIT} --seed=-1", "--seed is -1, but must be at least 0. Write a larger", BAG),
+    "too fine": Fault(
+        "simulate card_press slide --out o --refine 9", "--refine is 9, but must be from 1 to 8. Write a smaller"
+    ),
+    "no spread": Fault("coverage card_press slide --params gel.E --spread nan", "--spread is 'nan', not a number"),
     # files
     "rig misspelt": Fault("params card_pres", r"Did you mean 'card_press'\?"),
     "rig file missing": Fault("params ./rig.yaml", r"not exist.*mean 'my_rig\.yaml'", {"my_rig.yaml": ""}),
@@ -82,6 +90,19 @@ FAULTS: dict[str, Fault] = {
     "parameter not finite": Fault(f"{SLIDE} card.E=inf", "not finite"),
     "parameter out of bounds": Fault(f"{SLIDE} card.nu=0.9", r"must be less than 0\.5"),
     "parameter twice": Fault(f"{SLIDE} card.E=1e9 --set sheet.E=2e9", "given twice"),
+    "quantity misspelt for a fit": Fault(
+        "fit card_press a.mcap --params gel.F --out o", "Did you mean 'gel.E_pa'", BAG
+    ),
+    "quantity misspelt for a bag": Fault(
+        "fit card_press a.mcap b.mcap --params gel.E --per-bag gel.F --out o", "Did you mean 'gel.E_pa'", BAG
+    ),
+    "quantity misspelt in a plan": Fault("plan card_press slide --params gel.F", "Did you mean 'gel.E_pa'"),
+    "quantity misspelt in coverage": Fault("coverage card_press slide --params gel.F", "Did you mean 'gel.E_pa'"),
+    "quantity misspelt for gradients": Fault(
+        "check-gradients card_press slide --params gel.F", "Did you mean 'gel.E_pa'"
+    ),
+    "sensor misspelt": Fault("plan card_press slide --params gel.E --without outsid", "Did you mean 'outside'"),
+    "nuisance misspelt": Fault("plan card_press slide --params gel.E --nuisance tme", "Did you mean 'time'"),
     "fit of nothing known": Fault("fit card_press a.mcap --params card.Q --out o", "no parameter", BAG),
     "fit beside nothing known": Fault(
         "fit card_press a.mcap --params card.E --nuisance clock --out o", "no nuisance 'clock'", BAG
@@ -110,6 +131,10 @@ FAULTS: dict[str, Fault] = {
     "folder without recording": Fault("inspect bag", "bag", {"bag/notes.txt": "hello"}),
     "recording to fit missing": Fault("fit card_press b.mcap --params card.E --out result", "does not exist"),
     "held-out missing": Fault(f"{FIT} --held-out b.mcap", r"b\.mcap does not exist", BAG),
+    "recording of another rig": Fault(
+        ["fit", "material_bench", PRESS_POST, "--params", "gel.E", "--out", "o"],
+        r"press_post does not match the rig 'material_bench': it lacks the pose of 'gripper'.*Give the rig that it was",
+    ),
     "recording twice": Fault("diagnose card_press a.mcap ./a.mcap --out result", "given twice", BAG),
     "window is held out": Fault(f"{FIT} --held-out a.mcap@1:2", "readings from 1 to 2 s are given both", BAG),
     "held-out is used": Fault(f"{FIT} --held-out a.mcap", "both to use and to hold out", BAG),

@@ -37,9 +37,15 @@ RUB = [*TOUCH, {"position_m": [0.059, 0.0, -0.0008]}]
 
 
 @pytest.fixture(scope="module")
-def plan(small_rig):
+def told():
+    """What the plan has told of its progress."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def plan(small_rig, told):
     parts = [experiment(PRESS, "press"), experiment(TOUCH, "touch"), experiment(RUB, "rub")]
-    return plan_experiments(small_rig(), parts, NAMES)
+    return plan_experiments(small_rig(), parts, NAMES, lambda share, text: told.append((share, text)))
 
 
 def known(outlook):
@@ -61,6 +67,17 @@ def test_the_expected_interval_is_that_of_a_recording(small_rig, plan, tmp_path)
     together = plan.outlooks[-1]
     assert together.experiments == ("press", "touch", "rub")
     np.testing.assert_allclose([p.sd for p in together.parameters], uncertainty(fitted).sd, rtol=0.25)
+
+
+def test_progress_goes_on_all_the_time(plan, told):
+    """From step to step, from one of the twelve predictions to the next, and from one answer to the next."""
+    shares = [share for share, _ in told]
+    steps = np.diff([0.0, *shares])
+    assert -1e-12 < min(steps) and max(steps) < 0.1 and shares[-1] == 1.0
+    assert [text for _, text in told if "predictions" in text] == [
+        f"{k} of 12 predictions: derivatives, error of mesh and time step" for k in range(13)
+    ]
+    assert "what press and touch and rub would tell" in told[-2][1]
 
 
 def test_each_experiment_tells_of_what_it_touches(plan):

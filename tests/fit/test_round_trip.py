@@ -19,6 +19,9 @@ STARTS = (
     {"card.E_pa": 3.8e9, "gel.E_pa": 1.8e5, "contacts.gel-post.friction": 0.7},
     {"card.E_pa": 2.0e9, "gel.E_pa": 2.0e5, "contacts.gel-post.friction": 0.3},
 )
+DECLARED = {"wrench force": 1e-3, "wrench torque": 1e-5, "markers ": 5e-6, "side ": 0.1}
+"""Noise that the small rig declares."""
+
 MOTION = [
     {"type": "wait", "duration_s": 0.4},
     {"type": "waypoints", "speed_m_s": 0.1, "hold_s": 0.1,
@@ -53,6 +56,7 @@ def test_truth_comes_back_within_a_narrow_interval(recorded, start):
     rig, run, _ = recorded
     result, fitted = fit_runs(with_parameters(rig, start), [run], list(start))
     assert result.converged
+    assert {e.channel + " " + e.quantity: e.declared for e in result.errors} == pytest.approx(DECLARED)
     assert result.reduced_chi2 < 1.1
     for estimate in result.estimates:
         low, high = estimate.ci95

@@ -81,6 +81,19 @@ def test_a_search_from_the_wrong_side_ends_there_and_one_of_several_starts_does_
     assert len(ways) == 4 and ways[0].startswith(f"Search 1 began at gel.E_pa {np.exp(12.8):.4g} Pa and ended at")
 
 
+def test_progress_tells_the_misfit_beside_what_the_noise_alone_makes(small_rig: Any) -> None:
+    """200 readings, each off by three standard deviations of the noise: a mean square of nine."""
+    rig = small_rig()
+    off = np.full(len(T), 3.0)
+    fitted = Fitted(
+        fit_parameters(rig, ["gel.E"]), np.array([MIDDLE]), rig, off, np.zeros((len(T), 1)), [(0, "gauge", T)], [], rig,
+        1, True, "", 0.0,
+    )  # fmt: skip
+    told: list[str] = []
+    Evaluations(FitOptions(), lambda share, text: told.append(text))(fitted)
+    assert told == ["evaluation 1, misfit 9 (up to 1: noise alone)"]
+
+
 def test_starts_are_those_of_many_draws_that_fit_best_and_can_be_simulated(small_rig: Any) -> None:
     gauge = Gauge(0.05, broken_from=13.5)
     several, parameters = searches(small_rig(), starts=5)

@@ -239,4 +239,4 @@ def test_fields_that_cannot_be_used(small_rig):
         with pytest.raises(ConfigError, match=words):
             fields[name] = values
     with pytest.raises(ConfigError, match=r"Did you mean 'gel\.E_pa'"):
-        fields.resolve("gel.E_p")
+        fields.resolve("gel.F")

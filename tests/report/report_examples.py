@@ -77,7 +77,7 @@ def make_errors(
 ) -> list[ChannelError]:
     """Errors as multiples of the noise."""
     return [
-        ChannelError(run, c, q, UNIT[c, q], before * s, (after + 0.01 * k) * s, s, held_out)
+        ChannelError(run, c, q, UNIT[c, q], before * s, (after + 0.01 * k) * s, s, held_out, 0.925 * s)
         for run, held_out in runs
         for k, ((c, q), s) in enumerate(NOISE.items())
     ]
@@ -117,7 +117,7 @@ def make_fit(**changes: object) -> FitResult:
         "noise": {
             "wrench_gel": {"sigma": 1e-3, "correlation": 0.0, "from": "quiet stretches"},
             "gel_markers": {"sigma": 1e-5, "correlation": 0.42, "from": "quiet stretches"},
-            "outside": {"sigma": 0.1, "correlation": 0.0, "from": "second differences"},
+            "outside": {"sigma": 0.1, "correlation": 0.0, "from": "third differences"},
         },
         "notes": ["press_1: wrench_gel: 3 samples lost", "slide_1: stamps of outside jump by 0.2 s at 1.4 s"],
         "provenance": PROVENANCE,

@@ -132,6 +132,18 @@ def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Page]:
     return {v: checked(write_diagnosis_report(make_diagnosis(v), folder / f"{v}.html")) for v in VERDICTS}
 
 
+def test_the_noise_that_is_used_stands_beside_the_declared_one_and_is_told_from_it(tmp_path: Path) -> None:
+    result = make_fit()
+    words = fit_page(tmp_path, result).words.split("Provenance")[-2]
+    assert "Standard deviation, usedDeclared by the rig" in words
+    assert "wrench_gel force2.00 mN1.85 mNwhitequiet stretches" in words
+    assert "what the rig declares stands in where it is more than 2 times that" in words
+    table = result.table()
+    assert re.search(r"press_1 +wrench_gel force .* 0\.002 +0\.00185  N\n", table)
+    assert re.search(r"before +after +noise +declared  unit", table)
+    assert "\nnoise: what the fit used, estimated from the recordings; declared: what the rig says" in table
+
+
 def test_the_fit_report_holds_every_number_of_its_parameters(tmp_path: Path) -> None:
     result = make_fit()
     page = fit_page(tmp_path, result)
@@ -208,14 +220,14 @@ def empty_diagnosis() -> Diagnosis:
     """What the diagnosis collects of one recording that the baseline explains, and one effect that was tried."""
     t = np.linspace(0.0, 1.0, 60)
     white = np.random.default_rng(0).standard_normal((60, 6))
-    gauge = Measured("gauge", "wrench", t, white, tuple("abcdef"))
-    noise = {"gauge": ChannelNoise(np.ones(6), 0.0, "test")}
+    gauge = Measured("wrench_gel", "wrench", t, white, tuple("abcdef"))
+    noise = {"wrench_gel": ChannelNoise(np.ones(6), 0.0, "test")}
     problem = Problem([Run("pull", "", (), {}, (gauge,), 1.0)], noise, cast(Engine, None))
-    prediction = Prediction({"gauge": np.zeros((60, 6))}, {}, cast(Trace, None))
+    prediction = Prediction({"wrench_gel": np.zeros((60, 6))}, {}, cast(Trace, None))
     rig = load_rig("card_press")
     base = Fitted(
-        [], np.zeros(0), rig, white.ravel(), np.zeros((360, 0)), [(0, "gauge", np.repeat(t, 6))], [prediction], rig,
-        1, True, "", 0.0,
+        [], np.zeros(0), rig, white.ravel(), np.zeros((360, 0)), [(0, "wrench_gel", np.repeat(t, 6))], [prediction],
+        rig, 1, True, "", 0.0,
     )  # fmt: skip
     with_gel = with_effect(rig, EFFECTS[0], {"share": 0.1, "tau_s": 0.2})
     own = fit_parameters(with_gel, ["effects.gel_relaxation.share"])

@@ -38,6 +38,33 @@ def test_short_names(written: str, full: str) -> None:
     assert resolve_name(RIG, written) == full
 
 
+@pytest.mark.parametrize(
+    ("written", "remedy"),
+    [
+        ("gel.F", "Did you mean 'gel.E_pa'?"),  # not gel.nu, although more letters agree
+        ("gell.E", "Did you mean 'gel.E_pa'?"),
+        ("gel.E_Pa", "Did you mean 'gel.E_pa'?"),
+        ("sheet.thicknes", "Did you mean 'card.thickness_m'?"),
+        ("gel-pst.friction", "Did you mean 'contacts.gel-post.friction'?"),
+        ("post-gell.frction", "Did you mean 'contacts.gel-post.friction'?"),
+        ("outside.latncy", "Did you mean 'outside.latency_s'?"),
+        # What the owner has, not what something else has that is spelt alike; and whose the quantity may be.
+        (
+            "gel.young",
+            "Write one of: gel.E_pa, gel.density_kg_m3, gel.mass_damping_per_s, gel.nu, gel.stiffness_damping_s.",
+        ),
+        ("friction", "Write one of: contacts.gel-card.friction, contacts.gel-post.friction."),
+        ("post.friction", "Did you mean 'contacts.gel-post.friction'?"),
+        ("table.friction", "Write one of: contacts.gel-card.friction, contacts.gel-post.friction."),
+    ],
+)
+def test_an_unknown_name_is_answered_with_the_nearest(written: str, remedy: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        resolve_name(RIG, written)
+    assert caught.value.problem == f"The rig 'card_press' has no parameter {written!r}."
+    assert caught.value.remedy == remedy
+
+
 def test_a_changed_rig_differs_only_there() -> None:
     changed = with_parameters(RIG, {"card.E": 1e9, "gel-card.stiffness": 1e9})
     values = {p.name: p.value for p in list_parameters(changed)}

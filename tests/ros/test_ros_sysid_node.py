@@ -235,7 +235,7 @@ def test_a_bag_that_does_not_fit_the_rig_fails_in_words(fitter: Fitter) -> None:
     answer = fitter.ask("start")
     assert answer.success
     reason = values_of(fitter.until(answer.message, "succeeded", "failed"))["detail"]
-    assert "holds no measurement" in reason
+    assert "does not match the rig" in reason and "(nobody)" in reason and "nobody_either" in reason
 
 
 @pytest.mark.parametrize("kill", [False, True], ids=["interrupted", "killed"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_core.rigs import load_rig
-from sysid.fit.noise import ChannelNoise, channel_noise, declared_noise, unless_larger
+from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, channel_noise, declared_noise, unless_larger
 from sysid.fit.runs import Measured, Run
 
 
@@ -34,7 +34,7 @@ def test_declared_noise_counts_when_it_is_much_larger(declared: float, sigma: fl
     assert (noise.rho, noise.source) == (rho, source)
 
 
-@pytest.mark.parametrize(("pause", "source"), [(1.0 / 30.0, "second differences"), (7.0, "declared by the rig")])
+@pytest.mark.parametrize(("pause", "source"), [(1.0 / 30.0, FROM_DIFFERENCES), (7.0, "declared by the rig")])
 def test_readings_far_apart_do_not_tell_their_noise(pause: float, source: str) -> None:
     # Single states, as of presses that have nothing to do with each other: they differ by 5 px, the noise is 0.1 px.
     values = np.random.default_rng(0).normal(0.0, 5.0, (8, 54))

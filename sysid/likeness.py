@@ -1,0 +1,131 @@
+"""Whether a recording was made with a rig, as far as its topics, frames and marker numbers tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sim_core.errors import RecordingError
+from sim_core.rigs import Rig
+from sysid.recording import Recording
+from sysid.recording.bag import TopicInfo
+from sysid.recording.topics import CLOUD, COMPRESSED, IMAGE, POSE, WRENCH
+
+STREAMS = {POSE, WRENCH, CLOUD, IMAGE, COMPRESSED}
+"""Types of what a rig reads; other topics say nothing about it."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Part of a rig that reads one of ``topics``, of type ``kind``. ``key``: where the rig file names the first."""
+
+    words: str
+    key: str
+    topics: tuple[str, ...]
+    kind: str
+
+    def __str__(self) -> str:
+        return f"{self.words} ({' or '.join(self.topics)})"
+
+    def found(self, available: Iterable[str]) -> list[str]:
+        """The topics of a recording that may be the first of these that is there."""
+        return next(filter(None, (_same(topic, available) for topic in self.topics)), [])
+
+
+def _hands(rig: Rig) -> list[_Part]:
+    return [
+        _Part(f"the pose of {n!r}", f"end_effectors.{n}.topics.current_pose", (t.current_pose, t.target_pose), POSE)
+        for n, t in ((n, e.topics) for n, e in rig.end_effectors.items())
+    ]
+
+
+def _senses(rig: Rig) -> list[_Part]:
+    kinds = {"wrench": WRENCH, "markers": CLOUD}
+    return [
+        *(
+            _Part(f"the readings of {n!r}", f"sensors.{n}.topic", (s.topic,), kinds[s.type])
+            for n, s in rig.sensors.items()
+        ),
+        *(
+            _Part(f"the tracks of {n!r}", f"cameras.{n}.topics.marker_tracks", (c.topics.marker_tracks,), CLOUD)
+            for n, c in rig.cameras.items()
+        ),
+    ]
+
+
+def check_topics(rig: Rig, path: Path, topics: Mapping[str, TopicInfo]) -> None:
+    """Refuse a recording that lacks the pose of an end effector, or all that the rig measures, or in which names of the
+    rig may mean several topics. Raises ``RecordingError``, which names what differs."""
+    types = {"/" + topic.strip("/"): STREAMS & set(info.msgtypes) for topic, info in topics.items()}
+    hands, senses = _hands(rig), _senses(rig)
+    found = {part: part.found(types) for part in (*hands, *senses)}
+    several = [part for part, same in found.items() if len(same) > 1]
+    lacking = [part for part, same in found.items() if not same]
+    if not several and not set(hands) & set(lacking) and not set(senses) <= set(lacking):
+        return
+    named = {t for topic in _named(rig) for t in _same(topic, types)}
+    strange = [t for t, kinds in types.items() if kinds and t not in named]
+    told = [f"it lacks {', '.join(map(str, lacking))}"] if lacking else []
+    told += [f"{part} may be {' or '.join(found[part])}" for part in several]
+    told += [f"it has {', '.join(strange)}, which the rig does not name"] if strange else []
+    examples = [(part.key, found[part][0]) for part in several]
+    examples += [(part.key, t) for part in lacking for t in strange if part.kind in types[t]]
+    example = f", as in {examples[0][0]}: {examples[0][1]}" if examples else ""
+    images = [name for name, camera in rig.cameras.items() if _same(camera.topics.image, types)]
+    tracks = f"Make tracks of the images of {', '.join(images)} with 'thinshell track', give" if images else "Give"
+    raise RecordingError(
+        f"{path} does not match the rig {rig.name!r}: {'; '.join(told)}.",
+        f"{tracks} the rig that it was recorded with, or write the topics of the recording into this one{example}.",
+    )
+
+
+def differences(rig: Rig, recording: Recording, markers: Mapping[str, np.ndarray]) -> Iterator[str]:
+    """What is different in a recording that can be read: frames and marker numbers. ``markers``: numbers ``(m,)`` that
+    the rig knows, by sensor or camera."""
+    for name, sensor in rig.sensors.items():
+        stream = recording.wrenches.get(name) or recording.markers.get(name)
+        if stream is not None and sensor.frame_id is not None and stream.frame_id != sensor.frame_id:
+            yield f"{name}: {stream.topic} is in the frame {stream.frame_id!r}, in the rig in {sensor.frame_id!r}."
+    for name, camera in rig.cameras.items():
+        tracks = recording.tracks.get(name)
+        if tracks is not None and camera.frame_id is not None and tracks.frame_id != camera.frame_id:
+            yield f"{name}: {tracks.topic} is in the frame {tracks.frame_id!r}, in the rig in {camera.frame_id!r}."
+    for name, known in markers.items():
+        seen = recording.markers.get(name) or recording.tracks.get(name)
+        if seen is not None and set(seen.ids.tolist()) != set(known.tolist()):
+            yield f"{name}: {numbers_apart(seen.ids, known)}"
+
+
+def numbers_apart(recorded: np.ndarray, known: np.ndarray) -> str:
+    """How the marker numbers of a recording and those of a rig differ."""
+    recorded, known = np.unique(recorded), np.unique(known)
+    lost, strange = np.setdiff1d(known, recorded), np.setdiff1d(recorded, known)
+    parts = [f"the recording has {len(recorded)} markers ({_span(recorded)}), the rig {len(known)} ({_span(known)})"]
+    parts += [f"never seen: {_span(lost)}"] if len(lost) else []
+    parts += [f"not compared, since the rig does not know them: {_span(strange)}"] if len(strange) else []
+    return "; ".join(parts) + "."
+
+
+def _span(numbers: np.ndarray) -> str:
+    """Sorted numbers, in short."""
+    if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
+        return f"{numbers[0]} to {numbers[-1]}"
+    shown = [str(n) for n in numbers[:8]]
+    return ", ".join(shown) + (", ..." if len(numbers) > len(shown) else "")
+
+
+def _same(topic: str, available: Iterable[str]) -> list[str]:
+    """The topics of a recording that a name of the rig may mean, in any namespace."""
+    absolute = "/" + topic.strip("~/")
+    same = [t for t in available if t.endswith(absolute)]
+    return [absolute] if absolute in same else same
+
+
+def _named(rig: Rig) -> list[str]:
+    """All topics that the rig names."""
+    hands = [t for e in rig.end_effectors.values() for t in (e.topics.current_pose, e.topics.target_pose)]
+    cameras = [t for c in rig.cameras.values() for t in (c.topics.marker_tracks, c.topics.image)]
+    return [*hands, *(s.topic for s in rig.sensors.values()), *cameras]
