@@ -55,6 +55,18 @@ def interpolate(times: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.nda
     return np.asarray((1.0 - share) * values[right - 1] + share * values[right])
 
 
+@dataclass(frozen=True)
+class Settling:
+    """A step on the way to the first equilibrium, from ``before``, at rest, to ``after`` in ``dt`` [s], with or without
+    ``inertia``; at its end the system has the ``unknowns``."""
+
+    before: State
+    after: State
+    dt: float
+    inertia: bool
+    unknowns: np.ndarray
+
+
 class Simulation:
     """A scene being stepped. ``frames``: where the mounts are now, offsets of end effectors against their poses
     included; ``halvings``: how often a step was halved since the last reset."""
@@ -75,10 +87,12 @@ class Simulation:
         x, v = scene.start_state(self.frames)
         self.state = State(0.0, x, v, scene.system.initial_internals())
         scene.system.x[:] = x
-        self.settled_from: State | None = None
-        """Where the last step of settling started, if anything settled."""
+        self.settling: tuple[Settling, ...] = ()
+        """The way to the equilibrium, if anything settled."""
         if self._settle and scene.all_held:
-            self.settled_from, self.state = settle(scene, self.state, targets, self._settings)
+            self.settling = settle(scene, self.state, targets, self._settings)
+            after = self.settling[-1].after
+            self.state = State(0.0, after.x, np.zeros_like(after.x), after.internals)
         else:
             scene.system.set_targets(targets)
             scene.system.begin_step(step_context(x, self.state.v, scene.rig.solver.dt_s), self.state.internals)
@@ -136,19 +150,26 @@ class Simulation:
         return self.observer.read(self.scene.rig, self.actual_frames())
 
 
-def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSettings) -> tuple[State, State]:
-    """Equilibrium under gravity with everything held in place: short, then ever longer damped steps, and a last one
-    without inertia. Returns the state before that one, and the equilibrium."""
+def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSettings) -> tuple[Settling, ...]:
+    """The way to equilibrium under gravity with everything held in place: short, then ever longer damped steps, and a
+    last one without inertia."""
     system = scene.system
     inertia = system.inertia
+    made: list[Settling] = []
     dt = 1e-3
+
+    def still() -> State:
+        last = made[-1].after if made else state
+        return State(0.0, last.x, np.zeros_like(last.x), last.internals)
+
     try:
         system.inertia = True
         while dt < SETTLED_AFTER_S:
-            still = State(0.0, state.x, np.zeros_like(state.x), state.internals)
-            after, report = advance(system, still, targets, dt, settings, check=False)
+            before = still()
+            after, report = advance(system, before, targets, dt, settings, check=False)
             if report.converged:
-                state, dt = after, 3.0 * dt
+                made.append(Settling(before, after, dt, True, system.unknowns()))
+                dt *= 3.0
             elif dt > 1e-6:
                 dt /= 4.0
             else:
@@ -157,10 +178,12 @@ def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSett
                     "Check that bodies do not overlap at the start, and that every body is held.",
                 )
         system.inertia = False
-        after, _ = advance(system, state, targets, FOREVER_S, settings)
+        before = still()
+        after, _ = advance(system, before, targets, FOREVER_S, settings)
+        made.append(Settling(before, after, FOREVER_S, False, system.unknowns()))
     finally:
         system.inertia = inertia
-    return state, State(0.0, after.x, np.zeros_like(after.x), after.internals)
+    return tuple(made)
 
 
 def midway(a: Frame, b: Frame) -> Frame:

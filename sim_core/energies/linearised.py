@@ -103,6 +103,12 @@ class Linearised:
     moment_turn: Matrix | None = None
     numbers: dict[str, ByNumber] = field(default_factory=dict)
 
+    @property
+    def remembers(self) -> bool:
+        """Whether anything depends on the start of the step or on the old internal variables."""
+        by_start = ("force_start", "force_past", "force_memory", "memory_start", "memory_memory")
+        return any(not vanishes(getattr(self, name)) for name in by_start)
+
     def size_bytes(self) -> int:
         """Memory of all matrices and numbers."""
         total = sum(a.nbytes for n in self.numbers.values() for a in (n.force, n.memory, n.moment))
@@ -117,6 +123,13 @@ class Linearised:
 def times(matrix: Matrix | None, vector: np.ndarray) -> np.ndarray | float:
     """Product with a matrix that may be zero."""
     return 0.0 if matrix is None else np.asarray(matrix @ vector)
+
+
+def vanishes(matrix: Matrix | None) -> bool:
+    """Whether a matrix is zero."""
+    if isinstance(matrix, Blocks):
+        return not any(values.any() for values, _, _ in matrix.parts)
+    return matrix is None or not matrix.count_nonzero()
 
 
 def flatten(internals: Internals) -> np.ndarray:

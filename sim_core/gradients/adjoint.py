@@ -28,15 +28,16 @@ from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, motions, slopes
 from sim_core.gradients.fields import FieldSums
 from sim_core.gradients.mounts import carried_contacts, carried_freely
+from sim_core.gradients.settling import linearised
 from sim_core.gradients.step import LinearStep, Pulled, Weights, no_memory, passed_on_by
 from sim_core.gradients.tape import MEMORY_MB, Made, Tape
 from sim_core.rigs import Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Sensed
-from sim_core.simulate import FOREVER_S, Trace, midway
+from sim_core.simulate import Trace, midway
 from sim_core.solve.integrator import step_context
-from sim_core.solve.step import NewtonSettings
+from sim_core.solve.step import NewtonSettings, State
 
 Loss = Callable[[Trace], tuple[float, Mapping[str, np.ndarray]]]
 """Value of a loss and its derivatives by the readings, by channel in the shape of ``trace.outputs`` (a channel may be
@@ -158,11 +159,11 @@ class Backward:
         ``target``: takes the weights of the frames at its end; ``sensed``: derivatives of the readings, if kept."""
         linear = made.linear
         if linear is None or self._columns.need_contact(linear.terms):
-            self._enter(made)
+            made.enter(self._scene)
         elif self._columns.keys or self._cameras or self._fields:
             self._place(made)
         if linear is None:
-            linear = LinearStep(self._scene, self._tape.keeper, made.before, made.after, made.dt, False)
+            linear = LinearStep(self._scene, self._tape.keeper, made.before, made.after, made.dt)
         if k is not None:
             state = self._read_back(k, made.frames, state, target, sensed)
         pulled = linear.pull(
@@ -175,16 +176,20 @@ class Backward:
         """Take the weights of numbers, fields, and what followed the mounts. ``after``: of the end of the step."""
         self._numbers += pulled.numbers
         self._fields.add(step, made.before.internals, pulled.exerted, pulled.borne, after.memory)
-        frames = made.frames
-        scene = self._scene
-        for follower in scene.followers:
+        self._follow(pulled.targets, pulled.turns, made.frames, target)
+
+    def _follow(
+        self, targets: np.ndarray, turns: Mapping[str, np.ndarray], frames: Mapping[str, Frame], target: _Frames
+    ) -> None:
+        """Take the weights of nodes ``(n, 3)`` and turns of bodies that follow the mounts."""
+        for follower in self._scene.followers:
             rotation = frames[follower.mount][1].as_matrix()
-            force = pulled.targets[follower.nodes] @ rotation
+            force = targets[follower.nodes] @ rotation
             target.of(follower.mount)[:3] += force.sum(axis=0)
             target.of(follower.mount)[3:] += cross(follower.local, force).sum(axis=0)
         for mount, term, own in self._turning:
-            if term in pulled.turns:
-                target.of(mount)[3:] += own @ pulled.turns[term]
+            if term in turns:
+                target.of(mount)[3:] += own @ turns[term]
 
     def _place(self, made: Made) -> None:
         """Put the system where a step ended, without looking for contact."""
@@ -192,19 +197,6 @@ class Backward:
         system.x[:] = made.after.x
         system.set_targets(self._scene.targets(made.frames))
         system.set_unknowns(made.unknowns)
-
-    def _enter(self, made: Made, still: bool = False) -> None:
-        """Let the system hold the end of a step that was made."""
-        scene, system = self._scene, self._scene.system
-        system.guard(True)
-        before = made.before
-        targets = scene.targets(made.frames)
-        system.x[:] = before.x
-        system.set_targets(targets)
-        step = step_context(before.x, before.v, made.dt, None if still else before.past)
-        system.begin_step(replace(step, v_start=(made.after.x - before.x) / made.dt), before.internals)
-        system.set_unknowns(made.unknowns)
-        system.cover()
 
     def _read_back(
         self,
@@ -251,26 +243,38 @@ class Backward:
 
     def _at_start(self, state: Weights, target: _Frames) -> None:
         """Through the first equilibrium, or to where everything was put."""
-        tape, scene, system = self._tape, self._scene, self._scene.system
-        if tape.settled_from is not None:
-            inertia, system.inertia = system.inertia, False
-            try:
-                made = Made(tape.settled_from, tape.start, FOREVER_S, tape.mounts, tape.start_unknowns)
-                self._enter(made, still=True)
-                linear = LinearStep(scene, tape.keeper, made.before, made.after, FOREVER_S, True)
+        if self._tape.settling:
+            self._settled(state, target)
+        else:
+            self._put(state, target)
+
+    def _settled(self, state: Weights, target: _Frames) -> None:
+        """Through the first equilibrium and, where that depends on it, the way to it."""
+        tape, scene = self._tape, self._scene
+        for made, linear in linearised(scene, tape.keeper, tape.settling, tape.mounts, backwards=True):
+            if made.after is tape.settling[-1].after:
                 state = self._read_back(0, tape.mounts, state, target)
-                columns = self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
-                self._collect(linear.pull(state, columns), linear.step, made, state, target)
-            finally:
-                system.inertia = inertia
-            return
-        self._put(state, target)
+            state = replace(state, v=np.zeros_like(state.x), past=None)
+            columns = self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
+            pulled = linear.pull(state, columns)
+            self._collect(pulled, linear.step, made, state, target)
+            state = pulled.state
+        self._follow(scene.system.fold(state.x), self._turned(state), tape.mounts, target)
+        self._carry(tape.settling[0].before, state.x, np.zeros_like(state.x), target)
+
+    def _turned(self, state: Weights) -> dict[str, np.ndarray]:
+        """Weights of small turns of rigid bodies from those of how they stood at the start."""
+        found = {}
+        for _, term in carried_contacts(self._scene):
+            turned = np.stack([term.rotation @ skew(e) for e in np.eye(3)])
+            found[term.name] = turned.reshape(3, 9) @ state.memory[term.name][:9]
+        return found
 
     def _put(self, state: Weights, target: _Frames) -> None:
         """Nothing settled: bodies are where their mounts put them, and readings are of there."""
         tape, scene, system = self._tape, self._scene, self._scene.system
         made = Made(tape.start, tape.start, scene.rig.solver.dt_s, tape.mounts, tape.start_unknowns)
-        self._enter(made)
+        made.enter(scene)
         state = self._read_back(0, tape.mounts, state, target)
         x, v, numbers = state.x, state.v, np.zeros_like(self._numbers)
         step = step_context(made.before.x, made.before.v, made.dt)
@@ -288,17 +292,17 @@ class Backward:
             x = x + system.nodal_product(force)
             if system.inertia:
                 x = x - system.mass @ force / made.dt**2
-        turns = {}
-        for _, term in carried_contacts(scene):
-            turned = np.stack([term.rotation @ skew(e) for e in np.eye(3)])
-            turns[term.name] = turned.reshape(3, 9) @ state.memory[term.name][:9]
+        turns = self._turned(state)
         unmade = replace(state, memory=no_memory(tape.start))  # nothing was remembered yet
         self._collect(Pulled(state, x, turns, numbers, force, passed), step, made, unmade, target)
-        for mount, nodes in carried_freely(scene):
-            origin, rotation = tape.mounts[mount]
+        self._carry(tape.start, x, v, target)
+
+    def _carry(self, start: State, x: np.ndarray, v: np.ndarray, target: _Frames) -> None:
+        """Take the weights of places and velocities ``(n, 3)`` at the start of what follows the mounts to it alone."""
+        for mount, nodes in carried_freely(self._scene):
+            origin, rotation = self._tape.mounts[mount]
             arms, speeds, force, push = (
-                a @ rotation.as_matrix()
-                for a in (tape.start.x[nodes] - origin, tape.start.v[nodes], x[nodes], v[nodes])
+                a @ rotation.as_matrix() for a in (start.x[nodes] - origin, start.v[nodes], x[nodes], v[nodes])
             )
             target.of(mount)[:3] += force.sum(axis=0)
             target.of(mount)[3:] += (cross(arms, force) + cross(speeds, push)).sum(axis=0)

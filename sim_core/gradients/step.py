@@ -15,7 +15,7 @@ terms on the nodes, so a weight w on these forces joins lambda.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -85,16 +85,13 @@ class Pulled:
 
 class LinearStep:
     """The step from ``before`` to ``after``, linearised while the scene's system holds the end of it; may be used
-    when it has gone on.
+    when it has gone on."""
 
-    ``still``: it is the first equilibrium; where the search for it came from counts as given.
-    """
-
-    def __init__(self, scene: Scene, keeper: Keeper, before: State, after: State, dt: float, still: bool) -> None:
+    def __init__(self, scene: Scene, keeper: Keeper, before: State, after: State, dt: float) -> None:
         system = scene.system
         self._system = system
-        self._before = before = replace(before, past=None) if still else before
-        self._still = still
+        self._before = before
+        self._inertia = system.inertia
         self._dt = dt
         self.step: StepContext = step_context(before.x, before.v, dt, before.past)
         self._hessian = keeper.keep()
@@ -108,6 +105,12 @@ class LinearStep:
                     self.terms[term.name] = found
         self._sizes = {name: size_of(internals) for name, internals in after.internals.items()}
 
+    @property
+    def remembers(self) -> bool:
+        """Whether the outcome depends on where the step began, or on what was remembered there, other than by
+        inertia."""
+        return any(term.remembers for term in self.terms.values())
+
     def size_bytes(self) -> int:
         """Memory of what is kept."""
         return self._hessian.size_bytes + sum(term.size_bytes() for term in self.terms.values())
@@ -119,7 +122,7 @@ class LinearStep:
     def _stiffness(self, move: np.ndarray) -> np.ndarray:
         """Change of what the terms exert for a move of the nodes."""
         system, out = self._system, self._hessian.product(move)
-        return np.asarray(out - system.mass @ move / self.step.tau**2) if system.inertia else out
+        return np.asarray(out - system.mass @ move / self.step.tau**2) if self._inertia else out
 
     # Forwards
 
@@ -150,7 +153,7 @@ class LinearStep:
                 if term.moment_turn is not None:
                     moment[name] = moment[name] + times(term.moment_turn, turn)
         body, unknowns = np.zeros((whole, count)), np.zeros((system.n_unknowns, count))
-        if system.inertia:
+        if self._inertia:
             begun = (step.x_base + step.tau * step.v_base).reshape(-1, 3 * count)
             body -= (system.mass @ begun / step.tau**2).reshape(-1, count)
         for column, slope in zip(columns, slopes, strict=True):
@@ -175,7 +178,7 @@ class LinearStep:
         force = force.reshape(shape) + np.stack([self._stiffness(x[..., k]) for k in range(count)], axis=-1)
         if system.passes_on:
             whole = force + body.reshape(shape)
-            if system.inertia:
+            if self._inertia:
                 whole += (system.mass @ x.reshape(len(x), -1) / step.tau**2).reshape(shape)
             force += np.stack([system.passed_on(whole[..., k]) for k in range(count)], axis=-1)
         for name, term in self.terms.items():
@@ -183,9 +186,9 @@ class LinearStep:
             if term.moment_end is not None:
                 moment[name] = moment[name] + times(term.moment_end, x.reshape(-1, count))
         v = np.zeros_like(x)
-        if system.inertia and not self._still:
+        if self._inertia:
             v = (x - step.x_base) / step.tau
-        past = (motion.x, motion.v) if system.inertia and system.second_order and not self._still else None
+        past = (motion.x, motion.v) if self._inertia and system.second_order else None
         return Motion(x, v, memory, past), Outcome(x, force, moment, moved)
 
     def _linear(self, motion: Motion) -> StepContext:
@@ -202,7 +205,7 @@ class LinearStep:
         """Weights of everything that the step depended on."""
         system, step = self._system, self.step
         x, past, passed = weights.x.copy(), weights.past, np.zeros_like(weights.x)
-        moving = system.inertia and not self._still
+        moving = self._inertia
         if moving:
             x += weights.v / step.tau
         for name, term in self.terms.items():
@@ -276,7 +279,7 @@ class LinearStep:
         ``weights``: None where the end of the step has no velocity."""
         system, step = self._system, self.step
         zero = np.zeros_like(borne)
-        if not system.inertia or self._still:
+        if not self._inertia:
             return Weights(zero, zero.copy(), {})
         assert weights is not None
         held = system.mass @ borne / step.tau**2

@@ -27,11 +27,12 @@ from sim_core.gradients.mounts import (
     driven,
     midway_motion,
 )
+from sim_core.gradients.settling import linearised
 from sim_core.gradients.step import LinearStep, Motion, Outcome, no_memory
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
-from sim_core.simulate import FOREVER_S, Simulation, Trace, run
+from sim_core.simulate import Simulation, Trace, run
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State, StepReport
 from sim_core.solve.stiffness import Keeper
@@ -59,40 +60,50 @@ class TangentSimulation(Simulation):
         zero = np.zeros((*self.state.x.shape, count))
         self._motion = Motion(zero, zero, no_memory(self.state, count))
         self.derivatives = self._read_derivatives(None)
-        if self.settled_from is not None and self._depends:
-            system = self.scene.system
-            inertia, system.inertia = system.inertia, False
-            try:
-                self._propagate(self.settled_from, FOREVER_S, still=True)
-            finally:
-                system.inertia = inertia
-        elif self.settled_from is None:
+        if not self.settling:
             if self._moved:
                 self._put()
             self._add_what_mounts_bear()
+        elif self._depends:
+            self._settle_along()
 
     @property
     def _depends(self) -> bool:
         """Whether the states depend on the parameters."""
         return bool(self._columns.keys or self._moved)
 
-    def _put(self) -> None:
-        """Derivatives at a start at which nothing settled: bodies are where their mounts put them."""
-        scene, system = self.scene, self.scene.system
-        dt, count = scene.rig.solver.dt_s, len(self._along)
+    def _start(self) -> Motion:
+        """Derivatives of where the mounts put the bodies."""
+        scene, count = self.scene, len(self._along)
         follow = driven(scene, self.frames, self._moved, count)
         x, v, memory = follow.x.copy(), np.zeros_like(follow.x), no_memory(self.state, count)
+        start_x, start_v = scene.start_state(self.frames)
         for mount, nodes in carried_freely(scene):
             if mount in self._moved:
                 frame, moved = self.frames[mount], self._moved[mount]
-                x[nodes] = carried_along(frame[1].inv().apply(self.state.x[nodes] - frame[0]), frame, moved)
+                x[nodes] = carried_along(frame[1].inv().apply(start_x[nodes] - frame[0]), frame, moved)
                 turned = np.concatenate([np.zeros_like(moved[:3]), moved[3:]])
-                v[nodes] = carried_along(frame[1].inv().apply(self.state.v[nodes]), frame, turned)
+                v[nodes] = carried_along(frame[1].inv().apply(start_v[nodes]), frame, turned)
         for _, term in carried_contacts(scene):
             if term.name in follow.turns:
                 turns = np.stack([(term.rotation @ skew(e)).ravel() for e in np.eye(3)], axis=-1)
                 memory[term.name][:9] = turns @ follow.turns[term.name]
-        self._motion = Motion(x, v, memory)
+        return Motion(x, v, memory)
+
+    def _settle_along(self) -> None:
+        """Derivatives at the first equilibrium."""
+        motion = self._start()
+        for made, linear in linearised(self.scene, self._keeper, self.settling, self.frames, backwards=False):
+            still = Motion(motion.x, np.zeros_like(motion.v), motion.memory)
+            motion, outcome = self._pushed(linear, still, made.before, made.after)
+        self._motion, self.derivatives = motion, self._read_derivatives(outcome)
+
+    def _put(self) -> None:
+        """Derivatives at a start at which nothing settled: bodies are where their mounts put them."""
+        system = self.scene.system
+        dt, count = self.scene.rig.solver.dt_s, len(self._along)
+        self._motion = start = self._start()
+        x, v = start.x, start.v
         system.hessian_data(exact=True)
         force = np.zeros_like(x)
         for k in range(count):
@@ -140,21 +151,22 @@ class TangentSimulation(Simulation):
         self.frames = {**self.frames, **end}
         self._moved_now = self._motion_at(end)
         if self._depends:
-            self._propagate(before, dt, still=False)
+            self._propagate(before, dt)
         else:
             self.derivatives = self._read_derivatives(None)
         return report
 
-    def _propagate(self, before: State, dt: float, still: bool) -> None:
+    def _propagate(self, before: State, dt: float) -> None:
         """Carry the derivatives over the step of ``dt`` [s] from ``before`` that has just been solved."""
-        linear = LinearStep(self.scene, self._keeper, before, self.state, dt, still)
-        motion = self._motion
-        if still:
-            motion = Motion(motion.x, motion.v, no_memory(before, len(self._along)))
-        columns = self._columns.of_step(linear.step, before.internals, self.state.internals, linear.terms)
-        follow = driven(self.scene, self.frames, self._moved_now, len(self._along)) if self._moved else None
-        self._motion, outcome = linear.push(motion, columns, self._slopes, follow)
+        linear = LinearStep(self.scene, self._keeper, before, self.state, dt)
+        self._motion, outcome = self._pushed(linear, self._motion, before, self.state)
         self.derivatives = self._read_derivatives(outcome)
+
+    def _pushed(self, linear: LinearStep, motion: Motion, before: State, after: State) -> tuple[Motion, Outcome]:
+        """Derivatives at the end of a step, which the system holds."""
+        columns = self._columns.of_step(linear.step, before.internals, after.internals, linear.terms)
+        follow = driven(self.scene, self.frames, self._moved_now, len(self._along)) if self._moved else None
+        return linear.push(motion, columns, self._slopes, follow)
 
     def _read_derivatives(self, outcome: Outcome | None) -> dict[str, np.ndarray]:
         """Of all channels, by the parameters: through the state, and of the sensors and cameras themselves."""

@@ -24,6 +24,7 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Sensed, frame_of
 from sim_core.simulate import Simulation, Trace
+from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State, StepReport
 from sim_core.solve.stiffness import Keeper
 
@@ -42,6 +43,18 @@ class Made:
     frames: Mapping[str, Frame]
     unknowns: np.ndarray
     linear: LinearStep | None = None
+
+    def enter(self, scene: Scene) -> None:
+        """Let the system hold the end of the step."""
+        system, before = scene.system, self.before
+        system.guard(True)
+        targets = scene.targets(self.frames)
+        system.x[:] = before.x
+        system.set_targets(targets)
+        step = step_context(before.x, before.v, self.dt, before.past)
+        system.begin_step(replace(step, v_start=(self.after.x - before.x) / self.dt), before.internals)
+        system.set_unknowns(self.unknowns)
+        system.cover()
 
     def state_bytes(self) -> int:
         """Memory of the state at the end; that before is the step before's."""
@@ -106,7 +119,7 @@ class Recorder(Simulation):
     def _advance(self, end: Mapping[str, Frame], dt: float) -> StepReport:
         before = self.state
         report = super()._advance(end, dt)
-        linear = LinearStep(self.scene, self.keeper, before, self.state, dt, False) if self.linearising else None
+        linear = LinearStep(self.scene, self.keeper, before, self.state, dt) if self.linearising else None
         self.interval.made.append(Made(before, self.state, dt, end, self.scene.system.unknowns(), linear))
         return report
 
@@ -160,7 +173,7 @@ class Tape:
         scene.system.forget()
         simulation.reset(self._frames[0])
         self.mounts = dict(simulation.frames)
-        self.settled_from, self.start = simulation.settled_from, simulation.state
+        self.settling, self.start = simulation.settling, simulation.state
         self.start_unknowns = scene.system.unknowns()
         readings, reports = [simulation.read()], []
         for first in self.segments:

@@ -108,6 +108,12 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
                 f"{row.parameter} = {row.value:g} in {row.channel}: the error is {worst:.1e}, above {row.bound:g}. "
                 f"{row.reason}"
             )
+    lines += [
+        f"{row.parameter} in {row.channel}: not judged, round-off of the rollouts hides so small an effect in their "
+        "differences."
+        for row in rows
+        if row.verdict == "unresolved"
+    ]
     judged = [r for r in rows if r.verdict in ("agrees", "differs")]
     if judged:
         worst_of_all = max(judged, key=lambda r: r.best if np.isfinite(r.best) else np.inf)

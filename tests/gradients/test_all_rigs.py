@@ -1,4 +1,4 @@
-"""Gradients by everything that a rig has, on every rig that comes with the package."""
+"""Gradients by every class of parameters that a rig has, on every rig that comes with the package."""
 
 from __future__ import annotations
 
@@ -6,35 +6,35 @@ import json
 
 import pytest
 
-from sim_core.rigs import config_folder, load_rig
+from sim_core.rigs import config_folder, list_parameters, load_rig
 from sim_core.rigs.motion import Experiment, load_experiment
 from sysid.gradients import check_gradients
 
-STEPS = (1e-3, 1e-4, 1e-5)
+STEPS = (1e-2, 1e-4, 1e-6)
 
-PULL = {"type": "slide", "by_m": [0.002, 0.0, 0.0], "speed_m_s": 0.01}
-PRESS = {"type": "slide", "by_m": [0.001, 0.0, -0.002], "speed_m_s": 0.02}
+PULL = {"type": "slide", "by_m": [0.002, 0.0, 0.0], "speed_m_s": 0.0005}
+PRESS = {"type": "slide", "by_m": [0.001, 0.0, -0.002], "speed_m_s": 0.0005}
 
 RUNS: dict[str, tuple[str | dict[str, object], float]] = {
-    "balancing": ("balance", 0.05),
+    "balancing": ("balance", 0.02),
     "bouncing": ("fall", 0.05),
-    "card_flip": ("flip_card", 0.05),
+    "card_flip": ("flip_card", 0.02),
     "card_press": ("slide", 0.8),
     "folding": ("fold", 0.3),
     "forming": ("form", 0.3),
-    "lifting": ("lift", 0.1),
+    "lifting": ("lift", 0.03),
     "material_bench": ("rub_strip", 1.5),
     "pick_folding": ("pick_fold", 0.15),
     "proof_bench": ("press_post", 0.5),
     "push_block": ("push", 0.3),
-    "separating": ("separate", 0.04),
-    "sliding": ("push_off", 0.05),
+    "separating": ("separate", 0.02),
+    "sliding": ("push_off", 0.03),
     "strip_coarse": ("pull_strip", 1.0),
     "strip_pull": ("bend_and_release", 0.5),
-    "tactip_cr": (PRESS, 0.1),
+    "tactip_cr": (PRESS, 4.0),
     "tissue_press": ("press_far", 0.3),
 } | {
-    f"knit_{yarn}_{axis}": (PULL, 0.2)
+    f"knit_{yarn}_{axis}": (PULL, 4.0)
     for yarn in ("acrylic_garter", "acrylic_stockinette", "pearlized_cotton_stockinette")
     for axis in "xy"
 }
@@ -47,8 +47,8 @@ def test_no_rig_is_left_out():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
-def test_gradients_by_all_parameters(name):
-    """Below 1e-5, or 1e-4 with contact or plastic flow, forwards as well as backwards."""
+def test_gradients_by_all_classes_of_parameters(name):
+    """Below 1e-5, or 1e-4 with contact or plastic flow, forwards as well as backwards; one parameter of each name."""
     motion, until = RUNS[name]
     rig = load_rig(name)
     if isinstance(motion, str):
@@ -56,7 +56,11 @@ def test_gradients_by_all_parameters(name):
     else:
         motions = {next(iter(rig.end_effectors)): [motion]}
         experiment = Experiment.model_validate({"name": "short", "motions": motions})
-    _, text = check_gradients(rig, experiment, until_s=until, steps=STEPS, as_json=True)
+    classes: dict[str, str] = {}
+    for parameter in list_parameters(rig):
+        if parameter.value is not None:
+            classes.setdefault(parameter.name.rpartition(".")[2], parameter.name)
+    _, text = check_gradients(rig, experiment, list(classes.values()), until_s=until, steps=STEPS, as_json=True)
     rows = json.loads(text)["rows"]
     assert any(row["verdict"] == "agrees" for row in rows)
     differ = [row for row in rows if row["verdict"] == "differs"]
