@@ -114,6 +114,12 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         for row in rows
         if row.verdict == "unresolved"
     ]
+    lines += [
+        f"{row.parameter} = {row.value:g} in {row.channel}: not judged, differences have no limit. The rollout jumps "
+        "here, as where a motion leaves a plane of symmetry; the sensitivities are those of the branch that it took."
+        for row in rows
+        if row.verdict == "jumps"
+    ]
     judged = [r for r in rows if r.verdict in ("agrees", "differs")]
     if judged:
         worst_of_all = max(judged, key=lambda r: r.best if np.isfinite(r.best) else np.inf)

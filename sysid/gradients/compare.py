@@ -54,7 +54,7 @@ class Row:
     ``errors``: of the forward sensitivity against central differences, by step; ``plateau``: steps of which the errors
     are about as small as the least; ``adjoint``: relative error of the adjoint against the forward sensitivity of a
     random sum of readings; ``verdict``: 'agrees', 'no effect', 'negligible', 'unresolved' (round-off hides it in the
-    differences) or 'differs'; ``reason``: of the last."""
+    differences), 'jumps' (differences have no limit: the rollout jumps here) or 'differs'; ``reason``: of the last."""
 
     parameter: str
     value: float
@@ -204,6 +204,8 @@ class Comparison:
             near = errors[best] <= 10.0 * bound and within.any()
             if derivatives.adjoint[part][k] <= bound and (within[widest] or near):
                 verdict = "unresolved"
+            elif derivatives.adjoint[part][k] <= bound and _jumps(steps, errors, bound):
+                verdict = "jumps"
             else:
                 verdict = "differs"
                 reason = self._reason(ours, scale, base, readings[best], sweep[best], bound)
@@ -261,6 +263,14 @@ def _away(value: float, step: float, lower: float, upper: float) -> tuple[float,
 def _slope(base: np.ndarray, first: np.ndarray, second: np.ndarray, a: float, b: float) -> np.ndarray:
     """Derivative at 0 of the parabola through ``base`` at 0, ``first`` at ``a`` and ``second`` at ``b``."""
     return np.asarray(((first - base) * b**2 - (second - base) * a**2) / (a * b * (b - a)))
+
+
+def _jumps(steps: Sequence[float], errors: Sequence[float], bound: float) -> bool:
+    """Whether errors grow as steps shrink, as those of differences across a jump do: in proportion to 1 / step."""
+    if len(steps) < 2:
+        return False
+    (last, least), (before, next_to_it) = sorted(zip(steps, errors, strict=True))[:2]
+    return min(least, next_to_it) > bound and least > 0.1 * before / last * next_to_it
 
 
 def _round_off(

@@ -41,6 +41,10 @@ RUNS: dict[str, tuple[str | dict[str, object], float]] = {
 """Rig: what it does, and for how long [s]: until contacts are made, rub and, where there is plasticity, yield."""
 
 
+OUT_OF_PLANE = ("gravity.z_m_s2", "offset_z_m", "offset_rx_deg", "offset_ry_deg")
+"""A flat knit without bending stiffness that is pulled in its plane is on the verge of wrinkling."""
+
+
 def test_no_rig_is_left_out():
     assert set(RUNS) == {path.stem for path in (config_folder() / "rigs").glob("*.yaml")}
 
@@ -58,7 +62,7 @@ def test_gradients_by_all_classes_of_parameters(name):
         experiment = Experiment.model_validate({"name": "short", "motions": motions})
     classes: dict[str, str] = {}
     for parameter in list_parameters(rig):
-        if parameter.value is not None:
+        if parameter.value is not None and not (name.startswith("knit") and parameter.name.endswith(OUT_OF_PLANE)):
             classes.setdefault(parameter.name.rpartition(".")[2], parameter.name)
     _, text = check_gradients(rig, experiment, list(classes.values()), until_s=until, steps=STEPS, as_json=True)
     rows = json.loads(text)["rows"]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError
 from sim_core.gradients import tangent
 from sim_core.rigs.motion import Experiment
-from sysid.gradients import check_gradients
+from sysid.gradients import check_gradients, compare
 
 EXPERIMENT = Experiment.model_validate(
     {
@@ -62,6 +63,24 @@ def test_a_wrong_derivative_is_named(small_rig, monkeypatch):
     assert not passed
     line = next(line for line in text.splitlines() if line.startswith("card.E_pa = 2e+09 in side"))
     assert "9.9e-03" in line and "above 0.0001" in line and "Probably" in line
+
+
+def test_errors_across_a_jump_grow_as_steps_shrink():
+    """One of a jump is proportional to 1 / step, that of a wrong derivative does not change, round-off is within the
+    bound somewhere."""
+    steps = (1e-2, 1e-4, 1e-6)
+    assert compare._jumps(steps, (0.8, 8.0, 800.0), 1e-4)
+    assert not compare._jumps(steps, (0.3, 0.3, 0.3), 1e-4)
+    assert not compare._jumps(steps, (1e-6, 1e-5, 1e-3), 1e-4)
+
+
+def test_a_parameter_at_its_bound_is_stepped_to_one_side_in_second_order():
+    """Of the derivative of a parabola nothing is lost, on either side or in the middle."""
+    for value, lower, upper in ((0.0, 0.0, 9.0), (9.0, 0.0, 9.0), (4.0, 0.0, 9.0)):
+        a, b = compare._away(value, 0.1, lower, upper)
+        assert lower <= value + a <= upper and lower <= value + b <= upper
+        base, first, second = (np.array([3.0 + 2.0 * d + 5.0 * d**2]) for d in (0.0, a, b))
+        assert compare._slope(base, first, second, a, b) == pytest.approx([2.0])
 
 
 def test_bad_input_is_an_error(small_rig):
