@@ -34,20 +34,23 @@ class Rubbing:
 
 
 def rubbing(w: np.ndarray, m: np.ndarray, limit: np.ndarray, spring: np.ndarray, dt: float) -> Rubbing:
-    """Differentiate the law, F = u f; what changes with |u| alone changes along e = u / |u|."""
+    """Differentiate the law, F = u f; what changes with |u| alone changes along e = u / |u|. Without a limit nothing
+    holds, moved or not."""
     along = dot(m, w)
     u = w - m * along[:, None]
     length = np.sqrt(dot(u, u))
     longest = 2.0 * limit / spring
-    beyond = length > longest
+    slides = length > longest
+    beyond = slides | (limit <= 0.0)
+    far = np.where(beyond & (length > 0.0), length, 1.0)
     e = u / np.where(length > 0.0, length, 1.0)[:, None]
-    far, near = np.where(beyond, length, 1.0), np.where(longest > 0.0, longest, 1.0)
+    near = np.where(longest > 0.0, longest, 1.0)
     pull = np.where(beyond, limit / far, spring * (1.0 - 0.5 * length / near))
     kept = np.where(beyond, longest / far, 1.0)
     by_length = np.where(beyond, -pull / far, -0.5 * spring / near), np.where(beyond, -kept / far, 0.0)
     in_plane = np.eye(3) - m[:, :, None] * m[:, None, :]
     turned = -(along[:, None, None] * np.eye(3) + m[:, :, None] * w[:, None, :])
-    rate = np.where(beyond, 1.0 / dt, 0.0)
+    rate = np.where(slides, 1.0 / dt, 0.0)
 
     def by_slip(share: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of u times a share, by w and m."""

@@ -146,11 +146,12 @@ def test_rubbing():
         u = w - m * dot(m, w)[..., None]
         length = np.sqrt(dot(u, u))[..., None]
         longest = 2.0 * limit / spring
-        beyond = length.real > longest.real
+        slides = length.real > longest.real
+        beyond = slides | (limit.real == 0.0)
         still = length == 0.0
         far, near = np.where(still, 1.0, length), np.where(longest == 0.0, 1.0, longest)
         pull = np.where(beyond, limit / far, spring * (1.0 - 0.5 * length / near))
-        return u * pull, u * np.where(beyond, longest / far, 1.0), np.where(beyond, (length - longest) / DT, 0.0)
+        return u * pull, u * np.where(beyond, longest / far, 1.0), np.where(slides, (length - longest) / DT, 0.0)
 
     found = rubbing(w, m, limit, spring, DT)
     expected = complex_step(law, w, m, limit[:, None], spring[:, None])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_core.gradients import directions, simulate_tangent
-from sim_core.rigs import list_parameters, with_parameters
+from sim_core.rigs import list_parameters, parse_rig, with_parameters
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate, step_times
 from sim_core.solve.step import NewtonSettings
@@ -101,6 +101,21 @@ def test_static_friction(small_rig, visit):
 def test_compliant_end_effector(small_rig, visit):
     rig = small_rig(effects={"end_effector_compliance": {"compliance_m_per_n": 2e-4}})
     compare(rig, visit(*RUB), "effects.end_effector_compliance.compliance_m_per_n")
+
+
+def test_what_rests_without_friction_stays_where_it_rests(small_rig, visit):
+    """A card that lies with its end on a smooth post: nothing moves, so derivatives of its place do not change."""
+    rig = small_rig(contacts=[{"between": ["card", "post"], "friction": 0.0}])
+    data = rig.model_dump()
+    data["bodies"]["post"]["pose"] = {"position_m": [0.05, 0.0, 0.05 - 2.5e-4 - 0.02]}
+    rig = parse_rig(data, "resting")
+    poses, times = visit([0.0, 0.1], [[0, 0, 0], [0, 0, 0]]), step_times(0.0, 0.1, 0.02)
+    trace, derivatives = simulate_tangent(
+        build_scene(rig), poses, times, directions(rig, ["card.E_pa"]), settings=TIGHT
+    )
+    seen = derivatives["side"][..., 0]
+    assert min(r.contacts for r in trace.reports) > 0 and np.abs(seen).max() > 0.0
+    assert np.abs(seen - seen[0]).max() < 1e-6 * np.abs(seen[0]).max()
 
 
 def test_tangent_leaves_the_rollout_as_it_is(small_rig, visit):
