@@ -85,6 +85,7 @@ class Simulation:
         self.frames = with_offsets(scene.rig, {**scene.start, **(frames or {})})
         targets = scene.targets(self.frames)
         x, v = scene.start_state(self.frames)
+        scene.system.deflections[:] = 0.0
         self.state = State(0.0, x, v, scene.system.initial_internals())
         scene.system.x[:] = x
         self.settling: tuple[Settling, ...] = ()

@@ -8,7 +8,7 @@ import pytest
 from sim_core.effects import EFFECTS, active_effects, effect_by_name
 from sim_core.errors import ConfigError
 from sim_core.materials.elastic import plane_stress
-from sim_core.rigs import list_parameters
+from sim_core.rigs import list_parameters, parse_rig
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, simulate, step_times
 from sysid.mismatch.candidates import starting_values
@@ -105,6 +105,18 @@ def test_compliance_moves_the_gel_by_force_times_compliance(small_rig, visit):
     assert force[2] > 0.1
     # The sensor does not feel the weight of the glued nodes (below 1 mN), the spring does.
     assert scene.system.deflections[0] == pytest.approx(compliance * force, rel=1e-3, abs=compliance * 1e-3)
+
+
+def test_a_compliant_hand_begins_every_rollout_alike(small_rig, visit):
+    """What it gave way at the end of one is forgotten, also where nothing settles."""
+    data = small_rig(effects={"end_effector_compliance": {"compliance_m_per_n": 1e-3}}).model_dump()
+    data["bodies"]["ball"] = {
+        "type": "affine", "shape": {"type": "sphere", "radius_m": 0.004}, "pose": {"position_m": [0.0, 0.1, 0.05]},
+        "material": {"density_kg_m3": 1000.0},
+    }  # fmt: skip
+    scene, poses = build_scene(parse_rig(data, "giving way")), visit([0.0, 0.04], [[0, 0, 0], [0, 0, 0.001]])
+    first, second = (simulate(scene, poses, step_times(0.0, 0.04, 0.02)).outputs["wrench"] for _ in range(2))
+    assert np.array_equal(first, second) and np.abs(first[-1]).max() > 0.0
 
 
 def test_static_friction_holds_by_its_excess_and_then_lets_go(small_rig, visit):
