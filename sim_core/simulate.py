@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from sim_core.errors import ConvergenceError
+from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.offset import with_offsets
 from sim_core.scene.scene import Frame, Scene
@@ -73,7 +73,7 @@ class Simulation:
 
     def __init__(self, scene: Scene, settings: NewtonSettings | None = None, settle: bool = True) -> None:
         self.scene = scene
-        self.observer = Observer(scene)
+        self.observer, self._system = Observer(scene), scene.system
         self._settings = settings or NewtonSettings()
         self._settle = settle
         self.reset()
@@ -81,6 +81,7 @@ class Simulation:
     def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
         """Back to rest at the start poses (or ``frames``, as told), in equilibrium when everything is held."""
         scene = self.scene
+        self._check_scene()
         self.halvings = 0
         self.frames = with_offsets(scene.rig, {**scene.start, **(frames or {})})
         targets = scene.targets(self.frames)
@@ -100,11 +101,20 @@ class Simulation:
 
     def step(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
         """Move the mounts to ``frames``, as told, within ``dt`` [s]; halve the step where it does not converge."""
+        self._check_scene()
         begin, target = self.frames, {**self.frames, **with_offsets(self.scene.rig, frames)}
         try:
             return self._step(begin, target, dt, MAX_HALVINGS)
         except ConvergenceError as error:
             raise ConvergenceError(f"{error.problem} {self._unmade(begin, target)}".strip(), error.remedy) from error
+
+    def _check_scene(self) -> None:
+        """Raise if the scene was built anew since the simulation was made."""
+        if self._system is not self.scene.system:
+            raise ConfigError(
+                "A body of the scene was given another shape at rest since the simulation was made.",
+                "Make another simulation.",
+            )
 
     def _unmade(self, begin: Mapping[str, Frame], target: Mapping[str, Frame]) -> str:
         """How much of the mounts' motion in a step that failed was made, in words."""

@@ -15,7 +15,7 @@ on its stiffness too. Laws:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -30,12 +30,13 @@ from sim_core.contact.edge_kernels import (
     measure,
     sides,
 )
-from sim_core.contact.framed_derivatives import Loads, Pairs, exerted, framed_derivatives, memory_places
+from sim_core.contact.framed_derivatives import AtRest, Loads, Pairs, exerted, framed_derivatives, memory_places
 from sim_core.contact.framed_kernels import Frames
 from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
+from sim_core.contact.measures import Measures, SharedAreas, SquaredLengths
 from sim_core.contact.pair_distance import PairDistance
 from sim_core.contact.primitives import Primitives
-from sim_core.contact.rubbing import pressure_and_slope
+from sim_core.contact.rubbing import potential_of, pressure_and_slope
 from sim_core.contact.segments import PARALLEL
 from sim_core.energies.linearised import Linearised, cross, places
 from sim_core.energies.term import Buffers, Internals, StepContext
@@ -54,7 +55,8 @@ class EdgeContact:
     ``ours``, ``theirs``: int32 ``(n, 2)``, node indices, or ``theirs`` None: all pairs of ours. ``areas``: [m^2]
     of our edges, ``their_areas``: of theirs, None for rigid edges, which count as much as ours. ``rest``: [m]
     ``(n_nodes, 3)``. ``offset``: [m], half thicknesses of both surfaces together. ``margin_m``: how much wider
-    than a step needs partners are looked for.
+    than a step needs partners are looked for. ``shared``: of which triangles at rest the areas of our edges, and of
+    theirs, are shares.
     """
 
     mirrored = True
@@ -69,8 +71,10 @@ class EdgeContact:
         rest: np.ndarray,
         offset: float,
         margin_m: float,
+        shared: Sequence[SharedAreas] = (),
     ) -> None:
         self.name = name
+        self._shared = list(shared)
         self._ours = np.ascontiguousarray(ours, dtype=np.int32)
         self._theirs = self._ours if theirs is None else np.ascontiguousarray(theirs, dtype=np.int32)
         self._areas = areas
@@ -137,6 +141,13 @@ class EdgeContact:
         self._free = BoundKernel(free_way, self._from, self._move, *pairs, self._c, self._keep, self._way)
 
     @property
+    def measures(self) -> list[Measures]:
+        """What is measured at rest: areas of our edges, then of theirs, then squared lengths of both."""
+        sides = [self._ours] if self._theirs is self._ours else [self._ours, self._theirs]
+        lengths = [SquaredLengths(side) for side in sides[: len(self._shared)]]
+        return [*self._shared, *lengths]
+
+    @property
     def offset(self) -> float:
         """Distance [m] at which there is no gap."""
         return float(self._c[OFFSET])
@@ -166,6 +177,7 @@ class EdgeContact:
             if self._their_areas is not None:
                 areas = 0.5 * (areas + self._their_areas[second])
             self._area[:count] = areas
+            self._members = first, second
             self._parallel[:count] = PARALLEL * self._squares[0][first] * self._squares[1][second]
         return outer
 
@@ -287,7 +299,49 @@ class EdgeContact:
         loads += (area * by_fade * push)[:, None, None] * _parallel_derivative(end)
         sizes = (len(self._x), sum(a.size for a in internals.values()), sum(a.size for a in after.values()))
         by, total = Loads(loads, nodes, area * fade * steep), exerted(self.add_gradient, self._buffers)
-        return framed_derivatives(pairs, self._frames_by, by, total, self._c, step.dt, sizes)
+        opening = shares[..., None] * self._now.direction[some][:, None], _parallel_derivative(end)
+        at_rest = self._at_rest(some, push, *opening)
+        return framed_derivatives(pairs, self._frames_by, by, at_rest, total, self._c, step.dt, sizes)
+
+    def _at_rest(self, some: np.ndarray, push: np.ndarray, opening: np.ndarray, spread: np.ndarray) -> AtRest:
+        """Derivatives of some pairs by what is measured at rest: of A m psi by A, and by e of the mollifier, with
+        y = c/e, dm/de = -y dm/dc and d2m/dcde = (4 y - 2) / e^2. ``push``: pressures [Pa]; ``opening``, ``spread``:
+        derivatives of gaps and of c = |u x v|^2 by the ends ``(n, 4, 3)``."""
+        e, area = self._parallel[some], self._area[some]
+        stored = potential_of(self._c, self._now.gap[some])
+        spring, load, pressing = [], [], []
+        now, lag = self._now.fade[some], self._lag.fade[some]
+        wide = [1.0 - 0.5 * fade[:, 1] * e for fade in (now, lag)]
+        mixed = np.where(now[:, 1] > 0.0, (4.0 * wide[0] - 2.0) / e**2, 0.0)
+        for scale, fade, slope, before in (
+            (np.ones(len(e)), now[:, 0], now[:, 1], lag[:, 0]),
+            (area, -wide[0] * now[:, 1], mixed, -wide[1] * lag[:, 1]),
+        ):
+            spring.append(self._c[STIFFNESS] * scale * before)
+            load.append(scale * fade * push)
+            bend = scale * slope * stored
+            pressing.append(bend[:, None, None] * spread - load[-1][:, None, None] * opening)
+        return self._by_measures(some, [np.stack(a, axis=-1) for a in (spring, load, pressing)])
+
+    def _by_measures(self, some: np.ndarray, by: list[np.ndarray]) -> AtRest:
+        """From derivatives by A and e, last axis, to those by the measures of both edges of a pair."""
+        first, second = (member[some] for member in self._members)
+        ours, theirs = len(self._ours), len(self._theirs)
+        e = self._parallel[some]
+        lengths = [e / self._squares[0][first], e / self._squares[1][second]]
+        one = np.ones(len(some))
+        if self._theirs is self._ours:
+            count, parts = 2 * ours, [(0, first, 0.5 * one), (0, second, 0.5 * one)]
+            parts += [(1, ours + first, lengths[0]), (1, ours + second, lengths[1])]
+        elif self._their_areas is None:
+            count, parts = 2 * ours, [(0, first, one), (1, ours + first, lengths[0])]
+        else:
+            count, parts = 2 * (ours + theirs), [(0, first, 0.5 * one), (0, ours + second, 0.5 * one)]
+            parts += [(1, ours + theirs + first, lengths[0]), (1, 2 * ours + theirs + second, lengths[1])]
+        which = [k for k, _, _ in parts]
+        share = np.column_stack([s for _, _, s in parts])
+        spring, load, pressing = (b[..., which] * share.reshape(len(share), *([1] * (b.ndim - 2)), -1) for b in by)
+        return AtRest(spring, load, pressing, np.column_stack([column for _, column, _ in parts]), count)
 
     def initial_internals(self) -> Internals:
         return {"pair": np.empty(0), "anchor": np.empty((0, 3)), "load": np.empty(0), "slip_speed": np.empty(0)}

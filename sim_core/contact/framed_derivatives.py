@@ -58,8 +58,28 @@ class Loads:
     by_offset: np.ndarray
 
 
+@dataclass(frozen=True)
+class AtRest:
+    """Derivatives of pairs by ``r`` measures of the shape at rest each: of their springs and of their loads at the end
+    ``(n, r)``, and of the pressing forces on the nodes of the loads ``(n, q, 3, r)``. ``columns``: which measures, int
+    ``(n, r)``, of ``count``."""
+
+    spring: np.ndarray
+    load: np.ndarray
+    pressing: np.ndarray
+    columns: np.ndarray
+    count: int
+
+
 def framed_derivatives(
-    pairs: Pairs, frames: Frames, loads: Loads, total: np.ndarray, c: np.ndarray, dt: float, sizes: tuple[int, ...]
+    pairs: Pairs,
+    frames: Frames,
+    loads: Loads,
+    at_rest: AtRest,
+    total: np.ndarray,
+    c: np.ndarray,
+    dt: float,
+    sizes: tuple[int, ...],
 ) -> Linearised:
     """Derivatives of one step. ``frames``: of the pairs, just made; ``total``: dE/dx of the term ``(3 n_nodes)``;
     ``sizes``: number of nodes, of old and of new internal variables."""
@@ -112,8 +132,21 @@ def framed_derivatives(
         ),
     }
     start = rubs.nonzero()[0]
+    sprung = np.where(pairs.spring > 0.0, pairs.spring, np.inf) / c[STIFFNESS]  # along the last direction
+    stiffer = (at_rest.spring / sprung[:, None])[:, None]
+    measured = at_rest.columns
     return Linearised(
         numbers=numbers,
+        force_rest=placed(
+            (along[..., -1:] * stiffer, axes, measured),
+            (at_rest.pressing.reshape(count, -1, measured.shape[1]), pushed_at, measured),
+            shape=(whole, at_rest.count),
+        ),
+        memory_rest=placed(
+            (slip_along[hold, :, -1:] * stiffer[hold], slides[hold], measured[hold]),
+            (at_rest.load[kept, None], pairs.after[kept, 3:4], measured[kept]),
+            shape=(new, at_rest.count),
+        ),
         force_start=placed((rows(columns(force_start))[start], axes[start], axes[start]), shape=(whole, whole)),
         force_memory=placed((along[known, :, :5], axes[known], pairs.memory[known]), shape=(whole, old)),
         memory_start=placed((columns(slip_start)[hold], slides[hold], axes[hold]), shape=(new, whole)),

@@ -36,6 +36,7 @@ from sim_core.contact.law import (
     slope,
     tangent_projector,
 )
+from sim_core.contact.measures import Measures
 from sim_core.contact.rigid_derivatives import RigidStep, ShapeSurface, rigid_derivatives
 from sim_core.contact.samples import Samples
 from sim_core.contact.shapes import signed_distance
@@ -225,6 +226,8 @@ class RigidContact:
     def __init__(self, name: str, samples: Samples, body_node: int, shape: np.ndarray, rotation: np.ndarray) -> None:
         self.name = name
         self.body_node = body_node
+        self.measures: list[Measures] = [] if samples.shared is None else [samples.shared]
+        """What is measured at rest: areas of the samples."""
         count = len(samples.areas)
         body = np.full((count, 1), body_node, dtype=np.int32)
         self._nodes = np.ascontiguousarray(np.hstack([samples.nodes, body]), dtype=np.int32)

@@ -145,22 +145,36 @@ def rigid_derivatives(
     by_end = arms @ (pressed[0] - forces[4]) - skew(force)
     whole = 3 * n_nodes
 
-    def number(limit: np.ndarray, spring: np.ndarray, grown: np.ndarray) -> ByNumber:
-        """Along changes of the samples' limits, springs and loads."""
+    def changed(limit: np.ndarray, spring: np.ndarray, grown: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Of forces, elastic slips, slip speeds and moments, one row a sample, along changes of the samples' limits,
+        springs and loads."""
         turned_by = [by[2][..., 0] * limit[:, None] + by[3][..., 0] * spring[:, None] for by in
                      (rub.force_by, rub.slip_by, rub.speed_by)]  # fmt: skip
         force = turned_by[0] - grown[:, None] * (normal_now @ r.T)
         held = touching[:, 0]
         slip, speed = np.where(held, turned_by[1] @ r, 0.0), np.where(held, turned_by[2], 0.0)
+        return rows(force[..., None])[..., 0], slip, speed, -cross(after, force)
+
+    def number(limit: np.ndarray, spring: np.ndarray, grown: np.ndarray) -> ByNumber:
+        """Of all samples together."""
+        force, slip, speed, turning = changed(limit, spring, grown)
         kept = gathered((slip, own), (grown, pair[:, 0]), (speed, pair[:, 1:]), size=size)
-        return ByNumber(gathered((rows(force[..., None]), axes), size=whole), kept, -cross(after, force).sum(axis=0))
+        return ByNumber(gathered((force, axes), size=whole), kept, turning.sum(axis=0))
 
     none = np.zeros(count)
     numbers = {q: number(limit, none, none) for q, limit in limits_by_numbers(c, load, speed).items()}
     numbers["stiffness_pa_per_m"] = number(none, areas, areas * push / c[STIFFNESS])
     numbers["offset_m"] = number(none, none, areas * steep)
+    wider = [a[..., None] for a in changed(none, c[STIFFNESS] * np.ones(count), push)]
+    sample, samples = some[:, None], len(at.areas)
     return Linearised(
         numbers=numbers,
+        force_rest=placed((wider[0], axes, sample), shape=(whole, samples)),
+        memory_rest=placed(
+            *((wider[1], own, sample), (push[:, None, None], pair[:, :1], sample), (wider[2], pair[:, 1:], sample)),
+            shape=(size, samples),
+        ),
+        moment_rest=placed((wider[3], three, sample), shape=(3, samples)),
         force_start=placed((columns(rows(forces[0])), axes, axes), shape=(whole, whole)),
         force_memory=placed(
             *((rows(forces[1]), axes, nines), (rows(forces[2]), axes, own), (rows(rubbed), axes, pair)),

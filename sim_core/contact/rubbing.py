@@ -96,3 +96,13 @@ def pressure_and_slope(c: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.n
     steep = c[STIFFNESS] * (1.0 / (e * e) - 1.0)
     push = c[STIFFNESS] * c[RANGE] * (1.0 - e) ** 2 / e + (e - s) * c[RANGE] * steep
     return np.where(inside, push, 0.0), np.where(inside, steep, 0.0)
+
+
+def potential_of(c: np.ndarray, gap: np.ndarray) -> np.ndarray:
+    """Energy per area [J/m^2] at gaps [m] ``(n,)``, as :mod:`sim_core.contact.law` has it."""
+    s = gap / c[RANGE]
+    e = np.maximum(s, c[CORE])
+    over = e - s
+    stored = -np.log(e) + 2.0 * e - 0.5 * e * e - 1.5
+    stored += over * ((1.0 - e) ** 2 / e + 0.5 * over * (1.0 / (e * e) - 1.0))
+    return np.where(s < 1.0, c[STIFFNESS] * c[RANGE] ** 2 * stored, 0.0)

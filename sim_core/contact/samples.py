@@ -10,7 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 
+from sim_core.contact.measures import SharedAreas, equal_shares
 from sim_core.geometry.sheets import SheetMesh
 
 _CORNER, _MIDDLE, _CENTRE = 1.0 / 20.0, 2.0 / 15.0, 9.0 / 20.0
@@ -20,12 +22,14 @@ _CORNER, _MIDDLE, _CENTRE = 1.0 / 20.0, 2.0 / 15.0, 9.0 / 20.0
 @dataclass(frozen=True)
 class Samples:
     """``nodes``: int32 ``(n, k)``; ``weights``: ``(n, k)``, rows sum to one; ``areas`` [m^2] ``(n,)``;
-    ``offset`` [m]: distance of the real surface from the sampled one (half a sheet's thickness)."""
+    ``offset`` [m]: distance of the real surface from the sampled one (half a sheet's thickness). ``shared``: of which
+    triangles at rest the areas are shares (None: they are not measured)."""
 
     nodes: np.ndarray
     weights: np.ndarray
     areas: np.ndarray
     offset: float
+    shared: SharedAreas | None = None
 
     def positions(self, x: np.ndarray) -> np.ndarray:
         """Sample positions [m] ``(n, 3)`` for node positions ``x``."""
@@ -36,7 +40,8 @@ def sheet_samples(mesh: SheetMesh, node_offset: int, thickness_m: float) -> Samp
     """Nodes of a sheet, numbered from ``node_offset`` on."""
     count = len(mesh.nodes)
     nodes = np.arange(node_offset, node_offset + count, dtype=np.int32)[:, None]
-    return Samples(nodes, np.ones((count, 1)), mesh.node_areas, 0.5 * thickness_m)
+    shared = equal_shares(mesh.triangles, mesh.triangles + node_offset, count)
+    return Samples(nodes, np.ones((count, 1)), mesh.node_areas, 0.5 * thickness_m, shared)
 
 
 def face_samples(faces: np.ndarray, nodes: np.ndarray) -> Samples:
@@ -46,11 +51,17 @@ def face_samples(faces: np.ndarray, nodes: np.ndarray) -> Samples:
     members, place = np.unique(faces, return_inverse=True)
     shares = np.outer(area, [_CORNER] * 3 + [_MIDDLE] * 3)
     at_nodes = np.bincount(place.ravel(), weights=shares.ravel(), minlength=len(members))
+    own_shares = sp.csr_matrix(
+        (np.tile([_CORNER] * 3 + [_MIDDLE] * 3, len(faces)), (place.ravel(), np.repeat(np.arange(len(faces)), 6))),
+        shape=(len(members), len(faces)),
+    )
+    shared = SharedAreas(faces[:, :3], sp.vstack([own_shares, _CENTRE * sp.identity(len(faces))]).tocsr())
     own = np.vstack([np.repeat(members[:, None], 6, axis=1), faces])
     weights = np.vstack(
         [np.tile([1.0, 0, 0, 0, 0, 0], (len(members), 1)), np.tile([-1 / 9] * 3 + [4 / 9] * 3, (len(faces), 1))]
     )
-    return Samples(np.ascontiguousarray(own, dtype=np.int32), weights, np.concatenate([at_nodes, _CENTRE * area]), 0.0)
+    areas = np.concatenate([at_nodes, _CENTRE * area])
+    return Samples(np.ascontiguousarray(own, dtype=np.int32), weights, areas, 0.0, shared)
 
 
 def face_triangles(faces: np.ndarray) -> np.ndarray:
@@ -68,3 +79,10 @@ def triangle_edges(triangles: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray
     edges, inverse = np.unique(sides, axis=0, return_inverse=True)
     areas = np.bincount(inverse.ravel(), weights=np.repeat(area / 3.0, 3), minlength=len(edges))
     return np.ascontiguousarray(edges, dtype=np.int32), areas
+
+
+def edge_shares(triangles: np.ndarray) -> SharedAreas:
+    """Of which triangles the areas of :func:`triangle_edges` are shares."""
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=-1).reshape(-1, 2)
+    edges, inverse = np.unique(sides, axis=0, return_inverse=True)
+    return equal_shares(inverse.reshape(-1, 3), triangles, len(edges))

@@ -30,7 +30,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sim_core.contact.candidates import Candidates
-from sim_core.contact.framed_derivatives import Loads, Pairs, exerted, framed_derivatives, memory_places
+from sim_core.contact.framed_derivatives import AtRest, Loads, Pairs, exerted, framed_derivatives, memory_places
 from sim_core.contact.framed_kernels import Frames
 from sim_core.contact.law import (
     BLEND,
@@ -43,6 +43,7 @@ from sim_core.contact.law import (
     set_law,
     slide,
 )
+from sim_core.contact.measures import Measures
 from sim_core.contact.pair_distance import PairDistance
 from sim_core.contact.primitives import Primitives
 from sim_core.contact.rubbing import pressure_and_slope
@@ -164,6 +165,11 @@ class SurfaceContact:
         self._free = BoundKernel(
             free_way, self._from, self._move, *points, *found, self._c, self._keep, self._way
         )  # fmt: skip
+
+    @property
+    def measures(self) -> list[Measures]:
+        """What is measured at rest: areas of the samples."""
+        return [] if self._samples.shared is None else [self._samples.shared]
 
     @property
     def offset(self) -> float:
@@ -295,9 +301,13 @@ class SurfaceContact:
         )  # fmt: skip
         self._frames_by.of_triangles(start, lag.kind[some, 0], lag.weights[some, :3], lag.directions[some, :3])
         sizes = (len(self._x), sum(a.size for a in internals.values()), sum(a.size for a in after.values()))
-        loads = self._load_derivatives(some, steep)
+        loads, opening = self._load_derivatives(some, steep)
+        at_rest = AtRest(
+            self._c[STIFFNESS] * np.ones((count, 1)), push[:, None],
+            -push[:, None, None, None] * opening[..., None], some[:, None], len(self._areas),
+        )  # fmt: skip
         total = exerted(self.add_gradient, self._buffers)
-        return framed_derivatives(pairs, self._frames_by, loads, total, self._c, step.dt, sizes)
+        return framed_derivatives(pairs, self._frames_by, loads, at_rest, total, self._c, step.dt, sizes)
 
     def _points(self, some: np.ndarray, nodes: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Some samples and the corners of the triangles that they are over [m], ``(n, 4, 3)``."""
@@ -305,8 +315,8 @@ class SurfaceContact:
         sample = np.einsum("nk,nkj->nj", self._weights[some], x[nodes[:, :own]])
         return np.concatenate([sample[:, None], x[nodes[:, own:]]], axis=1)
 
-    def _load_derivatives(self, some: np.ndarray, steep: np.ndarray) -> Loads:
-        """Derivatives of the loads of some samples."""
+    def _load_derivatives(self, some: np.ndarray, steep: np.ndarray) -> tuple[Loads, np.ndarray]:
+        """Derivatives of the loads of some samples, and of their gaps by the same nodes."""
         now = self._now
         most = max(int(now.number[some].max()), 1)
         share = np.where(np.arange(most) < now.number[some, None], now.share[some, :most], 0.0)
@@ -316,7 +326,8 @@ class SurfaceContact:
         corners = -(at[..., None] * towards[:, :, None]).reshape(len(some), 3 * most, 3)
         nodes = np.hstack([self._own[some], self._triangles[now.triangles[some, :most]].reshape(len(some), -1)])
         stiff = self._areas[some] * steep
-        return Loads(-stiff[:, None, None] * np.hstack([own, corners]), nodes, stiff)
+        opening = np.hstack([own, corners])
+        return Loads(-stiff[:, None, None] * opening, nodes, stiff), opening
 
     def initial_internals(self) -> Internals:
         count = len(self._areas)

@@ -105,6 +105,13 @@ class _Drag(Memoryless):
         del exact
         self._hessian()
 
+    def by_areas(self, along: np.ndarray) -> np.ndarray:
+        """Derivative of the work of the forces along nodal vectors ``(n, 3)`` by the triangles' areas ``(m,)``."""
+        move, drift = (
+            (v[self._triangles].mean(axis=1) * self._normal).sum(axis=1) for v in (self._x - self._start, along)
+        )
+        return np.asarray(0.5 * self._factor / self._areas * move * np.abs(move) * drift)
+
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised:
         """Derivatives by where the step started: of the motion, and of the normal."""
         del internals, after

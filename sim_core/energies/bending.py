@@ -58,8 +58,8 @@ class Bending:
         self.hinges = find_hinges(mesh.triangles)
         frames = material_frames(mesh.nodes, mesh.triangles, axis)
         count = len(mesh.triangles)
-        rigid = np.zeros(count, dtype=bool) if held is None else held[mesh.triangles].all(axis=1)
-        self._kappa = curvature_operator(mesh.nodes, mesh.triangles, self.hinges, frames, mesh.areas, rigid)
+        self.rigid = np.zeros(count, dtype=bool) if held is None else held[mesh.triangles].all(axis=1)
+        self._kappa = curvature_operator(mesh.nodes, mesh.triangles, self.hinges, frames, mesh.areas, self.rigid)
         self._hinge = np.ascontiguousarray(self.hinges.nodes + node_offset, dtype=np.int32)
         self._whole_areas = mesh.areas
         self._areas = self._whole_areas.copy()
@@ -78,6 +78,8 @@ class Bending:
         self._yield_curvature = np.inf
         self._damping = 0.0
         self.rest_angles = self._measure(mesh.nodes if formed is None else formed, node_offset)
+        self.built_angles = self.rest_angles.copy()
+        """Angles [rad] of the shape in which the sheet was built, ``(n_hinges,)``."""
 
     def _measure(self, nodes: np.ndarray, node_offset: int) -> np.ndarray:
         out = np.zeros(len(self._hinge))
@@ -216,28 +218,65 @@ class Bending:
 
     def work(self, along: np.ndarray, internals: Internals) -> np.ndarray:
         """Work of each triangle's forces dE/dx along nodal vectors ``(n, 3)``, ``(m,)``."""
+        moment = self._moments_of(internals)
+        return np.asarray(self._areas * (moment * self._curving(along)).sum(axis=1))
+
+    def _moments_of(self, internals: Internals) -> np.ndarray:
+        """Moments of the triangles per width [N] ``(m, 3)`` at the end of a step from ``internals``."""
         curvatures = self.curvatures()
         moment = (self._flow(internals).left if internals else curvatures) @ self._d
         if self._law[RATE] > 0.0:
             moment += self._law[RATE] * (curvatures - self._base) @ self._d
-        return np.asarray(self._areas * (moment * self._curving(along)).sum(axis=1))
+        return np.asarray(moment)
 
     def by_rest_angles(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
         """Derivative by the rest angles ``(n_hinges,)`` of the work of the forces along nodal vectors ``(n, 3)`` and of
         the product of the new internal variables, flattened, with ``kept``. Rates of bending do not depend on them."""
+        return np.asarray(-(self._kappa.T @ self._by_curvatures(along, kept, internals).ravel()))
+
+    def _by_curvatures(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
+        """As :meth:`by_rest_angles`, by the curvatures ``(m, 3)`` [1/m] of the triangles, at given rates."""
         moment = self._areas[:, None] * (self._curving(along) @ self._d)
         if internals:
             place, flow = places(internals), self._flow(internals)
             turned = kept[place["plastic_curvature"]] - moment
             moment = moment + np.einsum("mij,mi->mj", flow.by_curvature(), turned)
             moment += (flow.rate * kept[place["accumulated_curvature"]])[:, None] * flow.slope
-        return np.asarray(-(self._kappa.T @ moment.ravel()))
+        return np.asarray(moment)
+
+    def by_rest(
+        self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals, pairs: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives as :meth:`by_rest_angles`: by the entries of the curvature operator at ``pairs`` of triangles and
+        hinges, int ``(2, k)``, as ``(k, 3)``, by the areas of the triangles ``(m,)``, and by the rest angles."""
+        triangle, hinge = pairs
+        by_curvature = self._by_curvatures(along, kept, internals)
+        moment = self._moments_of(internals)
+        curving, turning = self._curving(along), self._turning(along)
+        out = by_curvature[triangle] * self._deviation[hinge, None]
+        out += (self._areas[:, None] * moment)[triangle] * turning[hinge, None]
+        if self._law[RATE] > 0.0:
+            since = self._deviation - step.base(self._deviations_at)
+            out += (self._law[RATE] * self._areas[:, None] * (curving @ self._d))[triangle] * since[hinge, None]
+        by_area = self._areas / self._whole_areas * (moment * curving).sum(axis=1)
+        return out, by_area, np.asarray(-(self._kappa.T @ by_curvature.ravel()))
+
+    def by_angles_at(self, x: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Derivative by positions ``x`` [m] ``(n, 3)`` of the sum of the angles there with ``weights``."""
+        self._elsewhere[:] = x
+        self._gradients_there()
+        out = np.zeros_like(x)
+        np.add.at(out, self._hinge, (weights[:, None] * self._g).reshape(-1, 4, 3))
+        return out
 
     def _curving(self, along: np.ndarray) -> np.ndarray:
         """Change of the curvatures along nodal vectors ``(n, 3)``, ``(m, 3)``."""
+        return np.asarray(self._kappa @ self._turning(along)).reshape(-1, 3)
+
+    def _turning(self, along: np.ndarray) -> np.ndarray:
+        """Change of the angles along nodal vectors ``(n, 3)``, ``(n_hinges,)``."""
         self._gradients()
-        turning = (self._g * along[self._hinge].reshape(len(self._hinge), 12)).sum(axis=1)
-        return np.asarray(self._kappa @ turning).reshape(-1, 3)
+        return np.asarray((self._g * along[self._hinge].reshape(len(self._hinge), 12)).sum(axis=1))
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
         """Derivatives by plastic and accumulated curvature (at yield, those of going on elastically), and by the
@@ -349,6 +388,10 @@ class Bending:
 
     def _curvatures_at(self, x: np.ndarray) -> np.ndarray:
         """As :meth:`curvatures`, at other positions [m] ``(n, 3)``."""
+        return np.asarray(self._kappa @ self._deviations_at(x)).reshape(-1, 3)
+
+    def _deviations_at(self, x: np.ndarray) -> np.ndarray:
+        """Deviations of the angles from rest [rad] ``(n_hinges,)`` at other positions [m] ``(n, 3)``."""
         self._elsewhere[:] = x
         self._angles_there()
-        return np.asarray(self._kappa @ self._deviation_there).reshape(-1, 3)
+        return np.array(self._deviation_there)

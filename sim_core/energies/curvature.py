@@ -45,14 +45,7 @@ def curvature_operator(
     Voigt order 11, 22, 2*12 in the material axes ``frames`` ``(m, 3, 2)``. ``rigid``: bool ``(m,)``,
     triangles held as a whole; they have no curvature.
     """
-    around: list[list[int]] = [[] for _ in range(len(triangles))]
-    for h, (left, right) in enumerate(hinges.triangles.tolist()):
-        if not (rigid[left] and rigid[right]):
-            around[left].append(h)
-            around[right].append(h)
-    fits = [
-        None if rigid[t] else _fit(nodes, triangles, hinges, t, frames[t], around, rigid) for t in range(len(triangles))
-    ]
+    fits = curvature_fits(nodes, triangles, hinges, frames, rigid)
     rows: list[np.ndarray] = []
     columns: list[np.ndarray] = []
     values: list[np.ndarray] = []
@@ -100,6 +93,21 @@ def curvature_operator(
     matrix.data[np.abs(matrix.data) < 1e-10 * np.abs(matrix.data).max()] = 0.0
     matrix.eliminate_zeros()
     return matrix
+
+
+def curvature_fits(
+    nodes: np.ndarray, triangles: np.ndarray, hinges: Hinges, frames: np.ndarray, rigid: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray] | None]:
+    """Constant curvature that fits the angles around each triangle: hinges ``(k,)`` and ``(3, k)``; None where it is
+    held. Arguments as of :func:`curvature_operator`."""
+    around: list[list[int]] = [[] for _ in range(len(triangles))]
+    for h, (left, right) in enumerate(hinges.triangles.tolist()):
+        if not (rigid[left] and rigid[right]):
+            around[left].append(h)
+            around[right].append(h)
+    return [
+        None if rigid[t] else _fit(nodes, triangles, hinges, t, frames[t], around, rigid) for t in range(len(triangles))
+    ]
 
 
 def _edge(flat: np.ndarray, k: int) -> tuple[np.ndarray, float, np.ndarray]:

@@ -84,7 +84,8 @@ class Linearised:
     ``moment_*``: of the moment [N m] of a rigid body's surface forces about its node, ``(3, .)``. By what: ``start``:
     x at the start ``(3 n_nodes)``; ``past``: x at the start of the step before, which rates of BDF2 look back to;
     ``memory``: the old internal variables ``(q)``; ``end``: x' ``(3 n_nodes)``;
-    ``turn``: a small turn of the rigid body at the end of the step, in its own frame [rad] ``(3)``. ``numbers``: by
+    ``turn``: a small turn of the rigid body at the end of the step, in its own frame [rad] ``(3)``; ``rest``: what a
+    contact measures on the shape at rest, its ``measures`` (:mod:`sim_core.contact.measures`) in a row. ``numbers``: by
     those numbers of the term whose differences could cross a switch of its law: a point that has come to rest is
     exactly at the slip limit, a fold that is held exactly at yield.
     """
@@ -93,14 +94,17 @@ class Linearised:
     force_past: Matrix | None = None
     force_memory: Matrix | None = None
     force_turn: Matrix | None = None
+    force_rest: Matrix | None = None
     memory_start: Matrix | None = None
     memory_memory: Matrix | None = None
     memory_end: Matrix | None = None
     memory_turn: Matrix | None = None
+    memory_rest: Matrix | None = None
     moment_start: Matrix | None = None
     moment_memory: Matrix | None = None
     moment_end: Matrix | None = None
     moment_turn: Matrix | None = None
+    moment_rest: Matrix | None = None
     numbers: dict[str, ByNumber] = field(default_factory=dict)
 
     @property
@@ -123,6 +127,13 @@ class Linearised:
 def times(matrix: Matrix | None, vector: np.ndarray) -> np.ndarray | float:
     """Product with a matrix that may be zero."""
     return 0.0 if matrix is None else np.asarray(matrix @ vector)
+
+
+def times_back(matrix: Matrix | None, vector: np.ndarray) -> np.ndarray | float:
+    """Product of the transpose of a matrix that may be zero with a vector."""
+    if matrix is None:
+        return 0.0
+    return np.asarray(matrix.back(vector) if isinstance(matrix, Blocks) else matrix.T @ vector)
 
 
 def vanishes(matrix: Matrix | None) -> bool:

@@ -229,6 +229,36 @@ class Membrane(Memoryless):
         self._work()
         return np.array(self._work_of)
 
+    def by_rest(self, along: np.ndarray, step: StepContext) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the work of the forces along nodal vectors ``(n, 3)`` by Dm^-1 ``(m, 2, 2)`` and by the areas
+        ``(m,)`` of the triangles: with V = dv Dm^-1 as F is dx Dm^-1, it is A S : F^T V, and S is linear in strains
+        C (F^T F - 1) / 2 at the end of the step, at its start and before."""
+        rate = self._damping / step.tau if self._damping > 0.0 else 0.0
+        now, before = step.weights
+        times = [(self._x, 1.0 + rate), (step.x_start, -now * rate)]
+        if step.x_past is not None:
+            times.append((step.x_past, -before * rate))
+        dm, (f, sides), (v, moved) = self._dm_inverse, self._slopes(self._x), self._slopes(along)
+        sheared = f.transpose(0, 2, 1) @ v
+        strain, virtual = np.zeros((len(dm), 3)), _as_strain(sheared)
+        held = _as_stress(virtual @ self._elastic)
+        out = np.zeros_like(dm)
+        for x, weight in times:
+            if weight != 0.0:
+                there, across = self._slopes(x)
+                metric = there.transpose(0, 2, 1) @ there
+                strain += weight * _as_strain(0.5 * (metric - np.eye(2)))
+                out += weight * across.transpose(0, 2, 1) @ there @ held
+        stress = _as_stress(strain @ self._elastic)
+        out += sides.transpose(0, 2, 1) @ v @ stress + moved.transpose(0, 2, 1) @ f @ stress
+        work = np.einsum("mij,mij->m", stress, sheared)
+        return self._area[:, None, None] * out, self._area / self._whole_area * work
+
+    def _slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of nodal vectors by the material coordinates, and differences along two sides, ``(m, 3, 2)``."""
+        sides = (x[self._triangles[:, 1:]] - x[self._triangles[:, :1]]).transpose(0, 2, 1)
+        return sides @ self._dm_inverse, sides
+
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters)
         self._damping = parameters.get("stiffness_damping_s", 0.0)
@@ -283,12 +313,24 @@ class Membrane(Memoryless):
         return np.asarray(np.stack([first, second, sheared], axis=1).reshape(len(f), 3, 9))
 
 
+def _as_strain(tensor: np.ndarray) -> np.ndarray:
+    """Components 11, 22, twice 12 of the symmetric part of tensors ``(m, 2, 2)``."""
+    return np.stack([tensor[:, 0, 0], tensor[:, 1, 1], tensor[:, 0, 1] + tensor[:, 1, 0]], axis=-1)
+
+
+def _as_stress(components: np.ndarray) -> np.ndarray:
+    """Symmetric tensors ``(m, 2, 2)`` from components 11, 22, 12."""
+    return np.asarray(components[:, [[0, 2], [2, 1]]])
+
+
 def material_frames(nodes: np.ndarray, triangles: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Orthonormal in-plane frames: columns material direction 1 and 2, shape ``(m, 3, 2)``."""
+    """Orthonormal in-plane frames: columns material direction 1 and 2, shape ``(m, 3, 2)``. ``axis``: projected on the
+    triangles, ``(3,)`` or one a triangle ``(m, 3)``."""
     p, q, r = (nodes[triangles[:, k]] for k in range(3))
     normal = np.cross(q - p, r - p)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    first = axis - normal * (normal @ axis)[:, None]
+    up = normal @ axis if axis.ndim == 1 else np.einsum("mi,mi->m", normal, axis)
+    first = axis - normal * up[:, None]
     steep = np.linalg.norm(first, axis=1) < 1e-6
     first[steep] = (q - p)[steep]
     first /= np.linalg.norm(first, axis=1, keepdims=True)

@@ -70,6 +70,7 @@ from sim_core.energies.neo_hookean_kernels import (
     projected_tangent,
     work,
 )
+from sim_core.energies.neo_hookean_rest import GelStep, as_tensors, by_rest
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.geometry import tet10
@@ -263,6 +264,30 @@ class NeoHookean:
         self._along[:] = along
         self._work()
         return np.array(self._work_of)
+
+    def by_rest(self, along: np.ndarray, kept: np.ndarray, step: StepContext) -> np.ndarray:
+        """What the derivative by the shape at rest of the work of the forces along nodal vectors ``(n, 3)``, and of the
+        product of the new internal variables, flattened, with ``kept``, is made of at the quadrature points,
+        ``(m, 4, 3, 3)`` (:mod:`sim_core.energies.neo_hookean_rest`)."""
+        shape, grad = (len(self._tets), 4, 3, 3), self._grad.reshape(len(self._tets), 4, 10, 3)
+
+        def deformation(x: np.ndarray) -> np.ndarray:
+            return np.asarray(np.eye(3) + self._displacement_gradients(x).reshape(shape))
+
+        fresh, rate = (self._blend * self._g, self._damping / step.tau) if self._remembers else (0.0, 0.0)
+        earlier = []
+        if self._remembers:
+            now, before = step.weights
+            earlier = [(deformation(step.x_start), -fresh - now * rate, -now * rate * self._bulk)]
+            if step.x_past is not None and rate > 0.0:
+                earlier.append((deformation(step.x_past), -before * rate, -before * rate * self._bulk))
+        history = self._history.reshape(len(self._tets), 4, 7)
+        memory = as_tensors(history[..., :6]), history[..., 6]
+        mu, share, bulk, own = (float(self._constants[k]) for k in (MU, SHARE, BULK, OWN))
+        known = GelStep(self._weight, deformation(self._x), *memory, mu, share, bulk, own, tuple(earlier), fresh)
+        slope = np.einsum("mai,mqaj->mqij", along[self._tets], grad)
+        weights = as_tensors(kept.reshape(len(self._tets), 4, 6), 0.5) if fresh > 0.0 else None
+        return by_rest(known, slope, weights)
 
     def add_hessian(self, exact: bool) -> None:
         """Add d2E/dx2 [N/m], each quadrature point made positive semidefinite unless ``exact``."""

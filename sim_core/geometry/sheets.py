@@ -41,6 +41,14 @@ class SheetMesh:
         return nodal
 
 
+def area_slopes(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Derivatives of the areas of triangles by their corners [m], ``(m, 3, 3)``: n x (side across from it) / 2."""
+    a, b, c = (nodes[triangles[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return 0.5 * np.stack([np.cross(normal, across) for across in (c - b, a - c, b - a)], axis=1)
+
+
 @dataclass(frozen=True)
 class Hinges:
     """Interior edges. ``nodes``: int32 ``(k, 4)``: edge start, edge end, apex of the left triangle,

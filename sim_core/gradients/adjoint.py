@@ -1,5 +1,5 @@
-"""The gradient of a loss over a whole rollout by everything at once: parameters, fields over elements, initial state,
-poses of the mounts.
+"""The gradient of a loss over a whole rollout by everything at once: parameters, fields over elements, shapes at rest,
+initial state, poses of the mounts.
 
 A loss is a function of the readings of a trace. Its derivatives by the readings are pulled back through the sensors
 and cameras to positions and forces, and from step to step back to the start (:mod:`sim_core.gradients.step`): one
@@ -22,14 +22,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim_core.energies.linearised import cross, skew
+from sim_core.energies.linearised import Linearised, cross, skew, times_back
 from sim_core.energies.term import StepContext
+from sim_core.errors import ConfigError
 from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, motions, slopes
 from sim_core.gradients.fields import FieldSums
 from sim_core.gradients.mounts import carried_contacts, carried_freely
 from sim_core.gradients.settling import linearised
-from sim_core.gradients.step import LinearStep, Pulled, Weights, no_memory, passed_on_by
+from sim_core.gradients.step import LinearStep, Pulled, Weights, linearised_terms, no_memory, passed_on_by
 from sim_core.gradients.tape import MEMORY_MB, Made, Tape
 from sim_core.rigs import Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
@@ -56,7 +57,7 @@ class Gradient:
     start_v: np.ndarray
     trace: Trace
     fields: dict[str, np.ndarray]
-    """By name, one value an element or hinge (:class:`sim_core.scene.fields.Fields`)."""
+    """By name, one value an element or hinge, or a vector a node (:class:`sim_core.scene.fields.Fields`)."""
 
 
 def simulate_adjoint(
@@ -105,6 +106,11 @@ class Backward:
     def gradient(self, value: float, by_readings: Mapping[str, np.ndarray]) -> Gradient:
         """Gradient of the loss with these derivatives by the readings."""
         tape, scene = self._tape, self._scene
+        if tape.system is not scene.system:
+            raise ConfigError(
+                "A body of the scene was given another shape at rest since the rollout was recorded.",
+                "Record it again, or take its gradient before.",
+            )
         count = len(tape.trace.times)
         self._by_readings = {
             c: np.where(np.isnan(tape.trace.outputs[c]), 0.0, given) for c, given in by_readings.items()
@@ -169,19 +175,29 @@ class Backward:
         pulled = linear.pull(
             state, self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
         )
-        self._collect(pulled, linear.step, made, state, target)
+        self._collect(pulled, linear.step, linear.terms, made, state, target)
         return pulled.state
 
-    def _collect(self, pulled: Pulled, step: StepContext, made: Made, after: Weights, target: _Frames) -> None:
-        """Take the weights of numbers, fields, and what followed the mounts. ``after``: of the end of the step."""
+    def _collect(
+        self,
+        pulled: Pulled,
+        step: StepContext,
+        terms: Mapping[str, Linearised],
+        made: Made,
+        after: Weights,
+        target: _Frames,
+    ) -> None:
+        """Take the weights of numbers, fields, and what followed the mounts. ``after``: of the end of the step;
+        ``terms``: as linearised."""
         self._numbers += pulled.numbers
-        self._fields.add(step, made.before.internals, pulled.exerted, pulled.borne, after.memory)
+        self._fields.add(step, made.before.internals, pulled, after, terms)
         self._follow(pulled.targets, pulled.turns, made.frames, target)
 
     def _follow(
         self, targets: np.ndarray, turns: Mapping[str, np.ndarray], frames: Mapping[str, Frame], target: _Frames
     ) -> None:
         """Take the weights of nodes ``(n, 3)`` and turns of bodies that follow the mounts."""
+        self._fields.shapes.follow(targets, frames)
         for follower in self._scene.followers:
             rotation = frames[follower.mount][1].as_matrix()
             force = targets[follower.nodes] @ rotation
@@ -257,7 +273,7 @@ class Backward:
             state = replace(state, v=np.zeros_like(state.x), past=None)
             columns = self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
             pulled = linear.pull(state, columns)
-            self._collect(pulled, linear.step, made, state, target)
+            self._collect(pulled, linear.step, linear.terms, made, state, target)
             state = pulled.state
         self._follow(scene.system.fold(state.x), self._turned(state), tape.mounts, target)
         self._carry(tape.settling[0].before, state.x, np.zeros_like(state.x), target)
@@ -292,13 +308,18 @@ class Backward:
             x = x + system.nodal_product(force)
             if system.inertia:
                 x = x - system.mass @ force / made.dt**2
+        terms = linearised_terms(system, step, made.before, made.after) if self._fields.shapes else {}
+        for term in terms.values():
+            x = x + (times_back(term.force_start, force.ravel()) + np.zeros(x.size)).reshape(x.shape)
         turns = self._turned(state)
         unmade = replace(state, memory=no_memory(tape.start))  # nothing was remembered yet
-        self._collect(Pulled(state, x, turns, numbers, force, passed), step, made, unmade, target)
+        self._collect(Pulled(state, x, turns, numbers, force, passed), step, terms, made, unmade, target)
         self._carry(tape.start, x, v, target)
 
     def _carry(self, start: State, x: np.ndarray, v: np.ndarray, target: _Frames) -> None:
-        """Take the weights of places and velocities ``(n, 3)`` at the start of what follows the mounts to it alone."""
+        """Take the weights of places and velocities ``(n, 3)`` at the start of what follows the mounts to it alone, or
+        is where its shape at rest has it."""
+        self._fields.shapes.start(x, self._tape.mounts)
         for mount, nodes in carried_freely(self._scene):
             origin, rotation = self._tape.mounts[mount]
             arms, speeds, force, push = (

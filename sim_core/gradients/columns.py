@@ -146,6 +146,20 @@ def accelerations(system: System, step: StepContext) -> np.ndarray:
     return a
 
 
+def borne_by_mass(
+    system: System, values: Values, body: str, step: StepContext, exerted: np.ndarray, borne: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of nodal vectors ``(n, 3)`` whose product by a body's mass, per unit of what the rig has for its density,
+    is the work of inertia and weight along ``borne``, and of damping by mass along ``exerted``."""
+    density = values.density[body]
+    pairs = [(density * accelerations(system, step), borne)]
+    damping = values.terms[f"{body}.mass_damping"]["mass_damping_per_s"]
+    if damping > 0.0:
+        loose = ~system.prescribed.all(axis=1, keepdims=True)
+        pairs.append((density * damping / step.tau * loose * (system.x - step.x_base), loose * exerted))
+    return pairs
+
+
 def moment_on_body(term: Any) -> np.ndarray:
     """Moment [N m] ``(3,)`` of the surface forces of a contact with a rigid shape about the shape's node."""
     return np.asarray(term.moment()) if isinstance(term, RigidContact) else np.zeros(3)

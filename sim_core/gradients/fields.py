@@ -1,4 +1,4 @@
-"""Derivatives by fields over elements (:mod:`sim_core.scene.fields`), summed up on the way back.
+"""Derivatives by fields over elements and nodes (:mod:`sim_core.scene.fields`), summed up on the way back.
 
 The force of an element is its factor f times that of a uniform body, so the derivative of the residual by f, times the
 weights of the forces, is the work of the element's forces along these weights, over f; with f = prod (q / q_rig)^p
@@ -7,7 +7,8 @@ weights of the forces, is the work of the element's forces along these weights, 
 
 New internal variables do not depend on f: relaxing stresses are kept per f, plastic curvatures know no stiffness. A
 field costs one kernel a term and step. Rest angles enter through the curvatures of the triangles around a hinge
-(:meth:`sim_core.energies.bending.Bending.by_rest_angles`).
+(:meth:`sim_core.energies.bending.Bending.by_rest_angles`), shapes at rest through all that is measured on them
+(:mod:`sim_core.gradients.rest_shape`).
 """
 
 from __future__ import annotations
@@ -17,9 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from sim_core.energies.linearised import Linearised
 from sim_core.energies.term import Internals, StepContext
-from sim_core.gradients.columns import accelerations
-from sim_core.scene.fields import MASS, POWERS, REST_ANGLE
+from sim_core.gradients.columns import borne_by_mass
+from sim_core.gradients.rest_shape import RestSums
+from sim_core.gradients.step import Pulled, Weights
+from sim_core.scene.fields import MASS, POWERS, REST, REST_ANGLE
 from sim_core.scene.scene import Scene
 
 
@@ -37,6 +41,7 @@ class FieldSums:
         self._terms = {(b, part): terms[f"{b}.{part}"] for b, part in self._parts if f"{b}.{part}" in terms}
         self._masses = {b: scene.fields.mass_blocks(b) for b, part in self._parts if part == MASS}
         self._numbers = scene.values(scene.rig)
+        self.shapes = RestSums(scene, self._numbers, [body for body, key in pairs if key == REST])
         self.clear()
 
     def __bool__(self) -> bool:
@@ -46,18 +51,19 @@ class FieldSums:
         """Begin anew."""
         self._work: dict[tuple[str, str], Any] = dict.fromkeys(self._parts, 0.0)
         self._bending: dict[str, Any] = dict.fromkeys(self._bent, 0.0)
+        self.shapes.clear()
 
     def add(
         self,
         step: StepContext,
         internals: Mapping[str, Internals],
-        exerted: np.ndarray,
-        borne: np.ndarray,
-        memory: Mapping[str, np.ndarray],
+        pulled: Pulled,
+        after: Weights,
+        terms: Mapping[str, Linearised],
     ) -> None:
-        """Add what a step has, at the end of which the system is. ``internals``: before it; ``exerted``, ``borne``:
-        weights of the forces of the terms, and of inertia and weight ``(n, 3)``; ``memory``: of the new internal
-        variables."""
+        """Add what a step has, at the end of which the system is. ``internals``: before it; ``after``: weights of its
+        end; ``terms``: as linearised."""
+        exerted, borne, memory = pulled.exerted, pulled.borne, after.memory
         for part, term in self._terms.items():
             term.begin_step(step, internals[term.name])
             self._work[part] = self._work[part] + term.work(exerted, internals[term.name])
@@ -68,23 +74,23 @@ class FieldSums:
             term.begin_step(step, internals[term.name])
             found = term.by_rest_angles(exerted, memory[term.name], internals[term.name])
             self._bending[body] = self._bending[body] + found
+        if self.shapes:
+            self.shapes.add(step, internals, pulled, after, terms)
 
     def _of_mass(self, body: str, step: StepContext, exerted: np.ndarray, borne: np.ndarray) -> np.ndarray:
         """Work of inertia, weight, and damping by mass of each element."""
         system, (nodes, blocks) = self._scene.system, self._masses[body]
-        density = self._numbers.density[body]
-        pairs = [(density * accelerations(system, step), borne)]
-        damping = self._numbers.terms[f"{body}.mass_damping"]["mass_damping_per_s"]
-        if damping > 0.0:
-            loose = ~system.prescribed.all(axis=1, keepdims=True)
-            pairs.append((density * damping / step.tau * loose * (system.x - step.x_base), loose * exerted))
+        pairs = borne_by_mass(system, self._numbers, body, step, exerted, borne)
         return np.asarray(sum(np.einsum("mab,mai,mbi->m", blocks, v[nodes], w[nodes]) for v, w in pairs))
 
     def gradients(self) -> dict[str, np.ndarray]:
         """Derivatives by the values of each field in SI units."""
-        out = {}
+        out, shapes = {}, self.shapes.gradients()
         for name, values in self._values.items():
             body, key = name.split(".")
+            if key == REST:
+                out[name] = shapes[body]
+                continue
             if key == REST_ANGLE:
                 total = self._bending[body]
             else:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_core.energies.linearised import Blocks, Linearised, size_of, times
+from sim_core.energies.linearised import Linearised, size_of, times, times_back
 from sim_core.energies.term import StepContext
 from sim_core.gradients.columns import Column
 from sim_core.gradients.mounts import Driven
@@ -95,14 +95,8 @@ class LinearStep:
         self._dt = dt
         self.step: StepContext = step_context(before.x, before.v, dt, before.past)
         self._hessian = keeper.keep()
-        self.terms: dict[str, Linearised] = {}
+        self.terms = linearised_terms(system, self.step, before, after)
         """What the terms with memory know of themselves in this step."""
-        for term in system.terms:
-            linearise: Any = getattr(term, "linearise", None)
-            if linearise is not None:
-                found = linearise(self.step, before.internals[term.name], after.internals[term.name])
-                if found is not None:
-                    self.terms[term.name] = found
         self._sizes = {name: size_of(internals) for name, internals in after.internals.items()}
 
     @property
@@ -269,10 +263,8 @@ class LinearStep:
     @staticmethod
     def _back(matrix: Any, vector: np.ndarray, nodal: bool = True) -> Any:
         """Product with a transpose, as nodal vectors ``(n, 3)`` if ``nodal``."""
-        if matrix is None:
-            return 0.0
-        out = matrix.back(vector) if isinstance(matrix, Blocks) else matrix.T @ vector
-        return out.reshape(-1, 3) if nodal else out
+        out = times_back(matrix, vector)
+        return out.reshape(-1, 3) if nodal and isinstance(out, np.ndarray) else out
 
     def _measured_from(self, borne: np.ndarray, weights: Weights | None) -> Weights:
         """Weights of the states that velocity and acceleration are measured from. ``borne``: weights of inertia;
@@ -306,6 +298,18 @@ class LinearStep:
         out += sum(float(kept @ weights.memory[name]) for name, kept in column.memory.items())
         out += sum(float(m @ weights.moment[name]) for name, m in column.moment.items() if name in weights.moment)
         return out
+
+
+def linearised_terms(system: System, step: StepContext, before: State, after: State) -> dict[str, Linearised]:
+    """What the terms with memory know of themselves at the end of a step, where the system is."""
+    terms = {}
+    for term in system.terms:
+        linearise: Any = getattr(term, "linearise", None)
+        if linearise is not None:
+            found = linearise(step, before.internals[term.name], after.internals[term.name])
+            if found is not None:
+                terms[term.name] = found
+    return terms
 
 
 def passed_on_by(system: System, weights: np.ndarray) -> np.ndarray:

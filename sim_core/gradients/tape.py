@@ -143,7 +143,7 @@ class Recorder(Simulation):
 
 
 class Tape:
-    """A rollout as recorded. ``trace``: its readings; ``segments``: first time of each; ``kept_bytes``,
+    """A rollout of a ``system`` as recorded. ``trace``: its readings; ``segments``: first time of each; ``kept_bytes``,
     ``most_bytes``: what is kept of its steps, and the most that there was of them at a time."""
 
     def __init__(
@@ -158,7 +158,7 @@ class Tape:
     ) -> None:
         """Make the rollout. ``memory_mb``: bound on the steps that are kept; ``factors``: let their factorisations be
         kept too, for a dozen losses and more. Raises ``ConvergenceError``."""
-        self.scene = scene
+        self.scene, self.system = scene, scene.system
         self._times = np.asarray(times, dtype=float)
         tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
         self._frames = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]

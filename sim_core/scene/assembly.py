@@ -30,19 +30,24 @@ EDGE_ROUNDING_M = 2e-4
 class BuiltBody:
     """One body of the scene.
 
-    ``nodes``: indices among all nodes; ``local``: rest coordinates in the body's frame [m]; ``rest``:
-    world positions at the start [m], folded where the sheet is. ``unit_mass``: csr over the body's nodes, per unit
-    density (a sheet: per unit density and thickness); None for rigid bodies, whose nodes are the origin and the points
-    of their cores (:mod:`sim_core.contact.cores`). The last four nodes of an affine body are its control nodes
-    (:mod:`sim_core.scene.joints`).
+    ``nodes``: indices among all nodes; ``local``: coordinates in the body's frame [m] in which the rig names regions
+    and points, those of ``layout``; ``formed``: where the nodes are at rest, in that frame too, folded where the sheet
+    is; ``rest``: the same in the world at the start [m]; ``drawn``: as ``rest``, by the rig alone, whatever shape was
+    given since. ``mesh``: by which areas, volumes and masses are measured. ``unit_mass``: csr over the body's nodes,
+    per unit density (a sheet: per unit density and thickness); None for rigid bodies, whose nodes are the origin and
+    the points of their cores (:mod:`sim_core.contact.cores`). The last four nodes of an affine body are its control
+    nodes (:mod:`sim_core.scene.joints`).
     """
 
     name: str
     spec: Sheet | Gel | Rigid | Affine
     nodes: np.ndarray
     local: np.ndarray
+    formed: np.ndarray
     rest: np.ndarray
+    drawn: np.ndarray
     mesh: sheets.SheetMesh | solids.TetMesh | None
+    layout: sheets.SheetMesh | solids.TetMesh | None
     unit_mass: sp.csr_matrix | None
     terms: list[Term] = field(default_factory=list)
     rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
@@ -63,32 +68,47 @@ def world_pose(pose: Pose, carrier: tuple[np.ndarray, Rotation]) -> tuple[np.nda
     return origin + rotation.apply(pose.position()), rotation * pose.rotation()
 
 
-def build_body(rig: Rig, name: str, carrier: tuple[np.ndarray, Rotation], offset: int, refine: int) -> BuiltBody:
-    """Mesh one body. ``offset``: index of its first node. ``refine``: factor on cells in each direction."""
+def build_body(
+    rig: Rig,
+    name: str,
+    carrier: tuple[np.ndarray, Rotation],
+    offset: int,
+    refine: int,
+    given: np.ndarray | None = None,
+) -> BuiltBody:
+    """Mesh one body. ``offset``: index of its first node. ``refine``: factor on cells in each direction. ``given``:
+    where the nodes of a sheet or a gel are at rest, in its frame [m], if not where the rig has them."""
     spec = rig.bodies[name]
     origin, rotation = world_pose(spec.pose, carrier)
     mesh: sheets.SheetMesh | solids.TetMesh | None
+    layout: sheets.SheetMesh | solids.TetMesh | None
     unit_mass = None
     if isinstance(spec, Sheet):
         mesh = _sheet_mesh(spec, refine, [c.region.box() for c in rig.clamps if c.body == name])
-        local = mesh.nodes
+        local, layout = mesh.nodes, mesh
+        mesh = layout if given is None else sheets.SheetMesh(given, layout.triangles)
         unit_mass = sp.diags(mesh.node_areas).tocsr()
     elif isinstance(spec, Gel):
         mesh = _gel_mesh(spec, refine)
-        local = mesh.nodes
+        local, layout = mesh.nodes, mesh
+        mesh = layout if given is None else solids.TetMesh(given, layout.tets, layout.surface, layout.face_sets)
         unit_mass = solids.consistent_mass(mesh)
     elif isinstance(spec, Affine):
-        mesh = affine_mesh(spec, refine)
+        mesh = layout = affine_mesh(spec, refine)
         volume, moments = affine_moments(spec)
         corners = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)])
         local = np.vstack([mesh.nodes, np.sqrt(moments / volume) * corners])
         shares = np.concatenate([np.zeros(len(mesh.nodes)), np.full(4, 0.25 * volume)])
         unit_mass = sp.diags(shares).tocsr()
     else:
-        mesh, local = None, np.vstack([np.zeros((1, 3)), *(c.points for c in cores(rigid_shape(spec)))])
-    rest = origin + rotation.apply(rest_form(spec, local))
+        mesh = layout = None
+        local = np.vstack([np.zeros((1, 3)), *(c.points for c in cores(rigid_shape(spec)))])
+    formed = rest_form(spec, local)
+    rest = drawn = origin + rotation.apply(formed)
+    if given is not None:
+        formed, rest = given, origin + rotation.apply(given)
     nodes = np.arange(offset, offset + len(local))
-    body = BuiltBody(name, spec, nodes, local, rest, mesh, unit_mass)
+    body = BuiltBody(name, spec, nodes, local, formed, rest, drawn, mesh, layout, unit_mass)
     body.rotation[:] = rotation.as_matrix()
     return body
 
@@ -150,8 +170,10 @@ def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray, loose: np.nda
     """Elastic terms and damping of a sheet or a gel. ``rest``: all nodes [m]; ``held``, ``loose``: bool, nodes of the
     body in one clamp, and those not wholly prescribed."""
     if isinstance(body.spec, Sheet) and isinstance(body.mesh, sheets.SheetMesh):
-        world = sheets.SheetMesh(body.place(body.local), body.mesh.triangles)
-        axis = body.rotation[:, 0]
+        if body.mesh is body.layout:
+            world, axis = sheets.SheetMesh(body.place(body.local), body.mesh.triangles), body.rotation[:, 0]
+        else:
+            world, axis = sheets.SheetMesh(body.rest, body.mesh.triangles), grain(body)
         offset = int(body.nodes[0])
         flat = rest.copy()
         flat[body.nodes] = world.nodes
@@ -163,6 +185,16 @@ def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray, loose: np.nda
         body.terms = [NeoHookean(f"{body.name}.elastic", body.mesh.tets + int(body.nodes[0]), rest)]
     if body.unit_mass is not None:
         body.terms.append(MassDamping(f"{body.name}.mass_damping", body.unit_mass, int(body.nodes[0]), loose))
+
+
+def grain(body: BuiltBody) -> np.ndarray:
+    """Material direction 1 of the triangles of a sheet as the rig has it at rest, in the world, ``(m, 3)``: along the
+    body's x axis, and turned with the triangle where the sheet is folded. What is normal to it does not count in
+    another shape at rest."""
+    assert isinstance(body.layout, sheets.SheetMesh)
+    triangles = body.layout.triangles
+    flat, sides = (x[triangles[:, 1:]] - x[triangles[:, :1]] for x in (body.local, body.drawn))
+    return np.asarray(np.einsum("mki,mk->mi", sides, np.linalg.inv(flat[..., :2].transpose(0, 2, 1))[..., 0]))
 
 
 def contact_samples(body: BuiltBody, rest: np.ndarray) -> Samples:

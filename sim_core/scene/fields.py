@@ -1,12 +1,20 @@
-"""Material values and rest angles that differ from element to element.
+"""Material values and rest angles that differ from element to element, and shapes at rest.
 
     scene.fields["gel.E_pa"] = np.where(scene.fields.places("gel.E_pa")[:, 0] > 0.0, 5e4, 1e5)
+    scene.fields["card.rest_m"] += [0.0, 0.0, 1e-3] * bump[:, None]
 
 A field is kept as its share of the rig's number, so a rig with another number (:meth:`Scene.use`) scales all of it, and
 a field that is everywhere that number changes no bit of a rollout. Energies are linear in the modulus and masses in the
 density of an element; of a sheet's thickness h the membrane has the first power, bending the third, mass the first:
 
     E_element = f E_uniform,    f = prod_q (q / q_rig)^p
+
+A shape at rest is that of a scene whose body is meshed with the same elements on other nodes: lengths, areas, volumes,
+masses, curvatures and rest angles are measured on it, what is sampled for contact bears by its areas, and the body is
+there when a rollout starts. What the rig picks by place stays with the material: nodes in clamps, bonded faces, markers
+and tracked points, by their weights on nodes; a sheet's material direction 1, of which each triangle has the part in
+its plane. Of the rig's mesh are, too, the sizes of cells by which contact chooses how far to look ahead, where a round
+rigid core stops coarse faces, and how much area a point of a core stands for.
 """
 
 from __future__ import annotations
@@ -30,7 +38,10 @@ if TYPE_CHECKING:
 
 MASS = "mass"
 
-REST_ANGLE = "rest_angle_rad"
+REST_ANGLE, REST = "rest_angle_rad", "rest_m"
+
+FLAT = 1e-9
+"""Least area of a triangle at rest over the square of its longest side."""
 
 POWERS: dict[str, dict[str, int]] = {
     "E_pa": {"elastic": 1, "membrane": 1, "bending": 1},
@@ -43,17 +54,19 @@ POWERS: dict[str, dict[str, int]] = {
 class Fields:
     """All fields of a scene by name: ``<gel>.E_pa`` and ``.density_kg_m3``, one value a tetrahedron; ``<sheet>.E_pa``,
     ``.thickness_m`` and ``.density_kg_m3``, one a triangle; ``<sheet>.rest_angle_rad``, one a hinge (inner edge): the
-    angle between the normals of its triangles. Units may be left out.
+    angle between the normals of its triangles; ``<sheet>.rest_m`` and ``<gel>.rest_m``, one vector a node ``(n, 3)``:
+    its position at rest in the world, as in ``scene.bodies[name].rest``, when mounts are at their start poses. Units
+    may be left out.
 
     The thickness is that which stretches, bends and weighs; contact finds the surface where the rig's number puts it.
+    Rest angles are those of the shape at rest, but for what they were set to beside it: that difference stays when the
+    shape changes. Shapes build the scene anew (:meth:`sim_core.scene.scene.Scene.reshape`).
     """
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._shares: dict[str, np.ndarray] = {}
-        self._straight = {
-            name: self.bending(name).rest_angles.copy() for name, b in scene.bodies.items() if isinstance(b.spec, Sheet)
-        }
+        self._creases: dict[str, np.ndarray] = {}  # rest angles beside those of the shape
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -61,9 +74,9 @@ class Fields:
         found: list[str] = []
         for name, body in self._scene.bodies.items():
             if isinstance(body.spec, Gel):
-                found += [f"{name}.E_pa", f"{name}.density_kg_m3"]
+                found += [f"{name}.{key}" for key in ("E_pa", "density_kg_m3", REST)]
             elif isinstance(body.spec, Sheet):
-                found += [f"{name}.{key}" for key in (*POWERS, REST_ANGLE)]
+                found += [f"{name}.{key}" for key in (*POWERS, REST_ANGLE, REST)]
         return tuple(found)
 
     def resolve(self, name: str) -> str:
@@ -77,47 +90,81 @@ class Fields:
         raise ConfigError(f"The rig {self._scene.rig.name!r} has no field {name!r}.", nearest_names(name, spellings))
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Values in SI units, one an element or hinge."""
+        """Values in SI units, one an element, hinge or node."""
         body, key = self.resolve(name).split(".")
+        if key == REST:
+            return np.array(self._scene.bodies[body].rest)
         if key == REST_ANGLE:
             return np.array(self.bending(body).rest_angles)
         number = getattr(self._scene.rig.bodies[body].material, key)  # type: ignore[union-attr]
         return np.asarray(number * self._share(body, key))
 
     def __setitem__(self, name: str, values: np.ndarray | float) -> None:
-        """Take values in SI units for all elements or hinges, or one for all of them."""
+        """Take values in SI units for all elements, hinges or nodes, or one for all elements or hinges."""
         full = self.resolve(name)
         body, key = full.split(".")
-        given, count = np.asarray(values, dtype=float), len(self.places(full))
-        if given.ndim > 0 and given.shape != (count,):
+        given, shape = np.asarray(values, dtype=float), self.places(full).shape
+        shape = shape if key == REST else shape[:1]
+        if (given.ndim > 0 or key == REST) and given.shape != shape:
             raise ConfigError(
-                f"The field {full} has {count} values, not an array of shape {given.shape}.",
-                "Give one value an element, in the order of Fields.places.",
+                f"The field {full} has {' x '.join(map(str, shape))} values, not an array of shape {given.shape}.",
+                "Give one value an element, or one vector a node, in the order of Fields.places.",
             )
-        if not np.isfinite(given).all() or (key != REST_ANGLE and not (given > 0.0).all()):
+        signed = key in (REST_ANGLE, REST)
+        if not np.isfinite(given).all() or not (signed or (given > 0.0).all()):
             raise ConfigError(f"The field {full} has values that are not finite and above zero.", "Correct them.")
+        if key == REST:
+            self._reshape(body, given)
+            return
         if key == REST_ANGLE:
             if np.abs(given).max(initial=0.0) >= np.pi:
                 raise ConfigError(f"The field {full} has angles of pi and more.", "Fold an edge by less than pi.")
-            self.bending(body).set_rest_angles(given)
+            bending = self.bending(body)
+            self._creases[body] = given - bending.built_angles
+            bending.set_rest_angles(given)
             return
         number = getattr(self._scene.rig.bodies[body].material, key)  # type: ignore[union-attr]
-        self._shares[full] = np.broadcast_to(given / number, (count,)).copy()
+        self._shares[full] = np.broadcast_to(given / number, shape).copy()
         self._spread(body)
 
+    def _reshape(self, body: str, rest: np.ndarray | None) -> None:
+        """Give a body another shape at rest (None: that of the rig)."""
+        mesh = self._scene.bodies[body].mesh
+        if rest is not None and isinstance(mesh, SheetMesh):
+            there = SheetMesh(rest, mesh.triangles)
+            sides = np.ptp(rest[mesh.triangles], axis=1).max(axis=1)
+            thin = np.flatnonzero(there.areas <= FLAT * sides**2)
+            if len(thin):
+                raise ConfigError(
+                    f"The field {body}.{REST} leaves triangle {thin[0]} without area, and {len(thin) - 1} more.",
+                    "Keep its nodes apart.",
+                )
+        self._scene.reshape(body, rest)
+        for name in {full.split(".")[0] for full in self._shares}:
+            self._spread(name)
+        for name, beside in self._creases.items():
+            bending = self.bending(name)
+            bending.set_rest_angles(bending.built_angles + beside)
+
     def reset(self) -> None:
-        """Back to the rig's numbers, and to its shape at rest."""
-        for name, angles in self._straight.items():
-            self.bending(name).set_rest_angles(angles)
+        """Back to the rig's numbers, and to its shapes at rest."""
         changed = {full.split(".")[0] for full in self._shares}
         self._shares.clear()
+        for name in self._creases:
+            self.bending(name).set_rest_angles(self.bending(name).built_angles)
+        self._creases.clear()
         for body in changed:
             self._spread(body)
+        for name, built in self._scene.bodies.items():
+            if built.rest is not built.drawn:
+                self._reshape(name, None)
 
     def places(self, name: str) -> np.ndarray:
-        """Middles of the elements or hinges of a field, at rest in the world [m], ``(m, 3)``."""
+        """Middles of the elements or hinges of a field, or its nodes, at rest in the world [m], ``(m, 3)``."""
         body, key = self.resolve(name).split(".")
         built = self._scene.bodies[body]
+        if key == REST:
+            return np.array(built.rest)
         corners = self.bending(body).hinges.nodes[:, :2] if key == REST_ANGLE else _elements(built)[:, :4]
         return np.asarray(built.rest[corners].mean(axis=1))
 

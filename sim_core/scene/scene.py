@@ -14,19 +14,17 @@ from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
 from sim_core.rigs import WORLD, Affine, Gel, Rig, Rigid, Sheet
-from sim_core.rigs.schema import Contact
 from sim_core.scene.assembly import (
     BuiltBody,
     add_terms,
     affine_moments,
     build_body,
     held_nodes,
-    rest_form,
     world_pose,
 )
 from sim_core.scene.fields import Fields
 from sim_core.scene.joints import Link, embedding, guides, joint_label, make_link
-from sim_core.scene.touching import ContactTerm, contact_of_surfaces, contact_with_rigid
+from sim_core.scene.touching import ContactTerm, contact_of_surfaces, contact_with_rigid, half_thicknesses
 from sim_core.solve.system import System
 from sim_core.solve.unknowns import Compliant
 
@@ -67,15 +65,24 @@ class Scene:
     """A rig ready to be stepped. Build with :func:`build_scene`."""
 
     def __init__(self, rig: Rig, refine: int) -> None:
-        self.rig = rig
+        self.rig, self._refine = rig, refine
         self.start: dict[str, Frame] = {WORLD: (np.zeros(3), Rotation.identity())}
         for name, effector in rig.end_effectors.items():
             self.start[name] = (effector.start.position(), effector.start.rotation())
+        self._build({})
+        self.fields = Fields(self)
+        """Material values, rest angles and shapes at rest that differ from node to node, element to element."""
+
+    def _build(self, shapes: Mapping[str, np.ndarray]) -> None:
+        """Mesh and assemble. ``shapes``: where nodes of sheets and gels are at rest, in the frames of these bodies [m],
+        if not where the rig has them."""
+        rig = self.rig
+        self._shapes = dict(shapes)
         self.bodies: dict[str, BuiltBody] = {}
         count = 0
         for name, spec in rig.bodies.items():
             carrier = self.start[self._carrier(spec)]
-            body = build_body(rig, name, carrier, count, refine)
+            body = build_body(rig, name, carrier, count, self._refine, shapes.get(name))
             self.bodies[name] = body
             count += len(body.nodes)
         self._affine = [b for b in self.bodies.values() if isinstance(b.spec, Affine)]
@@ -105,8 +112,22 @@ class Scene:
         self._masses: dict[tuple[float, ...], sp.csr_matrix] = {}
         self._applied_mass: tuple[float, ...] | None = None
         self.apply(values)
-        self.fields = Fields(self)
-        """Material values and rest angles that differ from element to element."""
+
+    def reshape(self, body: str, rest: np.ndarray | None) -> None:
+        """Let the nodes of a sheet or a gel be at ``rest`` [m] ``(n, 3)`` at the start, in the world, when nothing
+        strains them (None: where the rig has them). All is built anew, the system too; simulations and tapes that were
+        made before are of no use any more."""
+        shapes = {name: shape for name, shape in self._shapes.items() if name != body}
+        if rest is not None and not np.array_equal(rest, self.bodies[body].drawn):
+            origin, rotation = world_pose(self.bodies[body].spec.pose, self.start[self.mount_of(body)])
+            shapes[body] = np.ascontiguousarray(rotation.inv().apply(rest - origin))
+        kept, loads = dict(self.__dict__), self.system.loads
+        try:
+            self._build(shapes)
+        except BaseException:
+            self.__dict__.update(kept)
+            raise
+        self.system.loads[:] = loads
 
     @staticmethod
     def _carrier(spec: Sheet | Gel | Rigid | Affine) -> str:
@@ -131,6 +152,8 @@ class Scene:
                 count += 4
             self.links.append(make_link(label, joint, body, to))
         self.rest = np.vstack(places)
+        drawn = [b.drawn for b in self.bodies.values()]
+        self._drawn = np.vstack([*drawn, self.rest[sum(len(p) for p in drawn) :]])
 
     def _hold(self) -> None:
         """Find which nodes follow which mount."""
@@ -188,7 +211,7 @@ class Scene:
         for contact in self.rig.contacts:
             first, second = (self.bodies[b] for b in contact.between)
             self.contacts[contact.name] = built = self._contact(contact.name, first, second)
-            self._beyond.update({t.name: t.offset - _half_thicknesses(self.rig, contact) for t in built})
+            self._beyond.update({t.name: t.offset - half_thicknesses(self.rig, contact) for t in built})
             terms += built
         return terms
 
@@ -201,8 +224,8 @@ class Scene:
         if isinstance(a.spec, Rigid):
             a, b = b, a
         if isinstance(b.spec, Rigid):
-            return contact_with_rigid(f"contact.{name}", a, b, self.rest)
-        return contact_of_surfaces(f"contact.{name}", a, b, self.rest)
+            return contact_with_rigid(f"contact.{name}", a, b, self.rest, self._drawn)
+        return contact_of_surfaces(f"contact.{name}", a, b, self.rest, self._drawn)
 
     def _effect_terms(self) -> list[Term]:
         from sim_core.effects import active_effects
@@ -251,7 +274,7 @@ class Scene:
                     "friction": contact.friction,
                     "stiffness_pa_per_m": (contact.stiffness_pa_per_m or CONTACT_STIFFNESS_PA_PER_M) / sides,
                     "range_m": CONTACT_RANGE_M,
-                    "offset_m": self._beyond[term.name] + _half_thicknesses(rig, contact),
+                    "offset_m": self._beyond[term.name] + half_thicknesses(rig, contact),
                 }
         for effect, given in active_effects(rig):
             effect.amend_values(rig, values, given)
@@ -339,7 +362,7 @@ class Scene:
             elif body.mesh is not None and self._held[body.name].any():
                 origin, rotation = self.body_frame(body.name, frames)
                 free = ~self._held[body.name]
-                x[body.nodes[free]] = (origin + rotation.apply(rest_form(body.spec, body.local)))[free]
+                x[body.nodes[free]] = (origin + rotation.apply(body.formed))[free]
         given = v.copy()
         self.system.embed(v)
         miss = float(np.abs(v - given).max(initial=0.0))
@@ -373,12 +396,6 @@ class Scene:
     def held(self, body: str) -> np.ndarray:
         """Nodes of a simulated body that follow a mount in all components, bool over its nodes."""
         return self._held[body]
-
-
-def _half_thicknesses(rig: Rig, contact: Contact) -> float:
-    """Half thicknesses [m] of the sheets on both sides of a contact together."""
-    sides = (rig.bodies[b] for b in contact.between)
-    return sum(0.5 * side.material.thickness_m for side in sides if isinstance(side, Sheet))
 
 
 def build_scene(rig: Rig, refine: int = 1) -> Scene:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sim_core.contact.cores import cores
 from sim_core.contact.crossing import cross
 from sim_core.contact.edges import EDGE_RANGE, EdgeContact
 from sim_core.contact.rigid import RigidContact
-from sim_core.contact.samples import Samples, triangle_edges
+from sim_core.contact.samples import Samples, edge_shares, triangle_edges
 from sim_core.contact.surface import SurfaceContact
 from sim_core.errors import ConfigError
 from sim_core.geometry import sheets
-from sim_core.rigs import Rigid
+from sim_core.rigs import Rig, Rigid, Sheet
+from sim_core.rigs.schema import Contact
 from sim_core.scene.assembly import BuiltBody, contact_samples, contact_triangles, rigid_shape
 
 ContactTerm = RigidContact | SurfaceContact | EdgeContact
@@ -21,17 +24,22 @@ MARGIN = 0.5
 """How much wider than a step needs partners are looked for, in mesh sizes: a few steps of motion."""
 
 
-def contact_of_surfaces(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray) -> list[ContactTerm]:
-    """Contact of two bodies that are simulated, or of one with itself: points and faces both ways, edges and edges."""
+def contact_of_surfaces(
+    name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, drawn: np.ndarray
+) -> list[ContactTerm]:
+    """Contact of two bodies that are simulated, or of one with itself: points and faces both ways, edges and edges.
+
+    ``rest``: all nodes at rest [m] ``(n, 3)``; ``drawn``: as the rig has them, of which typical sizes are taken.
+    """
     ours, theirs = contact_samples(a, rest), contact_samples(b, rest)
     triangles, their_triangles = contact_triangles(a), contact_triangles(b)
     edges, areas = triangle_edges(triangles, rest)
-    offset, margin = ours.offset + theirs.offset, MARGIN * min(_cell(triangles, rest), _cell(their_triangles, rest))
+    offset, margin = ours.offset + theirs.offset, MARGIN * min(_cell(triangles, drawn), _cell(their_triangles, drawn))
     if a is b:
         _check_cells(a, triangles, rest, offset)
         return [
             SurfaceContact(f"{name}.faces", ours, triangles, offset, margin),
-            EdgeContact(f"{name}.edges", edges, areas, None, None, rest, offset, margin),
+            EdgeContact(f"{name}.edges", edges, areas, None, None, rest, offset, margin, [edge_shares(triangles)]),
         ]
     their_edges, their_areas = triangle_edges(their_triangles, rest)
     if cross(rest, edges, their_triangles) or cross(rest, their_edges, triangles):
@@ -39,19 +47,21 @@ def contact_of_surfaces(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray)
             f"{a.name} and {b.name} go through each other at the start, and their contact could not part them.",
             "Move one of them until they are apart.",
         )
+    shares = [edge_shares(triangles), edge_shares(their_triangles)]
     return [
         SurfaceContact(f"{name}.0", ours, their_triangles, offset, margin),
         SurfaceContact(f"{name}.1", theirs, triangles, offset, margin),
-        EdgeContact(f"{name}.edges", edges, areas, their_edges, their_areas, rest, offset, margin),
+        EdgeContact(f"{name}.edges", edges, areas, their_edges, their_areas, rest, offset, margin, shares),
     ]
 
 
-def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray) -> list[ContactTerm]:
-    """Contact of a simulated body with a rigid one: its points with the shape, its faces and edges with the core."""
+def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, drawn: np.ndarray) -> list[ContactTerm]:
+    """Contact of a simulated body with a rigid one: its points with the shape, its faces and edges with the core, whose
+    points stand for as much area as is typical of the body's (``rest``, ``drawn``: as above)."""
     assert isinstance(b.spec, Rigid)
     samples, triangles, shape = contact_samples(a, rest), contact_triangles(a), rigid_shape(b.spec)
     edges, areas = triangle_edges(triangles, rest)
-    cell = _cell(triangles, rest)
+    cell, typical = _cell(triangles, drawn), float(np.median(contact_samples(replace(a, mesh=a.layout), drawn).areas))
     terms: list[ContactTerm] = [RigidContact(name, samples, int(b.nodes[0]), shape, b.rotation)]
     first = int(b.nodes[0]) + 1
     for k, core in enumerate(cores(shape)):
@@ -60,18 +70,23 @@ def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray) 
         points = Samples(
             np.arange(first, first + count, dtype=np.int32)[:, None],
             np.ones((count, 1)),
-            np.full(count, float(np.median(samples.areas))),
+            np.full(count, typical),
             0.0,
         )
         terms.append(SurfaceContact(f"{name}.core{k}.points", points, triangles, offset, MARGIN * cell, EDGE_RANGE))
         if len(core.edges):
+            sides = (edges, areas, core.edges + first, None)
             terms.append(
-                EdgeContact(
-                    f"{name}.core{k}.edges", edges, areas, core.edges + first, None, rest, offset, MARGIN * cell
-                )
+                EdgeContact(f"{name}.core{k}.edges", *sides, rest, offset, MARGIN * cell, [edge_shares(triangles)])
             )
         first += count
     return terms
+
+
+def half_thicknesses(rig: Rig, contact: Contact) -> float:
+    """Half thicknesses [m] of the sheets on both sides of a contact together."""
+    sides = (rig.bodies[b] for b in contact.between)
+    return sum(0.5 * side.material.thickness_m for side in sides if isinstance(side, Sheet))
 
 
 def _cell(triangles: np.ndarray, rest: np.ndarray) -> float:

@@ -108,20 +108,20 @@ class Observer:
         built = self._scene.bodies[body]
         if isinstance(built.spec, Affine):
             return _Tracked(np.tile(built.control, (len(local), 1)), coordinates(built.local[-4:], local))
-        if isinstance(built.mesh, sheets.SheetMesh):
-            element, weights = sheets.locate(built.mesh, local)
-            nodes = built.mesh.triangles[element]
+        if isinstance(built.layout, sheets.SheetMesh):
+            element, weights = sheets.locate(built.layout, local)
+            nodes = built.layout.triangles[element]
         else:
-            assert isinstance(built.mesh, solids.TetMesh)
+            assert isinstance(built.layout, solids.TetMesh)
             shape = built.spec.shape if isinstance(built.spec, Gel) else None
             if isinstance(shape, Dome):
                 # What is in the cavity stands on its wall, along the radius.
                 radius = np.linalg.norm(local, axis=1, keepdims=True)
                 feet = local * np.maximum(1.0, shape.cavity_radius_m / np.maximum(radius, 1e-300))
-                element, weights = solids.locate_pins(built.mesh, local, feet, ON_CURVED)
+                element, weights = solids.locate_pins(built.layout, local, feet, ON_CURVED)
             else:
-                element, weights = solids.locate(built.mesh, local, ON_FLAT)
-            nodes = built.mesh.tets[element]
+                element, weights = solids.locate(built.layout, local, ON_FLAT)
+            nodes = built.layout.tets[element]
         return _Tracked(nodes + int(built.nodes[0]), weights)
 
     def _place(self) -> None:

@@ -10,7 +10,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "design" / "gradients.md"
 
 def test_the_code_of_the_page_runs():
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     names = {}
     exec(blocks[0], names)
     share = names["scene"].fields["gel.E_pa"] == 1e5
@@ -18,4 +18,7 @@ def test_the_code_of_the_page_runs():
     by_element = names["found"].fields
     assert by_element["gel.E_pa"].shape == share.shape and np.any(by_element["gel.E_pa"] != 0.0)
     exec(blocks[1], names)
+    assert np.ptp(names["scene"].fields["card.rest_m"][:, 2]) > 5e-4
+    assert names["found"].fields["card.rest_m"].shape == names["shape"].shape
+    exec(blocks[2], names)
     assert names["found"].zeroth.gradient.shape == (2,) and names["found"].failures == ()
