@@ -8,7 +8,7 @@ through in their parts. Steps are recorded on a :class:`sim_core.gradients.tape.
 
 Poses are differentiated by small motions of a mount in its own true frame at every time: translation [m] and turn
 [rad], p + R rho and R exp(phi); an offset of an end effector is the sum over time. At the start they take the first
-equilibrium along, by the static problem; the path on which it was searched for counts as given.
+equilibrium along, with the way to it where it depends on that (:mod:`sim_core.gradients.settling`).
 
 Where the true derivative jumps it is that of the branch that the rollout took, as in
 :mod:`sim_core.gradients.tangent`: both are the same derivative, and agree to round-off.
