@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from sysid.cli.bounds import number
 from sysid.cli.options import RigArgument, library, parse_names, parse_settings
 from sysid.cli.progress import progress
 
@@ -25,7 +26,7 @@ def check_gradients(
         typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter; may be repeated."),
     ] = None,
     until: Annotated[
-        float | None, typer.Option("--until", metavar="SECONDS", help="End of the rollout; default: of the motion.")
+        float | None, number("--until", "End of the rollout; default: of the motion", 0.0, metavar="SECONDS")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
