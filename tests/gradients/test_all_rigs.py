@@ -34,15 +34,11 @@ RUNS: dict[str, tuple[str | dict[str, object], float]] = {
     "tactip_cr": (PRESS, 4.0),
     "tissue_press": ("press_far", 0.3),
 } | {
-    f"knit_{yarn}_{axis}": (PULL, 4.0)
+    f"knit_{yarn}_{axis}": (PULL, 3.0)  # at 4 s flat knits are beyond their wrinkling load
     for yarn in ("acrylic_garter", "acrylic_stockinette", "pearlized_cotton_stockinette")
     for axis in "xy"
 }
 """Rig: what it does, and for how long [s]: until contacts are made, rub and, where there is plasticity, yield."""
-
-
-OUT_OF_PLANE = ("gravity.z_m_s2", "offset_z_m", "offset_rx_deg", "offset_ry_deg")
-"""A flat knit without bending stiffness that is pulled in its plane is on the verge of wrinkling."""
 
 
 def test_no_rig_is_left_out():
@@ -62,7 +58,7 @@ def test_gradients_by_all_classes_of_parameters(name):
         experiment = Experiment.model_validate({"name": "short", "motions": motions})
     classes: dict[str, str] = {}
     for parameter in list_parameters(rig):
-        if parameter.value is not None and not (name.startswith("knit") and parameter.name.endswith(OUT_OF_PLANE)):
+        if parameter.value is not None:
             classes.setdefault(parameter.name.rpartition(".")[2], parameter.name)
     _, text = check_gradients(rig, experiment, list(classes.values()), until_s=until, steps=STEPS, as_json=True)
     rows = json.loads(text)["rows"]
