@@ -211,10 +211,8 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def gathered(*parts: tuple[np.ndarray, np.ndarray], size: int) -> np.ndarray:
     """Sum of values at places, both ``(n, ...)``, in a vector of ``size``."""
-    out = np.zeros(size)
-    for values, at in parts:
-        out += np.bincount(at.ravel(), weights=values.ravel(), minlength=size)
-    return out
+    sums = [np.bincount(at.ravel(), weights=values.ravel(), minlength=size) for values, at in parts]
+    return np.asarray(sum(sums[1:], sums[0]) if sums else np.zeros(size))
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

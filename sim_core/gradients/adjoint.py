@@ -28,10 +28,10 @@ from sim_core.errors import ConfigError
 from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, motions, slopes
 from sim_core.gradients.fields import FieldSums
+from sim_core.gradients.made import Made
 from sim_core.gradients.mounts import carried_contacts, carried_freely
-from sim_core.gradients.settling import linearised
 from sim_core.gradients.step import LinearStep, Pulled, Weights, linearised_terms, no_memory, passed_on_by
-from sim_core.gradients.tape import MEMORY_MB, Made, Tape
+from sim_core.gradients.tape import MEMORY_MB, Tape
 from sim_core.rigs import Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
@@ -89,11 +89,14 @@ class Backward:
         self._observer = tape.observer
         keys, self._slopes = slopes(self._scene, along)
         self._columns = Columns(self._scene, self._scene.values(self._scene.rig), keys)
-        self._turning = [
-            (body.spec.mount, term.name, body.spec.pose.rotation().as_matrix())
+        movable = [m for m in self._scene.start if m in self._scene.rig.end_effectors]
+        self._followers = [f for f in self._scene.followers if f.mount in movable]
+        self._turning = {
+            term.name: (body.spec.mount, term, body.spec.pose.rotation().as_matrix())
             for body, term in carried_contacts(self._scene)
-            if isinstance(body.spec, Rigid)
-        ]
+            if isinstance(body.spec, Rigid) and body.spec.mount in movable
+        }
+        self._movable = movable
         self._fields = FieldSums(self._scene, fields)
         self._moved = motions(self._scene.rig, along)
         self._cameras = [k for k, d in enumerate(self._along) if d.low.cameras != d.high.cameras]
@@ -147,11 +150,10 @@ class Backward:
         found = self._slopes.T @ self._numbers + self._sensed
         for mount, moved in self._moved.items():
             found += np.sum([p.of(mount) for p in poses], axis=0) @ moved
-        movable = [m for m in scene.start if m in scene.rig.end_effectors]
         return Gradient(
             value,
             {d.name: float(v) for d, v in zip(self._along, found, strict=True)},
-            {m: np.stack([p.of(m) for p in poses]) for m in movable},
+            {m: np.stack([p.of(m) for p in poses]) for m in self._movable},
             state.x,
             state.v,
             tape.trace,
@@ -164,19 +166,23 @@ class Backward:
         """Weights before one step from those after it. ``k``: number of the time at its end, if readings are there;
         ``target``: takes the weights of the frames at its end; ``sensed``: derivatives of the readings, if kept."""
         linear = made.linear
-        if linear is None or self._columns.need_contact(linear.terms):
-            made.enter(self._scene)
-        elif self._columns.keys or self._cameras or self._fields:
-            self._place(made)
+        self._come_to(made)
         if linear is None:
             linear = LinearStep(self._scene, self._tape.keeper, made.before, made.after, made.dt)
         if k is not None:
             state = self._read_back(k, made.frames, state, target, sensed)
-        pulled = linear.pull(
-            state, self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
-        )
+        columns = self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
+        pulled = linear.pull(state, columns, self._turning)
         self._collect(pulled, linear.step, linear.terms, made, state, target)
         return pulled.state
+
+    def _come_to(self, made: Made) -> None:
+        """Let the system hold as much of the end of a step as it takes to go back through it."""
+        linear = made.linear
+        if linear is None or self._columns.need_contact(linear.terms):
+            made.enter(self._scene)
+        elif self._columns.keys or self._cameras or self._fields:
+            self._place(made)
 
     def _collect(
         self,
@@ -198,14 +204,14 @@ class Backward:
     ) -> None:
         """Take the weights of nodes ``(n, 3)`` and turns of bodies that follow the mounts."""
         self._fields.shapes.follow(targets, frames)
-        for follower in self._scene.followers:
+        for follower in self._followers:
             rotation = frames[follower.mount][1].as_matrix()
             force = targets[follower.nodes] @ rotation
             target.of(follower.mount)[:3] += force.sum(axis=0)
             target.of(follower.mount)[3:] += cross(follower.local, force).sum(axis=0)
-        for mount, term, own in self._turning:
-            if term in turns:
-                target.of(mount)[3:] += own @ turns[term]
+        for term, turn in turns.items():
+            mount, _, own = self._turning[term]
+            target.of(mount)[3:] += own @ turn
 
     def _place(self, made: Made) -> None:
         """Put the system where a step ended, without looking for contact."""
@@ -267,12 +273,13 @@ class Backward:
     def _settled(self, state: Weights, target: _Frames) -> None:
         """Through the first equilibrium and, where that depends on it, the way to it."""
         tape, scene = self._tape, self._scene
-        for made, linear in linearised(scene, tape.keeper, tape.settling, tape.mounts, backwards=True):
+        for made, linear in tape.way():
+            self._come_to(made)
             if made.after is tape.settling[-1].after:
-                state = self._read_back(0, tape.mounts, state, target)
+                state = self._read_back(0, tape.mounts, state, target, tape.start_sensed)
             state = replace(state, v=np.zeros_like(state.x), past=None)
             columns = self._columns.of_step(linear.step, made.before.internals, made.after.internals, linear.terms)
-            pulled = linear.pull(state, columns)
+            pulled = linear.pull(state, columns, self._turning)
             self._collect(pulled, linear.step, linear.terms, made, state, target)
             state = pulled.state
         self._follow(scene.system.fold(state.x), self._turned(state), tape.mounts, target)
@@ -281,9 +288,9 @@ class Backward:
     def _turned(self, state: Weights) -> dict[str, np.ndarray]:
         """Weights of small turns of rigid bodies from those of how they stood at the start."""
         found = {}
-        for _, term in carried_contacts(self._scene):
+        for name, (_, term, _) in self._turning.items():
             turned = np.stack([term.rotation @ skew(e) for e in np.eye(3)])
-            found[term.name] = turned.reshape(3, 9) @ state.memory[term.name][:9]
+            found[name] = turned.reshape(3, 9) @ state.memory[name][:9]
         return found
 
     def _put(self, state: Weights, target: _Frames) -> None:

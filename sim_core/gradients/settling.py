@@ -8,12 +8,15 @@ put the bodies.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 
+from sim_core.gradients.made import Made
 from sim_core.gradients.step import LinearStep
-from sim_core.gradients.tape import Made
 from sim_core.scene.scene import Frame, Scene
 from sim_core.simulate import Settling
 from sim_core.solve.stiffness import Keeper
+from sim_core.solve.system import System
 
 
 def linearised(
@@ -21,19 +24,30 @@ def linearised(
 ) -> Iterator[tuple[Made, LinearStep]]:
     """The steps of settling that the equilibrium depends on, in the order in which they were made or ``backwards``.
     While one is there the system holds its end, and has inertia if the step had."""
-    system = scene.system
-    inertia = system.inertia
-    steps = [(Made(s.before, s.after, s.dt, frames, s.unknowns), s.inertia) for s in settling]
-    try:
-        made, system.inertia = steps[-1]
+
+    def entered(step: Settling) -> tuple[Made, LinearStep]:
+        made = Made(step.before, step.after, step.dt, frames, step.unknowns)
         made.enter(scene)
         linear = LinearStep(scene, keeper, made.before, made.after, made.dt)
-        if backwards or not linear.remembers:
-            yield made, linear
-        if not linear.remembers:
-            return
-        for made, system.inertia in reversed(steps[:-1]) if backwards else steps:
-            made.enter(scene)
-            yield made, LinearStep(scene, keeper, made.before, made.after, made.dt)
-    finally:
+        return replace(made, linear=linear), linear
+
+    *others, last = settling
+    with with_inertia(scene.system, last.inertia):
+        found = entered(last)
+        if backwards or not found[1].remembers:
+            yield found
+    if found[1].remembers:
+        for step in reversed(others) if backwards else settling:
+            with with_inertia(scene.system, step.inertia):
+                yield entered(step)
+
+
+@contextmanager
+def with_inertia(system: System, inertia: bool) -> Iterator[None]:
+    """Let a system have inertia or not for a while."""
+    given = system.inertia
+    try:
         system.inertia = inertia
+        yield
+    finally:
+        system.inertia = given

@@ -15,6 +15,7 @@ terms on the nodes, so a weight w on these forces joins lambda.
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -72,8 +73,8 @@ class Weights:
 @dataclass
 class Pulled:
     """What one step passes back: ``state``: weights of the state before; ``targets``: of where prescribed and compliant
-    nodes were sent ``(n, 3)``; ``turns``: of turns of rigid bodies by term ``(3)``; ``numbers``: one a column;
-    ``exerted``, ``borne``: of the forces of the terms, and of inertia and weight ``(n, 3)``."""
+    nodes were sent ``(n, 3)``; ``turns``: of turns of the rigid bodies that can, by term ``(3)``; ``numbers``: one a
+    column; ``exerted``, ``borne``: of the forces of the terms, and of inertia and weight ``(n, 3)``."""
 
     state: Weights
     targets: np.ndarray
@@ -91,7 +92,8 @@ class LinearStep:
         system = scene.system
         self._system = system
         self._before = before
-        self._inertia = system.inertia
+        self.inertia = system.inertia
+        """Whether the system had inertia in the step."""
         self._dt = dt
         self.step: StepContext = step_context(before.x, before.v, dt, before.past)
         self._hessian = keeper.keep()
@@ -116,7 +118,7 @@ class LinearStep:
     def _stiffness(self, move: np.ndarray) -> np.ndarray:
         """Change of what the terms exert for a move of the nodes."""
         system, out = self._system, self._hessian.product(move)
-        return np.asarray(out - system.mass @ move / self.step.tau**2) if self._inertia else out
+        return np.asarray(out - system.mass @ move / self.step.tau**2) if self.inertia else out
 
     # Forwards
 
@@ -147,7 +149,7 @@ class LinearStep:
                 if term.moment_turn is not None:
                     moment[name] = moment[name] + times(term.moment_turn, turn)
         body, unknowns = np.zeros((whole, count)), np.zeros((system.n_unknowns, count))
-        if self._inertia:
+        if self.inertia:
             begun = (step.x_base + step.tau * step.v_base).reshape(-1, 3 * count)
             body -= (system.mass @ begun / step.tau**2).reshape(-1, count)
         for column, slope in zip(columns, slopes, strict=True):
@@ -172,7 +174,7 @@ class LinearStep:
         force = force.reshape(shape) + np.stack([self._stiffness(x[..., k]) for k in range(count)], axis=-1)
         if system.passes_on:
             whole = force + body.reshape(shape)
-            if self._inertia:
+            if self.inertia:
                 whole += (system.mass @ x.reshape(len(x), -1) / step.tau**2).reshape(shape)
             force += np.stack([system.passed_on(whole[..., k]) for k in range(count)], axis=-1)
         for name, term in self.terms.items():
@@ -180,9 +182,9 @@ class LinearStep:
             if term.moment_end is not None:
                 moment[name] = moment[name] + times(term.moment_end, x.reshape(-1, count))
         v = np.zeros_like(x)
-        if self._inertia:
+        if self.inertia:
             v = (x - step.x_base) / step.tau
-        past = (motion.x, motion.v) if self._inertia and system.second_order else None
+        past = (motion.x, motion.v) if self.inertia and system.second_order else None
         return Motion(x, v, memory, past), Outcome(x, force, moment, moved)
 
     def _linear(self, motion: Motion) -> StepContext:
@@ -195,11 +197,11 @@ class LinearStep:
 
     # Backwards
 
-    def pull(self, weights: Weights, columns: list[Column]) -> Pulled:
-        """Weights of everything that the step depended on."""
+    def pull(self, weights: Weights, columns: list[Column], turning: Container[str]) -> Pulled:
+        """Weights of everything that the step depended on. ``turning``: terms of the rigid bodies that can turn."""
         system, step = self._system, self.step
         x, past, passed = weights.x.copy(), weights.past, np.zeros_like(weights.x)
-        moving = self._inertia
+        moving = self.inertia
         if moving:
             x += weights.v / step.tau
         for name, term in self.terms.items():
@@ -223,7 +225,10 @@ class LinearStep:
         for name, internals in self._before.internals.items():
             old = np.zeros(size_of(internals))
             if name in self.terms:
-                start, old = self._through(self.terms[name], name, weights, exerted, start, old, turns)
+                term = self.terms[name]
+                start, old = self._through(term, name, weights, exerted, start, old)
+                if name in turning:
+                    turns[name] = self._turn(term, weights.memory[name], exerted, weights.moment.get(name))
             memory[name] = old
         before = self._measured_from(borne, weights if moving else None)
         before.x += start
@@ -245,20 +250,22 @@ class LinearStep:
         exerted: np.ndarray,
         start: np.ndarray,
         old: np.ndarray,
-        turns: dict[str, np.ndarray],
     ) -> tuple[np.ndarray, np.ndarray]:
         """Add what one term passes back to the start of the step and to its memory."""
         flat, kept, moment = exerted.ravel(), weights.memory[name], weights.moment.get(name)
         start = start + self._back(term.force_start, flat) + self._back(term.memory_start, kept)
         old = old + self._back(term.force_memory, flat, False) + self._back(term.memory_memory, kept, False)
-        if term.memory_turn is not None:
-            turns[name] = self._back(term.memory_turn, kept, False) + self._back(term.force_turn, flat, False)
         if moment is not None:
             start = start + self._back(term.moment_start, moment)
             old = old + self._back(term.moment_memory, moment, False)
-            if term.moment_turn is not None:
-                turns[name] = turns[name] + self._back(term.moment_turn, moment, False)
         return start, old
+
+    def _turn(self, term: Linearised, kept: np.ndarray, exerted: np.ndarray, moment: np.ndarray | None) -> np.ndarray:
+        """Weights of the turn of a rigid body."""
+        turn = self._back(term.memory_turn, kept, False) + self._back(term.force_turn, exerted.ravel(), False)
+        if moment is not None:
+            turn = turn + self._back(term.moment_turn, moment, False)
+        return np.asarray(turn + np.zeros(3))
 
     @staticmethod
     def _back(matrix: Any, vector: np.ndarray, nodal: bool = True) -> Any:
@@ -271,7 +278,7 @@ class LinearStep:
         ``weights``: None where the end of the step has no velocity."""
         system, step = self._system, self.step
         zero = np.zeros_like(borne)
-        if not self._inertia:
+        if not self.inertia:
             return Weights(zero, zero.copy(), {})
         assert weights is not None
         held = system.mass @ borne / step.tau**2

@@ -8,61 +8,31 @@ on memory:
 * how they are linearised (:class:`sim_core.gradients.step.LinearStep`, and the readings' derivatives), as long as
   there is room for the states of all that is still to come; other steps are linearised when their turn comes.
 
-A segment that is made again is linearised as it is made. The least memory is that of O(sqrt(T)) steps.
+A segment that is made again is linearised as it is made. The least memory is that of O(sqrt(T)) steps. The way to the
+first equilibrium is linearised with the rest, where there is room.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sim_core.gradients.made import Made, size_of_state
+from sim_core.gradients.settling import linearised, with_inertia
 from sim_core.gradients.step import LinearStep
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Sensed, frame_of
 from sim_core.simulate import Simulation, Trace
-from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State, StepReport
 from sim_core.solve.stiffness import Keeper
 
 MEMORY_MB = 1024.0
 """Bound on what the steps that are kept may take, where none is given."""
-
-
-@dataclass(frozen=True)
-class Made:
-    """One step without subdivision: from ``before`` to ``after`` in ``dt`` [s]; at its end the mounts are at
-    ``frames`` and the system has the ``unknowns``. ``linear``: the step linearised, if that was kept."""
-
-    before: State
-    after: State
-    dt: float
-    frames: Mapping[str, Frame]
-    unknowns: np.ndarray
-    linear: LinearStep | None = None
-
-    def enter(self, scene: Scene) -> None:
-        """Let the system hold the end of the step."""
-        system, before = scene.system, self.before
-        system.guard(True)
-        targets = scene.targets(self.frames)
-        system.x[:] = before.x
-        system.set_targets(targets)
-        step = step_context(before.x, before.v, self.dt, before.past)
-        system.begin_step(replace(step, v_start=(self.after.x - before.x) / self.dt), before.internals)
-        system.set_unknowns(self.unknowns)
-        system.cover()
-
-    def state_bytes(self) -> int:
-        """Memory of the state at the end; that before is the step before's."""
-        return _bytes(self.after) + self.unknowns.nbytes
-
-    def size_bytes(self) -> int:
-        """Memory of the state and of the linearisation."""
-        return self.state_bytes() + (self.linear.size_bytes() if self.linear else 0)
 
 
 @dataclass
@@ -176,6 +146,11 @@ class Tape:
         self.settling, self.start = simulation.settling, simulation.state
         self.start_unknowns = scene.system.unknowns()
         readings, reports = [simulation.read()], []
+        self.start_sensed: dict[str, Sensed] | None = None
+        """Derivatives of the readings at the first equilibrium, if kept."""
+        self._way: list[tuple[Made, LinearStep]] | None = None
+        if self.settling:
+            self._keep_way()
         for first in self.segments:
             self._points.append(simulation.checkpoint())
             intervals: list[Interval] = []
@@ -190,6 +165,11 @@ class Tape:
                 if on_step is not None:
                     on_step(k + 1, count)
             self.most_bytes = max(self.most_bytes, self.kept_bytes + size)
+            for interval in reversed(intervals):
+                if self.kept_bytes + size <= self._bound:
+                    break
+                size -= interval.size_bytes() - interval.state_bytes()
+                interval.forget()
             if self.kept_bytes + size <= self._bound:
                 self._kept[first] = intervals
                 self.kept_bytes += size
@@ -197,15 +177,44 @@ class Tape:
         self.observer = observer = simulation.observer
         self.trace = Trace(self._times, outputs, observer.kinds, observer.ids, tuple(reports))
 
+    def _keep_way(self) -> None:
+        """Linearise the way to the first equilibrium, and keep that if there is room."""
+        simulation = self._simulation
+        point = simulation.checkpoint()
+        simulation.sense()
+        sensed = simulation.interval.sensed or {}
+        size = sum(s.size_bytes() for s in sensed.values())
+        way = []
+        with closing(self.way()) as steps:
+            for made, linear in steps:
+                size += made.size_bytes()
+                if not self._affords(size, len(self._times)):
+                    break
+                way.append((made, linear))
+            else:
+                self._way, self.start_sensed = way, sensed
+                self.kept_bytes = self.most_bytes = size
+        simulation.go_to(point)
+
+    def way(self) -> Generator[tuple[Made, LinearStep], None, None]:
+        """The steps that the first equilibrium depends on, the last one first. While one is there the system has
+        inertia if the step had."""
+        if self._way is None:
+            yield from linearised(self.scene, self.keeper, self.settling, self.mounts, backwards=True)
+            return
+        for made, linear in self._way:
+            with with_inertia(self.system, linear.inertia):
+                yield made, linear
+
     def _affords(self, size: int, left: int) -> bool:
         """Whether there is room to linearise one more step beside a segment of ``size`` [B], that step included, and
         for the states of the ``left`` steps to come, unknowns and growing internal variables included."""
-        return self.kept_bytes + size + 2 * left * _bytes(self.start) <= self._bound
+        return self.kept_bytes + size + 2 * left * size_of_state(self.start) <= self._bound
 
     @property
     def memory_mb(self) -> float:
         """What checkpoints and steps take at the most [MB]."""
-        return 1e-6 * (self.most_bytes + sum(_bytes(p.state) for p in self._points))
+        return 1e-6 * (self.most_bytes + sum(size_of_state(p.state) for p in self._points))
 
     def intervals(self, first: int) -> list[Interval]:
         """The steps of the segment that begins at time number ``first``, made again unless they were kept."""
@@ -234,8 +243,3 @@ class Tape:
         if linearising:
             simulation.sense()
         return simulation.interval, report
-
-
-def _bytes(state: State) -> int:
-    internals = sum(a.nbytes for term in state.internals.values() for a in term.values())
-    return state.x.nbytes + state.v.nbytes + internals

@@ -15,11 +15,12 @@ pytestmark = pytest.mark.ros
 
 
 def test_a_recorded_session_gives_back_the_gel(record_press: Callable[[Path], dict[str, int]], tmp_path: Path) -> None:
-    """The rig is coarse, for real time: its mesh error is 17 times the noise, and the interval has that in it."""
+    """The rig is coarse, for real time: its mesh error is 17 times the noise, and the interval has that in it. How
+    wide it is depends on when the messages came; it must tell the truth from where the fit began."""
     record_press(tmp_path / "press")
     rig = load_rig(RIG)
     wrong = with_parameters(rig, {"pad.E_pa": 2.9e5})
     result, _ = fit_runs(wrong, [load_run(wrong, tmp_path / "press")], ["pad.E"])
     (stiffness,) = result.estimates
-    assert stiffness.sd < 0.04
-    assert abs(np.log(stiffness.value / 2.0e5)) < 3.0 * stiffness.sd
+    assert stiffness.ci95[1] < 2.9e5
+    assert abs(np.log(stiffness.value / 2.0e5)) < min(0.1, 3.0 * stiffness.sd)
