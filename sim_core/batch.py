@@ -10,13 +10,16 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 
 import numpy as np
 
+from sim_core.errors import WorkerError
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
@@ -42,23 +45,46 @@ def simulate_batch(
     """Traces of all rollouts, in their order, from ``workers`` processes (default: one a core).
 
     ``on_done(done, total)`` is called as each trace arrives in that order. The first rollout that fails ends the
-    batch with its error. Call it under ``if __name__ == "__main__"``: processes are started afresh.
+    batch with its error. Raises ``ConvergenceError``, ``WorkerError``.
     """
     if not rollouts:
         return []
     count = min(workers or os.cpu_count() or 1, len(rollouts))
     traces = []
-    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), serve_parent) as pool:
-        futures = [pool.submit(_run, rollout) for rollout in rollouts]
-        try:
-            for future in futures:
-                traces.append(future.result())
-                if on_done is not None:
-                    on_done(len(traces), len(rollouts))
-        except BaseException:
-            give_up(pool)
-            raise
+    with worker_pool(count) as pool:
+        for future in [pool.submit(_run, rollout) for rollout in rollouts]:
+            traces.append(future.result())
+            if on_done is not None:
+                on_done(len(traces), len(rollouts))
     return traces
+
+
+@contextmanager
+def worker_pool(workers: int, start: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
+    """Processes that are started afresh, and call ``start`` once. Where the block is left by an error they end at once,
+    whatever they are doing. Raises ``WorkerError`` if one of them has ended before.
+
+    A script does its work under ``if __name__ == "__main__"``: each process imports it.
+    """
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin, (start,))
+    try:
+        yield pool
+    except BaseException as error:
+        _give_up(pool)
+        if isinstance(error, BrokenProcessPool):
+            raise WorkerError(
+                "A process that simulates has ended before its work was done.",
+                "Usually the machine ran out of memory, which its kernel log says: do less at once, or use coarser "
+                'cells. A script of your own must do its work under if __name__ == "__main__".',
+            ) from error
+        raise
+    pool.shutdown()
+
+
+def _begin(start: Callable[[], None] | None) -> None:
+    serve_parent()
+    if start is not None:
+        start()
 
 
 def serve_parent() -> None:
@@ -70,7 +96,7 @@ def serve_parent() -> None:
         threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 
-def give_up(pool: ProcessPoolExecutor) -> None:
+def _give_up(pool: ProcessPoolExecutor) -> None:
     """End the processes of a pool, whatever they are doing; what is pending is cancelled."""
     workers = list((pool._processes or {}).values())
     pool.shutdown(wait=False, cancel_futures=True)

@@ -27,6 +27,10 @@ class RecordingError(ThinshellError):
     """A bag that cannot be read, or does not hold what is needed."""
 
 
+class WorkerError(ThinshellError):
+    """A process that worked for this one has ended before its work was done."""
+
+
 class ConvergenceError(ThinshellError):
     """A time step or a fit that did not converge."""
 

@@ -8,7 +8,6 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -22,11 +21,6 @@ from sysid.fit import fit_bags
 from sysid.fit.starts import Step
 from sysid.folder import unfinished
 from thinshell_ros.fit_request import FitRequest
-
-MEMORY = (
-    "Usually the machine ran out of memory, which its kernel log says: fit fewer recordings at once or use coarser "
-    "cells. Nothing was written; call ~/start to try again."
-)
 
 
 @dataclass(frozen=True)
@@ -69,8 +63,6 @@ def run(link: Connection, request: FitRequest) -> None:
         link.send(_succeeded(request))
     except ThinshellError as error:
         link.send(Failed(str(error)))
-    except BrokenProcessPool:
-        link.send(Failed(f"A process that simulates for the fit was ended from outside. {MEMORY}"))
     except Exception as error:
         link.send(Failed(f"This is a defect of the program: {type(error).__name__}: {error}. Please report it."))
 
@@ -136,7 +128,11 @@ class FitProcess:
     def _crash(self) -> str:
         code = self._process.exitcode
         if code is not None and code < 0:
-            return f"The process that fits was ended by {signal.Signals(-code).name}. {MEMORY}"
+            return (
+                f"The process that fits was ended by {signal.Signals(-code).name}. Usually the machine ran out of "
+                "memory, which its kernel log says: fit fewer recordings at once or use coarser cells. Nothing was "
+                "written; call ~/start to try again."
+            )
         return f"The process that fits ended with code {code}. The node's output says more. Call ~/start to try again."
 
     def stop(self) -> Succeeded | None:

@@ -6,18 +6,16 @@ steps of 5 ms that all converge, with friction between gel and card and between 
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import platform
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from sim_core.batch import serve_parent
+from sim_core.batch import worker_pool
 from sim_core.bench.machine import machine_name
 from sim_core.rigs import load_rig
 from sim_core.scene import build_scene
@@ -160,6 +158,6 @@ def measure(down_steps: int = DOWN_STEPS, along_steps: int = ALONG_STEPS) -> Ben
 def measure_side_by_side(processes: int | None = None) -> tuple[int, float]:
     """Number of processes (default: one a core) that ran the workload at the same time, and their steps/s together."""
     count = processes or os.cpu_count() or 1
-    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), serve_parent) as pool:
+    with worker_pool(count) as pool:
         found = [future.result() for future in [pool.submit(measure) for _ in range(count)]]
     return count, sum(each.steps_per_s for each in found)

@@ -6,15 +6,13 @@ published simulations: the scenes are not theirs, so that comparison is of order
 
 from __future__ import annotations
 
-import multiprocessing
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
-from sim_core.batch import serve_parent
+from sim_core.batch import worker_pool
 from sim_core.bench.machine import peak_memory_mb
 from sim_core.rigs import Rig, parse_rig
 from sim_core.scene import build_scene
@@ -136,7 +134,7 @@ def measure_sizes(meshes: Sequence[Mesh], on_size: Callable[[Size], None] | None
     """Run sizes, one after the other, each in a fresh process."""
     sizes = []
     for mesh in meshes:
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), serve_parent) as pool:
+        with worker_pool(1) as pool:
             sizes.append(pool.submit(measure_size, mesh).result())
         if on_size is not None:
             on_size(sizes[-1])

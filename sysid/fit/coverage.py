@@ -12,15 +12,14 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
-from sim_core.batch import give_up, serve_parent
+from sim_core.batch import worker_pool
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, WrenchSensor
 from sim_core.rigs.motion import Experiment
@@ -105,27 +104,22 @@ def measure_coverage(
     parameters = fit_parameters(rig, names)
     outcomes: list[Outcome] = []
     failed: dict[int, str] = {}
-    context = get_context("spawn")
     workers = min(os.cpu_count() or 1, max(1, len(cases)))
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=serve_parent) as pool:
+    with worker_pool(workers) as pool:
         pending = {}
         for case in cases:
             rng = np.random.default_rng([seed, case])
             truth, start = (draw(rig, parameters, spread, rng) for _ in range(2))
             drawn = (truth, start, refine, int(rng.integers(2**31)))
             pending[pool.submit(_case, rig, experiments, parameters, case, *drawn)] = case
-        try:
-            for done, future in enumerate(as_completed(pending), 1):
-                try:
-                    outcomes += future.result()
-                except ThinshellError as error:
-                    failed[pending[future]] = str(error)
-                if on_progress is not None:
-                    inside = sum(o.inside for o in outcomes)
-                    on_progress(done / len(cases), f"case {pending[future]}, {inside} of {len(outcomes)} inside")
-        except BaseException:
-            give_up(pool)
-            raise
+        for done, future in enumerate(as_completed(pending), 1):
+            try:
+                outcomes += future.result()
+            except ThinshellError as error:
+                failed[pending[future]] = str(error)
+            if on_progress is not None:
+                inside = sum(o.inside for o in outcomes)
+                on_progress(done / len(cases), f"case {pending[future]}, {inside} of {len(outcomes)} inside")
     outcomes.sort(key=lambda o: o.case)
     return Coverage(rig.name, len(cases), refine, seed, tuple(outcomes), dict(sorted(failed.items())))
 

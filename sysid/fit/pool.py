@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
+from contextlib import ExitStack
 from types import TracebackType
 
 import numpy as np
 
-from sim_core.batch import give_up, serve_parent
+from sim_core.batch import worker_pool
 from sim_core.rigs import Rig
 from sysid.fit.engine import Engine, Prediction
 from sysid.fit.parameters import FitParameter
@@ -20,8 +20,7 @@ _ENGINE: list[Engine] = []
 
 
 def _start() -> None:
-    """Each worker keeps its scenes; Ctrl-C is left to the parent."""
-    serve_parent()
+    """Each worker keeps its scenes."""
     _ENGINE.append(Engine())
 
 
@@ -44,17 +43,14 @@ class PooledEngine:
         self._on_done = on_done
 
     def __enter__(self) -> PooledEngine:
-        context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(self._workers, mp_context=context, initializer=_start)
+        self._open = ExitStack()
+        self._pool = self._open.enter_context(worker_pool(self._workers, _start))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None:
-            self._pool.shutdown()
-        else:
-            give_up(self._pool)
+        self._open.__exit__(kind, error, trace)
 
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
         """Start a prediction without derivatives."""

@@ -7,6 +7,11 @@ import sys
 import textwrap
 import time
 
+import pytest
+
+from sim_core.errors import WorkerError
+from sysid.fit.pool import PooledEngine
+
 PARENT = textwrap.dedent(
     """
     import os, sys, time
@@ -50,24 +55,17 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path):
 INTERRUPTED = textwrap.dedent(
     """
     import sys, time
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
     from pathlib import Path
-    from sim_core.batch import give_up, serve_parent
+    from sim_core.batch import worker_pool
 
     def work(folder, k):
         Path(folder, str(k)).touch()
         time.sleep(5)
 
     if __name__ == "__main__":
-        with ProcessPoolExecutor(2, get_context("spawn"), serve_parent) as pool:
-            futures = [pool.submit(work, sys.argv[1], k) for k in range(40)]
-            try:
-                for future in futures:
-                    future.result()
-            except BaseException:
-                give_up(pool)
-                raise
+        with worker_pool(2) as pool:
+            for future in [pool.submit(work, sys.argv[1], k) for k in range(40)]:
+                future.result()
     """
 )
 
@@ -84,3 +82,26 @@ def test_an_interrupt_ends_what_runs_and_what_waits(tmp_path):
     _, told = batch.communicate(timeout=60)
     assert "KeyboardInterrupt" in told
     assert len(list(started.iterdir())) <= 4, "all 40 would take 100 s"
+
+
+UNGUARDED = """
+from sim_core.batch import worker_pool
+
+with worker_pool(1) as pool:
+    pool.submit(print, "never").result()
+"""
+
+
+def test_a_script_that_every_worker_runs_again_is_told_what_it_lacks(tmp_path):
+    script = tmp_path / "unguarded.py"
+    script.write_text(UNGUARDED)
+    ended = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 1
+    assert "WorkerError" in ended.stderr.splitlines()[-1]
+    assert 'under if __name__ == "__main__"' in ended.stderr.splitlines()[-1]
+
+
+def test_a_worker_that_is_killed_is_told_of():
+    with pytest.raises(WorkerError, match="before its work was done"), PooledEngine(1) as engine:
+        os.kill(engine._pool.submit(os.getpid).result(), signal.SIGKILL)
+        engine._pool.submit(time.sleep, 60).result()

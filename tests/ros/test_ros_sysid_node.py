@@ -200,7 +200,7 @@ def test_a_crash_is_told_in_words_and_the_node_lives_on(
     job, worker = running()
     simulating = next(pid for pid in group(worker) if pid != worker)
     os.kill(simulating, signal.SIGKILL)
-    assert "was ended from outside" in values_of(fitter.until(job, "failed"))["detail"]
+    assert "ended before its work was done" in values_of(fitter.until(job, "failed"))["detail"]
     fitter.wait(lambda: not group(worker), "what it started still runs")
     assert fitter.ask("cancel").message == "No fit is running."
 
