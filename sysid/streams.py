@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from sim_core.effects import active_effects
+from sim_core.gradients import Direction
 from sim_core.rigs import Rig
 from sim_core.simulate import Trace, interpolate
 
@@ -24,6 +27,34 @@ def predicted_derivatives(
 ) -> np.ndarray:
     """Derivatives ``(n_times, ..., p)`` of a channel carried to the stamps: ``(k, ..., p)``."""
     return interpolate(trace.times, derivatives, stamps - total_delay(rig, channel, trace.kinds[channel]))
+
+
+def stream_derivatives(
+    trace: Trace, along: Sequence[Direction], channel: str, stamps: np.ndarray, since: float = 0.0
+) -> np.ndarray:
+    """What parameters change in a channel after the rollout, ``(k, ..., p)``: delays, and effects of sensors."""
+    ends = [[predicted(trace, rig, channel, stamps, since) for rig in (d.high, d.low)] for d in along]
+    changes = [(high - low) / d.width for d, (high, low) in zip(along, ends, strict=True)]
+    return np.stack(changes, axis=-1) if changes else np.zeros((len(stamps), *trace.outputs[channel].shape[1:], 0))
+
+
+def predicted_back(
+    trace: Trace,
+    rig: Rig,
+    channel: str,
+    stamps: np.ndarray,
+    weights: np.ndarray,
+    along: Sequence[Direction] = (),
+    since: float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives ``weights`` of a loss by what is :func:`predicted` ``(k, ...)``, taken back to the readings of the
+    trace, in their shape, and to parameters after the rollout ``(p,)``: what the adjoint leaves to be added for delays
+    and effects of sensors. Points out of sight, NaN, count as zero."""
+    known = np.where(np.isnan(predicted(trace, rig, channel, stamps, since)), 0.0, weights)
+    share = interpolate(trace.times, np.eye(len(trace.times)), stamps - total_delay(rig, channel, trace.kinds[channel]))
+    by_readings = np.tensordot(share.T, known, axes=1).reshape(trace.outputs[channel].shape)
+    changes = np.nan_to_num(stream_derivatives(trace, along, channel, stamps, since))
+    return np.asarray(by_readings), changes.reshape(known.size, len(along)).T @ known.ravel()
 
 
 def total_delay(rig: Rig, channel: str, kind: str) -> float:

@@ -42,7 +42,8 @@ from sim_core.solve.step import NewtonSettings, State
 
 Loss = Callable[[Trace], tuple[float, Mapping[str, np.ndarray]]]
 """Value of a loss and its derivatives by the readings, by channel in the shape of ``trace.outputs`` (a channel may be
-left out; readings out of sight, NaN, count as zero)."""
+left out; readings out of sight, NaN, count as zero). Readings are those at the instants of the steps, before delays of
+streams and effects of sensors: :func:`sysid.streams.predicted_back` takes a loss on streams back to them."""
 
 
 @dataclass(frozen=True)

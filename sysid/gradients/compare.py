@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,10 +17,10 @@ from sim_core.gradients.directions import motions, slopes
 from sim_core.rigs import Parameter, Rig, list_parameters, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
-from sim_core.simulate import Trace, interpolate, simulate, step_times
+from sim_core.simulate import Trace, simulate, step_times
 from sim_core.solve.step import NewtonSettings
 from sysid.fit.noise import declared_noise
-from sysid.streams import predicted, predicted_derivatives, total_delay
+from sysid.streams import predicted, predicted_back, predicted_derivatives, stream_derivatives, total_delay
 
 TIGHT = NewtonSettings(step_tolerance_m=1e-13)
 
@@ -125,24 +126,19 @@ class Comparison:
         stamps = 0.5 * (self._times[1:] + self._times[:-1]) + delay
         values = predicted(trace, self.rig, channel, stamps)
         forward = predicted_derivatives(trace, raw, self.rig, channel, stamps)
-        sensor = np.stack([self._of_sensor(d, channel, stamps, trace) for d in self._along], axis=-1)
+        forward = forward + stream_derivatives(trace, self._along, channel, stamps)
         adjoint = {}
         weights = np.random.default_rng(0).standard_normal(values.shape)
         for part, columns in _parts(trace.kinds[channel]):
             w = np.zeros_like(weights)
             w[:, columns] = np.where(np.isnan(values), 0.0, weights)[:, columns]
-            given = _spread_over_steps(self._times, trace.outputs[channel].shape, stamps - delay, w)
+            given, by_stream = predicted_back(trace, self.rig, channel, stamps, w, self._along)
             gradient = backward.gradient(0.0, {channel: given}).parameters
             products = np.nan_to_num(forward) * w[..., None]
             total, size = (a.reshape(-1, len(self._along)).sum(axis=0) for a in (products, np.abs(products)))
-            ours = np.array([gradient[d.name] for d in self._along])
+            ours = np.array([gradient[d.name] for d in self._along]) + by_stream
             adjoint[part] = np.abs(ours - total) / np.where(size > 0.0, size, 1.0)
-        return _Derivatives(stamps, values, forward + sensor, adjoint)
-
-    def _of_sensor(self, direction: Direction, channel: str, stamps: np.ndarray, trace: Trace) -> np.ndarray:
-        """What a parameter of a stream itself (delay, offset) changes in its readings."""
-        high, low = (predicted(trace, rig, channel, stamps) for rig in (direction.high, direction.low))
-        return np.asarray((high - low) / direction.width)
+        return _Derivatives(stamps, values, forward, adjoint)
 
     def _of_parameter(
         self, k: int, direction: Direction, found: Mapping[str, _Derivatives], steps: Sequence[float]
@@ -194,7 +190,9 @@ class Comparison:
         plateau = tuple(s for s, e in zip(steps, errors, strict=True) if e <= PLATEAU * errors[best])
         bound = SWITCHING if self._switches else SMOOTH
         verdict, reason = "agrees", ""
-        if scale == 0.0 or (_largest(ours) == 0.0 and scale * size <= NEGLIGIBLE * moves):
+        if not np.isfinite(ours[np.isfinite(base)]).all():
+            verdict, reason = "differs", "The sensitivities are not finite where the readings are."
+        elif scale == 0.0 or (_largest(ours) == 0.0 and scale * size <= NEGLIGIBLE * moves):
             verdict = "no effect"
         elif scale * size <= NEGLIGIBLE * moves:
             verdict = "negligible"
@@ -266,11 +264,13 @@ def _slope(base: np.ndarray, first: np.ndarray, second: np.ndarray, a: float, b:
 
 
 def _jumps(steps: Sequence[float], errors: Sequence[float], bound: float) -> bool:
-    """Whether errors grow as steps shrink, as those of differences across a jump do: in proportion to 1 / step."""
-    if len(steps) < 2:
+    """Whether errors grow as steps shrink, as those of differences across a jump do: in proportion to 1 / step, over
+    the three smallest steps."""
+    if len(steps) < 3:
         return False
-    (last, least), (before, next_to_it) = sorted(zip(steps, errors, strict=True))[:2]
-    return min(least, next_to_it) > bound and least > 0.1 * before / last * next_to_it
+    last = sorted(zip(steps, errors, strict=True))[:3]
+    grow = all(e > 0.3 * (wider / step) * less for (step, e), (wider, less) in pairwise(last))
+    return grow and min(e for _, e in last) > bound
 
 
 def _round_off(
@@ -294,9 +294,3 @@ def _largest(values: np.ndarray) -> float:
     """Largest absolute value, of points in sight."""
     seen = np.abs(values[np.isfinite(values)])
     return float(seen.max(initial=0.0))
-
-
-def _spread_over_steps(times: np.ndarray, shape: tuple[int, ...], stamps: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Transpose of the interpolation in time: weights of the readings at the steps."""
-    share = interpolate(times, np.eye(len(times)), stamps)
-    return np.asarray(np.tensordot(share.T, w, axes=1)).reshape(shape)

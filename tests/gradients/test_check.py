@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError
-from sim_core.gradients import tangent
-from sim_core.rigs.motion import Experiment
+from sim_core.gradients import Backward, Tape, adjoint, directions, tangent
+from sim_core.rigs import list_parameters, with_parameters
+from sim_core.rigs.motion import Experiment, compile_experiment
+from sim_core.scene import build_scene
+from sim_core.simulate import simulate
 from sysid.gradients import check_gradients, compare
+from sysid.streams import predicted, predicted_back
 
 EXPERIMENT = Experiment.model_validate(
     {
@@ -65,13 +69,59 @@ def test_a_wrong_derivative_is_named(small_rig, monkeypatch):
     assert "9.9e-03" in line and "above 0.0001" in line and "Probably" in line
 
 
+@pytest.mark.parametrize("error", [1.5, 1.001, np.nan])
+def test_a_derivative_that_is_wrong_both_ways_is_named(small_rig, monkeypatch, error):
+    for module in (tangent, adjoint):
+
+        def wrong(scene, along, plain=module.slopes):
+            keys, table = plain(scene, along)
+            return keys, error * table
+
+        monkeypatch.setattr(module, "slopes", wrong)
+    _, rows = check(small_rig(), ["card.E", "card.thickness"], steps=compare.STEPS)
+    judged = {r["verdict"] for r in rows}
+    assert judged == {"differs"}, [(r["channel"], r["verdict"], r["errors"]) for r in rows]
+
+
+def test_losses_on_streams_have_derivatives_by_delays_and_drifts(small_rig):
+    """And by what acts on the rollout: against differences of whole rollouts."""
+    offsets = {f"{kind}_{axis}_{unit}": 0.01 for axis in "xyz" for kind, unit in (("bias", "n"), ("drift", "n_per_s"))}
+    rig = small_rig(effects={"wrench_offset": offsets})
+    names = ["card.E", "wrench.latency", "side.latency", "effects.wrench_offset.drift_z_n_per_s"]
+    poses, times = compile_experiment(EXPERIMENT, rig), np.arange(0.0, 0.25, 0.02)
+    rng = np.random.default_rng(1)
+    stamps = {c: rng.uniform(0.02, 0.22, 9) for c in ("wrench", "side")}
+
+    def read(there):
+        trace = simulate(build_scene(there), poses, times, settings=compare.TIGHT)
+        return {c: predicted(trace, there, c, s) for c, s in stamps.items()}
+
+    known = {p.name: p.value for p in list_parameters(rig)}
+    along = directions(rig, names)
+    weights = {c: rng.standard_normal(values.shape) for c, values in read(rig).items()}
+    expected = []
+    for d in along:
+        step = 1e-5 * abs(known[d.name]) or 1e-6
+        high, low = (read(with_parameters(rig, {d.name: known[d.name] + s})) for s in (step, -step))
+        expected.append(sum(float((weights[c] * (high[c] - low[c])).sum()) for c in stamps) / (2.0 * step))
+    tape = Tape(build_scene(rig), poses, times, compare.TIGHT)
+    back = {c: predicted_back(tape.trace, rig, c, s, weights[c], along) for c, s in stamps.items()}
+    gradient = Backward(tape, along).gradient(0.0, {c: by_trace for c, (by_trace, _) in back.items()}).parameters
+    after = sum(by_parameters for _, by_parameters in back.values())
+    for d, later, difference in zip(along, after, expected, strict=True):
+        assert gradient[d.name] + later == pytest.approx(difference, rel=1e-5), d.name
+
+
 def test_errors_across_a_jump_grow_as_steps_shrink():
     """One of a jump is proportional to 1 / step, that of a wrong derivative does not change, round-off is within the
     bound somewhere."""
-    steps = (1e-2, 1e-4, 1e-6)
-    assert compare._jumps(steps, (0.8, 8.0, 800.0), 1e-4)
-    assert not compare._jumps(steps, (0.3, 0.3, 0.3), 1e-4)
-    assert not compare._jumps(steps, (1e-6, 1e-5, 1e-3), 1e-4)
+    for steps in (compare.STEPS, (1e-2, 1e-4, 1e-6)):
+        jump = [1e-3 / step for step in steps]
+        assert compare._jumps(steps, jump, 1e-4)
+        assert not compare._jumps(steps, [0.3] * len(steps), 1e-4)
+        assert not compare._jumps(steps, [0.3 + 1e-9 / step for step in steps], 1e-4)
+        assert not compare._jumps(steps, [1e-9 / step for step in steps], 1e-4)
+    assert not compare._jumps((1e-3, 1e-4), (0.1, 1.0), 1e-4), "two could be anything"
 
 
 def test_a_parameter_at_its_bound_is_stepped_to_one_side_in_second_order():
