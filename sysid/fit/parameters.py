@@ -81,7 +81,7 @@ class FitParameter:
 
     def physical(self, scaled: float) -> float:
         """Value in ``unit``, within the bounds."""
-        value = float(np.exp(scaled)) if self.log else float(scaled)
+        value = float(np.exp(np.clip(scaled, *self.scaled_bounds))) if self.log else float(scaled)
         return min(max(value, self.lower), self.upper)
 
     @property
@@ -90,6 +90,10 @@ class FitParameter:
         if self.log:
             return float(np.log(max(self.lower, 1e-300))), float(np.log(self.upper))
         return self.lower, self.upper
+
+    def width(self, scaled: float) -> float:
+        """What a standard deviation at a value is judged by: the plausible width or, if that is more, the value."""
+        return self.prior_sd if self.log else max(self.prior_sd, abs(scaled))
 
     def at_bound(self, scaled: float, sd: float) -> bool:
         """Whether a fitted value stands at a bound, as far as its standard deviation and range tell."""

@@ -173,7 +173,7 @@ def _outlook(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> Outlook:
             interval(p, fitted.scaled[k], known.sd[k]),
             float(known.sd[k]),
             p.log,
-            bool(known.sd[k] < UNDETERMINED_SHARE * p.prior_sd),
+            bool(known.sd[k] < UNDETERMINED_SHARE * p.width(fitted.scaled[k])),
             sources[k],
         )
         for k, p in enumerate(fitted.parameters)

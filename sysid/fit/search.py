@@ -53,17 +53,23 @@ class Search:
         keeps the best so far."""
         started = time.monotonic()
         low, high = np.array([p.scaled_bounds for p in self._parameters]).T
+        scale = np.array([min(p.prior_sd, 1.0) for p in self._parameters])
         message, converged = "", True
         try:
             self._look(np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low)))
             while True:
                 self._weight = chance(self.best)
+                begin = self.best.scaled
+
+                def place(z: np.ndarray, begin: np.ndarray = begin) -> np.ndarray:
+                    """Scaled values; z begins at 1, because the length of the first step is that of z."""
+                    return np.clip(begin + scale * (z - 1.0), low, high)
+
                 result = least_squares(
-                    self._residual,
-                    self.best.scaled,
-                    jac=self._jacobian,
-                    bounds=(low, high),
-                    x_scale=np.array([min(p.prior_sd, 1.0) for p in self._parameters]),
+                    lambda z, place=place: self._residual(place(z)),
+                    np.ones(len(scale)),
+                    jac=lambda z, place=place: self._jacobian(place(z)) * scale,
+                    bounds=(1.0 + (low - begin) / scale, 1.0 + (high - begin) / scale),
                     ftol=max(tolerance * self._weight / max(self._weighted(self.best), 1e-300), 1e-14),
                     xtol=1e-7,
                     gtol=1e-12,

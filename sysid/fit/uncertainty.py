@@ -22,7 +22,8 @@ BLOCKS_PER_CHANNEL = 12
 """Blocks of neighbouring samples that each run and channel is cut into for the sandwich estimate."""
 
 UNDETERMINED_SHARE = 0.5
-"""A direction whose standard deviation exceeds this share of the plausible range is not determined."""
+"""A direction whose standard deviation exceeds this share of what it is judged by, :meth:`FitParameter.width`, is not
+determined."""
 
 WIDEST = 10.0
 """Largest standard deviation that is reported, in plausible ranges: beyond it nothing is known anyway."""
@@ -61,8 +62,8 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlation = np.clip(inverse / np.outer(spread, spread), -1.0, 1.0)
     widen = float(np.sqrt(max(1.0, reduced)))
-    sentences = _undetermined(*marginal(fitted), widen)
-    sentences += _anywhere(fitted, sd, sentences) + _together(parameters, correlation, sd)
+    sentences = _undetermined(fitted, widen)
+    sentences += _anywhere(fitted, sd, sentences) + _together(parameters, fitted.scaled, correlation, sd)
     inflation = np.sqrt(variance / np.maximum(np.diag(plain), 1e-300))
     return Uncertainty(sd, inflation, correlation, tuple(sentences), reduced)
 
@@ -75,13 +76,13 @@ def inverse_information(jacobian: np.ndarray, prior: np.ndarray) -> np.ndarray:
 
 
 def marginal(fitted: Fitted) -> tuple[list[FitParameter], np.ndarray, np.ndarray]:
-    """The parameters that were asked for, the information about them with the nuisances unknown, in units of their
-    plausible ranges ``(q,)``, least first, and its directions ``(q, q)``."""
-    prior = np.array([p.prior_sd for p in fitted.parameters])
+    """The parameters that were asked for, the information about them with the nuisances unknown, in units of what they
+    are judged by ``(q,)``, least first, and its directions ``(q, q)``."""
+    width = np.array([p.width(at) for p, at in zip(fitted.parameters, fitted.scaled, strict=True)])
     aside = np.array([p.nuisance for p in fitted.parameters])
-    columns = (fitted.jacobian * prior)[:, ~aside]
+    columns = (fitted.jacobian * width)[:, ~aside]
     if aside.any():
-        basis = np.linalg.qr((fitted.jacobian * prior)[:, aside])[0]
+        basis = np.linalg.qr((fitted.jacobian * width)[:, aside])[0]
         columns = columns - basis @ (basis.T @ columns)
     return [p for p in fitted.parameters if not p.nuisance], *_information(columns)
 
@@ -124,8 +125,10 @@ def _information(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return singular[::-1] ** 2, rows[::-1].T
 
 
-def _undetermined(parameters: list[FitParameter], values: np.ndarray, vectors: np.ndarray, widen: float) -> list[str]:
-    """One sentence for each direction whose uncertainty fills the plausible range."""
+def _undetermined(fitted: Fitted, widen: float) -> list[str]:
+    """One sentence for each direction that is not determined."""
+    parameters, values, vectors = marginal(fitted)
+    at = {p.name: scaled for p, scaled in zip(fitted.parameters, fitted.scaled, strict=True)}
     out = []
     for value, vector in zip(values, vectors.T, strict=True):
         sd = widen / np.sqrt(max(value, 1e-300))
@@ -134,16 +137,17 @@ def _undetermined(parameters: list[FitParameter], values: np.ndarray, vectors: n
         strong = np.flatnonzero(np.abs(vector) > 0.25)
         if len(strong) == 1:
             p = parameters[strong[0]]
+            low, high = interval(p, at[p.name], sd * p.width(at[p.name]))
             out.append(
-                f"The data do not determine {p.name}: any value in its plausible range fits as well. Record a "
-                "motion that depends on it, or fix it."
+                f"The data do not determine {p.name}: {f'{low:.3g} to {high:.3g} {p.unit}'.strip()} fit about as well. "
+                "Record a motion that depends on it, or fix it."
             )
             continue
         changes = []
         for k in strong:
             p = parameters[k]
             step = 0.1 * vector[k] / np.max(np.abs(vector))
-            amount = p.prior_sd * step
+            amount = p.width(at[p.name]) * step
             changes.append(
                 f"{p.name} {'up' if amount > 0 else 'down'} by "
                 + (f"{100 * abs(np.expm1(amount)):.2g} %" if p.log else f"{abs(amount):.2g} {p.unit}".rstrip())
@@ -182,7 +186,7 @@ def _anywhere(fitted: Fitted, sd: np.ndarray, said: list[str]) -> list[str]:
     return out
 
 
-def _together(parameters: list[FitParameter], correlation: np.ndarray, sd: np.ndarray) -> list[str]:
+def _together(parameters: list[FitParameter], scaled: np.ndarray, correlation: np.ndarray, sd: np.ndarray) -> list[str]:
     """One sentence for each pair that is determined but strongly traded off."""
     out = []
     for a in range(len(parameters)):
@@ -190,7 +194,7 @@ def _together(parameters: list[FitParameter], correlation: np.ndarray, sd: np.nd
             if parameters[a].nuisance or parameters[b].nuisance:
                 continue
             c = correlation[a, b]
-            limit = UNDETERMINED_SHARE * max(parameters[a].prior_sd, parameters[b].prior_sd)
+            limit = UNDETERMINED_SHARE * max(parameters[k].width(scaled[k]) for k in (a, b))
             if abs(c) > TOGETHER and max(sd[a], sd[b]) < limit:
                 way = "up" if c > 0 else "down"
                 out.append(

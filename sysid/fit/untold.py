@@ -206,7 +206,7 @@ def blamed(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> list[str]:
 
 
 def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str, float]:
-    """Standard deviation of the parameters that were asked for, in units of their plausible ranges, as the noise alone
+    """Standard deviation of the parameters that were asked for, in units of what they are judged by, as the noise alone
     leaves it with the nuisances of some kinds known."""
     kept = [k for k, p in enumerate(fitted.parameters) if not (p.nuisance and kind_of(p.name) in known)]
     jacobian, rows = fitted.jacobian, fitted.pulls
@@ -215,7 +215,12 @@ def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str,
         data = plain.assemble(fitted.predictions, len(fitted.parameters), fitted.scaled)[1]
         jacobian = np.vstack([data, fitted.jacobian[len(fitted.jacobian) - rows :]])
     parameters, values, vectors = marginal(
-        replace(fitted, parameters=[fitted.parameters[k] for k in kept], jacobian=jacobian[:, kept])
+        replace(
+            fitted,
+            parameters=[fitted.parameters[k] for k in kept],
+            scaled=fitted.scaled[kept],
+            jacobian=jacobian[:, kept],
+        )
     )
     variance = np.sum(vectors**2 / np.maximum(values, 1e-300), axis=1)
     return {p.name: float(np.sqrt(v)) for p, v in zip(parameters, variance, strict=True)}

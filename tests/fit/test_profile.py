@@ -227,7 +227,7 @@ def test_only_an_end_that_was_found_is_a_limit() -> None:
 def test_only_what_says_as_much_takes_the_place_of_not_determined(broken_from: float, replaced: bool) -> None:
     """Friction that never slips has a lower limit; where more cannot be simulated nobody knows if there is an upper."""
     problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0, broken_from=broken_from)
-    before = f"The data do not determine {fitted.parameters[0].name}: any value in its plausible range fits as well."
+    before = f"The data do not determine {fitted.parameters[0].name}: 1 to 2 fit about as well."
     profiles, said = _profiled(problem, fitted, [before], "profiled", None)
     assert profiles[0].ends == ("found", "open" if replaced else "failed")
     assert profiles[0].sentence in said and (before in said) != replaced

@@ -85,3 +85,22 @@ def test_the_best_is_kept_when_the_search_is_interrupted() -> None:
     found = Search(interrupted, PARAMETERS, None).run(np.array([300.0, 0.0]), 60, 0.5)
     assert found.interrupted and not found.converged
     assert found.chi2 < evaluate(np.array([300.0, 0.0])).chi2
+
+
+@pytest.mark.parametrize("start", [0.0, 1e-4, 1e-2, 3.0])
+@pytest.mark.parametrize("sd", [0.02, 0.05])
+def test_a_search_gets_away_from_where_it_starts(start: float, sd: float) -> None:
+    """From a bound or from next to it, at which the value is nothing, as from anywhere else."""
+    friction = FitParameter("friction", "-", False, 0.0, 3.0, 0.5, "")
+    slope = np.ones(400) / np.sqrt(400) / sd
+    data = 0.3 * slope + np.random.default_rng(2).standard_normal(400)
+
+    def evaluate(scaled: np.ndarray) -> Fitted:
+        nothing, labels = cast(Any, None), [(0, "gauge", np.linspace(0.0, 1.0, 400))]
+        residual = data - slope * scaled[0]
+        return Fitted([friction], scaled, nothing, residual, -slope[:, None], labels, [], nothing, 1, True, "", 0.0)
+
+    found = Search(evaluate, [friction], None).run(np.array([start]), 30, 0.5)
+    best = float(slope @ data / (slope @ slope))
+    assert found.converged
+    assert abs(found.scaled[0] - best) < sd

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -51,6 +52,19 @@ def test_well_determined_parameters_have_the_deviation_of_least_squares() -> Non
     expected = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
     fit = fitted(jacobian, 1e-9)
     np.testing.assert_allclose(uncertainty(fit).sd, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("value", "determined"), [(0.055, True), (0.001, False)])
+def test_a_number_is_judged_by_its_own_size(value: float, determined: bool) -> None:
+    """A damping of 0.055 +- 0.007 s is known, though a plausible one is 0.01; 0.001 +- 0.007 s is not."""
+    damping = FitParameter("strip.stiffness_damping_s", "s", False, 0.0, 10.0, 0.01, "")
+    jacobian = np.full((N, 1), 1.0 / 0.007 / np.sqrt(N))
+    fit = replace(fitted(jacobian, 1e-9), parameters=[damping], scaled=np.array([value]))
+    assert uncertainty(fit).sd == pytest.approx([0.007])
+    sentences = uncertainty(fit).sentences
+    assert bool(sentences) != determined
+    if sentences:
+        assert sentences[0].startswith("The data do not determine strip.stiffness_damping_s: 0 to 0.01")
 
 
 def test_a_channel_without_samples_is_left_out() -> None:

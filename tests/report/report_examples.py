@@ -103,7 +103,7 @@ def make_fit(**changes: object) -> FitResult:
             [0.02, 0.31, -0.44, 1.0],
         ],
         "identifiability": [
-            "The data do not determine gel.nu: any value in its plausible range fits as well. Record a motion "
+            "The data do not determine gel.nu: 1 to 2 fit about as well. Record a motion "
             "that depends on it, or fix it.",
             "gel.E_pa and gel.nu are traded off against each other (correlation -0.985): if one is really higher, "
             "the other goes down.",

@@ -364,7 +364,7 @@ def test_what_a_bag_has_for_itself_is_undetermined_whatever_the_bag_is_called(ba
     own, whole = f"gel.E_pa[{bag}]", f"big_gel.E_pa[{bag}]"
     estimates = [replace(first, name=own, bag=bag), replace(second, name=whole, bag=bag), third]
     for said, expected in (
-        (f"The data do not determine {own}: any value in its plausible range fits as well.", {own}),
+        (f"The data do not determine {own}: 1 to 2 fit about as well.", {own}),
         (f"The data do not determine {whole}: its 95 % interval spans all possible values.", {whole}),
         (f"The data do not determine {whole} and {third.name} separately, only in combination: {own} up.",
          {whole, third.name}),
