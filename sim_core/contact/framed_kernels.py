@@ -317,9 +317,11 @@ class Frames:
         corner of the closest point with weights ``at`` ``(n, 3)``; ``direction``: the lagged normal ``(n, 3)``."""
         count = self._place(z, direction)
         self._kind[:count] = kind
-        # On an edge: its two corners; at a corner: that one twice.
-        self._ends[:count, 0] = np.where(at[:, 0] != 0.0, 1, np.where(at[:, 1] != 0.0, 2, 3))
-        self._ends[:count, 1] = np.where(at[:, 2] != 0.0, 3, np.where(at[:, 1] != 0.0, 2, 1))
+        # On an edge, maybe at an end of it: its two corners, as for the Hessian; at a corner: that one first.
+        lacks = at == 0.0
+        corner = np.where(lacks[:, 0], np.where(lacks[:, 1], 3, 2), 1)
+        self._ends[:count, 0] = np.where(kind == 2, np.where(lacks[:, 0], 2, 1), corner)
+        self._ends[:count, 1] = np.where(lacks[:, 0] | lacks[:, 1], 3, 2)
         self._dspring[:count] = 0.0
         self._triangles()
 
