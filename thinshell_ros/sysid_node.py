@@ -55,7 +55,7 @@ class SysidNode(Node):
         declare(self, "fit.max_iterations", 200, "evaluations at most", bounds=(1, 100_000), fixed=False)
         declare(self, "fit.seed", 0, "seed of everything random", bounds=(0, 2**31), fixed=False)
         kinds = "what is estimated beside: time,bias,camera,pose; all; none"
-        declare(self, "fit.nuisance", "time,bias,camera", kinds, fixed=False)
+        declare(self, "fit.nuisance", "all", kinds, fixed=False)
         declare(self, "output_dir", "", "each fit makes a folder of its own in this one", fixed=False)
 
         self._state = FitState()

@@ -31,7 +31,7 @@ def fit(
     out: FolderOption,
     held_out: HeldOutOption = None,
     seed: SeedOption = 0,
-    nuisance: NuisanceOption = "time,bias,camera",
+    nuisance: NuisanceOption = "all",
     without: WithoutOption = None,
     per_bag: Annotated[
         str,

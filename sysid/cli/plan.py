@@ -27,7 +27,7 @@ def plan(
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Expected value of a parameter; may be repeated."),
     ] = None,
-    nuisance: NuisanceOption = "time,bias,camera",
+    nuisance: NuisanceOption = "all",
     without: WithoutOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:

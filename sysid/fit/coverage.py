@@ -25,7 +25,7 @@ from sim_core.rigs import Rig, WrenchSensor
 from sim_core.rigs.motion import Experiment
 from sysid.fit.engine import Engine
 from sysid.fit.fit import fit_runs
-from sysid.fit.nuisance import BIAS_SD, USUAL, nuisance_parameters
+from sysid.fit.nuisance import BIAS_SD, KINDS, nuisance_parameters
 from sysid.fit.options import FitOptions
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.fit.runs import Measured, Run, load_runs
@@ -136,11 +136,11 @@ def draw(rig: Rig, parameters: Sequence[FitParameter], spread: float, rng: np.ra
 
 
 def _untold(rig: Rig, asked: Sequence[FitParameter], rng: np.random.Generator) -> Rig:
-    """The rig with offsets in time, and cameras that are off, as the priors of a fit expect them."""
+    """The rig with offsets in time, cameras and end effectors that are off, as the priors of a fit expect them."""
     kinds = {n: "wrench" if isinstance(s, WrenchSensor) else "markers" for n, s in rig.sensors.items()}
     kinds |= dict.fromkeys(rig.cameras, "tracks")
     channels = tuple(Measured(n, kind, np.empty(0), np.empty((0, 0)), ()) for n, kind in kinds.items())
-    found = nuisance_parameters(rig, [Run("", "", (), {}, channels, 0.0)], asked, USUAL)
+    found = nuisance_parameters(rig, [Run("", "", (), {}, channels, 0.0)], asked, KINDS)
     return rig_at(rig, found, start_of(rig, found) + [p.prior_sd for p in found] * rng.standard_normal(len(found)))
 
 

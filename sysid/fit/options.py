@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
 from sim_core.errors import ConfigError
-from sysid.fit.nuisance import USUAL, checked_kinds
+from sysid.fit.nuisance import KINDS, checked_kinds
 
 Intervals = Literal["quadratic", "checked", "profiled"]
 """Intervals from the covariance alone; with a simulation at each end that tells whether they hold; or those of the
@@ -31,7 +31,7 @@ class FitOptions:
     ``seed``: of everything random.
     """
 
-    nuisance: Collection[str] = USUAL
+    nuisance: Collection[str] = KINDS
     per_bag: Collection[str] = ()
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     starts: int = 1

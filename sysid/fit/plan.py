@@ -21,7 +21,7 @@ from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sim_core.rigs.motion import Experiment
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
-from sysid.fit.nuisance import USUAL, checked_kinds, has_bias, nuisance_parameters
+from sysid.fit.nuisance import KINDS, checked_kinds, has_bias, nuisance_parameters
 from sysid.fit.own_error import discretisation
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
@@ -90,7 +90,7 @@ def plan_experiments(
     experiments: Sequence[Experiment],
     names: Sequence[str],
     on_progress: Progress | None = None,
-    nuisance: Collection[str] = USUAL,
+    nuisance: Collection[str] = KINDS,
 ) -> Plan:
     """What ``experiments`` on ``rig`` would tell about the parameters ``names``, one by one and together,
     with the nuisances that a fit estimates beside them (:func:`sysid.fit.nuisance.checked_kinds`).

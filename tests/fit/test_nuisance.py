@@ -18,12 +18,12 @@ from sysid.fit.noise import ChannelNoise
 from sysid.fit.nuisance import (
     BIAS_SD,
     KINDS,
-    USUAL,
     bias_sd,
     checked_kinds,
     has_bias,
     nuisance_parameters,
 )
+from sysid.fit.options import FitOptions
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.fit.problem import Problem
 from sysid.fit.reach import acting
@@ -299,7 +299,7 @@ def test_remarks_say_how_an_end_effector_is_off(small_rig: Any) -> None:
 def test_kinds_are_checked() -> None:
     assert checked_kinds(["all"]) == set(KINDS) and checked_kinds(["none"]) == set()
     assert checked_kinds(["time", "bias"]) == {"time", "bias"}
-    assert set(USUAL) == set(KINDS) - {"pose"}
+    assert FitOptions().kinds == set(KINDS), "what a laboratory leaves unknown is estimated unless told otherwise"
     for wrong in (["tine"], ["none", "time"]):
         with pytest.raises(ConfigError, match="no nuisance"):
             checked_kinds(wrong)

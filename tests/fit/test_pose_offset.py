@@ -12,7 +12,7 @@ from test_untold import BIAS, REST, START, record
 
 from sim_core.rigs import Rig, with_parameters
 from sysid.fit import FitOptions, FitResult, fit_runs, starts
-from sysid.fit.nuisance import USUAL
+from sysid.fit.nuisance import KINDS
 from sysid.fit.runs import Run
 
 OFFSET = {
@@ -41,7 +41,7 @@ def test_a_recording_has_the_poses_that_are_told(small_rig: Any, askew: Run) -> 
 
 
 def test_an_offset_that_nobody_told_does_not_fool_a_fit(small_rig: Any, askew: Run) -> None:
-    result = fitted(with_parameters(small_rig(), START), askew, (*USUAL, "pose"), list(TRUTH))
+    result = fitted(with_parameters(small_rig(), START), askew, KINDS, list(TRUTH))
     assert result.converged and result.reduced_chi2 < 1.1
     for e in result.estimates:
         assert e.ci95[0] <= TRUTH[e.name] <= e.ci95[1], e
@@ -57,7 +57,7 @@ def test_an_offset_that_nobody_told_does_not_fool_a_fit(small_rig: Any, askew: R
 def test_without_the_nuisance_it_would(small_rig: Any, askew: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Even from the truth."""
     monkeypatch.setattr(starts, "MOST_RESTARTS", 0)
-    result = fitted(with_parameters(small_rig(), TRUTH), askew, USUAL, list(TRUTH))
+    result = fitted(with_parameters(small_rig(), TRUTH), askew, ("time", "bias", "camera"), list(TRUTH))
     rubbing = next(e for e in result.estimates if e.name.endswith("friction"))
     assert not rubbing.ci95[0] <= TRUTH[rubbing.name] <= rubbing.ci95[1]
 

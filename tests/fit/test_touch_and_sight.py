@@ -15,7 +15,7 @@ from sim_core.rigs import Rig, load_rig, parse_rig, with_parameters
 from sim_core.rigs.motion import Experiment
 from sysid.cli.app import main
 from sysid.fit import FitOptions, fit_runs
-from sysid.fit.nuisance import USUAL
+from sysid.fit.nuisance import KINDS
 from sysid.fit.plan import Expected, plan_experiments
 from sysid.fit.runs import load_run
 from sysid.rig_topics import without
@@ -58,7 +58,7 @@ def test_a_plan_says_that_touch_does_not_determine_bending_and_sight_does() -> N
     rig = tissue()
     touch = plan(without(rig, ["outside"]), ["card.E_pa"], ("none",))["card.E_pa"]
     assert touch.ci95[1] > 2.0 * touch.value, "although all of the gel is known, and clocks and zeros"
-    both = plan(rig, ["card.E_pa", *GEL], USUAL)
+    both = plan(rig, ["card.E_pa", *GEL], KINDS)
     assert not both["gel.nu"].determined
     assert both["card.E_pa"].sd < 0.02, "although nothing of the gel is known"
     assert max(both["card.E_pa"].from_channels, key=both["card.E_pa"].from_channels.__getitem__) == "outside"
