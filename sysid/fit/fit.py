@@ -63,14 +63,13 @@ def fit_runs(
         return _fit_runs(engine, rig, runs, asked, held_out, options, evaluations, on_progress)
 
 
-def _shown_sigma(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> float:
-    """Standard deviation of the measured columns of a channel (a wrench: of its forces, if it has any)."""
+def _shown(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> dict[str, float | str]:
+    """Noise of the measured columns of a channel (a wrench: of its forces, if it has any)."""
     measured = next(m for run in runs for m in run.measured if m.channel == channel)
-    for group in column_groups(measured):
-        seen = group[np.isfinite(measured.values[:, group]).any(axis=0)]
-        if len(seen):
-            return float(np.median(noise.sigma[seen]))
-    return float(np.median(noise.sigma))
+    seen = (group[np.isfinite(measured.values[:, group]).any(axis=0)] for group in column_groups(measured))
+    columns = next((group for group in seen if len(group)), np.arange(len(noise.sigma)))
+    sigma, rho = (float(np.median(values[columns])) for values in (noise.sigma, noise.rho))
+    return {"sigma": sigma, "correlation": rho, "from": noise.source}
 
 
 def _fit_runs(
@@ -151,10 +150,7 @@ def _fit_runs(
         message=fitted.message,
         evaluations=evaluations.done,
         seconds=fitted.seconds,
-        noise={
-            c: {"sigma": _shown_sigma([*runs, *held_out], c, n), "correlation": n.rho, "from": n.source}
-            for c, n in noise.items()
-        },
+        noise={c: _shown([*runs, *held_out], c, n) for c, n in noise.items()},
         notes=notes,
         provenance=provenance(rig, list(runs), list(held_out), options.seed, options.told()),
         series=series,

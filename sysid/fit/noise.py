@@ -9,7 +9,7 @@ by the median of their size, so that jumps do not count (differences: Gasser, Sr
 73, 1986). They cannot see colour, and what the readings themselves do within four samples counts as noise. In the
 channels of simulated presses and rubs that have no rest and move fast, that adds 6 % on average and 16 % at most;
 second differences, in which a steady acceleration shows, see 9 % too much. Columns of a kind (forces,
-torques, markers) share one value. Readings that come in steps have at least the noise of their rounding,
+torques, markers) share one level and one colour. Readings that come in steps have at least the noise of their rounding,
 step / sqrt(12).
 
 A recording shows how much neighbouring samples scatter, but not what was smoothed, interpolated or rounded
@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -47,6 +48,9 @@ COARSEST_SHARE = 0.2
 LONGEST_EXACT = 400
 """Samples of a stretch up to which it matters what a line takes away from coloured noise."""
 
+WHITE, MOST_COLOURED = 0.1, 0.98
+"""Correlation up to which noise counts as white, and the largest that is believed."""
+
 NEIGHBOURS = 10.0
 """Readings farther apart than this many sampling intervals of their sensor are states of their own: their differences
 are motion, not noise, and the noise is the declared one."""
@@ -62,12 +66,15 @@ FROM_DIFFERENCES = "third differences"
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """``sigma``: standard deviation of each column ``(m,)``; ``rho``: lag-one correlation of the noise at
-    the channel's rate, 0 where white; ``source``: how it was found, in words."""
+    """``sigma``: standard deviation of each column ``(m,)``; ``rho``: lag-one correlation of each column at the
+    channel's rate ``(m,)``, or one for all, 0 where white; ``source``: how they were found, in words."""
 
     sigma: np.ndarray
-    rho: float
+    rho: np.ndarray
     source: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rho", np.broadcast_to(np.asarray(self.rho, dtype=float), self.sigma.shape))
 
 
 def column_groups(measured: Measured) -> list[np.ndarray]:
@@ -143,8 +150,7 @@ def channel_noise(rig: Rig, runs: Sequence[Run]) -> dict[str, ChannelNoise]:
     for channel in sorted({m.channel for run in runs for m in run.measured}):
         declared = declared_noise(rig, channel)
         if declared.all() and _far_apart(rig, runs, channel):
-            columns = next(m for run in runs for m in run.measured if m.channel == channel).values.shape[1]
-            found[channel] = ChannelNoise(np.broadcast_to(declared, columns).copy(), 0.0, DECLARED)
+            found[channel] = as_declared(rig, next(m for run in runs for m in run.measured if m.channel == channel))
         else:
             found[channel] = unless_larger(estimate_noise(list(runs), channel), declared)
     return found
@@ -159,24 +165,47 @@ def _far_apart(rig: Rig, runs: Sequence[Run], channel: str) -> bool:
 
 def declared_noise(rig: Rig, channel: str) -> np.ndarray:
     """Standard deviation that a rig declares for a channel in its units: six components, or one number."""
+    levels = list(_declared(rig, channel).values())
+    return np.repeat(levels, 3) if len(levels) == 2 else np.array(levels)
+
+
+def _declared(rig: Rig, channel: str) -> dict[str, float]:
+    """The same by the keys of the rig."""
     if channel in rig.cameras:
-        return np.array([rig.cameras[channel].noise.position_px])
+        return {"position_px": rig.cameras[channel].noise.position_px}
     sensor = rig.sensors[channel]
     if isinstance(sensor, WrenchSensor):
-        return np.repeat([sensor.noise.force_n, sensor.noise.torque_nm], 3)
+        return {"force_n": sensor.noise.force_n, "torque_nm": sensor.noise.torque_nm}
     assert isinstance(sensor, MarkerSensor)
-    return np.array([sensor.noise.position_m])
+    return {"position_m": sensor.noise.position_m}
+
+
+def as_declared(rig: Rig, measured: Measured) -> ChannelNoise:
+    """The noise that a rig declares for each column of a channel, white."""
+    columns = measured.values.shape[1:]
+    return ChannelNoise(np.broadcast_to(declared_noise(rig, measured.channel), columns), np.zeros(columns), DECLARED)
+
+
+def undeclared(rig: Rig) -> list[str]:
+    """Sensors and cameras of a rig, with the quantity, for which it declares no noise."""
+    return [
+        f"{channel} ({quantity})"
+        for channel in (*rig.sensors, *rig.cameras)
+        for quantity, sigma in _declared(rig, channel).items()
+        if sigma == 0.0
+    ]
 
 
 def unless_larger(noise: ChannelNoise, declared: np.ndarray) -> ChannelNoise:
     """The estimated noise, unless the declared one is much larger.
 
-    A declared noise that is much larger than the estimate replaces it, and is white: the estimate was then
-    found in a scatter (of interpolated or smoothed samples) that is not the noise.
+    A declared noise that is much larger than the estimate replaces it, and is white in those columns: the estimate was
+    then found in a scatter (of interpolated or smoothed samples) that is not the noise.
     """
     floor = np.broadcast_to(declared, noise.sigma.shape)
-    if (floor > REPLACED_FROM * noise.sigma).any():
-        return ChannelNoise(np.maximum(noise.sigma, floor), 0.0, DECLARED)
+    larger = floor > REPLACED_FROM * noise.sigma
+    if larger.any():
+        return ChannelNoise(np.maximum(noise.sigma, floor), np.where(larger, 0.0, noise.rho), DECLARED)
     return noise
 
 
@@ -184,12 +213,11 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
     """Noise of one channel over all runs that have it."""
     found = [(r, m) for r in runs for m in r.measured if m.channel == channel]
     columns = found[0][1].values.shape[1]
-    sigma = np.zeros(columns)
-    correlations: list[float] = []
+    sigma, rho = np.zeros(columns), np.zeros(columns)
     source = FROM_DIFFERENCES
     for group in column_groups(found[0][1]):
-        first: list[float] = []
-        rest: list[float] = []
+        first: list[_Stretch] = []
+        rest: list[_Stretch] = []
         jumps: list[float] = []
         extent = 0.0
         for run, measured in found:
@@ -203,23 +231,33 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
             if len(third):
                 jumps.append(1.4826 * float(np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0))
             for stretch in quiet(run, measured.t):
-                level, colour = _scatter(values[stretch])
-                if level is not None:
-                    (first if stretch[0] == 0 else rest).append(level)
-                    correlations.append(colour)
+                scatter = _scatter(values[stretch])
+                if scatter is not None:
+                    (first if stretch[0] == 0 else rest).append(scatter)
         if first:
-            level = float(np.sqrt(np.mean(np.square(first))))
+            size = [s.size for s in first]
+            level = float(np.sqrt(np.average([s.level**2 for s in first], weights=size)))
+            colour = float(np.average([s.rho for s in first], weights=size))
             source = "rest at the start"
         elif rest:
-            # Slow decay within a stretch adds to its scatter: the quieter half is the noise.
-            level = float(np.quantile(rest, 0.25))
+            # Slow decay within a stretch adds to its scatter and to its colour: the quieter half is the noise.
+            level = _quantile([s.level for s in rest], [s.size for s in rest], 0.25)
+            colour = _quantile([s.rho for s in rest], [s.size for s in rest], 0.5)
             source = "quiet stretches"
         else:
-            level = float(np.median(jumps)) if jumps else 0.0
+            level, colour = (float(np.median(jumps)) if jumps else 0.0), 0.0
         rounding = min((_step(m.values[:, group]) for _, m in found), default=0.0) / np.sqrt(12.0)
         sigma[group] = max(level, rounding, FLOOR_SHARE * extent, 1e-12)
-    rho = float(np.clip(np.median(correlations), 0.0, 0.98)) if correlations else 0.0
-    return ChannelNoise(sigma, rho if rho > 0.1 else 0.0, source)
+        rho[group] = min(colour, MOST_COLOURED) if colour > WHITE else 0.0
+    return ChannelNoise(sigma, rho, source)
+
+
+def _quantile(values: list[float], weights: list[int], share: float) -> float:
+    """Value below which this share of the weight is, on a straight line between the middles of the weights."""
+    order = np.argsort(values, kind="stable")
+    weight = np.asarray(weights, dtype=float)[order]
+    middle = (np.cumsum(weight) - 0.5 * weight) / weight.sum()
+    return float(np.interp(share, middle, np.asarray(values)[order]))
 
 
 def _step(values: np.ndarray) -> float:
@@ -230,23 +268,31 @@ def _step(values: np.ndarray) -> float:
     return float(np.min(np.diff(finite)))
 
 
-def _scatter(values: np.ndarray) -> tuple[float | None, float]:
-    """Noise level and lag-one correlation of a quiet stretch, after removing a line from each column."""
+class _Stretch(NamedTuple):
+    """Noise of a quiet stretch: standard deviation, lag-one correlation, number of readings."""
+
+    level: float
+    rho: float
+    size: int
+
+
+def _scatter(values: np.ndarray) -> _Stretch | None:
+    """Noise of a quiet stretch, after removing a line from each column; None where nothing was measured."""
     good = np.isfinite(values).all(axis=0)
     if not good.any():
-        return None, 0.0
+        return None
     values = values[:, good]
     n = len(values)
     base = np.column_stack([np.ones(n), np.linspace(-1.0, 1.0, n)])
     residual = values - base @ np.linalg.lstsq(base, values, rcond=None)[0]
     variance = np.sum(residual**2) / ((n - 2) * values.shape[1])
     if variance <= 0.0:
-        return 0.0, 0.0
+        return _Stretch(0.0, 0.0, values.size)
     product = np.sum(residual[1:] * residual[:-1]) / ((n - 3) * values.shape[1])
     # Removing a line biases the correlation down by about 2 (1 + rho) / n.
     rho = product / variance
-    rho = min(float(rho + 2.0 * (1.0 + rho) / n), 0.98)
-    return float(np.sqrt(variance / _share_left(n, max(rho, 0.0), base))), rho
+    rho = min(float(rho + 2.0 * (1.0 + rho) / n), MOST_COLOURED)
+    return _Stretch(float(np.sqrt(variance / _share_left(n, max(rho, 0.0), base))), rho, values.size)
 
 
 def _share_left(n: int, rho: float, base: np.ndarray) -> float:
@@ -265,10 +311,11 @@ def whiten(residual: np.ndarray, noise: ChannelNoise) -> np.ndarray:
     First-order autoregressive noise: (r_k - rho r_{k-1}) / (sigma sqrt(1 - rho^2)); a sample whose
     predecessor is missing is divided by sigma alone.
     """
-    scale = noise.sigma.reshape(1, -1, *([1] * (residual.ndim - 2)))
-    out = np.asarray(residual / scale)
-    if noise.rho == 0.0:
+    columns = (1, -1, *([1] * (residual.ndim - 2)))
+    out = np.asarray(residual / noise.sigma.reshape(columns))
+    if not noise.rho.any():
         return out
+    rho = noise.rho.reshape(columns)
     previous = np.concatenate([np.full_like(out[:1], np.nan), out[:-1]])
-    innovation = (out - noise.rho * previous) / np.sqrt(1.0 - noise.rho**2)
+    innovation = (out - rho * previous) / np.sqrt(1.0 - rho**2)
     return np.where(np.isfinite(previous), innovation, out)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.noise import FROM_DIFFERENCES, estimate_noise, moving, quiet, standing_still
+from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, estimate_noise, moving, quiet, standing_still, whiten
 from sysid.fit.runs import Measured, Run
 
 RATE = 100.0
@@ -55,8 +55,47 @@ def test_level_and_colour_come_from_the_rest(jitter: float) -> None:
         run = run_with(trajectory(rng, jitter), coloured(rng, 301, 0.7, 0.05))
         found.append(estimate_noise([run], "gauge"))
     assert np.mean([f.sigma[0] for f in found]) == pytest.approx(0.05, rel=0.12)
-    assert np.mean([f.rho for f in found]) == pytest.approx(0.7, abs=0.08)
+    assert np.mean([f.rho[0] for f in found]) == pytest.approx(0.7, abs=0.08)
     assert found[0].source == "rest at the start"
+
+
+@pytest.mark.parametrize("coloured_group", [0, 1], ids=["forces", "torques"])
+def test_forces_and_torques_have_colours_of_their_own(coloured_group: int) -> None:
+    rng = np.random.default_rng(5)
+    there, other = (
+        slice(3 * coloured_group, 3 * coloured_group + 3),
+        slice(3 - 3 * coloured_group, 6 - 3 * coloured_group),
+    )
+    found = []
+    for _ in range(8):
+        values = rng.standard_normal((301, 6))
+        values[:, there] = coloured(rng, 301, 0.9, 1.0)[:, there]
+        found.append(estimate_noise([run_with(trajectory(rng, 0.0), values)], "gauge").rho)
+    assert np.mean(found, axis=0)[there] == pytest.approx(0.9, abs=0.05)
+    np.testing.assert_allclose(np.mean(found, axis=0)[other], 0.0, atol=0.05)
+
+
+def test_a_long_rest_counts_more_than_a_short_one() -> None:
+    """Rests of 15 and of 1000 samples at the start of two recordings, the short one with noise of another colour."""
+    rng = np.random.default_rng(6)
+    runs = []
+    for n, rho, sigma in ((15, 0.0, 0.2), (1000, 0.7, 0.05)):
+        t = np.arange(n + 100) / RATE
+        x = 0.02 * np.clip(t - n / RATE, 0.0, None)
+        poses = PoseTrajectory(t, np.column_stack([x, 0 * t, 0 * t]), np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)))
+        runs.append(run_with(poses, coloured(rng, len(t), rho, sigma)))
+    noise = estimate_noise(runs, "gauge")
+    assert noise.rho[0] == pytest.approx(0.7, abs=0.05)
+    assert noise.sigma[0] == pytest.approx(np.sqrt((15 * 0.2**2 + 1000 * 0.05**2) / 1015), rel=0.1)
+
+
+def test_each_column_is_whitened_by_its_own_colour() -> None:
+    rng = np.random.default_rng(7)
+    rho = np.array([0.0, 0.5, 0.95, 0.0, 0.9, 0.2])
+    values = np.column_stack([coloured(rng, 4000, r, 0.05)[:, 0] for r in rho])
+    white = whiten(values, ChannelNoise(np.full(6, 0.05), rho, "test"))
+    assert np.std(white, axis=0) == pytest.approx(1.0, abs=0.05)
+    np.testing.assert_allclose([np.corrcoef(w[1:], w[:-1])[0, 1] for w in white.T], 0.0, atol=0.06)
 
 
 @pytest.mark.parametrize("still", [True, False], ids=["at rest", "moving"])
