@@ -181,19 +181,29 @@ def _declared(rig: Rig, channel: str) -> dict[str, float]:
 
 
 def as_declared(rig: Rig, measured: Measured) -> ChannelNoise:
-    """The noise that a rig declares for each column of a channel, white."""
+    """The noise that a rig declares for each column of a channel, white; 1 where it declares none, which it need not
+    for components that are not measured."""
     columns = measured.values.shape[1:]
-    return ChannelNoise(np.broadcast_to(declared_noise(rig, measured.channel), columns), np.zeros(columns), DECLARED)
+    sigma = np.broadcast_to(declared_noise(rig, measured.channel), columns)
+    return ChannelNoise(np.where(sigma > 0.0, sigma, 1.0), np.zeros(columns), DECLARED)
 
 
 def undeclared(rig: Rig) -> list[str]:
-    """Sensors and cameras of a rig, with the quantity, for which it declares no noise."""
+    """Sensors and cameras of a rig, with what they measure, for which it declares no noise."""
     return [
         f"{channel} ({quantity})"
         for channel in (*rig.sensors, *rig.cameras)
         for quantity, sigma in _declared(rig, channel).items()
-        if sigma == 0.0
+        if sigma == 0.0 and _measures(rig, channel, quantity)
     ]
+
+
+def _measures(rig: Rig, channel: str, quantity: str) -> bool:
+    """Whether a channel measures a quantity: a gauge of forces has no torques."""
+    sensor = rig.sensors.get(channel)
+    if not isinstance(sensor, WrenchSensor):
+        return True
+    return any(component.startswith(quantity.split("_")[0]) for component in sensor.measures)
 
 
 def unless_larger(noise: ChannelNoise, declared: np.ndarray) -> ChannelNoise:

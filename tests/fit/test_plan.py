@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError
-from sim_core.rigs import parse_rig
+from sim_core.rigs import load_rig, parse_rig
 from sim_core.rigs.motion import Experiment
-from sysid.fit.noise import channel_noise
+from sysid.fit.noise import channel_noise, undeclared
 from sysid.fit.own_error import discretisation
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.plan import plan_experiments
@@ -154,6 +154,11 @@ def test_a_sensor_without_declared_noise_is_refused_by_name(small_rig, zero, nam
         plan_experiments(parse_rig(data, "silent"), [], NAMES)
     assert f"declares no noise for {named}," in refused.value.problem
     assert "Declare" in refused.value.remedy
+
+
+def test_a_component_that_is_not_measured_needs_no_noise():
+    assert load_rig("knit_acrylic_garter_x").sensors["gauge"].noise.torque_nm == 0.0
+    assert undeclared(load_rig("knit_acrylic_garter_x")) == []
 
 
 def run(*arguments):
