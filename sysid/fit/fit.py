@@ -93,7 +93,7 @@ def _fit_runs(
         look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
     at, spent = first, 0.0
     for left in reversed(range(LOOKS)):
-        noise = channel_noise(rig, [*look.runs, *look.held_out])
+        noise = channel_noise(rig, look.runs, look.held_out)
         problem, fitted = fit_beside_own_error(
             engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
         )
@@ -177,7 +177,7 @@ def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequ
     if not any(m.kind in DIMENSIONS for run in runs for m in run.measured):
         return _Look(list(runs), list(held_out), [], None)
     pending = [(run, engine.submit(rig, run)) for run in [*runs, *held_out]]
-    noise = channel_noise(rig, [*runs, *held_out])
+    noise = channel_noise(rig, runs, held_out)
     clean: list[Run] = []
     outliers: list[Outliers] = []
     plain: list[Prediction] = []

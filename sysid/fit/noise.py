@@ -144,9 +144,12 @@ def standing_still(trajectory: PoseTrajectory, least_s: float) -> list[tuple[flo
     return spans
 
 
-def channel_noise(rig: Rig, runs: Sequence[Run]) -> dict[str, ChannelNoise]:
-    """Noise of every channel that the runs have: estimated, or declared where that is much larger."""
-    found: dict[str, ChannelNoise] = {}
+def channel_noise(rig: Rig, runs: Sequence[Run], held_out: Sequence[Run] = ()) -> dict[str, ChannelNoise]:
+    """Noise of every channel that the runs have: estimated, or declared where that is much larger.
+
+    ``held_out``: runs that are not fitted. They tell the noise only of channels that no other has.
+    """
+    found = channel_noise(rig, held_out) if held_out else {}
     for channel in sorted({m.channel for run in runs for m in run.measured}):
         declared = declared_noise(rig, channel)
         if declared.all() and _far_apart(rig, runs, channel):
