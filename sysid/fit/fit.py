@@ -12,6 +12,7 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
+from sysid.fit.colour import unheard
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
@@ -113,7 +114,7 @@ def _fit_runs(
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False, raw=runs)
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
-    notes += search.ends + loud(problem) + out_of_sight(problem, before, fitted)
+    notes += search.ends + loud(problem) + unheard(problem.noise) + out_of_sight(problem, before, fitted)
     moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
     if moved:
         sentences = ["What was fitted to a window that does not begin at rest means nothing.", *moved, *sentences]
