@@ -39,6 +39,13 @@ REST_MARGIN_S = 0.15
 STILL_WINDOW_S = 0.1
 """Time over which noisy poses are averaged to see whether they move."""
 
+STILL_WITHIN = np.repeat([1e-5, 1e-4], 3)
+"""Shift [m] and turn [rad] in that time from which something moves (0.1 mm/s, 1 mrad/s), and in a whole stretch from
+which it creeps: less than arms repeat (20 to 100 um), and on a pad of 1 N/mm about the noise of a force sensor."""
+
+CREEP_WINDOW_S = 1.0
+"""Time in which what is slower may get as far as that."""
+
 FLOOR_SHARE = 1e-5
 """Noise is not taken to be below this share of a column group's range (noise-free simulations)."""
 
@@ -91,15 +98,57 @@ def quantities(measured: Measured) -> list[tuple[str, np.ndarray]]:
 
 
 def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:
-    """Stretches of sample indices in which every end effector stands still."""
+    """Stretches of sample indices in which every end effector stands still: none moves (:func:`moving`) or creeps
+    (:func:`creeping`)."""
     still = np.ones(len(t), dtype=bool)
     for trajectory in run.poses.values():
-        if len(trajectory.times) < 2:
-            continue
         for start, end in moving(trajectory):
             still &= (t < start) | (t > end + REST_MARGIN_S)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
-    return [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= MIN_REST_SAMPLES]
+    for trajectory in run.poses.values():
+        for stretch in _stretches(still):
+            still[stretch] &= ~creeping(trajectory, t[stretch])
+    return [stretch for stretch in _stretches(still) if len(stretch) >= MIN_REST_SAMPLES]
+
+
+def _stretches(mask: np.ndarray) -> list[np.ndarray]:
+    """Indices in a row at which ``mask`` holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _path(trajectory: PoseTrajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [m] and turns [rad] against the first pose ``(n, 6)``, and the noise of each."""
+    rotation = Rotation.from_quat(trajectory.quaternions)
+    path = np.column_stack([trajectory.positions, (rotation * rotation[0].inv()).as_rotvec()])
+    second = np.diff(path, n=2, axis=0)
+    return path, 1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0) if len(second) else np.zeros(6)
+
+
+def creeping(trajectory: PoseTrajectory, t: np.ndarray) -> np.ndarray:
+    """At which of the times ``t`` ``(n,)`` of a stretch without motion an end effector creeps: it gets farther than
+    :data:`STILL_WITHIN` in the :data:`CREEP_WINDOW_S` about them, or in all that is left of the stretch then.
+
+    However slow a press is, what it does to readings is no noise. Noisy poses are averaged over
+    :data:`STILL_WINDOW_S`; ranges of up to 8 of the deviations that are left are no creep.
+    """
+    path, noise = _path(trajectory)
+    own = trajectory.times[(trajectory.times > t[0]) & (trajectory.times < t[-1])]
+    times = np.unique(np.concatenate([t[:1], own, t[-1:]]))
+    place = np.column_stack([np.interp(times, trajectory.times, column) for column in path.T])
+    total = np.concatenate([np.zeros((1, 6)), np.cumsum(place, axis=0)])
+    first, last = _within(times, STILL_WINDOW_S)
+    place = (total[last] - total[first]) / (last - first)[:, None]
+    limit = STILL_WITHIN + 8.0 * noise / np.sqrt(np.min(last - first))
+    first, last = _within(times, CREEP_WINDOW_S)
+    creeps = (np.abs(place[last - 1] - place[first]) > limit).any(axis=1)
+    for stretch in _stretches(~creeps):
+        creeps[stretch] = (np.ptp(place[stretch], axis=0) > limit).any()
+    return np.asarray(np.interp(t, times, creeps.astype(float)) > 0.0)
+
+
+def _within(times: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
+    """The first, and one past the last, of the times in the window about each."""
+    return np.searchsorted(times, times - 0.5 * window), np.searchsorted(times, times + 0.5 * window, side="right")
 
 
 def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
@@ -112,12 +161,8 @@ def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
     t = trajectory.times
     if len(t) < 2:
         return []
-    rotation = Rotation.from_quat(trajectory.quaternions)
-    turned = (rotation * rotation[0].inv()).as_rotvec()
-    path = np.column_stack([trajectory.positions, turned])
-    limit = np.repeat([1e-4, 1e-3], 3)
-    second = np.diff(path, n=2, axis=0)
-    noise = 1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0) if len(second) else np.zeros(6)
+    path, noise = _path(trajectory)
+    limit = STILL_WITHIN / STILL_WINDOW_S
     pause = float(np.median(np.diff(t)))
     if np.all(noise < limit * pause):
         busy = (np.abs(np.diff(path, axis=0)) > limit * np.diff(t)[:, None]).any(axis=1)
@@ -129,7 +174,7 @@ def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
     after = (total[last] - total[here]) / (last - here)[:, None]
     fewest = np.minimum(here + 1 - first, last - here)[:, None]
     change = np.abs(after - before)
-    busy = (change > limit * STILL_WINDOW_S + 4.0 * noise * np.sqrt(2.0 / fewest)).any(axis=1)
+    busy = (change > STILL_WITHIN + 4.0 * noise * np.sqrt(2.0 / fewest)).any(axis=1)
     return [(float(t[k]) - pause, float(t[k]) + pause) for k in np.flatnonzero(busy)]
 
 

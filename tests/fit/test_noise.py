@@ -47,6 +47,51 @@ def test_rest_is_found_whatever_the_noise_of_the_pose(jitter: float) -> None:
     assert max(e for _, e in spans) == pytest.approx(2.0, abs=0.15)
 
 
+def slow_press(speed: float, jitter: float, rng: np.random.Generator) -> Run:
+    """Rest for 1 s, 4 s at ``speed`` [m/s] on a pad of 2 N/mm that stiffens, rest for 1 s; noise of 10 mN."""
+    t = np.arange(601) / RATE
+    x = speed * np.clip(t - 1.0, 0.0, 4.0)
+    position = np.column_stack([x, 0 * x, 0 * x]) + jitter * rng.standard_normal((len(t), 3))
+    poses = PoseTrajectory(t, position, np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)))
+    force = 2e3 * x * (1.0 + x / 1e-4)
+    return run_with(poses, force[:, None] + 0.01 * rng.standard_normal((len(t), 6)))
+
+
+@pytest.mark.parametrize("jitter", [0.0, 5e-6])
+@pytest.mark.parametrize("speed", [0.02e-3, 0.05e-3, 0.09e-3])
+def test_a_slow_press_is_no_rest(speed: float, jitter: float) -> None:
+    run = slow_press(speed, jitter, np.random.default_rng(8))
+    t = run.measured[0].t
+    stretches = quiet(run, t)
+    assert all(t[s[-1]] < 1.6 or t[s[0]] > 4.4 for s in stretches)
+    if jitter == 0.0:
+        first, last = stretches
+        assert first[0] == 0 and t[first[-1]] > 0.5 and t[last[0]] < 5.5 and last[-1] == 600
+    noise = estimate_noise([run], "gauge")
+    assert noise.sigma == pytest.approx(0.01, rel=0.15)
+    np.testing.assert_array_equal(noise.rho, 0.0)
+
+
+@pytest.mark.parametrize("turning", [False, True], ids=["shift", "turn"])
+def test_a_recording_that_creeps_throughout_has_no_rest(turning: bool) -> None:
+    """By 5 um/s, or 50 urad/s, for 6 s: three times what is still."""
+    t = np.arange(601) / RATE
+    angle = 5e-5 * t if turning else 0.0 * t
+    position = np.column_stack([0.0 * t if turning else 5e-6 * t, 0 * t, 0 * t])
+    poses = PoseTrajectory(t, position, np.column_stack([0 * t, 0 * t, np.sin(angle / 2), np.cos(angle / 2)]))
+    assert quiet(run_with(poses, np.zeros((601, 6))), t) == []
+
+
+def test_a_servo_that_hunts_about_its_place_rests() -> None:
+    """By 8 um, twice a second, a single pose every 20 ms."""
+    t = np.arange(301) / RATE
+    at = t[::2]
+    x = 4e-6 * np.sin(4.0 * np.pi * at)
+    poses = PoseTrajectory(at, np.column_stack([x, 0 * at, 0 * at]), np.tile([0.0, 0.0, 0.0, 1.0], (len(at), 1)))
+    (stretch,) = quiet(run_with(poses, np.zeros((301, 6))), t)
+    assert len(stretch) == 301
+
+
 @pytest.mark.parametrize("jitter", [0.0, 1e-5])
 def test_level_and_colour_come_from_the_rest(jitter: float) -> None:
     rng = np.random.default_rng(2)
