@@ -18,7 +18,7 @@ from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
 from sysid.fit.nuisance import has_bias, nuisance_parameters
 from sysid.fit.options import FitOptions, Intervals
-from sysid.fit.outliers import DIMENSIONS, Outliers, not_looked_for, without_outliers, worth_another_fit
+from sysid.fit.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
 from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of, with_bags, within_bounds
 from sysid.fit.pool import AnyEngine, PooledEngine
@@ -175,7 +175,7 @@ class _Look:
 
 def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run]) -> _Look:
     """The runs without what are mistakes beside the rig that a fit starts from; as they are where it cannot follow."""
-    if not any(m.kind in DIMENSIONS for run in runs for m in run.measured):
+    if not any(m.kind in (*DIMENSIONS, WRENCH) for run in runs for m in run.measured):
         return _Look(list(runs), list(held_out), [], None)
     pending = [(run, engine.submit(rig, run)) for run in [*runs, *held_out]]
     noise = channel_noise(rig, runs, held_out)
