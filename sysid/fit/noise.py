@@ -102,11 +102,14 @@ def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:
     (:func:`creeping`)."""
     still = np.ones(len(t), dtype=bool)
     for trajectory in run.poses.values():
-        for start, end in moving(trajectory):
-            still &= (t < start) | (t > end + REST_MARGIN_S)
+        spans = np.array(moving(trajectory)).reshape(-1, 2)
+        begun = np.bincount(np.searchsorted(t, spans[:, 0]), minlength=len(t) + 1)
+        over = np.bincount(np.searchsorted(t, spans[:, 1] + REST_MARGIN_S, side="right"), minlength=len(t) + 1)
+        still &= np.cumsum(begun - over)[:-1] == 0
     for trajectory in run.poses.values():
+        path, noise = _path(trajectory)
         for stretch in _stretches(still):
-            still[stretch] &= ~creeping(trajectory, t[stretch])
+            still[stretch] &= ~creeping(trajectory.times, path, noise, t[stretch])
     return [stretch for stretch in _stretches(still) if len(stretch) >= MIN_REST_SAMPLES]
 
 
@@ -124,17 +127,18 @@ def _path(trajectory: PoseTrajectory) -> tuple[np.ndarray, np.ndarray]:
     return path, 1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0) if len(second) else np.zeros(6)
 
 
-def creeping(trajectory: PoseTrajectory, t: np.ndarray) -> np.ndarray:
+def creeping(stamps: np.ndarray, path: np.ndarray, noise: np.ndarray, t: np.ndarray) -> np.ndarray:
     """At which of the times ``t`` ``(n,)`` of a stretch without motion an end effector creeps: it gets farther than
-    :data:`STILL_WITHIN` in the :data:`CREEP_WINDOW_S` about them, or in all that is left of the stretch then.
+    :data:`STILL_WITHIN` in the :data:`CREEP_WINDOW_S` about them, or in all that is left of the stretch.
+    ``stamps`` ``(k,)``, ``path`` ``(k, 6)``, ``noise`` ``(6,)``: its poses (:func:`_path`).
 
     However slow a press is, what it does to readings is no noise. Noisy poses are averaged over
     :data:`STILL_WINDOW_S`; ranges of up to 8 of the deviations that are left are no creep.
     """
-    path, noise = _path(trajectory)
-    own = trajectory.times[(trajectory.times > t[0]) & (trajectory.times < t[-1])]
-    times = np.unique(np.concatenate([t[:1], own, t[-1:]]))
-    place = np.column_stack([np.interp(times, trajectory.times, column) for column in path.T])
+    about = slice(max(int(np.searchsorted(stamps, t[0])) - 1, 0), int(np.searchsorted(stamps, t[-1], side="right")) + 1)
+    stamps, path = stamps[about], path[about]
+    times = np.unique(np.concatenate([t[:1], stamps[(stamps > t[0]) & (stamps < t[-1])], t[-1:]]))
+    place = np.column_stack([np.interp(times, stamps, column) for column in path.T])
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(place, axis=0)])
     first, last = _within(times, STILL_WINDOW_S)
     place = (total[last] - total[first]) / (last - first)[:, None]
