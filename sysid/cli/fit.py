@@ -47,7 +47,8 @@ def fit(
         ),
     ] = False,
     robust: Annotated[
-        bool, typer.Option("--robust/--no-robust", help="Leave out marker readings that are mistakes of a tracker.")
+        bool,
+        typer.Option("--robust/--no-robust", help="Leave out mistakes of trackers and single spikes of force sensors."),
     ] = True,
 ) -> None:
     """Estimate parameters of a rig, their uncertainty, and how well held-out recordings are predicted.

@@ -12,12 +12,13 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
+from sysid.fit.colour import unheard
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
 from sysid.fit.nuisance import has_bias, nuisance_parameters
 from sysid.fit.options import FitOptions, Intervals
-from sysid.fit.outliers import DIMENSIONS, Outliers, not_looked_for, without_outliers, worth_another_fit
+from sysid.fit.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
 from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of, with_bags, within_bounds
 from sysid.fit.pool import AnyEngine, PooledEngine
@@ -63,14 +64,13 @@ def fit_runs(
         return _fit_runs(engine, rig, runs, asked, held_out, options, evaluations, on_progress)
 
 
-def _shown_sigma(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> float:
-    """Standard deviation of the measured columns of a channel (a wrench: of its forces, if it has any)."""
+def _shown(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> dict[str, float | str]:
+    """Noise of the measured columns of a channel (a wrench: of its forces, if it has any)."""
     measured = next(m for run in runs for m in run.measured if m.channel == channel)
-    for group in column_groups(measured):
-        seen = group[np.isfinite(measured.values[:, group]).any(axis=0)]
-        if len(seen):
-            return float(np.median(noise.sigma[seen]))
-    return float(np.median(noise.sigma))
+    seen = (group[np.isfinite(measured.values[:, group]).any(axis=0)] for group in column_groups(measured))
+    columns = next((group for group in seen if len(group)), np.arange(len(noise.sigma)))
+    sigma, rho = (float(np.median(values[columns])) for values in (noise.sigma, noise.rho))
+    return {"sigma": sigma, "correlation": rho, "from": noise.source}
 
 
 def _fit_runs(
@@ -94,7 +94,7 @@ def _fit_runs(
         look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
     at, spent = first, 0.0
     for left in reversed(range(LOOKS)):
-        noise = channel_noise(rig, [*look.runs, *look.held_out])
+        noise = channel_noise(rig, look.runs, look.held_out)
         problem, fitted = fit_beside_own_error(
             engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
         )
@@ -114,7 +114,7 @@ def _fit_runs(
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False, raw=runs)
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
-    notes += search.ends + loud(problem) + out_of_sight(problem, before, fitted)
+    notes += search.ends + loud(problem) + unheard(problem.noise) + out_of_sight(problem, before, fitted)
     moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
     if moved:
         sentences = ["What was fitted to a window that does not begin at rest means nothing.", *moved, *sentences]
@@ -151,10 +151,7 @@ def _fit_runs(
         message=fitted.message,
         evaluations=evaluations.done,
         seconds=fitted.seconds,
-        noise={
-            c: {"sigma": _shown_sigma([*runs, *held_out], c, n), "correlation": n.rho, "from": n.source}
-            for c, n in noise.items()
-        },
+        noise={c: _shown([*runs, *held_out], c, n) for c, n in noise.items()},
         notes=notes,
         provenance=provenance(rig, list(runs), list(held_out), options.seed, options.told()),
         series=series,
@@ -178,10 +175,10 @@ class _Look:
 
 def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run]) -> _Look:
     """The runs without what are mistakes beside the rig that a fit starts from; as they are where it cannot follow."""
-    if not any(m.kind in DIMENSIONS for run in runs for m in run.measured):
+    if not any(m.kind in (*DIMENSIONS, WRENCH) for run in runs for m in run.measured):
         return _Look(list(runs), list(held_out), [], None)
     pending = [(run, engine.submit(rig, run)) for run in [*runs, *held_out]]
-    noise = channel_noise(rig, [*runs, *held_out])
+    noise = channel_noise(rig, runs, held_out)
     clean: list[Run] = []
     outliers: list[Outliers] = []
     plain: list[Prediction] = []

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sim_core.rigs import Rig
+from sysid.fit.colour import Part, Samples
 from sysid.fit.directions import Sizes
 from sysid.fit.engine import Prediction
 from sysid.fit.parameters import FitParameter
@@ -18,7 +19,8 @@ class Fitted:
     ``(n,)`` and ``(n, p)``, nuisance sizes eliminated; ``labels``: run, channel and times of the residuals;
     ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable
     coefficients of the simulator's own error by run and channel (:mod:`sysid.fit.directions`); ``limited``: the
-    evaluations allowed for all searches together are used up."""
+    evaluations allowed for all searches together are used up; ``colourless``: samples of the channels whose noise may
+    be coloured, since no rest told (:mod:`sysid.fit.colour`)."""
 
     parameters: list[FitParameter]
     scaled: np.ndarray
@@ -34,6 +36,7 @@ class Fitted:
     seconds: float
     sizes: dict[tuple[int, str], Sizes] = field(default_factory=dict)
     limited: bool = False
+    colourless: dict[tuple[int, str], Samples] = field(default_factory=dict)
 
     @property
     def interrupted(self) -> bool:
@@ -69,6 +72,21 @@ class Fitted:
         """Mean squared whitened residual: 1 for a model that is right, less where the error of mesh and time step that
         is allowed for is not there."""
         return self.chi2 / max(self.samples, 1)
+
+    @property
+    def colourless_parts(self) -> list[list[Part]]:
+        """Residuals and derivatives of ``colourless``, quantity by quantity over all runs."""
+        found: dict[tuple[str, int], list[Part]] = {}
+        at = 0
+        for index, channel, times in self.labels:
+            samples = self.colourless.get((index, channel))
+            if samples is not None:
+                # The rows of a channel are its samples, then the sizes of the simulator's own error.
+                rows = slice(at, at + int(samples.there.sum()))
+                for k, part in enumerate(samples.of_rows(self.residual[rows], self.jacobian[rows])):
+                    found.setdefault((channel, k), []).append(part)
+            at += len(times)
+        return list(found.values())
 
     @property
     def values(self) -> dict[str, float]:

@@ -9,7 +9,7 @@ by the median of their size, so that jumps do not count (differences: Gasser, Sr
 73, 1986). They cannot see colour, and what the readings themselves do within four samples counts as noise. In the
 channels of simulated presses and rubs that have no rest and move fast, that adds 6 % on average and 16 % at most;
 second differences, in which a steady acceleration shows, see 9 % too much. Columns of a kind (forces,
-torques, markers) share one value. Readings that come in steps have at least the noise of their rounding,
+torques, markers) share one level and one colour. Readings that come in steps have at least the noise of their rounding,
 step / sqrt(12).
 
 A recording shows how much neighbouring samples scatter, but not what was smoothed, interpolated or rounded
@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -38,6 +39,13 @@ REST_MARGIN_S = 0.15
 STILL_WINDOW_S = 0.1
 """Time over which noisy poses are averaged to see whether they move."""
 
+STILL_WITHIN = np.repeat([1e-5, 1e-4], 3)
+"""Shift [m] and turn [rad] in that time from which something moves (0.1 mm/s, 1 mrad/s), and in a whole stretch from
+which it creeps: less than arms repeat (20 to 100 um), and on a pad of 1 N/mm about the noise of a force sensor."""
+
+CREEP_WINDOW_S = 1.0
+"""Time in which what is slower may get as far as that."""
+
 FLOOR_SHARE = 1e-5
 """Noise is not taken to be below this share of a column group's range (noise-free simulations)."""
 
@@ -46,6 +54,9 @@ COARSEST_SHARE = 0.2
 
 LONGEST_EXACT = 400
 """Samples of a stretch up to which it matters what a line takes away from coloured noise."""
+
+WHITE, MOST_COLOURED = 0.1, 0.98
+"""Correlation up to which noise counts as white, and the largest that is believed."""
 
 NEIGHBOURS = 10.0
 """Readings farther apart than this many sampling intervals of their sensor are states of their own: their differences
@@ -62,12 +73,15 @@ FROM_DIFFERENCES = "third differences"
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """``sigma``: standard deviation of each column ``(m,)``; ``rho``: lag-one correlation of the noise at
-    the channel's rate, 0 where white; ``source``: how it was found, in words."""
+    """``sigma``: standard deviation of each column ``(m,)``; ``rho``: lag-one correlation of each column at the
+    channel's rate ``(m,)``, or one for all, 0 where white; ``source``: how they were found, in words."""
 
     sigma: np.ndarray
-    rho: float
+    rho: np.ndarray
     source: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rho", np.broadcast_to(np.asarray(self.rho, dtype=float), self.sigma.shape))
 
 
 def column_groups(measured: Measured) -> list[np.ndarray]:
@@ -84,15 +98,61 @@ def quantities(measured: Measured) -> list[tuple[str, np.ndarray]]:
 
 
 def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:
-    """Stretches of sample indices in which every end effector stands still."""
+    """Stretches of sample indices in which every end effector stands still: none moves (:func:`moving`) or creeps
+    (:func:`creeping`)."""
     still = np.ones(len(t), dtype=bool)
     for trajectory in run.poses.values():
-        if len(trajectory.times) < 2:
-            continue
-        for start, end in moving(trajectory):
-            still &= (t < start) | (t > end + REST_MARGIN_S)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
-    return [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= MIN_REST_SAMPLES]
+        spans = np.array(moving(trajectory)).reshape(-1, 2)
+        begun = np.bincount(np.searchsorted(t, spans[:, 0]), minlength=len(t) + 1)
+        over = np.bincount(np.searchsorted(t, spans[:, 1] + REST_MARGIN_S, side="right"), minlength=len(t) + 1)
+        still &= np.cumsum(begun - over)[:-1] == 0
+    for trajectory in run.poses.values():
+        path, noise = _path(trajectory)
+        for stretch in _stretches(still):
+            still[stretch] &= ~creeping(trajectory.times, path, noise, t[stretch])
+    return [stretch for stretch in _stretches(still) if len(stretch) >= MIN_REST_SAMPLES]
+
+
+def _stretches(mask: np.ndarray) -> list[np.ndarray]:
+    """Indices in a row at which ``mask`` holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _path(trajectory: PoseTrajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [m] and turns [rad] against the first pose ``(n, 6)``, and the noise of each."""
+    rotation = Rotation.from_quat(trajectory.quaternions)
+    path = np.column_stack([trajectory.positions, (rotation * rotation[0].inv()).as_rotvec()])
+    second = np.diff(path, n=2, axis=0)
+    return path, 1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0) if len(second) else np.zeros(6)
+
+
+def creeping(stamps: np.ndarray, path: np.ndarray, noise: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """At which of the times ``t`` ``(n,)`` of a stretch without motion an end effector creeps: it gets farther than
+    :data:`STILL_WITHIN` in the :data:`CREEP_WINDOW_S` about them, or in all that is left of the stretch.
+    ``stamps`` ``(k,)``, ``path`` ``(k, 6)``, ``noise`` ``(6,)``: its poses (:func:`_path`).
+
+    However slow a press is, what it does to readings is no noise. Noisy poses are averaged over
+    :data:`STILL_WINDOW_S`; ranges of up to 8 of the deviations that are left are no creep.
+    """
+    about = slice(max(int(np.searchsorted(stamps, t[0])) - 1, 0), int(np.searchsorted(stamps, t[-1], side="right")) + 1)
+    stamps, path = stamps[about], path[about]
+    times = np.unique(np.concatenate([t[:1], stamps[(stamps > t[0]) & (stamps < t[-1])], t[-1:]]))
+    place = np.column_stack([np.interp(times, stamps, column) for column in path.T])
+    total = np.concatenate([np.zeros((1, 6)), np.cumsum(place, axis=0)])
+    first, last = _within(times, STILL_WINDOW_S)
+    place = (total[last] - total[first]) / (last - first)[:, None]
+    limit = STILL_WITHIN + 8.0 * noise / np.sqrt(np.min(last - first))
+    first, last = _within(times, CREEP_WINDOW_S)
+    creeps = (np.abs(place[last - 1] - place[first]) > limit).any(axis=1)
+    for stretch in _stretches(~creeps):
+        creeps[stretch] = (np.ptp(place[stretch], axis=0) > limit).any()
+    return np.asarray(np.interp(t, times, creeps.astype(float)) > 0.0)
+
+
+def _within(times: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
+    """The first, and one past the last, of the times in the window about each."""
+    return np.searchsorted(times, times - 0.5 * window), np.searchsorted(times, times + 0.5 * window, side="right")
 
 
 def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
@@ -105,12 +165,8 @@ def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
     t = trajectory.times
     if len(t) < 2:
         return []
-    rotation = Rotation.from_quat(trajectory.quaternions)
-    turned = (rotation * rotation[0].inv()).as_rotvec()
-    path = np.column_stack([trajectory.positions, turned])
-    limit = np.repeat([1e-4, 1e-3], 3)
-    second = np.diff(path, n=2, axis=0)
-    noise = 1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0) if len(second) else np.zeros(6)
+    path, noise = _path(trajectory)
+    limit = STILL_WITHIN / STILL_WINDOW_S
     pause = float(np.median(np.diff(t)))
     if np.all(noise < limit * pause):
         busy = (np.abs(np.diff(path, axis=0)) > limit * np.diff(t)[:, None]).any(axis=1)
@@ -122,7 +178,7 @@ def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
     after = (total[last] - total[here]) / (last - here)[:, None]
     fewest = np.minimum(here + 1 - first, last - here)[:, None]
     change = np.abs(after - before)
-    busy = (change > limit * STILL_WINDOW_S + 4.0 * noise * np.sqrt(2.0 / fewest)).any(axis=1)
+    busy = (change > STILL_WITHIN + 4.0 * noise * np.sqrt(2.0 / fewest)).any(axis=1)
     return [(float(t[k]) - pause, float(t[k]) + pause) for k in np.flatnonzero(busy)]
 
 
@@ -137,14 +193,16 @@ def standing_still(trajectory: PoseTrajectory, least_s: float) -> list[tuple[flo
     return spans
 
 
-def channel_noise(rig: Rig, runs: Sequence[Run]) -> dict[str, ChannelNoise]:
-    """Noise of every channel that the runs have: estimated, or declared where that is much larger."""
-    found: dict[str, ChannelNoise] = {}
+def channel_noise(rig: Rig, runs: Sequence[Run], held_out: Sequence[Run] = ()) -> dict[str, ChannelNoise]:
+    """Noise of every channel that the runs have: estimated, or declared where that is much larger.
+
+    ``held_out``: runs that are not fitted. They tell the noise only of channels that no other has.
+    """
+    found = channel_noise(rig, held_out) if held_out else {}
     for channel in sorted({m.channel for run in runs for m in run.measured}):
         declared = declared_noise(rig, channel)
         if declared.all() and _far_apart(rig, runs, channel):
-            columns = next(m for run in runs for m in run.measured if m.channel == channel).values.shape[1]
-            found[channel] = ChannelNoise(np.broadcast_to(declared, columns).copy(), 0.0, DECLARED)
+            found[channel] = as_declared(rig, next(m for run in runs for m in run.measured if m.channel == channel))
         else:
             found[channel] = unless_larger(estimate_noise(list(runs), channel), declared)
     return found
@@ -159,24 +217,57 @@ def _far_apart(rig: Rig, runs: Sequence[Run], channel: str) -> bool:
 
 def declared_noise(rig: Rig, channel: str) -> np.ndarray:
     """Standard deviation that a rig declares for a channel in its units: six components, or one number."""
+    levels = list(_declared(rig, channel).values())
+    return np.repeat(levels, 3) if len(levels) == 2 else np.array(levels)
+
+
+def _declared(rig: Rig, channel: str) -> dict[str, float]:
+    """The same by the keys of the rig."""
     if channel in rig.cameras:
-        return np.array([rig.cameras[channel].noise.position_px])
+        return {"position_px": rig.cameras[channel].noise.position_px}
     sensor = rig.sensors[channel]
     if isinstance(sensor, WrenchSensor):
-        return np.repeat([sensor.noise.force_n, sensor.noise.torque_nm], 3)
+        return {"force_n": sensor.noise.force_n, "torque_nm": sensor.noise.torque_nm}
     assert isinstance(sensor, MarkerSensor)
-    return np.array([sensor.noise.position_m])
+    return {"position_m": sensor.noise.position_m}
+
+
+def as_declared(rig: Rig, measured: Measured) -> ChannelNoise:
+    """The noise that a rig declares for each column of a channel, white; 1 where it declares none, which it need not
+    for components that are not measured."""
+    columns = measured.values.shape[1:]
+    sigma = np.broadcast_to(declared_noise(rig, measured.channel), columns)
+    return ChannelNoise(np.where(sigma > 0.0, sigma, 1.0), np.zeros(columns), DECLARED)
+
+
+def undeclared(rig: Rig) -> list[str]:
+    """Sensors and cameras of a rig, with what they measure, for which it declares no noise."""
+    return [
+        f"{channel} ({quantity})"
+        for channel in (*rig.sensors, *rig.cameras)
+        for quantity, sigma in _declared(rig, channel).items()
+        if sigma == 0.0 and _measures(rig, channel, quantity)
+    ]
+
+
+def _measures(rig: Rig, channel: str, quantity: str) -> bool:
+    """Whether a channel measures a quantity: a gauge of forces has no torques."""
+    sensor = rig.sensors.get(channel)
+    if not isinstance(sensor, WrenchSensor):
+        return True
+    return any(component.startswith(quantity.split("_")[0]) for component in sensor.measures)
 
 
 def unless_larger(noise: ChannelNoise, declared: np.ndarray) -> ChannelNoise:
     """The estimated noise, unless the declared one is much larger.
 
-    A declared noise that is much larger than the estimate replaces it, and is white: the estimate was then
-    found in a scatter (of interpolated or smoothed samples) that is not the noise.
+    A declared noise that is much larger than the estimate replaces it, and is white in those columns: the estimate was
+    then found in a scatter (of interpolated or smoothed samples) that is not the noise.
     """
     floor = np.broadcast_to(declared, noise.sigma.shape)
-    if (floor > REPLACED_FROM * noise.sigma).any():
-        return ChannelNoise(np.maximum(noise.sigma, floor), 0.0, DECLARED)
+    larger = floor > REPLACED_FROM * noise.sigma
+    if larger.any():
+        return ChannelNoise(np.maximum(noise.sigma, floor), np.where(larger, 0.0, noise.rho), DECLARED)
     return noise
 
 
@@ -184,12 +275,11 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
     """Noise of one channel over all runs that have it."""
     found = [(r, m) for r in runs for m in r.measured if m.channel == channel]
     columns = found[0][1].values.shape[1]
-    sigma = np.zeros(columns)
-    correlations: list[float] = []
+    sigma, rho = np.zeros(columns), np.zeros(columns)
     source = FROM_DIFFERENCES
     for group in column_groups(found[0][1]):
-        first: list[float] = []
-        rest: list[float] = []
+        first: list[_Stretch] = []
+        rest: list[_Stretch] = []
         jumps: list[float] = []
         extent = 0.0
         for run, measured in found:
@@ -203,23 +293,33 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
             if len(third):
                 jumps.append(1.4826 * float(np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0))
             for stretch in quiet(run, measured.t):
-                level, colour = _scatter(values[stretch])
-                if level is not None:
-                    (first if stretch[0] == 0 else rest).append(level)
-                    correlations.append(colour)
+                scatter = _scatter(values[stretch])
+                if scatter is not None:
+                    (first if stretch[0] == 0 else rest).append(scatter)
         if first:
-            level = float(np.sqrt(np.mean(np.square(first))))
+            size = [s.size for s in first]
+            level = float(np.sqrt(np.average([s.level**2 for s in first], weights=size)))
+            colour = float(np.average([s.rho for s in first], weights=size))
             source = "rest at the start"
         elif rest:
-            # Slow decay within a stretch adds to its scatter: the quieter half is the noise.
-            level = float(np.quantile(rest, 0.25))
+            # Slow decay within a stretch adds to its scatter and to its colour: the quieter half is the noise.
+            level = _quantile([s.level for s in rest], [s.size for s in rest], 0.25)
+            colour = _quantile([s.rho for s in rest], [s.size for s in rest], 0.5)
             source = "quiet stretches"
         else:
-            level = float(np.median(jumps)) if jumps else 0.0
+            level, colour = (float(np.median(jumps)) if jumps else 0.0), 0.0
         rounding = min((_step(m.values[:, group]) for _, m in found), default=0.0) / np.sqrt(12.0)
         sigma[group] = max(level, rounding, FLOOR_SHARE * extent, 1e-12)
-    rho = float(np.clip(np.median(correlations), 0.0, 0.98)) if correlations else 0.0
-    return ChannelNoise(sigma, rho if rho > 0.1 else 0.0, source)
+        rho[group] = min(colour, MOST_COLOURED) if colour > WHITE else 0.0
+    return ChannelNoise(sigma, rho, source)
+
+
+def _quantile(values: list[float], weights: list[int], share: float) -> float:
+    """Value below which this share of the weight is, on a straight line between the middles of the weights."""
+    order = np.argsort(values, kind="stable")
+    weight = np.asarray(weights, dtype=float)[order]
+    middle = (np.cumsum(weight) - 0.5 * weight) / weight.sum()
+    return float(np.interp(share, middle, np.asarray(values)[order]))
 
 
 def _step(values: np.ndarray) -> float:
@@ -230,23 +330,31 @@ def _step(values: np.ndarray) -> float:
     return float(np.min(np.diff(finite)))
 
 
-def _scatter(values: np.ndarray) -> tuple[float | None, float]:
-    """Noise level and lag-one correlation of a quiet stretch, after removing a line from each column."""
+class _Stretch(NamedTuple):
+    """Noise of a quiet stretch: standard deviation, lag-one correlation, number of readings."""
+
+    level: float
+    rho: float
+    size: int
+
+
+def _scatter(values: np.ndarray) -> _Stretch | None:
+    """Noise of a quiet stretch, after removing a line from each column; None where nothing was measured."""
     good = np.isfinite(values).all(axis=0)
     if not good.any():
-        return None, 0.0
+        return None
     values = values[:, good]
     n = len(values)
     base = np.column_stack([np.ones(n), np.linspace(-1.0, 1.0, n)])
     residual = values - base @ np.linalg.lstsq(base, values, rcond=None)[0]
     variance = np.sum(residual**2) / ((n - 2) * values.shape[1])
     if variance <= 0.0:
-        return 0.0, 0.0
+        return _Stretch(0.0, 0.0, values.size)
     product = np.sum(residual[1:] * residual[:-1]) / ((n - 3) * values.shape[1])
     # Removing a line biases the correlation down by about 2 (1 + rho) / n.
     rho = product / variance
-    rho = min(float(rho + 2.0 * (1.0 + rho) / n), 0.98)
-    return float(np.sqrt(variance / _share_left(n, max(rho, 0.0), base))), rho
+    rho = min(float(rho + 2.0 * (1.0 + rho) / n), MOST_COLOURED)
+    return _Stretch(float(np.sqrt(variance / _share_left(n, max(rho, 0.0), base))), rho, values.size)
 
 
 def _share_left(n: int, rho: float, base: np.ndarray) -> float:
@@ -265,10 +373,11 @@ def whiten(residual: np.ndarray, noise: ChannelNoise) -> np.ndarray:
     First-order autoregressive noise: (r_k - rho r_{k-1}) / (sigma sqrt(1 - rho^2)); a sample whose
     predecessor is missing is divided by sigma alone.
     """
-    scale = noise.sigma.reshape(1, -1, *([1] * (residual.ndim - 2)))
-    out = np.asarray(residual / scale)
-    if noise.rho == 0.0:
+    columns = (1, -1, *([1] * (residual.ndim - 2)))
+    out = np.asarray(residual / noise.sigma.reshape(columns))
+    if not noise.rho.any():
         return out
+    rho = noise.rho.reshape(columns)
     previous = np.concatenate([np.full_like(out[:1], np.nan), out[:-1]])
-    innovation = (out - noise.rho * previous) / np.sqrt(1.0 - noise.rho**2)
+    innovation = (out - rho * previous) / np.sqrt(1.0 - rho**2)
     return np.where(np.isfinite(previous), innovation, out)

@@ -27,7 +27,7 @@ class FitOptions:
     ``max_evaluations``: of all searches together, after which nothing is searched or looked into any more and the
     result says that it did not converge;
     ``intervals``: how far those of the parameters are looked into;
-    ``robust``: leave out marker readings that are mistakes (:mod:`sysid.fit.outliers`);
+    ``robust``: leave out readings that are mistakes (:mod:`sysid.fit.outliers`);
     ``seed``: of everything random.
     """
 

@@ -1,4 +1,5 @@
-"""Marker readings that are mistakes of a tracker: misdetections, exchanged numbers, jumps that come back.
+"""Readings that are mistakes: of a tracker, misdetections, exchanged numbers, jumps that come back; of a force sensor,
+single spikes (:mod:`sysid.fit.spikes`). What follows is about markers.
 
 Least squares believes every reading, and one that is 50 noise deviations off counts 2500 times. Readings are therefore
 looked at one by one, as vectors of a marker in a frame, and those that are mistakes get the weight 0, all others 1.
@@ -37,6 +38,7 @@ from scipy.stats import binom, chi2
 from sysid.fit.engine import Prediction
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.runs import Measured, Run
+from sysid.fit.spikes import spikes
 
 FAR = 6.0
 """Distance, in noise deviations of a vector's component, below which nothing is a mistake."""
@@ -69,6 +71,9 @@ OFTEN = 4
 """Times that a marker stands out from which it may be physics."""
 
 DIMENSIONS = {"markers": 3, "tracks": 2}
+"""Of the vectors that a channel of markers reads."""
+
+WRENCH = "wrench"
 
 Mask = np.ndarray
 """Which readings are mistakes, ``(frames, markers)``."""
@@ -77,13 +82,15 @@ Mask = np.ndarray
 @dataclass(frozen=True)
 class Outliers:
     """Mistakes in one channel of one run. ``share``: of its readings; ``markers``: their numbers with the times [s] of
-    each; ``kept``: they are too many to be exceptions, and were not left out."""
+    each, of a wrench its components; ``kept``: they are too many to be exceptions, and were not left out; ``kind``: of
+    the channel."""
 
     run: str
     channel: str
     share: float
     markers: dict[str, list[float]]
     kept: bool = False
+    kind: str = "markers"
 
     @property
     def _percent(self) -> str:
@@ -93,9 +100,10 @@ class Outliers:
     def sentence_of_score(self) -> str:
         """What is wrong with a held-out recording, which is scored with all of its readings, in words."""
         number = sum(len(times) for times in self.markers.values())
+        what, whose = ("readings", "the sensor") if self.kind == WRENCH else ("marker readings", "the tracker")
         return (
-            f"{self.run}: {number} of the marker readings of {self.channel} ({self._percent}) look like mistakes of "
-            "the tracker. The scores of this held-out recording count them all the same."
+            f"{self.run}: {number} of the {what} of {self.channel} ({self._percent}) look like mistakes of "
+            f"{whose}. The scores of this held-out recording count them all the same."
         )
 
     @property
@@ -115,6 +123,11 @@ class Outliers:
             for m in most[:5]
         )
         more = f" and {len(most) - 5} more" if len(most) > 5 else ""
+        if self.kind == WRENCH:
+            return (
+                f"{self.run}: {percent} of the readings of {self.channel} are single spikes, treated as outliers: "
+                f"{shown}{more}."
+            )
         number = "markers" if len(most) > 1 else "marker"
         return (
             f"{self.run}: {percent} of the marker readings of {self.channel} are treated as outliers: "
@@ -132,17 +145,25 @@ def without_outliers(
         measured = []
         for m in run.measured:
             there = prediction.values[m.channel]
-            known = m.kind in DIMENSIONS and not astray(m, there, noise[m.channel])
-            mask = mistakes(m, there) if known else None
-            if mask is None or not mask.any():
+            mask = _mask(m, there, noise[m.channel])
+            if not mask.any():
                 measured.append(m)
                 continue
             told = _told(run.name, m, mask)
             found.append(told)
-            gone = np.repeat(mask & (not told.kept), DIMENSIONS[m.kind], axis=1)
+            gone = np.repeat(mask & (not told.kept), DIMENSIONS.get(m.kind, 1), axis=1)
             measured.append(replace(m, values=np.where(gone, np.nan, m.values)))
         clean.append(replace(run, measured=tuple(measured)))
     return clean, found
+
+
+def _mask(measured: Measured, predicted: np.ndarray, noise: ChannelNoise) -> Mask:
+    """Mistakes of a channel of any kind, by marker or component."""
+    if measured.kind == WRENCH:
+        return spikes(measured, predicted, noise.sigma)
+    if measured.kind not in DIMENSIONS or astray(measured, predicted, noise):
+        return np.zeros((len(measured.t), 0), dtype=bool)
+    return mistakes(measured, predicted)
 
 
 def astray(measured: Measured, predicted: np.ndarray, noise: ChannelNoise) -> bool:
@@ -336,9 +357,11 @@ def _of_others(seen: np.ndarray, place: np.ndarray, there: Mask, far: float) -> 
 
 def _told(run: str, measured: Measured, mask: Mask) -> Outliers:
     """What was found, by marker."""
-    d = DIMENSIONS[measured.kind]
+    d = DIMENSIONS.get(measured.kind, 1)
     number = int(np.isfinite(measured.values[:, ::d]).sum())
-    names = [measured.labels[d * k].removeprefix("marker ").rsplit(" ", 1)[0] for k in range(mask.shape[1])]
+    names = list(measured.labels)
+    if measured.kind != WRENCH:
+        names = [label.removeprefix("marker ").rsplit(" ", 1)[0] for label in names[::d]]
     markers = {names[k]: measured.t[mask[:, k]].tolist() for k in np.flatnonzero(mask.any(axis=0))}
     share = float(mask.sum()) / max(number, 1)
-    return Outliers(run, measured.channel, share, markers, share > MOST)
+    return Outliers(run, measured.channel, share, markers, share > MOST, measured.kind)

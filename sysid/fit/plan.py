@@ -17,16 +17,17 @@ from pathlib import Path
 
 import numpy as np
 
-from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
+from sim_core.errors import ConfigError
+from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
 from sysid.fit.fitted import Fitted
-from sysid.fit.noise import ChannelNoise
+from sysid.fit.noise import as_declared, undeclared
 from sysid.fit.nuisance import KINDS, checked_kinds, has_bias, nuisance_parameters
 from sysid.fit.own_error import discretisation
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
-from sysid.fit.runs import Measured, load_run
+from sysid.fit.runs import load_run
 from sysid.fit.uncertainty import UNDETERMINED_SHARE, interval, uncertainty
 from sysid.fit.untold import blamed
 from sysid.simulate import simulate_to_bag
@@ -95,8 +96,16 @@ def plan_experiments(
     """What ``experiments`` on ``rig`` would tell about the parameters ``names``, one by one and together,
     with the nuisances that a fit estimates beside them (:func:`sysid.fit.nuisance.checked_kinds`).
 
-    Raises ``ConfigError`` for unknown parameters, ``ConvergenceError`` where an experiment cannot be simulated.
+    Raises ``ConfigError`` for unknown parameters and for sensors that declare no noise, ``ConvergenceError`` where an
+    experiment cannot be simulated.
     """
+    silent = undeclared(rig)
+    if silent:
+        raise ConfigError(
+            f"The rig {rig.name} declares no noise for {', '.join(silent)}, without which nobody can tell what the "
+            "readings will determine.",
+            "Declare the standard deviation under 'noise' of each, or leave the sensor out with --without.",
+        )
     say = on_progress or (lambda share, text: None)
     kinds = checked_kinds(nuisance)
     asked = fit_parameters(rig, names)
@@ -110,7 +119,7 @@ def plan_experiments(
 
             simulate_to_bag(rig, experiment, bag, noise=_none, on_progress=share)
             runs.append(replace(load_run(rig, bag), name=experiment.name))
-    noise = {m.channel: declared_noise(rig, m) for run in runs for m in run.measured}
+    noise = {m.channel: as_declared(rig, m) for run in runs for m in run.measured}
     parameters = [*asked, *nuisance_parameters(rig, runs, asked, kinds)]
     start, bias = start_of(rig, parameters), has_bias(runs, asked, kinds)
     predicted = _Count(say, PREDICTIONS * len(runs))
@@ -143,18 +152,6 @@ class _Count:
         self._done += 1
         share = SIMULATED + (PREDICTED - SIMULATED) * self._done / self._all
         self._say(share, f"{self._done} of {self._all} predictions: derivatives, error of mesh and time step")
-
-
-def declared_noise(rig: Rig, measured: Measured) -> ChannelNoise:
-    """The noise that the rig declares for a channel."""
-    source = rig.sensors.get(measured.channel) or rig.cameras[measured.channel]
-    if isinstance(source, WrenchSensor):
-        sigma = np.repeat([source.noise.force_n, source.noise.torque_nm], 3)
-    elif isinstance(source, MarkerSensor):
-        sigma = np.full(measured.values.shape[1], source.noise.position_m)
-    else:
-        sigma = np.full(measured.values.shape[1], source.noise.position_px)
-    return ChannelNoise(sigma, 0.0, "declared by the rig")
 
 
 def _none(channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.ndarray:

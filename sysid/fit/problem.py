@@ -9,10 +9,11 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
+from sysid.fit.colour import Samples
 from sysid.fit.directions import Basis, Direction, Sizes, basis_of
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
-from sysid.fit.noise import ChannelNoise, whiten
+from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, column_groups, whiten
 from sysid.fit.nuisance import bias_sd
 from sysid.fit.parameters import FitParameter, rig_at, rig_in, start_of
 from sysid.fit.pool import AnyEngine
@@ -43,6 +44,12 @@ class Problem:
         self.prior = prior
         self.bias = bias
         self._whitened: dict[tuple[int, str], Basis] = {}
+        self._colourless = {
+            (i, m.channel): Samples(np.isfinite(m.values), tuple(column_groups(m)))
+            for i, run in enumerate(self.runs)
+            for m in run.measured
+            if noise[m.channel].source == FROM_DIFFERENCES
+        }
 
     @property
     def eliminates(self) -> bool:
@@ -169,7 +176,7 @@ class Problem:
         seconds = time.monotonic() - started if started is not None else 0.0
         return Fitted(
             list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, rig, 1, True,
-            "evaluated", seconds, sizes,
+            "evaluated", seconds, sizes, colourless=self._colourless,
         )  # fmt: skip
 
     def fit(

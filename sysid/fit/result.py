@@ -79,7 +79,7 @@ class Series:
 class FitResult:
     """Everything that a fit found. ``evaluations``: of all searches; ``nuisances``: what was estimated beside what was
     asked for; ``profiles``: deviance against each parameter, where that was asked for (:mod:`sysid.fit.profiler`);
-    ``outliers``: marker readings that were left out (:mod:`sysid.fit.outliers`)."""
+    ``outliers``: readings that were left out (:mod:`sysid.fit.outliers`)."""
 
     rig: str
     estimates: list[Estimate]

@@ -1,9 +1,10 @@
 """How well a fit determines its parameters, and what it cannot tell apart.
 
-Two covariances are compared parameter by parameter and the larger is kept: the inverse Fisher matrix of
-the whitened residuals, widened by the misfit where the model does not reach the noise, and the sandwich
+Three covariances are compared parameter by parameter and the largest is kept: the inverse Fisher matrix of
+the whitened residuals, widened by the misfit where the model does not reach the noise, the sandwich
 estimate H^-1 (sum_b s_b s_b^T) H^-1 over blocks b of neighbouring samples (s_b = J_b^T r_b), which does
-not trust the noise model in time (White 1982; Newey & West 1987).
+not trust the noise model in time (White 1982; Newey & West 1987), and, where no rest told the colour of a
+channel's noise, that of the noise that the fit leaves there (:mod:`sysid.fit.colour`).
 
 Sentences are about the parameters that were asked for, with the nuisances beside them projected out.
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.fit.colour import coloured_scores
 from sysid.fit.fitted import Fitted
 from sysid.fit.parameters import FitParameter
 
@@ -34,7 +36,7 @@ TOGETHER = 0.97
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """``sd``: in the fitted scale ``(p,)``; ``inflation``: by how much the sandwich estimate exceeds what the
+    """``sd``: in the fitted scale ``(p,)``; ``inflation``: by how much the largest estimate exceeds what the
     noise model alone says, 1 where it does not ``(p,)``; ``correlation``: ``(p, p)``; ``sentences``: what the
     data cannot determine, in words; ``reduced_chi2``: misfit over noise."""
 
@@ -57,7 +59,8 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     plain = inverse * max(1.0, reduced)
     scores = _scores(fitted, fitted.residual)
     sandwich = inverse @ (scores.T @ scores) @ inverse
-    variance = np.maximum(np.diag(plain), np.diag(sandwich))
+    coloured = inverse + inverse @ coloured_scores(fitted.colourless_parts, inverse) @ inverse
+    variance = np.max([np.diag(plain), np.diag(sandwich), np.diag(coloured)], axis=0)
     sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)), WIDEST * prior)
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlation = np.clip(inverse / np.outer(spread, spread), -1.0, 1.0)

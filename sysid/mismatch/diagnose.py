@@ -72,7 +72,7 @@ def diagnose_runs(
     """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none)."""
     started = time.monotonic()
     tell = on_progress or (lambda share, text: None)
-    noise = channel_noise(rig, [*runs, *held_out])
+    noise = channel_noise(rig, runs, held_out)
     with PooledEngine(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
         tell(0.0, "baseline fit")
         parameters = fit_parameters(rig, open_parameters(rig))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,7 +15,7 @@ from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit, starts
 from sysid.fit.engine import Prediction
-from sysid.fit.noise import ChannelNoise
+from sysid.fit.noise import ChannelNoise, channel_noise
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
@@ -70,7 +71,11 @@ def result_of(engine: Readings, rig: Any, runs: list[Run], held_out: list[Run]) 
 @pytest.fixture(autouse=True)
 def declared(monkeypatch: pytest.MonkeyPatch) -> None:
     noise = ChannelNoise(np.array([0.01]), 0.0, "test")
-    monkeypatch.setattr(fit, "channel_noise", lambda rig, runs: {m.channel: noise for r in runs for m in r.measured})
+    monkeypatch.setattr(
+        fit,
+        "channel_noise",
+        lambda rig, runs, held_out=(): {m.channel: noise for r in (*runs, *held_out) for m in r.measured},
+    )
     monkeypatch.setattr(fit, "provenance", lambda *given: {})
 
 
@@ -80,6 +85,17 @@ def test_a_held_out_recording_that_fails_does_not_take_the_fit_with_it(small_rig
     assert result.estimates[0].value == pytest.approx(TRUTH, rel=0.05)
     assert [(e.run, e.held_out) for e in result.errors] == [("press", False), ("shallow", True)]
     assert result.notes == ["deep: could not be simulated: The step does not converge. Shorten solver.dt_s."]
+
+
+def test_a_held_out_recording_does_not_change_the_fit(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is a hundred times noisier."""
+    monkeypatch.setattr(fit, "channel_noise", channel_noise)
+    there, other = run_of("press", "side"), run_of("noisy", "side")
+    (m,) = other.measured
+    noisy = m.values + np.random.default_rng(4).standard_normal(m.values.shape)
+    other = replace(other, measured=(replace(m, values=noisy),))
+    alone, beside = (result_of(Readings(), small_rig(), [there], held_out) for held_out in ([], [other]))
+    assert beside.estimates == alone.estimates and beside.noise == alone.noise
 
 
 def test_a_channel_that_is_predicted_out_of_sight_is_noted(small_rig: Any, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.noise import FROM_DIFFERENCES, estimate_noise, moving, quiet, standing_still
+from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, estimate_noise, moving, quiet, standing_still, whiten
 from sysid.fit.runs import Measured, Run
 
 RATE = 100.0
@@ -47,6 +47,51 @@ def test_rest_is_found_whatever_the_noise_of_the_pose(jitter: float) -> None:
     assert max(e for _, e in spans) == pytest.approx(2.0, abs=0.15)
 
 
+def slow_press(speed: float, jitter: float, rng: np.random.Generator) -> Run:
+    """Rest for 1 s, 4 s at ``speed`` [m/s] on a pad of 2 N/mm that stiffens, rest for 1 s; noise of 10 mN."""
+    t = np.arange(601) / RATE
+    x = speed * np.clip(t - 1.0, 0.0, 4.0)
+    position = np.column_stack([x, 0 * x, 0 * x]) + jitter * rng.standard_normal((len(t), 3))
+    poses = PoseTrajectory(t, position, np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)))
+    force = 2e3 * x * (1.0 + x / 1e-4)
+    return run_with(poses, force[:, None] + 0.01 * rng.standard_normal((len(t), 6)))
+
+
+@pytest.mark.parametrize("jitter", [0.0, 5e-6])
+@pytest.mark.parametrize("speed", [0.02e-3, 0.05e-3, 0.09e-3])
+def test_a_slow_press_is_no_rest(speed: float, jitter: float) -> None:
+    run = slow_press(speed, jitter, np.random.default_rng(8))
+    t = run.measured[0].t
+    stretches = quiet(run, t)
+    assert all(t[s[-1]] < 1.6 or t[s[0]] > 4.4 for s in stretches)
+    if jitter == 0.0:
+        first, last = stretches
+        assert first[0] == 0 and t[first[-1]] > 0.5 and t[last[0]] < 5.5 and last[-1] == 600
+    noise = estimate_noise([run], "gauge")
+    assert noise.sigma == pytest.approx(0.01, rel=0.15)
+    assert np.all(noise.rho < 0.3)
+
+
+@pytest.mark.parametrize("turning", [False, True], ids=["shift", "turn"])
+def test_a_recording_that_creeps_throughout_has_no_rest(turning: bool) -> None:
+    """By 5 um/s, or 50 urad/s, for 6 s: three times what is still."""
+    t = np.arange(601) / RATE
+    angle = 5e-5 * t if turning else 0.0 * t
+    position = np.column_stack([0.0 * t if turning else 5e-6 * t, 0 * t, 0 * t])
+    poses = PoseTrajectory(t, position, np.column_stack([0 * t, 0 * t, np.sin(angle / 2), np.cos(angle / 2)]))
+    assert quiet(run_with(poses, np.zeros((601, 6))), t) == []
+
+
+def test_a_servo_that_hunts_about_its_place_rests() -> None:
+    """By 8 um, twice a second, a single pose every 20 ms."""
+    t = np.arange(301) / RATE
+    at = t[::2]
+    x = 4e-6 * np.sin(4.0 * np.pi * at)
+    poses = PoseTrajectory(at, np.column_stack([x, 0 * at, 0 * at]), np.tile([0.0, 0.0, 0.0, 1.0], (len(at), 1)))
+    (stretch,) = quiet(run_with(poses, np.zeros((301, 6))), t)
+    assert len(stretch) == 301
+
+
 @pytest.mark.parametrize("jitter", [0.0, 1e-5])
 def test_level_and_colour_come_from_the_rest(jitter: float) -> None:
     rng = np.random.default_rng(2)
@@ -55,8 +100,47 @@ def test_level_and_colour_come_from_the_rest(jitter: float) -> None:
         run = run_with(trajectory(rng, jitter), coloured(rng, 301, 0.7, 0.05))
         found.append(estimate_noise([run], "gauge"))
     assert np.mean([f.sigma[0] for f in found]) == pytest.approx(0.05, rel=0.12)
-    assert np.mean([f.rho for f in found]) == pytest.approx(0.7, abs=0.08)
+    assert np.mean([f.rho[0] for f in found]) == pytest.approx(0.7, abs=0.08)
     assert found[0].source == "rest at the start"
+
+
+@pytest.mark.parametrize("coloured_group", [0, 1], ids=["forces", "torques"])
+def test_forces_and_torques_have_colours_of_their_own(coloured_group: int) -> None:
+    rng = np.random.default_rng(5)
+    there, other = (
+        slice(3 * coloured_group, 3 * coloured_group + 3),
+        slice(3 - 3 * coloured_group, 6 - 3 * coloured_group),
+    )
+    found = []
+    for _ in range(8):
+        values = rng.standard_normal((301, 6))
+        values[:, there] = coloured(rng, 301, 0.9, 1.0)[:, there]
+        found.append(estimate_noise([run_with(trajectory(rng, 0.0), values)], "gauge").rho)
+    assert np.mean(found, axis=0)[there] == pytest.approx(0.9, abs=0.05)
+    np.testing.assert_allclose(np.mean(found, axis=0)[other], 0.0, atol=0.05)
+
+
+def test_a_long_rest_counts_more_than_a_short_one() -> None:
+    """Rests of 15 and of 1000 samples at the start of two recordings, the short one with noise of another colour."""
+    rng = np.random.default_rng(6)
+    runs = []
+    for n, rho, sigma in ((15, 0.0, 0.2), (1000, 0.7, 0.05)):
+        t = np.arange(n + 100) / RATE
+        x = 0.02 * np.clip(t - n / RATE, 0.0, None)
+        poses = PoseTrajectory(t, np.column_stack([x, 0 * t, 0 * t]), np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)))
+        runs.append(run_with(poses, coloured(rng, len(t), rho, sigma)))
+    noise = estimate_noise(runs, "gauge")
+    assert noise.rho[0] == pytest.approx(0.7, abs=0.05)
+    assert noise.sigma[0] == pytest.approx(np.sqrt((15 * 0.2**2 + 1000 * 0.05**2) / 1015), rel=0.1)
+
+
+def test_each_column_is_whitened_by_its_own_colour() -> None:
+    rng = np.random.default_rng(7)
+    rho = np.array([0.0, 0.5, 0.95, 0.0, 0.9, 0.2])
+    values = np.column_stack([coloured(rng, 4000, r, 0.05)[:, 0] for r in rho])
+    white = whiten(values, ChannelNoise(np.full(6, 0.05), rho, "test"))
+    assert np.std(white, axis=0) == pytest.approx(1.0, abs=0.05)
+    np.testing.assert_allclose([np.corrcoef(w[1:], w[:-1])[0, 1] for w in white.T], 0.0, atol=0.06)
 
 
 @pytest.mark.parametrize("still", [True, False], ids=["at rest", "moving"])

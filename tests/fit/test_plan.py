@@ -9,9 +9,10 @@ import sys
 import numpy as np
 import pytest
 
-from sim_core.rigs import parse_rig
+from sim_core.errors import ConfigError
+from sim_core.rigs import load_rig, parse_rig
 from sim_core.rigs.motion import Experiment
-from sysid.fit.noise import channel_noise
+from sysid.fit.noise import channel_noise, undeclared
 from sysid.fit.own_error import discretisation
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.plan import plan_experiments
@@ -131,6 +132,33 @@ def test_a_strip_at_rest_tells_one_number():
     assert len(combined) == 2  # three numbers, one of which is known
     alone = plan_experiments(rig, [tilt], names[:1]).outlooks[0].parameters[0]
     assert alone.determined and alone.sd < 0.02
+
+
+@pytest.mark.parametrize(
+    ("zero", "named"),
+    [
+        ({"side": ["position_px"]}, "side (position_px)"),
+        ({"wrench": ["torque_nm"]}, "wrench (torque_nm)"),
+        ({"wrench": ["force_n", "torque_nm"], "side": ["position_px"]},
+         "wrench (force_n), wrench (torque_nm), side (position_px)"),
+    ],
+)  # fmt: skip
+def test_a_sensor_without_declared_noise_is_refused_by_name(small_rig, zero, named):
+    """Before anything is simulated: this experiment cannot be."""
+    data = small_rig().model_dump()
+    for channel, keys in zero.items():
+        (data["cameras"] if channel in data["cameras"] else data["sensors"])[channel]["noise"].update(
+            dict.fromkeys(keys, 0.0)
+        )
+    with pytest.raises(ConfigError) as refused:
+        plan_experiments(parse_rig(data, "silent"), [], NAMES)
+    assert f"declares no noise for {named}," in refused.value.problem
+    assert "Declare" in refused.value.remedy
+
+
+def test_a_component_that_is_not_measured_needs_no_noise():
+    assert load_rig("knit_acrylic_garter_x").sensors["gauge"].noise.torque_nm == 0.0
+    assert undeclared(load_rig("knit_acrylic_garter_x")) == []
 
 
 def run(*arguments):

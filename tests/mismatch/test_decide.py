@@ -87,7 +87,8 @@ def fitted_with(columns, residual, parameters):
     times = np.linspace(0.0, 1.0, len(residual))
     return cast(Fitted, SimpleNamespace(
         parameters=parameters, scaled=np.zeros(len(parameters)), jacobian=columns, residual=residual,
-        labels=[(0, "gauge", times)], samples=len(residual), chi2=float(residual @ residual)))  # fmt: skip
+        labels=[(0, "gauge", times)], colourless_parts=[], samples=len(residual),
+        chi2=float(residual @ residual)))  # fmt: skip
 
 
 def test_an_improvement_is_worth_less_where_misfit_is_smooth_in_time():

@@ -31,7 +31,8 @@ def test_declared_noise_has_the_units_of_the_channel() -> None:
 def test_declared_noise_counts_when_it_is_much_larger(declared: float, sigma: float, rho: float, source: str) -> None:
     noise = unless_larger(ChannelNoise(np.full(4, 0.2), 0.6, "quiet stretches"), np.array([declared]))
     np.testing.assert_array_equal(noise.sigma, np.full(4, sigma))
-    assert (noise.rho, noise.source) == (rho, source)
+    np.testing.assert_array_equal(noise.rho, np.full(4, rho))
+    assert noise.source == source
 
 
 @pytest.mark.parametrize(("pause", "source"), [(1.0 / 30.0, FROM_DIFFERENCES), (7.0, "declared by the rig")])
@@ -45,3 +46,21 @@ def test_readings_far_apart_do_not_tell_their_noise(pause: float, source: str) -
     assert noise.sigma.shape == (54,)
     expected = 0.1 if source == "declared by the rig" else 5.0
     np.testing.assert_allclose(noise.sigma, expected, rtol=0.3)
+
+
+def test_held_out_recordings_tell_the_noise_only_of_channels_that_they_alone_have() -> None:
+    """The held-out recording is ten times noisier, and has a camera beside."""
+    rig, rng = load_rig("card_press"), np.random.default_rng(1)
+    t = np.arange(300) / 30.0
+    quiet_one, noisy = (
+        Measured("gel_markers", "markers", t, sigma * rng.standard_normal((300, 12)), ("",) * 12)
+        for sigma in (1e-3, 1e-2)
+    )
+    tracks = Measured("outside", "tracks", t, rng.standard_normal((300, 54)), ("",) * 54)
+    fitted = Run("fitted", "", (), {}, (quiet_one,), float(t[-1]))
+    held_out = Run("held out", "", (), {}, (noisy, tracks), float(t[-1]))
+    alone, beside = channel_noise(rig, [fitted]), channel_noise(rig, [fitted], [held_out])
+    np.testing.assert_array_equal(beside["gel_markers"].sigma, alone["gel_markers"].sigma)
+    np.testing.assert_allclose(alone["gel_markers"].sigma, 1e-3, rtol=0.1)
+    assert set(beside) == {"gel_markers", "outside"}
+    np.testing.assert_allclose(beside["outside"].sigma, 1.0, rtol=0.1)

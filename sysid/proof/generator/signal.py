@@ -68,8 +68,8 @@ class Sight:
         for run, by_channel in zip(self._runs, values, strict=True):
             for m in run.measured:
                 keys = kinds(m.kind, by_channel[m.channel].shape[1])
-                sd = np.array([self._levels[k].sd for k in keys])
-                parts.append(whiten(by_channel[m.channel], ChannelNoise(sd, self._levels[keys[0]].rho, "")).ravel())
+                sd, rho = (np.array([getattr(self._levels[k], name) for k in keys]) for name in ("sd", "rho"))
+                parts.append(whiten(by_channel[m.channel], ChannelNoise(sd, rho, "")).ravel())
         return np.asarray(np.nan_to_num(np.concatenate(parts)))
 
     def _by_stream(self, change: np.ndarray) -> list[np.ndarray]:

@@ -1,0 +1,127 @@
+"""Intervals where no rest tells the colour of the noise."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.simulate import Trace
+from sysid.fit.colour import Part, coloured_scores, unheard
+from sysid.fit.engine import Prediction
+from sysid.fit.fitted import Fitted
+from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, estimate_noise
+from sysid.fit.parameters import FitParameter
+from sysid.fit.problem import Problem
+from sysid.fit.runs import Measured, Run
+from sysid.fit.uncertainty import uncertainty
+
+N, RATE = 400, 100.0
+T = np.arange(N) / RATE
+TRUTH = np.array([1.0, -0.5])
+PARAMETERS = [FitParameter(name, "-", False, -50.0, 50.0, 5.0, "") for name in "ab"]
+SLOPES = np.stack(
+    [
+        np.column_stack([T, np.sin(2 * T), 1 - np.cos(3 * T), 0 * T, 0 * T, 0 * T]),
+        np.column_stack([T**2, T, np.sin(4 * T), 0 * T, 0 * T, 0 * T]),
+    ],
+    axis=2,
+)
+"""Forces by two parameters; torques know nothing of them."""
+
+MOVING = PoseTrajectory(
+    T, np.column_stack([0.05 * (1 - np.cos(3 * T)), 0 * T, 0 * T]), np.tile([0.0, 0.0, 0.0, 1.0], (N, 1))
+)
+
+
+def coloured(rng: np.random.Generator, rho: float, n: int = N, columns: int = 6) -> np.ndarray:
+    x = rng.standard_normal((n, columns))
+    for k in range(1, n):
+        x[k] = rho * x[k - 1] + np.sqrt(1.0 - rho**2) * x[k]
+    return x
+
+
+def run_of(values: np.ndarray) -> Run:
+    return Run("run", "", (), {"hand": MOVING}, (Measured("gauge", "wrench", T, values, tuple("abcdef")),), T[-1])
+
+
+def solved(run: Run, noise: ChannelNoise, monkeypatch: pytest.MonkeyPatch) -> Fitted:
+    """The least-squares fit."""
+    monkeypatch.setattr("sysid.fit.problem.rig_at", lambda rig, parameters, scaled: rig)
+    problem = Problem([run], {"gauge": noise}, cast(Any, None))
+
+    def at(scaled: np.ndarray) -> Fitted:
+        there = Prediction({"gauge": SLOPES @ scaled}, {"gauge": SLOPES}, cast(Trace, None))
+        return problem.compare([there], cast(Any, None), PARAMETERS, scaled)
+
+    first = at(np.zeros(2))
+    return at(np.linalg.lstsq(first.jacobian, -first.residual, rcond=None)[0])
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.7, 0.9, 0.97])
+def test_intervals_hold_the_truth_as_often_as_they_say(rho: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 200 recordings without a rest: 95 % intervals hold in 90 to 98 %."""
+    rng = np.random.default_rng(1)
+    inside = np.zeros(2)
+    for _ in range(200):
+        run = run_of(SLOPES @ TRUTH + 0.15 * coloured(rng, rho))
+        noise = estimate_noise([run], "gauge")
+        assert noise.source == FROM_DIFFERENCES
+        fitted = solved(run, noise, monkeypatch)
+        inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
+    assert np.all((inside >= 0.90 * 200) & (inside <= 0.98 * 200)), inside
+
+
+def test_estimates_and_misfit_are_those_of_the_noise_assumed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is known of the colour: a missing law leaves correlated residuals as well."""
+    run = run_of(SLOPES @ TRUTH + 0.15 * coloured(np.random.default_rng(2), 0.9))
+    sigma = np.full(6, 0.04)
+    seen, told = (solved(run, ChannelNoise(sigma, 0.0, source), monkeypatch) for source in ("rest", FROM_DIFFERENCES))
+    np.testing.assert_array_equal(told.scaled, seen.scaled)
+    assert told.chi2 == seen.chi2
+    assert np.all(uncertainty(told).sd > 1.1 * uncertainty(seen).sd)
+    assert uncertainty(told).reduced_chi2 == uncertainty(seen).reduced_chi2
+
+
+def test_white_noise_widens_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = run_of(SLOPES @ TRUTH + 0.15 * coloured(np.random.default_rng(3), 0.0))
+    noise = estimate_noise([run], "gauge")
+    told = solved(run, noise, monkeypatch)
+    seen = solved(run, ChannelNoise(noise.sigma, 0.0, "rest"), monkeypatch)
+    np.testing.assert_allclose(uncertainty(told).sd, uncertainty(seen).sd, rtol=0.05)
+
+
+def test_the_covariance_of_the_scores_is_that_of_autoregressive_noise() -> None:
+    """sum_kl J_k v rho^|k - l| J_l, with samples that are missing, of twice the level and 0.8."""
+    rng = np.random.default_rng(4)
+    n, m = 1500, 4
+    there = rng.uniform(size=(n, m)) > 0.2
+    jacobian = np.where(there[:, :, None], np.cumsum(rng.standard_normal((n, m, 2)), axis=0), 0.0)
+    residual = np.where(there, 2.0 * coloured(rng, 0.8, n, m), 0.0)
+    apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    expected = 4.0 * np.einsum("kcp,kl,lcq->pq", jacobian, 0.8**apart, jacobian, optimize=True)
+    plain = np.einsum("kcp,kcq->pq", jacobian, jacobian)
+    found = plain + coloured_scores([[Part(there, residual, jacobian)]], np.linalg.inv(plain))
+    np.testing.assert_allclose(found, expected, rtol=0.1, atol=0.02 * np.max(expected))
+
+
+def test_runs_of_a_quantity_share_a_colour_and_quantities_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Residuals of torques that nothing depends on, however coloured, widen nothing."""
+    rng = np.random.default_rng(5)
+    values = SLOPES @ TRUTH + 0.15 * coloured(rng, 0.0)
+    values[:, 3:] = 0.15 * coloured(rng, 0.97)[:, 3:]
+    run = run_of(values)
+    sigma = np.full(6, 0.15)
+    told, seen = (solved(run, ChannelNoise(sigma, 0.0, source), monkeypatch) for source in (FROM_DIFFERENCES, "rest"))
+    np.testing.assert_allclose(uncertainty(told).sd, uncertainty(seen).sd, rtol=0.05)
+
+
+def test_what_is_not_known_is_told() -> None:
+    noise = {
+        "gauge": ChannelNoise(np.ones(6), 0.0, FROM_DIFFERENCES),
+        "video": ChannelNoise(np.ones(6), 0.0, "rest at the start"),
+    }
+    (sentence,) = unheard(noise)
+    assert "The colour of the noise of gauge is not known" in sentence and "15 of its samples" in sentence
