@@ -147,6 +147,7 @@ def _fit_runs(
         correlation=correlation,
         identifiability=sentences,
         errors=errors,
+        misfit=fitted.misfit,
         reduced_chi2=reduced,
         converged=fitted.converged,
         message=fitted.message,
