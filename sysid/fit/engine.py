@@ -16,8 +16,8 @@ from sim_core.scene import Scene, build_scene
 from sim_core.simulate import Trace, simulate
 from sysid.fit.extent import rollout_times, too_late
 from sysid.fit.parameters import FitParameter, acting_in, rig_at
-from sysid.fit.runs import Measured, Run
-from sysid.streams import predicted, predicted_derivatives
+from sysid.fit.runs import Run
+from sysid.streams import predicted, predicted_derivatives, stream_derivatives
 
 STEP = 1e-5
 """Half width, in the fitted scale, of the differences that tell what a parameter changes in the rig."""
@@ -96,9 +96,9 @@ class Engine:
         derivatives = {}
         for m in run.measured:
             mechanical = predicted_derivatives(trace, raw[m.channel], here, m.channel, m.t)
-            by_sensor = [_by_sensor(trace, d, m, run, values[m.channel]) for d in along]
-            total = mechanical.reshape(*values[m.channel].shape, len(along))
-            derivatives[m.channel] = total + np.stack(by_sensor, axis=-1) if along else total
+            readings = values[m.channel].reshape(mechanical.shape[:-1])
+            total = mechanical + stream_derivatives(trace, along, m.channel, m.t, run.since, readings)
+            derivatives[m.channel] = total.reshape(*values[m.channel].shape, len(along))
         return Prediction(values, derivatives, trace)
 
 
@@ -117,18 +117,6 @@ def _direction(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray,
     ends = [float(np.clip(scaled[k] + s, *bounds)) for s in (-STEP, STEP)]
     rigs = [rig_at(rig, parameters, np.where(np.arange(len(scaled)) == k, end, scaled)) for end in ends]
     return Direction(parameters[k].name, rigs[0], rigs[1], ends[1] - ends[0])
-
-
-def _by_sensor(trace: Trace, along: Direction, measured: Measured, run: Run, here: np.ndarray) -> np.ndarray:
-    """Change of the readings ``here`` ``(n, m)`` of one rollout by what a parameter changes in latency and effects of
-    sensors; to one side only where a point comes into sight or goes out of it on the other."""
-    sides = [
-        predicted(trace, rig, measured.channel, measured.t, run.since).reshape(here.shape)
-        for rig in (along.low, along.high)
-    ]
-    hidden = [np.isnan(side) for side in sides]
-    low, high = (np.where(gone, here, side) for gone, side in zip(hidden, sides, strict=True))
-    return np.asarray((high - low) / (along.width * np.where(hidden[0] ^ hidden[1], 0.5, 1.0)))
 
 
 def _at_stamps(trace: Trace, rig: Rig, run: Run) -> dict[str, np.ndarray]:

@@ -16,13 +16,14 @@ from sim_core.rigs.motion import Experiment
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit_runs
-from sysid.fit.engine import Engine, Prediction, _by_sensor
+from sysid.fit.engine import Engine, Prediction
 from sysid.fit.extent import known_until, rollout_times, too_late
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run, load_runs
 from sysid.simulate import simulate_to_bag
+from sysid.streams import stream_derivatives
 
 LEAD_S = 0.06
 CHANNELS = ("wrench", "markers", "side")
@@ -142,11 +143,10 @@ def test_latency_at_the_edge_of_sight_is_differentiated_on_the_side_in_sight(sma
     u = np.array([np.nan, 0.0, 4.0, 8.0])
     trace = Trace(np.arange(4.0), {"side": u[:, None, None]}, {"side": "tracks"}, {}, ())
     low, high = (with_parameters(rig, {"side.latency_s": late}) for late in (-1e-5, 1e-5))
-    measured = Measured("side", "tracks", np.array([1.0, 1.5]), np.zeros((2, 1)), ("u",))
-    run = Run("run", "", (), {}, (measured,), 1.5)
-    here = np.array([[0.0], [2.0]])
-    slope = _by_sensor(trace, Direction("late", low, high, 2e-5), measured, run, here)
-    np.testing.assert_allclose(slope[:, 0], [-4.0, -4.0], rtol=1e-9)
+    stamps = np.array([1.0, 1.5])
+    here = np.array([[[0.0]], [[2.0]]])
+    slope = stream_derivatives(trace, [Direction("late", low, high, 2e-5)], "side", stamps, here=here)
+    np.testing.assert_allclose(slope.ravel(), [-4.0, -4.0], rtol=1e-9)
 
 
 def test_a_simulated_stream_that_leads_shows_what_follows(small_rig: Callable[..., Rig], tmp_path: Path) -> None:
