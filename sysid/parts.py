@@ -23,9 +23,8 @@ class Part:
         return self.begin == 0.0 and self.end == math.inf
 
     def overlaps(self, other: Part) -> bool:
-        """Whether both have readings of the same recording and time."""
-        same = self.path.resolve() == other.path.resolve()
-        return same and self.begin < other.end and other.begin < self.end
+        """Whether the two windows have times in common."""
+        return self.begin < other.end and other.begin < self.end
 
 
 def part_of(path: Path) -> Part:
@@ -54,13 +53,19 @@ def check_parts(given: Iterable[Path], held_out: Iterable[Path] = ()) -> None:
                 "Check the path; of a window, BAG@12.5:20, what stands before the last '@'.",
             )
         for other, known in seen:
-            if part.overlaps(other):
-                both = "twice" if known == role else "both to use and to hold out"
-                if part.whole and other.whole:
-                    raise RecordingError(f"The recording {path} is given {both}.", "Name every recording once.")
-                begin, end = max(part.begin, other.begin), min(part.end, other.end)
-                raise RecordingError(
-                    f"Of {part.path} the readings from {begin:g} to {end:g} s are given {both}.",
-                    "Let one window end where the other begins.",
-                )
+            if part.path.resolve() == other.path.resolve() and part.overlaps(other):
+                raise given_again(part, role, other, known)
         seen.append((part, role))
+
+
+def given_again(part: Part, role: str, other: Part, known: str) -> RecordingError:
+    """What is said where ``part`` is given as ``role`` and has readings of ``other``, which is as ``known``."""
+    both = "twice" if known == role else "both to use and to hold out"
+    copy = "" if part.path.resolve() == other.path.resolve() else f", which has readings of {other.path},"
+    if part.whole and other.whole:
+        return RecordingError(f"The recording {part.path}{copy} is given {both}.", "Name every recording once.")
+    begin, end = max(part.begin, other.begin), min(part.end, other.end)
+    return RecordingError(
+        f"Of {part.path}{copy} the readings from {begin:g} to {end:g} s are given {both}.",
+        "Let one window end where the other begins.",
+    )

@@ -12,10 +12,11 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import MarkerSensor, OrthographicCamera, PinholeCamera, Rig, WrenchSensor
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.rigs.trajectory import PoseTrajectory
-from sim_core.scene import build_scene
+from sim_core.scene import Scene, build_scene
+from sim_core.sensing.observe import Observer
 from sim_core.simulate import Trace, simulate, step_times
 from sysid.recording import RecordingWriter
-from sysid.streams import predicted
+from sysid.streams import predicted, total_delay
 
 START_NS = 1_000_000_000
 """Stamp of the first message; zero stamps mean 'no stamp'."""
@@ -59,21 +60,21 @@ def simulate_to_bag(
 
     ``noise``: what it adds to clean readings; by default what the rig declares, drawn from ``seed``.
     ``refine``: cells in each direction and steps in time, as a multiple of the rig's, so that the recording
-    carries less of the error of mesh and time step.
+    carries less of the error of mesh and time step. Streams that lead show what would follow with the hands held.
     """
     poses = compile_experiment(experiment, rig)
     duration = max([experiment.duration_s or 0.0, *(p.times[-1] for p in poses.values())])
     if duration <= 0.0:
         raise ConfigError(f"The experiment {experiment.name!r} moves nothing.", "Give it motions, waits or duration_s.")
-    times = step_times(0.0, float(duration), rig.solver.dt_s / refine)
     scene = build_scene(rig, refine)
+    times = _times(rig, scene, float(duration), rig.solver.dt_s / refine)
 
     def on_step(done: int, total: int) -> None:
         if on_progress is not None:
             on_progress(done / total, f"step {done} of {total}")
 
     trace = simulate(scene, poses, times, on_step)
-    counts = write_trace(rig, trace, poses, out, noise or WhiteNoise(rig, seed))
+    counts = write_trace(rig, trace, poses, out, noise or WhiteNoise(rig, seed), float(duration))
     worst = max((r.iterations for r in trace.reports), default=0)
     touched = max((r.contacts for r in trace.reports), default=0)
     lines = [f"{out}: {duration:.2f} s, {len(times) - 1} steps, at most {worst} Newton iterations a step."]
@@ -83,9 +84,25 @@ def simulate_to_bag(
     return "\n".join(lines)
 
 
-def write_trace(rig: Rig, trace: Trace, poses: Mapping[str, PoseTrajectory], out: Path, noise: Noise) -> dict[str, int]:
-    """Write a trace as the streams of the rig, each with its rate, latency and noise; counts by topic."""
-    end = float(trace.times[-1])
+def _times(rig: Rig, scene: Scene, end: float, dt: float) -> np.ndarray:
+    """Instants of the steps [s] until ``end``, and on with the hands where they are then as far as streams lead."""
+    kinds = Observer(scene).kinds
+    lead = max((-total_delay(rig, channel, kind) for channel, kind in kinds.items()), default=0.0)
+    count = max(0, int(np.ceil(lead / dt - 1e-9)))
+    return np.concatenate([step_times(0.0, end, dt), end + dt * np.arange(1, count + 1)])
+
+
+def write_trace(
+    rig: Rig,
+    trace: Trace,
+    poses: Mapping[str, PoseTrajectory],
+    out: Path,
+    noise: Noise,
+    end: float | None = None,
+) -> dict[str, int]:
+    """Write a trace as the streams of the rig until ``end`` [s], by default its own, each with its rate, latency and
+    noise; counts by topic."""
+    end = float(trace.times[-1]) if end is None else end
     counts: dict[str, int] = {}
     with RecordingWriter(out) as bag:
         for name, effector in rig.end_effectors.items():

@@ -30,11 +30,24 @@ def predicted_derivatives(
 
 
 def stream_derivatives(
-    trace: Trace, along: Sequence[Direction], channel: str, stamps: np.ndarray, since: float = 0.0
+    trace: Trace,
+    along: Sequence[Direction],
+    channel: str,
+    stamps: np.ndarray,
+    since: float = 0.0,
+    here: np.ndarray | None = None,
 ) -> np.ndarray:
-    """What parameters change in a channel after the rollout, ``(k, ..., p)``: delays, and effects of sensors."""
-    ends = [[predicted(trace, rig, channel, stamps, since) for rig in (d.high, d.low)] for d in along]
-    changes = [(high - low) / d.width for d, (high, low) in zip(along, ends, strict=True)]
+    """What parameters change in a channel after the rollout, ``(k, ..., p)``: delays, and effects of sensors. ``here``
+    ``(k, ...)``: the readings themselves, by which a point that is out of sight on one side is differentiated on the
+    other."""
+    changes = []
+    for d in along:
+        high, low = (predicted(trace, rig, channel, stamps, since) for rig in (d.high, d.low))
+        width = np.full(high.shape, d.width)
+        if here is not None:
+            width[np.isnan(high) ^ np.isnan(low)] *= 0.5
+            high, low = (np.where(np.isnan(side), here, side) for side in (high, low))
+        changes.append((high - low) / width)
     return np.stack(changes, axis=-1) if changes else np.zeros((len(stamps), *trace.outputs[channel].shape[1:], 0))
 
 

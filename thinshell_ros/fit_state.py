@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from sysid.fit.result import not_converged
 from sysid.fit.starts import Step
 from thinshell_ros.fit_process import Event, Failed, Share, Succeeded
 from thinshell_ros.fit_request import FitRequest
@@ -35,6 +36,8 @@ class FitState:
         elif isinstance(event, Succeeded):
             self.state, self.share, self.doing = "succeeded", 1.0, f"results in {request.out}"
             self.result = result_of(event.fit, self.job_id, request)
+            if not self.result["converged"]:
+                self.doing = f"{self.result['remarks'][0]} {self.doing}"
         elif isinstance(event, Failed):
             self.state, self.doing = "failed", event.reason
 
@@ -42,8 +45,17 @@ class FitState:
         """Values of the parameters that are fitted, as far as they are known."""
         return self.result["estimate"] if self.state == "succeeded" else self.step.values if self.step else {}
 
+    @property
+    def level(self) -> Level:
+        """How serious the state is. A fit that ended and did not converge has succeeded in writing its results, which
+        need a look."""
+        levels: dict[State, Level] = {"failed": "error", "cancelled": "warn"}
+        astray = bool(self.result) and not self.result["converged"]
+        return levels.get(self.state, "warn" if astray else "ok")
+
     def report(self, elapsed_s: float) -> Report:
-        """The state after some time [s] since the start, until the end."""
+        """The state after some time [s] since the start, until the end. ``loss``: mean squared whitened residual
+        (:attr:`sysid.fit.fitted.Fitted.misfit`), of the best values so far, and of the result."""
         left = elapsed_s * (1.0 / self.share - 1.0) if self.state == "running" and self.share > 0.0 else math.nan
         loss = self.result["loss"] if self.result else self.step.misfit if self.step else math.nan
         values = {
@@ -55,18 +67,19 @@ class FitState:
             "eta_s": f"{left:.1f}",
             "detail": self.doing,
         }
-        levels: dict[State, Level] = {"failed": "error", "cancelled": "warn"}
-        return Report("fit", levels.get(self.state, "ok"), self.state, values)
+        return Report("fit", self.level, self.state, values)
 
 
 def result_of(fit: dict[str, Any], job_id: str, request: FitRequest) -> dict[str, Any]:
     """The result as it is published, from the content of ``fit.json``.
 
     ``std``: standard deviations in the units of the parameters (to first order where the logarithm is fitted);
-    ``correlation``: rows and columns in the order of ``estimate``; ``loss``: mean squared whitened residual.
+    ``correlation``: rows and columns in the order of ``estimate``; ``loss``: mean squared whitened residual;
+    ``remarks``: first that the fit did not converge, if it did not.
     """
     estimates = fit["estimates"]
     source = fit["provenance"]
+    astray = [] if fit["converged"] else [not_converged(fit["message"])]
     return {
         "job_id": job_id,
         "rig": fit["rig"],
@@ -76,9 +89,9 @@ def result_of(fit: dict[str, Any], job_id: str, request: FitRequest) -> dict[str
         "ci95": {e["name"]: e["ci95"] for e in estimates},
         "unit": {e["name"]: e["unit"] for e in estimates},
         "correlation": fit["correlation"],
-        "loss": fit["reduced_chi2"],
+        "loss": fit["misfit"],
         "converged": fit["converged"],
-        "remarks": [*fit["identifiability"], *fit["remarks"], *fit["notes"]],
+        "remarks": [*astray, *fit["identifiability"], *fit["remarks"], *fit["notes"]],
         "bag_sha256": {bag["path"]: bag["sha256"] for bag in source["bags"]},
         "code_version": source["versions"],
     }

@@ -18,7 +18,16 @@ def coverage(
     cases: Annotated[int, whole_number("--cases", "How many cases.", 1)] = 20,
     first: Annotated[int, whole_number("--first", "Number of the first case.", 0)] = 0,
     spread: Annotated[float, number("--spread", "Factor either way within which truths are drawn.", 1.01, 10.0)] = 1.5,
-    refine: Annotated[int, whole_number("--refine", "How much finer the truth is simulated than the fit.", 1, 8)] = 2,
+    refine: Annotated[
+        int,
+        whole_number(
+            "--refine",
+            "How much finer, in mesh and step, the truth is simulated than the fit. Fits learn their own error by "
+            "halving both, so with 2 the truth differs from their model by just what they have learnt",
+            1,
+            8,
+        ),
+    ] = 3,
     seed: SeedOption = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:

@@ -4,6 +4,9 @@ Each case draws true values and, independently, values to start from; simulates 
 on a finer mesh with a shorter step, with the noise that the rig declares and with what nobody tells (offsets in time,
 biases of wrenches, cameras that are off) drawn from the priors that a fit has of it; fits; and looks whether the truth
 is inside. Cases are numbered, so that any of them can be run again by itself; one process a core.
+
+A fit learns the error of its mesh and time step by halving them (:mod:`sysid.fit.own_error`). A truth of half the mesh
+and half the step differs from the fit's model by just what it has learnt, so the usual truth is three times finer.
 """
 
 from __future__ import annotations
@@ -33,19 +36,26 @@ from sysid.simulate import Noise, WhiteNoise, simulate_to_bag
 
 Progress = Callable[[float, str], None]
 
+USUAL_REFINE = 3
+"""How much finer the truth is than the fit, in cells in each direction and in steps: no 2, with which fits learn their
+own error."""
+
 
 @dataclass(frozen=True)
 class Outcome:
-    """One parameter of one case. ``error``: fitted minus true over true; ``score``: the same over the standard
-    deviation, both in the fitted scale."""
+    """One parameter of one case. ``error``: fitted minus true, over true where it is ``relative``, in ``unit`` where
+    the value of the rig is 0; ``score``: the difference in the fitted scale over the standard deviation."""
 
     case: int
     name: str
+    unit: str
     truth: float
     value: float
     inside: bool
+    relative: bool
     error: float
     score: float
+    converged: bool
 
 
 @dataclass(frozen=True)
@@ -64,20 +74,62 @@ class Coverage:
         return json.dumps(asdict(self), indent=2, allow_nan=False)
 
     def table(self) -> str:
-        """Shares of truths inside, by parameter, and what failed."""
-        lines = [f"{'parameter':<34}{'inside 95 %':>14}{'share':>8}{'  95 % of that share':<22}{'median |error|':>15}"]
+        """Shares of truths inside, by parameter, and which cases failed or did not converge.
+
+        Outcomes of one case depend on each other, so the share of all parameters together has no interval.
+        """
+        lines = [
+            f"{'parameter':<34}{'inside 95 %':>14}{'share':>8}{'  95 % of that share':<22}{'median |error|':>18}"
+            f"{'mean score':>12}{'sd of scores':>14}"
+        ]
         names = list(dict.fromkeys(o.name for o in self.outcomes))
-        for name in [*names, *(["all"] if len(names) > 1 else [])]:
-            some = [o for o in self.outcomes if name in (o.name, "all")]
-            hits = sum(o.inside for o in some)
-            low, high = wilson(hits, len(some))
-            error = float(np.median([abs(o.error) for o in some]))
+        for name in names:
+            some = [o for o in self.outcomes if o.name == name]
+            low, high = wilson(sum(o.inside for o in some), len(some))
+            size = float(np.median([abs(o.error) for o in some]))
+            error = f"{100 * size:.2f} %" if some[0].relative else f"{size:.3g} {some[0].unit}".rstrip()
+            lines.append(_row(name, some, f"  {100 * low:.0f} .. {100 * high:.0f} %", error))
+        if len(names) > 1:
+            lines.append(_row("all", self.outcomes, "", ""))
+        return "\n".join([*lines, *self._remarks(names)])
+
+    def _remarks(self, names: Sequence[str]) -> list[str]:
+        """On cases that failed or did not converge, and errors that are not relative, in words."""
+        lines = []
+        astray = sorted({o.case for o in self.outcomes if not o.converged})
+        if astray:
             lines.append(
-                f"{name:<34}{f'{hits} of {len(some)}':>14}{100 * hits / len(some):>6.0f} %"
-                f"{f'  {100 * low:.0f} .. {100 * high:.0f} %':<22}{100 * error:>13.2f} %"
+                f"{len(astray)} of {self.cases} fits did not converge, and are counted: cases "
+                f"{', '.join(map(str, astray))}. Without them: "
+                f"{self._shares(names, [o for o in self.outcomes if o.converged], 0)}."
             )
-        lines += [f"Case {case} failed: {why}" for case, why in self.failed.items()]
-        return "\n".join(lines)
+        if self.failed:
+            lines.append(
+                f"{len(self.failed)} of {self.cases} cases failed, and are in no row. Counted as outside: "
+                f"{self._shares(names, self.outcomes, len(self.failed)) or 'none is inside'}."
+            )
+        absolute = [name for name in names if any(o.name == name and not o.relative for o in self.outcomes)]
+        if absolute:
+            lines.append(
+                f"0 in the rig: {', '.join(absolute)}, drawn within the plausible width about it; errors in its unit."
+            )
+        return [*lines, *(f"Case {case} failed: {why}" for case, why in self.failed.items())]
+
+    @staticmethod
+    def _shares(names: Sequence[str], outcomes: Sequence[Outcome], missing: int) -> str:
+        """How many of ``outcomes``, and of ``missing`` others that are not, are inside, by parameter."""
+        inside = {name: [o.inside for o in outcomes if o.name == name] for name in names}
+        return ", ".join(f"{name} {sum(hits)} of {len(hits) + missing}" for name, hits in inside.items())
+
+
+def _row(name: str, outcomes: Sequence[Outcome], interval: str, error: str) -> str:
+    """A row of the table."""
+    hits, scores = sum(o.inside for o in outcomes), [o.score for o in outcomes]
+    sd = f"{np.std(scores, ddof=1):.2f}" if len(scores) > 1 else ""
+    return (
+        f"{name:<34}{f'{hits} of {len(outcomes)}':>14}{100 * hits / len(outcomes):>6.0f} %{interval:<22}{error:>18}"
+        f"{np.mean(scores):>12.2f}{sd:>14}"
+    ).rstrip()
 
 
 def wilson(hits: int, trials: int) -> tuple[float, float]:
@@ -96,11 +148,12 @@ def measure_coverage(
     *,
     cases: Sequence[int],
     spread: float = 1.5,
-    refine: int = 2,
+    refine: int = USUAL_REFINE,
     seed: int = 0,
     on_progress: Progress | None = None,
 ) -> Coverage:
-    """Run the numbered ``cases``. ``spread``: factor either way within which values are drawn about the rig's."""
+    """Run the numbered ``cases``. ``spread``: factor either way within which values are drawn about the rig's
+    (:func:`draw`); ``refine``: how much finer the truth is simulated."""
     parameters = fit_parameters(rig, names)
     outcomes: list[Outcome] = []
     failed: dict[int, str] = {}
@@ -125,13 +178,14 @@ def measure_coverage(
 
 
 def draw(rig: Rig, parameters: Sequence[FitParameter], spread: float, rng: np.random.Generator) -> np.ndarray:
-    """Scaled values, log-uniform within a factor ``spread`` of those of the rig and inside the bounds."""
+    """Scaled values inside the bounds: log-uniform within a factor ``spread`` of those of the rig, and uniform within
+    the plausible width of those that are 0 in the rig."""
     drawn = []
     for p, at in zip(parameters, start_of(rig, parameters), strict=True):
-        ends = (np.clip(p.physical(at) * factor, p.lower, p.upper) for factor in (1.0 / spread, spread))
-        low, high = sorted(ends)
-        share = rng.uniform()
-        drawn.append(p.scaled(float(low * (high / low) ** share) if low else 0.0))
+        value, share = p.physical(at), rng.uniform()
+        ends = [value / spread, value * spread] if value else [-p.prior_sd, p.prior_sd]
+        low, high = np.clip(sorted(ends), p.lower, p.upper)
+        drawn.append(p.scaled(float(low * (high / low) ** share if value else low + share * (high - low))))
     return np.array(drawn)
 
 
@@ -187,12 +241,21 @@ def _case(
     options = FitOptions(intervals="quadratic")
     result, _ = fit_runs(rig_at(rig, parameters, start), runs, names, options, engine=_engine())
     outcomes = []
-    for p, true, found in zip(parameters, truth, result.estimates, strict=True):
+    for p, at_rig, true, found in zip(parameters, start_of(rig, parameters), truth, result.estimates, strict=True):
         value, low, high = p.physical(true), *found.ci95
+        relative = p.physical(at_rig) != 0.0
         outcomes.append(
             Outcome(
-                case, p.name, value, found.value, bool(low <= value <= high), found.value / value - 1.0,
+                case,
+                p.name,
+                p.unit,
+                value,
+                found.value,
+                bool(low <= value <= high),
+                relative,
+                (found.value - value) / (value if relative else 1.0),
                 float((p.scaled(found.value) - true) / found.sd),
+                result.converged,
             )
-        )  # fmt: skip
+        )
     return outcomes

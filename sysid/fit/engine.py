@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -14,10 +13,11 @@ from sim_core.gradients import Direction, simulate_tangent
 from sim_core.rigs import Rig
 from sim_core.rigs.parameters import OFFSETS
 from sim_core.scene import Scene, build_scene
-from sim_core.simulate import Trace, simulate, step_times
+from sim_core.simulate import Trace, simulate
+from sysid.fit.extent import rollout_times, too_late
 from sysid.fit.parameters import FitParameter, acting_in, rig_at
 from sysid.fit.runs import Run
-from sysid.streams import predicted, predicted_derivatives
+from sysid.streams import predicted, predicted_derivatives, stream_derivatives
 
 STEP = 1e-5
 """Half width, in the fitted scale, of the differences that tell what a parameter changes in the rig."""
@@ -26,7 +26,8 @@ STEP = 1e-5
 @dataclass(frozen=True)
 class Prediction:
     """Predictions of one run at its measured stamps, by channel: ``(n, m)`` and, if asked for, their
-    derivatives in the fitted scale ``(n, m, p)``; ``trace``: the rollout itself."""
+    derivatives in the fitted scale ``(n, m, p)``; NaN: out of sight, or later than the motion is known
+    (:mod:`sysid.fit.extent`). ``trace``: the rollout itself."""
 
     values: dict[str, np.ndarray]
     derivatives: dict[str, np.ndarray]
@@ -54,7 +55,7 @@ class Engine:
         """Predict one run."""
         rig = run.seen_by(rig)
         scene = self.scene(rig, refine)
-        trace = simulate(scene, run.poses, self._times(rig, run, dt))
+        trace = simulate(scene, run.poses, rollout_times([rig], run, dt or rig.solver.dt_s))
         return Prediction(_at_stamps(trace, rig, run), {}, trace)
 
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
@@ -89,24 +90,16 @@ class Engine:
         here = rig_at(rig, parameters, scaled)
         along = [_direction(rig, parameters, scaled, k) for k in range(len(parameters))]
         scene = self.scene(here)
-        trace, raw = simulate_tangent(scene, run.poses, self._times(here, run, None), along)
+        times = rollout_times([here, *(end for d in along for end in (d.low, d.high))], run, here.solver.dt_s)
+        trace, raw = simulate_tangent(scene, run.poses, times, along)
         values = _at_stamps(trace, here, run)
-        read = partial(predicted, trace, since=run.since)
         derivatives = {}
         for m in run.measured:
             mechanical = predicted_derivatives(trace, raw[m.channel], here, m.channel, m.t)
-            sensor = np.stack(
-                [(read(d.high, m.channel, m.t) - read(d.low, m.channel, m.t)) / d.width for d in along]
-                or [np.zeros((*mechanical.shape[:-1],))],
-                axis=-1,
-            )
-            total = mechanical + (sensor if parameters else 0.0)
-            derivatives[m.channel] = total.reshape(*values[m.channel].shape, len(parameters))
+            readings = values[m.channel].reshape(mechanical.shape[:-1])
+            total = mechanical + stream_derivatives(trace, along, m.channel, m.t, run.since, readings)
+            derivatives[m.channel] = total.reshape(*values[m.channel].shape, len(along))
         return Prediction(values, derivatives, trace)
-
-    @staticmethod
-    def _times(rig: Rig, run: Run, dt: float | None) -> np.ndarray:
-        return step_times(0.0, run.end, dt or rig.solver.dt_s)
 
 
 def _made(prediction: Callable[[], Prediction]) -> Future[Prediction]:
@@ -127,7 +120,12 @@ def _direction(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray,
 
 
 def _at_stamps(trace: Trace, rig: Rig, run: Run) -> dict[str, np.ndarray]:
-    return {m.channel: predicted(trace, rig, m.channel, m.t, run.since).reshape(len(m.t), -1) for m in run.measured}
+    """Readings by channel ``(n, m)``; NaN where they show motion that is not known."""
+    found = {}
+    for m in run.measured:
+        values = predicted(trace, rig, m.channel, m.t, run.since).reshape(len(m.t), -1)
+        found[m.channel] = np.where(too_late(rig, run, m)[:, None], np.nan, values)
+    return found
 
 
 def _geometry(rig: Rig) -> object:

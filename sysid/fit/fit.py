@@ -26,7 +26,7 @@ from sysid.fit.problem import Problem
 from sysid.fit.profile import Profile
 from sysid.fit.profiler import Profiler
 from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series, rms_errors
-from sysid.fit.runs import Run, load_runs
+from sysid.fit.runs import Run, check_apart, load_runs
 from sysid.fit.starts import SEARCHED, Evaluations, Progress, Searches, Step
 from sysid.fit.untold import blamed, nuisances_of, remarks
 from sysid.fit.windows import not_from_rest
@@ -54,8 +54,9 @@ def fit_runs(
 
     Of what each bag has for itself that rig has the mean. ``held_out``: scored with all readings, also those that are
     left out of fits; ``engine``: worker processes at hand, for several fits in a row; ``on_step``: told after each
-    evaluation.
+    evaluation. Raises ``RecordingError`` where two runs have readings in common.
     """
+    check_apart(runs, held_out)
     single = within_bounds(fit_parameters(rig, names), rig, options.bounds)
     asked = with_bags(single, options.per_bag, [run.name for run in runs], rig)
     evaluations = Evaluations(options, on_progress, on_step)
@@ -146,6 +147,7 @@ def _fit_runs(
         correlation=correlation,
         identifiability=sentences,
         errors=errors,
+        misfit=fitted.misfit,
         reduced_chi2=reduced,
         converged=fitted.converged,
         message=fitted.message,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sim_core.errors import ThinshellError
+from sim_core.errors import ConvergenceError, ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.colour import Samples
 from sysid.fit.directions import Basis, Direction, Sizes, basis_of
@@ -19,6 +19,24 @@ from sysid.fit.parameters import FitParameter, rig_at, rig_in, start_of
 from sysid.fit.pool import AnyEngine
 from sysid.fit.runs import Measured, Run
 from sysid.fit.search import Search
+
+
+def _check_numbers(run: Run, measured: Measured, prediction: Prediction, names: Sequence[str]) -> None:
+    """Raise ``ConvergenceError`` where what is compared with a reading is neither a number nor out of sight."""
+    values = prediction.values[measured.channel]
+    compared = np.isfinite(measured.values) & ~np.isnan(values)
+    broken = [f"of {measured.channel}"] if np.isinf(values[compared]).any() else []
+    if names:
+        slopes = prediction.derivatives[measured.channel][compared]
+        lost = ~np.isfinite(slopes).all(axis=0)
+        broken += [
+            f"of the derivative of {measured.channel} by {name}" for name, k in zip(names, lost, strict=True) if k
+        ]
+    if broken:
+        raise ConvergenceError(
+            f"{run.name}: predictions {' and '.join(broken)} are not numbers.",
+            "Start the fit from other values, or with a shorter time step (solver.dt_s).",
+        )
 
 
 class Problem:
@@ -97,28 +115,33 @@ class Problem:
         return np.asarray(prediction + error)
 
     def assemble(
-        self, predictions: Sequence[Prediction], p: int, scaled: np.ndarray | None = None
+        self, predictions: Sequence[Prediction], names: Sequence[str], scaled: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, list[tuple[int, str, np.ndarray]], dict[tuple[int, str], Sizes]]:
         """Whitened residual, jacobian, labels (run, channel, times of the samples), sizes of directions.
 
         The simulator's own error is eliminated channel by channel (:meth:`Basis.eliminate`).
-        ``scaled``: where the predictions stand, for errors that change with the parameters.
+        ``names``: of the parameters that the predictions have derivatives by; ``scaled``: where the predictions stand,
+        for errors that change with the parameters. Raises ``ConvergenceError`` where a prediction or a derivative is
+        not a number, other than out of sight (NaN in the prediction).
         """
         assembled, labels = [], []
         sizes: dict[tuple[int, str], Sizes] = {}
         for i, (run, prediction) in enumerate(zip(self.runs, predictions, strict=True)):
             for m in run.measured:
-                # A point that is predicted out of sight says nothing; the size stays that of the data.
-                unseen = np.isnan(prediction.values[m.channel])
-                miss = np.where(unseen, 0.0 * m.values, m.values - prediction.values[m.channel])
+                _check_numbers(run, m, prediction, names)
+                # What is predicted out of sight says nothing; the size stays that of the data.
+                miss = m.values - prediction.values[m.channel]
                 white = self.whiten(i, m, miss)
-                good = np.isfinite(white)
+                good, seen = np.isfinite(m.values), np.isfinite(white)
                 vectors = [white]
-                if p:
-                    slopes = np.nan_to_num(-self.whiten(i, m, prediction.derivatives[m.channel]))
-                    vectors += [slopes[:, :, k] for k in range(p)]
+                if names:
+                    # Missing where the residual is, so that both are whitened alike.
+                    slopes = np.where(np.isnan(miss)[:, :, None], np.nan, -prediction.derivatives[m.channel])
+                    slopes = self.whiten(i, m, slopes)
+                    vectors += [slopes[:, :, k] for k in range(len(names))]
                 stacked = np.stack(vectors, axis=2)
                 times = np.broadcast_to(m.t[:, None], white.shape)[good]
+                rows = np.zeros((len(times), stacked.shape[2]))
                 if self.eliminates:
                     basis = self._white_basis(i, m)
                     if scaled is None:
@@ -126,10 +149,12 @@ class Problem:
                     else:
                         stacked[:, :, 0] -= basis.mean_error(scaled)
                         stacked[:, :, 1 : 1 + len(basis.at)] -= basis.slopes
-                    rows, sizes[(i, m.channel)], pulls = basis.eliminate(stacked, good)
+                    left, sizes[(i, m.channel)], pulls = basis.eliminate(stacked, seen)
                     times = np.concatenate([times, pulls])
+                    rows[seen[good]] = left[: len(left) - len(pulls)]
+                    rows = np.concatenate([rows, left[len(left) - len(pulls) :]])
                 else:
-                    rows = stacked[good]
+                    rows[seen[good]] = stacked[seen]
                 assembled.append(rows)
                 labels.append((i, m.channel, times))
         rows = np.concatenate(assembled)
@@ -150,7 +175,7 @@ class Problem:
         found = []
         for futures in pending:
             try:
-                residual = self.assemble([future.result() for future in futures], 0)[0]
+                residual = self.assemble([future.result() for future in futures], [])[0]
             except ThinshellError:
                 found.append(np.inf)
             else:
@@ -166,7 +191,8 @@ class Problem:
         started: float | None = None,
     ) -> Fitted:
         """Residuals and derivatives of predictions at hand, which are those at ``scaled``, with the priors' rows."""
-        r, j, labels, sizes = self.assemble(predictions, len(parameters), scaled if len(parameters) else None)
+        names = [p.name for p in parameters]
+        r, j, labels, sizes = self.assemble(predictions, names, scaled if names else None)
         pulled = [k for k, p in enumerate(parameters) if self.prior or p.nuisance]
         if pulled:
             width = np.array([parameters[k].prior_sd for k in pulled])

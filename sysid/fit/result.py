@@ -75,17 +75,25 @@ class Series:
     outliers: list[tuple[float, float]] = field(default_factory=list)
 
 
+def not_converged(message: str) -> str:
+    """What is said, before anything else, of a fit that did not converge; ``message``: how its search ended."""
+    why = message.rstrip(".") or "the search did not say why"
+    return f"The fit did not converge: {why}. Take its values as a start, not as a result."
+
+
 @dataclass
 class FitResult:
-    """Everything that a fit found. ``evaluations``: of all searches; ``nuisances``: what was estimated beside what was
-    asked for; ``profiles``: deviance against each parameter, where that was asked for (:mod:`sysid.fit.profiler`);
-    ``outliers``: readings that were left out (:mod:`sysid.fit.outliers`)."""
+    """Everything that a fit found. ``misfit``: mean squared whitened residual (:attr:`sysid.fit.fitted.Fitted.misfit`);
+    ``reduced_chi2``: the same sum over degrees of freedom; ``evaluations``: of all searches; ``nuisances``: what was
+    estimated beside what was asked for; ``profiles``: deviance against each parameter, where that was asked for
+    (:mod:`sysid.fit.profiler`); ``outliers``: readings that were left out (:mod:`sysid.fit.outliers`)."""
 
     rig: str
     estimates: list[Estimate]
     correlation: list[list[float]]
     identifiability: list[str]
     errors: list[ChannelError]
+    misfit: float
     reduced_chi2: float
     converged: bool
     message: str
@@ -111,8 +119,9 @@ class FitResult:
         path.write_text(json.dumps(self.to_json(), indent=2, allow_nan=False, default=float) + "\n")
 
     def table(self) -> str:
-        """Parameters and errors as text."""
-        lines = [f"{'parameter':<34}{'value':>13}  {'95 % interval':<27}unit"]
+        """Parameters and errors as text, below whether they are to be trusted."""
+        lines = [] if self.converged else [not_converged(self.message), ""]
+        lines += [f"{'parameter':<34}{'value':>13}  {'95 % interval':<27}unit"]
         for e in self.estimates:
             low, high = e.ci95
             mark = "  (at its bound)" if e.at_bound else ""
@@ -130,8 +139,6 @@ class FitResult:
         if self.errors:
             lines.append(NOISE_USED)
         lines += ["", *self.identifiability, *self.remarks, *(f"Note: {note}" for note in self.notes)]
-        if not self.converged:
-            lines.append(f"The fit did not converge: {self.message}")
         return "\n".join(lines)
 
     def _profile_table(self) -> list[str]:

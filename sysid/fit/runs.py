@@ -23,7 +23,7 @@ from sim_core.rigs import (
 from sim_core.rigs.observers import WRENCH_COMPONENTS
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.likeness import check_topics, differences, numbers_apart
-from sysid.parts import part_of
+from sysid.parts import Part, given_again, part_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
 from sysid.recording.notes import Notes
@@ -109,6 +109,30 @@ def load_runs(rig: Rig, bags: Sequence[Path], held_out: Sequence[Path] = ()) -> 
         runs.append(replace(window_of(rig, whole[part.path], part), name=name))
         whole[part.path] = replace(whole[part.path], notes=())  # told once
     return runs[: len(bags)], runs[len(bags) :]
+
+
+def check_apart(runs: Sequence[Run], held_out: Sequence[Run] = ()) -> None:
+    """No reading is in two of them, whatever the paths: files are told by their content. Raises ``RecordingError``.
+
+    Windows are compared where both recordings consist of the same files; a file of a recording that was split counts
+    its time from elsewhere.
+    """
+    seen: list[tuple[Run, str]] = []
+    for run, role in [*((r, "given") for r in runs), *((r, "held out") for r in held_out)]:
+        for other, known in seen:
+            if not set(run.sha256) & set(other.sha256):
+                continue
+            part, before = _part(run), _part(other)
+            if sorted(run.sha256) != sorted(other.sha256):
+                part, before = Part(part.path), Part(before.path)
+            if part.overlaps(before):
+                raise given_again(part, role, before, known)
+        seen.append((run, role))
+
+
+def _part(run: Run) -> Part:
+    """The recording, or the window of it, that a run is."""
+    return Part(Path(run.path), run.since, np.inf if run.until is None else run.until)
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:

@@ -120,7 +120,7 @@ def with_explicit_bias(problem: Problem, fitted: Fitted) -> Fitted:
             slopes[m.channel] = np.concatenate([prediction.derivatives[m.channel], extra], axis=2)
         predictions.append(replace(prediction, values=amended, derivatives=slopes))
     scaled = np.concatenate([fitted.scaled, values])
-    r, j, labels, sizes = plain.assemble(predictions, p + q, scaled)
+    r, j, labels, sizes = plain.assemble(predictions, [b.name for b in (*fitted.parameters, *biases)], scaled)
     width = np.array([b.prior_sd for b in biases])
     first = len(fitted.residual) - fitted.pulls
     pulls = np.block([[fitted.jacobian[first:], np.zeros((fitted.pulls, q))], [np.zeros((q, p)), np.diag(1.0 / width)]])
@@ -212,7 +212,7 @@ def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str,
     jacobian, rows = fitted.jacobian, fitted.pulls
     if "bias" in known and problem.bias:
         plain = Problem(problem.runs, problem.noise, problem.engine, problem.directions, problem.prior)
-        data = plain.assemble(fitted.predictions, len(fitted.parameters), fitted.scaled)[1]
+        data = plain.assemble(fitted.predictions, [p.name for p in fitted.parameters], fitted.scaled)[1]
         jacobian = np.vstack([data, fitted.jacobian[len(fitted.jacobian) - rows :]])
     parameters, values, vectors = marginal(
         replace(

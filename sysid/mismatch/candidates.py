@@ -78,10 +78,9 @@ def screen(engine: PooledEngine, problem: Problem, base: Fitted) -> tuple[list[S
     for effect, rig, own, scaled, jobs in pending:
         try:
             predictions = [job.result() for job in jobs]
+            starts.append(_predict(problem, base, effect, rig, own, scaled, predictions))
         except ThinshellError as error:
             failed[effect.name] = str(error)
-            continue
-        starts.append(_predict(problem, base, effect, rig, own, scaled, predictions))
     return sorted(starts, key=lambda s: -s.gain), failed
 
 
@@ -95,7 +94,7 @@ def _predict(
     predictions: list[Prediction],
 ) -> Start:
     """One bounded linear least-squares step from the secant."""
-    r, j, _, _ = problem.assemble(predictions, len(own))
+    r, j, _, _ = problem.assemble(predictions, [p.name for p in own])
     shared = len(base.parameters)
     # The baseline was sought with priors weighed up by what chance makes of its misfit; so is this step.
     pull = np.sqrt(chance(base))

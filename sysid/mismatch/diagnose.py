@@ -21,7 +21,7 @@ from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.result import plot_series, rms_errors
-from sysid.fit.runs import Run, load_runs
+from sysid.fit.runs import Run, check_apart, load_runs
 from sysid.folder import whole_folder
 from sysid.mismatch import words
 from sysid.mismatch.account import fates, limits, notes
@@ -69,7 +69,9 @@ def diagnose_runs(
     *,
     on_progress: Progress | None = None,
 ) -> tuple[Diagnosis, Rig]:
-    """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none)."""
+    """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none). Raises
+    ``RecordingError`` where two runs have readings in common."""
+    check_apart(runs, held_out)
     started = time.monotonic()
     tell = on_progress or (lambda share, text: None)
     noise = channel_noise(rig, runs, held_out)

@@ -5,12 +5,17 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from inspect import signature
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sysid.fit.coverage import Coverage, Outcome, draw, wilson
+from sysid.cli import coverage as command_line
+from sysid.fit import coverage
+from sysid.fit.coverage import Coverage, Outcome, draw, measure_coverage, wilson
 from sysid.fit.parameters import fit_parameters
+from sysid.fit.result import Estimate
 
 
 def test_interval_of_a_share():
@@ -35,11 +40,84 @@ def test_values_are_drawn_by_factors_and_stay_in_bounds(small_rig):
     np.testing.assert_array_equal(drawn[7], draw(rig, parameters, 2.0, np.random.default_rng([1, 7])))
 
 
-def test_the_table_counts_and_names_what_failed():
-    outcomes = tuple(Outcome(k, "gel.E_pa", 1.0, 1.0 + 0.01 * k, k < 3, 0.01 * k, 0.5 * k) for k in range(4))
-    text = Coverage("rig", 5, 2, 0, outcomes, {4: "no equilibrium"}).table()
-    assert "3 of 4" in text and "75 %" in text and "1.50 %" in text
+def test_values_that_are_zero_are_drawn_about_it(small_rig):
+    """Uniform in the plausible width: of a component of gravity 0.5 m/s^2 either way, of friction 0.5 above its bound
+    0; standard deviations width / sqrt(12)."""
+    rig = small_rig(contacts=[{"between": ["gel", "card"], "friction": 0.0}])
+    parameters = fit_parameters(rig, ["gravity.x", "gravity.z", "gel-card.friction"])
+    drawn = np.array([draw(rig, parameters, 1.5, np.random.default_rng([2, k])) for k in range(400)])
+    assert -0.5 <= drawn[:, 0].min() < -0.48 and 0.48 < drawn[:, 0].max() <= 0.5
+    assert np.std(drawn[:, 0]) == pytest.approx(1.0 / np.sqrt(12.0), rel=0.05)
+    assert -9.81 * 1.5 <= drawn[:, 1].min() and drawn[:, 1].max() <= -9.81 / 1.5
+    assert 0.0 <= drawn[:, 2].min() < 0.02 and 0.48 < drawn[:, 2].max() <= 0.5
+
+
+def outcome(case: int, score: float, name: str = "gel.E_pa", **given: object) -> Outcome:
+    """An outcome with a relative error of a hundredth of its score."""
+    usual = {"unit": "Pa", "truth": 1.0, "value": 1.0, "relative": True, "error": 0.01 * score, "converged": True}
+    own = {"case": case, "name": name, "inside": abs(score) < 2.0, "score": score}
+    return Outcome(**usual | own | given)  # type: ignore[arg-type]
+
+
+def test_the_error_of_what_is_zero_is_not_over_it(small_rig, monkeypatch):
+    """A truth of 0.1 m/s^2 found as 0.14 -+ 0.02 is off by 0.04 m/s^2, two standard deviations; one of 0 by all."""
+    rig = small_rig()
+    parameters = fit_parameters(rig, ["gravity.x"])
+    found = Estimate("gravity.x_m_s2", "m/s^2", 0.0, 0.14, (0.1, 0.18), 0.02, False, False)
+    monkeypatch.setattr(coverage, "load_runs", lambda *_: ([], []))
+    result = SimpleNamespace(estimates=[found], converged=False)
+    monkeypatch.setattr(coverage, "fit_runs", lambda *_, **__: (result, rig))
+    for truth in (0.1, 0.0):
+        (told,) = coverage._case(rig, [], parameters, 3, np.array([truth]), np.zeros(1), 3, 1)
+        assert (told.relative, told.converged, told.inside) == (False, False, truth == 0.1)
+        assert told.error == pytest.approx(0.14 - truth) and told.score == pytest.approx((0.14 - truth) / 0.02)
+
+
+def row(table: str, name: str) -> str:
+    return next(line for line in table.splitlines() if line.startswith(name))
+
+
+def test_the_table_counts_and_tells_the_spread_of_scores():
+    """0, 1, 2, 3: mean 1.5, standard deviation sqrt(5 / 3)."""
+    text = Coverage("rig", 4, 3, 0, tuple(outcome(k, float(k)) for k in range(4)), {}).table()
+    assert row(text, "gel.E_pa").split()[1:] == "2 of 4 50 % 15 .. 85 % 1.50 % 1.50 1.29".split()
+    assert len(text.splitlines()) == 2, text
+
+
+def test_parameters_of_one_case_are_not_counted_as_independent():
+    """Ten cases of two parameters that are right or wrong together are ten trials, not twenty."""
+    names = ("gel.E_pa", "gel.nu")
+    text = Coverage("rig", 10, 3, 0, tuple(outcome(k, 3.0 * (k < 2), n) for k in range(10) for n in names), {}).table()
+    assert "8 of 10" in row(text, "gel.nu") and "49 .. 94 %" in row(text, "gel.nu")
+    assert "16 of 20" in row(text, "all") and ".." not in row(text, "all")
+
+
+def test_the_table_names_what_failed_and_what_did_not_converge():
+    """A failed case is no hit; one that did not converge is counted, and marked."""
+    outcomes = tuple(outcome(k, 0.5, converged=k != 3) for k in range(4))
+    text = Coverage("rig", 5, 3, 0, outcomes, {4: "no equilibrium"}).table()
+    assert "4 of 4" in row(text, "gel.E_pa")
+    assert "1 of 5 fits did not converge, and are counted: cases 3. Without them: gel.E_pa 3 of 3." in text
+    assert "1 of 5 cases failed, and are in no row. Counted as outside: gel.E_pa 4 of 5." in text
     assert "Case 4 failed: no equilibrium" in text
+
+
+def test_a_table_in_which_all_failed():
+    text = Coverage("rig", 1, 3, 0, (), {0: "no equilibrium"}).table()
+    assert "1 of 1 cases failed" in text and "Case 0 failed: no equilibrium" in text
+
+
+def test_errors_of_what_is_zero_are_in_its_unit():
+    zero = outcome(0, 0.5, "gravity.x_m_s2", relative=False, unit="m/s^2", error=0.02)
+    text = Coverage("rig", 1, 3, 0, (zero,), {}).table()
+    assert "0.02 m/s^2" in row(text, "gravity.x_m_s2")
+    assert "0 in the rig: gravity.x_m_s2" in text
+
+
+def test_the_usual_truth_is_no_refinement_that_a_fit_measures_its_error_with():
+    """A fit halves mesh and step; the command and the library draw the same truths."""
+    defaults = [signature(of).parameters["refine"].default for of in (measure_coverage, command_line.coverage)]
+    assert defaults[0] == defaults[1] > 2
 
 
 @pytest.mark.slow

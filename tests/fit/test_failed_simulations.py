@@ -85,3 +85,48 @@ def test_a_failed_refinement_says_what_it_was_for() -> None:
     said = r"error of mesh and time step, pull could not .* finer mesh: The step does not converge\. Shorten solver"
     with pytest.raises(ConvergenceError, match=said):
         discretisation(cast(PooledEngine, Brittle()), cast(Any, Stub()), [run_of("pull")])
+
+
+class Broken:
+    """Reads exp(x) t, with some predictions and derivatives replaced."""
+
+    def __init__(self, values: dict[int, float], slopes: dict[int, float]) -> None:
+        self.values, self.slopes = values, slopes
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        values = np.exp(float(scaled[0])) * T[:, None]
+        slopes = values[:, :, None].copy()
+        values[list(self.values), 0] = list(self.values.values())
+        slopes[list(self.slopes), 0, 0] = list(self.slopes.values())
+        return [Prediction({"gauge": values}, {"gauge": slopes}, cast(Trace, None)) for _ in runs]
+
+
+def problem_of(engine: Broken, rho: float = 0.0, run: Run | None = None) -> Problem:
+    noise = {"gauge": ChannelNoise(np.array([1e-3]), rho, "test")}
+    return Problem([run or run_of()], noise, cast(PooledEngine, engine))
+
+
+@pytest.mark.parametrize("lost", [np.nan, np.inf, -np.inf])
+def test_a_broken_derivative_is_not_taken_for_no_effect(stubs: None, lost: float) -> None:
+    problem = problem_of(Broken({}, {7: lost}))
+    with pytest.raises(ConvergenceError, match=r"run: predictions of the derivative of gauge by x are not numbers"):
+        problem.evaluate(cast(Any, Stub()), [X], np.array([1.0]))
+
+
+def test_an_infinite_prediction_is_no_point_out_of_sight(stubs: None) -> None:
+    problem = problem_of(Broken({7: np.inf}, {}))
+    with pytest.raises(ConvergenceError, match=r"run: predictions of gauge are not numbers"):
+        problem.evaluate(cast(Any, Stub()), [X], np.array([1.0]))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.6])
+def test_out_of_sight_and_missing_readings_have_the_residual_s_own_derivative(stubs: None, rho: float) -> None:
+    """By central differences, with white and with correlated noise."""
+    readings = np.exp(TRUTH) * T[:, None]
+    readings[[12, 25]] = np.nan
+    run = Run("run", "", (), {}, (Measured("gauge", "markers", T, readings, ("u",)),), 1.0)
+    problem = problem_of(Broken({6: np.nan, 12: np.nan}, {6: np.nan, 12: np.nan, 25: np.nan}), rho, run)
+    at = [problem.evaluate(cast(Any, Stub()), [X], np.array([x])) for x in (1.0 - 1e-6, 1.0, 1.0 + 1e-6)]
+    expected = (at[2].residual - at[0].residual) / 2e-6
+    assert len(expected) == len(T) - 2
+    np.testing.assert_allclose(at[1].jacobian[:, 0], expected, rtol=1e-8, atol=1e-4)

@@ -205,3 +205,27 @@ def test_a_fit_counts_its_evaluations_over_all_searches_and_stops_at_the_most_al
     assert shares == sorted(shares)
     assert steps[2].values == {"gel.E_pa": pytest.approx(np.exp(first.scaled[0]))}
     assert steps[2].misfit == pytest.approx(first.misfit)
+
+
+def test_what_did_not_converge_says_so_before_its_values(small_rig: Any) -> None:
+    good = result_of(Readings(), small_rig(), [run_of("press", "markers")], [])
+    assert good.converged and good.table().startswith("parameter")
+    result = replace(good, converged=False, message="the evaluations allowed, 1, are used up")
+    first = result.table().splitlines()[0]
+    assert first.startswith("The fit did not converge: the evaluations allowed, 1, are used up."), first
+    assert first.endswith("Take its values as a start, not as a result.")
+    assert result.table().count("did not converge") == 1
+
+
+def test_the_misfit_of_a_result_is_that_of_its_last_step(small_rig: Any) -> None:
+    """One measure while a fit runs and at its end: whitened residuals squared, over their number."""
+    steps: list[Step] = []
+    run = run_of("press", "markers")
+    options = FitOptions(nuisance=("none",), intervals="quadratic", robust=False)
+    result, _ = fit.fit_runs(
+        small_rig(), [run], ["gel.E"], options, engine=cast(PooledEngine, Readings()), on_step=steps.append
+    )
+    assert result.misfit == pytest.approx(steps[-1].misfit)
+    white = (run.measured[0].values - column(result.estimates[0].value)) / 0.01
+    assert result.misfit == pytest.approx(float(np.mean(white**2)), rel=1e-6)
+    assert result.misfit < result.reduced_chi2

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +17,12 @@ from scipy.signal import lfilter
 from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import Rig, load_rig, with_parameters
 from sim_core.rigs.motion import Experiment
-from sysid.fit import FitOptions, fit_runs
+from sysid.fit import FitOptions, fit_bags, fit_runs
 from sysid.fit.engine import Engine
 from sysid.fit.pool import PooledEngine
-from sysid.fit.runs import Run, load_runs
+from sysid.fit.runs import Run, check_apart, load_runs
 from sysid.fit.windows import not_from_rest, window_of
+from sysid.mismatch import diagnose_runs
 from sysid.parts import Part, check_parts, part_of
 from sysid.provenance import provenance
 from sysid.simulate import simulate_to_bag
@@ -235,3 +238,49 @@ def test_no_reading_is_named_twice(tmp_path: Path, given: list[str], held_out: l
         return
     with pytest.raises(RecordingError, match=words):
         check_parts(*paths)
+
+
+@pytest.fixture(scope="module")
+def copies(session: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The session, its only file, and a copy of it under another name."""
+    copy = tmp_path_factory.mktemp("copies") / "other.bag"
+    shutil.copytree(session, copy)
+    (inside,) = session.glob("*.mcap")
+    return {"bag": session, "file": inside, "copy": copy}
+
+
+@pytest.mark.parametrize(
+    ("given", "held_out", "words"),
+    [
+        (["bag", "file"], [], r"mcap, which has readings of .*session\.bag, is given twice"),
+        (["bag"], ["copy"], r"other\.bag, which has readings of .*session\.bag, is given both to use and to hold out"),
+        (["bag@0:2"], ["copy@1:3"], r"Of .*other\.bag, which .* the readings from 1 to 2 s are given both"),
+        (["copy@0:2"], ["file"], r"the readings from 0 to 2 s are given both"),
+    ],
+)
+def test_one_recording_under_two_names(
+    rig: Rig, copies: dict[str, Path], tmp_path: Path, given: list[str], held_out: list[str], words: str
+) -> None:
+    """Fits and diagnoses know it by its content, from paths and from runs at hand."""
+    bags, kept = ([Path(re.sub(r"^\w+", lambda m: str(copies[m[0]]), name)) for name in n] for n in (given, held_out))
+    with pytest.raises(RecordingError, match=words):
+        fit_bags(rig, bags, ["card.E"], held_out=kept, out=tmp_path / "fit")
+    runs, others = load_runs(rig, bags, kept)
+    with pytest.raises(RecordingError, match=words):
+        fit_runs(rig, runs, ["card.E"], held_out=others)
+    with pytest.raises(RecordingError, match=words):
+        diagnose_runs(rig, runs, others)
+
+
+def test_windows_of_copies_that_do_not_meet(rig: Rig, copies: dict[str, Path], second: float) -> None:
+    check_apart(*load_runs(rig, [Path(f"{copies['bag']}@0:{second}")], [Path(f"{copies['copy']}@{second}:9")]))
+
+
+def test_a_file_of_a_split_recording_has_readings_of_it(rig: Rig, session: Path) -> None:
+    """Its time begins elsewhere, so windows of the two are not compared."""
+    (run,), _ = load_runs(rig, [session])
+    whole = replace(run, sha256=("a", "b"), until=1.0)
+    second = replace(run, path="second.mcap", sha256=("b",), since=2.0, until=3.0)
+    with pytest.raises(RecordingError, match=r"second\.mcap, which has readings of .*, is given twice"):
+        check_apart([whole, second])
+    check_apart([whole, replace(second, sha256=("c",)), replace(run, sha256=()), replace(run, sha256=())])

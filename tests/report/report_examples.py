@@ -109,6 +109,7 @@ def make_fit(**changes: object) -> FitResult:
             "the other goes down.",
         ],
         "errors": make_errors(RUNS, before=17.3, after=1.02),
+        "misfit": 1.07,
         "reduced_chi2": 1.08,
         "converged": True,
         "message": "`ftol` termination condition is satisfied.",

@@ -100,7 +100,7 @@ def test_standard_deviations_are_in_the_units_of_the_parameters(rig: Rig, tmp_pa
         {"name": "strip.nu", "value": 0.3, "sd": 0.01, "log": False, "ci95": [0.28, 0.32], "unit": ""},
     ]
     fit = {
-        "rig": "pull", "estimates": estimates, "correlation": [[1.0, 0.2], [0.2, 1.0]], "reduced_chi2": 1.1,
+        "rig": "pull", "estimates": estimates, "correlation": [[1.0, 0.2], [0.2, 1.0]], "misfit": 1.1,
         "converged": True, "identifiability": ["a"], "remarks": [], "notes": ["b"],
         "provenance": {"bags": [{"path": "one", "sha256": ["ab"]}], "versions": {"thinshell_ros": "0.1.0"}},
     }  # fmt: skip
@@ -112,3 +112,23 @@ def test_standard_deviations_are_in_the_units_of_the_parameters(rig: Rig, tmp_pa
     assert state.result["bag_sha256"] == {"one": ["ab"]}
     assert state.result["code_version"] == {"thinshell_ros": "0.1.0"}
     assert state.result["loss"] == 1.1
+    report = state.report(9.0)
+    assert (report.level, report.values["loss"]) == ("ok", "1.1")
+    assert state.result["remarks"] == ["a", "b"]
+
+
+def test_a_fit_that_did_not_converge_is_a_warning(rig: Rig, tmp_path: Path) -> None:
+    """It has ended and written its results, so its state is one of those that are known; the level and words differ."""
+    fit = {
+        "rig": "pull", "estimates": [], "correlation": [], "misfit": 40.0, "converged": False,
+        "message": "the evaluations allowed, 2, are used up", "identifiability": ["a"], "remarks": [], "notes": [],
+        "provenance": {"bags": [], "versions": {}},
+    }  # fmt: skip
+    state = FitState("fit_7", "running")
+    asked = request_of(rig, tmp_path)
+    state.take(Succeeded(fit), asked)
+    report = state.report(9.0)
+    words = "The fit did not converge: the evaluations allowed, 2, are used up. Take its values as a start"
+    assert (report.level, report.message) == ("warn", "succeeded")
+    assert report.values["detail"].startswith(words) and str(asked.out) in report.values["detail"]
+    assert state.result["remarks"][0].startswith(words) and state.result["remarks"][1:] == ["a"]

@@ -154,7 +154,8 @@ def test_a_fit_tells_how_far_it_is_and_gives_what_the_library_gives(
     here, there = (json.loads((f / "fit.json").read_text()) for f in (folder, tmp_path / "library"))
     assert here["estimates"] == there["estimates"]
     assert result["ci95"]["strip.E_pa"] == there["estimates"][0]["ci95"]
-    assert result["loss"] == there["reduced_chi2"]
+    assert result["loss"] == there["misfit"]
+    assert done.level == b"\x00", "OK"
     assert list(result["bag_sha256"].values()) == [there["provenance"]["bags"][0]["sha256"]]
 
 
@@ -167,6 +168,8 @@ def test_a_fit_ends_at_the_most_iterations_that_it_may_make(fitter: Fitter, tmp_
     assert (values_of(done)["iteration"], values_of(done)["max_iterations"]) == ("2", "2")
     fit = json.loads((tmp_path / "fits" / job / "fit.json").read_text())
     assert fit["evaluations"] == 2 and not fit["converged"]
+    assert done.level == b"\x01", "WARN"
+    assert values_of(done)["detail"].startswith("The fit did not converge: the evaluations allowed, 2, are used up")
     assert "evaluations allowed, 2, are used up" in fit["message"]
 
 
