@@ -36,6 +36,11 @@ def unsettled(small_rig, visit):
     return parse_rig(data, "unsettled"), poses, times[:5]
 
 
+BESIDE = {"nu": 0.03, "rest_angle_rad": 2.5e-4}
+"""How far fields that are no shares of the rig's number vary about it."""
+SCALES = {"nu": 1.0, "rest_angle_rad": 0.01}
+"""Changes of them that are as large as changes of the others by their own size."""
+
 SCENES = {
     "every effect": small(PRESS, 0.3),
     "damped, looking back": lambda *given, **_: damped("bdf2", *given),
@@ -53,10 +58,10 @@ def uneven(scene):
     """Set all fields but shapes to something that varies, such that no sheet yields before it moves: the path to the
     first equilibrium counts as given."""
     rng = np.random.default_rng(1)
-    for name in over_elements(scene):
+    for name in sorted(over_elements(scene), key=lambda name: name.endswith(".nu")):
         wave = rng.standard_normal(len(scene.fields[name]))
-        given = scene.fields[name]
-        scene.fields[name] = given + 3e-4 * wave if name.endswith("rest_angle_rad") else given * np.exp(0.1 * wave)
+        given, beside = scene.fields[name], BESIDE.get(name.split(".")[1])
+        scene.fields[name] = given * np.exp(0.1 * wave) if beside is None else given + beside * wave
 
 
 @pytest.mark.parametrize("case", SCENES)
@@ -75,8 +80,7 @@ def test_fields_against_differences_of_rollouts(case, small_rig, visit):
     assert list(found) == names
     for name, gradient in found.items():
         here = fields[name]
-        angles = name.endswith("rest_angle_rad")
-        scale = np.full(len(here), 0.01) if angles else here
+        scale = np.full(len(here), SCALES[name.split(".")[1]]) if name.split(".")[1] in SCALES else here
         assert gradient.shape == here.shape and np.abs(gradient).max() > 0.0
         largest = int(np.argmax(np.abs(gradient * scale)))
         for along in (rng.standard_normal(len(here)), *np.eye(len(here))[[largest, -1]]):
@@ -95,9 +99,10 @@ def test_fields_against_differences_of_rollouts(case, small_rig, visit):
 
 
 def test_what_all_elements_have_together(small_rig, visit):
-    """sum dL/dq_e q_e = q dL/dq of the rig's number, by which a whole field is scaled, whatever the field."""
+    """sum dL/dq_e q_e = q dL/dq of the rig's number, by which a whole field is scaled, and sum dL/dnu_e = dL/dnu, by
+    which it is shifted; whatever the field."""
     rig, poses, times = small(PRESS, 0.4)(small_rig, visit, effects=EFFECTS)
-    names = ["gel.E_pa", "gel.density_kg_m3", "card.E_pa", "card.density_kg_m3"]
+    names = ["gel.E_pa", "gel.nu", "gel.density_kg_m3", "card.E_pa", "card.nu", "card.density_kg_m3"]
     compare_with_scalars(rig, poses, times, names)
 
 
@@ -113,8 +118,9 @@ def compare_with_scalars(rig, poses, times, names):
     found = Backward(tape, directions(rig, names), names).gradient(0.0, weights(tape.trace))
     for name in names:
         body, key = name.split(".")
-        whole = found.parameters[name] * getattr(rig.bodies[body].material, key)
-        shares = found.fields[name] * scene.fields[name]
+        shifted = key == "nu"
+        whole = found.parameters[name] * (1.0 if shifted else getattr(rig.bodies[body].material, key))
+        shares = found.fields[name] * (1.0 if shifted else scene.fields[name])
         assert shares.sum() == pytest.approx(whole, rel=1e-7, abs=1e-9 * np.abs(shares).sum()), name
 
 
@@ -136,11 +142,13 @@ def test_a_uniform_field_changes_no_bit(small_rig, visit):
 
 
 def test_a_field_everywhere_the_same_is_the_number_of_the_rig(small_rig, visit):
-    """Twice the modulus and the density, and a quarter more thickness of a sheet that touches nothing."""
+    """Twice the modulus and the density, less contraction, and a quarter more thickness of a sheet that touches
+    nothing."""
     rig, poses, times = shaken(small_rig, visit, contacts=[])
     card = rig.bodies["card"].material
     changed = {
         "E_pa": 2.0 * card.E_pa,
+        "nu": card.nu - 0.25,
         "density_kg_m3": 2.0 * card.density_kg_m3,
         "thickness_m": 1.25 * card.thickness_m,
     }
@@ -241,6 +249,9 @@ def test_fields_that_cannot_be_used(small_rig):
         ("gel.E_pa", 0.0, "above zero"),
         ("card.density_kg_m3", np.nan, "finite"),
         ("card.rest_angle_rad", 4.0, "pi"),
+        ("gel.nu", 0.5, "not between -1 and 0.5"),
+        ("card.nu", np.full(len(fields["card.nu"]), -1.0), "not between -1 and 0.5"),
+        ("card.nu", np.nan, "finite"),
     ):
         with pytest.raises(ConfigError, match=words):
             fields[name] = values
