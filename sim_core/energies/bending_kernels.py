@@ -3,6 +3,7 @@
 import taichi as ti
 
 from sim_core.energies.dihedral import angle, angle_gradient, side_curvature
+from sim_core.energies.plastic_flow import AT_YIELD
 from sim_core.kernels import F1, F2, F3, I1, I2, mat3, row, times3, vec3
 
 # Places in the array of constants that the kernels read.
@@ -82,7 +83,7 @@ def moments(d: F1, first: I1, around: I1, b: F2, plastic: F2, base: F2, onset: F
 @ti.kernel
 def tangents(d: F1, first: I1, around: I1, b: F2, plastic: F2, onset: F1, c: F3, law: F1, exact: I1, out: F3):
     """Derivative of each triangle's moment per area by its curvature; unless ``exact``, the secant where it flows,
-    which is larger."""
+    which is larger. At yield it has not begun to flow, as in :mod:`sim_core.energies.plastic_flow`."""
     ti.loop_config(serialize=True)
     for t in range(onset.shape[0]):
         kappa = _curvature(t, d, first, around, b, row(plastic, t))
@@ -92,7 +93,7 @@ def tangents(d: F1, first: I1, around: I1, b: F2, plastic: F2, onset: F1, c: F3,
         if excess > 0.0:
             flow = 1.0 / (1.0 + law[HARDENING])
             share = 1.0 - flow * excess / norm
-            if exact[0] == 1:
+            if exact[0] == 1 and excess > AT_YIELD * onset[t]:
                 turn = (flow - flow * excess / norm) / (c[t, 0, 0] * norm**2)
         for i, j in ti.static(ti.ndrange(3, 3)):
             out[t, i, j] = (share + law[RATE]) * c[t, i, j] - turn * m[i] * m[j]

@@ -23,6 +23,10 @@ import numpy as np
 
 from sim_core.materials.elastic import applied
 
+AT_YIELD = 1e-12
+"""A triangle that is no further beyond s than this share of it is at yield, but for round-off: its derivatives are
+those of going on elastically."""
+
 
 class PlasticFlow:
     """Flow of all triangles. ``elastic``: kappa - kappa^p before it [1/m] ``(m, 3)``; ``onset``: s ``(m,)``; ``d``: D
@@ -34,8 +38,8 @@ class PlasticFlow:
         norm = np.sqrt((elastic * moment).sum(axis=1) / d[..., 0, 0])
         excess = norm - onset
         self._far = np.where(norm > 0.0, norm, 1.0)
-        self._flows = excess > 0.0
-        self.amount = np.where(self._flows, excess, 0.0) / (1.0 + hardening)
+        self._flows = excess > AT_YIELD * onset
+        self.amount = np.maximum(excess, 0.0) / (1.0 + hardening)
         """g [1/m] ``(m,)``."""
         self.direction = elastic / self._far[:, None]
         """kappa_e / n ``(m, 3)``."""
