@@ -6,9 +6,14 @@ weights of the forces, is the work of the element's forces along these weights, 
     dL/dq = sum_parts p W_part / q,    W_part = weights . F_element    (of mass: weights . m_element (a - g))
 
 New internal variables do not depend on f: relaxing stresses are kept per f, plastic curvatures know no stiffness. A
-field costs one kernel a term and step. Poisson's ratio enters through the moduli of the element, and with them through
-the new stress that relaxes, and the norm and the direction in which curvature flows (``by_nu`` of the terms): closed
-forms, no differences. The mean dilatation of a gel is that of one element, so no element's nu acts in another.
+field costs one kernel a term and step.
+
+Poisson's ratio enters through the moduli of its element, and with them through the stress that relaxes and the norm by
+which a sheet yields, so beside forces it changes the new internal variables xi' (``by_nu`` of the terms, closed forms):
+
+    dL/dnu = weights . dF_element/dnu + weights of xi' . dxi'_element/dnu
+
+The mean dilatation of a gel is that of one element, so no element's nu acts in another.
 
 Rest angles enter through the curvatures of the triangles around a hinge
 (:meth:`sim_core.energies.bending.Bending.by_rest_angles`), shapes at rest through all that is measured on them

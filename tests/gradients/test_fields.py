@@ -287,7 +287,7 @@ def test_ratios_are_shifted_by_the_number_of_the_rig(small_rig):
     assert fields["card.nu"] == pytest.approx(wave + 0.05) and fields["gel.nu"] == pytest.approx(0.2)
     fields["card.rest_m"] = fields["card.rest_m"] - [0.0, 0.0, 1e-3]
     other = build_scene(scene.rig)
-    other.fields["card.nu"], other.fields["card.rest_m"] = wave + 0.05, fields["card.rest_m"]
+    other.fields["card.rest_m"], other.fields["card.nu"] = fields["card.rest_m"], wave + 0.05
     x = scene.rest + 1e-4 * np.random.default_rng(4).standard_normal(scene.rest.shape)
     forces = []
     for each in (scene, other):
