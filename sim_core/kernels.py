@@ -33,11 +33,11 @@ def row(values: ti.template(), i: ti.i32):
 
 
 @ti.func
-def times3(c: ti.template(), v):
-    """Product of an array ``(3, 3)`` with a vector."""
+def times3(c: ti.template(), e: ti.i32, v):
+    """Product of matrix ``e`` of an array ``(n, 3, 3)`` with a vector."""
     out = vec3(0.0, 0.0, 0.0)
     for i in ti.static(range(3)):
-        out[i] = c[i, 0] * v[0] + c[i, 1] * v[1] + c[i, 2] * v[2]
+        out[i] = c[e, i, 0] * v[0] + c[e, i, 1] * v[1] + c[e, i, 2] * v[2]
     return out
 
 

@@ -3,9 +3,9 @@
     E = sum_T A_T/2 kappa_T^T D kappa_T,    kappa_T = B_T (theta - theta_0) - kappa^p_T,    D = h^3/12 C
 
 theta_0 are rest angles (any curved or creased rest shape), kappa^p_T plastic curvatures, C the plane
-stress stiffness (E, nu, orthotropic if asked) and B_T the curvature operator of
-:mod:`sim_core.energies.curvature`, which is exact for constant curvature on any mesh. B_T^T A_T D kappa_T
-are moments on the hinges around T. Without ``exact`` the Hessian is the Gauss-Newton part
+stress stiffness (E, nu, orthotropic if asked; with the nu of T, so D is one of each triangle) and B_T the
+curvature operator of :mod:`sim_core.energies.curvature`, which is exact for constant curvature on any mesh.
+B_T^T A_T D kappa_T are moments on the hinges around T. Without ``exact`` the Hessian is the Gauss-Newton part
 A_T L^T D L with L = dkappa_T/dx, which is positive semidefinite; ``exact`` adds the hinge moments times
 the second derivatives of the angles.
 
@@ -23,14 +23,14 @@ import scipy.sparse as sp
 
 from sim_core.energies import bending_kernels as kernels
 from sim_core.energies.bending_kernels import HARDENING, RATE
-from sim_core.energies.curvature import curvature_operator
+from sim_core.energies.curvature import Stencils, curvature_operator
 from sim_core.energies.linearised import Blocks, ByNumber, Linearised, axes_of, gathered, placed, places
 from sim_core.energies.membrane import material_frames
 from sim_core.energies.plastic_flow import PlasticFlow
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.geometry.sheets import SheetMesh, find_hinges
 from sim_core.kernels import BoundKernel
-from sim_core.materials.elastic import plane_stress
+from sim_core.materials.elastic import applied, plane_stress, plane_stress_by_nu, poisson_ratios
 
 _SIDE_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
@@ -63,15 +63,14 @@ class Bending:
         self._hinge = np.ascontiguousarray(self.hinges.nodes + node_offset, dtype=np.int32)
         self._whole_areas = mesh.areas
         self._areas = self._whole_areas.copy()
-        self._set_stencils()
+        self._stencils = Stencils(self._kappa, self._hinge)
         n_hinges = len(self._hinge)
-        self._deviation = np.zeros(n_hinges)
-        self._moment = np.zeros(n_hinges)
-        self._plastic = np.zeros((count, 3))
+        self._deviation, self._moment = np.zeros(n_hinges), np.zeros(n_hinges)
+        self._plastic, self._base = np.zeros((count, 3)), np.zeros((count, 3))
         self._g = np.zeros((n_hinges, 12))
-        self._d = np.zeros((3, 3))
-        self._tangent = np.zeros((count, 3, 3))
-        self._base = np.zeros((count, 3))
+        self._d, self._tangent = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
+        self._beside, self._nu = np.zeros(count), np.zeros(count)
+        self._given: dict[str, float] = {}
         self._onset = np.full(count, np.inf)
         self._law, self._exact = np.zeros(2), np.zeros(1, dtype=np.int32)
         self._seen = np.full((0, 3), np.nan)
@@ -87,45 +86,21 @@ class Bending:
         BoundKernel(kernels.angles, np.ascontiguousarray(nodes), hinge, np.zeros(len(hinge)), out)()
         return out
 
-    def _set_stencils(self) -> None:
-        """Hinges and nodes that the curvature of each triangle depends on, one after the other."""
-        rows = [self._kappa[k::3].tocsr() for k in range(3)]
-        pattern = sum(abs(r) for r in rows).tocsr()
-        pattern.sort_indices()
-        self._first = pattern.indptr.astype(np.int32)
-        self._around = pattern.indices.astype(np.int32)
-        triangle = np.repeat(np.arange(len(self._areas)), np.diff(pattern.indptr))
-        self._b = np.column_stack([np.asarray(r[triangle, pattern.indices]).ravel() for r in rows])
-        key = triangle[:, None].astype(np.int64) * (self._hinge.max(initial=0) + 1) + self._hinge[self._around]
-        members, place = np.unique(key, return_inverse=True)
-        owner = members // (self._hinge.max(initial=0) + 1)
-        self._nodes = np.bincount(owner, minlength=len(self._areas)).astype(np.int32)
-        begin = np.concatenate([[0], np.cumsum(self._nodes)])
-        self._place = (place.reshape(-1, 4) - begin[triangle][:, None]).astype(np.int32)
-        self._members = members % (self._hinge.max(initial=0) + 1)
-        self._begin = begin
-        self._start = np.concatenate([[0], np.cumsum(self._nodes * (self._nodes + 1) // 2)]).astype(np.int32)
-
     def blocks(self) -> np.ndarray:
         """Pairs of the nodes of each triangle's stencil, then of each side of each hinge."""
-        pairs = []
-        for t, count in enumerate(self._nodes):
-            nodes = self._members[self._begin[t] : self._begin[t] + count]
-            i, j = np.triu_indices(count)
-            pairs.append(np.column_stack([nodes[i], nodes[j]]))
         i, j = np.array(_SIDE_PAIRS).T
         sides = np.stack([self._hinge[:, [0, 1, 2]], self._hinge[:, [0, 1, 3]]], axis=1).reshape(-1, 3)
-        pairs.append(np.stack([sides[:, i], sides[:, j]], axis=-1).reshape(-1, 2))
-        return np.concatenate(pairs)
+        return np.concatenate([*self._stencils.pairs(), np.stack([sides[:, i], sides[:, j]], axis=-1).reshape(-1, 2)])
 
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
         self._x = buffers.x
         self._seen = np.full_like(buffers.x, np.nan)
-        stencil = (self._first, self._around, self._b)
+        around = self._stencils
+        stencil = (around.first, around.around, around.b)
         angles = (self._deviation, *stencil)
         law = (*angles, self._plastic, self._base, self._onset, self._areas, self._d, self._law)
-        inner, outer = np.split(slots, [int(self._start[-1])])
-        scratch = np.zeros((3 * int(self._nodes.max(initial=0)), 6))
+        inner, outer = np.split(slots, [int(around.start[-1])])
+        scratch = np.zeros((3 * int(around.nodes.max(initial=0)), 6))
         self._angles = BoundKernel(kernels.angles, buffers.x, self._hinge, self.rest_angles, self._deviation)
         self._elsewhere, self._deviation_there = np.zeros_like(buffers.x), np.zeros(len(self._hinge))
         there = (self._elsewhere, self._hinge)
@@ -140,7 +115,7 @@ class Bending:
         self._gradients = BoundKernel(kernels.gradients, buffers.x, self._hinge, self._g)
         self._gauss_newton = BoundKernel(
             kernels.gauss_newton,
-            *(self._g, *stencil, self._place, self._nodes, self._areas, self._tangent, self._start),
+            *(self._g, *stencil, around.place, around.nodes, self._areas, self._tangent, around.start),
             *(np.ascontiguousarray(inner), scratch, buffers.hessian),
         )
         self._curved = BoundKernel(
@@ -152,6 +127,11 @@ class Bending:
         curvature at which it yields stays as it is."""
         self._areas[:] = self._whole_areas * factors
 
+    def shift_nu(self, beside: np.ndarray) -> None:
+        """Let each triangle have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
+        self._beside[:] = beside
+        self.configure(self._given)
+
     def set_rest_angles(self, angles: np.ndarray) -> None:
         """Take other rest angles [rad] ``(n_hinges,)``."""
         self.rest_angles[:] = angles
@@ -159,11 +139,16 @@ class Bending:
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._given = dict(parameters)
-        self._d[:] = parameters["thickness_m"] ** 3 / 12.0 * plane_stress(parameters)
-        self._d *= parameters.get("bending_factor", 1.0)
+        self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside)
+        self._d[:] = self._rigidity(plane_stress(parameters, self._nu))
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
         self._law[HARDENING] = parameters.get("hardening_ratio", 0.0)
         self._damping = parameters.get("stiffness_damping_s", 0.0)
+
+    def _rigidity(self, stiffness: np.ndarray) -> np.ndarray:
+        """D [N m] of plane stress stiffness [Pa], ``(m, 3, 3)``."""
+        given = self._given
+        return np.asarray(given["thickness_m"] ** 3 / 12.0 * stiffness * given.get("bending_factor", 1.0))
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         self._onset[:] = np.inf
@@ -224,10 +209,26 @@ class Bending:
     def _moments_of(self, internals: Internals) -> np.ndarray:
         """Moments of the triangles per width [N] ``(m, 3)`` at the end of a step from ``internals``."""
         curvatures = self.curvatures()
-        moment = (self._flow(internals).left if internals else curvatures) @ self._d
+        moment = applied(self._d, self._flow(internals).left if internals else curvatures)
         if self._law[RATE] > 0.0:
-            moment += self._law[RATE] * (curvatures - self._base) @ self._d
-        return np.asarray(moment)
+            moment += self._law[RATE] * applied(self._d, curvatures - self._base)
+        return moment
+
+    def by_nu(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> np.ndarray:
+        """Derivative by Poisson's ratio of each triangle ``(m,)`` of the work of its forces along nodal vectors
+        ``(n, 3)`` and of the product of the new internal variables, flattened, with ``kept``: by D, in the flow too."""
+        del step
+        d, curvatures, out = self._rigidity(plane_stress_by_nu(self._given, self._nu)), self.curvatures(), 0.0
+        if internals:
+            place, flow = places(internals), self._flow(internals)
+            turned, rise = flow.by_law(d, np.zeros(len(d)), 0.0)
+            moment = applied(d, flow.left) - applied(self._d, turned)
+            out = (kept[place["plastic_curvature"]] * turned).sum(axis=1) + kept[place["accumulated_curvature"]] * rise
+        else:
+            moment = applied(d, curvatures)
+        if self._law[RATE] > 0.0:
+            moment += self._law[RATE] * applied(d, curvatures - self._base)
+        return np.asarray(out + self._areas * (moment * self._curving(along)).sum(axis=1))
 
     def by_rest_angles(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
         """Derivative by the rest angles ``(n_hinges,)`` of the work of the forces along nodal vectors ``(n, 3)`` and of
@@ -236,7 +237,7 @@ class Bending:
 
     def _by_curvatures(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
         """As :meth:`by_rest_angles`, by the curvatures ``(m, 3)`` [1/m] of the triangles, at given rates."""
-        moment = self._areas[:, None] * (self._curving(along) @ self._d)
+        moment = self._areas[:, None] * applied(self._d, self._curving(along))
         if internals:
             place, flow = places(internals), self._flow(internals)
             turned = kept[place["plastic_curvature"]] - moment
@@ -257,7 +258,7 @@ class Bending:
         out += (self._areas[:, None] * moment)[triangle] * turning[hinge, None]
         if self._law[RATE] > 0.0:
             since = self._deviation - step.base(self._deviations_at)
-            out += (self._law[RATE] * self._areas[:, None] * (curving @ self._d))[triangle] * since[hinge, None]
+            out += (self._law[RATE] * self._areas[:, None] * applied(self._d, curving))[triangle] * since[hinge, None]
         by_area = self._areas / self._whole_areas * (moment * curving).sum(axis=1)
         return out, by_area, np.asarray(-(self._kappa.T @ by_curvature.ravel()))
 
@@ -330,7 +331,7 @@ class Bending:
         weight = self._areas[:, None, None]
         moments = placed(
             (-weight * (self._d @ (np.eye(3) - by_curvature)), rows, plastic),
-            (-weight * (by_accumulated @ self._d)[..., None], rows, accumulated),
+            (-weight * applied(self._d, by_accumulated)[..., None], rows, accumulated),
             shape=(3 * count, size),
         )
         memory = placed(
@@ -348,8 +349,8 @@ class Bending:
         for quantity in self._given:
             d, onset, harder, damping = self._by_number(quantity)
             turned, rise = flow.by_law(d, onset + harder * internals["accumulated_curvature"], harder)
-            moment = flow.left @ d - turned @ self._d
-            moment += change @ (self._law[RATE] * d + damping / step.tau * self._d)
+            moment = applied(d, flow.left) - applied(self._d, turned)
+            moment += applied(self._law[RATE] * d + damping / step.tau * self._d, change)
             kept = gathered((turned, plastic), (rise, accumulated), size=size)
             numbers[quantity] = ByNumber(curvatures.T @ (self._areas[:, None] * moment).ravel(), kept, np.zeros(3))
         return Linearised(

@@ -10,10 +10,10 @@ together are one quadratic form:
     h A_T / 2 [(eps - eps_0)^T (1 + k) C (eps - eps_0) + eps_b^T C eps_0],   eps_0 = k / (1 + k) eps_b,   k = beta / tau
 
 C is the plane-stress stiffness of :mod:`sim_core.materials.elastic` in the material axes of each
-triangle. Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, ch. 5 and 9
-(St. Venant-Kirchhoff). The Hessian splits into a material part (positive semidefinite) and a stress
-part; outside of ``exact`` the compressive principal stress is clamped to zero in the latter, which
-makes the sum positive semidefinite.
+triangle, with the triangle's own Poisson's ratio. Bonet & Wood, Nonlinear Continuum Mechanics for Finite
+Element Analysis, ch. 5 and 9 (St. Venant-Kirchhoff). The Hessian splits into a material part (positive
+semidefinite) and a stress part; outside of ``exact`` the compressive principal stress is clamped to zero
+in the latter, which makes the sum positive semidefinite.
 """
 
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ import taichi as ti
 from sim_core.energies.linearised import Blocks, Linearised, axes_of, placed
 from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext
 from sim_core.kernels import F1, F2, F3, I1, I2, BoundKernel, row, times3, vec3
-from sim_core.materials.elastic import plane_stress
+from sim_core.materials.elastic import applied, plane_stress, plane_stress_by_nu, poisson_ratios
 
 # Upper blocks of the 3 x 3 node blocks, in storage order.
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -69,13 +69,13 @@ def _strain_of_all(x: F2, tri: I2, dm_inverse: F3, out: F2):
 
 
 @ti.kernel
-def _energy(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, out: F1):
+def _energy(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F3, before: F2, out: F1):
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
         f1, f2 = _columns(x, tri, e, b)
         eps = _strain(f1, f2) - row(before, e)
-        out[0] = out[0] + 0.5 * area[e] * eps.dot(times3(c, eps))
+        out[0] = out[0] + 0.5 * area[e] * eps.dot(times3(c, e, eps))
 
 
 @ti.func
@@ -85,12 +85,12 @@ def _stress(
 ):  # fmt: skip
     """The two columns of the first Piola-Kirchhoff stress, times the area."""
     f1, f2 = _columns(x, tri, e, b)
-    s = times3(c, _strain(f1, f2) - row(before, e)) * area[e]
+    s = times3(c, e, _strain(f1, f2) - row(before, e)) * area[e]
     return f1 * s[0] + f2 * s[2], f1 * s[2] + f2 * s[1]
 
 
 @ti.kernel
-def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, out: F2):
+def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F3, before: F2, out: F2):
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
@@ -102,7 +102,7 @@ def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, out: 
 
 
 @ti.kernel
-def _work(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, along: F2, out: F1):
+def _work(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F3, before: F2, along: F2, out: F1):
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
@@ -113,7 +113,7 @@ def _work(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, along: F2
 
 @ti.kernel
 def _hessian(
-    x: F2, tri: I2, dm_inverse: F3, area: F1, c: F2, before: F2, exact: I1, foreseen: I1, move: F2, slots: I2, out: F1
+    x: F2, tri: I2, dm_inverse: F3, area: F1, c: F3, before: F2, exact: I1, foreseen: I1, move: F2, slots: I2, out: F1
 ):
     """``foreseen``: take the stress that the ``move`` to x has by the strain's linear part, eps - sym(dF^T dF) / 2."""
     ti.loop_config(serialize=True)
@@ -124,7 +124,7 @@ def _hessian(
         if foreseen[0] == 1:
             d1, d2 = _columns(move, tri, e, b)
             eps -= vec3(0.5 * d1.dot(d1), 0.5 * d2.dot(d2), d1.dot(d2))
-        s = times3(c, eps)
+        s = times3(c, e, eps)
         if exact[0] == 0:
             mean = 0.5 * (s[0] + s[1])
             half = 0.5 * (s[0] - s[1])
@@ -140,7 +140,7 @@ def _hessian(
         # d eps / d x_a = (f1 b1, f2 b2, f1 b2 + f2 b1), so the material part is a sum of f_p f_q^T.
         cl = ti.Matrix.zero(ti.f64, 3, 3)
         for i, j in ti.static(ti.ndrange(3, 3)):
-            cl[i, j] = c[i, j]
+            cl[i, j] = c[e, i, j]
         block = 6 * e
         for a in range(3):
             left1 = area[e] * (cl.transpose() @ vec3(b[a, 0], 0.0, b[a, 1]))
@@ -183,8 +183,11 @@ class Membrane(Memoryless):
         self._dm_inverse = np.ascontiguousarray(np.linalg.inv(dm))
         self._whole_area = 0.5 * np.linalg.det(dm)
         self._area = self._whole_area.copy()
-        self._elastic, self._c = np.zeros((3, 3)), np.zeros((3, 3))
-        self._before, self._strains = np.zeros((len(triangles), 3)), np.zeros((len(triangles), 3))
+        count = len(triangles)
+        self._elastic, self._c = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
+        self._before, self._strains = np.zeros((count, 3)), np.zeros((count, 3))
+        self._beside, self._nu = np.zeros(count), np.zeros(count)
+        self._given: dict[str, float] = {}
         self._damping = self._constant = 0.0
         self._exact, self._foreseen = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32)
 
@@ -222,12 +225,28 @@ class Membrane(Memoryless):
         """Let each triangle have ``factors`` ``(m,)`` times the stiffness that is configured, and of its damping."""
         self._area[:] = self._whole_area * factors
 
+    def shift_nu(self, beside: np.ndarray) -> None:
+        """Let each triangle have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
+        self._beside[:] = beside
+        self.configure(self._given)
+
     def work(self, along: np.ndarray, internals: Internals) -> np.ndarray:
         """Work of each triangle's forces dE/dx along nodal vectors ``(n, 3)``, ``(m,)``."""
         del internals
         self._along[:] = along
         self._work()
         return np.array(self._work_of)
+
+    def by_nu(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> np.ndarray:
+        """Derivative by Poisson's ratio of each triangle of the work of its forces along nodal vectors ``(n, 3)``,
+        ``(m,)``: the work that dC/dnu does in place of C; eps_0 does not depend on C."""
+        del kept
+        rate, held = self._damping / step.tau, self._c.copy()
+        slopes = self._given["thickness_m"] * plane_stress_by_nu(self._given, self._nu)
+        self._c[:] = (1.0 + rate) * slopes
+        found = self.work(along, internals)
+        self._c[:] = held
+        return found
 
     def by_rest(self, along: np.ndarray, step: StepContext) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the work of the forces along nodal vectors ``(n, 3)`` by Dm^-1 ``(m, 2, 2)`` and by the areas
@@ -241,7 +260,7 @@ class Membrane(Memoryless):
         dm, (f, sides), (v, moved) = self._dm_inverse, self._slopes(self._x), self._slopes(along)
         sheared = f.transpose(0, 2, 1) @ v
         strain, virtual = np.zeros((len(dm), 3)), _as_strain(sheared)
-        held = _as_stress(virtual @ self._elastic)
+        held = _as_stress(applied(self._elastic, virtual))
         out = np.zeros_like(dm)
         for x, weight in times:
             if weight != 0.0:
@@ -249,7 +268,7 @@ class Membrane(Memoryless):
                 metric = there.transpose(0, 2, 1) @ there
                 strain += weight * _as_strain(0.5 * (metric - np.eye(2)))
                 out += weight * across.transpose(0, 2, 1) @ there @ held
-        stress = _as_stress(strain @ self._elastic)
+        stress = _as_stress(applied(self._elastic, strain))
         out += sides.transpose(0, 2, 1) @ v @ stress + moved.transpose(0, 2, 1) @ f @ stress
         work = np.einsum("mij,mij->m", stress, sheared)
         return self._area[:, None, None] * out, self._area / self._whole_area * work
@@ -260,7 +279,9 @@ class Membrane(Memoryless):
         return sides @ self._dm_inverse, sides
 
     def configure(self, parameters: Mapping[str, float]) -> None:
-        self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters)
+        self._given = dict(parameters)
+        self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside)
+        self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters, self._nu)
         self._damping = parameters.get("stiffness_damping_s", 0.0)
         self._c[:] = self._elastic
         self._before[:], self._constant = 0.0, 0.0
@@ -273,7 +294,7 @@ class Membrane(Memoryless):
         self._c[:] = (1.0 + rate) * self._elastic
         base = step.base(self._strains_at)
         self._before[:] = rate / (1.0 + rate) * base
-        self._constant = 0.5 * float(np.einsum("t,ti,ij,tj->", self._area, base, self._elastic, self._before))
+        self._constant = 0.5 * float(np.einsum("t,ti,tij,tj->", self._area, base, self._elastic, self._before))
 
     def add_energy(self) -> None:
         self._energy()

@@ -29,22 +29,9 @@ k = beta / tau of the step and what :meth:`sim_core.energies.term.StepContext.ba
 but for a constant that makes the damping's part zero at the start of the step. At small strain that is beta times
 the stiffness; it dissipates as long as W is convex in C.
 
-Near incompressibility a bulk energy K/2 (J - 1)^2 at all four quadrature points is too stiff, and one on
-the mean dilatation of each element alone too soft. The two are mixed: the pointwise part has the
-stiffness K_own with 1/K_own = 1/K + 1/(6 mu), the mean takes the rest. Uniform strain is not affected
-(straight elements reproduce it exactly; on the curved ones of a coarse dome the four-point rule leaves
-0.6 % of the largest nodal force unbalanced, 0.2 % after one refinement).
-Error of the apparent modulus of a disc bonded to two plates, S = R/2t, against an axisymmetric solution
-that is converged to 0.2 %; pointwise / this mixture / mean alone [%]:
-
-    cells of the disc      S = 1, nu 0.45     S = 1, nu 0.49      S = 2.5, nu 0.45    S = 2.5, nu 0.49
-    (2, 1, 1)   60 tets    16 / 12 /  5       79 / 34 / 19        6.4 / 4.8 /  1.7    19  /  4.9 /  -5.8
-    (2, 1, 2)  120 tets    5.6 / 3.8 / -4.0   10.9 / 5.6 / -8.6   3.4 / 1.7 / -3.2    5.0 / -4.3 / -19.9
-    (2, 2, 2)  200 tets    5.2 / 3.8 / -2.1   10.0 / 6.1 / -4.5   2.9 / 1.7 / -2.6    4.2 / -1.6 / -15.2
-    (4, 2, 2)  480 tets    4.7 / 3.4 / -2.2   10.0 / 6.2 / -3.5   2.2 / 1.3 / -2.8    3.8 /  0.0 / -11.8
-
-So a bonded layer wants at least two cells through its thickness. At nu = 0.3 all three are within 1.3 %
-from there on.
+Near incompressibility the bulk energy is weighed between the points and the mean of each element
+(:mod:`sim_core.energies.neo_hookean_moduli`). mu, K and that weight are those of the element's own nu, all else is the
+same everywhere.
 """
 
 from collections.abc import Mapping
@@ -52,34 +39,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim_core.energies.linearised import ByNumber, Linearised, axes_of, complex_step, placed
-from sim_core.energies.neo_hookean_kernels import (
-    BULK,
-    HISTORY_J,
-    MU,
-    OWN,
-    REMEMBERS,
-    SHARE,
-    add_energy,
-    add_gradient,
-    add_projected,
-    deform,
-    deviatoric_stress,
-    exact_hessian,
-    isotropic,
-    projected_tangent,
-    work,
+from sim_core.energies import neo_hookean_kernels as kernels
+from sim_core.energies.linearised import ByNumber, Linearised, axes_of, placed
+from sim_core.energies.neo_hookean_kernels import BULK_SHARE, SHARE
+from sim_core.energies.neo_hookean_memory import (
+    pressure_blocks,
+    stress_derivatives,
+    stress_forces,
+    volume_derivatives,
 )
+from sim_core.energies.neo_hookean_moduli import BULK, MU, OWN, moduli, moduli_by_nu
 from sim_core.energies.neo_hookean_rest import GelStep, as_tensors, by_rest
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.geometry import tet10
 from sim_core.kernels import BoundKernel
-
-_COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-
-_OWN_STIFFNESS = 6.0
-"""How far the bulk modulus acts point by point, over mu; chosen by measurement, see the module text."""
+from sim_core.materials.elastic import poisson_ratios
 
 
 class NeoHookean:
@@ -107,11 +82,12 @@ class NeoHookean:
         self._grad = np.ascontiguousarray(grad.reshape(4 * m, 10, 3))
         self._whole_weight = det * weights
         self._weight = self._whole_weight.copy()
-        self._constants = np.zeros(5)
-        self._constants[SHARE] = 1.0
+        self._moduli, self._beside, self._nu = np.zeros((m, 3)), np.zeros(m), np.zeros(m)
+        self._given: dict[str, float] = {}
+        self._constants = np.array([1.0, 1.0, 0.0])
         self._history, self._fading = np.zeros((4 * m, 7)), np.zeros((4 * m, 6))
         self._g, self._tau, self._blend = 0.0, 1.0, 1.0
-        self._damping, self._bulk, self._constant = 0.0, 0.0, 0.0
+        self._damping, self._constant = 0.0, 0.0
         self._isotropic_known = False
         self._seen = np.full((0, 3), np.nan)
 
@@ -128,34 +104,31 @@ class NeoHookean:
         self._positions = np.zeros_like(buffers.x)
         deformation, dilatation = np.zeros((4 * m, 3, 3)), np.zeros(4 * m)
         self._dilatation = dilatation
-        mesh = self._rest, self._tets, self._grad, self._weight, self._constants
+        mesh = self._rest, self._tets, self._grad, self._weight, self._moduli
         state = deformation, dilatation, self._history
         self._seen = np.full_like(buffers.x, np.nan)
-        self._deform = BoundKernel(deform, buffers.x, *mesh, deformation, dilatation)
-        self._deform_stored = BoundKernel(deform, self._positions, *mesh, deformation, dilatation)
+        self._deform = BoundKernel(kernels.deform, buffers.x, *mesh, deformation, dilatation)
+        self._deform_stored = BoundKernel(kernels.deform, self._positions, *mesh, deformation, dilatation)
         self._stress = np.zeros((4 * m, 6))
-        self._deviatoric_stress = BoundKernel(deviatoric_stress, deformation, self._constants, self._stress)
-        self._energy = BoundKernel(add_energy, *state, self._weight, self._constants, buffers.energy)
-        self._gradient = BoundKernel(
-            add_gradient, *state, self._tets, self._grad, self._weight, self._constants, buffers.gradient
-        )
+        self._deviatoric_stress = BoundKernel(kernels.deviatoric_stress, deformation, self._moduli, self._stress)
+        law = self._moduli, self._constants
+        solid = self._grad, self._weight, *law
+        self._energy = BoundKernel(kernels.add_energy, *state, self._weight, *law, buffers.energy)
+        self._gradient = BoundKernel(kernels.add_gradient, *state, self._tets, *solid, buffers.gradient)
         self._along, self._work_of = np.zeros_like(buffers.x), np.zeros(m)
-        self._work = BoundKernel(
-            work, *state, self._tets, self._grad, self._weight, self._constants, self._along, self._work_of
-        )
+        self._work = BoundKernel(kernels.work, *state, self._tets, *solid, self._along, self._work_of)
         places = _places(slots.reshape(m, 10, 10, 3, 3), len(buffers.hessian) - 1)
         tangent, local = np.zeros((4 * m, 9, 9)), np.zeros(900)
-        solid = self._grad, self._weight, self._constants
-        self._projected_tangent = BoundKernel(projected_tangent, *state, self._constants, np.zeros((9, 10)), tangent)
+        self._projected_tangent = BoundKernel(kernels.projected_tangent, *state, *law, np.zeros((9, 10)), tangent)
         self._add_projected = BoundKernel(
-            add_projected,
+            kernels.add_projected,
             *(tangent, deformation, *solid, places),
             *(np.zeros((30, 36)), np.zeros(30), local, buffers.hessian),
         )
         kept_part = np.zeros((m, 55))
-        self._isotropic = BoundKernel(isotropic, self._history, *solid, kept_part)
+        self._isotropic = BoundKernel(kernels.isotropic, self._history, *solid, kept_part)
         self._add_exact = BoundKernel(
-            exact_hessian,
+            kernels.exact_hessian,
             *(deformation, dilatation, self._history, *solid, kept_part, places, np.zeros((5, 30)), buffers.hessian),
         )
         self._isotropic_known = False
@@ -165,6 +138,11 @@ class NeoHookean:
         and damping parts included, is linear in it."""
         self._weight[:] = self._whole_weight * factors[:, None]
         self._isotropic_known = False
+
+    def shift_nu(self, beside: np.ndarray) -> None:
+        """Let each element have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
+        self._beside[:] = beside
+        self.configure(self._given)
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         """Take ``E_pa``, ``nu`` and, if the gel relaxes or is damped, the other parameters."""
@@ -176,26 +154,16 @@ class NeoHookean:
         for name in known:
             if name not in values:
                 raise ConfigError(f"{self.name} needs the parameter {name!r}.", "Add it to the material.")
-        e_pa, nu = values["E_pa"], values["nu"]
+        e_pa, nu = values["E_pa"], poisson_ratios(self.name, values["nu"], self._beside)
         g, tau = values["relaxation_g"], values["relaxation_tau_s"]
-        for name, value, low, high in (
-            ("E_pa", e_pa, 0.0, np.inf),
-            ("nu", nu, -1.0, 0.5),
-            ("relaxation_tau_s", tau, 0.0, np.inf),
-        ):
-            if not low < value < high:
-                raise ConfigError(f"{self.name}: {name} = {value} is not between {low} and {high}.")
+        for name, value in (("E_pa", e_pa), ("relaxation_tau_s", tau)):
+            if not 0.0 < value < np.inf:
+                raise ConfigError(f"{self.name}: {name} = {value} is not between 0.0 and inf.")
         if not 0.0 <= g < 1.0:
             raise ConfigError(f"{self.name}: relaxation_g = {g} is not in [0, 1).")
-        mu, lam = e_pa / 2.0 / (1.0 + nu), e_pa * nu / (1.0 + nu) / (1.0 - 2.0 * nu)
-        self._constants[MU] = mu
-        bulk = lam + 2.0 * mu / 3.0
-        self._constants[BULK] = bulk
-        self._constants[OWN] = _OWN_STIFFNESS * mu / (bulk + _OWN_STIFFNESS * mu)
-        self._constants[SHARE] = 1.0
-        self._g, self._tau = g, tau
-        self._damping, self._bulk = values["stiffness_damping_s"], bulk
-        self._constants[REMEMBERS] = float(self._remembers)
+        self._given, self._nu[:], self._moduli[:] = dict(parameters), nu, moduli(e_pa, nu)
+        self._g, self._tau, self._damping = g, tau, values["stiffness_damping_s"]
+        self._constants[:] = 1.0, 1.0, self._remembers
         self._constant = 0.0
         if not self._remembers:
             self._history[:] = 0.0
@@ -221,9 +189,9 @@ class NeoHookean:
         if self._damping > 0.0:
             rate = self._damping / step.tau
             self._constants[SHARE] += rate
-            self._constants[BULK] = (1.0 + rate) * self._bulk
+            self._constants[BULK_SHARE] = 1.0 + rate
             base = -rate * step.base(self._stress_and_dilatation_at)
-            base[:, 6] *= self._bulk
+            base[:, 6] *= np.repeat(self._moduli[:, BULK], 4)
             self._constant = -self._damping_energy(step.x_start, rate, base)
             self._history += base
 
@@ -236,7 +204,7 @@ class NeoHookean:
     def _damping_energy(self, x: np.ndarray, rate: float, history: np.ndarray) -> float:
         """Energy [J] at ``x`` [m] of the damping alone."""
         kept, total = (self._constants.copy(), self._history.copy()), float(self._buffers.energy[0])
-        self._constants[SHARE], self._constants[BULK] = rate, rate * self._bulk
+        self._constants[SHARE], self._constants[BULK_SHARE] = rate, rate
         self._history[:] = history
         self._positions[:] = x
         self._deform_stored()
@@ -265,6 +233,22 @@ class NeoHookean:
         self._work()
         return np.array(self._work_of)
 
+    def by_nu(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> np.ndarray:
+        """Derivative by Poisson's ratio of each element ``(m,)`` of the work of its forces along nodal vectors
+        ``(n, 3)`` and of the product of the new internal variables, flattened, with ``kept``. Forces and memory are
+        linear in mu, K_own, K - K_own and Q_n: theirs are those of the step with the derivatives in place of the
+        moduli and without Q_n."""
+        held, nothing = self._moduli.copy(), {name: np.zeros_like(q) for name, q in internals.items()}
+        self._moduli[:] = moduli_by_nu(self._given["E_pa"], self._nu)
+        self._seen[:] = np.nan
+        self.begin_step(step, nothing)
+        found = self.work(along, nothing)
+        after = self.end_step(step, nothing)["Q"]
+        self._moduli[:] = held
+        self._seen[:] = np.nan
+        self.begin_step(step, internals)
+        return np.asarray(found + (kept.reshape(after.shape) * after).sum(axis=(1, 2)))
+
     def by_rest(self, along: np.ndarray, kept: np.ndarray, step: StepContext) -> np.ndarray:
         """What the derivative by the shape at rest of the work of the forces along nodal vectors ``(n, 3)``, and of the
         product of the new internal variables, flattened, with ``kept``, is made of at the quadrature points,
@@ -278,13 +262,14 @@ class NeoHookean:
         earlier = []
         if self._remembers:
             now, before = step.weights
-            earlier = [(deformation(step.x_start), -fresh - now * rate, -now * rate * self._bulk)]
+            earlier = [(deformation(step.x_start), -fresh - now * rate, -now * rate)]
             if step.x_past is not None and rate > 0.0:
-                earlier.append((deformation(step.x_past), -before * rate, -before * rate * self._bulk))
+                earlier.append((deformation(step.x_past), -before * rate, -before * rate))
         history = self._history.reshape(len(self._tets), 4, 7)
         memory = as_tensors(history[..., :6]), history[..., 6]
-        mu, share, bulk, own = (float(self._constants[k]) for k in (MU, SHARE, BULK, OWN))
-        known = GelStep(self._weight, deformation(self._x), *memory, mu, share, bulk, own, tuple(earlier), fresh)
+        law = self._moduli[:, [MU]], self._moduli[:, [BULK]], self._moduli[:, [OWN]]
+        shares = float(self._constants[SHARE]), float(self._constants[BULK_SHARE])
+        known = GelStep(self._weight, deformation(self._x), *memory, *law, *shares, tuple(earlier), fresh)
         slope = np.einsum("mai,mqaj->mqij", along[self._tets], grad)
         weights = as_tensors(kept.reshape(len(self._tets), 4, 6), 0.5) if fresh > 0.0 else None
         return by_rest(known, slope, weights)
@@ -316,9 +301,7 @@ class NeoHookean:
         count, whole = len(self._grad), self._x.size
         axes = np.repeat(axes_of(self._tets), 4, axis=0)
         f = np.eye(3) + self._displacement_gradients(self._x)
-        push = self._weight.reshape(-1, 1, 1) * np.stack(
-            [_symmetric(f, self._grad, *pair) for pair in _COMPONENTS], axis=-1
-        )
+        push = self._weight.reshape(-1, 1, 1) * stress_forces(f, self._grad)
         fade, fresh = np.exp(-step.dt / self._tau), self._blend * self._g
         rate, (now, before) = self._damping / step.tau, step.weights
         start = self._stress_derivatives(step.x_start)
@@ -359,7 +342,7 @@ class NeoHookean:
             "relaxation_tau_s": (slower * g, fading * q - slower * g * start, slower * g * end),
         }
         for name, (share, stress, fresh) in changes.items():
-            self._constants[SHARE], self._constants[BULK] = share, 0.0
+            self._constants[SHARE], self._constants[BULK_SHARE] = share, 0.0
             self._history[:, :6], self._history[:, 6] = stress, 0.0
             gradient[:] = 0.0
             self.add_gradient()
@@ -370,40 +353,19 @@ class NeoHookean:
     def _pressure_blocks(self, x: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Derivative by other positions ``x`` of the force that a memory of pressure, ``weight`` K (J - 1) there,
         exerts at those at hand: blocks of the elements, and where they are."""
-        share, axes = self._constants[OWN], axes_of(self._tets)
-        here, there = (self._volume_derivatives(at) for at in (self._x, x))
-        w = self._weight[:, :, None]
-        mean = (w * there).sum(axis=1, keepdims=True) / w.sum(axis=1, keepdims=True)
-        mixed = share * there + (1.0 - share) * mean
-        return weight * self._bulk * np.einsum("eqi,eqj->eij", w * here, mixed), axes, axes
+        moved, axes = (self._displacement_gradients(at) for at in (self._x, x)), axes_of(self._tets)
+        here, there = (volume_derivatives(np.eye(3) + g, self._grad) for g in moved)
+        blocks = pressure_blocks(here, there, self._weight, self._moduli[:, BULK], self._moduli[:, OWN])
+        return weight * blocks, axes, axes
 
-    def _volume_derivatives(self, x: np.ndarray) -> np.ndarray:
-        """Derivative of J at all points by the nodes of their elements [1/m], ``(m, 4, 30)``."""
-        p, q = [1, 2, 0], [2, 0, 1]
-        f = np.eye(3) + self._displacement_gradients(x)
-        cof = f[:, p][:, :, p] * f[:, q][:, :, q] - f[:, p][:, :, q] * f[:, q][:, :, p]
-        return np.asarray(np.einsum("pij,paj->pai", cof, self._grad).reshape(len(self._tets), 4, 30))
+    def _stress_derivatives(self, x: np.ndarray) -> np.ndarray:
+        """Derivative of S_dev at ``x`` by the nodes of each point's element [Pa/m], ``(4 m, 6, 30)``."""
+        return stress_derivatives(self._displacement_gradients(x), self._grad, np.repeat(self._moduli[:, MU], 4))
 
     def _displacement_gradients(self, x: np.ndarray) -> np.ndarray:
         """F - 1 at all points, ``(4 m, 3, 3)``."""
         moved = np.repeat((x - self._rest)[self._tets], 4, axis=0)
         return np.asarray(np.einsum("pai,paj->pij", moved, self._grad))
-
-    def _stress_derivatives(self, x: np.ndarray) -> np.ndarray:
-        """Derivative of S_dev by the nodes of each point's element [Pa/m], ``(4 m, 6, 30)``."""
-        mu = self._constants[MU]
-
-        def stress(g: np.ndarray) -> tuple[np.ndarray]:
-            p, q = [1, 2, 0], [2, 0, 1]
-            f = np.eye(3) + g
-            cof = f[..., p, :][..., p] * f[..., q, :][..., q] - f[..., p, :][..., q] * f[..., q, :][..., p]
-            j = (f[..., 0, :] * cof[..., 0, :]).sum(axis=-1)
-            factor = mu * ((j - 1.0) / 3.0 - 1.0) / np.where(j.real > HISTORY_J, j, HISTORY_J)
-            s = mu * np.eye(3) + factor[..., None, None] * (np.swapaxes(cof, -1, -2) @ cof)
-            return (np.stack([s[..., i, j] for i, j in _COMPONENTS], axis=-1),)
-
-        ((by_gradient,),) = complex_step(stress, self._displacement_gradients(x))
-        return np.asarray(np.einsum("pkij,paj->pkai", by_gradient, self._grad).reshape(len(self._grad), 6, 30))
 
     def initial_internals(self) -> Internals:
         """Return Q = 0."""
@@ -420,14 +382,6 @@ class NeoHookean:
     def _stress_and_dilatation_at(self, x: np.ndarray) -> np.ndarray:
         """S_dev [Pa] and the J - 1 that the bulk modulus sees, at positions ``x`` [m], ``(4 m, 7)``."""
         return np.column_stack([self._stress_at(x), self._dilatation])
-
-
-def _symmetric(f: np.ndarray, grad: np.ndarray, i: int, j: int) -> np.ndarray:
-    """Nodal forces of F H per weight for a unit component ij (and ji) of H, ``(4 m, 30)``."""
-    out = f[:, None, :, i] * grad[:, :, j, None]
-    if i != j:
-        out = out + f[:, None, :, j] * grad[:, :, i, None]
-    return np.asarray(out.reshape(len(grad), 30))
 
 
 def _places(slots: np.ndarray, nowhere: int) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import taichi as ti
 
+from sim_core.energies.neo_hookean_moduli import BULK, MU, OWN
 from sim_core.energies.projection import negative_modes
 from sim_core.kernels import F1, F2, F3, I2, mat3, vec3
 
@@ -11,8 +12,8 @@ HISTORY_J = 0.1
 REGULAR_J = 0.05
 """Least J at all points of an element for which its Hessian is formed with a division by J."""
 
-# Places in the array of constants that the kernels read.
-MU, BULK, OWN, SHARE, REMEMBERS = range(5)
+# Places in the array of constants that the kernels read: factors on W_dev and on the bulk energy, and a switch.
+SHARE, BULK_SHARE, REMEMBERS = range(3)
 
 
 @ti.func
@@ -54,12 +55,11 @@ def _memory(history: ti.template(), p):
 
 
 @ti.kernel
-def deform(x: F2, rest: F2, tets: I2, grad: F3, weight: F2, constants: F1, deformation: F3, dilatation: F1):
+def deform(x: F2, rest: F2, tets: I2, grad: F3, weight: F2, moduli: F2, deformation: F3, dilatation: F1):
     """G at each quadrature point, and the J - 1 that the bulk modulus sees there."""
-    own = constants[OWN]
     ti.loop_config(serialize=True)
     for e in range(tets.shape[0]):
-        mean, whole = 0.0, 0.0
+        own, mean, whole = moduli[e, OWN], 0.0, 0.0
         for q in range(4):
             p = 4 * e + q
             g = _displacement_gradient(x, rest, tets, grad, p)
@@ -81,11 +81,11 @@ def _load(deformation: ti.template(), p):
 
 
 @ti.kernel
-def add_energy(deformation: F3, dilatation: F1, history: F2, weight: F2, constants: F1, out: F1):
-    mu, bulk, share = constants[MU], constants[BULK], constants[SHARE]
+def add_energy(deformation: F3, dilatation: F1, history: F2, weight: F2, moduli: F2, constants: F1, out: F1):
+    share = constants[SHARE]
     ti.loop_config(serialize=True)
     for e in range(weight.shape[0]):
-        total = 0.0
+        mu, bulk, total = moduli[e, MU], constants[BULK_SHARE] * moduli[e, BULK], 0.0
         for q in range(4):
             p = 4 * e + q
             g = _load(deformation, p)
@@ -102,10 +102,11 @@ def add_energy(deformation: F3, dilatation: F1, history: F2, weight: F2, constan
 
 @ti.func
 def _piola(
-    deformation: ti.template(), dilatation: ti.template(), history: ti.template(), constants: ti.template(), p: ti.i32
-):
+    deformation: ti.template(), dilatation: ti.template(), history: ti.template(), moduli: ti.template(),
+    constants: ti.template(), p: ti.i32,
+):  # fmt: skip
     """First Piola-Kirchhoff stress at quadrature point ``p`` [Pa]."""
-    mu, bulk, share = constants[MU], constants[BULK], constants[SHARE]
+    mu, bulk, share = moduli[p // 4, MU], constants[BULK_SHARE] * moduli[p // 4, BULK], constants[SHARE]
     one = ti.Matrix.identity(ti.f64, 3)
     g = _load(deformation, p)
     f = one + g
@@ -120,10 +121,12 @@ def _piola(
 
 
 @ti.kernel
-def add_gradient(deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, constants: F1, out: F2):
+def add_gradient(
+    deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, moduli: F2, constants: F1, out: F2
+):
     ti.loop_config(serialize=True)
     for p in range(grad.shape[0]):
-        stress = _piola(deformation, dilatation, history, constants, p) * weight[p // 4, p % 4]
+        stress = _piola(deformation, dilatation, history, moduli, constants, p) * weight[p // 4, p % 4]
         for a in range(10):
             n = tets[p // 4, a]
             for i in ti.static(range(3)):
@@ -133,8 +136,9 @@ def add_gradient(deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F
 
 @ti.kernel
 def work(
-    deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, constants: F1, along: F2, out: F1
-):
+    deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, moduli: F2, constants: F1, along: F2,
+    out: F1,
+):  # fmt: skip
     """Work of each element's forces along nodal vectors: w P : sum_a v_a (x) g_a."""
     ti.loop_config(serialize=True)
     for e in range(tets.shape[0]):
@@ -145,24 +149,27 @@ def work(
             for a in range(10):
                 for i, j in ti.static(ti.ndrange(3, 3)):
                     slope[i, j] += along[tets[e, a], i] * grad[p, a, j]
-            out[e] = out[e] + weight[e, q] * (_piola(deformation, dilatation, history, constants, p) * slope).sum()
+            out[e] = (
+                out[e] + weight[e, q] * (_piola(deformation, dilatation, history, moduli, constants, p) * slope).sum()
+            )
 
 
 @ti.kernel
-def projected_tangent(deformation: F3, dilatation: F1, history: F2, constants: F1, modes: F2, out: F3):
+def projected_tangent(deformation: F3, dilatation: F1, history: F2, moduli: F2, constants: F1, modes: F2, out: F3):
     """Second derivative of the energy density by F (row by row) at each quadrature point [Pa].
 
     alpha 1(x)1 + 1(x)H + f'' dJ(x)dJ + f' d2J, less its negative eigenvalues.
     """
-    mu, bulk, share = constants[MU], constants[BULK], constants[SHARE]
+    share = constants[SHARE]
     ti.loop_config(serialize=True)
     for p in range(deformation.shape[0]):
+        mu, bulk = moduli[p // 4, MU], constants[BULK_SHARE] * moduli[p // 4, BULK]
         g = _load(deformation, p)
         f = ti.Matrix.identity(ti.f64, 3) + g
         cof = _cofactor(f)
         alpha = share * mu
         slope = share * mu * ((g.trace() + _bilinear(g)) / 3.0 - 1.0) + bulk * dilatation[p] + history[p, 6]
-        curvature = share * mu / 3.0 + bulk * constants[OWN]
+        curvature = share * mu / 3.0 + bulk * moduli[p // 4, OWN]
         memory = mat3(0.0)
         if constants[REMEMBERS] > 0.0:
             memory = _memory(history, p)
@@ -197,6 +204,7 @@ def add_projected(
     deformation: F3,
     grad: F3,
     weight: F2,
+    moduli: F2,
     constants: F1,
     slots: I2,
     columns: F2,
@@ -228,7 +236,7 @@ def add_projected(
                 for i in ti.static(range(3)):
                     v = cof[i, 0] * grad[p, a, 0] + cof[i, 1] * grad[p, a, 1] + cof[i, 2] * grad[p, a, 2]
                     volume[3 * a + i] = volume[3 * a + i] + v
-        stiffness = (1.0 - constants[OWN]) * constants[BULK] / whole
+        stiffness = (1.0 - moduli[e, OWN]) * (constants[BULK_SHARE] * moduli[e, BULK]) / whole
         for a in range(10):
             ga = ti.Matrix.zero(ti.f64, 4, 3)
             for q, j in ti.static(ti.ndrange(4, 3)):
@@ -252,14 +260,14 @@ def add_projected(
 
 
 @ti.kernel
-def isotropic(history: F2, grad: F3, weight: F2, constants: F1, out: F2):
+def isotropic(history: F2, grad: F3, weight: F2, moduli: F2, constants: F1, out: F2):
     """Part of each block (a <= b) of an element's Hessian that is a multiple of 1: alpha ga.gb + ga.H gb [N/m].
 
     It does not depend on the positions, so it is kept until parameters or memory change.
     """
-    alpha = constants[SHARE] * constants[MU]
     ti.loop_config(serialize=True)
     for e in range(weight.shape[0]):
+        alpha = constants[SHARE] * moduli[e, MU]
         block = 0
         for a in range(10):
             for b in range(a, 10):
@@ -278,8 +286,8 @@ def isotropic(history: F2, grad: F3, weight: F2, constants: F1, out: F2):
 
 @ti.kernel
 def exact_hessian(
-    deformation: F3, dilatation: F1, history: F2, grad: F3, weight: F2, constants: F1, isotropic_part: F2, slots: I2,
-    volume: F2, out: F1,
+    deformation: F3, dilatation: F1, history: F2, grad: F3, weight: F2, moduli: F2, constants: F1, isotropic_part: F2,
+    slots: I2, volume: F2, out: F1,
 ):  # fmt: skip
     """Add the unprojected Hessian of each element, block by block, to the kept entries.
 
@@ -287,9 +295,10 @@ def exact_hessian(
     ``slots``: place of each entry of each block a <= b, -1 where nobody needs it; ``volume``: scratch, v_a at the
     four points and its mean.
     """
-    mu, bulk, share = constants[MU], constants[BULK], constants[SHARE]
+    share = constants[SHARE]
     ti.loop_config(serialize=True)
     for e in range(weight.shape[0]):
+        mu, bulk, own = moduli[e, MU], constants[BULK_SHARE] * moduli[e, BULK], moduli[e, OWN]
         curvature = ti.Vector.zero(ti.f64, 5)
         twist = ti.Vector.zero(ti.f64, 4)
         whole, least = 0.0, REGULAR_J
@@ -301,7 +310,7 @@ def exact_hessian(
             cof = _cofactor(ti.Matrix.identity(ti.f64, 3) + g)
             theta = g.trace() + _bilinear(g)
             least = ti.min(least, 1.0 + theta)
-            curvature[q] = weight[e, q] * (share * mu / 3.0 + bulk * constants[OWN])
+            curvature[q] = weight[e, q] * (share * mu / 3.0 + bulk * own)
             twist[q] = weight[e, q] * (share * mu * (theta / 3.0 - 1.0) + bulk * dilatation[p] + history[p, 6])
             whole += weight[e, q]
             for a in range(10):
@@ -315,7 +324,7 @@ def exact_hessian(
                 p = 4 * e + q
                 g = _load(deformation, p)
                 twist[q] /= 1.0 + g.trace() + _bilinear(g)
-        curvature[4] = (1.0 - constants[OWN]) * bulk / whole
+        curvature[4] = (1.0 - own) * bulk / whole
         block = 0
         for a in range(10):
             for b in range(a, 10):
@@ -357,12 +366,12 @@ def _twist(deformation: ti.template(), grad: ti.template(), twist, e, a, b):
 
 
 @ti.kernel
-def deviatoric_stress(deformation: F3, constants: F1, out: F2):
+def deviatoric_stress(deformation: F3, moduli: F2, out: F2):
     """S_dev = mu 1 + (-mu + mu/3 (J - 1)) cof(C) / J."""
-    mu = constants[MU]
     one = ti.Matrix.identity(ti.f64, 3)
     ti.loop_config(serialize=True)
     for p in range(deformation.shape[0]):
+        mu = moduli[p // 4, MU]
         g = _load(deformation, p)
         theta = g.trace() + _bilinear(g)
         f = one + g

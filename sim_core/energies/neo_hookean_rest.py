@@ -30,17 +30,19 @@ _P, _Q = [1, 2, 0], [2, 0, 1]
 class GelStep:
     """A step at the quadrature points of m elements. ``weight``: volumes [m^3] ``(m, 4)``; ``now``: F at its end
     ``(m, 4, 3, 3)``; ``stress``: H [Pa] ``(m, 4, 3, 3)`` and ``pressure`` of the memory [Pa] ``(m, 4)``. ``mu``,
-    ``share``, ``bulk`` (damping included), ``own``: of the law. ``earlier``: F at other times, with what S_dev and
-    K (J - 1) there add to the stress and pressure of the memory, as factors [-] and [Pa]; ``fresh``: b g."""
+    ``bulk`` [Pa] and ``own``, K_own / K: of the elements ``(m, 1)``; ``share``, ``bulk_share``: factors on the energies
+    of both. ``earlier``: F at other times, with the factors by which S_dev and K (J - 1) there are in the stress and
+    pressure of the memory; ``fresh``: b g."""
 
     weight: np.ndarray
     now: np.ndarray
     stress: np.ndarray
     pressure: np.ndarray
-    mu: float
+    mu: np.ndarray
+    bulk: np.ndarray
+    own: np.ndarray
     share: float
-    bulk: float
-    own: float
+    bulk_share: float
     earlier: tuple[tuple[np.ndarray, float, float], ...]
     fresh: float
 
@@ -58,12 +60,12 @@ def by_rest(step: GelStep, slope: np.ndarray, kept: np.ndarray | None) -> np.nda
     def mixed(values: np.ndarray) -> np.ndarray:
         return np.asarray(own * values + (1.0 - own) * mean(values))
 
-    one, shear = np.eye(3), step.share * step.mu
-    push = (shear / 3.0 * theta + step.bulk * mixed(theta) + step.pressure)[..., None, None]
-    first = shear * (f - cof) + push * cof + f @ step.stress
-    slopes = shear * (v - turned) + push * turned + v @ step.stress
-    slopes = slopes + (shear / 3.0 * swelling + step.bulk * mixed(swelling))[..., None, None] * cof
-    spread = step.bulk * (theta - mean(theta))
+    one, shear, bulk = np.eye(3), step.share * step.mu, step.bulk_share * step.bulk
+    push = (shear / 3.0 * theta + bulk * mixed(theta) + step.pressure)[..., None, None]
+    first = shear[..., None, None] * (f - cof) + push * cof + f @ step.stress
+    slopes = shear[..., None, None] * (v - turned) + push * turned + v @ step.stress
+    slopes = slopes + (shear / 3.0 * swelling + bulk * mixed(swelling))[..., None, None] * cof
+    spread = bulk * (theta - mean(theta))
     strain = _symmetric(f.swapaxes(-1, -2) @ v)
     out = -(v.swapaxes(-1, -2) @ first) - f.swapaxes(-1, -2) @ slopes
     for there, sheared, pressed in step.earlier:
@@ -71,9 +73,9 @@ def by_rest(step: GelStep, slope: np.ndarray, kept: np.ndarray | None) -> np.nda
         if sheared:
             then += sheared * stress_slope(there, cof_then, strain, step.mu)
         if pressed:
-            then += pressed * mixed(swelling)[..., None, None] * cof_then
+            then += (pressed * step.bulk * mixed(swelling))[..., None, None] * cof_then
             volume = determinant(there, cof_then)
-            spread = spread + pressed * (volume - mean(volume))
+            spread = spread + pressed * step.bulk * (volume - mean(volume))
         out -= there.swapaxes(-1, -2) @ then
     work = _dot(first, v) + (1.0 - own) * spread * mean(swelling)
     out = w * (out + work[..., None, None] * one)
@@ -108,9 +110,9 @@ def determinant(f: np.ndarray, cof: np.ndarray) -> np.ndarray:
     return np.asarray((f[..., 0, :] * cof[..., 0, :]).sum(axis=-1))
 
 
-def stress_slope(f: np.ndarray, cof: np.ndarray, along: np.ndarray, mu: float) -> np.ndarray:
+def stress_slope(f: np.ndarray, cof: np.ndarray, along: np.ndarray, mu: np.ndarray) -> np.ndarray:
     """Derivative by F of S_dev : T for symmetric tensors T = ``along``, where S_dev = mu 1 + s(J) cof^T cof,
-    s = mu ((J - 1) / 3 - 1) / J."""
+    s = mu ((J - 1) / 3 - 1) / J, ``mu`` ``(m, 1)``."""
     j = determinant(f, cof)
     crushed = j <= HISTORY_J
     least = np.where(crushed, HISTORY_J, j)

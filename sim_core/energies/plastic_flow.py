@@ -21,22 +21,29 @@ from __future__ import annotations
 
 import numpy as np
 
+from sim_core.materials.elastic import applied
+
+AT_YIELD = 1e-12
+"""A triangle that is no further beyond s than this share of it is at yield, but for round-off: its derivatives are
+those of going on elastically."""
+
 
 class PlasticFlow:
     """Flow of all triangles. ``elastic``: kappa - kappa^p before it [1/m] ``(m, 3)``; ``onset``: s ``(m,)``; ``d``: D
-    [N m] ``(3, 3)``."""
+    [N m], one of all ``(3, 3)`` or one each ``(m, 3, 3)``."""
 
     def __init__(self, elastic: np.ndarray, onset: np.ndarray, hardening: float, d: np.ndarray) -> None:
         self._elastic, self._d, self._hardening = elastic, d, hardening
-        norm = np.sqrt(np.einsum("mi,ij,mj->m", elastic, d, elastic) / d[0, 0])
+        moment = applied(d, elastic)
+        norm = np.sqrt((elastic * moment).sum(axis=1) / d[..., 0, 0])
         excess = norm - onset
         self._far = np.where(norm > 0.0, norm, 1.0)
-        self._flows = excess > 0.0
-        self.amount = np.where(self._flows, excess, 0.0) / (1.0 + hardening)
+        self._flows = excess > AT_YIELD * onset
+        self.amount = np.maximum(excess, 0.0) / (1.0 + hardening)
         """g [1/m] ``(m,)``."""
         self.direction = elastic / self._far[:, None]
         """kappa_e / n ``(m, 3)``."""
-        self.slope = elastic @ d / (d[0, 0] * self._far[:, None])
+        self.slope = moment / (d[..., 0, 0] * self._far)[:, None]
         """dn/dkappa ``(m, 3)``."""
         self.rate = np.where(self._flows, 1.0 / (1.0 + hardening), 0.0)
         """dg/dn ``(m,)``."""
@@ -50,10 +57,11 @@ class PlasticFlow:
         return np.asarray(self.rate[:, None, None] * outer + turn)
 
     def by_law(self, d: np.ndarray, onset: np.ndarray, hardening: float) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of plastic ``(m, 3)`` and accumulated curvature ``(m,)`` [1/m] along derivatives of D ``(3, 3)``,
-        of s ``(m,)`` and of H."""
-        metric = (d - self._d * d[0, 0] / self._d[0, 0]) / self._d[0, 0]
-        grown = 0.5 * np.einsum("mi,ij,mj->m", self._elastic, metric, self._elastic) / self._far
+        """Derivatives of plastic ``(m, 3)`` and accumulated curvature ``(m,)`` [1/m] along derivatives of D, of
+        its shape, of s ``(m,)`` and of H."""
+        first, change = (matrix[..., :1, :1] for matrix in (self._d, d))
+        metric = (d - self._d * change / first) / first
+        grown = 0.5 * (self._elastic * applied(metric, self._elastic)).sum(axis=1) / self._far
         later = onset + hardening * self.amount
         rise = np.where(self._flows, grown - later, 0.0) / (1.0 + self._hardening)
         turned = (rise - self.amount * grown / self._far)[:, None] * self.direction

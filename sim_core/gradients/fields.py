@@ -6,7 +6,16 @@ weights of the forces, is the work of the element's forces along these weights, 
     dL/dq = sum_parts p W_part / q,    W_part = weights . F_element    (of mass: weights . m_element (a - g))
 
 New internal variables do not depend on f: relaxing stresses are kept per f, plastic curvatures know no stiffness. A
-field costs one kernel a term and step. Rest angles enter through the curvatures of the triangles around a hinge
+field costs one kernel a term and step.
+
+Poisson's ratio enters through the moduli of its element, and with them through the stress that relaxes and the norm by
+which a sheet yields, so beside forces it changes the new internal variables xi' (``by_nu`` of the terms, closed forms):
+
+    dL/dnu = weights . dF_element/dnu + weights of xi' . dxi'_element/dnu
+
+The mean dilatation of a gel is that of one element, so no element's nu acts in another.
+
+Rest angles enter through the curvatures of the triangles around a hinge
 (:meth:`sim_core.energies.bending.Bending.by_rest_angles`), shapes at rest through all that is measured on them
 (:mod:`sim_core.gradients.rest_shape`).
 """
@@ -23,7 +32,7 @@ from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.columns import borne_by_mass
 from sim_core.gradients.rest_shape import RestSums
 from sim_core.gradients.step import Pulled, Weights
-from sim_core.scene.fields import MASS, POWERS, REST, REST_ANGLE
+from sim_core.scene.fields import MASS, NU, POWERS, REST, REST_ANGLE
 from sim_core.scene.scene import Scene
 
 
@@ -34,10 +43,11 @@ class FieldSums:
         self._scene = scene
         self._names = list(dict.fromkeys(scene.fields.resolve(name) for name in names))
         self._values = {name: scene.fields[name] for name in self._names}
+        terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
         pairs = [name.split(".") for name in self._names]
         self._parts = list(dict.fromkeys((b, part) for b, key in pairs for part in POWERS.get(key, ())))
+        self._mixed = {b: _elastic(terms, b) for b, key in pairs if key == NU}
         self._bent = [body for body, key in pairs if key == REST_ANGLE]
-        terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
         self._terms = {(b, part): terms[f"{b}.{part}"] for b, part in self._parts if f"{b}.{part}" in terms}
         self._masses = {b: scene.fields.mass_blocks(b) for b, part in self._parts if part == MASS}
         self._numbers = scene.values(scene.rig)
@@ -50,6 +60,7 @@ class FieldSums:
     def clear(self) -> None:
         """Begin anew."""
         self._work: dict[tuple[str, str], Any] = dict.fromkeys(self._parts, 0.0)
+        self._by_nu: dict[str, Any] = dict.fromkeys(self._mixed, 0.0)
         self._bending: dict[str, Any] = dict.fromkeys(self._bent, 0.0)
         self.shapes.clear()
 
@@ -69,6 +80,11 @@ class FieldSums:
             self._work[part] = self._work[part] + term.work(exerted, internals[term.name])
         for body in self._masses:
             self._work[body, MASS] = self._work[body, MASS] + self._of_mass(body, step, exerted, borne)
+        for body, terms_of in self._mixed.items():
+            for term in terms_of:
+                term.begin_step(step, internals[term.name])
+                found = term.by_nu(exerted, memory[term.name], step, internals[term.name])
+                self._by_nu[body] = self._by_nu[body] + found
         for body in self._bent:
             term = self._scene.fields.bending(body)
             term.begin_step(step, internals[term.name])
@@ -91,9 +107,16 @@ class FieldSums:
             if key == REST:
                 out[name] = shapes[body]
                 continue
-            if key == REST_ANGLE:
+            if key == NU:
+                total = self._by_nu[body]
+            elif key == REST_ANGLE:
                 total = self._bending[body]
             else:
                 total = sum(power * self._work[body, part] for part, power in POWERS[key].items()) / values
             out[name] = total + np.zeros(len(values))
         return out
+
+
+def _elastic(terms: Mapping[str, Any], body: str) -> list[Any]:
+    """Terms of a body that depend on Poisson's ratio."""
+    return [terms[f"{body}.{part}"] for part in ("elastic", "membrane", "bending") if f"{body}.{part}" in terms]

@@ -9,6 +9,9 @@ density of an element; of a sheet's thickness h the membrane has the first power
 
     E_element = f E_uniform,    f = prod_q (q / q_rig)^p
 
+Poisson's ratio is no factor of an energy, and may be zero. Its field is kept as the difference from the rig's number,
+so a rig with another number shifts all of it; each element has the moduli of its own nu and the rig's E, times f.
+
 A shape at rest is that of a scene whose body is meshed with the same elements on other nodes: lengths, areas, volumes,
 masses, curvatures and rest angles are measured on it, what is sampled for contact bears by its areas, and the body is
 there when a rollout starts. What the rig picks by place stays with the material: nodes in clamps, bonded faces, markers
@@ -28,7 +31,8 @@ from sim_core.energies.bending import Bending
 from sim_core.errors import ConfigError
 from sim_core.geometry import solids
 from sim_core.geometry.sheets import SheetMesh
-from sim_core.rigs import Gel, Sheet
+from sim_core.materials.elastic import poisson_ratios
+from sim_core.rigs import Gel, Rig, Sheet
 from sim_core.rigs.fields import split_unit
 from sim_core.rigs.parameters import nearest_names
 from sim_core.scene.assembly import BuiltBody
@@ -51,13 +55,20 @@ POWERS: dict[str, dict[str, int]] = {
 """Power of each quantity in the terms of a body and in its mass."""
 
 
-class Fields:
-    """All fields of a scene by name: ``<gel>.E_pa`` and ``.density_kg_m3``, one value a tetrahedron; ``<sheet>.E_pa``,
-    ``.thickness_m`` and ``.density_kg_m3``, one a triangle; ``<sheet>.rest_angle_rad``, one a hinge (inner edge): the
-    angle between the normals of its triangles; ``<sheet>.rest_m`` and ``<gel>.rest_m``, one vector a node ``(n, 3)``:
-    its position at rest in the world, as in ``scene.bodies[name].rest``, when mounts are at their start poses. Units
-    may be left out.
+NU = "nu"
 
+MATERIAL = ("E_pa", NU, "thickness_m", "density_kg_m3")
+"""Quantities of a sheet that differ from triangle to triangle; of a gel all but the thickness."""
+
+
+class Fields:
+    """All fields of a scene by name: ``<gel>.E_pa``, ``.nu`` and ``.density_kg_m3``, one value a tetrahedron;
+    ``<sheet>.E_pa``, ``.nu``, ``.thickness_m`` and ``.density_kg_m3``, one a triangle; ``<sheet>.rest_angle_rad``, one
+    a hinge (inner edge): the angle between the normals of its triangles; ``<sheet>.rest_m`` and ``<gel>.rest_m``, one
+    vector a node ``(n, 3)``: its position at rest in the world, as in ``scene.bodies[name].rest``, when mounts are at
+    their start poses. Units may be left out.
+
+    nu is above -1 and below 0.5 everywhere, also when a rig with another number shifts it (:meth:`check`).
     The thickness is that which stretches, bends and weighs; contact finds the surface where the rig's number puts it.
     Rest angles are those of the shape at rest, but for what they were set to beside it: that difference stays when the
     shape changes. Shapes build the scene anew (:meth:`sim_core.scene.scene.Scene.reshape`).
@@ -66,6 +77,7 @@ class Fields:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._shares: dict[str, np.ndarray] = {}
+        self._ratios: dict[str, np.ndarray] = {}  # Poisson's ratios beside the rig's, by body
         self._creases: dict[str, np.ndarray] = {}  # rest angles beside those of the shape
 
     @property
@@ -74,9 +86,9 @@ class Fields:
         found: list[str] = []
         for name, body in self._scene.bodies.items():
             if isinstance(body.spec, Gel):
-                found += [f"{name}.{key}" for key in ("E_pa", "density_kg_m3", REST)]
+                found += [f"{name}.{key}" for key in (*MATERIAL, REST) if key != "thickness_m"]
             elif isinstance(body.spec, Sheet):
-                found += [f"{name}.{key}" for key in (*POWERS, REST_ANGLE, REST)]
+                found += [f"{name}.{key}" for key in (*MATERIAL, REST_ANGLE, REST)]
         return tuple(found)
 
     def resolve(self, name: str) -> str:
@@ -96,8 +108,8 @@ class Fields:
             return np.array(self._scene.bodies[body].rest)
         if key == REST_ANGLE:
             return np.array(self.bending(body).rest_angles)
-        number = getattr(self._scene.rig.bodies[body].material, key)  # type: ignore[union-attr]
-        return np.asarray(number * self._share(body, key))
+        number = self._number(body, key)
+        return np.asarray(number + self._beside(body) if key == NU else number * self._share(body, key))
 
     def __setitem__(self, name: str, values: np.ndarray | float) -> None:
         """Take values in SI units for all elements, hinges or nodes, or one for all elements or hinges."""
@@ -110,7 +122,7 @@ class Fields:
                 f"The field {full} has {' x '.join(map(str, shape))} values, not an array of shape {given.shape}.",
                 "Give one value an element, or one vector a node, in the order of Fields.places.",
             )
-        signed = key in (REST_ANGLE, REST)
+        signed = key in (NU, REST_ANGLE, REST)
         if not np.isfinite(given).all() or not (signed or (given > 0.0).all()):
             raise ConfigError(f"The field {full} has values that are not finite and above zero.", "Correct them.")
         if key == REST:
@@ -123,9 +135,26 @@ class Fields:
             self._creases[body] = given - bending.built_angles
             bending.set_rest_angles(given)
             return
-        number = getattr(self._scene.rig.bodies[body].material, key)  # type: ignore[union-attr]
-        self._shares[full] = np.broadcast_to(given / number, shape).copy()
+        number = self._number(body, key)
+        if key == NU:
+            poisson_ratios(f"The field {full}", 0.0, np.atleast_1d(given))
+            self._ratios[body] = np.broadcast_to(given - number, shape).copy()
+        else:
+            self._shares[full] = np.broadcast_to(given / number, shape).copy()
         self._spread(body)
+
+    def check(self, rig: Rig) -> None:
+        """Refuse a rig of the same geometry whose numbers would shift a field out of its bounds."""
+        for body, beside in self._ratios.items():
+            poisson_ratios(f"The field {body}.{NU}", self._number(body, NU, rig), beside)
+
+    def _number(self, body: str, key: str, rig: Rig | None = None) -> float:
+        """What a rig (None: that of the scene) has for a quantity."""
+        return float(getattr((rig or self._scene.rig).bodies[body].material, key))  # type: ignore[union-attr]
+
+    def _changed(self) -> set[str]:
+        """Bodies with fields of their elements."""
+        return {full.split(".")[0] for full in self._shares} | set(self._ratios)
 
     def _reshape(self, body: str, rest: np.ndarray | None) -> None:
         """Give a body another shape at rest (None: that of the rig)."""
@@ -140,7 +169,7 @@ class Fields:
                     "Keep its nodes apart.",
                 )
         self._scene.reshape(body, rest)
-        for name in {full.split(".")[0] for full in self._shares}:
+        for name in self._changed():
             self._spread(name)
         for name, beside in self._creases.items():
             bending = self.bending(name)
@@ -148,8 +177,9 @@ class Fields:
 
     def reset(self) -> None:
         """Back to the rig's numbers, and to its shapes at rest."""
-        changed = {full.split(".")[0] for full in self._shares}
+        changed = self._changed()
         self._shares.clear()
+        self._ratios.clear()
         for name in self._creases:
             self.bending(name).set_rest_angles(self.bending(name).built_angles)
         self._creases.clear()
@@ -196,13 +226,18 @@ class Fields:
         share = self._shares.get(f"{body}.{key}")
         return np.ones(len(_elements(self._scene.bodies[body]))) if share is None else share
 
+    def _beside(self, body: str) -> np.ndarray:
+        beside = self._ratios.get(body)
+        return np.zeros(len(_elements(self._scene.bodies[body]))) if beside is None else beside
+
     def _spread(self, name: str) -> None:
-        """Hand a body's factors on to its terms and its mass."""
+        """Hand a body's factors and ratios on to its terms and its mass."""
         body = self._scene.bodies[name]
         for term in body.terms:
             part = term.name.rpartition(".")[2]
             if part in ("elastic", "membrane", "bending"):
                 term.scale(self.factor(name, part))  # type: ignore[attr-defined]
+                term.shift_nu(self._beside(name))  # type: ignore[attr-defined]
         factor = self.factor(name, MASS)
         mesh = body.mesh
         if isinstance(mesh, SheetMesh):

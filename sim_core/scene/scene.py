@@ -310,6 +310,7 @@ class Scene:
 
     def use(self, rig: Rig) -> None:
         """Take the numbers of a rig of the same geometry."""
+        self.fields.check(rig)
         self.rig = rig
         self.apply(self.values(rig))
 

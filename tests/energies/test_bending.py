@@ -171,7 +171,7 @@ def test_plastic_flow_dissipates():
         elastic = term.curvatures() - internals["plastic_curvature"]
         after = term.end_step(step(system.x), internals)
         flow = after["plastic_curvature"] - internals["plastic_curvature"]
-        lowest = min(lowest, float(np.einsum("mi,ij,mj->m", elastic, term._d, flow).min()))
+        lowest = min(lowest, float(np.einsum("mi,mij,mj->m", elastic, term._d, flow).min()))
         assert after["accumulated_curvature"].sum() >= accumulated
         accumulated, internals = after["accumulated_curvature"].sum(), after
     assert lowest >= 0.0

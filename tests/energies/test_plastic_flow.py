@@ -90,3 +90,19 @@ def test_the_moment_while_flowing_does_not_depend_on_the_step(hardening):
     moments = [few.bend([YIELD, 3.0 * YIELD])[-1], many.bend((YIELD * np.linspace(0.0, 3.0, 41)[1:]).tolist())[-1]]
     np.testing.assert_allclose(moments, expected, rtol=1e-3)
     np.testing.assert_allclose(moments[0], moments[1], rtol=1e-6)
+
+
+def test_at_yield_but_for_round_off_a_sheet_is_elastic_to_all_its_derivatives():
+    """The tangent of the step and the derivatives of the flow are of one branch, which round-off does not choose."""
+    mesh, system, term, internals = plastic_sheet()
+    n = norm(term.curvatures() - internals["plastic_curvature"])
+    tangents = {}
+    for name, onset in (("at yield", n * (1.0 - 1e-14)), ("elastic", n + 1.0), ("beyond", 0.999 * n)):
+        internals["accumulated_curvature"] = (onset - ONSET) / HARDENING
+        step = step_context(mesh.nodes, np.zeros_like(mesh.nodes), 0.01)
+        term.begin_step(step, internals)
+        assert term._flow(internals).rate.any() == (name == "beyond")
+        tangents[name] = full(system.hessian(exact=True))
+    scale = np.abs(tangents["elastic"]).max()
+    assert np.abs(tangents["at yield"] - tangents["elastic"]).max() < 1e-10 * scale
+    assert np.abs(tangents["beyond"] - tangents["elastic"]).max() > 1e-2 * scale

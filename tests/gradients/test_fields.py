@@ -10,7 +10,7 @@ from test_linearised import PRESS, ball, damped
 
 from sim_core.errors import ConfigError
 from sim_core.gradients import Backward, Tape, directions, simulate_adjoint
-from sim_core.rigs import parse_rig
+from sim_core.rigs import parse_rig, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
@@ -36,6 +36,11 @@ def unsettled(small_rig, visit):
     return parse_rig(data, "unsettled"), poses, times[:5]
 
 
+BESIDE = {"nu": 0.03, "rest_angle_rad": 2.5e-4}
+"""How far fields that are no shares of the rig's number vary about it."""
+SCALES = {"nu": 1.0, "rest_angle_rad": 0.01}
+"""Changes of them that are as large as changes of the others by their own size."""
+
 SCENES = {
     "every effect": small(PRESS, 0.3),
     "damped, looking back": lambda *given, **_: damped("bdf2", *given),
@@ -53,10 +58,10 @@ def uneven(scene):
     """Set all fields but shapes to something that varies, such that no sheet yields before it moves: the path to the
     first equilibrium counts as given."""
     rng = np.random.default_rng(1)
-    for name in over_elements(scene):
+    for name in sorted(over_elements(scene), key=lambda name: name.endswith(".nu")):
         wave = rng.standard_normal(len(scene.fields[name]))
-        given = scene.fields[name]
-        scene.fields[name] = given + 3e-4 * wave if name.endswith("rest_angle_rad") else given * np.exp(0.1 * wave)
+        given, beside = scene.fields[name], BESIDE.get(name.split(".")[1])
+        scene.fields[name] = given * np.exp(0.1 * wave) if beside is None else given + beside * wave
 
 
 @pytest.mark.parametrize("case", SCENES)
@@ -75,8 +80,7 @@ def test_fields_against_differences_of_rollouts(case, small_rig, visit):
     assert list(found) == names
     for name, gradient in found.items():
         here = fields[name]
-        angles = name.endswith("rest_angle_rad")
-        scale = np.full(len(here), 0.01) if angles else here
+        scale = np.full(len(here), SCALES[name.split(".")[1]]) if name.split(".")[1] in SCALES else here
         assert gradient.shape == here.shape and np.abs(gradient).max() > 0.0
         largest = int(np.argmax(np.abs(gradient * scale)))
         for along in (rng.standard_normal(len(here)), *np.eye(len(here))[[largest, -1]]):
@@ -95,9 +99,10 @@ def test_fields_against_differences_of_rollouts(case, small_rig, visit):
 
 
 def test_what_all_elements_have_together(small_rig, visit):
-    """sum dL/dq_e q_e = q dL/dq of the rig's number, by which a whole field is scaled, whatever the field."""
+    """sum dL/dq_e q_e = q dL/dq of the rig's number, by which a whole field is scaled, and sum dL/dnu_e = dL/dnu, by
+    which it is shifted; whatever the field."""
     rig, poses, times = small(PRESS, 0.4)(small_rig, visit, effects=EFFECTS)
-    names = ["gel.E_pa", "gel.density_kg_m3", "card.E_pa", "card.density_kg_m3"]
+    names = ["gel.E_pa", "gel.nu", "gel.density_kg_m3", "card.E_pa", "card.nu", "card.density_kg_m3"]
     compare_with_scalars(rig, poses, times, names)
 
 
@@ -113,8 +118,9 @@ def compare_with_scalars(rig, poses, times, names):
     found = Backward(tape, directions(rig, names), names).gradient(0.0, weights(tape.trace))
     for name in names:
         body, key = name.split(".")
-        whole = found.parameters[name] * getattr(rig.bodies[body].material, key)
-        shares = found.fields[name] * scene.fields[name]
+        shifted = key == "nu"
+        whole = found.parameters[name] * (1.0 if shifted else getattr(rig.bodies[body].material, key))
+        shares = found.fields[name] * (1.0 if shifted else scene.fields[name])
         assert shares.sum() == pytest.approx(whole, rel=1e-7, abs=1e-9 * np.abs(shares).sum()), name
 
 
@@ -136,11 +142,13 @@ def test_a_uniform_field_changes_no_bit(small_rig, visit):
 
 
 def test_a_field_everywhere_the_same_is_the_number_of_the_rig(small_rig, visit):
-    """Twice the modulus and the density, and a quarter more thickness of a sheet that touches nothing."""
+    """Twice the modulus and the density, less contraction, and a quarter more thickness of a sheet that touches
+    nothing."""
     rig, poses, times = shaken(small_rig, visit, contacts=[])
     card = rig.bodies["card"].material
     changed = {
         "E_pa": 2.0 * card.E_pa,
+        "nu": card.nu - 0.25,
         "density_kg_m3": 2.0 * card.density_kg_m3,
         "thickness_m": 1.25 * card.thickness_m,
     }
@@ -230,6 +238,72 @@ def test_a_soft_spot_is_found_from_markers():
     assert np.abs(found[~soft] - 1e5).max() < 0.15 * 1e5
 
 
+def test_ratios_of_a_pad_that_slides_against_differences_of_rollouts():
+    """Nearly incompressible and relaxing, pressed on a plate with friction and drawn: by all elements together and by
+    the one that counts most."""
+    rig, poses, times = pad()
+    data = rig.model_dump()
+    data["effects"] = {"gel_relaxation": {"share": 0.4, "tau_s": 0.1}}
+    scene = build_scene(parse_rig(data, "relaxing"))
+    fields, name = scene.fields, "gel.nu"
+    rng = np.random.default_rng(0)
+    here = 0.42 + 0.06 * rng.uniform(-1.0, 1.0, len(fields[name]))
+    fields[name] = here
+    tape = Tape(scene, poses, times, TIGHT)
+    assert tape.trace.reports[-1].contacts > 0
+    given = {c: w / np.nanmax(np.abs(tape.trace.outputs[c])) for c, w in weights(tape.trace).items()}
+    gradient = Backward(tape, [], [name]).gradient(0.0, given).fields[name]
+    for along in (rng.standard_normal(len(here)), np.eye(len(here))[np.abs(gradient).argmax()]):
+        values = []
+        for s in (1.0, -1.0, 2.0, -2.0):
+            fields[name] = here + 1e-5 * s * along
+            outputs = simulate(scene, poses, times, settings=TIGHT).outputs
+            values.append(sum(np.nansum(outputs[c] * w) for c, w in given.items()))
+        expected = (8.0 * (values[0] - values[1]) - values[2] + values[3]) / 12e-5
+        assert abs(gradient @ along - expected) < 1e-6 * np.abs(gradient).max() * np.linalg.norm(along)
+
+
+def test_ratios_of_a_gel_that_are_everywhere_the_same():
+    """0.2 in place of the 0.4 of the rig is the number of another rig, and pushes the plate less."""
+    rig, poses, times = pad()
+    scene = build_scene(rig)
+    stiff = simulate(scene, poses, times, settings=TIGHT).outputs
+    scene.fields["gel.nu"] = 0.2
+    found = simulate(scene, poses, times, settings=TIGHT).outputs
+    other = build_scene(with_parameters(rig, {"gel.nu": 0.2}))
+    for channel, expected in simulate(other, poses, times, settings=TIGHT).outputs.items():
+        assert np.nanmax(np.abs(found[channel] - expected)) < 1e-8 * np.nanmax(np.abs(expected))
+    assert np.abs(found["load"][-1, 2]) < 0.8 * np.abs(stiff["load"][-1, 2])
+
+
+def test_ratios_are_shifted_by_the_number_of_the_rig(small_rig):
+    """Also those of a rig that has none, through another shape, and not beyond what a solid can have."""
+    rig = with_parameters(small_rig(), {"gel.nu": 0.0, "card.nu": 0.0})
+    scene, wave = build_scene(rig), np.random.default_rng(3).uniform(-0.4, 0.4, 24)
+    fields = scene.fields
+    fields["card.nu"], fields["gel.nu"] = wave, 0.2
+    assert fields["card.nu"] == pytest.approx(wave) and fields["gel.nu"] == pytest.approx(0.2)
+    scene.use(with_parameters(rig, {"card.nu": 0.05}))
+    assert fields["card.nu"] == pytest.approx(wave + 0.05) and fields["gel.nu"] == pytest.approx(0.2)
+    fields["card.rest_m"] = fields["card.rest_m"] - [0.0, 0.0, 1e-3]
+    other = build_scene(scene.rig)
+    other.fields["card.rest_m"], other.fields["card.nu"] = fields["card.rest_m"], wave + 0.05
+    x = scene.rest + 1e-4 * np.random.default_rng(4).standard_normal(scene.rest.shape)
+    forces = []
+    for each in (scene, other):
+        each.system.x[:] = x
+        terms = {t.name: t for t in each.system.terms}
+        forces.append([each.system.gradient_of(terms[f"card.{part}"]).copy() for part in ("membrane", "bending")])
+    for found, expected in zip(*forces, strict=True):
+        assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
+    with pytest.raises(ConfigError, match=r"card\.nu.* is not between -1 and 0\.5"):
+        scene.use(with_parameters(rig, {"card.nu": 0.3}))
+    assert scene.rig.bodies["card"].material.nu == 0.05 and fields["card.nu"] == pytest.approx(wave + 0.05)
+    fields.reset()
+    assert np.all(fields["card.nu"] == 0.05) and np.all(fields["gel.nu"] == 0.0)
+    scene.use(with_parameters(rig, {"card.nu": 0.3}))
+
+
 def test_fields_that_cannot_be_used(small_rig):
     scene = build_scene(small_rig())
     fields = scene.fields
@@ -241,6 +315,9 @@ def test_fields_that_cannot_be_used(small_rig):
         ("gel.E_pa", 0.0, "above zero"),
         ("card.density_kg_m3", np.nan, "finite"),
         ("card.rest_angle_rad", 4.0, "pi"),
+        ("gel.nu", 0.5, "not between -1 and 0.5"),
+        ("card.nu", np.full(len(fields["card.nu"]), -1.0), "not between -1 and 0.5"),
+        ("card.nu", np.nan, "finite"),
     ):
         with pytest.raises(ConfigError, match=words):
             fields[name] = values
