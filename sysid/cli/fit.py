@@ -19,6 +19,7 @@ from sysid.cli.options import (
     check_new,
     parse_names,
     parse_nuisance,
+    parse_pairs,
 )
 from sysid.cli.progress import progress
 from sysid.parts import check_parts
@@ -37,6 +38,14 @@ def fit(
         str,
         typer.Option("--per-bag", metavar="A,B", help="Those of --params that each bag has a value of its own of."),
     ] = "",
+    prior: Annotated[
+        list[str] | None,
+        typer.Option("--prior", metavar="A=X+-SD", help="What is known of one of --params before; may be repeated."),
+    ] = None,
+    bounds: Annotated[
+        list[str] | None,
+        typer.Option("--bounds", metavar="A=LOW..HIGH", help="Bounds of one of --params; may be repeated."),
+    ] = None,
     starts: Annotated[
         int, whole_number("--starts", "Searches from so many starts, the rig's values and others drawn.", 1)
     ] = 1,
@@ -58,19 +67,23 @@ def fit(
     from sim_core.rigs import load_rig, resolve_name
     from sysid import rig_topics
     from sysid.fit import FitOptions, fit_bags
-    from sysid.fit.parameters import fit_parameters, with_bags
+    from sysid.fit.parameters import fit_parameters, known_before, with_bags, within_bounds
 
     chosen = rig_topics.without(load_rig(rig), without or [])
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
     options = FitOptions(
         nuisance=parse_nuisance(nuisance),
         per_bag=parse_names(per_bag, "--per-bag") if per_bag else [],
+        priors=parse_pairs(prior or [], "--prior", "+-"),
+        bounds=parse_pairs(bounds or [], "--bounds", ".."),
         starts=starts,
         intervals="profiled" if profile else "checked",
         robust=robust,
         seed=seed,
     )
-    with_bags(fit_parameters(chosen, names), options.per_bag, [str(bag) for bag in bags], chosen)
+    single = within_bounds(fit_parameters(chosen, names), chosen, options.bounds)
+    known_before(single, chosen, options.priors)
+    with_bags(single, options.per_bag, [str(bag) for bag in bags], chosen)
     check_parts(bags, held_out or [])
     check_new(out, "folder")
     with progress("fit") as report:

@@ -74,6 +74,25 @@ def parse_settings(settings: Sequence[str]) -> dict[str, float]:
     return values
 
 
+def parse_pairs(words: Sequence[str], option: str, sign: str) -> dict[str, tuple[float, float]]:
+    """Pairs of numbers from words ``name=first<sign>second``."""
+    example = f"Write for example {option} card.E={'2e9+-1e8' if sign == '+-' else '1e9..5e9'}."
+    pairs: dict[str, tuple[float, float]] = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        first, between, second = text.partition(sign)
+        if not (name.strip() and between):
+            raise ConfigError(f"{option} {word!r} is not of the form name=number{sign}number.", example)
+        try:
+            pair = float(first), float(second)
+        except ValueError:
+            raise ConfigError(f"{option} {word!r}: {text!r} is not two numbers.", example) from None
+        if name.strip() in pairs:
+            raise ConfigError(f"{option} names {name.strip()!r} twice.", "Keep one of the two.")
+        pairs[name.strip()] = pair
+    return pairs
+
+
 def parse_names(text: str, option: str) -> list[str]:
     """Names from a comma-separated list."""
     names = [name.strip() for name in text.split(",")]

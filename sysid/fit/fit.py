@@ -20,7 +20,7 @@ from sysid.fit.nuisance import has_bias, nuisance_parameters
 from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
 from sysid.fit.own_error import fit_beside_own_error, loud
-from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of, with_bags, within_bounds
+from sysid.fit.parameters import FitParameter, fit_parameters, known_before, rig_at, start_of, with_bags, within_bounds
 from sysid.fit.pool import AnyEngine, PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.profile import Profile
@@ -57,7 +57,7 @@ def fit_runs(
     evaluation. Raises ``RecordingError`` where two runs have readings in common.
     """
     check_apart(runs, held_out)
-    single = within_bounds(fit_parameters(rig, names), rig, options.bounds)
+    single, rig = known_before(within_bounds(fit_parameters(rig, names), rig, options.bounds), rig, options.priors)
     asked = with_bags(single, options.per_bag, [run.name for run in runs], rig)
     evaluations = Evaluations(options, on_progress, on_step)
     own = PooledEngine(os.cpu_count()) if engine is None else nullcontext(engine)
@@ -115,6 +115,12 @@ def _fit_runs(
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False, raw=runs)
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
+    notes += [
+        f"What was known of {p.name} before: {p.physical(at):g} +- {p.known_sd * (p.physical(at) if p.log else 1.0):g} "
+        f"{p.unit}".rstrip()
+        for p, at in zip(parameters, first, strict=True)
+        if p.known_sd is not None
+    ]
     notes += search.ends + loud(problem) + unheard(problem.noise) + out_of_sight(problem, before, fitted)
     moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
     if moved:

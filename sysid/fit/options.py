@@ -23,6 +23,8 @@ class FitOptions:
     (:func:`sysid.fit.nuisance.checked_kinds`);
     ``per_bag``: parameters that each run has a value of its own of, named ``friction[run]``;
     ``bounds``: lowest and highest value of parameters by name, in their own units, within those that a fit has anyway;
+    ``priors``: what is known of parameters before, by name: value and standard deviation in their own units, to which
+    they are pulled;
     ``starts``: searches from different values, of which the rig's are the first (:mod:`sysid.fit.starts`);
     ``max_evaluations``: of all searches together, after which nothing is searched or looked into any more and the
     result says that it did not converge;
@@ -34,6 +36,7 @@ class FitOptions:
     nuisance: Collection[str] = KINDS
     per_bag: Collection[str] = ()
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     starts: int = 1
     max_evaluations: int | None = None
     intervals: Intervals = "checked"
@@ -53,6 +56,12 @@ class FitOptions:
                 raise ConfigError(f"{name} is {number!r}.", "Give a whole number.")
         if self.max_evaluations is not None and self.max_evaluations < 1:
             raise ConfigError(f"A fit cannot be made in {self.max_evaluations} evaluations.", "Allow at least one.")
+        for name, (value, sd) in self.priors.items():
+            if not (math.isfinite(value) and 0.0 < sd < math.inf):
+                raise ConfigError(
+                    f"What is known of {name}, {value:g} +- {sd:g}, is no value with a standard deviation.",
+                    "Give finite numbers, the second above zero.",
+                )
         if self.starts < 1:
             raise ConfigError(f"A fit cannot be made from {self.starts} starts.", "Start at least once.")
         if self.seed < 0:

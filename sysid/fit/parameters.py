@@ -57,7 +57,8 @@ SCALES = {
 class FitParameter:
     """``lower``, ``upper``: bounds in ``unit``; ``prior_sd``: plausible width in the fitted scale. ``nuisance``: not
     asked for, and pulled to the rig's value with ``prior_sd``; ``tied``: parameters of the rig that change in
-    proportion; ``bag``: the recording that has this value for itself, which the name then ends with in brackets."""
+    proportion; ``bag``: the recording that has this value for itself, which the name then ends with in brackets;
+    ``known_sd``: standard deviation of what is known of it beforehand, the rig's value, in the fitted scale."""
 
     name: str
     unit: str
@@ -69,6 +70,12 @@ class FitParameter:
     nuisance: bool = False
     tied: tuple[str, ...] = ()
     bag: str = ""
+    known_sd: float | None = None
+
+    @property
+    def pulled(self) -> bool:
+        """Something is known of it beforehand."""
+        return self.nuisance or self.known_sd is not None
 
     @property
     def target(self) -> str:
@@ -150,6 +157,28 @@ def within_bounds(
     if asked:
         raise ConfigError(f"There are bounds of {', '.join(asked)}, which is not fitted.", "Leave them out.")
     return found
+
+
+def known_before(
+    parameters: Sequence[FitParameter], rig: Rig, priors: Mapping[str, tuple[float, float]]
+) -> tuple[list[FitParameter], Rig]:
+    """The parameters with what is known of them beforehand, value and standard deviation in their own units, and the
+    rig at these values. Raises ``ConfigError``."""
+    known = {resolve_name(rig, name): pair for name, pair in priors.items()}
+    unasked = sorted(known.keys() - {p.name for p in parameters})
+    if unasked:
+        raise ConfigError(
+            f"Something is said to be known of {unasked[0]}, which is not fitted.",
+            "Name it among the parameters as well, or write its value into the rig.",
+        )
+    at = with_parameters(rig, {name: value for name, (value, _) in known.items()})
+    found = []
+    for p in parameters:
+        if p.name in known:
+            value, sd = known[p.name]
+            p = replace(_within(p, at, value), known_sd=sd / value if p.log else sd)
+        found.append(p)
+    return found, at
 
 
 def _within(parameter: FitParameter, rig: Rig, value: float) -> FitParameter:

@@ -193,9 +193,9 @@ class Problem:
         """Residuals and derivatives of predictions at hand, which are those at ``scaled``, with the priors' rows."""
         names = [p.name for p in parameters]
         r, j, labels, sizes = self.assemble(predictions, names, scaled if names else None)
-        pulled = [k for k, p in enumerate(parameters) if self.prior or p.nuisance]
+        pulled = [k for k, p in enumerate(parameters) if self.prior or p.pulled]
         if pulled:
-            width = np.array([parameters[k].prior_sd for k in pulled])
+            width = np.array([parameters[k].known_sd or parameters[k].prior_sd for k in pulled])
             r = np.concatenate([r, (scaled - start_of(rig, parameters))[pulled] / width])
             j = np.vstack([j, np.eye(len(parameters))[pulled] / width[:, None]])
             labels = [*labels, (-1, "prior", np.zeros(len(width)))]
