@@ -99,8 +99,8 @@ class FitParameter:
         return self.lower, self.upper
 
     def width(self, scaled: float) -> float:
-        """What a standard deviation at a value is judged by: the plausible width or, if that is more, the value."""
-        return self.prior_sd if self.log else max(self.prior_sd, abs(scaled))
+        """What a standard deviation at a value is judged by: the plausible width, or half the value if that is more."""
+        return self.prior_sd if self.log else max(self.prior_sd, 0.5 * abs(scaled))
 
     def at_bound(self, scaled: float, sd: float) -> bool:
         """Whether a fitted value stands at a bound, as far as its standard deviation and range tell."""

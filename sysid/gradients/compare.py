@@ -264,12 +264,12 @@ def _slope(base: np.ndarray, first: np.ndarray, second: np.ndarray, a: float, b:
 
 
 def _jumps(steps: Sequence[float], errors: Sequence[float], bound: float) -> bool:
-    """Whether errors grow as steps shrink, as those of differences across a jump do: in proportion to 1 / step, over
-    the three smallest steps."""
+    """Whether errors grow as steps shrink, as those of differences across a jump do: in proportion to 1 / step or
+    nearly so, over the three smallest steps."""
     if len(steps) < 3:
         return False
     last = sorted(zip(steps, errors, strict=True))[:3]
-    grow = all(e > 0.3 * (wider / step) * less for (step, e), (wider, less) in pairwise(last))
+    grow = all(e > np.sqrt(wider / step) * less for (step, e), (wider, less) in pairwise(last))
     return grow and min(e for _, e in last) > bound
 
 

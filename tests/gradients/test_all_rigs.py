@@ -10,7 +10,7 @@ from sim_core.rigs import config_folder, list_parameters, load_rig
 from sim_core.rigs.motion import Experiment, load_experiment
 from sysid.gradients import check_gradients
 
-STEPS = (1e-2, 1e-3, 1e-4, 1e-6)
+STEPS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-7)
 
 PULL = {"type": "slide", "by_m": [0.002, 0.0, 0.0], "speed_m_s": 0.0005}
 PRESS = {"type": "slide", "by_m": [0.001, 0.0, -0.002], "speed_m_s": 0.0005}
