@@ -130,9 +130,10 @@ class SysidNode(Node):
             self._process = None
             if self._state.state == "failed":
                 self.get_logger().error(f"{self._state.job_id} failed: {self._state.doing}")
+            elif self._state.level == "warn":  # a line of code may log with one severity only
+                self.get_logger().warning(f"{self._state.job_id} succeeded: {self._state.doing}")
             else:
-                log = self.get_logger().warning if self._state.level == "warn" else self.get_logger().info
-                log(f"{self._state.job_id} succeeded: {self._state.doing}")
+                self.get_logger().info(f"{self._state.job_id} succeeded: {self._state.doing}")
         if events or time.monotonic() - self._told_s > 1.0:
             self._tell()
 
