@@ -25,8 +25,8 @@ HEAD = """# Experiments that identify materials
 Each picture shows the rig from the side at some instants, the paths of the end effectors, and the commanded
 displacement and turn against time. Each table says how well the readings of an experiment would determine each
 parameter, as `thinshell plan` computes it: the expected relative standard deviation, with the noise that the rig
-declares, the error of mesh and time step, and unknown time offsets, wrench biases and camera intrinsics; a dash where
-the readings do not tell. Values are those of the rig.
+declares, the error of mesh and time step, and all nuisances that a fit allows for (time, bias, camera, pose); a dash
+where the readings do not tell. Values are those of the rig.
 
 Made by `{command}`.
 """

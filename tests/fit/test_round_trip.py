@@ -8,7 +8,7 @@ import pytest
 from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import with_parameters
 from sim_core.rigs.motion import Experiment
-from sysid.fit import fit_runs
+from sysid.fit import FitOptions, fit_runs
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.runs import load_run
 from sysid.simulate import simulate_to_bag
@@ -19,6 +19,9 @@ STARTS = (
     {"card.E_pa": 3.8e9, "gel.E_pa": 1.8e5, "contacts.gel-post.friction": 0.7},
     {"card.E_pa": 2.0e9, "gel.E_pa": 2.0e5, "contacts.gel-post.friction": 0.3},
 )
+PLACED = FitOptions(nuisance=("time", "bias", "camera"))
+"""Poses are what is told here; tests of offsets against them are in test_pose_offset.py."""
+
 DECLARED = {"wrench force": 1e-3, "wrench torque": 1e-5, "markers ": 5e-6, "side ": 0.1}
 """Noise that the small rig declares."""
 
@@ -54,7 +57,7 @@ def recorded_finer(small_rig, tmp_path_factory):
 @pytest.mark.parametrize("start", STARTS)
 def test_truth_comes_back_within_a_narrow_interval(recorded, start):
     rig, run, _ = recorded
-    result, fitted = fit_runs(with_parameters(rig, start), [run], list(start))
+    result, fitted = fit_runs(with_parameters(rig, start), [run], list(start), PLACED)
     assert result.converged
     assert {e.channel + " " + e.quantity: e.declared for e in result.errors} == pytest.approx(DECLARED)
     assert result.reduced_chi2 < 1.1
@@ -68,7 +71,7 @@ def test_truth_comes_back_within_a_narrow_interval(recorded, start):
 def test_truth_comes_back_from_a_finer_simulation(recorded_finer):
     """The coarse mesh is off by far more than the noise, and the intervals know it."""
     rig, run, _ = recorded_finer
-    result, _ = fit_runs(with_parameters(rig, STARTS[0]), [run], list(TRUTH))
+    result, _ = fit_runs(with_parameters(rig, STARTS[0]), [run], list(TRUTH), PLACED)
     for estimate in result.estimates:
         low, high = estimate.ci95
         assert low <= TRUTH[estimate.name] <= high, estimate
@@ -78,7 +81,7 @@ def test_what_the_data_cannot_tell_is_said(recorded):
     """The camera sees the card only, which the gel's stiffness does not reach."""
     rig, run, _ = recorded
     seen_only = type(run)(**{**run.__dict__, "measured": tuple(m for m in run.measured if m.kind == "tracks")})
-    result, _ = fit_runs(rig, [seen_only], ["gel.E", "gel.nu"])
+    result, _ = fit_runs(rig, [seen_only], ["gel.E", "gel.nu"], PLACED)
     assert any("do not determine" in s for s in result.identifiability)
     assert any("gel." in s for s in result.identifiability)
     assert max(np.log(e.ci95[1] / e.ci95[0]) for e in result.estimates if e.log) > 0.5
