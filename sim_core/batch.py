@@ -101,7 +101,7 @@ def _give_up(pool: ProcessPoolExecutor) -> None:
     workers = list((pool._processes or {}).values())
     pool.shutdown(wait=False, cancel_futures=True)
     for worker in workers:
-        worker.terminate()
+        worker.kill()
 
 
 def _end_with(parent: BaseProcess) -> None:
