@@ -73,6 +73,15 @@ def test_so_do_those_by_offsets_of_the_hand_that_it_starts_from():
     assert max(r["adjoint"] for r in rows) < 1e-8
 
 
+def test_a_rig_without_inertia_settles_with_it():
+    """Its density acts on the way by inertia, too: forwards and backwards are the same."""
+    data = drooping().model_dump()
+    data["solver"]["inertia"] = False
+    _, rows = compared(parse_rig(data, "slow"), ["strip.density"])
+    assert rows
+    assert max(r["adjoint"] for r in rows) < 1e-8
+
+
 def test_without_the_way_they_are_wrong(monkeypatch):
     monkeypatch.setattr(settling.LinearStep, "remembers", False)
     passed, rows = compared(drooping(), ["strip.E", "strip-table.friction"])
