@@ -164,7 +164,12 @@ def known_before(
 ) -> tuple[list[FitParameter], Rig]:
     """The parameters with what is known of them beforehand, value and standard deviation in their own units, and the
     rig at these values. Raises ``ConfigError``."""
-    known = {resolve_name(rig, name): pair for name, pair in priors.items()}
+    known: dict[str, tuple[float, float]] = {}
+    for name, pair in priors.items():
+        full = resolve_name(rig, name)
+        if full in known:
+            raise ConfigError(f"Two different things are said to be known of {full}.", "Keep one of the two.")
+        known[full] = pair
     unasked = sorted(known.keys() - {p.name for p in parameters})
     if unasked:
         raise ConfigError(

@@ -63,6 +63,8 @@ def test_what_is_known_is_checked() -> None:
     parameters = fit_parameters(rig, ["strip.E"])
     with pytest.raises(ConfigError, match="which is not fitted"):
         known_before(parameters, rig, {"strip.nu": (0.3, 0.1)})
+    with pytest.raises(ConfigError, match="Two different things"):
+        known_before(parameters, rig, {"strip.E": (2e9, 1e8), "strip.E_pa": (3e9, 1e8)})
     with pytest.raises(ConfigError, match="no value with a standard deviation"):
         FitOptions(priors={"strip.E": (2e9, 0.0)})
     with pytest.raises(ConfigError):
