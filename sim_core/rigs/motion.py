@@ -1,8 +1,9 @@
 """Experiments: what each end effector does, as a list of named motions, and their pose trajectories.
 
-Moves are relative to where the motion before ended (the first one: the start pose of the rig), along
-the axes of the base frame, or of the end effector itself with ``frame: own``. ``speed_m_s`` is the
-highest speed of a move; a turn takes at least as long as ``speed_deg_s`` asks for.
+Moves are relative to where the motion before ended (the first one: where the experiment begins, which is
+the start pose of the rig unless it says otherwise), along the axes of the base frame, or of the end effector
+itself with ``frame: own``. ``speed_m_s`` is the highest speed of a move; a turn takes at least as long as
+``speed_deg_s`` asks for.
 """
 
 from __future__ import annotations
@@ -258,7 +259,8 @@ class Experiment(Strict):
     """What each end effector does. All motions begin at time 0; who is done first holds still.
 
     ``rig``: the one that it is meant for, where it is to identify materials, and ``identifies``: the parameters that it
-    is made to tell, as 'thinshell params' lists them.
+    is made to tell, as 'thinshell params' lists them. ``begin``: where end effectors stand, at rest, when it begins,
+    relative to their start poses in the rig.
     """
 
     name: Name = Field(description="short name, as in the file's name")
@@ -268,6 +270,7 @@ class Experiment(Strict):
     duration_s: Duration | None = None
     rig: Name | None = None
     identifies: tuple[Text, ...] = ()
+    begin: dict[Name, Pose] = Field(default={})
     motions: dict[Name, tuple[Motion, ...]] = Field(default={})
 
     @model_validator(mode="after")
@@ -290,7 +293,7 @@ def compile_experiment(experiment: Experiment, rig: Rig) -> dict[str, PoseTrajec
 
     Sampled at ``command_rate_hz``; end effectors without motions hold their start pose.
     """
-    for name in experiment.motions:
+    for name in (*experiment.begin, *experiment.motions):
         if name not in rig.end_effectors:
             known = list(rig.end_effectors)
             raise ConfigError(
@@ -298,7 +301,10 @@ def compile_experiment(experiment: Experiment, rig: Rig) -> dict[str, PoseTrajec
                 "end effector.",
                 nearest_match(name, known) if known else "This rig has no end effectors.",
             )
-    paths = {name: _Path.of(effector, experiment.motions.get(name, ())) for name, effector in rig.end_effectors.items()}
+    paths = {
+        name: _Path.of(effector, experiment.begin.get(name, Pose()), experiment.motions.get(name, ()))
+        for name, effector in rig.end_effectors.items()
+    }
     duration = max([experiment.duration_s or 0.0, *(path.end for path in paths.values())])
     count = max(math.ceil(duration * experiment.command_rate_hz - 1e-9), 1)
     if count > MAX_SAMPLES:
@@ -318,16 +324,20 @@ def _direction(along: tuple[float, float, float]) -> FloatArray:
 
 @dataclass
 class _Path:
-    """A chain of moves: knots in time with poses, and between two knots the profile of a straight way, or a way."""
+    """A chain of moves: knots in time with poses, and between two knots the profile of a straight way, or a way.
+    ``origin``: the start pose of the rig."""
 
+    origin: tuple[FloatArray, Rotation]
     times: list[float]
     positions: list[FloatArray]
     rotations: list[Rotation]
     ways: list[Profile | Wander] = field(default_factory=list)
 
     @classmethod
-    def of(cls, effector: EndEffector, motions: Sequence[Motion]) -> _Path:
-        path = cls([0.0], [effector.start.position()], [effector.start.rotation()])
+    def of(cls, effector: EndEffector, begin: Pose, motions: Sequence[Motion]) -> _Path:
+        position, rotation = effector.start.position(), effector.start.rotation()
+        first = position + begin.position(), begin.rotation() * rotation
+        path = cls((position, rotation), [0.0], [first[0]], [first[1]])
         for motion in motions:
             if isinstance(motion, Waypoints):
                 path._visit(motion)
@@ -355,7 +365,7 @@ class _Path:
 
     def _visit(self, motion: Waypoints) -> None:
         """Poses relative to the start pose: along base axes, or as poses in the start frame."""
-        origin, start = self.positions[0], self.rotations[0]
+        origin, start = self.origin
         for pose in motion.poses:
             own = motion.frame == "own"
             goal = origin + (start.apply(pose.position()) if own else pose.position())

@@ -32,7 +32,8 @@ def test_experiments_of_the_package_run_on_a_rig_of_the_package(name: str) -> No
     assert fitting
     for effector, path in compile_experiment(experiment, fitting[0]).items():
         assert path.duration < 60.0
-        np.testing.assert_allclose(path.positions[0], fitting[0].end_effectors[effector].start.position())
+        begun = experiment.begin[effector].position() if effector in experiment.begin else 0.0
+        np.testing.assert_allclose(path.positions[0], fitting[0].end_effectors[effector].start.position() + begun)
 
 
 def test_press_goes_down_holds_and_returns() -> None:
@@ -43,6 +44,20 @@ def test_press_goes_down_holds_and_returns() -> None:
     assert speeds.max() == pytest.approx(0.01, rel=1e-3)
     held = (path.positions[:, 2] < START.position_m[2] - 0.004 + 1e-9).sum()
     assert held == pytest.approx(500, abs=10)
+
+
+def test_an_experiment_may_begin_elsewhere_and_goes_on_from_there() -> None:
+    begin = {"finger": {"position_m": [0.01, 0.0, 0.002], "rpy_deg": [0.0, 0.0, 30.0]}}
+    there = np.array(START.position_m) + [0.01, 0.0, 0.002]
+    path = run({"type": "slide", "by_m": [0.0, 0.005, 0.0]}, begin=begin)
+    np.testing.assert_allclose(path.positions[[0, -1]], [there, there + [0.0, 0.005, 0.0]], atol=1e-12)
+    for quaternion in path.quaternions[[0, -1]]:
+        turned = Rotation.from_quat(quaternion) * START.rotation().inv()
+        np.testing.assert_allclose(turned.as_rotvec(degrees=True), [0.0, 0.0, 30.0], atol=1e-9)
+    home = run({"type": "waypoints", "poses": [{}]}, begin=begin)  # relative to the start pose of the rig
+    np.testing.assert_allclose(home.positions[[0, -1]], [there, START.position_m], atol=1e-12)
+    with pytest.raises(ConfigError, match="finher"):
+        run({"type": "wait", "duration_s": 1.0}, begin={"finher": {}})
 
 
 def test_press_direction_need_not_be_a_unit_vector() -> None:
