@@ -75,7 +75,7 @@ def result_of(fit: dict[str, Any], job_id: str, request: FitRequest) -> dict[str
 
     ``std``: standard deviations in the units of the parameters (to first order where the logarithm is fitted);
     ``correlation``: rows and columns in the order of ``estimate``; ``loss``: mean squared whitened residual;
-    ``remarks``: first that the fit did not converge, if it did not.
+    ``remarks``: first that the fit did not converge, or not to the noise, if so.
     """
     estimates = fit["estimates"]
     source = fit["provenance"]
@@ -91,7 +91,7 @@ def result_of(fit: dict[str, Any], job_id: str, request: FitRequest) -> dict[str
         "correlation": fit["correlation"],
         "loss": fit["misfit"],
         "converged": fit["converged"],
-        "remarks": [*astray, *fit["identifiability"], *fit["remarks"], *fit["notes"]],
+        "remarks": [*astray, *fit["unexplained"], *fit["identifiability"], *fit["remarks"], *fit["notes"]],
         "bag_sha256": {bag["path"]: bag["sha256"] for bag in source["bags"]},
         "code_version": source["versions"],
     }

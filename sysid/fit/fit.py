@@ -15,6 +15,7 @@ from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.colour import unheard
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
+from sysid.fit.leftover import unexplained
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
 from sysid.fit.nuisance import has_bias, nuisance_parameters
 from sysid.fit.options import FitOptions, Intervals
@@ -167,6 +168,7 @@ def _fit_runs(
         remarks=remarks(rig, nuisances),
         profiles=profiles,
         outliers=look.outliers,
+        unexplained=unexplained(problem, fitted),
     )
     return result, fitted.rig
 

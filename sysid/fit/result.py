@@ -86,7 +86,8 @@ class FitResult:
     """Everything that a fit found. ``misfit``: mean squared whitened residual (:attr:`sysid.fit.fitted.Fitted.misfit`);
     ``reduced_chi2``: the same sum over degrees of freedom; ``evaluations``: of all searches; ``nuisances``: what was
     estimated beside what was asked for; ``profiles``: deviance against each parameter, where that was asked for
-    (:mod:`sysid.fit.profiler`); ``outliers``: readings that were left out (:mod:`sysid.fit.outliers`)."""
+    (:mod:`sysid.fit.profiler`); ``outliers``: readings that were left out (:mod:`sysid.fit.outliers`);
+    ``unexplained``: in which quantities more than noise is left, in words (:mod:`sysid.fit.leftover`)."""
 
     rig: str
     estimates: list[Estimate]
@@ -107,6 +108,7 @@ class FitResult:
     remarks: list[str] = field(default_factory=list)
     profiles: list[Profile] = field(default_factory=list)
     outliers: list[Outliers] = field(default_factory=list)
+    unexplained: list[str] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series."""
@@ -121,6 +123,8 @@ class FitResult:
     def table(self) -> str:
         """Parameters and errors as text, below whether they are to be trusted."""
         lines = [] if self.converged else [not_converged(self.message), ""]
+        for sentence in self.unexplained:
+            lines += [sentence, ""]
         lines += [f"{'parameter':<34}{'value':>13}  {'95 % interval':<27}unit"]
         for e in self.estimates:
             low, high = e.ci95

@@ -6,6 +6,10 @@ the parameters that are asked for are drawn on a Latin hypercube over their plau
 searched from. Restarts are for
 kinks, on which a search can end although the misfit falls on the other side; they stand close to the best so far.
 There are a few in all, and none any more once one of them has brought nothing.
+
+Where an end effector really is decides whether a sheet between two of them hangs or is taut, and which way it buckles.
+A fit that leaves more than noise in any quantity is therefore tried again from other offsets of the end effectors, if
+those are unknown: drawn from what was known of them before, and searched from where they fit best.
 """
 
 from __future__ import annotations
@@ -19,10 +23,12 @@ from scipy.stats import norm, qmc
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.fitted import Fitted
+from sysid.fit.leftover import GOOD_MISFIT, worst
 from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.parameters import FitParameter
 from sysid.fit.problem import Problem
 from sysid.fit.uncertainty import chance, uncertainty
+from sysid.fit.untold import kind_of
 
 Progress = Callable[[float, str], None]
 
@@ -39,11 +45,14 @@ modulus, 0.35 for friction."""
 GLANCES = 4
 """Draws, without derivatives, for each start beside the rig's own."""
 
-GOOD_MISFIT = 1.5
-"""Misfit over noise below which a fit is not tried again."""
+OFFSETS_DRAWN = 32
+"""Draws, without derivatives, of the offsets of all end effectors."""
+
+MOST_OFFSETS = 3
+"""Searches from other offsets, of which each must bring something for the next to be made."""
 
 BETTER = 0.98
-"""A restart has brought something if it leaves less than this share of chi-square."""
+"""A search from elsewhere has brought something if it leaves less than this share of chi-square."""
 
 SAME_CHI2 = 4.0
 """Two searches have ended equally well if their chi-squares differ by less than this, in units of what chance makes
@@ -123,6 +132,8 @@ class Searches:
         self._rng = np.random.default_rng(options.seed)
         self._elsewhere = options.starts - 1 if self._parameters else 0
         self._restarts = MOST_RESTARTS if self._parameters else 0
+        self._offsets = [k for k, p in enumerate(self._parameters) if kind_of(p.name) == "pose"]
+        self._moved: list[str] = []
         self._found: list[Fitted] = []
         self._begun: list[np.ndarray] = []
         self._failed = 0
@@ -133,6 +144,9 @@ class Searches:
         if self._elsewhere:
             fitted = self._from_elsewhere(problem, at, fitted)
             self._elsewhere = 0
+        if self._offsets and worst(problem, fitted) > GOOD_MISFIT:
+            fitted = self._from_other_offsets(problem, at, fitted)
+            self._offsets = []
         return self._evaluations.limit(self._again_from_near(problem, fitted))
 
     def _search(self, problem: Problem, at: np.ndarray) -> Fitted:
@@ -173,19 +187,42 @@ class Searches:
     @property
     def ends(self) -> list[str]:
         """In words, where searches from several starts have ended, if there were several."""
-        return _said(self._begun, self._found, self._failed) if self._found else []
+        return [*(_said(self._begun, self._found, self._failed) if self._found else []), *self._moved]
 
     def _drawn(self, problem: Problem, at: np.ndarray) -> list[np.ndarray]:
         """Starts: those that fit best of a Latin hypercube in the parameters that are asked for."""
         asked = [k for k, p in enumerate(self._parameters) if not p.nuisance]
-        share = qmc.LatinHypercube(len(asked), rng=self._rng).random(GLANCES * self._elsewhere)
-        width = START_WIDTH * np.array([self._parameters[k].prior_sd for k in asked])
-        drawn = np.tile(at, (len(share), 1))
-        drawn[:, asked] += width * norm.ppf(share)
+        return self._glanced(problem, at, asked, START_WIDTH, GLANCES * self._elsewhere)[: self._elsewhere]
+
+    def _glanced(
+        self, problem: Problem, about: np.ndarray, which: Sequence[int], width: float, count: int
+    ) -> list[np.ndarray]:
+        """Draws of a Latin hypercube in some of the parameters ``about`` scaled values, ``width`` times as wide as
+        what was known of them, those that fit best first."""
+        share = qmc.LatinHypercube(len(which), rng=self._rng).random(count)
+        drawn = np.tile(about, (count, 1))
+        drawn[:, which] += width * np.array([self._parameters[k].prior_sd for k in which]) * norm.ppf(share)
         low, high = np.array([p.scaled_bounds for p in self._parameters]).T
         points = list(np.clip(drawn, low, high))
         misfits = problem.glance(self._rig, self._parameters, points)
-        return [points[k] for k in np.argsort(misfits, kind="stable")[: self._elsewhere]]
+        return [points[k] for k in np.argsort(misfits, kind="stable")]
+
+    def _from_other_offsets(self, problem: Problem, at: np.ndarray, fitted: Fitted) -> Fitted:
+        """The best of searches from other offsets of the end effectors, while they bring anything."""
+        before = fitted.misfit
+        for start in self._glanced(problem, at, self._offsets, 1.0, OFFSETS_DRAWN)[:MOST_OFFSETS]:
+            if not self._may_go_on(fitted):
+                break
+            again = self._tried(problem, start, fitted)
+            if again is None or again.chi2 >= BETTER * fitted.chi2:
+                break
+            fitted = again
+        if fitted.misfit < BETTER * before:
+            self._moved = [
+                f"The search from the rig's values ended with {before:.4g} times the noise's misfit, and from other "
+                f"offsets of the end effectors with {fitted.misfit:.4g}."
+            ]
+        return fitted
 
     def _again_from_near(self, problem: Problem, fitted: Fitted) -> Fitted:
         """The best of restarts, while they bring anything and the misfit stays above noise."""

@@ -117,7 +117,8 @@ def explains(result: FitResult) -> str:
     chi2 = result.reduced_chi2
     if chi2 is None or not math.isfinite(chi2):
         return ""
-    return "good" if chi2 <= REACHES_NOISE else "fair" if chi2 <= NEAR_NOISE else "bad"
+    found = "good" if chi2 <= REACHES_NOISE else "fair" if chi2 <= NEAR_NOISE else "bad"
+    return "fair" if result.unexplained and found == "good" else found
 
 
 def overall_level(result: FitResult) -> str:
@@ -188,12 +189,7 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
         out.append(f"{_listed(bounds)} ended at a bound: the true value may lie beyond.")
     if not result.converged and result.message:
         out.append(f"The search ended with: {result.message}")
-    if explains(result) == "bad":
-        out.append(
-            "Intervals are widened by the misfit, but a law that is missing can still pull values away from "
-            "the truth; 'thinshell diagnose' looks for one."
-        )
-    return out
+    return [*out, *result.unexplained]
 
 
 def _went(start: float, end: float) -> str:

@@ -1,0 +1,71 @@
+"""What a fit leaves unexplained, quantity by quantity.
+
+One wrench among a thousand markers may be missed by far while the misfit of all readings together is that of noise, so
+each quantity of each channel of each run is judged by itself: the mean square of its whitened residual, 1 where noise
+alone is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid.fit.fitted import Fitted
+from sysid.fit.noise import quantities
+from sysid.fit.problem import Problem
+
+GOOD_MISFIT = 1.5
+"""Mean square of a whitened residual up to which noise, whose size is estimated from a rest, may have left it."""
+
+FEWEST = 20
+"""Readings from which a quantity is judged."""
+
+
+@dataclass(frozen=True)
+class LeftOver:
+    """Mean square of the whitened residual of one ``quantity`` of a ``channel`` in a ``run``."""
+
+    run: str
+    channel: str
+    quantity: str
+    misfit: float
+
+
+def left_over(problem: Problem, fitted: Fitted) -> list[LeftOver]:
+    """All quantities, the simulator's own error and biases allowed for."""
+    found = []
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            white = problem.whiten(i, m, m.values - problem.corrected(fitted, i, m))
+            for quantity, group in quantities(m):
+                seen = white[:, group][np.isfinite(white[:, group])]
+                if len(seen) >= FEWEST:
+                    found.append(LeftOver(run.name, m.channel, quantity, float(np.mean(seen**2))))
+    return found
+
+
+def worst(problem: Problem, fitted: Fitted) -> float:
+    """The largest misfit of any quantity; 0 without readings."""
+    return max((found.misfit for found in left_over(problem, fitted)), default=0.0)
+
+
+def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
+    """A sentence, if there is more than noise in any quantity: in which, and what that means for the values."""
+    most: dict[tuple[str, str], LeftOver] = {}
+    for found in left_over(problem, fitted):
+        known = most.get((found.channel, found.quantity))
+        if found.misfit > max(GOOD_MISFIT, known.misfit if known else 0.0):
+            most[found.channel, found.quantity] = found
+    if not most:
+        return []
+    parts = [
+        f"{np.sqrt(found.misfit):.2g} times the noise in the {quantity} of {channel}"
+        + (f" ({found.run})" if len(problem.runs) > 1 else "")
+        for (channel, quantity), found in most.items()
+    ]
+    return [
+        f"The rig does not explain the recordings: what it leaves is {', '.join(parts)}. Intervals are widened by "
+        "the misfit, but a law that is missing, or a minimum that is not the lowest, can pull values further away than "
+        "they say: 'thinshell diagnose' looks for the one, '--starts 5' for the other."
+    ]
