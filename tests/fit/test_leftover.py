@@ -1,0 +1,133 @@
+"""More than noise in one quantity is told, and offsets of end effectors are looked for elsewhere, only then."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sim_core.errors import ConvergenceError
+from sim_core.simulate import Trace
+from sysid.fit import FitOptions
+from sysid.fit.engine import Prediction
+from sysid.fit.fitted import Fitted
+from sysid.fit.leftover import left_over, unexplained, worst
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.parameters import fit_parameters
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Problem
+from sysid.fit.runs import Measured, Run
+from sysid.fit.starts import OFFSETS_DRAWN, Evaluations, Searches
+
+T = np.linspace(0.0, 1.0, 200)
+LOUD, SOFT = np.sin(6.0 * T), np.cos(6.0 * T)
+SIGMA = 0.01
+OFFSET = "finger.offset_x_m"
+
+
+class Folded:
+    """Reads q^2 sin + tilt q cos of the offset q of the finger [0.2 mm]: data of q = -1 have another minimum at 1,
+    which leaves more than noise with a tilt."""
+
+    def __init__(self, tilt: float) -> None:
+        self.tilt, self.glanced = tilt, 0
+
+    def submit(self, rig: Any, run: Run) -> Future[Prediction]:
+        self.glanced += 1
+        future: Future[Prediction] = Future()
+        q = rig.end_effectors["finger"].offset_x_m / 2e-4
+        if q > 4.0:
+            future.set_exception(ConvergenceError("The step does not converge."))
+        else:
+            future.set_result(Prediction({"gauge": self.read(q)}, {}, cast(Trace, None)))
+        return future
+
+    def read(self, q: float) -> np.ndarray:
+        return np.asarray(q**2 * LOUD + self.tilt * q * SOFT)[:, None]
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        q = float(scaled[-1]) / 2e-4
+        slopes = np.zeros((len(T), 1, len(scaled)))
+        slopes[:, 0, -1] = (2.0 * q * LOUD + self.tilt * SOFT) / 2e-4
+        return [Prediction({"gauge": self.read(q)}, {"gauge": slopes}, cast(Trace, None)) for _ in runs]
+
+
+def problem(gauge: Folded) -> Problem:
+    data = gauge.read(-1.0) + SIGMA * np.random.default_rng(2).standard_normal((len(T), 1))
+    run = Run("press", "press", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
+    return Problem([run], {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(PooledEngine, gauge))
+
+
+def searched(rig: Any, gauge: Folded, **chosen: Any) -> tuple[Searches, Fitted]:
+    parameters = fit_parameters(rig, ["gel.E", OFFSET])
+    options = FitOptions(**chosen)
+    search = Searches(rig, parameters, options, Evaluations(options))
+    at = np.array([np.log(rig.bodies["gel"].material.E_pa), 1.6e-4])
+    return search, search(problem(gauge), at)
+
+
+def test_the_wrong_side_of_an_offset_is_left(small_rig: Any) -> None:
+    search, found = searched(small_rig(), Folded(0.05))
+    assert found.scaled[-1] == pytest.approx(-2e-4, abs=1e-6)
+    assert found.misfit < 1.2
+    (said,) = search.ends
+    assert "other offsets of the end effectors" in said
+
+
+def test_offsets_are_drawn_once_and_only_where_more_than_noise_is_left(small_rig: Any) -> None:
+    plain = Folded(0.0)  # both sides fit as well
+    search, found = searched(small_rig(), plain)
+    assert found.scaled[-1] == pytest.approx(2e-4, abs=1e-6)
+    assert plain.glanced == 0 and search.ends == []
+    tilted = Folded(0.05)
+    search, found = searched(small_rig(), tilted)
+    search(problem(tilted), np.array([found.scaled[0], 2e-4]))
+    assert tilted.glanced == OFFSETS_DRAWN
+
+
+def test_evaluations_that_are_allowed_end_the_searches_from_other_offsets(small_rig: Any) -> None:
+    _, free = searched(small_rig(), Folded(0.05))
+    search, found = searched(small_rig(), Folded(0.05), max_evaluations=3)
+    assert found.limited and not found.converged and found.misfit > free.misfit
+    assert search.ends == []
+
+
+def wrench(forces: float, torques: float, samples: int = 300) -> tuple[Problem, Fitted]:
+    """Readings that are so many standard deviations of the noise off, beside a model that reads nothing."""
+    rng = np.random.default_rng(5)
+    values = rng.standard_normal((samples, 6)) * np.repeat([0.2, 0.01], 3)
+    values *= np.repeat([forces, torques], 3)
+    t = np.linspace(0.0, 1.0, samples)
+    run = Run("press", "press", (), {}, (Measured("cell", "wrench", t, values, tuple("abcdef")),), 1.0)
+    noise = ChannelNoise(np.repeat([0.2, 0.01], 3), 0.0, "test")
+    given = Prediction({"cell": np.zeros_like(values)}, {}, cast(Trace, None))
+    return Problem([run], {"cell": noise}, cast(PooledEngine, None)), Fitted(
+        [], np.zeros(0), cast(Any, None), np.zeros(0), np.zeros((0, 0)), [], [given], cast(Any, None), 1, True, "", 0.0
+    )
+
+
+def test_each_quantity_is_judged_by_itself() -> None:
+    beside = wrench(1.0, 3.0)
+    forces, torques = left_over(*beside)
+    assert (forces.quantity, torques.quantity) == ("force", "torque")
+    assert forces.misfit == pytest.approx(1.0, abs=0.15) and torques.misfit == pytest.approx(9.0, rel=0.15)
+    assert worst(*beside) == torques.misfit
+    (said,) = unexplained(*beside)
+    assert f"{np.sqrt(torques.misfit):.2g} times the noise in the torque of cell." in said and "force" not in said
+
+
+def test_noise_alone_says_nothing_and_neither_do_a_few_readings() -> None:
+    assert unexplained(*wrench(1.0, 1.1)) == []
+    assert unexplained(*wrench(1.0, 9.0, samples=6)) == []
+
+
+def test_what_is_left_in_several_recordings_is_told_of_the_worst() -> None:
+    (problem_, fitted) = wrench(1.0, 3.0)
+    worse, _ = wrench(1.0, 5.0)
+    runs = [problem_.runs[0], replace(worse.runs[0], name="second")]
+    both = Problem(runs, problem_.noise, cast(PooledEngine, None))
+    (said,) = unexplained(both, replace(fitted, predictions=fitted.predictions * 2))
+    assert "in the torque of cell (second)" in said and "(press)" not in said
