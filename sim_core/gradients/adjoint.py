@@ -127,12 +127,15 @@ class Backward:
         for first in reversed(tape.segments):
             intervals = tape.intervals(first)
             scene.system.forget()  # whether they were made again or not
+            coming = iter([made for interval in reversed(intervals) for made in reversed(interval.made)])
+            _foresee(next(coming, None))
             for offset in reversed(range(len(intervals))):
                 k = first + offset + 1
                 interval = intervals[offset]
                 inner: dict[int, _Frames] = {}
                 for made in reversed(interval.made):
                     last = made is interval.made[-1]
+                    _foresee(next(coming, None))
                     state = state or Weights(zero, zero, no_memory(made.after))
                     target = poses[k] if last else inner.setdefault(id(made.frames), _Frames())
                     state = self._through(made, state, k if last else None, target, interval.sensed)
@@ -335,6 +338,12 @@ class Backward:
             )
             target.of(mount)[:3] += force.sum(axis=0)
             target.of(mount)[3:] += (cross(arms, force) + cross(speeds, push)).sum(axis=0)
+
+
+def _foresee(made: Made | None) -> None:
+    """Let a step that is gone through next be prepared on a second core, if it is linearised."""
+    if made is not None and made.linear is not None:
+        made.linear.foresee()
 
 
 class _Frames:

@@ -120,6 +120,10 @@ class LinearStep:
         system, out = self._system, self._hessian.product(move)
         return np.asarray(out - system.mass @ move / self.step.tau**2) if self.inertia else out
 
+    def foresee(self) -> None:
+        """Let what :meth:`pull` solves with be factorised on a second core meanwhile."""
+        self._hessian.foresee()
+
     # Forwards
 
     def push(

@@ -4,7 +4,11 @@ Kept are the values by pairs of nodes; where they belong is shared by all that h
 factorisation is done when a solution is asked for. Its symbolic analysis costs three of them, so neighbours in time
 share one, of all pairs that any of them has. Or the factorisation is made at once and kept too, which takes ten times
 the memory, and four times the time, because no two factorisations can share an analysis. That pays from about the
-thirteenth right-hand side on.
+tenth right-hand side on.
+
+Who knows what is to be solved with next may let it be factorised on a second core meanwhile
+(:meth:`Stiffness.foresee`): the solvers let go of the interpreter. Each that is foreseen and not used yet has an
+analysis of its own.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ from __future__ import annotations
 import copy
 import weakref
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
@@ -33,7 +38,8 @@ class Keeper:
         self._system, self._factors = system, factors
         self._layout: Pattern | None = None
         self._layouts: list[weakref.ref[Pattern]] = []
-        self._prepared: _Prepared | None = None
+        self._prepared: list[_Prepared] = []
+        self._beside: ThreadPoolExecutor | None = None
 
     def keep(self) -> Stiffness:
         """Stiffness where the system is now, at the end of a step."""
@@ -54,10 +60,20 @@ class Keeper:
         return kept
 
     def prepared(self, layout: Pattern) -> _Prepared:
-        """What the layout needs, shared with those kept before it; that of those after it is given up."""
-        if self._prepared is None or not self._prepared.serves(layout):
-            self._prepared = _Prepared(layout, self._earlier(layout))
-        return self._prepared
+        """What the layout needs, shared with those kept before it. Of two layouts at a time it is there: of that of
+        a step and of that of the step before."""
+        for found in self._prepared:
+            if found.serves(layout):
+                return found
+        self._prepared = [*self._prepared[-1:], _Prepared(layout, self._earlier(layout))]
+        return self._prepared[-1]
+
+    @property
+    def beside(self) -> ThreadPoolExecutor:
+        """The second core."""
+        if self._beside is None:
+            self._beside = ThreadPoolExecutor(1, "factorise")
+        return self._beside
 
     def _earlier(self, layout: Pattern) -> list[Pattern]:
         """Layouts kept before this one, the latest first, as far as they are still there."""
@@ -88,6 +104,7 @@ class Stiffness:
         self._keeper, self.layout = keeper, layout
         self._values, self._springs = values, springs
         self._factor: Factor | None = None
+        self._foreseen: _Analysis | None = None
         self.size_bytes = values.nbytes + springs.nbytes
 
     def product(self, move: np.ndarray) -> np.ndarray:
@@ -101,11 +118,23 @@ class Stiffness:
         self._factor = _Analysis(self.layout).factor(data)
         self.size_bytes += self._factor.size_bytes()
 
+    def foresee(self) -> None:
+        """Let it be factorised on a second core, for the next solution."""
+        if self._factor is None and self._foreseen is None:
+            prepared = self._keeper.prepared(self.layout)
+            self._foreseen = prepared.free()
+            data = prepared.data(self.layout, self._values, self._springs)
+            self._foreseen.begin(self, data, self._keeper.beside)
+
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solve over the unknowns for one right-hand side ``(n,)`` or several ``(n, k)``."""
         if self._factor is not None:
             return self._factor.solve(rhs)
-        return self._keeper.prepared(self.layout).factorised(self.layout, self._values, self._springs).solve(rhs)
+        if self._foreseen is not None:
+            foreseen, self._foreseen = self._foreseen, None
+            return foreseen.end().solve(rhs)
+        prepared = self._keeper.prepared(self.layout)
+        return prepared.free().factor(prepared.data(self.layout, self._values, self._springs)).solve(rhs)
 
 
 def _with_springs(layout: Pattern, data: np.ndarray, springs: np.ndarray) -> np.ndarray:
@@ -121,6 +150,28 @@ class _Analysis:
     def __init__(self, layout: Pattern) -> None:
         self.layout = layout
         self._factors: dict[bool, Factor] = {}
+        self._begun: Future[Factor] | None = None
+        self._owner: weakref.ref[Stiffness] | None = None
+
+    @property
+    def free(self) -> bool:
+        """Nobody waits for what was begun."""
+        return self._owner is None or self._owner() is None
+
+    def begin(self, owner: Stiffness, data: np.ndarray, beside: ThreadPoolExecutor) -> None:
+        """Factorise on a second core, for an owner who will come for it."""
+        self._owner, self._begun = weakref.ref(owner), beside.submit(self.factor, data)
+
+    def end(self) -> Factor:
+        """What was begun."""
+        assert self._begun is not None
+        self._owner, begun = None, self._begun
+        return begun.result()
+
+    def wait(self) -> None:
+        """Until nothing is done any more that was begun and that nobody came for."""
+        if self._begun is not None:
+            self._begun.exception()
 
     def factor(self, data: np.ndarray) -> Factor:
         """Factorise entries in the layout's order. The Hessian is definite at a stable equilibrium, and need not be
@@ -138,13 +189,14 @@ class _Analysis:
         return self._factors[definite]
 
 
-class _Prepared(_Analysis):
-    """One analysis, and one product, of a layout and as many of the ``earlier`` ones as fit well with it."""
+class _Prepared:
+    """Analyses, and one product, of a layout and as many of the ``earlier`` ones as fit well with it."""
 
     def __init__(self, layout: Pattern, earlier: Sequence[Pattern]) -> None:
         self._shared = layout.shared_with(earlier, SHARING)
         joined = layout.joined(self._shared)
-        super().__init__(joined)
+        self._layout = joined
+        self._analyses: list[_Analysis] = []
         self._places: dict[int, np.ndarray] = {}
         self._values = np.zeros(joined.n_used)
         self._held: np.ndarray | None = None
@@ -165,10 +217,19 @@ class _Prepared(_Analysis):
         self._product()
         return np.array(self._out)
 
-    def factorised(self, layout: Pattern, values: np.ndarray, springs: np.ndarray) -> Factor:
-        """H factorised."""
+    def data(self, layout: Pattern, values: np.ndarray, springs: np.ndarray) -> np.ndarray:
+        """Entries of H as its factorisation takes them."""
         self._take(layout, values)
-        return self.factor(_with_springs(self.layout, self.layout.data(self._values), springs))
+        return _with_springs(self._layout, self._layout.data(self._values), springs)
+
+    def free(self) -> _Analysis:
+        """An analysis with which nothing is foreseen."""
+        found = next((a for a in self._analyses if a.free), None)
+        if found is None:
+            found = _Analysis(self._layout)
+            self._analyses.append(found)
+        found.wait()
+        return found
 
     def _take(self, layout: Pattern, values: np.ndarray) -> None:
         """Store values as the joined layout does, if they are not there yet."""
@@ -176,7 +237,7 @@ class _Prepared(_Analysis):
             return
         known = len(values) - 9 * layout.n_dynamic
         if id(layout) not in self._places:
-            self._places[id(layout)] = layout.places_in(self.layout)
+            self._places[id(layout)] = layout.places_in(self._layout)
         self._values[:known], self._values[known:] = values[:known], 0.0
         self._values[self._places[id(layout)]] = values[known:]
         self._held = values

@@ -33,7 +33,7 @@ def unsettled(small_rig, visit):
     rig, poses, times = shaken(small_rig, visit)
     data = rig.model_dump()
     data["bodies"]["ball"] = BALL
-    return parse_rig(data, "unsettled"), poses, times[:5]
+    return parse_rig(data, "unsettled"), poses, times[:4]  # in the step after these the card may snap either way
 
 
 BESIDE = {"nu": 0.03, "rest_angle_rad": 2.5e-4}

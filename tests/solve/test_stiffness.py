@@ -34,3 +34,25 @@ def test_products_and_solutions(small_rig, visit, factors):
         assert np.array_equal(stiffness.product(move), product)
         for right in (rhs, rhs[:, 0]):
             assert np.abs(matrix @ stiffness.solve(right) - right).max() < 1e-9
+    # As many foreseen as one likes, in any order, with others solved with between.
+    solved = []
+    for k in (len(kept) - 1, 3, 2, 5, 4):
+        kept[k].foresee()
+    for k in (4, 7, 3, 3, len(kept) - 1, 2, 6, 5):
+        matrix, product = references[k]
+        assert np.array_equal(kept[k].product(move), product)
+        solved.append(np.abs(matrix @ kept[k].solve(rhs) - rhs).max())
+    assert max(solved) < 1e-9
+
+
+def test_what_is_foreseen_and_never_asked_for_leaves_room(small_rig, visit):
+    scene = build_scene(small_rig())
+    keeper = Keeper(scene.system)
+    Simulation(scene)
+    kept = keeper.keep()
+    for _ in range(20):
+        again = keeper.keep()
+        again.foresee()
+        del again
+    assert len(keeper.prepared(kept.layout)._analyses) == 1
+    assert kept.solve(np.ones(scene.system.n_unknowns)).shape == (scene.system.n_unknowns,)
