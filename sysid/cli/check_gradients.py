@@ -19,7 +19,12 @@ def check_gradients(
     ],
     params: Annotated[
         str | None,
-        typer.Option("--params", metavar="A,B", help="Parameters, as 'thinshell params' lists them; default: all."),
+        typer.Option(
+            "--params",
+            metavar="A,B",
+            help="Parameters, as 'thinshell params' lists them, and 'poses' at every step, 'start' (positions and "
+            "velocities) and 'fields' over elements and nodes; default: all of these.",
+        ),
     ] = None,
     settings: Annotated[
         list[str] | None,

@@ -14,7 +14,9 @@ from rich.table import Table
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, list_parameters, resolve_name
 from sim_core.rigs.motion import Experiment, compile_experiment
-from sysid.gradients.compare import STEPS, Comparison, Row
+from sysid.gradients.beyond import KINDS, NODE_M, RATIO, SHIFT_M, SPEED_M_S, TURN_RAD, Beyond
+from sysid.gradients.compare import Comparison
+from sysid.gradients.differences import STEPS, Row
 
 WIDTH = 150
 
@@ -31,11 +33,13 @@ def check_gradients(
 ) -> tuple[bool, str]:
     """Compare forward sensitivities, adjoint and central differences; whether all agree, and the table.
 
-    ``names``: full or short names of parameters, None for all of the rig. ``until_s``: end of the rollout, None for
+    ``names``: full or short names of parameters, and words of :data:`sysid.gradients.beyond.KINDS` for what is none;
+    None for all of the rig and all of those. ``until_s``: end of the rollout, None for
     that of the motion. ``steps``: of the differences, relative.
     """
     known = {p.name: p for p in list_parameters(rig)}
-    chosen = list(known) if names is None else [resolve_name(rig, n) for n in names]
+    kinds = [k for k in KINDS if names is None or k in names]
+    chosen = list(known) if names is None else [resolve_name(rig, n) for n in names if n not in KINDS]
     if names is not None:
         for name in chosen:
             if known[name].value is None:
@@ -44,7 +48,7 @@ def check_gradients(
                     "Write a value into the rig file.",
                 )
     chosen = list(dict.fromkeys(n for n in chosen if known[n].value is not None))
-    if not chosen:
+    if not chosen and not kinds:
         raise ConfigError(f"The rig {rig.name!r} has no parameters with values.", "Name another rig.")
     poses = compile_experiment(experiment, rig)
     end = max([experiment.duration_s or 0.0, *(float(p.times[-1]) for p in poses.values())])
@@ -59,7 +63,7 @@ def check_gradients(
         end = until_s
     if not (rig.sensors or rig.cameras):
         raise ConfigError(f"The rig {rig.name!r} has nothing that is measured.", "Give it a sensor or a camera.")
-    work, done = Comparison.amount_of_work(chosen, steps), 0
+    work, done = 1, 0
 
     def on_work(what: str) -> None:
         nonlocal done
@@ -67,7 +71,11 @@ def check_gradients(
             on_progress(done / work, what)
         done += 1
 
-    rows = list(Comparison(rig, poses, end, chosen, on_work).rows(steps))
+    by_parameters = Comparison(rig, poses, end, chosen, on_work) if chosen else None
+    by_others = Beyond(rig, poses, end, kinds, on_work) if kinds else None
+    both = [found for found in (by_parameters, by_others) if found is not None]
+    work = sum(found.amount_of_work(steps) for found in both)
+    rows = [row for found in both for row in found.rows(steps)]
     passed = all(row.verdict != "differs" for row in rows)
     return passed, _as_json(rows, steps, passed) if as_json else _as_text(rows, steps)
 
@@ -90,7 +98,8 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         marks = [f"[{e:.1e}]" if e == row.best else f"{e:.1e}" for e in row.errors]
         plateau = f"{row.plateau[0]:.0e}..{row.plateau[-1]:.0e}"
         cells = [f"{row.effect:.2g} {row.unit}", *(m.replace("[", r"\[") for m in marks), plateau]
-        table.add_row(row.parameter, row.channel, *cells, f"{row.adjoint:.0e}", row.verdict)
+        adjoint = "" if row.adjoint is None else f"{row.adjoint:.0e}"
+        table.add_row(row.parameter, row.channel, *cells, adjoint, row.verdict)
     out = StringIO()
     Console(file=out, width=WIDTH, color_system=None).print(table)
     lines = [line.rstrip() for line in out.getvalue().rstrip().splitlines()]
@@ -99,14 +108,16 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         "effect: change of the reading that changes most, per relative change of the parameter (per unit where it is",
         "0); in brackets: the best step; plateau: steps of which the error is about as small; adjoint: its relative",
         f"difference from the forward sensitivity. Bound: {rows[0].bound:g}.",
+        "Of poses, start and fields: errors of the adjoint along one random direction, and effects of a step of 1, by",
+        f"{SHIFT_M:g} m, {TURN_RAD:g} rad, nodes by {NODE_M:g} m and {SPEED_M_S:g} m/s, nu and angles by {RATIO:g}, "
+        "others by their values.",
     ]
     lines += [f"{name} has no effect on any reading in this experiment." for name in idle]
     for row in rows:
         if row.verdict == "differs":
-            worst = row.best if not row.best <= row.bound else row.adjoint
+            worst = row.best if row.adjoint is None or not row.best <= row.bound else row.adjoint
             lines.append(
-                f"{row.parameter} = {row.value:g} in {row.channel}: the error is {worst:.1e}, above {row.bound:g}. "
-                f"{row.reason}"
+                f"{_named(row)} in {row.channel}: the error is {worst:.1e}, above {row.bound:g}. {row.reason}".rstrip()
             )
     lines += [
         f"{row.parameter} in {row.channel}: not judged, round-off of the rollouts hides so small an effect in their "
@@ -115,7 +126,7 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         if row.verdict == "unresolved"
     ]
     lines += [
-        f"{row.parameter} = {row.value:g} in {row.channel}: not judged, differences have no limit. The rollout jumps "
+        f"{_named(row)} in {row.channel}: not judged, differences have no limit. The rollout jumps "
         "here, as where a motion leaves a plane of symmetry; the sensitivities are those of the branch that it took."
         for row in rows
         if row.verdict == "jumps"
@@ -125,10 +136,15 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         worst_of_all = max(judged, key=lambda r: r.best if np.isfinite(r.best) else np.inf)
         lines.append(
             f"{sum(r.verdict == 'agrees' for r in judged)} of {len(judged)} agree; the largest error is "
-            f"{worst_of_all.best:.1e} ({worst_of_all.parameter}, {worst_of_all.channel}), that of the adjoint "
-            f"{max(r.adjoint for r in judged):.0e}."
+            f"{worst_of_all.best:.1e} ({worst_of_all.parameter}, {worst_of_all.channel}), that of the adjoint beside "
+            f"forward sensitivities {max((r.adjoint for r in judged if r.adjoint is not None), default=0.0):.0e}."
         )
     return "\n".join(lines)
+
+
+def _named(row: Row) -> str:
+    """What a row is of, with its value if it has one."""
+    return row.parameter if row.value is None else f"{row.parameter} = {row.value:g}"
 
 
 def _idle(name: str, rows: Sequence[Row]) -> bool:

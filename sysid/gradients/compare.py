@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -18,58 +17,28 @@ from sim_core.rigs import Parameter, Rig, list_parameters, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import Trace, simulate, step_times
-from sim_core.solve.step import NewtonSettings
 from sysid.fit.noise import declared_noise
+from sysid.gradients.differences import (
+    NEGLIGIBLE,
+    ROUND_OFF,
+    SIZES,
+    TIGHT,
+    Row,
+    away_of,
+    bound_of,
+    largest,
+    parts_of,
+    plateau,
+    probable_cause,
+    round_off,
+    slope_of,
+    unit_of,
+    verdict,
+)
 from sysid.streams import predicted, predicted_back, predicted_derivatives, stream_derivatives, total_delay
-
-TIGHT = NewtonSettings(step_tolerance_m=1e-13)
-
-STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
-"""Steps of the differences as shares of a parameter's value (of :data:`SIZES` where that is zero)."""
-
-SIZES = {"m": 1e-3, "s": 1e-2}
-"""Size of a parameter that is zero, by its unit; 1 in others."""
-
-SMOOTH, SWITCHING = 1e-5, 1e-4
-"""Bounds on relative errors: smooth mechanics; with contact that rubs, or plastic flow."""
-
-NEGLIGIBLE = 1e-6
-"""Share of what a channel does in the rollout, or of its sensor's noise, below which a parameter's effect on it is not
-judged."""
-
-ROUND_OFF = 3.0
-"""Errors within this many times what round-off of the rollouts makes of differences are put down to it."""
-
-PLATEAU = 10.0
-"""Steps whose error is within this factor of the least belong to the plateau."""
-
-Parts = tuple[tuple[str, slice], ...]
 
 _End = tuple[float, Rig, Trace]
 """How far a parameter was taken from its value, the rig there, and its rollout."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One parameter and channel. ``effect``: largest change of a reading per relative change of the parameter;
-    ``errors``: of the forward sensitivity against central differences, by step; ``plateau``: steps of which the errors
-    are about as small as the least; ``adjoint``: relative error of the adjoint against the forward sensitivity of a
-    random sum of readings; ``verdict``: 'agrees', 'no effect', 'negligible', 'unresolved' (round-off hides it in the
-    differences), 'jumps' (differences have no limit: the rollout jumps here) or 'differs'; ``reason``: of the last."""
-
-    parameter: str
-    value: float
-    channel: str
-    unit: str
-    effect: float
-    errors: tuple[float, ...]
-    best: float
-    best_step: float
-    plateau: tuple[float, ...]
-    adjoint: float
-    bound: float
-    verdict: str
-    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -100,10 +69,9 @@ class Comparison:
         self._known = {p.name: p for p in list_parameters(rig)}
         self._scene = build_scene(rig)
 
-    @staticmethod
-    def amount_of_work(names: Sequence[str], steps: Sequence[float]) -> int:
+    def amount_of_work(self, steps: Sequence[float]) -> int:
         """Number of times that ``on_work`` is called at most."""
-        return 2 + 2 * len(names) * len(steps)
+        return 2 + 2 * len(self._along) * len(steps)
 
     def rows(self, steps: Sequence[float]) -> Iterator[Row]:
         """Compare everything, parameter by parameter."""
@@ -115,7 +83,7 @@ class Comparison:
         tape = Tape(scene, self._poses, self._times, TIGHT, factors=True)
         backward = Backward(tape, along)
         found = {c: self._derivatives(c, raw[c], backward) for c in trace.outputs}
-        self._switches = any(r.contacts for r in trace.reports) or "bending_plasticity" in self.rig.effects
+        self._bound = bound_of(self.rig, trace)
         for k, direction in enumerate(along):
             yield from self._of_parameter(k, direction, found, steps)
 
@@ -129,7 +97,7 @@ class Comparison:
         forward = forward + stream_derivatives(trace, self._along, channel, stamps)
         adjoint = {}
         weights = np.random.default_rng(0).standard_normal(values.shape)
-        for part, columns in _parts(trace.kinds[channel]):
+        for part, columns in parts_of(trace.kinds[channel]):
             w = np.zeros_like(weights)
             w[:, columns] = np.where(np.isnan(values), 0.0, weights)[:, columns]
             given, by_stream = predicted_back(trace, self.rig, channel, stamps, w, self._along)
@@ -154,7 +122,7 @@ class Comparison:
         sweep = []
         for step in steps:
             ends = []
-            for away in _away(value, step * size, parameter.lower, parameter.upper):
+            for away in away_of(value, step * size, parameter.lower, parameter.upper):
                 self._on_work(direction.name)
                 there = with_parameters(self.rig, {direction.name: value + away})
                 rolled = self.trace
@@ -163,7 +131,7 @@ class Comparison:
                 ends.append((away, there, rolled))
             sweep.append(ends)
         for channel, derivatives in found.items():
-            for part, columns in _parts(self.trace.kinds[channel]):
+            for part, columns in parts_of(self.trace.kinds[channel]):
                 yield self._row(k, direction, channel, part, columns, derivatives, steps, sweep)
 
     def _row(
@@ -182,34 +150,27 @@ class Comparison:
         base = derivatives.values[:, columns]
         readings = [[predicted(t, r, channel, derivatives.stamps)[:, columns] for _, r, t in ends] for ends in sweep]
         aways = [(ends[0][0], ends[1][0]) for ends in sweep]
-        slopes_found = [_slope(base, r[0], r[1], *away) for r, away in zip(readings, aways, strict=True)]
-        scale = max(_largest(ours), min(_largest(s) for s in slopes_found))
-        errors = tuple(_largest(ours - s) / scale if scale > 0.0 else 0.0 for s in slopes_found)
+        slopes_found = [slope_of(base, r[0], r[1], *away) for r, away in zip(readings, aways, strict=True)]
+        scale = max(largest(ours), min(largest(s) for s in slopes_found))
+        errors = tuple(largest(ours - s) / scale if scale > 0.0 else 0.0 for s in slopes_found)
         best = int(np.argmin(errors))
-        moves = max(_largest(base - base[:1]), 1e-3 * _largest(base), self._noise(channel, columns))
-        plateau = tuple(s for s, e in zip(steps, errors, strict=True) if e <= PLATEAU * errors[best])
-        bound = SWITCHING if self._switches else SMOOTH
-        verdict, reason = "agrees", ""
+        moves = max(largest(base - base[:1]), 1e-3 * largest(base), self._noise(channel, columns))
+        bound, reason = self._bound, ""
         if not np.isfinite(ours[np.isfinite(base)]).all():
-            verdict, reason = "differs", "The sensitivities are not finite where the readings are."
-        elif scale == 0.0 or (_largest(ours) == 0.0 and scale * size <= NEGLIGIBLE * moves):
-            verdict = "no effect"
+            found, reason = "differs", "The sensitivities are not finite where the readings are."
+        elif scale == 0.0 or (largest(ours) == 0.0 and scale * size <= NEGLIGIBLE * moves):
+            found = "no effect"
         elif scale * size <= NEGLIGIBLE * moves:
-            verdict = "negligible"
-        elif not derivatives.adjoint[part][k] <= bound or not errors[best] <= bound:
-            hidden = ROUND_OFF * _round_off(base, readings, aways) / (np.abs(aways)[:, 0] * scale)
-            within, widest = np.array(errors) <= hidden, int(np.argmin(hidden))
-            near = errors[best] <= 10.0 * bound and within.any()
-            if derivatives.adjoint[part][k] <= bound and (within[widest] or near):
-                verdict = "unresolved"
-            elif derivatives.adjoint[part][k] <= bound and _jumps(steps, errors, bound):
-                verdict = "jumps"
-            else:
-                verdict = "differs"
+            found = "negligible"
+        else:
+            hidden = ROUND_OFF * round_off(base, readings, aways) / (np.abs(aways)[:, 0] * scale)
+            found = verdict(steps, errors, hidden, bound, bool(derivatives.adjoint[part][k] <= bound))
+            if found == "differs":
                 reason = self._reason(ours, scale, base, readings[best], sweep[best], bound)
         return Row(
-            direction.name, value, f"{channel} {part}".strip(), _unit(self.trace.kinds[channel], part), scale * size,
-            errors, errors[best], steps[best], plateau, float(derivatives.adjoint[part][k]), bound, verdict, reason,
+            direction.name, value, f"{channel} {part}".strip(), unit_of(self.trace.kinds[channel], part), scale * size,
+            errors, errors[best], steps[best], plateau(steps, errors), float(derivatives.adjoint[part][k]), bound,
+            found, reason,
         )  # fmt: skip
 
     @staticmethod
@@ -234,63 +195,10 @@ class Comparison:
         bound: float,
     ) -> str:
         """What probably makes the derivative jump, and which side the sensitivities are on."""
-        counts = [np.array([r.contacts for r in trace.reports]) for _, _, trace in ends]
-        changed = np.flatnonzero(counts[0] != counts[1])
-        if len(changed):
-            n = changed[0]
-            cause = f"contact made or lost at t = {self._times[n + 1]:.4g} s ({counts[1][n]} or {counts[0][n]} points)"
-        elif "bending_plasticity" in self.rig.effects:
-            cause = "the onset of yield in the sheet, or of sliding"
-        else:
-            cause = "the onset of sliding, or of contact at a point"
+        cause = probable_cause(self.rig, self._times, [trace for _, _, trace in ends])
         sides = []
         for reading, (away, _, _) in zip(readings, ends, strict=True):
-            if _largest((reading - base) / away - ours) <= 10.0 * bound * scale:
+            if largest((reading - base) / away - ours) <= 10.0 * bound * scale:
                 sides.append("more" if away > 0.0 else "less")
         side = f"; the sensitivities are those to the side of {sides[0]} of it" if len(sides) == 1 else ""
         return f"Probably {cause}{side}."
-
-
-def _away(value: float, step: float, lower: float, upper: float) -> tuple[float, float]:
-    """How far from its value a parameter is taken: up and down, or twice to the same side where a bound is near."""
-    if value - step < lower:
-        return step, 2.0 * step
-    return (step, -step) if value + step <= upper else (-step, -2.0 * step)
-
-
-def _slope(base: np.ndarray, first: np.ndarray, second: np.ndarray, a: float, b: float) -> np.ndarray:
-    """Derivative at 0 of the parabola through ``base`` at 0, ``first`` at ``a`` and ``second`` at ``b``."""
-    return np.asarray(((first - base) * b**2 - (second - base) * a**2) / (a * b * (b - a)))
-
-
-def _jumps(steps: Sequence[float], errors: Sequence[float], bound: float) -> bool:
-    """Whether errors grow as steps shrink, as those of differences across a jump do: in proportion to 1 / step or
-    nearly so, over the three smallest steps."""
-    if len(steps) < 3:
-        return False
-    last = sorted(zip(steps, errors, strict=True))[:3]
-    grow = all(e > np.sqrt(wider / step) * less for (step, e), (wider, less) in pairwise(last))
-    return grow and min(e for _, e in last) > bound
-
-
-def _round_off(
-    base: np.ndarray, readings: Sequence[Sequence[np.ndarray]], aways: Sequence[tuple[float, float]]
-) -> float:
-    """Round-off of rollouts in their readings: how far those of the smallest step are from a straight line."""
-    k = int(np.argmin([abs(a) for a, _ in aways]))
-    (first, second), (a, b) = readings[k], aways[k]
-    return _largest((first - base) - (second - base) * a / b)
-
-
-def _parts(kind: str) -> Parts:
-    return (("force", slice(0, 3)), ("torque", slice(3, 6))) if kind == "wrench" else (("", slice(None)),)
-
-
-def _unit(kind: str, part: str) -> str:
-    return {"markers": "m", "tracks": "px"}.get(kind, "N m" if part == "torque" else "N")
-
-
-def _largest(values: np.ndarray) -> float:
-    """Largest absolute value, of points in sight."""
-    seen = np.abs(values[np.isfinite(values)])
-    return float(seen.max(initial=0.0))

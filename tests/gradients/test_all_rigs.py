@@ -1,4 +1,5 @@
-"""Gradients by every class of parameters that a rig has, on every rig that comes with the package."""
+"""Gradients by every class of parameters that a rig has, and by poses, start and fields, on every rig that comes with
+the package."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ import pytest
 from sim_core.rigs import config_folder, list_parameters, load_rig
 from sim_core.rigs.motion import Experiment, load_experiment
 from sysid.gradients import check_gradients
+from sysid.gradients.beyond import KINDS
 
 STEPS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-7)
 
@@ -60,7 +62,8 @@ def test_gradients_by_all_classes_of_parameters(name):
     for parameter in list_parameters(rig):
         if parameter.value is not None:
             classes.setdefault(parameter.name.rpartition(".")[2], parameter.name)
-    _, text = check_gradients(rig, experiment, list(classes.values()), until_s=until, steps=STEPS, as_json=True)
+    names = [*classes.values(), *KINDS]
+    _, text = check_gradients(rig, experiment, names, until_s=until, steps=STEPS, as_json=True)
     rows = json.loads(text)["rows"]
     assert any(row["verdict"] == "agrees" for row in rows)
     differ = [row for row in rows if row["verdict"] == "differs"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -13,7 +14,7 @@ from sim_core.rigs import list_parameters, with_parameters
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
-from sysid.gradients import check_gradients, compare
+from sysid.gradients import check_gradients, differences
 from sysid.streams import predicted, predicted_back
 
 EXPERIMENT = Experiment.model_validate(
@@ -78,7 +79,7 @@ def test_a_derivative_that_is_wrong_both_ways_is_named(small_rig, monkeypatch, e
             return keys, error * table
 
         monkeypatch.setattr(module, "slopes", wrong)
-    _, rows = check(small_rig(), ["card.E", "card.thickness"], steps=compare.STEPS)
+    _, rows = check(small_rig(), ["card.E", "card.thickness"], steps=differences.STEPS)
     judged = {r["verdict"] for r in rows}
     assert judged == {"differs"}, [(r["channel"], r["verdict"], r["errors"]) for r in rows]
 
@@ -93,7 +94,7 @@ def test_losses_on_streams_have_derivatives_by_delays_and_drifts(small_rig):
     stamps = {c: rng.uniform(0.02, 0.22, 9) for c in ("wrench", "side")}
 
     def read(there):
-        trace = simulate(build_scene(there), poses, times, settings=compare.TIGHT)
+        trace = simulate(build_scene(there), poses, times, settings=differences.TIGHT)
         return {c: predicted(trace, there, c, s) for c, s in stamps.items()}
 
     known = {p.name: p.value for p in list_parameters(rig)}
@@ -104,7 +105,7 @@ def test_losses_on_streams_have_derivatives_by_delays_and_drifts(small_rig):
         step = 1e-5 * abs(known[d.name]) or 1e-6
         high, low = (read(with_parameters(rig, {d.name: known[d.name] + s})) for s in (step, -step))
         expected.append(sum(float((weights[c] * (high[c] - low[c])).sum()) for c in stamps) / (2.0 * step))
-    tape = Tape(build_scene(rig), poses, times, compare.TIGHT)
+    tape = Tape(build_scene(rig), poses, times, differences.TIGHT)
     back = {c: predicted_back(tape.trace, rig, c, s, weights[c], along) for c, s in stamps.items()}
     gradient = Backward(tape, along).gradient(0.0, {c: by_trace for c, (by_trace, _) in back.items()}).parameters
     after = sum(by_parameters for _, by_parameters in back.values())
@@ -115,22 +116,22 @@ def test_losses_on_streams_have_derivatives_by_delays_and_drifts(small_rig):
 def test_errors_across_a_jump_grow_as_steps_shrink():
     """One of a jump is proportional to 1 / step, that of a wrong derivative does not change, round-off is within the
     bound somewhere."""
-    for steps in (compare.STEPS, (1e-2, 1e-4, 1e-6)):
+    for steps in (differences.STEPS, (1e-2, 1e-4, 1e-6)):
         jump = [1e-3 / step for step in steps]
-        assert compare._jumps(steps, jump, 1e-4)
-        assert not compare._jumps(steps, [0.3] * len(steps), 1e-4)
-        assert not compare._jumps(steps, [0.3 + 1e-9 / step for step in steps], 1e-4)
-        assert not compare._jumps(steps, [1e-9 / step for step in steps], 1e-4)
-    assert not compare._jumps((1e-3, 1e-4), (0.1, 1.0), 1e-4), "two could be anything"
+        assert differences.jumps(steps, jump, 1e-4)
+        assert not differences.jumps(steps, [0.3] * len(steps), 1e-4)
+        assert not differences.jumps(steps, [0.3 + 1e-9 / step for step in steps], 1e-4)
+        assert not differences.jumps(steps, [1e-9 / step for step in steps], 1e-4)
+    assert not differences.jumps((1e-3, 1e-4), (0.1, 1.0), 1e-4), "two could be anything"
 
 
 def test_a_parameter_at_its_bound_is_stepped_to_one_side_in_second_order():
     """Of the derivative of a parabola nothing is lost, on either side or in the middle."""
     for value, lower, upper in ((0.0, 0.0, 9.0), (9.0, 0.0, 9.0), (4.0, 0.0, 9.0)):
-        a, b = compare._away(value, 0.1, lower, upper)
+        a, b = differences.away_of(value, 0.1, lower, upper)
         assert lower <= value + a <= upper and lower <= value + b <= upper
         base, first, second = (np.array([3.0 + 2.0 * d + 5.0 * d**2]) for d in (0.0, a, b))
-        assert compare._slope(base, first, second, a, b) == pytest.approx([2.0])
+        assert differences.slope_of(base, first, second, a, b) == pytest.approx([2.0])
 
 
 def test_bad_input_is_an_error(small_rig):
@@ -139,3 +140,38 @@ def test_bad_input_is_an_error(small_rig):
     blind = small_rig().model_copy(update={"sensors": {}, "cameras": {}})
     with pytest.raises(ConfigError, match="nothing that is measured"):
         check_gradients(blind, EXPERIMENT, ["card.E"])
+
+
+def test_poses_start_and_fields_are_checked_too(small_rig):
+    """In contact that slides, on a mount that gives way."""
+    rig = small_rig(effects={"end_effector_compliance": {"compliance_m_per_n": 2e-4}})
+    passed, rows = check(rig, ["poses", "start", "fields"], steps=(1e-2, 1e-3, 1e-4, 1e-6))
+    assert passed, [(r["parameter"], r["channel"], r["errors"]) for r in rows if r["verdict"] == "differs"]
+    judged = {r["parameter"] for r in rows if r["verdict"] == "agrees"}
+    assert {"poses of finger", "positions at the start", "velocities at the start"} <= judged
+    assert {f"field {name}" for name in build_scene(rig).fields.names} <= judged
+    assert all(r["adjoint"] is None and r["value"] is None for r in rows)
+
+
+@pytest.mark.parametrize("kind", ["poses", "start_x", "start_v", "fields"])
+def test_a_gradient_by_no_parameter_that_is_wrong_is_named(small_rig, monkeypatch, kind):
+    plain = Backward.gradient
+
+    def wrong(self, value, by_readings):
+        found = plain(self, value, by_readings)
+        given = getattr(found, kind)
+        off = {k: 1.001 * v for k, v in given.items()} if isinstance(given, dict) else 1.001 * given
+        return dataclasses.replace(found, **{kind: off})
+
+    monkeypatch.setattr(Backward, "gradient", wrong)
+    word = kind.split("_")[0]
+    passed, rows = check(small_rig(), [word], steps=(1e-2, 1e-3, 1e-4))
+    named = {"start_x": "positions", "start_v": "velocities"}.get(kind, word.removesuffix("s"))
+    differ = {r["parameter"] for r in rows if r["verdict"] == "differs"}
+    assert not passed and differ and all(name.startswith(named) for name in differ)
+
+
+def test_words_for_what_is_no_parameter_go_with_names(small_rig):
+    passed, text = check_gradients(small_rig(), EXPERIMENT, ["card.E", "start"], steps=(1e-3, 1e-4))
+    assert passed
+    assert "card.E_pa" in text and "velocities at the start" in text and "poses of" not in text

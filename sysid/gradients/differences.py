@@ -1,0 +1,142 @@
+"""Derivatives of readings against central differences of rollouts with a sweep of steps: errors, and what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sim_core.rigs import Rig
+from sim_core.simulate import Trace
+from sim_core.solve.step import NewtonSettings
+
+TIGHT = NewtonSettings(step_tolerance_m=1e-13)
+
+STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+"""Steps of the differences as shares of a parameter's value (of :data:`SIZES` where that is zero)."""
+
+SIZES = {"m": 1e-3, "s": 1e-2}
+"""Size of a parameter that is zero, by its unit; 1 in others."""
+
+SMOOTH, SWITCHING = 1e-5, 1e-4
+"""Bounds on relative errors: smooth mechanics; with contact that rubs, or plastic flow."""
+
+NEGLIGIBLE = 1e-6
+"""Share of what a channel does in the rollout, or of its sensor's noise, below which a parameter's effect on it is not
+judged."""
+
+ROUND_OFF = 3.0
+"""Errors within this many times what round-off of the rollouts makes of differences are put down to it."""
+
+PLATEAU = 10.0
+"""Steps whose error is within this factor of the least belong to the plateau."""
+
+Parts = tuple[tuple[str, slice], ...]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One parameter, or a direction, which has no ``value``, and channel. ``effect``: largest change of a reading per
+    relative change of the parameter; ``errors``: of the forward sensitivity against central differences, by step;
+    ``plateau``: steps of which the errors are about as small as the least; ``adjoint``: relative error
+    of the adjoint against the forward sensitivity of a random sum of readings, None where the errors are its own;
+    ``verdict``: 'agrees', 'no effect', 'negligible', 'unresolved' (round-off hides it in the differences), 'jumps'
+    (differences have no limit: the rollout jumps here) or 'differs'; ``reason``: of the last."""
+
+    parameter: str
+    value: float | None
+    channel: str
+    unit: str
+    effect: float
+    errors: tuple[float, ...]
+    best: float
+    best_step: float
+    plateau: tuple[float, ...]
+    adjoint: float | None
+    bound: float
+    verdict: str
+    reason: str = ""
+
+
+def verdict(
+    steps: Sequence[float], errors: Sequence[float], hidden: np.ndarray, bound: float, sound: bool = True
+) -> str:
+    """What the errors of a derivative that has an effect say. ``hidden``: errors by step that round-off makes;
+    ``sound``: both ways of differentiating agree."""
+    best = errors[int(np.argmin(errors))]
+    if sound and best <= bound:
+        return "agrees"
+    within, widest = np.array(errors) <= hidden, int(np.argmin(hidden))
+    if sound and (within[widest] or (best <= 10.0 * bound and within.any())):
+        return "unresolved"
+    return "jumps" if sound and jumps(steps, errors, bound) else "differs"
+
+
+def plateau(steps: Sequence[float], errors: Sequence[float]) -> tuple[float, ...]:
+    """Steps of which the errors are about as small as the least."""
+    return tuple(s for s, e in zip(steps, errors, strict=True) if e <= PLATEAU * errors[int(np.argmin(errors))])
+
+
+def bound_of(rig: Rig, trace: Trace) -> float:
+    """Largest relative error that is allowed in a rollout."""
+    switches = any(r.contacts for r in trace.reports) or "bending_plasticity" in rig.effects
+    return SWITCHING if switches else SMOOTH
+
+
+def probable_cause(rig: Rig, times: np.ndarray, ends: Sequence[Trace]) -> str:
+    """What probably makes the derivative jump between two rollouts."""
+    counts = [np.array([r.contacts for r in trace.reports]) for trace in ends]
+    changed = np.flatnonzero(counts[0] != counts[1])
+    if len(changed):
+        n = changed[0]
+        return f"contact made or lost at t = {times[n + 1]:.4g} s ({counts[1][n]} or {counts[0][n]} points)"
+    if "bending_plasticity" in rig.effects:
+        return "the onset of yield in the sheet, or of sliding"
+    return "the onset of sliding, or of contact at a point"
+
+
+def away_of(value: float, step: float, lower: float, upper: float) -> tuple[float, float]:
+    """How far from its value a parameter is taken: up and down, or twice to the same side where a bound is near."""
+    if value - step < lower:
+        return step, 2.0 * step
+    return (step, -step) if value + step <= upper else (-step, -2.0 * step)
+
+
+def slope_of(base: np.ndarray, first: np.ndarray, second: np.ndarray, a: float, b: float) -> np.ndarray:
+    """Derivative at 0 of the parabola through ``base`` at 0, ``first`` at ``a`` and ``second`` at ``b``."""
+    return np.asarray(((first - base) * b**2 - (second - base) * a**2) / (a * b * (b - a)))
+
+
+def jumps(steps: Sequence[float], errors: Sequence[float], bound: float) -> bool:
+    """Whether errors grow as steps shrink, as those of differences across a jump do: in proportion to 1 / step or
+    nearly so, over the three smallest steps."""
+    if len(steps) < 3:
+        return False
+    last = sorted(zip(steps, errors, strict=True))[:3]
+    grow = all(e > np.sqrt(wider / step) * less for (step, e), (wider, less) in pairwise(last))
+    return grow and min(e for _, e in last) > bound
+
+
+def round_off(
+    base: np.ndarray, readings: Sequence[Sequence[np.ndarray]], aways: Sequence[tuple[float, float]]
+) -> float:
+    """Round-off of rollouts in their readings: how far those of the smallest step are from a straight line."""
+    k = int(np.argmin([abs(a) for a, _ in aways]))
+    (first, second), (a, b) = readings[k], aways[k]
+    return largest((first - base) - (second - base) * a / b)
+
+
+def parts_of(kind: str) -> Parts:
+    return (("force", slice(0, 3)), ("torque", slice(3, 6))) if kind == "wrench" else (("", slice(None)),)
+
+
+def unit_of(kind: str, part: str) -> str:
+    return {"markers": "m", "tracks": "px"}.get(kind, "N m" if part == "torque" else "N")
+
+
+def largest(values: np.ndarray) -> float:
+    """Largest absolute value, of points in sight."""
+    seen = np.abs(values[np.isfinite(values)])
+    return float(seen.max(initial=0.0))
