@@ -33,7 +33,7 @@ def coverage(
 ) -> None:
     """Draw true values, simulate, fit, and count how often the intervals hold the truth.
 
-    Example: thinshell coverage strip_coarse pull_strip --params strip.E,strip.nu --cases 40
+    Example: thinshell coverage strip_coarse pull_taut --params strip.E,strip.nu --cases 40
     """
     from sim_core.rigs import load_rig, resolve_name
     from sim_core.rigs.motion import compile_experiment, load_experiment
