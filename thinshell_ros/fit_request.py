@@ -12,7 +12,7 @@ from typing import Any
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, resolve_name, with_parameters
 from sysid.fit.options import FitOptions
-from sysid.fit.parameters import fit_parameters, within_bounds
+from sysid.fit.parameters import fit_parameters, known_before, with_bags, within_bounds
 from sysid.parts import check_parts
 
 
@@ -51,10 +51,23 @@ def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], 
     lower = _numbers(values["fit.lower"], names, "fit.lower") or [-math.inf] * len(names)
     upper = _numbers(values["fit.upper"], names, "fit.upper") or [math.inf] * len(names)
     bounds = dict(zip(names, zip(lower, upper, strict=True), strict=True))
-    within_bounds(fit_parameters(rig, names), rig, bounds)
+    spread = _numbers(values["fit.prior_sd"], names, "fit.prior_sd")
+    if spread and not initial:
+        raise ConfigError(
+            "fit.prior_sd says how well values are known, and fit.initial does not say which.",
+            "Set fit.initial to those values.",
+        )
+    priors = {name: (at, sd) for name, at, sd in zip(names, initial, spread, strict=False) if sd != 0.0}
+    per_bag = [resolve_name(rig, name) for name in values["fit.per_bag"] or []]
+    single, _ = known_before(within_bounds(fit_parameters(rig, names), rig, bounds), rig, priors)
+    with_bags(single, per_bag, [str(bag) for bag in bags], rig)
     options = FitOptions(
         nuisance=[word.strip() for word in values["fit.nuisance"].split(",")],
+        per_bag=per_bag,
+        priors=priors,
         bounds=bounds,
+        starts=values["fit.starts"],
+        intervals="profiled" if values["fit.profile"] else "checked",
         max_evaluations=values["fit.max_iterations"],
         seed=values["fit.seed"],
     )

@@ -31,7 +31,7 @@ from thinshell_ros.runner import run
 
 VALUES = (
     "bag_uri", "held_out_uri", "fit.parameters", "fit.initial", "fit.lower", "fit.upper", "fit.max_iterations",
-    "fit.seed", "fit.nuisance", "output_dir",
+    "fit.seed", "fit.nuisance", "fit.prior_sd", "fit.per_bag", "fit.starts", "fit.profile", "output_dir",
 )  # fmt: skip
 
 
@@ -56,6 +56,12 @@ class SysidNode(Node):
         declare(self, "fit.seed", 0, "seed of everything random", bounds=(0, 2**31), fixed=False)
         kinds = "what is estimated beside: time,bias,camera,pose; all; none"
         declare(self, "fit.nuisance", "all", kinds, fixed=False)
+        declare(self, "fit.prior_sd", numbers, "what is known before of fit.initial; 0: nothing", fixed=False)
+        declare(
+            self, "fit.per_bag", words, "those of fit.parameters that each bag has a value of its own of", fixed=False
+        )
+        declare(self, "fit.starts", 1, "searches from so many starts", bounds=(1, 1000), fixed=False)
+        declare(self, "fit.profile", False, "find each interval from the likelihood itself", fixed=False)
         declare(self, "output_dir", "", "each fit makes a folder of its own in this one", fixed=False)
 
         self._state = FitState()

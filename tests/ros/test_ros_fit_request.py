@@ -17,7 +17,8 @@ from thinshell_ros.fit_state import FitState
 
 NONE: dict[str, Any] = {
     "held_out_uri": "", "fit.initial": None, "fit.lower": None, "fit.upper": None, "fit.max_iterations": 50,
-    "fit.seed": 3, "fit.nuisance": "all", "fit.parameters": ["strip.E", "strip.nu"],
+    "fit.seed": 3, "fit.nuisance": "all", "fit.parameters": ["strip.E", "strip.nu"], "fit.prior_sd": None,
+    "fit.per_bag": None, "fit.starts": 1, "fit.profile": False,
 }  # fmt: skip
 
 
@@ -50,6 +51,18 @@ def test_values_become_arguments(rig: Rig, tmp_path: Path) -> None:
     assert (tmp_path / "fits").is_dir()
 
 
+def test_what_is_known_before_and_how_it_is_searched(rig: Rig, tmp_path: Path) -> None:
+    bags = [str(tmp_path / "one"), str(tmp_path / "two")]
+    asked = request_of(
+        rig, tmp_path, bag_uri=bags, fit__initial=[5e9, 0.3], fit__prior_sd=[1e8, 0.0], fit__per_bag=["strip.nu"],
+        fit__starts=3, fit__profile=True,
+    )  # fmt: skip
+    assert asked.options.priors == {"strip.E_pa": (5e9, 1e8)}
+    assert (asked.options.per_bag, asked.options.starts, asked.options.intervals) == (["strip.nu"], 3, "profiled")
+    plain = request_of(rig, tmp_path).options
+    assert (plain.priors, plain.per_bag, plain.starts, plain.intervals) == ({}, [], 1, "checked")
+
+
 @pytest.mark.parametrize(
     ("values", "words"),
     [
@@ -59,6 +72,9 @@ def test_values_become_arguments(rig: Rig, tmp_path: Path) -> None:
         ({"fit__upper": [5e9, math.nan]}, "one finite number"),
         ({"fit__lower": [1e9, 0.4], "fit__upper": [9e9, 0.39]}, "strip.nu leave nothing between 0.4 and 0.39"),
         ({"fit__upper": [4e9, 0.4]}, "above 4e+09 Pa"),
+        ({"fit__prior_sd": [1e8, 0.1]}, "fit.initial does not say which"),
+        ({"fit__initial": [5e9, 0.3], "fit__prior_sd": [-1e8, 0.1]}, "no value with a standard deviation"),
+        ({"fit__per_bag": ["gel.E"]}, "gel.E"),
     ],
 )
 def test_values_that_cannot_be_used_are_refused(rig: Rig, tmp_path: Path, values: dict[str, Any], words: str) -> None:
