@@ -12,7 +12,7 @@ from typing import Any
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, resolve_name, with_parameters
 from sysid.fit.options import FitOptions
-from sysid.fit.parameters import fit_parameters, known_before, with_bags, within_bounds
+from sysid.fit.parameters import asked_for
 from sysid.parts import check_parts
 
 
@@ -59,8 +59,7 @@ def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], 
         )
     priors = {name: (at, sd) for name, at, sd in zip(names, initial, spread, strict=False) if sd != 0.0}
     per_bag = [resolve_name(rig, name) for name in values["fit.per_bag"] or []]
-    single, _ = known_before(within_bounds(fit_parameters(rig, names), rig, bounds), rig, priors)
-    with_bags(single, per_bag, [str(bag) for bag in bags], rig)
+    asked_for(rig, names, priors=priors, bounds=bounds, per_bag=per_bag, bags=[str(bag) for bag in bags])
     options = FitOptions(
         nuisance=[word.strip() for word in values["fit.nuisance"].split(",")],
         per_bag=per_bag,

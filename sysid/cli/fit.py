@@ -67,7 +67,7 @@ def fit(
     from sim_core.rigs import load_rig, resolve_name
     from sysid import rig_topics
     from sysid.fit import FitOptions, fit_bags
-    from sysid.fit.parameters import fit_parameters, known_before, with_bags, within_bounds
+    from sysid.fit.parameters import asked_for
 
     chosen = rig_topics.without(load_rig(rig), without or [])
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
@@ -81,9 +81,10 @@ def fit(
         robust=robust,
         seed=seed,
     )
-    single = within_bounds(fit_parameters(chosen, names), chosen, options.bounds)
-    known_before(single, chosen, options.priors)
-    with_bags(single, options.per_bag, [str(bag) for bag in bags], chosen)
+    asked_for(
+        chosen, names, priors=options.priors, bounds=options.bounds, per_bag=options.per_bag,
+        bags=[str(bag) for bag in bags],
+    )  # fmt: skip
     check_parts(bags, held_out or [])
     check_new(out, "folder")
     with progress("fit") as report:

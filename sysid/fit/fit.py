@@ -21,7 +21,7 @@ from sysid.fit.nuisance import has_bias, nuisance_parameters
 from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
 from sysid.fit.own_error import fit_beside_own_error, loud
-from sysid.fit.parameters import FitParameter, fit_parameters, known_before, rig_at, start_of, with_bags, within_bounds
+from sysid.fit.parameters import FitParameter, asked_for, rig_at, start_of
 from sysid.fit.pool import AnyEngine, PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.profile import Profile
@@ -58,8 +58,10 @@ def fit_runs(
     evaluation. Raises ``RecordingError`` where two runs have readings in common.
     """
     check_apart(runs, held_out)
-    single, rig = known_before(within_bounds(fit_parameters(rig, names), rig, options.bounds), rig, options.priors)
-    asked = with_bags(single, options.per_bag, [run.name for run in runs], rig)
+    asked, rig = asked_for(
+        rig, names, priors=options.priors, bounds=options.bounds, per_bag=options.per_bag,
+        bags=[run.name for run in runs],
+    )  # fmt: skip
     evaluations = Evaluations(options, on_progress, on_step)
     own = PooledEngine(os.cpu_count()) if engine is None else nullcontext(engine)
     with own as engine:

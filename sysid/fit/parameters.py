@@ -136,11 +136,31 @@ def fit_parameters(rig: Rig, names: Sequence[str]) -> list[FitParameter]:
     return found
 
 
+def asked_for(
+    rig: Rig,
+    names: Sequence[str],
+    *,
+    priors: Mapping[str, tuple[float, float]],
+    bounds: Mapping[str, tuple[float, float]],
+    per_bag: Collection[str],
+    bags: Sequence[str],
+) -> tuple[list[FitParameter], Rig]:
+    """What a fit of ``names`` determines with all that is said of them, and the rig where it starts. Raises
+    ``ConfigError``."""
+    known, start = known_before(fit_parameters(rig, names), rig, priors)
+    return with_bags(within_bounds(known, start, bounds), per_bag, bags, start), start
+
+
 def within_bounds(
     parameters: Sequence[FitParameter], rig: Rig, bounds: Mapping[str, tuple[float, float]]
 ) -> list[FitParameter]:
     """The parameters with narrower bounds, in their own units, where ``bounds`` names them. Raises ``ConfigError``."""
-    asked = {resolve_name(rig, name): pair for name, pair in bounds.items()}
+    asked: dict[str, tuple[float, float]] = {}
+    for name, pair in bounds.items():
+        full = resolve_name(rig, name)
+        if full in asked:
+            raise ConfigError(f"There are two pairs of bounds of {full}.", "Keep one of the two.")
+        asked[full] = pair
     values = {p.name: p.value for p in list_parameters(rig)}
     found = []
     for p in parameters:

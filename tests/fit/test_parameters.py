@@ -10,7 +10,7 @@ import pytest
 from sim_core.effects import EFFECTS, effect_by_name
 from sim_core.errors import ConfigError
 from sim_core.rigs import list_parameters, with_parameters
-from sysid.fit.parameters import SCALES, FitParameter, fit_parameters, start_of, within_bounds
+from sysid.fit.parameters import SCALES, FitParameter, asked_for, fit_parameters, start_of, within_bounds
 
 STIFFNESS = "contacts.gel-post.stiffness_pa_per_m"
 
@@ -61,6 +61,18 @@ def test_bounds_can_be_narrowed_and_not_widened(small_rig: Any) -> None:
         within_bounds(parameters, rig, {"gel.nu": (0.45, 0.49)})
     with pytest.raises(ConfigError, match="which is not fitted"):
         within_bounds(parameters[:1], rig, {"gel.nu": (0.35, 0.45)})
+    with pytest.raises(ConfigError, match=r"two pairs of bounds of gel\.E_pa"):
+        within_bounds(parameters, rig, {"gel.E": (1e4, 1e6), "gel.E_pa": (1e3, 1e6)})
+
+
+def test_bounds_hold_for_what_is_known_before_and_not_for_what_the_rig_says(small_rig: Any) -> None:
+    rig = with_parameters(small_rig(), {"gel.nu": 0.3})
+    known = {"priors": {"gel.nu": (0.46, 0.01)}, "per_bag": (), "bags": ("one",)}
+    (nu,), start = asked_for(rig, ["gel.nu"], bounds={"gel.nu": (0.45, 0.49)}, **known)
+    assert (nu.lower, nu.upper, nu.known_sd) == (0.45, 0.49, 0.01)
+    assert start_of(start, [nu]) == pytest.approx([0.46])
+    with pytest.raises(ConfigError, match=r"gel\.nu is 0\.46 in the rig 'small', below 0\.47"):
+        asked_for(rig, ["gel.nu"], bounds={"gel.nu": (0.47, 0.49)}, **known)
 
 
 @pytest.mark.parametrize(
