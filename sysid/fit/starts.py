@@ -109,12 +109,15 @@ class Evaluations:
             fitted.message = f"the evaluations allowed, {self._most}, are used up; the best values so far are kept"
         return fitted
 
+    def tell(self, text: str) -> None:
+        """Say what is going on, with how much is done, about."""
+        if self._on_progress is not None:
+            self._on_progress(self._searched * (1.0 - np.exp(-self.done / self._typical)), text)
+
     def __call__(self, best: Fitted) -> None:
         """One more has been made, after which ``best`` is the best of its search."""
         self.done += 1
-        if self._on_progress is not None:
-            share = self._searched * (1.0 - np.exp(-self.done / self._typical))
-            self._on_progress(share, f"evaluation {self.done}, misfit {best.misfit:.3g} (up to 1: noise alone)")
+        self.tell(f"evaluation {self.done}, misfit {best.misfit:.3g} (up to 1: noise alone)")
         if self._on_step is not None:
             asked = {p.name for p in best.parameters if not p.nuisance}
             self._on_step(Step(self.done, best.misfit, {n: v for n, v in best.values.items() if n in asked}))
@@ -144,7 +147,7 @@ class Searches:
         if self._elsewhere:
             fitted = self._from_elsewhere(problem, at, fitted)
             self._elsewhere = 0
-        if self._offsets and worst(problem, fitted) > GOOD_MISFIT:
+        if self._offsets and self._may_go_on(fitted) and worst(problem, fitted) > GOOD_MISFIT:
             fitted = self._from_other_offsets(problem, at, fitted)
             self._offsets = []
         return self._evaluations.limit(self._again_from_near(problem, fitted))
@@ -171,7 +174,7 @@ class Searches:
         """The best of searches from the starts that were asked for beside the rig's, which is kept unless another has
         ended where the fit is better by more than chance."""
         self._found, self._begun, best = [first], [at], first
-        for start in self._drawn(problem, at):
+        for start in self._drawn(problem, at, first):
             if not self._may_go_on(self._found[-1]):
                 break
             other = self._tried(problem, start, best)
@@ -189,28 +192,33 @@ class Searches:
         """In words, where searches from several starts have ended, if there were several."""
         return [*(_said(self._begun, self._found, self._failed) if self._found else []), *self._moved]
 
-    def _drawn(self, problem: Problem, at: np.ndarray) -> list[np.ndarray]:
+    def _drawn(self, problem: Problem, at: np.ndarray, best: Fitted) -> list[np.ndarray]:
         """Starts: those that fit best of a Latin hypercube in the parameters that are asked for."""
         asked = [k for k, p in enumerate(self._parameters) if not p.nuisance]
-        return self._glanced(problem, at, asked, START_WIDTH, GLANCES * self._elsewhere)[: self._elsewhere]
+        return self._glanced(problem, at, asked, START_WIDTH, GLANCES * self._elsewhere, best)[: self._elsewhere]
 
     def _glanced(
-        self, problem: Problem, about: np.ndarray, which: Sequence[int], width: float, count: int
+        self, problem: Problem, about: np.ndarray, which: Sequence[int], width: float, count: int, best: Fitted
     ) -> list[np.ndarray]:
         """Draws of a Latin hypercube in some of the parameters ``about`` scaled values, ``width`` times as wide as
-        what was known of them, those that fit best first."""
+        what was known of them, those that fit best first. None where Ctrl-C is pressed, which ``best`` then says."""
         share = qmc.LatinHypercube(len(which), rng=self._rng).random(count)
         drawn = np.tile(about, (count, 1))
         drawn[:, which] += width * np.array([self._parameters[k].prior_sd for k in which]) * norm.ppf(share)
         low, high = np.array([p.scaled_bounds for p in self._parameters]).T
         points = list(np.clip(drawn, low, high))
-        misfits = problem.glance(self._rig, self._parameters, points)
+        self._evaluations.tell(f"comparing {count} other starts")
+        try:
+            misfits = problem.glance(self._rig, self._parameters, points)
+        except KeyboardInterrupt:
+            best.message, best.converged = "interrupted; the best values so far are kept", False
+            return []
         return [points[k] for k in np.argsort(misfits, kind="stable")]
 
     def _from_other_offsets(self, problem: Problem, at: np.ndarray, fitted: Fitted) -> Fitted:
         """The best of searches from other offsets of the end effectors, while they bring anything."""
         before = fitted.misfit
-        for start in self._glanced(problem, at, self._offsets, 1.0, OFFSETS_DRAWN)[:MOST_OFFSETS]:
+        for start in self._glanced(problem, at, self._offsets, 1.0, OFFSETS_DRAWN, fitted)[:MOST_OFFSETS]:
             if not self._may_go_on(fitted):
                 break
             again = self._tried(problem, start, fitted)

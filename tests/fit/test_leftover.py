@@ -95,6 +95,18 @@ def test_evaluations_that_are_allowed_end_the_searches_from_other_offsets(small_
     assert search.ends == []
 
 
+def test_an_interruption_while_offsets_are_compared_keeps_the_best(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def pressed(*given: Any) -> list[float]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Problem, "glance", pressed)
+    _, found = searched(small_rig(), Folded(0.05))
+    assert found.interrupted and not found.converged
+    assert found.scaled[-1] == pytest.approx(2e-4, rel=0.02)
+
+
 def wrench(forces: float, torques: float, samples: int = 300) -> tuple[Problem, Fitted]:
     """Readings that are so many standard deviations of the noise off, beside a model that reads nothing."""
     rng = np.random.default_rng(5)

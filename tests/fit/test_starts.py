@@ -97,11 +97,11 @@ def test_progress_tells_the_misfit_beside_what_the_noise_alone_makes(small_rig: 
 def test_starts_are_those_of_many_draws_that_fit_best_and_can_be_simulated(small_rig: Any) -> None:
     gauge = Gauge(0.05, broken_from=13.5)
     several, parameters = searches(small_rig(), starts=5)
-    best_of_16 = several._drawn(problem(gauge), np.array([12.8]))
+    best_of_16 = several._drawn(problem(gauge), np.array([12.8]), cast(Fitted, None))
     misfits = problem(gauge).glance(small_rig(), parameters, best_of_16)
     assert len(misfits) == 4 and misfits == sorted(misfits) and misfits[-1] < np.inf
     others, _ = searches(small_rig(), starts=17)
-    best_of_64 = others._drawn(problem(gauge), np.array([12.8]))
+    best_of_64 = others._drawn(problem(gauge), np.array([12.8]), cast(Fitted, None))
     assert len(best_of_64) == 16
     assert np.mean(problem(gauge).glance(small_rig(), parameters, best_of_64[:4])) < np.mean(misfits)
     (far,) = problem(gauge).glance(small_rig(), parameters, [np.array([13.6])])
