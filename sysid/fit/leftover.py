@@ -64,8 +64,11 @@ def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
         + (f" ({found.run})" if len(problem.runs) > 1 else "")
         for (channel, quantity), found in most.items()
     ]
-    return [
-        f"The rig does not explain the recordings: what it leaves is {', '.join(parts)}. Intervals are widened by "
-        "the misfit, but a law that is missing, or a minimum that is not the lowest, can pull values further away than "
-        "they say: 'thinshell diagnose' looks for the one, '--starts 5' for the other."
-    ]
+    said = f"The rig does not explain the recordings: what it leaves is {', '.join(parts)}."
+    if fitted.parameters:
+        said += (
+            " Intervals are widened by the misfit, but a law that is missing, or a minimum that is not the lowest, can "
+            "pull values further away than they say: 'thinshell diagnose' looks for the one, '--starts 5' for the "
+            "other."
+        )
+    return [said]

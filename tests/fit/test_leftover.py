@@ -131,6 +131,13 @@ def test_each_quantity_is_judged_by_itself() -> None:
     assert f"{np.sqrt(torques.misfit):.2g} times the noise in the torque of cell." in said and "force" not in said
 
 
+def test_intervals_are_spoken_of_where_something_was_fitted(small_rig: Any) -> None:
+    problem_, plain = wrench(1.0, 3.0)
+    (nothing,) = unexplained(problem_, plain)
+    (said,) = unexplained(problem_, replace(plain, parameters=fit_parameters(small_rig(), ["gel.E"])))
+    assert "Intervals" in said and said.startswith(nothing) and "Intervals" not in nothing
+
+
 def test_noise_alone_says_nothing_and_neither_do_a_few_readings() -> None:
     assert unexplained(*wrench(1.0, 1.1)) == []
     assert unexplained(*wrench(1.0, 9.0, samples=6)) == []

@@ -373,6 +373,15 @@ def test_what_a_bag_has_for_itself_is_undetermined_whatever_the_bag_is_called(ba
         assert undetermined_names(make_fit(estimates=estimates, identifiability=[said])) == expected
 
 
+def test_more_than_noise_in_one_quantity_is_said_first_however_good_the_rest(tmp_path: Path) -> None:
+    good = fit_page(tmp_path, make_fit(series=[]))
+    assert "explains the recordings" in good.words
+    left = "The rig does not explain the recordings: what it leaves is 3 times the noise in the torque of load_cell."
+    page = fit_page(tmp_path, make_fit(unexplained=[left], series=[]))
+    first = page.words.split("Reduced chi-square")[0]
+    assert left in first and "leaves more than their noise" in first
+
+
 def test_what_is_determined_is_said_first(tmp_path: Path) -> None:
     pair = make_fit().identifiability[1]
     together = "The data do not determine gel.E_pa and gel.nu separately, only in combination: both up. Fix one."
