@@ -291,7 +291,7 @@ def load_experiment(name_or_path: str | Path) -> Experiment:
 def compile_experiment(experiment: Experiment, rig: Rig) -> dict[str, PoseTrajectory]:
     """Commanded poses of every end effector of the rig, from time 0 to the end of the longest.
 
-    Sampled at ``command_rate_hz``; end effectors without motions hold their start pose.
+    Sampled at ``command_rate_hz``; end effectors without motions hold the pose that they begin with.
     """
     for name in (*experiment.begin, *experiment.motions):
         if name not in rig.end_effectors:

@@ -122,9 +122,10 @@ class Stiffness:
         """Let it be factorised on a second core, for the next solution."""
         if self._factor is None and self._foreseen is None:
             prepared = self._keeper.prepared(self.layout)
-            self._foreseen = prepared.free()
-            data = prepared.data(self.layout, self._values, self._springs)
-            self._foreseen.begin(self, data, self._keeper.beside)
+            data, beside = prepared.data(self.layout, self._values, self._springs), self._keeper.beside
+            analysis = prepared.free()
+            analysis.begin(self, data, beside)
+            self._foreseen = analysis
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solve over the unknowns for one right-hand side ``(n,)`` or several ``(n, k)``."""
@@ -160,7 +161,8 @@ class _Analysis:
 
     def begin(self, owner: Stiffness, data: np.ndarray, beside: ThreadPoolExecutor) -> None:
         """Factorise on a second core, for an owner who will come for it."""
-        self._owner, self._begun = weakref.ref(owner), beside.submit(self.factor, data)
+        self._owner = weakref.ref(owner)
+        self._begun = beside.submit(self.factor, data)
 
     def end(self) -> Factor:
         """What was begun."""

@@ -18,36 +18,52 @@ from sysid.fit.problem import Problem
 GOOD_MISFIT = 1.5
 """Mean square of a whitened residual up to which noise, whose size is estimated from a rest, may have left it."""
 
+CHANCE = 4.0
+"""Where readings are few: standard deviations by which the mean square of white noise may be above 1."""
+
 FEWEST = 20
-"""Readings from which a quantity is judged."""
+"""Readings of a run from which one of its quantities is judged by itself; fewer are judged with those of other runs."""
 
 
 @dataclass(frozen=True)
 class LeftOver:
-    """Mean square of the whitened residual of one ``quantity`` of a ``channel`` in a ``run``."""
+    """Mean square of the whitened residual of one ``quantity`` of a ``channel`` in a ``run``; empty: in all that have
+    few readings of it. ``samples``: number of readings."""
 
     run: str
     channel: str
     quantity: str
     misfit: float
+    samples: int
+
+    @property
+    def excess(self) -> float:
+        """The misfit in units of what noise may leave, times :data:`GOOD_MISFIT`."""
+        return GOOD_MISFIT * self.misfit / max(GOOD_MISFIT, 1.0 + CHANCE * float(np.sqrt(2.0 / self.samples)))
 
 
 def left_over(problem: Problem, fitted: Fitted) -> list[LeftOver]:
     """All quantities, the simulator's own error and biases allowed for."""
     found = []
+    few: dict[tuple[str, str], list[np.ndarray]] = {}
     for i, run in enumerate(problem.runs):
         for m in run.measured:
             white = problem.whiten(i, m, m.values - problem.corrected(fitted, i, m))
             for quantity, group in quantities(m):
                 seen = white[:, group][np.isfinite(white[:, group])]
                 if len(seen) >= FEWEST:
-                    found.append(LeftOver(run.name, m.channel, quantity, float(np.mean(seen**2))))
+                    found.append(LeftOver(run.name, m.channel, quantity, float(np.mean(seen**2)), len(seen)))
+                elif len(seen):
+                    few.setdefault((m.channel, quantity), []).append(seen)
+    for (channel, quantity), parts in few.items():
+        seen = np.concatenate(parts)
+        found.append(LeftOver("", channel, quantity, float(np.mean(seen**2)), len(seen)))
     return found
 
 
 def worst(problem: Problem, fitted: Fitted) -> float:
-    """The largest misfit of any quantity; 0 without readings."""
-    return max((found.misfit for found in left_over(problem, fitted)), default=0.0)
+    """The largest :attr:`LeftOver.excess` of any quantity; 0 without readings."""
+    return max((found.excess for found in left_over(problem, fitted)), default=0.0)
 
 
 def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
@@ -55,13 +71,13 @@ def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
     most: dict[tuple[str, str], LeftOver] = {}
     for found in left_over(problem, fitted):
         known = most.get((found.channel, found.quantity))
-        if found.misfit > max(GOOD_MISFIT, known.misfit if known else 0.0):
+        if found.excess > max(GOOD_MISFIT, known.excess if known else 0.0):
             most[found.channel, found.quantity] = found
     if not most:
         return []
     parts = [
         f"{np.sqrt(found.misfit):.2g} times the noise in the {quantity} of {channel}"
-        + (f" ({found.run})" if len(problem.runs) > 1 else "")
+        + (f" ({found.run})" if found.run and len(problem.runs) > 1 else "")
         for (channel, quantity), found in most.items()
     ]
     said = f"The rig does not explain the recordings: what it leaves is {', '.join(parts)}."

@@ -173,13 +173,18 @@ class Problem:
             [self.engine.submit(rig_in(rig, parameters, at, run.name), run) for run in self.runs] for at in points
         ]
         found = []
-        for futures in pending:
-            try:
-                residual = self.assemble([future.result() for future in futures], [])[0]
-            except ThinshellError:
-                found.append(np.inf)
-            else:
-                found.append(float(residual @ residual))
+        try:
+            for futures in pending:
+                try:
+                    residual = self.assemble([future.result() for future in futures], [])[0]
+                except ThinshellError:
+                    found.append(np.inf)
+                else:
+                    found.append(float(residual @ residual))
+        except BaseException:
+            for future in (f for futures in pending for f in futures):
+                future.cancel()
+            raise
         return found
 
     def compare(

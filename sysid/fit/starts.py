@@ -135,7 +135,8 @@ class Searches:
         self._rng = np.random.default_rng(options.seed)
         self._elsewhere = options.starts - 1 if self._parameters else 0
         self._restarts = MOST_RESTARTS if self._parameters else 0
-        self._offsets = [k for k, p in enumerate(self._parameters) if kind_of(p.name) == "pose"]
+        self._offsets = [k for k, p in enumerate(self._parameters) if kind_of(p.target) == "pose"]
+        self._known = np.array([p.known_sd or p.prior_sd for p in self._parameters])
         self._moved: list[str] = []
         self._found: list[Fitted] = []
         self._begun: list[np.ndarray] = []
@@ -204,7 +205,7 @@ class Searches:
         what was known of them, those that fit best first. None where Ctrl-C is pressed, which ``best`` then says."""
         share = qmc.LatinHypercube(len(which), rng=self._rng).random(count)
         drawn = np.tile(about, (count, 1))
-        drawn[:, which] += width * np.array([self._parameters[k].prior_sd for k in which]) * norm.ppf(share)
+        drawn[:, which] += width * self._known[which] * norm.ppf(share)
         low, high = np.array([p.scaled_bounds for p in self._parameters]).T
         points = list(np.clip(drawn, low, high))
         self._evaluations.tell(f"comparing {count} other starts")
@@ -216,19 +217,24 @@ class Searches:
         return [points[k] for k in np.argsort(misfits, kind="stable")]
 
     def _from_other_offsets(self, problem: Problem, at: np.ndarray, fitted: Fitted) -> Fitted:
-        """The best of searches from other offsets of the end effectors, while they bring anything."""
-        before = fitted.misfit
+        """The best of searches from other offsets of the end effectors, while they bring anything: in all readings
+        together, or where most is left."""
+        before, first = worst(problem, fitted), fitted
         for start in self._glanced(problem, at, self._offsets, 1.0, OFFSETS_DRAWN, fitted)[:MOST_OFFSETS]:
             if not self._may_go_on(fitted):
                 break
             again = self._tried(problem, start, fitted)
-            if again is None or again.chi2 >= BETTER * fitted.chi2:
+            if again is None or again.chi2 >= fitted.chi2:
                 break
+            left, now = worst(problem, fitted), worst(problem, again)
+            better = again.chi2 < BETTER * fitted.chi2 or now < BETTER * left
             fitted = again
-        if fitted.misfit < BETTER * before:
+            if not better:
+                break
+        if fitted is not first:
             self._moved = [
-                f"The search from the rig's values ended with {before:.4g} times the noise's misfit, and from other "
-                f"offsets of the end effectors with {fitted.misfit:.4g}."
+                f"A search left up to {before:.4g} times the noise's misfit in one quantity, and searches from other "
+                f"offsets of the end effectors {worst(problem, fitted):.4g}."
             ]
         return fitted
 

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from io import StringIO
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -76,12 +77,24 @@ def check_gradients(
     both = [found for found in (by_parameters, by_others) if found is not None]
     work = sum(found.amount_of_work(steps) for found in both)
     rows = [row for found in both for row in found.rows(steps)]
+    if not rows:
+        raise ConfigError(
+            f"The rig {rig.name!r} has no {' and no '.join(kinds)}.", "Leave them out, or name another rig."
+        )
     passed = all(row.verdict != "differs" for row in rows)
     return passed, _as_json(rows, steps, passed) if as_json else _as_text(rows, steps)
 
 
 def _as_json(rows: Sequence[Row], steps: Sequence[float], passed: bool) -> str:
-    return json.dumps({"passed": passed, "steps": list(steps), "rows": [asdict(r) for r in rows]}, indent=2)
+    told = [{key: _number(value) for key, value in asdict(row).items()} for row in rows]
+    return json.dumps({"passed": passed, "steps": list(steps), "rows": told}, indent=2, allow_nan=False)
+
+
+def _number(value: Any) -> Any:
+    """A value, or values, as JSON: None where it is no number."""
+    if isinstance(value, tuple | list):
+        return [_number(v) for v in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
@@ -96,7 +109,7 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         if row.parameter in idle or row.verdict == "no effect":
             continue
         marks = [f"[{e:.1e}]" if e == row.best else f"{e:.1e}" for e in row.errors]
-        plateau = f"{row.plateau[0]:.0e}..{row.plateau[-1]:.0e}"
+        plateau = f"{row.plateau[0]:.0e}..{row.plateau[-1]:.0e}" if row.plateau else "-"
         cells = [f"{row.effect:.2g} {row.unit}", *(m.replace("[", r"\[") for m in marks), plateau]
         adjoint = "" if row.adjoint is None else f"{row.adjoint:.0e}"
         table.add_row(row.parameter, row.channel, *cells, adjoint, row.verdict)

@@ -164,7 +164,7 @@ class Comparison:
             found = "negligible"
         else:
             hidden = ROUND_OFF * round_off(base, readings, aways) / (np.abs(aways)[:, 0] * scale)
-            found = verdict(steps, errors, hidden, bound, bool(derivatives.adjoint[part][k] <= bound))
+            found = verdict(steps, errors, hidden, bound, sound=bool(derivatives.adjoint[part][k] <= bound))
             if found == "differs":
                 reason = self._reason(ours, scale, base, readings[best], sweep[best], bound)
         return Row(

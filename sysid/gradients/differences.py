@@ -61,17 +61,25 @@ class Row:
 
 
 def verdict(
-    steps: Sequence[float], errors: Sequence[float], hidden: np.ndarray, bound: float, sound: bool = True
+    steps: Sequence[float],
+    errors: Sequence[float],
+    hidden: np.ndarray,
+    bound: float,
+    *,
+    sound: bool = True,
+    alone: bool = False,
 ) -> str:
     """What the errors of a derivative that has an effect say. ``hidden``: errors by step that round-off makes;
-    ``sound``: both ways of differentiating agree."""
+    ``sound``: both ways of differentiating agree; ``alone``: there is only one."""
     best = errors[int(np.argmin(errors))]
     if sound and best <= bound:
         return "agrees"
     within, widest = np.array(errors) <= hidden, int(np.argmin(hidden))
-    if sound and (within[widest] or (best <= 10.0 * bound and within.any())):
+    near = within[int(np.argmin(errors))] if alone else within.any()
+    if sound and (within[widest] or (best <= 10.0 * bound and near)):
         return "unresolved"
-    return "jumps" if sound and jumps(steps, errors, bound) else "differs"
+    hides = alone and within[np.argsort(steps)[:3]].any()
+    return "jumps" if sound and not hides and jumps(steps, errors, bound) else "differs"
 
 
 def plateau(steps: Sequence[float], errors: Sequence[float]) -> tuple[float, ...]:

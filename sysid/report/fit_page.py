@@ -189,6 +189,11 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
         out.append(f"{_listed(bounds)} ended at a bound: the true value may lie beyond.")
     if not result.converged and result.message:
         out.append(f"The search ended with: {result.message}")
+    if explains(result) == "bad" and not result.unexplained:
+        out.append(
+            "Intervals are widened by the misfit, but a law that is missing can still pull values away from "
+            "the truth; 'thinshell diagnose' looks for one."
+        )
     return [*out, *result.unexplained]
 
 

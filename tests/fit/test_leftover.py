@@ -16,7 +16,7 @@ from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.leftover import left_over, unexplained, worst
 from sysid.fit.noise import ChannelNoise
-from sysid.fit.parameters import fit_parameters
+from sysid.fit.parameters import fit_parameters, with_bags
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
@@ -138,9 +138,62 @@ def test_intervals_are_spoken_of_where_something_was_fitted(small_rig: Any) -> N
     assert "Intervals" in said and said.startswith(nothing) and "Intervals" not in nothing
 
 
-def test_noise_alone_says_nothing_and_neither_do_a_few_readings() -> None:
+def test_noise_alone_says_nothing_however_few_its_readings() -> None:
     assert unexplained(*wrench(1.0, 1.1)) == []
-    assert unexplained(*wrench(1.0, 9.0, samples=6)) == []
+    for samples in (2, 6, 7, 10, 20):
+        assert unexplained(*wrench(1.0, 1.1, samples)) == []
+
+
+def test_readings_that_are_few_in_each_recording_are_judged_together() -> None:
+    alone, plain = wrench(1.0, 3.0, samples=4)
+    both = Problem([replace(alone.runs[0], name=f"at {k}") for k in range(9)], alone.noise, cast(PooledEngine, None))
+    (said,) = unexplained(both, replace(plain, predictions=plain.predictions * 9))
+    assert said.endswith("times the noise in the torque of cell.")
+
+
+def test_a_minimum_that_is_better_in_one_quantity_is_kept_however_many_others_there_are(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """300 columns of markers beside one reading that tells the two sides apart: the sum falls by less than 2 %."""
+    plain = Folded.predict_all, Folded.submit
+    rng = np.random.default_rng(3)
+    many = SIGMA * rng.standard_normal((len(T), 300))
+
+    def diluted(one: Problem) -> Problem:
+        run = one.runs[0]
+        others = Measured("others", "markers", T, many, tuple(f"u{k}" for k in range(300)))
+        noise = {**one.noise, "others": ChannelNoise(np.full(300, SIGMA), 0.0, "test")}
+        return Problem([replace(run, measured=(*run.measured, others))], noise, one.engine)
+
+    def with_others(found: Prediction, slopes: bool) -> Prediction:
+        extra = {"others": np.zeros((len(T), 300, 2))} if slopes else {}
+        return replace(
+            found, values={**found.values, "others": np.zeros_like(many)}, derivatives={**found.derivatives, **extra}
+        )
+
+    def submitted(self: Folded, rig: Any, run: Run) -> Future[Prediction]:
+        given: Future[Prediction] = Future()
+        try:
+            given.set_result(with_others(plain[1](self, rig, run).result(), False))
+        except ConvergenceError as error:
+            given.set_exception(error)
+        return given
+
+    monkeypatch.setattr(Folded, "submit", submitted)
+    monkeypatch.setattr(
+        Folded, "predict_all", lambda self, *given: [with_others(p, True) for p in plain[0](self, *given)]
+    )
+    rig, options = small_rig(), FitOptions()
+    search = Searches(rig, fit_parameters(rig, ["gel.E", OFFSET]), options, Evaluations(options))
+    found = search(diluted(problem(Folded(0.02))), np.array([np.log(1e5), 1.6e-4]))
+    assert found.misfit < 1.1 and found.scaled[-1] == pytest.approx(-2e-4, abs=1e-6)
+    assert len(search.ends) == 1
+
+
+def test_offsets_that_each_recording_has_for_itself_are_looked_for_too(small_rig: Any) -> None:
+    rig, options = small_rig(), FitOptions()
+    parameters = with_bags(fit_parameters(rig, ["gel.E", OFFSET]), [OFFSET], ["one", "two"], rig)
+    assert Searches(rig, parameters, options, Evaluations(options))._offsets == [1, 2]
 
 
 def test_what_is_left_in_several_recordings_is_told_of_the_worst() -> None:

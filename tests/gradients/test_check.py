@@ -10,7 +10,7 @@ import pytest
 
 from sim_core.errors import ConfigError
 from sim_core.gradients import Backward, Tape, adjoint, directions, tangent
-from sim_core.rigs import list_parameters, with_parameters
+from sim_core.rigs import list_parameters, parse_rig, with_parameters
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
@@ -151,6 +151,60 @@ def test_poses_start_and_fields_are_checked_too(small_rig):
     assert {"poses of finger", "positions at the start", "velocities at the start"} <= judged
     assert {f"field {name}" for name in build_scene(rig).fields.names} <= judged
     assert all(r["adjoint"] is None and r["value"] is None for r in rows)
+
+
+def test_poses_are_moved_where_they_truly_are(small_rig):
+    """An end effector that is offset: told poses are elsewhere than true ones, and turned."""
+    rig = with_parameters(small_rig(), {"finger.offset_rz_deg": 30.0, "finger.offset_x_m": 1e-3})
+    passed, rows = check(rig, ["poses"])
+    assert passed and max(r["best"] for r in rows) < 1e-5
+
+
+def test_what_a_rig_does_not_have_is_no_success(small_rig):
+    rig = small_rig()
+    bare = rig.model_copy(update={"end_effectors": {}})
+    experiment = Experiment.model_validate({"name": "still", "duration_s": 0.1})
+    with pytest.raises(ConfigError, match="no poses"):
+        check_gradients(no_hands(bare), experiment, ["poses"])
+
+
+def no_hands(rig):
+    """A card in a vice, seen by a camera, and nothing that moves."""
+    data = rig.model_dump()
+    data["bodies"] = {"card": data["bodies"]["card"]}
+    data["sensors"], data["contacts"], data["effects"] = {}, [], {}
+    return parse_rig(data, "no hands")
+
+
+def test_a_gradient_of_what_has_no_effect_is_not_negligible(small_rig, monkeypatch):
+    plain = Backward.gradient
+
+    def wrong(self, value, by_readings):
+        found = plain(self, value, by_readings)
+        off = {k: v + 1e3 if k.startswith("card") else v for k, v in found.fields.items()}
+        return dataclasses.replace(found, fields=off)
+
+    monkeypatch.setattr(Backward, "gradient", wrong)
+    passed, rows = check(small_rig(), ["fields"])
+    assert not passed
+    card = [r for r in rows if r["parameter"].startswith("field card") and r["channel"] != "side"]
+    assert {r["verdict"] for r in card} == {"differs"}
+
+
+@pytest.mark.parametrize("factor", [1.0005, np.nan])
+@pytest.mark.parametrize("kind", ["poses", "start_x", "start_v"])
+def test_a_gradient_that_is_a_little_wrong_is_named_with_the_usual_steps(small_rig, monkeypatch, kind, factor):
+    plain = Backward.gradient
+
+    def wrong(self, value, by_readings):
+        found = plain(self, value, by_readings)
+        given = getattr(found, kind)
+        off = {k: factor * v for k, v in given.items()} if isinstance(given, dict) else factor * given
+        return dataclasses.replace(found, **{kind: off})
+
+    monkeypatch.setattr(Backward, "gradient", wrong)
+    passed, text = check_gradients(small_rig(), EXPERIMENT, [kind.split("_")[0]])
+    assert not passed and "the error is" in text
 
 
 @pytest.mark.parametrize("kind", ["poses", "start_x", "start_v", "fields"])

@@ -8,7 +8,7 @@ from scipy.sparse import triu
 
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, frame_of
-from sim_core.solve.stiffness import Keeper
+from sim_core.solve.stiffness import Keeper, _Prepared
 
 COMPLIANT = {"end_effector_compliance": {"compliance_m_per_n": 2e-4}}
 
@@ -43,6 +43,30 @@ def test_products_and_solutions(small_rig, visit, factors):
         assert np.array_equal(kept[k].product(move), product)
         solved.append(np.abs(matrix @ kept[k].solve(rhs) - rhs).max())
     assert max(solved) < 1e-9
+
+
+def test_an_interruption_while_something_is_foreseen_leaves_nothing_half_done(small_rig, visit, monkeypatch):
+    scene = build_scene(small_rig())
+    system, keeper, simulation = scene.system, Keeper(scene.system), Simulation(scene)
+    first = keeper.keep()
+    poses = visit([0.0, 0.1], [[0, 0, 0], [0, 0, -0.008]])["finger"]
+    positions, quaternions = poses.sample(np.array([0.1]))
+    simulation.step({"finger": frame_of(positions[0], quaternions[0])}, 0.1)
+    second, upper = keeper.keep(), system.hessian(exact=True)
+    rhs = np.random.default_rng(0).standard_normal(system.n_unknowns)
+    first.foresee()
+    first.solve(rhs)
+    plain = _Prepared.data
+
+    def pressed(self, *given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_Prepared, "data", pressed)
+    with pytest.raises(KeyboardInterrupt):
+        second.foresee()
+    monkeypatch.setattr(_Prepared, "data", plain)
+    matrix = (upper + triu(upper, 1).T).toarray()
+    assert np.abs(matrix @ second.solve(rhs) - rhs).max() < 1e-9
 
 
 def test_what_is_foreseen_and_never_asked_for_leaves_room(small_rig, visit):
