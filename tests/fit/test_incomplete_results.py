@@ -16,6 +16,7 @@ from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit, starts
 from sysid.fit.engine import Prediction
 from sysid.fit.noise import ChannelNoise, channel_noise
+from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
@@ -119,7 +120,7 @@ def test_a_restart_that_cannot_be_simulated_is_left_out(small_rig: Any, monkeypa
 
     monkeypatch.setattr(Problem, "fit", once)
     monkeypatch.setattr(starts, "GOOD_MISFIT", 0.0)
-    parameters = fit.fit_parameters(small_rig(), ["gel.E"])
+    parameters = fit_parameters(small_rig(), ["gel.E"])
     noise = {"markers": ChannelNoise(np.array([0.01]), 0.0, "test")}
     problem = Problem([run_of("press", "markers")], noise, cast(PooledEngine, Readings()))
     evaluations = Evaluations(FitOptions())
@@ -190,7 +191,7 @@ def test_evaluations_that_fail_are_counted(small_rig: Any, monkeypatch: pytest.M
 
 
 def test_a_fit_counts_its_evaluations_over_all_searches_and_stops_at_the_most_allowed(small_rig: Any) -> None:
-    parameters = fit.fit_parameters(small_rig(), ["gel.E"])
+    parameters = fit_parameters(small_rig(), ["gel.E"])
     noise = {"markers": ChannelNoise(np.array([0.01]), 0.0, "test")}
     problem = Problem([run_of("press", "markers")], noise, cast(PooledEngine, Readings()))
     steps: list[Step] = []

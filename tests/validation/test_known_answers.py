@@ -129,7 +129,8 @@ def test_the_answer_to_small_loads_is_that_of_a_small_step():
 
 
 def test_loads_on_what_is_not_held_are_refused():
-    free = plate("supported", 0.3, "regular", 2)
-    loose = System(free.nodes, free.mass, np.zeros_like(free.prescribed), free.terms, np.zeros(3), inertia=False)
-    with pytest.raises(ConfigError, match="without resistance"):
-        linear_response(loose, np.ones_like(free.nodes))
+    for cells in (2, 3, 8):
+        free = plate("supported", 0.3, "regular", cells)
+        loose = System(free.nodes, free.mass, np.zeros_like(free.prescribed), free.terms, np.zeros(3), inertia=False)
+        with pytest.raises(ConfigError, match="without resistance"):
+            linear_response(loose, np.ones_like(free.nodes))
