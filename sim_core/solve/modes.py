@@ -38,7 +38,9 @@ def linear_response(system: System, loads: np.ndarray) -> np.ndarray:
     to first order. Raises ``ConfigError`` where something is not held."""
     stiffness = tangent_stiffness(system)
     try:
-        factor = splu(stiffness.tocsc())
+        factor = splu(
+            stiffness.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
     except RuntimeError as error:  # a pivot that is zero to the last bit
         raise ConfigError(UNHELD, "Hold every body.") from error
     pivots, own = np.abs(factor.U.diagonal()), np.abs(stiffness.diagonal())[np.argsort(factor.perm_c)]

@@ -108,7 +108,7 @@ def test_a_ring_is_pressed_together():
 @pytest.mark.parametrize(
     ("found", "reference"),
     [
-        (lambda: roof((48, 48)), ROOF),
+        (lambda: roof((64, 64)), ROOF),
         (lambda: pinched_cylinder((24, 20)), exact_cylinder()),
         (lambda: pinched_hemisphere(24), exact_hemisphere()),
     ],
