@@ -154,19 +154,19 @@ def test_readings_that_are_few_in_each_recording_are_judged_together() -> None:
 def test_a_minimum_that_is_better_in_one_quantity_is_kept_however_many_others_there_are(
     small_rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """300 columns of markers beside one reading that tells the two sides apart: the sum falls by less than 2 %."""
+    """900 columns of markers beside one reading that tells the two sides apart: the sum falls by less than 2 %."""
     plain = Folded.predict_all, Folded.submit
     rng = np.random.default_rng(3)
-    many = SIGMA * rng.standard_normal((len(T), 300))
+    many = SIGMA * rng.standard_normal((len(T), 900))
 
     def diluted(one: Problem) -> Problem:
         run = one.runs[0]
-        others = Measured("others", "markers", T, many, tuple(f"u{k}" for k in range(300)))
-        noise = {**one.noise, "others": ChannelNoise(np.full(300, SIGMA), 0.0, "test")}
+        others = Measured("others", "markers", T, many, tuple(f"u{k}" for k in range(900)))
+        noise = {**one.noise, "others": ChannelNoise(np.full(900, SIGMA), 0.0, "test")}
         return Problem([replace(run, measured=(*run.measured, others))], noise, one.engine)
 
     def with_others(found: Prediction, slopes: bool) -> Prediction:
-        extra = {"others": np.zeros((len(T), 300, 2))} if slopes else {}
+        extra = {"others": np.zeros((len(T), 900, 2))} if slopes else {}
         return replace(
             found, values={**found.values, "others": np.zeros_like(many)}, derivatives={**found.derivatives, **extra}
         )
