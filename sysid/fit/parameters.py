@@ -151,16 +151,23 @@ def asked_for(
     return with_bags(within_bounds(known, start, bounds), per_bag, bags, start), start
 
 
+def _by_full_name(rig: Rig, given: Mapping[str, tuple[float, float]], twice: str) -> dict[str, tuple[float, float]]:
+    """Pairs by the full names of parameters. Raises ``ConfigError``, which begins with ``twice``, for one that is there
+    by two names."""
+    found: dict[str, tuple[float, float]] = {}
+    for name, pair in given.items():
+        full = resolve_name(rig, name)
+        if full in found:
+            raise ConfigError(f"{twice} {full}.", "Keep one of the two.")
+        found[full] = pair
+    return found
+
+
 def within_bounds(
     parameters: Sequence[FitParameter], rig: Rig, bounds: Mapping[str, tuple[float, float]]
 ) -> list[FitParameter]:
     """The parameters with narrower bounds, in their own units, where ``bounds`` names them. Raises ``ConfigError``."""
-    asked: dict[str, tuple[float, float]] = {}
-    for name, pair in bounds.items():
-        full = resolve_name(rig, name)
-        if full in asked:
-            raise ConfigError(f"There are two pairs of bounds of {full}.", "Keep one of the two.")
-        asked[full] = pair
+    asked = _by_full_name(rig, bounds, "There are two pairs of bounds of")
     values = {p.name: p.value for p in list_parameters(rig)}
     found = []
     for p in parameters:
@@ -184,12 +191,7 @@ def known_before(
 ) -> tuple[list[FitParameter], Rig]:
     """The parameters with what is known of them beforehand, value and standard deviation in their own units, and the
     rig at these values. Raises ``ConfigError``."""
-    known: dict[str, tuple[float, float]] = {}
-    for name, pair in priors.items():
-        full = resolve_name(rig, name)
-        if full in known:
-            raise ConfigError(f"Two different things are said to be known of {full}.", "Keep one of the two.")
-        known[full] = pair
+    known = _by_full_name(rig, priors, "Two different things are said to be known of")
     unasked = sorted(known.keys() - {p.name for p in parameters})
     if unasked:
         raise ConfigError(

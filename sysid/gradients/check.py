@@ -121,10 +121,13 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         "effect: change of the reading that changes most, per relative change of the parameter (per unit where it is",
         "0); in brackets: the best step; plateau: steps of which the error is about as small; adjoint: its relative",
         f"difference from the forward sensitivity. Bound: {rows[0].bound:g}.",
-        "Of poses, start and fields: errors of the adjoint along one random direction, and effects of a step of 1, by",
-        f"{SHIFT_M:g} m, {TURN_RAD:g} rad, nodes by {NODE_M:g} m and {SPEED_M_S:g} m/s, nu and angles by {RATIO:g}, "
-        "others by their values.",
     ]
+    if any(row.value is None for row in rows):
+        lines += [
+            "Of poses, start and fields: errors of the adjoint along one random direction, and effects of a step of 1,",
+            f"by {SHIFT_M:g} m, {TURN_RAD:g} rad, nodes by {NODE_M:g} m and {SPEED_M_S:g} m/s, nu and angles by "
+            f"{RATIO:g}, others by their values.",
+        ]
     lines += [f"{name} has no effect on any reading in this experiment." for name in idle]
     for row in rows:
         if row.verdict == "differs":
