@@ -36,6 +36,9 @@ from sysid.provenance import provenance
 
 USUAL_OPTIONS = FitOptions()
 
+ENDS = 3
+"""Times that a fit is looked at where its intervals end; where it is better there it is searched for on from there."""
+
 LOOKS = 3
 """Times that mistaken readings are looked for and the fit repeated without them."""
 
@@ -62,10 +65,25 @@ def fit_runs(
         rig, names, priors=options.priors, bounds=options.bounds, per_bag=options.per_bag,
         bags=[run.name for run in runs],
     )  # fmt: skip
+    on_progress = _forward(on_progress)
     evaluations = Evaluations(options, on_progress, on_step)
     own = PooledEngine(os.cpu_count()) if engine is None else nullcontext(engine)
     with own as engine:
         return _fit_runs(engine, rig, runs, asked, held_out, options, evaluations, on_progress)
+
+
+def _forward(on_progress: Progress | None) -> Progress | None:
+    """Progress that never goes back, also where a fit is searched for again."""
+    if on_progress is None:
+        return None
+    tell, done = on_progress, 0.0
+
+    def told(share: float, text: str) -> None:
+        nonlocal done
+        done = max(done, share)
+        tell(done, text)
+
+    return told
 
 
 def _shown(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> dict[str, float | str]:
@@ -97,23 +115,18 @@ def _fit_runs(
     if robust:
         look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
     at, spent = first, 0.0
-    for left in reversed(range(LOOKS)):
-        noise = channel_noise(rig, look.runs, look.held_out)
-        problem, fitted = fit_beside_own_error(
-            engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
+    for left in reversed(range(ENDS)):
+        look, problem, fitted = _fit_beside_mistakes(
+            engine, rig, parameters, look, at, runs=runs, robust=robust, bias=bias, search=search
         )
         fitted.seconds += spent
-        if not robust or not left or fitted.cut_short:
+        estimates, correlation, sentences, reduced = estimates_of(fitted, first)
+        sentences += blamed(problem, fitted, sorted(kinds))
+        profiles, sentences, better = _profiled(problem, fitted, sentences, options.intervals, on_progress)
+        if better is None or not left:
             break
-        again, told = without_outliers(runs, fitted.predictions, noise)
-        if not worth_another_fit(look.runs, again):
-            break
-        look = replace(look, runs=again, outliers=told, plain=fitted.predictions)
-        at, spent = fitted.scaled, fitted.seconds
-    before = problem.evaluate(rig, [], np.zeros(0))
-    estimates, correlation, sentences, reduced = estimates_of(fitted, first)
-    sentences += blamed(problem, fitted, sorted(kinds))
-    profiles, sentences = _profiled(problem, fitted, sentences, options.intervals, on_progress)
+        at, spent, look = better, fitted.seconds, replace(look, plain=None)
+    noise, before = problem.noise, problem.evaluate(rig, [], np.zeros(0))
     nuisances = nuisances_of(problem, fitted)
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False, raw=runs)
@@ -185,6 +198,36 @@ class _Look:
     plain: list[Prediction] | None
 
 
+def _fit_beside_mistakes(
+    engine: AnyEngine,
+    rig: Rig,
+    parameters: Sequence[FitParameter],
+    look: _Look,
+    at: np.ndarray,
+    *,
+    runs: Sequence[Run],
+    robust: bool,
+    bias: bool,
+    search: Searches,
+) -> tuple[_Look, Problem, Fitted]:
+    """A fit from scaled values ``(p,)``, repeated while other readings of ``runs`` turn out to be mistakes."""
+    spent = 0.0
+    for left in reversed(range(LOOKS)):
+        noise = channel_noise(rig, look.runs, look.held_out)
+        problem, fitted = fit_beside_own_error(
+            engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
+        )
+        fitted.seconds += spent
+        if not robust or not left or fitted.cut_short:
+            break
+        again, told = without_outliers(runs, fitted.predictions, noise)
+        if not worth_another_fit(look.runs, again):
+            break
+        look = replace(look, runs=again, outliers=told, plain=fitted.predictions)
+        at, spent = fitted.scaled, fitted.seconds
+    return look, problem, fitted
+
+
 def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run]) -> _Look:
     """The runs without what are mistakes beside the rig that a fit starts from; as they are where it cannot follow."""
     if not any(m.kind in (*DIMENSIONS, WRENCH) for run in runs for m in run.measured):
@@ -210,17 +253,18 @@ def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequ
 
 def _profiled(
     problem: Problem, fitted: Fitted, sentences: list[str], intervals: Intervals, on_progress: Progress | None
-) -> tuple[list[Profile], list[str]]:
-    """Profiles, where they are wanted, and what is then known of the parameters in words.
+) -> tuple[list[Profile], list[str], np.ndarray | None]:
+    """Profiles, where they are wanted, what is then known of the parameters in words, and scaled values ``(p,)`` at
+    which the fit was met to be better.
 
     Where a profile says how far the data limit a parameter on both sides, that takes the place of the sentence that
     they do not determine it. Around values that are not the best fit intervals mean nothing, and little is said.
     """
     if intervals == "quadratic" or fitted.cut_short or not fitted.parameters:
-        return [], sentences
+        return [], sentences, None
     if not fitted.converged:
         left_out = ["No interval was sought by profile likelihood, since the fit did not converge."]
-        return [], sentences + (left_out if intervals == "profiled" else [])
+        return [], sentences + (left_out if intervals == "profiled" else []), None
 
     searched = SEARCHED[intervals]
 
@@ -230,14 +274,14 @@ def _profiled(
 
     profiler = Profiler(problem, fitted, tell)
     if intervals == "checked":
-        return [], sentences + profiler.check()
+        return [], sentences + profiler.check(), profiler.better
     profiles = profiler.profiles()
     better = profiler.lower()
     if better:
-        return profiles, [*sentences, better]
+        return profiles, [*sentences, better], profiler.better
     said = [p for p in profiles if p.sentence]
     replaced = tuple(f"The data do not determine {p.name}:" for p in said if p.limited)
-    return profiles, [s for s in sentences if not s.startswith(replaced)] + [p.sentence for p in said]
+    return profiles, [s for s in sentences if not s.startswith(replaced)] + [p.sentence for p in said], None
 
 
 def fit_bags(

@@ -30,7 +30,7 @@ from sysid.fit.problem import Problem
 from sysid.fit.runs import Run
 from sysid.fit.uncertainty import uncertainty
 
-MOST_ROUNDS = 6
+MOST_ROUNDS = 8
 """Times that the error is measured and the fit repeated."""
 
 SETTLED = 0.5
@@ -101,6 +101,7 @@ def fit_beside_own_error(
 
     ``plain``: the predictions where the fit starts, where they are at hand.
 
+    A search that came so far that the error is another one (``Fitted.elsewhere``) is followed by another round.
     ``Fitted.converged`` is false, and its message says so, when the rounds ended before both settled.
     Ctrl-C, and a limit to the evaluations of ``search``, keep the best so far, beside the error last measured.
     """
@@ -126,7 +127,7 @@ def fit_beside_own_error(
             fitted.message, fitted.converged = "interrupted; the best values so far are kept", False
             return problem, _counted(fitted, evaluations, seconds)
         asked = np.array([not p.nuisance for p in parameters], dtype=bool)
-        settled = bool(np.all((np.abs(step) <= SETTLED * uncertainty(fitted).sd)[asked]))
+        settled = bool(np.all((np.abs(step) <= SETTLED * uncertainty(fitted).sd)[asked])) and not fitted.elsewhere
         scaled = fitted.scaled
         if settled:
             break

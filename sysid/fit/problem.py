@@ -218,6 +218,7 @@ class Problem:
         max_evaluations: int = 30,
         tolerance: float = 0.5,
         on_evaluation: Callable[[Fitted], None] | None = None,
+        halt: Callable[[Fitted, Sequence[float]], bool] | None = None,
     ) -> Fitted:
         """Minimise the whitened residuals (:class:`sysid.fit.search.Search`).
 
@@ -231,5 +232,5 @@ class Problem:
             if on_evaluation is not None:
                 on_evaluation(found)
             return found
-        search = Search(lambda scaled: self.evaluate(rig, parameters, scaled), parameters, on_evaluation)
+        search = Search(lambda scaled: self.evaluate(rig, parameters, scaled), parameters, on_evaluation, halt)
         return search.run(start, max_evaluations, tolerance)

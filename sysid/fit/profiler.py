@@ -139,9 +139,17 @@ class Profiler:
                 found.append(self._profile(k, low, high))
         return found
 
+    @property
+    def better(self) -> np.ndarray | None:
+        """Scaled values ``(p,)`` of a better fit that was met on the way."""
+        return self._lowest.scaled if self._gained() >= self._gain else None
+
+    def _gained(self) -> float:
+        return _square(self._best.residual) - _square(self._lowest.residual)
+
     def lower(self) -> str:
         """A sentence if a better fit was met on the way, else empty."""
-        gain = _square(self._best.residual) - _square(self._lowest.residual)
+        gain = self._gained()
         if gain < self._gain:
             return ""
         values = ", ".join(

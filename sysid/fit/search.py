@@ -13,12 +13,14 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from sim_core.errors import ConvergenceError, ThinshellError
+from sim_core.errors import ThinshellError
 from sysid.fit.fitted import Fitted
+from sysid.fit.kinked import Point, minimise
 from sysid.fit.parameters import FitParameter
 from sysid.fit.uncertainty import chance
+
+HALTED = "it came on slowly beside an error of mesh and time step that was measured elsewhere"
 
 SHARPER = 0.5
 """A search that ends where chance makes less than this of what was thought before goes on from there."""
@@ -26,19 +28,23 @@ SHARPER = 0.5
 
 class Search:
     """One minimisation. ``evaluate``: the problem at scaled values ``(p,)``; ``parameters``: at least one;
-    ``on_evaluation``: told after each evaluation, also one that failed, what is best so far."""
+    ``on_evaluation``: told after each evaluation, also one that failed, what is best so far. ``halt``: whether to end
+    the search before its time, given the best so far and its chi-square after each evaluation."""
 
     def __init__(
         self,
         evaluate: Callable[[np.ndarray], Fitted],
         parameters: Sequence[FitParameter],
         on_evaluation: Callable[[Fitted], None] | None,
+        halt: Callable[[Fitted, Sequence[float]], bool] | None = None,
     ) -> None:
         self._evaluate = evaluate
         self._parameters = parameters
         self._on_evaluation = on_evaluation
         self._best: Fitted | None = None
         self._last: Fitted | None = None
+        self._halt = halt
+        self._course: list[float] = []
         self._evaluations = 0
         self._weight = 1.0
 
@@ -54,28 +60,34 @@ class Search:
         started = time.monotonic()
         low, high = np.array([p.scaled_bounds for p in self._parameters]).T
         scale = np.array([min(p.prior_sd, 1.0) for p in self._parameters])
-        message, converged = "", True
+        message, converged, radius = "", True, 1.0
         try:
             self._look(np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low)))
             while True:
                 self._weight = chance(self.best)
                 begin = self.best.scaled
 
-                def place(z: np.ndarray, begin: np.ndarray = begin) -> np.ndarray:
-                    """Scaled values; z begins at 1, because the length of the first step is that of z."""
-                    return np.clip(begin + scale * (z - 1.0), low, high)
+                def point(z: np.ndarray, begin: np.ndarray = begin) -> Point | None:
+                    """The problem where z is, whose unit is the scale; z begins at 0."""
+                    here = self._look(np.clip(begin + scale * z, low, high))
+                    if here is None:
+                        return None
+                    return Point(z, self._weigh(here, here.residual), self._weigh(here, here.jacobian * scale))
 
-                result = least_squares(
-                    lambda z, place=place: self._residual(place(z)),
-                    np.ones(len(scale)),
-                    jac=lambda z, place=place: self._jacobian(place(z)) * scale,
-                    bounds=(1.0 + (low - begin) / scale, 1.0 + (high - begin) / scale),
-                    ftol=max(tolerance * self._weight / max(self._weighted(self.best), 1e-300), 1e-14),
-                    xtol=1e-7,
-                    gtol=1e-12,
-                    max_nfev=max_evaluations - self._evaluations + 1,
+                first = point(np.zeros(len(scale)))
+                assert first is not None
+                end = minimise(
+                    point,
+                    first,
+                    ((low - begin) / scale, (high - begin) / scale),
+                    tolerance=tolerance * self._weight,
+                    go_on=lambda: self._evaluations < max_evaluations and not self._halted(),
+                    radius=radius,
                 )
-                message, converged = result.message, result.status > 0
+                message, converged, radius = end.message, end.converged, end.radius
+                if self._halted():
+                    message, converged = HALTED, False
+                    break
                 if chance(self.best) > SHARPER * self._weight:
                     break
                 if self._evaluations >= max_evaluations:
@@ -88,7 +100,11 @@ class Search:
         found = self.best
         found.evaluations, found.converged, found.message = self._evaluations, converged, message
         found.seconds = time.monotonic() - started
+        found.began = self._course[0]
         return found
+
+    def _halted(self) -> bool:
+        return self._halt is not None and self._halt(self.best, self._course)
 
     def _look(self, scaled: np.ndarray) -> Fitted | None:
         """The problem at these values; None where they cannot be simulated."""
@@ -110,6 +126,7 @@ class Search:
         return here
 
     def _tell(self) -> None:
+        self._course.append(self.best.chi2)
         if self._on_evaluation is not None:
             self._on_evaluation(self.best)
 
@@ -124,14 +141,3 @@ class Search:
     def _weighted(self, fitted: Fitted) -> float:
         residual = self._weigh(fitted, fitted.residual)
         return float(residual @ residual)
-
-    def _residual(self, scaled: np.ndarray) -> np.ndarray:
-        here = self._look(scaled)
-        # Infinitely bad: the search takes a shorter step from where it stands.
-        return np.full(len(self.best.residual), np.inf) if here is None else self._weigh(here, here.residual)
-
-    def _jacobian(self, scaled: np.ndarray) -> np.ndarray:
-        here = self._look(scaled)
-        if here is None:
-            raise ConvergenceError("The search asked for derivatives where the rig cannot be simulated.")
-        return self._weigh(here, here.jacobian)

@@ -7,6 +7,10 @@ searched from. Restarts are for
 kinks, on which a search can end although the misfit falls on the other side; they stand close to the best so far.
 There are a few in all, and none any more once one of them has brought nothing.
 
+What the simulator's own error is where a fit begins says little of what it is where it ends: a slack sheet buckles in
+one place and not in another. While a search beside it brings chi-square down by more than half there is nothing to be
+made of what it leaves. It ends when it comes on slowly, and goes on when the error has been measured where it stands.
+
 Where an end effector really is decides whether a sheet between two of them hangs or is taut, and which way it buckles.
 A fit that leaves more than noise in any quantity is therefore tried again from other offsets of the end effectors, if
 those are unknown: drawn from what was known of them before, and searched from where they fit best.
@@ -53,6 +57,12 @@ MOST_OFFSETS = 3
 
 BETTER = 0.98
 """A search from elsewhere has brought something if it leaves less than this share of chi-square."""
+
+FAR = 0.5
+"""A search that leaves less than this share of the chi-square where it began is far from there."""
+
+PATIENCE, SLOW = 3, 0.8
+"""It comes on slowly while so many evaluations leave more than this share of chi-square."""
 
 SAME_CHI2 = 4.0
 """Two searches have ended equally well if their chi-squares differ by less than this, in units of what chance makes
@@ -148,13 +158,27 @@ class Searches:
         if self._elsewhere:
             fitted = self._from_elsewhere(problem, at, fitted)
             self._elsewhere = 0
+        if self._far(problem, fitted):
+            fitted.elsewhere = True
+            return self._evaluations.limit(fitted)
         if self._offsets and self._may_go_on(fitted) and worst(problem, fitted) > GOOD_MISFIT:
             fitted = self._from_other_offsets(problem, at, fitted)
             self._offsets = []
+            if self._far(problem, fitted):
+                fitted.elsewhere = True
+                return self._evaluations.limit(fitted)
         return self._evaluations.limit(self._again_from_near(problem, fitted))
 
     def _search(self, problem: Problem, at: np.ndarray) -> Fitted:
-        return problem.fit(self._rig, self._parameters, at, self._evaluations.left, on_evaluation=self._evaluations)
+        halt = _comes_on_slowly if problem.directions else None
+        return problem.fit(
+            self._rig, self._parameters, at, self._evaluations.left, on_evaluation=self._evaluations, halt=halt
+        )
+
+    def _far(self, problem: Problem, fitted: Fitted) -> bool:
+        """The own error is to be measured where the fit stands before it is searched on."""
+        fell = fitted.chi2 < FAR * fitted.began
+        return fell and bool(problem.directions) and self._may_go_on(fitted) and worst(problem, fitted) > GOOD_MISFIT
 
     def _may_go_on(self, fitted: Fitted) -> bool:
         return self._evaluations.left > 0 and not fitted.interrupted
@@ -248,6 +272,14 @@ class Searches:
             self._restarts = self._restarts - 1 if again is None or better else 0
             fitted = fitted if again is None else min(fitted, again, key=lambda f: f.chi2)
         return fitted
+
+
+def _comes_on_slowly(best: Fitted, course: Sequence[float]) -> bool:
+    """Far from where the search began, and no nearer to the noise for some time. ``course``: chi-square after each
+    evaluation."""
+    if best.misfit < GOOD_MISFIT or len(course) <= PATIENCE or course[-1] >= FAR * course[0]:
+        return False
+    return course[-1] > SLOW * course[-1 - PATIENCE]
 
 
 def _said(begun: Sequence[np.ndarray], found: Sequence[Fitted], failed: int) -> list[str]:

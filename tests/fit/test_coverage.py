@@ -122,7 +122,7 @@ def test_the_usual_truth_is_no_refinement_that_a_fit_measures_its_error_with():
 
 @pytest.mark.slow
 def test_the_command_runs_cases():
-    command = [sys.executable, "-m", "sysid", "coverage", "strip_pull", "pull_strip"]
+    command = [sys.executable, "-m", "sysid", "coverage", "strip_coarse", "pull_taut"]
     command += ["--params", "strip.E", "--cases", "2", "--first", "3", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=1200)
     assert done.returncode == 0, done.stderr

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError, ConvergenceError
+from sim_core.rigs import with_parameters
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit, starts
 from sysid.fit.engine import Prediction
 from sysid.fit.noise import ChannelNoise, channel_noise
+from sysid.fit.options import Intervals
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
@@ -130,6 +132,34 @@ def test_a_restart_that_cannot_be_simulated_is_left_out(small_rig: Any, monkeypa
     assert np.exp(found.scaled[0]) == pytest.approx(TRUTH, rel=0.05)
 
 
+@pytest.mark.parametrize("intervals", ["checked", "profiled"])
+def test_a_search_that_ended_too_early_goes_on_from_the_better_fit_that_intervals_show(
+    intervals: Intervals, small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first search calls its start, which is 1 % off, the best."""
+    plain, calls = Problem.fit, 0
+
+    def early(problem: Problem, rig: Any, parameters: Any, start: Any, *given: Any, **more: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 1:
+            return problem.evaluate(rig, parameters, start)
+        return plain(problem, rig, parameters, start, *given, **more)
+
+    monkeypatch.setattr(Problem, "fit", early)
+    monkeypatch.setattr(starts, "GOOD_MISFIT", 1e9)
+    options = FitOptions(nuisance=("none",), intervals=intervals, robust=False)
+    rig = with_parameters(small_rig(), {"gel.E_pa": 1.01 * TRUTH})
+    shares: list[float] = []
+    result, _ = fit.fit_runs(
+        rig, [run_of("press", "markers")], ["gel.E"], options, engine=cast(PooledEngine, Readings()),
+        on_progress=lambda share, text: shares.append(share),
+    )  # fmt: skip
+    assert shares == sorted(shares)
+    assert result.estimates[0].value == pytest.approx(TRUTH, rel=0.004)
+    assert not any("too early" in sentence for sentence in result.identifiability)
+
+
 class Counted(Readings):
     """Counts the evaluations with derivatives."""
 
@@ -196,16 +226,16 @@ def test_a_fit_counts_its_evaluations_over_all_searches_and_stops_at_the_most_al
     problem = Problem([run_of("press", "markers")], noise, cast(PooledEngine, Readings()))
     steps: list[Step] = []
     shares: list[float] = []
-    evaluations = Evaluations(FitOptions(max_evaluations=4), lambda share, words: shares.append(share), steps.append)
-    first = problem.fit(small_rig(), parameters, np.array([11.0]), 3, on_evaluation=evaluations)
+    evaluations = Evaluations(FitOptions(max_evaluations=2), lambda share, words: shares.append(share), steps.append)
+    first = problem.fit(small_rig(), parameters, np.array([11.0]), 1, on_evaluation=evaluations)
     second = problem.fit(small_rig(), parameters, np.array([11.5]), evaluations.left, on_evaluation=evaluations)
     assert evaluations.left == 0
     assert [s.evaluations for s in steps] == list(range(1, 1 + first.evaluations + second.evaluations))
-    assert first.evaluations == 3 and second.evaluations == 1
+    assert first.evaluations == 1 and second.evaluations == 1
     assert not first.converged and not second.converged
     assert shares == sorted(shares)
-    assert steps[2].values == {"gel.E_pa": pytest.approx(np.exp(first.scaled[0]))}
-    assert steps[2].misfit == pytest.approx(first.misfit)
+    assert steps[0].values == {"gel.E_pa": pytest.approx(np.exp(first.scaled[0]))}
+    assert steps[0].misfit == pytest.approx(first.misfit)
 
 
 def test_what_did_not_converge_says_so_before_its_values(small_rig: Any) -> None:

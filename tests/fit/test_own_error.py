@@ -121,6 +121,22 @@ def test_rounds_that_end_too_soon_are_said(vectors: None) -> None:
     assert "finer mesh" in fitted.message
 
 
+def test_a_search_that_wants_the_error_measured_again_gets_it(vectors: None) -> None:
+    run = run_of(measured(np.random.default_rng(0)))
+    _, settled = fit(Linear(), run, rounds=40)
+    calls = 0
+
+    def search(problem: Problem, at: np.ndarray) -> Any:
+        nonlocal calls
+        calls += 1
+        found = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS, start=at)
+        found.elsewhere = calls < 4
+        return found
+
+    _, fitted = fit(Linear(), run, start=settled.scaled, search=search)
+    assert calls == 4 and fitted.converged
+
+
 def test_ctrl_c_keeps_the_best(vectors: None) -> None:
     engine = Linear()
     run = run_of(measured(np.random.default_rng(0)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from sysid.fit.fitted import Fitted
 from sysid.fit.parameters import FitParameter
-from sysid.fit.search import Search
+from sysid.fit.search import HALTED, Search
 from sysid.fit.uncertainty import chance
 
 T = np.linspace(0.0, 1.0, 4000)
@@ -104,3 +105,18 @@ def test_a_search_gets_away_from_where_it_starts(start: float, sd: float) -> Non
     best = float(slope @ data / (slope @ slope))
     assert found.converged
     assert abs(found.scaled[0] - best) < sd
+
+
+def test_a_search_that_is_halted_says_so_and_knows_where_it_began() -> None:
+    evaluate = problem(BASIS @ [2.0, -1.0] + NOISE)
+    seen: list[list[float]] = []
+
+    def halt(best: Fitted, course: Sequence[float]) -> bool:
+        seen.append(list(course))
+        return len(course) == 2
+
+    begin = np.array([300.0, -200.0])
+    found = Search(evaluate, PARAMETERS, None, halt).run(begin, 60, 0.5)
+    assert not found.converged and found.message == HALTED
+    assert found.began == pytest.approx(evaluate(begin).chi2)
+    assert seen[-1] == pytest.approx([found.began, found.chi2])

@@ -11,6 +11,7 @@ import pytest
 from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, starts
+from sysid.fit.directions import Direction
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
@@ -151,6 +152,54 @@ def test_a_restart_that_brings_nothing_is_the_last(small_rig: Any, monkeypatch: 
     assert len(fits) == 2 and min(fits) > starts.GOOD_MISFIT
     search(wrong, first.scaled)
     assert len(fits) == 3
+
+
+def with_own_error(wrong: Problem) -> Problem:
+    """The same beside an error of mesh and time step that is none."""
+    none = Direction("mesh", ({"gauge": np.zeros((len(T), 1))},))
+    return Problem(wrong.runs, wrong.noise, wrong.engine, [none])
+
+
+def test_what_is_left_far_from_where_the_own_error_was_measured_is_not_searched_on(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = 0
+    plain = Problem.fit
+
+    def counted(self: Problem, *given: Any, **more: Any) -> Fitted:
+        nonlocal calls
+        calls += 1
+        return plain(self, *given, **more)
+
+    monkeypatch.setattr(Problem, "fit", counted)
+    search, _ = searches(small_rig())
+    wrong = with_own_error(problem(Gauge(0.05), off=0.2))
+    first = search(wrong, np.array([11.6]))
+    assert first.elsewhere and first.misfit > starts.GOOD_MISFIT and first.chi2 < 0.5 * first.began
+    assert calls == 1
+    again = search(wrong, first.scaled)
+    assert not again.elsewhere
+    assert calls == 3, "and a restart, now that it stands where the error was measured"
+    right, _ = searches(small_rig())
+    assert not right(with_own_error(problem(Gauge(0.05))), np.array([11.6])).elsewhere
+
+
+@pytest.mark.parametrize(
+    ("course", "slow"),
+    [
+        ([100.0, 40.0, 39.0, 38.0, 37.0], True),
+        ([100.0, 40.0, 39.0, 38.0], False),
+        ([100.0, 60.0, 59.0, 58.0, 57.0], False),
+        ([100.0, 40.0, 39.0, 38.0, 20.0], False),
+        ([1.0, 0.3, 0.3, 0.3, 0.3], False),
+    ],
+)
+def test_a_search_comes_on_slowly(course: list[float], slow: bool) -> None:
+    """Ten readings: the last course has ended in noise."""
+    residual = np.full(10, np.sqrt(course[-1]))
+    nothing = cast(Any, None)
+    best = Fitted([], np.zeros(0), nothing, residual, np.zeros((10, 0)), [], [], nothing, 1, True, "", 0.0)
+    assert starts._comes_on_slowly(best, [10.0 * c for c in course]) == slow
 
 
 def test_an_interruption_of_a_later_search_keeps_the_best_and_ends_the_fit(

@@ -1,0 +1,178 @@
+"""Least squares whose residuals are smooth only in pieces: a trust region with a model that sees beyond a kink.
+
+Where a node comes into contact, or begins to slip, residuals have a kink, and the derivatives at one point say nothing
+of the other side. A Gauss-Newton step across it is refused, and a trust region that learns nothing from that shrinks
+in all directions until it creeps along the kink. But a point that was refused has been evaluated with its derivatives.
+Residual i, in pieces linear with one kink between the best point x and another one x_k = x + d, has it at the share
+1 - theta of the way, where
+
+    theta_i = (r_i(x_k) - r_i(x) - J_i(x) d) / ((J_i(x_k) - J_i(x)) d)   within 0 and 1,
+
+and J_k = J_i(x) + theta_i (J_i(x_k) - J_i(x)) are its mean derivatives on the way, component by component (by a secant
+alone a change would be put down to the longest component of d). Which of them hold where the next step leads is not
+known, so the model is the mean over what was seen,
+
+    m(s) = 1 / (1 + K) sum_{k=0..K} |r + J_k s|^2 = |r + <J> s|^2 + <|(J_k - <J>) s|^2>,   J_0 = J(x),
+
+whose last term keeps the step short along what the pieces disagree about, and along that alone. Points take part that
+are within the trust region and as far as which the derivatives at x do not hold; while steps do what J(x) says that is
+Gauss-Newton. As the region shrinks points drop out of it, so that nothing that x itself promises is missed. Where
+rollouts jump no derivative tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+GOOD, POOR = 0.75, 0.25
+"""Share of the promised fall of the sum of squares above which the region grows and below which it shrinks."""
+
+ONCE, AGAIN = 0.5, 0.25
+"""Radius, as a share of the last step, after one step that was refused and after more."""
+
+STILL = 0.25
+"""A step was too short to matter if it changes residuals, in squares, by less than this share of the tolerance."""
+
+OTHER = 0.5
+"""A point lies beyond a kink if the derivatives at the best miss its sum of squares by this share of the change."""
+
+REACH = 2.0
+"""Points within this many radii take part in the model."""
+
+MOST_NEAR = 6
+"""Points beside the best that take part in the model, the newest."""
+
+MOST_KEPT = 12
+"""Points that are kept, the newest."""
+
+SMALLEST = 1e-7
+"""Radius at which the search ends."""
+
+AT_MINIMUM = "no step promises more than chance makes of chi-square"
+AT_KINK = "it stands at a kink or a jump, beyond which derivatives do not tell what is better"
+USED_UP = "the evaluations allowed were used up"
+
+RIDGE = 1e-4
+"""Weight of the square of the step: what no residual sees stays where it is."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """Residuals ``(n,)`` and derivatives ``(n, p)`` at ``x`` ``(p,)``."""
+
+    x: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+
+    @property
+    def square(self) -> float:
+        return float(self.residual @ self.residual)
+
+
+@dataclass(frozen=True)
+class End:
+    """Where a search has ended: the best point, whether no step promised more, why it ended, in words, and the radius
+    of the trust region then."""
+
+    best: Point
+    converged: bool
+    message: str
+    radius: float
+
+
+def minimise(
+    look: Callable[[np.ndarray], Point | None],
+    begin: Point,
+    bounds: tuple[np.ndarray, np.ndarray],
+    *,
+    tolerance: float,
+    go_on: Callable[[], bool],
+    radius: float = 1.0,
+) -> End:
+    """The least sum of squares that is found from ``begin`` within ``bounds`` ``((p,), (p,))``.
+
+    ``look``: the point at a place, None where there is none; unknowns should be of order 1. ``tolerance``: fall of the
+    sum of squares below which the search ends; ``go_on``: false when no more evaluations are to be made; ``radius``: of
+    the trust region at first, in the largest component.
+    """
+    best, refused = begin, 0
+    near: list[Point] = []
+    while True:
+        beside = [p for p in near if _within(p, best, REACH * radius) and _other(p, best, tolerance)][-MOST_NEAR:]
+        step, promised = _step(best, [_on_the_way(best, p) for p in beside], radius, bounds)
+        if promised <= tolerance and beside:
+            radius *= 0.5
+            continue
+        if promised <= tolerance:
+            at_kink = np.max(np.abs(step)) > 0.99 * radius
+            return End(best, True, AT_KINK if at_kink else AT_MINIMUM, radius)
+        if radius < SMALLEST:
+            return End(best, True, AT_KINK, radius)
+        if not go_on():
+            return End(best, False, USED_UP, radius)
+        length = float(np.max(np.abs(step)))
+        there = look(best.x + step)
+        refused += 1
+        if there is None:
+            radius = AGAIN * length
+            continue
+        share = (best.square - there.square) / promised
+        if share < 0.0 and float(np.sum((best.jacobian @ step) ** 2)) < STILL * tolerance:
+            return End(best, True, AT_KINK, radius)
+        if share < POOR:
+            # The first time the model has something to learn.
+            radius = (ONCE if refused == 1 else AGAIN) * length
+        elif share > GOOD:
+            radius = max(radius, 2.0 * length)
+        better = there.square < best.square
+        refused = 0 if better else refused
+        small = share >= POOR and best.square - there.square <= tolerance
+        near = [*near, best if better else there][-MOST_KEPT:]
+        best = there if better else best
+        if small:
+            return End(best, True, AT_MINIMUM, radius)
+
+
+def _within(point: Point, best: Point, reach: float) -> bool:
+    return bool(np.max(np.abs(point.x - best.x)) <= reach)
+
+
+def _other(point: Point, best: Point, tolerance: float) -> bool:
+    """The derivatives at the best do not hold as far as this point."""
+    said = best.residual + best.jacobian @ (point.x - best.x)
+    told = float(said @ said)
+    return abs(told - point.square) > OTHER * (abs(told - best.square) + tolerance)
+
+
+def _on_the_way(best: Point, point: Point) -> np.ndarray:
+    """Mean derivatives between the best point and another, J_k of the model."""
+    away = point.x - best.x
+    turn = point.jacobian - best.jacobian
+    bent = turn @ away
+    missed = point.residual - best.residual - best.jacobian @ away
+    theta = np.clip(np.divide(missed, bent, out=np.full_like(bent, 0.5), where=bent != 0.0), 0.0, 1.0)
+    return np.asarray(best.jacobian + theta[:, None] * turn)
+
+
+def _step(
+    best: Point, others: list[np.ndarray], radius: float, bounds: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, float]:
+    """The step of the model within radius and bounds, and the fall of the sum of squares that it promises."""
+    low = np.minimum(np.maximum(bounds[0] - best.x, -radius), 0.0) - 1e-15
+    high = np.maximum(np.minimum(bounds[1] - best.x, radius), 0.0) + 1e-15
+    parts = [_triangle(np.column_stack([j, best.residual])) for j in (best.jacobian, *others)]
+    model = _triangle(np.vstack(parts) / np.sqrt(len(parts)))
+    matrix = np.vstack([model[:, :-1], np.sqrt(RIDGE) * np.eye(len(best.x))])
+    step = lsq_linear(matrix, -np.concatenate([model[:, -1], np.zeros(len(best.x))]), (low, high), method="bvls").x
+    step = np.clip(best.x + step, *bounds) - best.x
+    left = model[:, -1] + model[:, :-1] @ step
+    return step, best.square - float(left @ left)
+
+
+def _triangle(matrix: np.ndarray) -> np.ndarray:
+    """R of the QR factorisation, which keeps all sums of squares."""
+    return np.asarray(np.linalg.qr(matrix)[1])

@@ -1,0 +1,113 @@
+"""Least squares with kinks: steps that are refused at one are learnt from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from sysid.fit.kinked import AT_MINIMUM, USED_UP, End, Point, minimise
+
+Residuals = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Residuals ``(n,)`` and their derivatives ``(n, p)``."""
+
+WIDE = (np.full(2, -10.0), np.full(2, 10.0))
+
+
+class Counted:
+    """Looks at a problem, at most so often; ``broken``: where there is nothing to see."""
+
+    def __init__(self, residuals: Residuals, most: int, broken: Callable[[np.ndarray], bool] = lambda x: False) -> None:
+        self.residuals, self.most, self.broken, self.done = residuals, most, broken, 0
+
+    def look(self, x: np.ndarray) -> Point | None:
+        self.done += 1
+        return None if self.broken(x) else Point(x, *self.residuals(x))
+
+    def minimise(
+        self, start: list[float], bounds: tuple[np.ndarray, np.ndarray] = WIDE, tolerance: float = 1e-9
+    ) -> End:
+        first = self.look(np.array(start))
+        assert first is not None
+        return minimise(self.look, first, bounds, tolerance=tolerance, go_on=lambda: self.done < self.most)
+
+
+def curved(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rosenbrock's valley; least at (1, 1)."""
+    r = np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+    return r, np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
+
+
+def sharp(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A stiffness beside an offset across whose kink every marker is missed by more; least at (1.5, 0).
+
+    What one side says of the offset is that the other one is better."""
+    side = 1.0 if x[1] >= 0.0 else -1.0
+    r = np.array([x[0] - 1.5, 3.0 + 40.0 * abs(x[1]), 1.0 - 0.2 * x[1]])
+    return r, np.array([[1.0, 0.0], [0.0, 40.0 * side], [0.0, -0.2]])
+
+
+def hidden(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same with the derivatives of the other side just where the search begins, as of a node at rest."""
+    r, j = sharp(x)
+    if x[1] == 0.0:
+        j[1, 1] = -40.0
+    return r, j
+
+
+def rough(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two slopes whose hundred kinks, all of one size, make derivatives at a point wrong by 60 %."""
+    phase = np.modf(np.abs(x) * 25.0)[0]
+    wave = np.where(phase < 0.5, phase, 1.0 - phase) * 0.6 / 25.0 * 1.0
+    slope = np.where(phase < 0.5, 0.6, -0.6)
+    smooth = np.array([[1.0, 0.3], [0.2, 1.0], [0.5, -0.4]])
+    target = np.array([1.0, -2.0])
+    r = smooth @ (x + np.sign(x) * wave - target)
+    return r, smooth * (1.0 + slope)
+
+
+def test_a_smooth_valley_is_followed_to_its_end() -> None:
+    valley = Counted(curved, 60)
+    end = valley.minimise([-1.2, 1.0])
+    assert end.converged
+    assert end.best.x == pytest.approx([1.0, 1.0], abs=1e-4)
+    assert valley.done < 35
+
+
+def test_a_linear_problem_takes_one_step_and_no_more_than_bounds_allow() -> None:
+    line = Counted(lambda x: (x - np.array([0.7, 0.2]), np.eye(2)), 10)
+    end = line.minimise([0.0, 0.0], (np.array([-1.0, -1.0]), np.array([0.5, 1.0])))
+    assert end.converged and end.message == AT_MINIMUM
+    assert end.best.x == pytest.approx([0.5, 0.2], abs=1e-4)
+    assert line.done == 2
+
+
+def test_a_kink_in_one_parameter_does_not_hold_up_another() -> None:
+    found = Counted(hidden, 12)
+    end = found.minimise([0.0, 0.0])
+    assert end.best.x[0] == pytest.approx(1.5, abs=0.02)
+    # A trust region that learns nothing from what it refuses shrinks as often in both.
+    plain = least_squares(
+        lambda x: hidden(x)[0], [1e-12, 0.0], jac=lambda x: hidden(x)[1], max_nfev=12, ftol=1e-12, xtol=1e-12
+    )
+    assert abs(plain.x[0] - 1.5) > 0.5
+
+
+def test_many_kinks_are_passed_over() -> None:
+    end = Counted(rough, 40).minimise([3.0, 3.0], tolerance=1e-4)
+    assert end.best.square < 0.02
+
+
+def test_where_there_is_nothing_to_see_shorter_steps_are_taken() -> None:
+    found = Counted(curved, 80, broken=lambda x: bool(abs(x[0] - 0.2) < 0.05 and x[1] < 0.0))
+    end = found.minimise([-1.2, 1.0])
+    assert end.converged
+    assert end.best.x == pytest.approx([1.0, 1.0], abs=1e-4)
+
+
+def test_evaluations_that_are_used_up_are_said() -> None:
+    end = Counted(curved, 4).minimise([-1.2, 1.0])
+    assert not end.converged and end.message == USED_UP
+    assert end.best.square < Point(np.zeros(2), *curved(np.array([-1.2, 1.0]))).square
