@@ -14,10 +14,10 @@ known, so the model is the mean over what was seen,
 
     m(s) = 1 / (1 + K) sum_{k=0..K} |r + J_k s|^2 = |r + <J> s|^2 + <|(J_k - <J>) s|^2>,   J_0 = J(x),
 
-whose last term keeps the step short along what the pieces disagree about, and along that alone. Points take part that
-are within the trust region and as far as which the derivatives at x do not hold; while steps do what J(x) says that is
-Gauss-Newton. As the region shrinks points drop out of it, so that nothing that x itself promises is missed. Where
-rollouts jump no derivative tells.
+whose last term keeps the step short along what the pieces disagree about, and along that alone. Those points take part
+that are within the trust region and at which J(x) is wrong; while steps do what it says there are none, and the model
+is that of Gauss-Newton. As the region shrinks points drop out of it, so that nothing that x itself promises is missed.
+Where rollouts jump no derivative tells.
 """
 
 from __future__ import annotations

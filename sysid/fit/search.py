@@ -26,6 +26,10 @@ SHARPER = 0.5
 """A search that ends where chance makes less than this of what was thought before goes on from there."""
 
 
+FRESH = 0.1
+"""Least radius, in plausible widths, with which a search goes on after another one."""
+
+
 class Search:
     """One minimisation. ``evaluate``: the problem at scaled values ``(p,)``; ``parameters``: at least one;
     ``on_evaluation``: told after each evaluation, also one that failed, what is best so far. ``halt``: whether to end
@@ -84,7 +88,7 @@ class Search:
                     go_on=lambda: self._evaluations < max_evaluations and not self._halted(),
                     radius=radius,
                 )
-                message, converged, radius = end.message, end.converged, end.radius
+                message, converged, radius = end.message, end.converged, max(end.radius, FRESH)
                 if self._halted():
                     message, converged = HALTED, False
                     break

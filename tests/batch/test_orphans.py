@@ -70,11 +70,18 @@ INTERRUPTED = textwrap.dedent(
 )
 
 
+def heard():
+    """A shell lets what it runs in the background ignore Ctrl-C, and children inherit that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_an_interrupt_ends_what_runs_and_what_waits(tmp_path):
     script, started = tmp_path / "batch.py", tmp_path / "started"
     script.write_text(INTERRUPTED)
     started.mkdir()
-    batch = subprocess.Popen([sys.executable, str(script), str(started)], stderr=subprocess.PIPE, text=True)
+    batch = subprocess.Popen(
+        [sys.executable, str(script), str(started)], stderr=subprocess.PIPE, text=True, preexec_fn=heard
+    )
     while len(list(started.iterdir())) < 2:
         time.sleep(0.1)
         assert batch.poll() is None

@@ -27,7 +27,11 @@ def run(*motions: dict[str, Any], rig: Rig = RIG, **keys: Any) -> PoseTrajectory
 @pytest.mark.parametrize("name", names_in("experiments"))
 def test_experiments_of_the_package_run_on_a_rig_of_the_package(name: str) -> None:
     experiment = load_experiment(name)
-    fitting = [rig for rig in map(load_rig, names_in("rigs")) if set(experiment.motions) <= set(rig.end_effectors)]
+    fitting = [
+        rig
+        for rig in map(load_rig, names_in("rigs"))
+        if {*experiment.motions, *experiment.begin} <= {*rig.end_effectors}
+    ]
     assert experiment.name == name
     assert fitting
     for effector, path in compile_experiment(experiment, fitting[0]).items():
