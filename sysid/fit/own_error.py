@@ -135,7 +135,7 @@ def fit_beside_own_error(
     problem = Problem(runs, noise, engine, measured, prior, bias)
     final = problem.compare(fitted.predictions, rig, parameters, scaled)
     final.message, final.converged = fitted.message, fitted.converged and settled
-    if fitted.converged and not settled:
+    if (fitted.converged or fitted.elsewhere) and not settled:
         final.message = (
             f"the error of mesh and time step still changed with the parameters after {rounds} rounds; a finer "
             "mesh (cells) or a shorter step (solver.dt_s) makes it smaller"

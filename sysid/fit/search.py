@@ -25,7 +25,6 @@ HALTED = "it came on slowly beside an error of mesh and time step that was measu
 SHARPER = 0.5
 """A search that ends where chance makes less than this of what was thought before goes on from there."""
 
-
 FRESH = 0.1
 """Least radius, in plausible widths, with which a search goes on after another one."""
 
@@ -104,7 +103,7 @@ class Search:
         found = self.best
         found.evaluations, found.converged, found.message = self._evaluations, converged, message
         found.seconds = time.monotonic() - started
-        found.began = self._course[0]
+        found.began, found.elsewhere = self._course[0], message == HALTED
         return found
 
     def _halted(self) -> bool:

@@ -170,15 +170,17 @@ class Searches:
         return self._evaluations.limit(self._again_from_near(problem, fitted))
 
     def _search(self, problem: Problem, at: np.ndarray) -> Fitted:
-        halt = _comes_on_slowly if problem.directions else None
+        # Searches from several starts are compared where they end.
+        halt = _comes_on_slowly if problem.directions and not self._elsewhere else None
         return problem.fit(
             self._rig, self._parameters, at, self._evaluations.left, on_evaluation=self._evaluations, halt=halt
         )
 
     def _far(self, problem: Problem, fitted: Fitted) -> bool:
         """The own error is to be measured where the fit stands before it is searched on."""
-        fell = fitted.chi2 < FAR * fitted.began
-        return fell and bool(problem.directions) and self._may_go_on(fitted) and worst(problem, fitted) > GOOD_MISFIT
+        if not problem.directions or not self._may_go_on(fitted):
+            return False
+        return fitted.elsewhere or (fitted.chi2 < FAR * fitted.began and worst(problem, fitted) > GOOD_MISFIT)
 
     def _may_go_on(self, fitted: Fitted) -> bool:
         return self._evaluations.left > 0 and not fitted.interrupted

@@ -58,14 +58,12 @@ def hidden(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rough(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two slopes whose hundred kinks, all of one size, make derivatives at a point wrong by 60 %."""
-    phase = np.modf(np.abs(x) * 25.0)[0]
-    wave = np.where(phase < 0.5, phase, 1.0 - phase) * 0.6 / 25.0 * 1.0
-    slope = np.where(phase < 0.5, 0.6, -0.6)
+    """Two slopes under folds of one size, on every second side of which derivatives have the wrong sign."""
+    phase = np.modf(5.0 * np.abs(x))[0]
+    wave = 1.2 / 5.0 * np.minimum(phase, 1.0 - phase)
+    slope = np.where(phase < 0.5, 1.2, -1.2)
     smooth = np.array([[1.0, 0.3], [0.2, 1.0], [0.5, -0.4]])
-    target = np.array([1.0, -2.0])
-    r = smooth @ (x + np.sign(x) * wave - target)
-    return r, smooth * (1.0 + slope)
+    return smooth @ (x + np.sign(x) * wave - np.array([1.0, -2.0])), smooth * (1.0 + slope)
 
 
 def test_a_smooth_valley_is_followed_to_its_end() -> None:
@@ -96,8 +94,11 @@ def test_a_kink_in_one_parameter_does_not_hold_up_another() -> None:
 
 
 def test_many_kinks_are_passed_over() -> None:
-    end = Counted(rough, 40).minimise([3.0, 3.0], tolerance=1e-4)
-    assert end.best.square < 0.02
+    """From most starts; Gauss-Newton alone stays on the side of the fold where it begins."""
+    begun = [[3.0, 3.0], [-2.0, 1.0], [2.5, -0.3], [0.2, 2.2], [-3.0, -3.1]]
+    ends = [Counted(rough, 25).minimise(start, tolerance=1e-4).best.square for start in begun]
+    plain = [least_squares(lambda x: rough(x)[0], s, jac=lambda x: rough(x)[1], max_nfev=25).cost * 2.0 for s in begun]
+    assert np.median(ends) < 0.01 < 1.0 < np.median(plain)
 
 
 def test_where_there_is_nothing_to_see_shorter_steps_are_taken() -> None:

@@ -131,10 +131,15 @@ def test_a_search_that_wants_the_error_measured_again_gets_it(vectors: None) -> 
         calls += 1
         found = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS, start=at)
         found.elsewhere = calls < 4
+        found.converged = not found.elsewhere
         return found
 
     _, fitted = fit(Linear(), run, start=settled.scaled, search=search)
     assert calls == 4 and fitted.converged
+    calls = 0
+    _, never = fit(Linear(), run, start=settled.scaled, search=search, rounds=3)
+    assert calls == 3 and not never.converged
+    assert "finer mesh" in never.message
 
 
 def test_ctrl_c_keeps_the_best(vectors: None) -> None:

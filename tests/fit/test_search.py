@@ -117,6 +117,6 @@ def test_a_search_that_is_halted_says_so_and_knows_where_it_began() -> None:
 
     begin = np.array([300.0, -200.0])
     found = Search(evaluate, PARAMETERS, None, halt).run(begin, 60, 0.5)
-    assert not found.converged and found.message == HALTED
+    assert not found.converged and found.message == HALTED and found.elsewhere
     assert found.began == pytest.approx(evaluate(begin).chi2)
     assert seen[-1] == pytest.approx([found.began, found.chi2])

@@ -184,6 +184,18 @@ def test_what_is_left_far_from_where_the_own_error_was_measured_is_not_searched_
     assert not right(with_own_error(problem(Gauge(0.05))), np.array([11.6])).elsewhere
 
 
+@pytest.mark.parametrize("chosen", [1, 3])
+def test_searches_that_are_compared_are_not_halted(
+    chosen: int, small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A search that is halted wants the error measured again, wherever it ended."""
+    monkeypatch.setattr(starts, "_comes_on_slowly", lambda best, course: len(course) > 1)
+    search, _ = searches(small_rig(), starts=chosen)
+    found = search(with_own_error(problem(Gauge(0.05))), np.array([11.6]))
+    assert found.elsewhere == (chosen == 1)
+    assert found.converged == (chosen > 1)
+
+
 @pytest.mark.parametrize(
     ("course", "slow"),
     [
