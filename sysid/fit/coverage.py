@@ -3,7 +3,8 @@
 Each case draws true values and, independently, values to start from; simulates the experiments with the true ones,
 on a finer mesh with a shorter step, with the noise that the rig declares and with what nobody tells (offsets in time,
 biases of wrenches, cameras that are off) drawn from the priors that a fit has of it; fits; and looks whether the truth
-is inside. Cases are numbered, so that any of them can be run again by itself; one process a core.
+is inside the interval that the curvature at the best fit gives, without the look along the likelihood that ``thinshell
+fit`` takes as well. Cases are numbered, so that any of them can be run again by itself; one process a core.
 
 A fit learns the error of its mesh and time step by halving them (:mod:`sysid.fit.own_error`). A truth of half the mesh
 and half the step differs from the fit's model by just what it has learnt, so the usual truth is three times finer.
@@ -241,8 +242,8 @@ def _case(
     options = FitOptions(intervals="quadratic")
     result, _ = fit_runs(rig_at(rig, parameters, start), runs, names, options, engine=_engine())
     outcomes = []
-    for p, at_rig, true, found in zip(parameters, start_of(rig, parameters), truth, result.estimates, strict=True):
-        value, low, high = p.physical(true), *found.ci95
+    for p, at_rig, scaled, found in zip(parameters, start_of(rig, parameters), truth, result.estimates, strict=True):
+        value, low, high = p.physical(scaled), *found.ci95
         relative = p.physical(at_rig) != 0.0
         outcomes.append(
             Outcome(
@@ -254,7 +255,7 @@ def _case(
                 bool(low <= value <= high),
                 relative,
                 (found.value - value) / (value if relative else 1.0),
-                float((p.scaled(found.value) - true) / found.sd),
+                float((p.scaled(found.value) - scaled) / found.sd),
                 result.converged,
             )
         )

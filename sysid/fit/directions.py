@@ -5,17 +5,18 @@ reading, but only estimates its size, and the estimate need not be equally good 
 rolls over an element edge or starts to slip it is off by more than during a hold. The error is therefore
 taken to be, in column j of a channel,
 
-    e_j(t) = d_j(t) (mean + sd (g(t) + g_j(t))) + ROUGH D(t) n_j(t),
+    e_j(t) = d_j(t) (mean + sd (g(t) + g_j(t))) + sd sum_p A_p(t) v_pj g_p(t) + ROUGH D(t) n_j(t),
     g(t) = c_0 + sum_l a_l sum_k c_lk h_lk(t),    c, n ~ N(0, 1),
 
 with h_lk the hat functions of the equidistant instants of level l of :data:`LEVELS`, ever finer and ever
 weaker (a_l), so that the size drifts like a random walk; g is common to all columns of a quantity (the
-forces, the torques, the markers), g_j is each column's own. Where d passes through zero or two refinements
-act on each other the error is not a multiple of d at all; the last part stands for that, independent from
-sample to sample, with D(t) the largest rms of d over the columns of a quantity about t. The coefficients are
-eliminated from the least-squares problem and the last part weighs samples down, so intervals and evidence
-are those with the error integrated out (the discrepancy of Kennedy & O'Hagan 2001 with a basis from the
-solver instead of a stationary kernel).
+forces, the torques, the markers), g_j is each column's own. Where a body starts to slip a little earlier the
+error has the patterns of d, but not their course: v_p are the strongest principal components of d over the columns
+of a quantity, d(t) = sum_p a_p(t) v_p, and A_p(t) is the largest |a_p| about t. Where two refinements act on each
+other the error is not made of d at all; the last part stands for that, independent from sample to sample, with D(t)
+the largest rms of d over the columns of a quantity about t. The coefficients are eliminated from the least-squares
+problem and the last part weighs samples down, so intervals and evidence are those with the error integrated out (the
+discrepancy of Kennedy & O'Hagan 2001 with a basis from the solver instead of a stationary kernel).
 
 A wrench sensor that was not tared adds a constant to each of its readings. Such a bias is one more coefficient
 that a column has for itself, and is eliminated with the others.
@@ -42,6 +43,12 @@ RIGHT_SD = 0.5
 
 LEVELS = ((6, 2**-0.5), (12, 0.5), (24, 8**-0.5))
 """Instants of a run between which the size of a direction is interpolated, and how strong each level is."""
+
+PATTERNS, PATTERN_LEVELS = 3, 2
+"""Principal components of a direction that may take a course of their own, and the levels of which that is made."""
+
+FAINT = 1e-3
+"""Share of the strongest component below which others are left out."""
 
 ROUGH = 0.25
 """Part of the error that follows no shape, in units of the largest error thereabouts."""
@@ -83,8 +90,7 @@ class Basis:
     ``(n, m, p)``: its derivatives by them (``p`` = 0: not known); ``common`` ``(n, m, k)`` and ``own``
     ``(n, m, l)``: its changes for coefficients of unit variance that all columns share, and that each has
     for itself; ``common_times``, ``own_times`` [s]: to which instant a coefficient belongs; ``rough``
-    ``(n, m)``: standard deviation of what follows no shape, measured units; ``weight`` ``(n, m)``: the factor
-    on whitened samples that accounts for it.
+    ``(n, m)``: standard deviation of what follows no shape, measured units.
     """
 
     expected: np.ndarray
@@ -95,18 +101,30 @@ class Basis:
     common_times: np.ndarray
     own_times: np.ndarray
     rough: np.ndarray
-    weight: np.ndarray
 
-    def whitened(self, noise: ChannelNoise) -> Basis:
-        """The same in units of the noise; what is not finite has no part in it."""
+    def weights(self, noise: ChannelNoise) -> np.ndarray:
+        """Factors on whitened samples ``(n, m)`` that account for what follows no shape."""
         # What is independent from sample to sample comes out of whitening that much larger.
         coloured = (1.0 + noise.rho**2) / (1.0 - noise.rho**2)
-        weight = 1.0 / np.sqrt(1.0 + coloured * (self.rough / noise.sigma) ** 2)
+        return np.asarray(1.0 / np.sqrt(1.0 + coloured * (self.rough / noise.sigma) ** 2))
+
+    def whitened(self, noise: ChannelNoise, good: np.ndarray) -> Basis:
+        """The same in units of the noise, for the samples ``(n, m)`` that are good; others have no part in it."""
+        weight = self.weights(noise)
         parts = {}
         for name in ("expected", "slopes", "common", "own"):
-            white = np.nan_to_num(whiten(getattr(self, name), noise))
-            parts[name] = white * weight.reshape(*weight.shape, *(1,) * (white.ndim - 2))
-        return replace(self, weight=weight, **parts)
+            part = getattr(self, name)
+            columns = (*good.shape, *(1,) * (part.ndim - 2))
+            # Missing where readings are, so that both are whitened alike.
+            white = whiten(np.where(good.reshape(columns), part, np.nan), noise)
+            parts[name] = np.nan_to_num(white, copy=False)
+            parts[name] *= weight.reshape(columns)
+        return replace(self, **parts)
+
+    def without_coefficients(self) -> Basis:
+        """The same with no coefficients."""
+        nothing = np.zeros((*self.expected.shape, 0))
+        return replace(self, common=nothing, own=nothing, common_times=np.zeros(0), own_times=np.zeros(0))
 
     def mean_error(self, scaled: np.ndarray) -> np.ndarray:
         """Expected error ``(n, m)`` at scaled parameters, of which the first are those of ``at``."""
@@ -116,28 +134,6 @@ class Basis:
         """The error ``(n, m)`` with given coefficients."""
         own = np.einsum("njl,jl->nj", self.own, sizes.own)
         return np.asarray(self.mean_error(scaled) + self.common @ sizes.common + own)
-
-    def eliminate(self, vectors: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, Sizes, np.ndarray]:
-        """Take the coefficients out of whitened vectors ``(n, m, q)``; ``good`` ``(n, m)``: which samples count.
-
-        Returns rows ``(good + coefficients, q)`` whose inner products are v^T (I + R R^T)^-1 w with R the
-        columns of the basis, the coefficients that explain the first vector, and the times of the rows of
-        coefficients. By Woodbury's identity the map v -> (v - R c, -c), c = (I + R^T R)^-1 R^T v, does this,
-        first for each column's own coefficients, then for the common ones.
-        """
-        count, shared = vectors.shape[2], self.common.shape[2]
-        v = np.where(good[:, :, None], np.concatenate([vectors, self.common], axis=2), 0.0)
-        own = np.where(good[:, :, None], self.own, 0.0)
-        by_column, transposed = own.transpose(1, 0, 2), own.transpose(1, 2, 0)
-        gram = np.eye(own.shape[2]) + transposed @ by_column
-        c = np.linalg.solve(gram, transposed @ v.transpose(1, 0, 2))
-        v = v - (by_column @ c).transpose(1, 0, 2)
-        rows = np.concatenate([v[good], -c.reshape(-1, c.shape[2])])
-        root, rows = rows[:, count:], rows[:, :count]
-        both = np.linalg.solve(np.eye(shared) + root.T @ root, root.T @ rows)
-        sizes = Sizes(both[:, 0], c[:, :, 0] - c[:, :, count:] @ both[:, 0])
-        times = np.concatenate([np.tile(self.own_times, good.shape[1]), self.common_times])
-        return np.concatenate([rows - root @ both, -both]), sizes, times
 
 
 def basis_of(
@@ -155,7 +151,7 @@ def basis_of(
     at = next((d.at for d in directions if d.at is not None), np.zeros(0))
     slopes = np.zeros((*expected.shape, len(at)))
     common, own = [np.zeros((*expected.shape, 0))], [np.zeros((*expected.shape, 0))]
-    own_times = [np.zeros(0)]
+    common_times, own_times = [np.zeros(0)], [np.zeros(0)]
     for direction in directions:
         shape = direction.shapes[index].get(measured.channel)
         if shape is None:
@@ -165,11 +161,19 @@ def basis_of(
             slopes += direction.mean * direction.slopes[index][measured.channel]
         own.append(direction.sd * shape[:, :, None] * drift[:, None, :])
         own_times.append(instants)
-        for group in column_groups(measured):
+        for quantity in column_groups(measured):
+            group = quantity[np.isfinite(measured.values[:, quantity]).any(axis=0)]
+            if not len(group):
+                continue
             part = np.zeros(own[-1].shape)
             part[:, group] = own[-1][:, group]
-            common.append(part)
-            rough[:, group] += (ROUGH * _largest(shape[:, group], t, run.end))[:, None] ** 2
+            patterns, there = _patterns(shape[:, group], t, run.end)
+            wide = np.zeros((*shape.shape, len(there)))
+            wide[:, group] = direction.sd * patterns
+            common += [part, wide]
+            common_times += [instants, there]
+            rms = np.sqrt(np.mean(shape[:, group] ** 2, axis=1))
+            rough[:, group] += (ROUGH * _largest(rms, t, run.end))[:, None] ** 2
     if bias is not None:
         own.append(np.tile(bias[:, None], (len(t), 1, 1)))
         own_times.append(np.array([0.5 * run.end]))
@@ -179,10 +183,9 @@ def basis_of(
         at,
         np.concatenate(common, axis=2),
         np.concatenate(own, axis=2),
-        np.tile(instants, len(common) - 1),
+        np.concatenate(common_times),
         np.concatenate(own_times),
         np.sqrt(rough),
-        np.ones(expected.shape),
     )
 
 
@@ -192,18 +195,28 @@ def _hats(t: np.ndarray, end: float, count: int) -> tuple[np.ndarray, np.ndarray
     return np.clip(1.0 - np.abs(t[:, None] - knots) / (knots[1] - knots[0]), 0.0, None), knots
 
 
-def _drift(t: np.ndarray, end: float) -> tuple[np.ndarray, np.ndarray]:
+def _drift(t: np.ndarray, end: float, levels: int = len(LEVELS)) -> tuple[np.ndarray, np.ndarray]:
     """The functions of time that the size of a direction is made of ``(n, l)``, and their instants [s]."""
     functions, instants = [np.ones((len(t), 1))], [np.array([0.5 * end])]
-    for count, strength in LEVELS:
+    for count, strength in LEVELS[:levels]:
         hats, knots = _hats(t, end, count)
         functions.append(strength * hats)
         instants.append(knots)
     return np.concatenate(functions, axis=1), np.concatenate(instants)
 
 
-def _largest(shape: np.ndarray, t: np.ndarray, end: float) -> np.ndarray:
-    """Largest rms over the columns about each time, in windows of the finest level ``(n,)``."""
+def _patterns(shape: np.ndarray, t: np.ndarray, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Changes ``(n, m, q)`` of an error of a given shape ``(n, m)`` that has its patterns at other times, for
+    coefficients of unit variance, and to which instant each belongs [s] ``(q,)``."""
+    drift, instants = _drift(t, end, PATTERN_LEVELS)
+    courses, strengths, components = np.linalg.svd(shape, full_matrices=False)
+    kept = np.flatnonzero(strengths[:PATTERNS] > FAINT * max(strengths[0], np.finfo(float).tiny))
+    sizes = [_largest(np.abs(courses[:, p] * strengths[p]), t, end) for p in kept]
+    parts = [a[:, None, None] * components[p][:, None] * drift[:, None] for p, a in zip(kept, sizes, strict=True)]
+    return np.concatenate([np.zeros((*shape.shape, 0)), *parts], axis=2), np.tile(instants, len(kept))
+
+
+def _largest(size: np.ndarray, t: np.ndarray, end: float) -> np.ndarray:
+    """Largest of positive values ``(n,)`` about each time, in windows of the finest level ``(n,)``."""
     hats, _ = _hats(t, end, LEVELS[-1][0])
-    rms = np.sqrt(np.mean(shape**2, axis=1))
-    return np.asarray(hats @ np.max(np.where(hats > 0.0, rms[:, None], 0.0), axis=0))
+    return np.asarray(hats @ np.max(np.where(hats > 0.0, size[:, None], 0.0), axis=0))

@@ -20,7 +20,7 @@ from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
 from sysid.fit.nuisance import has_bias, nuisance_parameters
 from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
-from sysid.fit.own_error import fit_beside_own_error, loud
+from sysid.fit.own_error import Unmeasured, fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter, asked_for, rig_at, start_of
 from sysid.fit.pool import AnyEngine, PooledEngine
 from sysid.fit.problem import Problem
@@ -116,9 +116,15 @@ def _fit_runs(
         look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
     at, spent = first, 0.0
     for left in reversed(range(ENDS)):
-        look, problem, fitted = _fit_beside_mistakes(
-            engine, rig, parameters, look, at, runs=runs, robust=robust, bias=bias, search=search
-        )
+        try:
+            look, problem, fitted = _fit_beside_mistakes(
+                engine, rig, parameters, look, at, runs=runs, robust=robust, bias=bias, search=search
+            )
+        except ThinshellError as error:
+            if at is first:
+                raise
+            fitted.message, fitted.converged = f"a better fit cannot be searched from. {error}", False
+            break
         fitted.seconds += spent
         estimates, correlation, sentences, reduced = estimates_of(fitted, first)
         sentences += blamed(problem, fitted, sorted(kinds))
@@ -214,9 +220,12 @@ def _fit_beside_mistakes(
     spent = 0.0
     for left in reversed(range(LOOKS)):
         noise = channel_noise(rig, look.runs, look.held_out)
-        problem, fitted = fit_beside_own_error(
-            engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
-        )
+        try:
+            problem, fitted = fit_beside_own_error(
+                engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
+            )
+        except Unmeasured as error:
+            problem, fitted, left = error.beside, error.fitted, 0
         fitted.seconds += spent
         if not robust or not left or fitted.cut_short:
             break

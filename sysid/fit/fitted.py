@@ -20,7 +20,8 @@ class Fitted:
     ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable
     coefficients of the simulator's own error by run and channel (:mod:`sysid.fit.directions`); ``limited``: the
     evaluations allowed for all searches together are used up; ``colourless``: samples of the channels whose noise may
-    be coloured, since no rest told (:mod:`sysid.fit.colour`); ``began``: chi-square where the search began, infinite
+    be coloured, since no rest told (:mod:`sysid.fit.colour`); ``seen``: readings that a
+    prediction is compared with, those that it has in sight; ``began``: chi-square where the search began, infinite
     without one; ``elsewhere``: the simulator's own error that it was found beside is that of another place, and is to
     be measured again before anything is made of the misfit."""
 
@@ -39,6 +40,7 @@ class Fitted:
     sizes: dict[tuple[int, str], Sizes] = field(default_factory=dict)
     limited: bool = False
     colourless: dict[tuple[int, str], Samples] = field(default_factory=dict)
+    seen: int = 0
     began: float = np.inf
     elsewhere: bool = False
 

@@ -43,6 +43,9 @@ OTHER = 0.5
 REACH = 2.0
 """Points within this many radii take part in the model."""
 
+WHOLE = 0.99
+"""A step of more than this share of the radius may have been cut by it."""
+
 MOST_NEAR = 6
 """Points beside the best that take part in the model, the newest."""
 
@@ -54,6 +57,7 @@ SMALLEST = 1e-7
 
 AT_MINIMUM = "no step promises more than chance makes of chi-square"
 AT_KINK = "it stands at a kink or a jump, beyond which derivatives do not tell what is better"
+LOST = "what promises more cannot be simulated"
 USED_UP = "the evaluations allowed were used up"
 
 RIDGE = 1e-4
@@ -99,24 +103,28 @@ def minimise(
     sum of squares below which the search ends; ``go_on``: false when no more evaluations are to be made; ``radius``: of
     the trust region at first, in the largest component.
     """
-    best, refused = begin, 0
+    best, refused, doubtful, lost = begin, 0, False, False
     near: list[Point] = []
     while True:
         beside = [p for p in near if _within(p, best, REACH * radius) and _other(p, best, tolerance)][-MOST_NEAR:]
         step, promised = _step(best, [_on_the_way(best, p) for p in beside], radius, bounds)
         if promised <= tolerance and beside:
-            radius *= 0.5
+            radius, doubtful = 0.5 * radius, True
+            continue
+        length = float(np.max(np.abs(step)))
+        cut = length > WHOLE * radius
+        if promised <= tolerance and cut and not doubtful:
+            radius *= 2.0
             continue
         if promised <= tolerance:
-            at_kink = np.max(np.abs(step)) > 0.99 * radius
-            return End(best, True, AT_KINK if at_kink else AT_MINIMUM, radius)
+            return End(best, not (cut and lost), LOST if cut and lost else AT_KINK if cut else AT_MINIMUM, radius)
         if radius < SMALLEST:
             return End(best, True, AT_KINK, radius)
         if not go_on():
             return End(best, False, USED_UP, radius)
-        length = float(np.max(np.abs(step)))
         there = look(best.x + step)
         refused += 1
+        doubtful = lost = there is None
         if there is None:
             radius = AGAIN * length
             continue
@@ -129,8 +137,8 @@ def minimise(
         elif share > GOOD:
             radius = max(radius, 2.0 * length)
         better = there.square < best.square
-        refused = 0 if better else refused
-        small = share >= POOR and best.square - there.square <= tolerance
+        refused, doubtful = (0, share < POOR) if better else (refused, True)
+        small = share >= POOR and best.square - there.square <= tolerance and not cut
         near = [*near, best if better else there][-MOST_KEPT:]
         best = there if better else best
         if small:

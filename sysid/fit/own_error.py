@@ -43,6 +43,16 @@ Minimise = Callable[[Problem, np.ndarray], Fitted]
 """A search for the minimum of a problem from given scaled values."""
 
 
+class Unmeasured(ThinshellError):
+    """The error of mesh and time step cannot be measured where a search has ended, with the problem beside the error
+    measured before and what was found, as not converged."""
+
+    def __init__(self, cause: ThinshellError, beside: Problem, fitted: Fitted) -> None:
+        super().__init__(cause.problem, cause.remedy)
+        fitted.message, fitted.converged = f"it stands where its own error is not known. {cause}", False
+        self.beside, self.fitted = beside, fitted
+
+
 def discretisation(
     engine: AnyEngine, rig: Rig | Sequence[Rig], runs: Sequence[Run], plain: Sequence[Prediction] | None = None
 ) -> list[Direction]:
@@ -104,6 +114,7 @@ def fit_beside_own_error(
     A search that came so far that the error is another one (``Fitted.elsewhere``) is followed by another round.
     ``Fitted.converged`` is false, and its message says so, when the rounds ended before both settled.
     Ctrl-C, and a limit to the evaluations of ``search``, keep the best so far, beside the error last measured.
+    Raises :class:`Unmeasured` where the error cannot be measured where a search has ended.
     """
     scaled = start_of(rig, parameters) if start is None else np.asarray(start, dtype=float)
     look = search or (lambda problem, at: problem.fit(rig, parameters, start=at))
@@ -126,6 +137,8 @@ def fit_beside_own_error(
         except KeyboardInterrupt:
             fitted.message, fitted.converged = "interrupted; the best values so far are kept", False
             return problem, _counted(fitted, evaluations, seconds)
+        except ThinshellError as error:
+            raise Unmeasured(error, problem, _counted(fitted, evaluations, seconds)) from error
         asked = np.array([not p.nuisance for p in parameters], dtype=bool)
         settled = bool(np.all((np.abs(step) <= SETTLED * uncertainty(fitted).sd)[asked])) and not fitted.elsewhere
         scaled = fitted.scaled

@@ -11,6 +11,7 @@ from sim_core.errors import ConvergenceError, ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.colour import Samples
 from sysid.fit.directions import Basis, Direction, Sizes, basis_of
+from sysid.fit.elimination import Elimination
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, column_groups, whiten
@@ -18,7 +19,7 @@ from sysid.fit.nuisance import bias_sd
 from sysid.fit.parameters import FitParameter, rig_at, rig_in, start_of
 from sysid.fit.pool import AnyEngine
 from sysid.fit.runs import Measured, Run
-from sysid.fit.search import Search
+from sysid.fit.search import IN_SIGHT, Search
 
 
 def _check_numbers(run: Run, measured: Measured, prediction: Prediction, names: Sequence[str]) -> None:
@@ -61,7 +62,8 @@ class Problem:
         self.directions = list(directions)
         self.prior = prior
         self.bias = bias
-        self._whitened: dict[tuple[int, str], Basis] = {}
+        self._weights: dict[tuple[int, str], np.ndarray] = {}
+        self._eliminations: dict[tuple[int, str], Elimination] = {}
         self._colourless = {
             (i, m.channel): Samples(np.isfinite(m.values), tuple(column_groups(m)))
             for i, run in enumerate(self.runs)
@@ -91,19 +93,28 @@ class Problem:
         prediction = fitted.predictions[index].values[measured.channel]
         return np.asarray(prediction + self.bias_of(fitted, index, measured)) if self.bias else prediction
 
-    def _white_basis(self, index: int, measured: Measured) -> Basis:
-        """The same, whitened; kept, since every evaluation needs it."""
+    def _weights_of(self, index: int, measured: Measured) -> np.ndarray:
+        """Weights of the samples of a channel ``(n, m)``; kept, as every evaluation needs them."""
         key = (index, measured.channel)
-        if key not in self._whitened:
-            self._whitened[key] = self.basis(index, measured).whitened(self.noise[measured.channel])
-        return self._whitened[key]
+        if key not in self._weights:
+            self._weights[key] = self.basis(index, measured).weights(self.noise[measured.channel])
+        return self._weights[key]
+
+    def _elimination(self, index: int, measured: Measured, good: np.ndarray) -> Elimination:
+        """Of the basis, for the samples that count; kept while these are the same."""
+        key = (index, measured.channel)
+        known = self._eliminations.get(key)
+        if known is None or not known.suits(good):
+            known = Elimination(self.basis(index, measured), self.noise[measured.channel], good)
+            self._eliminations[key] = known
+        return known
 
     def whiten(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
         """Values ``(n, m, ...)`` in units of the noise and of what of the own error follows no shape."""
         white = whiten(values, self.noise[measured.channel])
         if not self.eliminates:
             return white
-        weight = self._white_basis(index, measured).weight
+        weight = self._weights_of(index, measured)
         return np.asarray(white * weight.reshape(*weight.shape, *(1,) * (white.ndim - 2)))
 
     def corrected(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
@@ -119,7 +130,7 @@ class Problem:
     ) -> tuple[np.ndarray, np.ndarray, list[tuple[int, str, np.ndarray]], dict[tuple[int, str], Sizes]]:
         """Whitened residual, jacobian, labels (run, channel, times of the samples), sizes of directions.
 
-        The simulator's own error is eliminated channel by channel (:meth:`Basis.eliminate`).
+        The simulator's own error is eliminated channel by channel (:mod:`sysid.fit.elimination`).
         ``names``: of the parameters that the predictions have derivatives by; ``scaled``: where the predictions stand,
         for errors that change with the parameters. Raises ``ConvergenceError`` where a prediction or a derivative is
         not a number, other than out of sight (NaN in the prediction).
@@ -143,22 +154,26 @@ class Problem:
                 times = np.broadcast_to(m.t[:, None], white.shape)[good]
                 rows = np.zeros((len(times), stacked.shape[2]))
                 if self.eliminates:
-                    basis = self._white_basis(i, m)
-                    if scaled is None:
-                        stacked[:, :, 0] -= basis.expected
-                    else:
-                        stacked[:, :, 0] -= basis.mean_error(scaled)
-                        stacked[:, :, 1 : 1 + len(basis.at)] -= basis.slopes
-                    left, sizes[(i, m.channel)], pulls = basis.eliminate(stacked, seen)
-                    times = np.concatenate([times, pulls])
-                    rows[seen[good]] = left[: len(left) - len(pulls)]
-                    rows = np.concatenate([rows, left[len(left) - len(pulls) :]])
+                    eliminate = self._elimination(i, m, seen)
+                    known = eliminate.expectation
+                    stacked[:, :, 0] -= known.expected if scaled is None else known.mean_error(scaled)
+                    if names:
+                        stacked[:, :, 1 : 1 + len(known.at)] -= known.slopes
+                    left, sizes[(i, m.channel)] = eliminate(stacked)
+                    times, count = np.concatenate([times, eliminate.times]), np.count_nonzero(seen)
+                    rows[seen[good]] = left[:count]
+                    rows = np.concatenate([rows, left[count:]])
                 else:
                     rows[seen[good]] = stacked[seen]
                 assembled.append(rows)
                 labels.append((i, m.channel, times))
         rows = np.concatenate(assembled)
         return rows[:, 0], rows[:, 1:], labels, sizes
+
+    def _seen(self, predictions: Sequence[Prediction]) -> int:
+        """Readings that are in sight in the predictions as well."""
+        pairs = [(m, p.values[m.channel]) for run, p in zip(self.runs, predictions, strict=True) for m in run.measured]
+        return int(sum(np.count_nonzero(np.isfinite(m.values) & np.isfinite(values)) for m, values in pairs))
 
     def evaluate(self, rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray) -> Fitted:
         """Residuals and derivatives at given values, without fitting."""
@@ -167,25 +182,28 @@ class Problem:
         return self.compare(predictions, rig, parameters, scaled, started)
 
     def glance(self, rig: Rig, parameters: Sequence[FitParameter], points: Sequence[np.ndarray]) -> list[float]:
-        """Chi-square at scaled ``points``, without priors; infinite where they cannot be simulated. Predictions have no
-        derivatives and are made side by side."""
+        """Chi-square at scaled ``points``, without priors; infinite where they cannot be simulated, and where much less
+        is in sight than at others. Predictions have no derivatives and are made side by side."""
         pending = [
             [self.engine.submit(rig_in(rig, parameters, at, run.name), run) for run in self.runs] for at in points
         ]
-        found = []
+        found, seen = [], []
         try:
-            for futures in pending:
+            for at, futures in zip(points, pending, strict=True):
                 try:
-                    residual = self.assemble([future.result() for future in futures], [])[0]
+                    predictions = [future.result() for future in futures]
+                    residual = self.assemble(predictions, [], at)[0]
                 except ThinshellError:
                     found.append(np.inf)
+                    seen.append(0)
                 else:
                     found.append(float(residual @ residual))
+                    seen.append(self._seen(predictions))
         except BaseException:
             for future in (f for futures in pending for f in futures):
                 future.cancel()
             raise
-        return found
+        return [chi2 if count >= IN_SIGHT * max(seen) else np.inf for chi2, count in zip(found, seen, strict=True)]
 
     def compare(
         self,
@@ -207,7 +225,7 @@ class Problem:
         seconds = time.monotonic() - started if started is not None else 0.0
         return Fitted(
             list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, rig, 1, True,
-            "evaluated", seconds, sizes, colourless=self._colourless,
+            "evaluated", seconds, sizes, colourless=self._colourless, seen=self._seen(predictions),
         )  # fmt: skip
 
     def fit(
@@ -218,7 +236,7 @@ class Problem:
         max_evaluations: int = 30,
         tolerance: float = 0.5,
         on_evaluation: Callable[[Fitted], None] | None = None,
-        halt: Callable[[Fitted, Sequence[float]], bool] | None = None,
+        halt: Callable[[Sequence[float]], bool] | None = None,
     ) -> Fitted:
         """Minimise the whitened residuals (:class:`sysid.fit.search.Search`).
 

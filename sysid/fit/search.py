@@ -16,7 +16,7 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sysid.fit.fitted import Fitted
-from sysid.fit.kinked import Point, minimise
+from sysid.fit.kinked import USED_UP, Point, minimise
 from sysid.fit.parameters import FitParameter
 from sysid.fit.uncertainty import chance
 
@@ -29,17 +29,22 @@ FRESH = 0.1
 """Least radius, in plausible widths, with which a search goes on after another one."""
 
 
+IN_SIGHT = 0.9
+"""Least share of the readings in sight at the best point that another one must have in sight. What is out of sight says
+nothing, so that without it a search would be drawn to where nothing is seen."""
+
+
 class Search:
     """One minimisation. ``evaluate``: the problem at scaled values ``(p,)``; ``parameters``: at least one;
     ``on_evaluation``: told after each evaluation, also one that failed, what is best so far. ``halt``: whether to end
-    the search before its time, given the best so far and its chi-square after each evaluation."""
+    the search before its time, given the best chi-square after each evaluation."""
 
     def __init__(
         self,
         evaluate: Callable[[np.ndarray], Fitted],
         parameters: Sequence[FitParameter],
         on_evaluation: Callable[[Fitted], None] | None,
-        halt: Callable[[Fitted, Sequence[float]], bool] | None = None,
+        halt: Callable[[Sequence[float]], bool] | None = None,
     ) -> None:
         self._evaluate = evaluate
         self._parameters = parameters
@@ -94,7 +99,7 @@ class Search:
                 if chance(self.best) > SHARPER * self._weight:
                     break
                 if self._evaluations >= max_evaluations:
-                    message, converged = "the evaluations allowed were used up", False
+                    message, converged = USED_UP, False
                     break
         except KeyboardInterrupt:
             if self._best is None:
@@ -107,10 +112,10 @@ class Search:
         return found
 
     def _halted(self) -> bool:
-        return self._halt is not None and self._halt(self.best, self._course)
+        return self._halt is not None and self._halt(self._course)
 
     def _look(self, scaled: np.ndarray) -> Fitted | None:
-        """The problem at these values; None where they cannot be simulated."""
+        """The problem at these values; None where they cannot be simulated, or hide what is in sight at the best."""
         for known in (self._last, self._best):
             if known is not None and np.array_equal(known.scaled, scaled):
                 return known
@@ -120,6 +125,9 @@ class Search:
         except ThinshellError:
             if self._best is None:
                 raise
+            self._tell()
+            return None
+        if self._best is not None and here.seen < IN_SIGHT * self._best.seen:
             self._tell()
             return None
         self._last = here

@@ -155,9 +155,9 @@ class Searches:
     def __call__(self, problem: Problem, at: np.ndarray) -> Fitted:
         """The best that is found from scaled values ``(p,)``. Raises ``ThinshellError`` if they cannot be simulated."""
         fitted = self._search(problem, at)
-        if self._elsewhere:
+        if self._elsewhere and self._may_go_on(fitted):
             fitted = self._from_elsewhere(problem, at, fitted)
-            self._elsewhere = 0
+        self._elsewhere = 0
         if self._far(problem, fitted):
             fitted.elsewhere = True
             return self._evaluations.limit(fitted)
@@ -276,12 +276,12 @@ class Searches:
         return fitted
 
 
-def _comes_on_slowly(best: Fitted, course: Sequence[float]) -> bool:
-    """Far from where the search began, and no nearer to the noise for some time. ``course``: chi-square after each
-    evaluation."""
-    if best.misfit < GOOD_MISFIT or len(course) <= PATIENCE or course[-1] >= FAR * course[0]:
-        return False
-    return course[-1] > SLOW * course[-1 - PATIENCE]
+def _comes_on_slowly(course: Sequence[float]) -> bool:
+    """Far from where the search began, and no better for some time. ``course``: chi-square after each evaluation.
+
+    Noise alone is no reason to stay: an error that was measured where it is larger takes what the parameters leave.
+    """
+    return len(course) > PATIENCE and course[-1] < FAR * course[0] and course[-1] > SLOW * course[-1 - PATIENCE]
 
 
 def _said(begun: Sequence[np.ndarray], found: Sequence[Fitted], failed: int) -> list[str]:

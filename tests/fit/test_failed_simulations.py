@@ -10,9 +10,10 @@ import pytest
 
 from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
+from sysid.fit import own_error
 from sysid.fit.engine import Prediction
 from sysid.fit.noise import ChannelNoise
-from sysid.fit.own_error import discretisation
+from sysid.fit.own_error import Unmeasured, discretisation, fit_beside_own_error
 from sysid.fit.parameters import FitParameter
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
@@ -36,6 +37,9 @@ class Stub:
         dt_s = 0.01
 
     solver = Solver()
+
+    def __init__(self, x: float = 0.0) -> None:
+        self.x = x
 
 
 class Exponential:
@@ -69,6 +73,33 @@ def test_a_failure_is_worse_than_a_start_with_a_large_misfit(stubs: None) -> Non
     assert fitted.scaled[0] == pytest.approx(TRUTH, abs=1e-6)
 
 
+class Blind(Exponential):
+    """Sees nothing beyond ``limit``."""
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        x = float(scaled[0])
+        self.failed += x > self.limit
+        values = np.exp(x) * T[:, None] if x <= self.limit else np.full((len(T), 1), np.nan)
+        return [Prediction({"gauge": values}, {"gauge": values[:, :, None]}, cast(Trace, None)) for _ in runs]
+
+    def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        future: Future[Prediction] = Future()
+        future.set_result(self.predict_all(rig, [run], [], np.array([rig.x]))[0])
+        return future
+
+
+def test_a_search_does_not_go_to_where_nothing_is_seen(stubs: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = Blind(limit=2.5)
+    noise = {"gauge": ChannelNoise(np.array([0.01]), np.zeros(1), "test")}
+    problem = Problem([run_of()], noise, cast(PooledEngine, engine))
+    fitted = problem.fit(cast(Any, Stub()), [X], start=np.array([-3.0]), max_evaluations=60)
+    assert engine.failed > 0
+    assert fitted.converged and fitted.scaled[0] == pytest.approx(TRUTH, abs=1e-3)
+    monkeypatch.setattr("sysid.fit.problem.rig_in", lambda rig, parameters, scaled, bag: Stub(float(scaled[0])))
+    near, far, hidden = problem.glance(cast(Any, Stub()), [X], [np.array([x]) for x in (1.9, 1.0, 3.0)])
+    assert near < far < hidden == np.inf
+
+
 class Brittle:
     """An engine whose refined simulations fail."""
 
@@ -85,6 +116,33 @@ def test_a_failed_refinement_says_what_it_was_for() -> None:
     said = r"error of mesh and time step, pull could not .* finer mesh: The step does not converge\. Shorten solver"
     with pytest.raises(ConvergenceError, match=said):
         discretisation(cast(PooledEngine, Brittle()), cast(Any, Stub()), [run_of("pull")])
+
+
+class BrittleBelow(Exponential):
+    """Refined simulations fail where x is above a limit."""
+
+    def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        future: Future[Prediction] = Future()
+        if refine > 1 and rig.x > 0.5 * TRUTH:
+            future.set_exception(ConvergenceError("The step does not converge.", "Shorten solver.dt_s."))
+        else:
+            future.set_result(Prediction({"gauge": np.exp(rig.x) * T[:, None]}, {}, cast(Trace, None)))
+        return future
+
+
+def test_what_was_found_where_the_own_error_cannot_be_measured_is_kept(
+    stubs: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(own_error, "rig_in", lambda rig, parameters, scaled, bag: Stub(float(scaled[0])))
+    noise = {"gauge": ChannelNoise(np.array([0.01]), 0.0, "test")}
+    with pytest.raises(Unmeasured, match=r"finer mesh: The step does not converge\. Shorten") as caught:
+        fit_beside_own_error(
+            cast(PooledEngine, BrittleBelow(np.inf)), [run_of()], noise, cast(Any, Stub()), [X], start=np.zeros(1)
+        )
+    found = caught.value.fitted
+    assert found.scaled[0] == pytest.approx(TRUTH, abs=0.01)
+    assert not found.converged and "own error is not known" in found.message
+    assert caught.value.beside.evaluate(cast(Any, Stub()), [X], found.scaled).chi2 == pytest.approx(found.chi2)
 
 
 class Broken:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from sysid.fit.kinked import AT_MINIMUM, USED_UP, End, Point, minimise
+from sysid.fit.kinked import AT_MINIMUM, LOST, USED_UP, End, Point, minimise
 
 Residuals = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Residuals ``(n,)`` and their derivatives ``(n, p)``."""
@@ -112,3 +112,25 @@ def test_evaluations_that_are_used_up_are_said() -> None:
     end = Counted(curved, 4).minimise([-1.2, 1.0])
     assert not end.converged and end.message == USED_UP
     assert end.best.square < Point(np.zeros(2), *curved(np.array([-1.2, 1.0]))).square
+
+
+def far(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One slope, least at 6, where a tenth of a unit brings less than chance at first."""
+    return (x[:1] - 6.0) / 3.0, np.array([[1.0 / 3.0]])
+
+
+LINE = (np.array([-10.0]), np.array([10.0]))
+
+
+def test_a_small_region_to_begin_with_does_not_end_a_search() -> None:
+    seen = Counted(far, 30)
+    first = seen.look(np.zeros(1))
+    assert first is not None
+    end = minimise(seen.look, first, LINE, tolerance=0.5, go_on=lambda: seen.done < seen.most, radius=0.1)
+    assert end.converged and end.message == AT_MINIMUM
+    assert end.best.square < 0.5
+
+
+def test_what_cannot_be_simulated_is_no_minimum() -> None:
+    end = Counted(far, 30, broken=lambda x: bool(x[0] > 0.02)).minimise([0.0], LINE, tolerance=0.5)
+    assert not end.converged and end.message == LOST

@@ -10,7 +10,7 @@ import pytest
 
 from sim_core.simulate import Trace
 from sysid.fit import own_error
-from sysid.fit.directions import LEVELS, RIGHT_SD, ROUGH, Direction
+from sysid.fit.directions import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, Direction
 from sysid.fit.engine import Prediction
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.own_error import fit_beside_own_error, loud
@@ -180,11 +180,21 @@ def test_intervals_hold_the_truth_as_often_as_they_say(vectors: None) -> None:
     direction = Direction("mesh", ({"gauge": shape},))
     knots = [(np.linspace(0.0, 1.0, count), strength) for count, strength in LEVELS]
     hats = [a * np.clip(1.0 - np.abs(T[:, None] - k) * (len(k) - 1), 0.0, None) for k, a in knots]
+    fine = hats[-1] > 0.0
+    variances, turned = np.linalg.eigh(shape.T @ shape)
+    assert variances.min() > 0.0
+    courses = shape @ turned
+    about = hats[-1] / LEVELS[-1][1] @ np.max(np.where(fine[:, :, None], np.abs(courses)[:, None], 0.0), axis=0)
+
+    def drift(levels: int = len(LEVELS)) -> np.ndarray:
+        return np.asarray(rng.standard_normal() + sum(h @ rng.standard_normal(h.shape[1]) for h in hats[:levels]))
+
     inside = np.zeros(2)
     for _ in range(300):
-        drifts = [rng.standard_normal() + sum(h @ rng.standard_normal(h.shape[1]) for h in hats) for _ in range(3)]
+        drifts = [drift() for _ in range(3)]
         size = 0.5 + RIGHT_SD * (drifts[0][:, None] + np.column_stack(drifts[1:]))
-        values = coarse(TRUTH) + size * shape + SIGMA * rng.standard_normal((len(T), 2))
+        others = RIGHT_SD * (about * np.column_stack([drift(PATTERN_LEVELS) for _ in range(2)])) @ turned.T
+        values = coarse(TRUTH) + size * shape + others + SIGMA * rng.standard_normal((len(T), 2))
         problem = Problem([run_of(values)], NOISE, cast(PooledEngine, Linear()), [direction])
         fitted = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS)
         inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
@@ -206,6 +216,37 @@ def test_an_error_without_the_shape_is_allowed_for(vectors: None, rho: float) ->
         assert fitted.misfit < 1.5
         inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
     assert np.all(inside >= 90), inside
+
+
+def test_readings_after_a_gap_are_whitened_like_the_error_in_them(vectors: None) -> None:
+    """Beside an error of ten times the noise, a tenth of the readings missing: what is left is noise."""
+    rng, rho = np.random.default_rng(2), np.array([0.9, 0.9])
+    t = np.linspace(0.0, 1.0, 400)
+    coloured = np.zeros((len(t), 2))
+    for k in range(len(t)):
+        coloured[k] = rho * coloured[max(k - 1, 0)] + np.sqrt(1.0 - rho**2) * rng.standard_normal(2)
+    shape = np.full((len(t), 2), 10.0 * SIGMA)
+    values = 0.5 * shape + SIGMA * coloured
+    values[rng.uniform(size=len(t)) < 0.1] = np.nan
+    run = Run("run", "", (), {}, (Measured("gauge", "markers", t, values, ("u", "v")),), 1.0)
+    noise = {"gauge": ChannelNoise(NOISE["gauge"].sigma, rho, "test")}
+    problem = Problem([run], noise, cast(PooledEngine, None), [Direction("mesh", ({"gauge": shape},), sd=1e-6)])
+    nothing = Prediction({"gauge": np.zeros((len(t), 2))}, {}, cast(Trace, None))
+    residual = problem.assemble([nothing], [])[0]
+    weight = problem.basis(0, run.measured[0]).weights(noise["gauge"])
+    assert residual @ residual < 1.2 * np.sum(weight[np.isfinite(values)] ** 2)
+
+
+def test_what_was_not_measured_does_not_weigh_down_what_was(vectors: None) -> None:
+    """A wrench of which one force alone is measured; its error is small, that of another force large."""
+    values = np.full((len(T), 6), np.nan)
+    values[:, 2] = 0.0
+    shape = np.tile([100.0, 0.0, 0.1, 0.0, 0.0, 0.0], (len(T), 1))
+    run = Run("run", "", (), {}, (Measured("cell", "wrench", T, values, tuple("abcdef")),), 1.0)
+    noise = {"cell": ChannelNoise(np.ones(6), np.zeros(6), "test")}
+    problem = Problem([run], noise, cast(PooledEngine, None), [Direction("mesh", ({"cell": shape},))])
+    rough = problem.basis(0, run.measured[0]).rough[:, 2]
+    assert rough == pytest.approx(ROUGH * 0.1, rel=1e-12)
 
 
 def test_derivatives_are_those_of_the_residual(vectors: None) -> None:

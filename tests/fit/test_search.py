@@ -111,7 +111,7 @@ def test_a_search_that_is_halted_says_so_and_knows_where_it_began() -> None:
     evaluate = problem(BASIS @ [2.0, -1.0] + NOISE)
     seen: list[list[float]] = []
 
-    def halt(best: Fitted, course: Sequence[float]) -> bool:
+    def halt(course: Sequence[float]) -> bool:
         seen.append(list(course))
         return len(course) == 2
 

@@ -25,7 +25,7 @@ RUNS: dict[str, tuple[str | dict[str, object], float]] = {
     "folding": ("fold", 0.3),
     "forming": ("form", 0.3),
     "lifting": ("lift", 0.03),
-    "material_bench": ("rub_strip", 1.5),
+    "material_bench": ("rub_strip", 1.9),
     "pick_folding": ("pick_fold", 0.15),
     "proof_bench": ("press_post", 0.5),
     "push_block": ("push", 0.3),
