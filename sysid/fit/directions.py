@@ -127,7 +127,9 @@ class Basis:
         return replace(self, common=nothing, own=nothing, common_times=np.zeros(0), own_times=np.zeros(0))
 
     def mean_error(self, scaled: np.ndarray) -> np.ndarray:
-        """Expected error ``(n, m)`` at scaled parameters, of which the first are those of ``at``."""
+        """Expected error ``(n, m)`` at scaled parameters, of which the first are those of ``at``; ``(0,)``: there."""
+        if not len(scaled):
+            return self.expected
         return np.asarray(self.expected + self.slopes @ (scaled[: len(self.at)] - self.at))
 
     def error(self, scaled: np.ndarray, sizes: Sizes) -> np.ndarray:

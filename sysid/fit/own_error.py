@@ -145,7 +145,10 @@ def fit_beside_own_error(
         if settled:
             break
         directions = [_learnt(old, new, step, fitted) for old, new in zip(directions, measured, strict=True)]
-    problem = Problem(runs, noise, engine, measured, prior, bias)
+    # What is known of the slopes belongs to the derivatives: where error and readings change alike less is known.
+    pairs = zip(directions, measured, strict=True)
+    known = [replace(new, slopes=old.slopes, at=scaled) if old.slopes else new for old, new in pairs]
+    problem = Problem(runs, noise, engine, known, prior, bias)
     final = problem.compare(fitted.predictions, rig, parameters, scaled)
     final.message, final.converged = fitted.message, fitted.converged and settled
     if (fitted.converged or fitted.elsewhere) and not settled:
