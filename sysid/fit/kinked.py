@@ -57,7 +57,7 @@ SMALLEST = 1e-7
 
 AT_MINIMUM = "no step promises more than chance makes of chi-square"
 AT_KINK = "it stands at a kink or a jump, beyond which derivatives do not tell what is better"
-LOST = "what promises more cannot be simulated"
+LOST = "what promises more cannot be simulated, or hides what was seen"
 USED_UP = "the evaluations allowed were used up"
 
 RIDGE = 1e-4

@@ -28,7 +28,6 @@ SHARPER = 0.5
 FRESH = 0.1
 """Least radius, in plausible widths, with which a search goes on after another one."""
 
-
 IN_SIGHT = 0.9
 """Least share of the readings in sight at the best point that another one must have in sight. What is out of sight says
 nothing, so that without it a search would be drawn to where nothing is seen."""

@@ -12,6 +12,8 @@ from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
 from sysid.fit import own_error
 from sysid.fit.engine import Prediction
+from sysid.fit.fit import _fit_beside_mistakes, _Look
+from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.own_error import Unmeasured, discretisation, fit_beside_own_error
 from sysid.fit.parameters import FitParameter
@@ -143,6 +145,24 @@ def test_what_was_found_where_the_own_error_cannot_be_measured_is_kept(
     assert found.scaled[0] == pytest.approx(TRUTH, abs=0.01)
     assert not found.converged and "own error is not known" in found.message
     assert caught.value.beside.evaluate(cast(Any, Stub()), [X], found.scaled).chi2 == pytest.approx(found.chi2)
+
+
+def test_a_fit_goes_on_with_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing = cast(Any, None)
+    beside = Problem([], {}, nothing)
+    found = Fitted([X], np.ones(1), nothing, np.ones(4), np.ones((4, 1)), [], [], nothing, 3, True, "", 2.0)
+
+    def broken(*given: Any, **more: Any) -> None:
+        raise Unmeasured(ConvergenceError("The step does not converge.", "Shorten it."), beside, found)
+
+    monkeypatch.setattr("sysid.fit.fit.fit_beside_own_error", broken)
+    monkeypatch.setattr("sysid.fit.fit.channel_noise", lambda rig, runs, held_out: {})
+    look = _Look([], [], [], None)
+    kept, problem, fitted = _fit_beside_mistakes(
+        nothing, nothing, [X], look, np.zeros(1), runs=[], robust=True, bias=False, search=nothing
+    )
+    assert kept is look and problem is beside and fitted is found
+    assert not fitted.converged and "The step does not converge. Shorten it." in fitted.message
 
 
 class Broken:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -216,6 +217,18 @@ def test_an_error_without_the_shape_is_allowed_for(vectors: None, rho: float) ->
         assert fitted.misfit < 1.5
         inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
     assert np.all(inside >= 90), inside
+
+
+def test_where_error_and_readings_change_alike_less_is_known(vectors: None) -> None:
+    """An error of -c/2 that changes with the parameters as the readings c do takes a quarter of the derivatives, in the
+    mean of its sizes."""
+    problem, fitted = fit(Linear(lambda x: -0.5 * coarse(x)), run_of(coarse(TRUTH)))
+    blind = [replace(d, slopes=(), at=None) for d in problem.directions]
+    plain = Problem(problem.runs, NOISE, problem.engine, blind).compare(
+        fitted.predictions, cast(Any, Vector(np.zeros(2))), PARAMETERS, fitted.scaled
+    )
+    wider = uncertainty(fitted).sd / uncertainty(plain).sd
+    assert np.max(wider) == pytest.approx(1.0 / 0.75, rel=0.05)
 
 
 def test_readings_after_a_gap_are_whitened_like_the_error_in_them(vectors: None) -> None:
