@@ -210,6 +210,25 @@ def test_a_search_comes_on_slowly(course: list[float], slow: bool) -> None:
     assert starts._comes_on_slowly(course) == slow
 
 
+def test_evaluations_that_are_used_up_leave_no_draws_of_other_starts(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+    plain = Gauge.submit
+
+    def submit(self: Gauge, *given: Any) -> Future[Prediction]:
+        drawn.append(given)
+        return plain(self, *given)
+
+    monkeypatch.setattr(Gauge, "submit", submit)
+    several, _ = searches(small_rig(), starts=4, max_evaluations=1)
+    assert several(problem(Gauge(0.05)), np.array([12.8])).limited
+    assert not drawn
+    several, _ = searches(small_rig(), starts=4)
+    several(problem(Gauge(0.05)), np.array([12.8]))
+    assert drawn
+
+
 def test_an_interruption_of_a_later_search_keeps_the_best_and_ends_the_fit(
     small_rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
