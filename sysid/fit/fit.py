@@ -15,6 +15,7 @@ from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.colour import unheard
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
+from sysid.fit.kinked import AT_KINK
 from sysid.fit.leftover import unexplained
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
 from sysid.fit.nuisance import has_bias, nuisance_parameters
@@ -143,6 +144,8 @@ def _fit_runs(
         for p, at in zip(parameters, first, strict=True)
         if p.known_sd is not None
     ]
+    if fitted.converged and fitted.message == AT_KINK:
+        notes.append(f"The search ended since {AT_KINK}; intervals are those of the side on which it stands.")
     notes += search.ends + loud(problem) + unheard(problem.noise) + out_of_sight(problem, before, fitted)
     moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
     if moved:

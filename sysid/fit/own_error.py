@@ -124,9 +124,13 @@ def fit_beside_own_error(
 
     directions = discretisation(engine, each(scaled), runs, plain)
     evaluations, seconds, settled = 0, 0.0, False
+    at_hand: list[Prediction] = []
     for _ in range(rounds):
         problem = Problem(runs, noise, engine, directions, prior, bias)
+        if at_hand:
+            problem.know(at_hand, rig, parameters, scaled)
         fitted = look(problem, scaled)
+        at_hand = fitted.predictions
         evaluations += fitted.evaluations
         seconds += fitted.seconds
         if fitted.cut_short:

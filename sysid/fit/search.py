@@ -118,26 +118,27 @@ class Search:
         for known in (self._last, self._best):
             if known is not None and np.array_equal(known.scaled, scaled):
                 return known
-        self._evaluations += 1
         try:
             here = self._evaluate(scaled.copy())
         except ThinshellError:
             if self._best is None:
                 raise
-            self._tell()
+            self._tell(1)
             return None
         if self._best is not None and here.seen < IN_SIGHT * self._best.seen:
-            self._tell()
+            self._tell(here.evaluations)
             return None
         self._last = here
         if self._best is None or self._weighted(here) < self._weighted(self._best):
             self._best = here
-        self._tell()
+        self._tell(here.evaluations)
         return here
 
-    def _tell(self) -> None:
+    def _tell(self, evaluations: int) -> None:
+        """A look has been taken, which has cost an evaluation or none."""
+        self._evaluations += evaluations
         self._course.append(self.best.chi2)
-        if self._on_evaluation is not None:
+        if evaluations and self._on_evaluation is not None:
             self._on_evaluation(self.best)
 
     def _weigh(self, fitted: Fitted, rows: np.ndarray) -> np.ndarray:

@@ -111,6 +111,27 @@ def test_a_channel_that_is_predicted_out_of_sight_is_noted(small_rig: Any, tmp_p
     assert write_fit_report(result, tmp_path / "report.html").stat().st_size > 0
 
 
+class Bent(Readings):
+    """It reads the more, the further log(E) is from that of the truth on either side."""
+
+    def _predict(self, run: Run, young: float, p: int) -> Prediction:
+        away = float(np.log(young / TRUTH))
+        values = (np.log(TRUTH) + 1.0 + abs(away)) * np.sin(6.0 * T)[:, None]
+        slopes = np.repeat(np.copysign(1.0, away) * np.sin(6.0 * T)[:, None, None], p, axis=2)
+        return Prediction(
+            {m.channel: values for m in run.measured}, {m.channel: slopes for m in run.measured}, cast(Trace, None)
+        )
+
+
+def test_a_search_that_ends_at_a_kink_is_noted(small_rig: Any) -> None:
+    """Readings are lower than any value of E explains, so the best is where the derivative jumps."""
+    result = result_of(Bent(), small_rig(), [run_of("press", "markers")], [])
+    assert result.estimates[0].value == pytest.approx(TRUTH, rel=0.01)
+    assert any("stands at a kink" in note for note in result.notes) and "stands at a kink" in result.table()
+    smooth = result_of(Readings(), small_rig(), [run_of("press", "markers")], [])
+    assert not any("kink" in note for note in smooth.notes)
+
+
 def test_a_restart_that_cannot_be_simulated_is_left_out(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     plain, calls = Problem.fit, []
 

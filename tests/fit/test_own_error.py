@@ -143,6 +143,22 @@ def test_a_search_that_wants_the_error_measured_again_gets_it(vectors: None) -> 
     assert "finer mesh" in never.message
 
 
+def test_no_prediction_is_made_twice_where_a_round_begins(vectors: None) -> None:
+    engine = Linear()
+    looked: list[tuple[float, ...]] = []
+    plain = engine.predict_all
+
+    def predict_all(rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        looked.append(tuple(scaled))
+        return plain(rig, runs, parameters, scaled)
+
+    engine.predict_all = predict_all  # type: ignore[method-assign]
+    _, fitted = fit(engine, run_of(measured(np.random.default_rng(0))), rounds=40)
+    assert engine.refined > 2, "there is one round only"
+    assert len(set(looked)) == len(looked)
+    assert fitted.converged
+
+
 def test_ctrl_c_keeps_the_best(vectors: None) -> None:
     engine = Linear()
     run = run_of(measured(np.random.default_rng(0)))
