@@ -27,12 +27,13 @@ of reality (all of it).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from sysid.fit.noise import ChannelNoise, column_groups, whiten
+from sysid.fit.noise import ChannelNoise, column_groups
 from sysid.fit.runs import Measured, Run
 
 EXPECTED = 0.5
@@ -83,23 +84,33 @@ class Sizes(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Changes:
+    """What coefficients of unit variance add to the columns of a channel, measured units.
+
+    Coefficient ``l`` adds ``shape[:, j] * functions[:, l]`` to column ``j``, with ``shape`` ``(n, m)`` and
+    ``functions`` ``(n, l)``; ``instants`` [s] ``(l,)``: where it belongs.
+    """
+
+    shape: np.ndarray
+    functions: np.ndarray
+    instants: np.ndarray
+
+
+@dataclass(frozen=True)
 class Basis:
-    """Directions of one channel of one run, in measured units or whitened.
+    """Directions of one channel of one run, in measured units.
 
     ``expected`` ``(n, m)``: the error with the expected sizes, at the parameters ``at``; ``slopes``
-    ``(n, m, p)``: its derivatives by them (``p`` = 0: not known); ``common`` ``(n, m, k)`` and ``own``
-    ``(n, m, l)``: its changes for coefficients of unit variance that all columns share, and that each has
-    for itself; ``common_times``, ``own_times`` [s]: to which instant a coefficient belongs; ``rough``
-    ``(n, m)``: standard deviation of what follows no shape, measured units.
+    ``(n, m, p)``: its derivatives by them (``p`` = 0: not known); ``common`` and ``own``, at least one each: its
+    changes for coefficients that all columns share, and for those that each has for itself; ``rough`` ``(n, m)``:
+    standard deviation of what follows no shape.
     """
 
     expected: np.ndarray
     slopes: np.ndarray
     at: np.ndarray
-    common: np.ndarray
-    own: np.ndarray
-    common_times: np.ndarray
-    own_times: np.ndarray
+    common: tuple[Changes, ...]
+    own: tuple[Changes, ...]
     rough: np.ndarray
 
     def weights(self, noise: ChannelNoise) -> np.ndarray:
@@ -107,24 +118,6 @@ class Basis:
         # What is independent from sample to sample comes out of whitening that much larger.
         coloured = (1.0 + noise.rho**2) / (1.0 - noise.rho**2)
         return np.asarray(1.0 / np.sqrt(1.0 + coloured * (self.rough / noise.sigma) ** 2))
-
-    def whitened(self, noise: ChannelNoise, good: np.ndarray) -> Basis:
-        """The same in units of the noise, for the samples ``(n, m)`` that are good; others have no part in it."""
-        weight = self.weights(noise)
-        parts = {}
-        for name in ("expected", "slopes", "common", "own"):
-            part = getattr(self, name)
-            columns = (*good.shape, *(1,) * (part.ndim - 2))
-            # Missing where readings are, so that both are whitened alike.
-            white = whiten(np.where(good.reshape(columns), part, np.nan), noise)
-            parts[name] = np.nan_to_num(white, copy=False)
-            parts[name] *= weight.reshape(columns)
-        return replace(self, **parts)
-
-    def without_coefficients(self) -> Basis:
-        """The same with no coefficients."""
-        nothing = np.zeros((*self.expected.shape, 0))
-        return replace(self, common=nothing, own=nothing, common_times=np.zeros(0), own_times=np.zeros(0))
 
     def mean_error(self, scaled: np.ndarray) -> np.ndarray:
         """Expected error ``(n, m)`` at scaled parameters, of which the first are those of ``at``; ``(0,)``: there."""
@@ -134,8 +127,24 @@ class Basis:
 
     def error(self, scaled: np.ndarray, sizes: Sizes) -> np.ndarray:
         """The error ``(n, m)`` with given coefficients."""
-        own = np.einsum("njl,jl->nj", self.own, sizes.own)
-        return np.asarray(self.mean_error(scaled) + self.common @ sizes.common + own)
+        common = added(self.common, sizes.common[:, None, None])
+        return np.asarray(self.mean_error(scaled) + (common + added(self.own, sizes.own.T[:, :, None]))[:, :, 0])
+
+
+def added(parts: Sequence[Changes], coefficients: np.ndarray) -> np.ndarray:
+    """What is added ``(n, m, q)`` for coefficients of all parts ``(l, m, q)``, or ``(l, 1, q)`` that columns share."""
+    ends = np.cumsum([len(p.instants) for p in parts])
+    each = zip(parts, np.split(coefficients, ends[:-1]), strict=True)
+    return np.asarray(sum(p.shape[:, :, None] * np.tensordot(p.functions, c, 1) for p, c in each))
+
+
+def told(parts: Sequence[Changes], values: np.ndarray, shared: bool) -> np.ndarray:
+    """The transpose of :func:`added`: values ``(n, m, q)`` times what each coefficient adds ``(l, m or 1, q)``."""
+    found = []
+    for p in parts:
+        product = np.einsum("nm,nmq->nq", p.shape, values)[:, None] if shared else p.shape[:, :, None] * values
+        found.append(np.tensordot(p.functions.T, product, 1))
+    return np.concatenate(found)
 
 
 def basis_of(
@@ -152,8 +161,8 @@ def basis_of(
     rough = np.zeros(expected.shape)
     at = next((d.at for d in directions if d.at is not None), np.zeros(0))
     slopes = np.zeros((*expected.shape, len(at)))
-    common, own = [np.zeros((*expected.shape, 0))], [np.zeros((*expected.shape, 0))]
-    common_times, own_times = [np.zeros(0)], [np.zeros(0)]
+    nothing = Changes(np.zeros(expected.shape), np.zeros((len(t), 0)), np.zeros(0))
+    common, own = [nothing], [nothing]
     for direction in directions:
         shape = direction.shapes[index].get(measured.channel)
         if shape is None:
@@ -161,34 +170,21 @@ def basis_of(
         expected += direction.mean * shape
         if direction.slopes:
             slopes += direction.mean * direction.slopes[index][measured.channel]
-        own.append(direction.sd * shape[:, :, None] * drift[:, None, :])
-        own_times.append(instants)
+        own.append(Changes(direction.sd * shape, drift, instants))
         for quantity in column_groups(measured):
             group = quantity[np.isfinite(measured.values[:, quantity]).any(axis=0)]
             if not len(group):
                 continue
-            part = np.zeros(own[-1].shape)
-            part[:, group] = own[-1][:, group]
-            patterns, there = _patterns(shape[:, group], t, run.end)
-            wide = np.zeros((*shape.shape, len(there)))
-            wide[:, group] = direction.sd * patterns
-            common += [part, wide]
-            common_times += [instants, there]
+            for part in (Changes(shape[:, group], drift, instants), *_patterns(shape[:, group], t, run.end)):
+                wide = np.zeros(shape.shape)
+                wide[:, group] = direction.sd * part.shape
+                common.append(replace(part, shape=wide))
             rms = np.sqrt(np.mean(shape[:, group] ** 2, axis=1))
             rough[:, group] += (ROUGH * _largest(rms, t, run.end))[:, None] ** 2
     if bias is not None:
-        own.append(np.tile(bias[:, None], (len(t), 1, 1)))
-        own_times.append(np.array([0.5 * run.end]))
-    return Basis(
-        expected,
-        slopes,
-        at,
-        np.concatenate(common, axis=2),
-        np.concatenate(own, axis=2),
-        np.concatenate(common_times),
-        np.concatenate(own_times),
-        np.sqrt(rough),
-    )
+        always = np.ones((len(t), 1))
+        own.append(Changes(bias * always, always, np.array([0.5 * run.end])))
+    return Basis(expected, slopes, at, tuple(common), tuple(own), np.sqrt(rough))
 
 
 def _hats(t: np.ndarray, end: float, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -207,15 +203,13 @@ def _drift(t: np.ndarray, end: float, levels: int = len(LEVELS)) -> tuple[np.nda
     return np.concatenate(functions, axis=1), np.concatenate(instants)
 
 
-def _patterns(shape: np.ndarray, t: np.ndarray, end: float) -> tuple[np.ndarray, np.ndarray]:
-    """Changes ``(n, m, q)`` of an error of a given shape ``(n, m)`` that has its patterns at other times, for
-    coefficients of unit variance, and to which instant each belongs [s] ``(q,)``."""
+def _patterns(shape: np.ndarray, t: np.ndarray, end: float) -> list[Changes]:
+    """Changes of an error of a given shape ``(n, m)`` that has its patterns at other times."""
     drift, instants = _drift(t, end, PATTERN_LEVELS)
     courses, strengths, components = np.linalg.svd(shape, full_matrices=False)
     kept = np.flatnonzero(strengths[:PATTERNS] > FAINT * max(strengths[0], np.finfo(float).tiny))
     sizes = [_largest(np.abs(courses[:, p] * strengths[p]), t, end) for p in kept]
-    parts = [a[:, None, None] * components[p][:, None] * drift[:, None] for p, a in zip(kept, sizes, strict=True)]
-    return np.concatenate([np.zeros((*shape.shape, 0)), *parts], axis=2), np.tile(instants, len(kept))
+    return [Changes(a[:, None] * components[p], drift, instants) for p, a in zip(kept, sizes, strict=True)]
 
 
 def _largest(size: np.ndarray, t: np.ndarray, end: float) -> np.ndarray:

@@ -157,10 +157,9 @@ class Problem:
                 rows = np.zeros((len(times), stacked.shape[2]))
                 if self.eliminates:
                     eliminate = self._elimination(i, m, seen)
-                    known = eliminate.expectation
-                    stacked[:, :, 0] -= known.expected if scaled is None else known.mean_error(scaled)
+                    stacked[:, :, 0] -= eliminate.mean_error(scaled)
                     if names:
-                        stacked[:, :, 1 : 1 + len(known.at)] -= known.slopes
+                        stacked[:, :, 1 : 1 + eliminate.slopes.shape[2]] -= eliminate.slopes
                     left, sizes[(i, m.channel)] = eliminate(stacked)
                     times, count = np.concatenate([times, eliminate.times]), np.count_nonzero(seen)
                     rows[seen[good]] = left[:count]

@@ -84,8 +84,10 @@ def test_eliminating_biases_is_least_squares_with_a_column_for_each(stubs: None,
     sd = bias_sd(measured)
     assert sd is not None
     basis = plain.basis(0, measured)
-    columns = np.concatenate([SLOPES, np.eye(6) * np.ones((len(T), 1, 1)), basis.common], axis=2)
-    own = np.einsum("njl,jk->njkl", basis.own, np.eye(6)).reshape(len(T), 6, -1)
+    common = [p.shape[:, :, None] * p.functions[:, None] for p in basis.common]
+    columns = np.concatenate([SLOPES, np.eye(6) * np.ones((len(T), 1, 1)), *common], axis=2)
+    each = np.concatenate([p.shape[:, :, None] * p.functions[:, None] for p in basis.own], axis=2)
+    own = np.einsum("njl,jk->njkl", each, np.eye(6)).reshape(len(T), 6, -1)
     columns = plain.whiten(0, measured, np.concatenate([columns, own], axis=2)).reshape(6 * len(T), -1)
     target = plain.whiten(0, measured, measured.values - basis.expected).ravel()
     pull = np.concatenate([np.zeros(2), 1.0 / sd**2, np.ones(columns.shape[1] - 8)])

@@ -34,7 +34,8 @@ def test_what_is_not_measured_does_not_count() -> None:
     # deviation widened by what follows no shape.
     widened = 1.0 + (ROUGH * 0.5) ** 2
     basis = problem.basis(0, gauge)
-    none = Sizes(np.zeros(basis.common.shape[2]), np.zeros((6, basis.own.shape[2])))
+    shared, own = (sum(len(p.instants) for p in parts) for parts in (basis.common, basis.own))
+    none = Sizes(np.zeros(shared), np.zeros((6, own)))
     prediction = SimpleNamespace(values={"gauge": np.zeros((n, 6))})
     fitted = SimpleNamespace(scaled=np.zeros(0), sizes={(0, "gauge"): none}, predictions=[prediction])
     forces, torques = structure(problem, cast(Fitted, fitted)).parts
