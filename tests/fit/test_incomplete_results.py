@@ -111,6 +111,32 @@ def test_a_channel_that_is_predicted_out_of_sight_is_noted(small_rig: Any, tmp_p
     assert write_fit_report(result, tmp_path / "report.html").stat().st_size > 0
 
 
+class Walled(Readings):
+    """It cannot be simulated where E is more than 1.05 times the truth."""
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        if parameters and scaled[0] > np.log(1.05 * TRUTH):
+            raise ConvergenceError("The step does not converge.")
+        return super().predict_all(rig, runs, parameters, scaled)
+
+
+def test_a_better_point_that_cannot_be_searched_from_leaves_what_was_found(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The look along the intervals says that it is better beyond where it can be simulated."""
+    met = []
+
+    def profiled(problem: Problem, fitted: Any, sentences: list[str], *given: Any) -> Any:
+        met.append(fitted.scaled + 0.2)
+        return [], sentences, met[-1]
+
+    monkeypatch.setattr(fit, "_profiled", profiled)
+    result = result_of(Walled(), small_rig(), [run_of("press", "markers")], [])
+    assert len(met) == 1 and not result.converged
+    assert result.message == "a better fit cannot be searched from. The step does not converge."
+    assert result.estimates[0].value == pytest.approx(TRUTH, rel=0.01)
+
+
 class Bent(Readings):
     """It reads the more, the further log(E) is from that of the truth on either side."""
 
