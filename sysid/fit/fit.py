@@ -27,7 +27,16 @@ from sysid.fit.pool import AnyEngine, PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.profile import Profile
 from sysid.fit.profiler import Profiler
-from sysid.fit.result import FitResult, estimates_of, out_of_sight, plot_series, rms_errors
+from sysid.fit.result import (
+    ChannelError,
+    Estimate,
+    FitResult,
+    Series,
+    estimates_of,
+    out_of_sight,
+    plot_series,
+    rms_errors,
+)
 from sysid.fit.runs import Run, check_apart, load_runs
 from sysid.fit.starts import SEARCHED, Evaluations, Progress, Searches, Step
 from sysid.fit.untold import blamed, nuisances_of, remarks
@@ -106,34 +115,14 @@ def _fit_runs(
     evaluations: Evaluations,
     on_progress: Progress | None,
 ) -> tuple[FitResult, Rig]:
-    kinds, robust = options.kinds, options.robust
-    beside = nuisance_parameters(rig, runs, asked, kinds) if asked else []
-    bias = bool(asked) and has_bias(runs, asked, kinds)
+    beside = nuisance_parameters(rig, runs, asked, options.kinds) if asked else []
+    bias = bool(asked) and has_bias(runs, asked, options.kinds)
     parameters = [*asked, *beside]
     first = start_of(rig, parameters)
     search = Searches(rig, parameters, options, evaluations)
-    look = _Look(list(runs), list(held_out), [], None)
-    if robust:
-        look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
-    at, spent = first, 0.0
-    for left in reversed(range(ENDS)):
-        try:
-            look, problem, fitted = _fit_beside_mistakes(
-                engine, rig, parameters, look, at, runs=runs, robust=robust, bias=bias, search=search
-            )
-        except ThinshellError as error:
-            if at is first:
-                raise
-            fitted.message, fitted.converged = f"a better fit cannot be searched from. {error}", False
-            break
-        fitted.seconds += spent
-        estimates, correlation, sentences, reduced = estimates_of(fitted, first)
-        sentences += blamed(problem, fitted, sorted(kinds))
-        profiles, sentences, better = _profiled(problem, fitted, sentences, options.intervals, on_progress)
-        if better is None or not left:
-            break
-        at, spent, look = better, fitted.seconds, replace(look, plain=None)
-    noise, before = problem.noise, problem.evaluate(rig, [], np.zeros(0))
+    found = _searched(engine, rig, runs, parameters, first, held_out, options, search, bias, on_progress)
+    look, problem, fitted = found.look, found.problem, found.fitted
+    before = problem.evaluate(rig, [], np.zeros(0))
     nuisances = nuisances_of(problem, fitted)
     errors = rms_errors(problem, before, fitted, held_out=False)
     series = plot_series(problem, before, fitted, held_out=False, raw=runs)
@@ -147,6 +136,7 @@ def _fit_runs(
     if fitted.converged and fitted.message == AT_KINK:
         notes.append(f"The search ended since {AT_KINK}; intervals are those of the side on which it stands.")
     notes += search.ends + loud(problem) + unheard(problem.noise) + out_of_sight(problem, before, fitted)
+    sentences = found.sentences
     moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
     if moved:
         sentences = ["What was fitted to a window that does not begin at rest means nothing.", *moved, *sentences]
@@ -155,46 +145,112 @@ def _fit_runs(
         notes.append("Held-out recordings are predicted with the mean of the values that each bag has for itself.")
     if held_out and on_progress is not None:
         on_progress(0.98, "held-out recordings")
-    mistaken = [o.sentence for o in look.outliers]
-    seen, followed = list(runs), list(fitted.predictions)
-    for run in held_out:
-        check = Problem([run], noise, engine, bias=bias)
-        try:
-            there = check.evaluate(rig, [], np.zeros(0))
-            scored = check.evaluate(fitted.rig, [], np.zeros(0))
-        except ThinshellError as error:
-            notes.append(f"{run.name}: could not be simulated: {error}")
-            continue
-        if robust:
-            mistaken += [o.sentence_of_score for o in without_outliers([run], scored.predictions, noise)[1]]
-            seen, followed = [*seen, run], [*followed, *scored.predictions]
-        errors += rms_errors(check, there, scored, held_out=True)
-        notes += out_of_sight(check, there, scored)
-        series += plot_series(check, there, scored, held_out=True, raw=[run])
-    notes += mistaken + (not_looked_for(seen, followed, noise) if robust else [])
+    scores = [_scored(engine, rig, fitted.rig, run, problem.noise, bias) for run in held_out]
+    notes += [note for score in scores for note in score.notes]
+    if options.robust:
+        followed = [(score.run, score.prediction) for score in scores if score.prediction is not None]
+        seen, predictions = [*runs, *(r for r, _ in followed)], [*fitted.predictions, *(p for _, p in followed)]
+        mistakes = [o for r, p in followed for o in without_outliers([r], [p], problem.noise)[1]]
+        notes += [o.sentence for o in look.outliers] + [o.sentence_of_score for o in mistakes]
+        notes += not_looked_for(seen, predictions, problem.noise)
     result = FitResult(
         rig=rig.name,
-        estimates=estimates,
-        correlation=correlation,
+        estimates=found.estimates,
+        correlation=found.correlation,
         identifiability=sentences,
-        errors=errors,
+        errors=errors + [error for score in scores for error in score.errors],
         misfit=fitted.misfit,
-        reduced_chi2=reduced,
+        reduced_chi2=found.reduced_chi2,
         converged=fitted.converged,
         message=fitted.message,
         evaluations=evaluations.done,
         seconds=fitted.seconds,
-        noise={c: _shown([*runs, *held_out], c, n) for c, n in noise.items()},
+        noise={c: _shown([*runs, *held_out], c, n) for c, n in problem.noise.items()},
         notes=notes,
         provenance=provenance(rig, list(runs), list(held_out), options.seed, options.told()),
-        series=series,
+        series=series + [one for score in scores for one in score.series],
         nuisances=nuisances,
         remarks=remarks(rig, nuisances),
-        profiles=profiles,
+        profiles=found.profiles,
         outliers=look.outliers,
         unexplained=unexplained(problem, fitted),
     )
     return result, fitted.rig
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The best fit, what is known of the parameters there, in numbers and words, and its profiles."""
+
+    look: _Look
+    problem: Problem
+    fitted: Fitted
+    estimates: list[Estimate]
+    correlation: list[list[float]]
+    sentences: list[str]
+    reduced_chi2: float
+    profiles: list[Profile]
+
+
+def _searched(
+    engine: AnyEngine,
+    rig: Rig,
+    runs: Sequence[Run],
+    parameters: Sequence[FitParameter],
+    first: np.ndarray,
+    held_out: Sequence[Run],
+    options: FitOptions,
+    search: Searches,
+    bias: bool,
+    on_progress: Progress | None,
+) -> _Found:
+    """The best fit from scaled values ``first`` ``(p,)``, also from where the looks along its intervals lead."""
+    look = _Look(list(runs), list(held_out), [], None)
+    if options.robust:
+        look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
+    at, spent = first, 0.0
+    for left in reversed(range(ENDS)):
+        try:
+            look, problem, fitted = _fit_beside_mistakes(
+                engine, rig, parameters, look, at, runs=runs, robust=options.robust, bias=bias, search=search
+            )
+        except ThinshellError as error:
+            if at is first:
+                raise
+            fitted.message, fitted.converged = f"a better fit cannot be searched from. {error}", False
+            break
+        fitted.seconds += spent
+        estimates, correlation, sentences, reduced = estimates_of(fitted, first)
+        sentences += blamed(problem, fitted, sorted(options.kinds))
+        profiles, sentences, better = _profiled(problem, fitted, sentences, options.intervals, on_progress)
+        if better is None or not left:
+            break
+        at, spent, look = better, fitted.seconds, replace(look, plain=None)
+    return _Found(look, problem, fitted, estimates, correlation, sentences, reduced, profiles)
+
+
+@dataclass(frozen=True)
+class _Score:
+    """How a held-out recording is predicted by the fit; ``prediction``: None where it could not be simulated."""
+
+    run: Run
+    prediction: Prediction | None
+    errors: list[ChannelError]
+    notes: list[str]
+    series: list[Series]
+
+
+def _scored(engine: AnyEngine, before: Rig, after: Rig, run: Run, noise: dict[str, ChannelNoise], bias: bool) -> _Score:
+    check = Problem([run], noise, engine, bias=bias)
+    try:
+        there = check.evaluate(before, [], np.zeros(0))
+        scored = check.evaluate(after, [], np.zeros(0))
+    except ThinshellError as error:
+        return _Score(run, None, [], [f"{run.name}: could not be simulated: {error}"], [])
+    return _Score(
+        run, scored.predictions[0], rms_errors(check, there, scored, held_out=True), out_of_sight(check, there, scored),
+        plot_series(check, there, scored, held_out=True, raw=[run]),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
