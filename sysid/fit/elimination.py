@@ -20,7 +20,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sysid.fit.directions import Basis, Changes, Sizes, added, told
-from sysid.fit.noise import ChannelNoise, Whitening
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.whitening import Whitening
 
 
 class Elimination:

@@ -15,12 +15,13 @@ from sysid.fit.directions import Basis, Direction, Sizes, basis_of
 from sysid.fit.elimination import Elimination
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
-from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, column_groups, whiten
+from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, column_groups
 from sysid.fit.nuisance import bias_sd
 from sysid.fit.parameters import FitParameter, rig_at, rig_in, start_of
 from sysid.fit.pool import AnyEngine
 from sysid.fit.runs import Measured, Run
 from sysid.fit.search import IN_SIGHT, Search
+from sysid.fit.whitening import whiten
 
 
 def _check_numbers(run: Run, measured: Measured, prediction: Prediction, names: Sequence[str]) -> None:

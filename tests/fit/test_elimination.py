@@ -9,7 +9,8 @@ import pytest
 
 from sysid.fit.directions import Basis, Changes
 from sysid.fit.elimination import Elimination
-from sysid.fit.noise import ChannelNoise, whiten
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.whitening import whiten
 
 N, M, OWN, COMMON = 40, 3, 4, 5
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, estimate_noise, moving, quiet, standing_still, whiten
+from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, estimate_noise, moving, quiet, standing_still
 from sysid.fit.runs import Measured, Run
+from sysid.fit.whitening import whiten
 
 RATE = 100.0
 

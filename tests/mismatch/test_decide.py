@@ -11,8 +11,9 @@ import pytest
 
 from sim_core.effects import effect_by_name
 from sysid.fit.fitted import Fitted
-from sysid.fit.noise import ChannelNoise, whiten
+from sysid.fit.noise import ChannelNoise
 from sysid.fit.parameters import FitParameter
+from sysid.fit.whitening import whiten
 from sysid.mismatch.candidates import log_evidence
 from sysid.mismatch.decide import Trial, decide, held_out_gain, probabilities, significance
 from sysid.mismatch.locate import Part, Structure

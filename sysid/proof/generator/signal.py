@@ -14,9 +14,10 @@ import numpy as np
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.fit.engine import Engine
-from sysid.fit.noise import ChannelNoise, whiten
+from sysid.fit.noise import ChannelNoise
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.runs import Measured, Run
+from sysid.fit.whitening import whiten
 from sysid.proof.generator.bench import MATERIALS, Noise
 from sysid.proof.generator.noise import kinds
 
