@@ -34,7 +34,8 @@ MOST_ROUNDS = 8
 """Times that the error is measured and the fit repeated."""
 
 SETTLED = 0.5
-"""Rounds end when no parameter that is asked for has moved by this many standard deviations."""
+"""Rounds end when no parameter that is asked for has moved by this many standard deviations, or will beside the error
+measured last."""
 
 LOUD = 10.0
 """Error of mesh and time step over noise from which a result says that it rests on that error."""
@@ -123,14 +124,11 @@ def fit_beside_own_error(
         return [rig_in(rig, parameters, at, run.name) for run in runs]
 
     directions = discretisation(engine, each(scaled), runs, plain)
+    problem = Problem(runs, noise, engine, directions, prior, bias)
+    asked = np.array([not p.nuisance for p in parameters], dtype=bool)
     evaluations, seconds, settled = 0, 0.0, False
-    at_hand: list[Prediction] = []
     for _ in range(rounds):
-        problem = Problem(runs, noise, engine, directions, prior, bias)
-        if at_hand:
-            problem.know(at_hand, rig, parameters, scaled)
         fitted = look(problem, scaled)
-        at_hand = fitted.predictions
         evaluations += fitted.evaluations
         seconds += fitted.seconds
         if fitted.cut_short:
@@ -143,17 +141,17 @@ def fit_beside_own_error(
             return problem, _counted(fitted, evaluations, seconds)
         except ThinshellError as error:
             raise Unmeasured(error, problem, _counted(fitted, evaluations, seconds)) from error
-        asked = np.array([not p.nuisance for p in parameters], dtype=bool)
-        settled = bool(np.all((np.abs(step) <= SETTLED * uncertainty(fitted).sd)[asked])) and not fitted.elsewhere
         scaled = fitted.scaled
+        still = _small(step, fitted, asked)
+        # What is known of the slopes belongs to the derivatives: where error and readings change alike less is known.
+        pairs = zip(directions, measured, strict=True)
+        directions = [_carried(old, new, scaled) if still else _learnt(old, new, step, fitted) for old, new in pairs]
+        problem = Problem(runs, noise, engine, directions, prior, bias)
+        final = problem.compare(fitted.predictions, rig, parameters, scaled)
+        problem.keep(final)
+        settled = not fitted.elsewhere and (still or _small(_gauss_newton(final), final, asked))
         if settled:
             break
-        directions = [_learnt(old, new, step, fitted) for old, new in zip(directions, measured, strict=True)]
-    # What is known of the slopes belongs to the derivatives: where error and readings change alike less is known.
-    pairs = zip(directions, measured, strict=True)
-    known = [replace(new, slopes=old.slopes, at=scaled) if old.slopes else new for old, new in pairs]
-    problem = Problem(runs, noise, engine, known, prior, bias)
-    final = problem.compare(fitted.predictions, rig, parameters, scaled)
     final.message, final.converged = fitted.message, fitted.converged and settled
     if (fitted.converged or fitted.elsewhere) and not settled:
         final.message = (
@@ -161,6 +159,16 @@ def fit_beside_own_error(
             "mesh (cells) or a shorter step (solver.dt_s) makes it smaller"
         )
     return problem, _counted(final, evaluations, seconds)
+
+
+def _small(step: np.ndarray, fitted: Fitted, asked: np.ndarray) -> bool:
+    """No parameter that is asked for moves by more than :data:`SETTLED`."""
+    return bool(np.all((np.abs(step) <= SETTLED * uncertainty(fitted).sd)[asked]))
+
+
+def _gauss_newton(fitted: Fitted) -> np.ndarray:
+    """The step to where the fit would be best by the derivatives at hand."""
+    return np.asarray(-np.linalg.lstsq(fitted.jacobian, fitted.residual, rcond=None)[0])
 
 
 def loud(problem: Problem) -> list[str]:
@@ -182,6 +190,11 @@ def loud(problem: Problem) -> list[str]:
         for (channel, quantity), ratios in found.items()
         if max(ratios) > LOUD
     ]
+
+
+def _carried(old: Direction, new: Direction, scaled: np.ndarray) -> Direction:
+    """The newly measured direction with the slopes known before."""
+    return replace(new, slopes=old.slopes, at=scaled) if old.slopes else new
 
 
 def _learnt(old: Direction, new: Direction, step: np.ndarray, fitted: Fitted) -> Direction:

@@ -187,11 +187,9 @@ class Problem:
         predictions = self.engine.predict_all(rig, self.runs, parameters, scaled)
         return self.compare(predictions, rig, parameters, scaled, started)
 
-    def know(
-        self, predictions: list[Prediction], rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray
-    ) -> None:
-        """Predictions at hand, with derivatives, which are not made again where they are asked for: no evaluation."""
-        self._known = self.compare(predictions, rig, parameters, scaled)
+    def keep(self, known: Fitted) -> None:
+        """An outcome of :meth:`compare` of this problem, which is not made again where it is asked for."""
+        self._known = known
 
     def glance(self, rig: Rig, parameters: Sequence[FitParameter], points: Sequence[np.ndarray]) -> list[float]:
         """Chi-square at scaled ``points``, without priors; infinite where they cannot be simulated, and where much less

@@ -116,6 +116,15 @@ def test_learnt_slopes_save_rounds(vectors: None, monkeypatch: pytest.MonkeyPatc
     assert quick.refined < slow.refined
 
 
+def test_an_error_that_stays_as_it_was_measured_needs_no_other_round(vectors: None) -> None:
+    """The search comes from far, and the error is the same where it ends: it is measured at both ends alone."""
+    error = 0.3 * coarse(np.array([0.4, 1.0]))
+    engine = Linear(lambda x: error)
+    _, fitted = fit(engine, run_of(coarse(TRUTH) + 0.5 * error))
+    assert fitted.converged and fitted.scaled == pytest.approx(TRUTH, abs=1e-3)
+    assert engine.refined == 2
+
+
 def test_rounds_that_end_too_soon_are_said(vectors: None) -> None:
     _, fitted = fit(Linear(), run_of(measured(np.random.default_rng(0))), rounds=1)
     assert not fitted.converged
