@@ -63,10 +63,16 @@ class Engine:
         return _made(lambda: self.predict(rig, run, refine, dt))
 
     def submit_with_derivatives(
-        self, rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray
+        self,
+        rig: Rig,
+        run: Run,
+        parameters: Sequence[FitParameter],
+        scaled: np.ndarray,
+        refine: int = 1,
+        dt: float | None = None,
     ) -> Future[Prediction]:
         """A prediction with derivatives, made at once."""
-        return _made(lambda: self.predict_with_derivatives(rig, run, parameters, scaled))
+        return _made(lambda: self.predict_with_derivatives(rig, run, parameters, scaled, refine, dt))
 
     def predict_all(
         self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
@@ -75,13 +81,19 @@ class Engine:
         return [self.predict_with_derivatives(rig, run, parameters, scaled) for run in runs]
 
     def predict_with_derivatives(
-        self, rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray
+        self,
+        rig: Rig,
+        run: Run,
+        parameters: Sequence[FitParameter],
+        scaled: np.ndarray,
+        refine: int = 1,
+        dt: float | None = None,
     ) -> Prediction:
         """Predict one run at ``scaled`` values of the parameters, with derivatives, which are zero by those that other
         runs have for themselves."""
         own = acting_in(parameters, run.name)
         if len(own) < len(parameters):
-            found = self.predict_with_derivatives(rig, run, [parameters[k] for k in own], scaled[own])
+            found = self.predict_with_derivatives(rig, run, [parameters[k] for k in own], scaled[own], refine, dt)
             wide = {c: np.zeros((*d.shape[:-1], len(parameters))) for c, d in found.derivatives.items()}
             for c, d in found.derivatives.items():
                 wide[c][..., own] = d
@@ -89,8 +101,8 @@ class Engine:
         rig = run.seen_by(rig)
         here = rig_at(rig, parameters, scaled)
         along = [_direction(rig, parameters, scaled, k) for k in range(len(parameters))]
-        scene = self.scene(here)
-        times = rollout_times([here, *(end for d in along for end in (d.low, d.high))], run, here.solver.dt_s)
+        scene = self.scene(here, refine)
+        times = rollout_times([here, *(end for d in along for end in (d.low, d.high))], run, dt or here.solver.dt_s)
         trace, raw = simulate_tangent(scene, run.poses, times, along)
         values = _at_stamps(trace, here, run)
         derivatives = {}

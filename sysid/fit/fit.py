@@ -134,7 +134,7 @@ def _fit_runs(
         if p.known_sd is not None
     ]
     if fitted.converged and fitted.message == AT_KINK:
-        notes.append(f"The search ended since {AT_KINK}; intervals are those of the side on which it stands.")
+        notes.append(f"The search ended since {AT_KINK}; standard deviations are those of the side on which it stands.")
     notes += search.ends + loud(problem) + unheard(problem.noise) + out_of_sight(problem, before, fitted)
     sentences = found.sentences
     moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]

@@ -2,12 +2,12 @@
 
 The error of mesh and time step depends on the parameters, and the best parameters on what is taken for
 error, so both are found in turns: measure at theta_k, fit, measure at theta_{k+1}. Such turns creep where
-the two resemble each other (a coarse gel slides later, so does one with more friction). The change of the
-error with the parameters is therefore learnt on the way by Broyden's rank-one update (Broyden 1965),
+the two resemble each other (a coarse gel slides later, so does one with more friction). Near the solution the
+refined simulations are therefore differentiated as well, and the fit uses
 
-    D <- D + (d(theta_{k+1}) - d(theta_k) - D s) v^T / (v^T s),    s = theta_{k+1} - theta_k,  v = J^T J s,
+    d(theta) = d(theta_k) + D (theta - theta_k),    D = d'(theta_k).
 
-in the metric of the data, and the fit uses d(theta) = d(theta_k) + D (theta - theta_k).
+Far from it, where a search is to be followed by another one anyway, derivatives say little of where that will lead.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from sysid.fit.uncertainty import uncertainty
 MOST_ROUNDS = 8
 """Times that the error is measured and the fit repeated."""
 
-SETTLED = 0.5
-"""Rounds end when no parameter that is asked for has moved by this many standard deviations, or will beside the error
-measured last."""
+NEAR = 1.0
+"""Rounds end when a search has moved no parameter by more than a standard deviation from where the error and
+its slopes were measured."""
 
 LOUD = 10.0
 """Error of mesh and time step over noise from which a result says that it rests on that error."""
@@ -55,7 +55,10 @@ class Unmeasured(ThinshellError):
 
 
 def discretisation(
-    engine: AnyEngine, rig: Rig | Sequence[Rig], runs: Sequence[Run], plain: Sequence[Prediction] | None = None
+    engine: AnyEngine,
+    rig: Rig | Sequence[Rig],
+    runs: Sequence[Run],
+    plain: Sequence[Prediction] | None = None,
 ) -> list[Direction]:
     """How the predictions change when the mesh, and when the time step, is refined once.
 
@@ -70,12 +73,44 @@ def discretisation(
     fine = [engine.submit(there, run, 2) for there, run in pairs]
     short = [engine.submit(there, run, 1, 0.5 * there.solver.dt_s) for there, run in pairs]
     base = plain or [_outcome(f, run, "as it is") for f, run in zip(pending, runs, strict=True)]
-    finer = [_outcome(f, run, "on a finer mesh") for f, run in zip(fine, runs, strict=True)]
-    shorter = [_outcome(f, run, "with half the time step") for f, run in zip(short, runs, strict=True)]
-    return [
-        Direction("mesh", tuple(_difference(f, b, 4.0 / 3.0) for f, b in zip(finer, base, strict=True))),
-        Direction("time step", tuple(_difference(s, b, 2.0) for s, b in zip(shorter, base, strict=True))),
-    ]
+    return _directions(runs, base, fine, short)
+
+
+def discretisation_with_slopes(
+    engine: AnyEngine,
+    rig: Rig,
+    runs: Sequence[Run],
+    plain: Sequence[Prediction],
+    parameters: Sequence[FitParameter],
+    scaled: np.ndarray,
+) -> list[Direction]:
+    """The same at scaled values ``(p,)`` of ``parameters``, with its derivatives by them; ``plain``: with derivatives.
+
+    Raises ``ThinshellError`` where a refined simulation fails.
+    """
+    at = (parameters, scaled)
+    fine = [engine.submit_with_derivatives(rig, run, *at, 2) for run in runs]
+    short = [engine.submit_with_derivatives(rig, run, *at, 1, 0.5 * rig.solver.dt_s) for run in runs]
+    return [replace(d, at=scaled) for d in _directions(runs, plain, fine, short)]
+
+
+def _directions(
+    runs: Sequence[Run],
+    base: Sequence[Prediction],
+    fine: Sequence[Future[Prediction]],
+    short: Sequence[Future[Prediction]],
+) -> list[Direction]:
+    found = []
+    for label, how, factor, pending in (
+        ("mesh", "on a finer mesh", 4.0 / 3.0, fine),
+        ("time step", "with half the time step", 2.0, short),
+    ):
+        refined = [_outcome(f, run, how) for f, run in zip(pending, runs, strict=True)]
+        pairs = list(zip(refined, base, strict=True))
+        shapes = tuple(_difference(r.values, b.values, factor) for r, b in pairs)
+        slopes = tuple(_difference(r.derivatives, b.derivatives, factor) for r, b in pairs if r.derivatives)
+        found.append(Direction(label, shapes, slopes=slopes))
+    return found
 
 
 def _outcome(future: Future[Prediction], run: Run, how: str) -> Prediction:
@@ -90,8 +125,10 @@ def _outcome(future: Future[Prediction], run: Run, how: str) -> Prediction:
         ) from error
 
 
-def _difference(refined: Prediction, base: Prediction, factor: float) -> dict[str, np.ndarray]:
-    return {c: factor * np.nan_to_num(refined.values[c] - v) for c, v in base.values.items()}
+def _difference(refined: dict[str, np.ndarray], base: dict[str, np.ndarray], factor: float) -> dict[str, np.ndarray]:
+    """0 where either is out of sight, or not a number."""
+    found = {c: factor * (values - base[c]) for c, values in refined.items()}
+    return {c: np.where(np.isfinite(d), d, 0.0) for c, d in found.items()}
 
 
 def fit_beside_own_error(
@@ -125,50 +162,39 @@ def fit_beside_own_error(
 
     directions = discretisation(engine, each(scaled), runs, plain)
     problem = Problem(runs, noise, engine, directions, prior, bias)
-    asked = np.array([not p.nuisance for p in parameters], dtype=bool)
-    evaluations, seconds, settled = 0, 0.0, False
-    for _ in range(rounds):
+    evaluations, seconds, with_slopes = 0, 0.0, False
+    for left in reversed(range(rounds)):
         fitted = look(problem, scaled)
         evaluations += fitted.evaluations
         seconds += fitted.seconds
-        if fitted.cut_short:
+        moved = np.abs(fitted.scaled - scaled)
+        scaled = fitted.scaled
+        settled = not fitted.elsewhere and bool(np.all(moved <= NEAR * uncertainty(fitted).sd))
+        if fitted.cut_short or (settled and (with_slopes or not parameters)):
             return problem, _counted(fitted, evaluations, seconds)
-        step = fitted.scaled - scaled
+        if not left:
+            break
+        with_slopes = not fitted.elsewhere
         try:
-            measured = discretisation(engine, each(fitted.scaled), runs, fitted.predictions)
+            if with_slopes:
+                at = (parameters, scaled)
+                directions = discretisation_with_slopes(engine, rig, runs, fitted.predictions, *at)
+            else:
+                directions = discretisation(engine, each(scaled), runs, fitted.predictions)
         except KeyboardInterrupt:
             fitted.message, fitted.converged = "interrupted; the best values so far are kept", False
             return problem, _counted(fitted, evaluations, seconds)
         except ThinshellError as error:
             raise Unmeasured(error, problem, _counted(fitted, evaluations, seconds)) from error
-        scaled = fitted.scaled
-        still = _small(step, fitted, asked)
-        # What is known of the slopes belongs to the derivatives: where error and readings change alike less is known.
-        pairs = zip(directions, measured, strict=True)
-        directions = [_carried(old, new, scaled) if still else _learnt(old, new, step, fitted) for old, new in pairs]
         problem = Problem(runs, noise, engine, directions, prior, bias)
-        final = problem.compare(fitted.predictions, rig, parameters, scaled)
-        problem.keep(final)
-        settled = not fitted.elsewhere and (still or _small(_gauss_newton(final), final, asked))
-        if settled:
-            break
-    final.message, final.converged = fitted.message, fitted.converged and settled
-    if (fitted.converged or fitted.elsewhere) and not settled:
-        final.message = (
+        problem.keep(problem.compare(fitted.predictions, rig, parameters, scaled))
+    if fitted.converged or fitted.elsewhere:
+        fitted.message = (
             f"the error of mesh and time step still changed with the parameters after {rounds} rounds; a finer "
             "mesh (cells) or a shorter step (solver.dt_s) makes it smaller"
         )
-    return problem, _counted(final, evaluations, seconds)
-
-
-def _small(step: np.ndarray, fitted: Fitted, asked: np.ndarray) -> bool:
-    """No parameter that is asked for moves by more than :data:`SETTLED`."""
-    return bool(np.all((np.abs(step) <= SETTLED * uncertainty(fitted).sd)[asked]))
-
-
-def _gauss_newton(fitted: Fitted) -> np.ndarray:
-    """The step to where the fit would be best by the derivatives at hand."""
-    return np.asarray(-np.linalg.lstsq(fitted.jacobian, fitted.residual, rcond=None)[0])
+    fitted.converged = False
+    return problem, _counted(fitted, evaluations, seconds)
 
 
 def loud(problem: Problem) -> list[str]:
@@ -190,28 +216,6 @@ def loud(problem: Problem) -> list[str]:
         for (channel, quantity), ratios in found.items()
         if max(ratios) > LOUD
     ]
-
-
-def _carried(old: Direction, new: Direction, scaled: np.ndarray) -> Direction:
-    """The newly measured direction with the slopes known before."""
-    return replace(new, slopes=old.slopes, at=scaled) if old.slopes else new
-
-
-def _learnt(old: Direction, new: Direction, step: np.ndarray, fitted: Fitted) -> Direction:
-    """The newly measured direction with what the step has taught of its slope.
-
-    A step that changes no reading teaches nothing; the direction is then as measured.
-    """
-    metric = fitted.jacobian.T @ (fitted.jacobian @ step)
-    length = float(metric @ step)
-    if not (np.isfinite(length) and length > 0.0):
-        return new
-    weight = metric / length
-    slopes = []
-    for i, (before, after) in enumerate(zip(old.shapes, new.shapes, strict=True)):
-        known = old.slopes[i] if old.slopes else {c: np.zeros((*a.shape, len(step))) for c, a in after.items()}
-        slopes.append({c: known[c] + (a - before[c] - known[c] @ step)[:, :, None] * weight for c, a in after.items()})
-    return replace(new, slopes=tuple(slopes), at=fitted.scaled)
 
 
 def _counted(fitted: Fitted, evaluations: int, seconds: float) -> Fitted:

@@ -28,8 +28,10 @@ def _predict(rig: Rig, run: Run, refine: int, dt: float | None) -> Prediction:
     return _ENGINE[0].predict(rig, run, refine, dt)
 
 
-def _predict_with_derivatives(rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray) -> Prediction:
-    return _ENGINE[0].predict_with_derivatives(rig, run, parameters, scaled)
+def _predict_with_derivatives(
+    rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray, refine: int, dt: float | None
+) -> Prediction:
+    return _ENGINE[0].predict_with_derivatives(rig, run, parameters, scaled, refine, dt)
 
 
 class PooledEngine:
@@ -57,10 +59,17 @@ class PooledEngine:
         return self._told(self._pool.submit(_predict, rig, run, refine, dt))
 
     def submit_with_derivatives(
-        self, rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray
+        self,
+        rig: Rig,
+        run: Run,
+        parameters: Sequence[FitParameter],
+        scaled: np.ndarray,
+        refine: int = 1,
+        dt: float | None = None,
     ) -> Future[Prediction]:
         """Start a prediction with derivatives."""
-        return self._told(self._pool.submit(_predict_with_derivatives, rig, run, list(parameters), np.array(scaled)))
+        at = (list(parameters), np.array(scaled))
+        return self._told(self._pool.submit(_predict_with_derivatives, rig, run, *at, refine, dt))
 
     def predict_all(
         self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray

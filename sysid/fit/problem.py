@@ -178,18 +178,18 @@ class Problem:
         return int(sum(np.count_nonzero(np.isfinite(m.values) & np.isfinite(values)) for m, values in pairs))
 
     def evaluate(self, rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray) -> Fitted:
-        """Residuals and derivatives at given values, without fitting."""
+        """Residuals and derivatives at given values, without fitting; those that are kept are no evaluation."""
         known = self._known
         if known is not None and rig is known.centre and list(parameters) == known.parameters:
             if np.array_equal(scaled, known.scaled):
-                return replace(known, evaluations=0)
+                return replace(known)
         started = time.monotonic()
         predictions = self.engine.predict_all(rig, self.runs, parameters, scaled)
         return self.compare(predictions, rig, parameters, scaled, started)
 
     def keep(self, known: Fitted) -> None:
         """An outcome of :meth:`compare` of this problem, which is not made again where it is asked for."""
-        self._known = known
+        self._known = replace(known, evaluations=0)
 
     def glance(self, rig: Rig, parameters: Sequence[FitParameter], points: Sequence[np.ndarray]) -> list[float]:
         """Chi-square at scaled ``points``, without priors; infinite where they cannot be simulated, and where much less
@@ -256,8 +256,8 @@ class Problem:
         start = start_of(rig, parameters) if start is None else np.asarray(start, dtype=float)
         if not parameters:
             found = self.evaluate(rig, parameters, start)
-            found.message = "nothing to fit"
-            if on_evaluation is not None:
+            found.message, found.began = "nothing to fit", found.chi2
+            if found.evaluations and on_evaluation is not None:
                 on_evaluation(found)
             return found
         search = Search(lambda scaled: self.evaluate(rig, parameters, scaled), parameters, on_evaluation, halt)

@@ -69,7 +69,7 @@ class Search:
         scale = np.array([min(p.prior_sd, 1.0) for p in self._parameters])
         message, converged, radius = "", True, 1.0
         try:
-            self._look(np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low)))
+            self._look(np.clip(start, low, high))
             while True:
                 self._weight = chance(self.best)
                 begin = self.best.scaled

@@ -44,6 +44,13 @@ class Readings:
         future.set_result(self._predict(run, rig.bodies["gel"].material.E_pa, 0))
         return future
 
+    def submit_with_derivatives(
+        self, rig: Any, run: Run, parameters: Any, scaled: np.ndarray, refine: int = 1, dt: float | None = None
+    ) -> Future[Prediction]:
+        future: Future[Prediction] = Future()
+        future.set_result(self._predict(run, float(np.exp(scaled[0])), len(parameters)))
+        return future
+
     def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
         if any(run.name == self.broken for run in runs):
             raise ConvergenceError("The step does not converge.", "Shorten solver.dt_s.")
@@ -246,6 +253,17 @@ def test_a_fit_makes_no_more_evaluations_than_it_may(small_rig: Any, monkeypatch
         assert result.message.startswith(f"the evaluations allowed, {most}, are used up")
     with pytest.raises(ConfigError, match="Allow at least one"):
         fit_within(small_rig(), 0)
+
+
+def test_a_rig_that_is_only_compared_is_evaluated_once(small_rig: Any) -> None:
+    """Though its misfit is large, there is nothing to search and no other place to measure its own error at."""
+    steps: list[Step] = []
+    result, _ = fit.fit_runs(
+        small_rig(), [run_of("press", "markers")], [], FitOptions(robust=False), engine=cast(PooledEngine, Readings()),
+        on_step=steps.append,
+    )  # fmt: skip
+    assert result.misfit > 10.0 and result.converged
+    assert result.evaluations == len(steps) == 1
 
 
 def test_evaluations_that_fail_are_counted(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:

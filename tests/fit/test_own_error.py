@@ -52,11 +52,22 @@ class Linear:
 
     def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
         future: Future[Prediction] = Future()
-        values = coarse(rig.x)
-        if refine > 1:
-            self.refined += 1
-            values = values + 0.75 * self.error(rig.x)
+        values = self._refined(rig.x, refine)
+        self.refined += refine > 1
         future.set_result(Prediction({"gauge": values}, {}, cast(Trace, None)))
+        return future
+
+    def _refined(self, x: np.ndarray, refine: int) -> np.ndarray:
+        return np.asarray(coarse(x) + (0.75 * self.error(x) if refine > 1 else 0.0))
+
+    def submit_with_derivatives(
+        self, rig: Any, run: Run, parameters: Any, scaled: np.ndarray, refine: int = 1, dt: float | None = None
+    ) -> Future[Prediction]:
+        self.refined += refine > 1
+        ends = [[self._refined(scaled + s * e, refine) for s in (1e-4, -1e-4)] for e in np.eye(2)]
+        slopes = np.stack([(ahead - behind) / 2e-4 for ahead, behind in ends], axis=-1)
+        future: Future[Prediction] = Future()
+        future.set_result(Prediction({"gauge": self._refined(scaled, refine)}, {"gauge": slopes}, cast(Trace, None)))
         return future
 
     def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
@@ -106,14 +117,19 @@ def test_parameters_and_error_settle_together(vectors: None) -> None:
     assert np.sqrt(np.mean((at_truth - problem.runs[0].measured[0].values) ** 2)) < 1.3 * SIGMA
 
 
-def test_learnt_slopes_save_rounds(vectors: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slopes_save_rounds(vectors: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error is linear in the parameters: with its slopes two measurements tell all, the third sees it."""
     run = run_of(measured(np.random.default_rng(0)))
     quick = Linear()
     fit(quick, run, rounds=40)
-    monkeypatch.setattr(own_error, "_learnt", lambda old, new, step, fitted: new)
+    assert quick.refined == 3
+    blind = own_error.discretisation_with_slopes
+    monkeypatch.setattr(
+        own_error, "discretisation_with_slopes", lambda *given: [replace(d, slopes=()) for d in blind(*given)]
+    )
     slow = Linear()
     fit(slow, run, rounds=40)
-    assert quick.refined < slow.refined
+    assert slow.refined > 3
 
 
 def test_an_error_that_stays_as_it_was_measured_needs_no_other_round(vectors: None) -> None:
@@ -145,27 +161,33 @@ def test_a_search_that_wants_the_error_measured_again_gets_it(vectors: None) -> 
         return found
 
     _, fitted = fit(Linear(), run, start=settled.scaled, search=search)
-    assert calls == 4 and fitted.converged
+    # Once more when it has been measured with slopes, which says little where a search is to go on.
+    assert calls == 5 and fitted.converged
     calls = 0
     _, never = fit(Linear(), run, start=settled.scaled, search=search, rounds=3)
     assert calls == 3 and not never.converged
     assert "finer mesh" in never.message
 
 
-def test_no_prediction_is_made_twice_where_a_round_begins(vectors: None) -> None:
+@pytest.mark.parametrize("highest", [50.0, TRUTH[0]])
+def test_no_prediction_is_made_twice_where_a_round_begins(
+    vectors: None, highest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not at a bound either, at which the first parameter stays."""
+    monkeypatch.setitem(globals(), "PARAMETERS", [replace(PARAMETERS[0], upper=highest), PARAMETERS[1]])
     engine = Linear()
     looked: list[tuple[float, ...]] = []
     plain = engine.predict_all
 
     def predict_all(rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
-        looked.append(tuple(scaled))
+        looked.append(tuple(np.round(scaled, 6)))
         return plain(rig, runs, parameters, scaled)
 
     engine.predict_all = predict_all  # type: ignore[method-assign]
     _, fitted = fit(engine, run_of(measured(np.random.default_rng(0))), rounds=40)
-    assert engine.refined > 2, "there is one round only"
+    assert engine.refined > 1, "there is one round only"
     assert len(set(looked)) == len(looked)
-    assert fitted.converged
+    assert fitted.converged and (fitted.scaled[0] == highest) == (highest < 50.0)
 
 
 def test_ctrl_c_keeps_the_best(vectors: None) -> None:

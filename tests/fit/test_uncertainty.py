@@ -8,9 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sysid.fit.directions import Direction
 from sysid.fit.fitted import Fitted
-from sysid.fit.own_error import _learnt
 from sysid.fit.parameters import FitParameter
 from sysid.fit.uncertainty import UNDETERMINED_SHARE, WIDEST, _names, interval, uncertainty
 
@@ -71,15 +69,6 @@ def test_a_channel_without_samples_is_left_out() -> None:
     fit = fitted(np.ones((N, 1)))
     fit.labels.append((0, "blind", np.zeros(0)))
     assert np.isfinite(uncertainty(fit).sd).all()
-
-
-def test_a_step_without_influence_teaches_nothing_of_the_own_error() -> None:
-    old = Direction("mesh", ({"gauge": np.zeros((N, 1))},))
-    new = Direction("mesh", ({"gauge": np.ones((N, 1))},))
-    fit = fitted(np.column_stack([np.ones(N), np.zeros(N)]))
-    assert _learnt(old, new, np.array([0.0, 0.3]), fit) is new
-    assert _learnt(old, new, np.array([np.nan, 0.3]), fit) is new
-    assert np.isfinite(_learnt(old, new, np.array([0.2, 0.3]), fit).slopes[0]["gauge"]).all()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,69 @@
+"""How the simulator's own error changes with the parameters: of a real rollout, against differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim_core.rigs import Rig
+from sim_core.rigs.motion import Experiment
+from sysid.fit.engine import Engine
+from sysid.fit.own_error import discretisation, discretisation_with_slopes
+from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
+from sysid.fit.runs import Run, load_run
+from sysid.simulate import simulate_to_bag
+
+PRESS: list[dict[str, Any]] = [
+    {
+        "type": "waypoints",
+        "speed_m_s": 0.05,
+        "hold_s": 0.1,
+        "poses": [{"position_m": [0.0, 0.0, -0.011]}, {"position_m": [0.002, 0.0, -0.012]}],
+    }
+]
+NAMES = ["card.E_pa", "gel.E_pa", "finger.offset_z_m"]
+STEP = 1e-3
+
+
+@pytest.fixture(scope="module")
+def pressed(small_rig: Callable[..., Rig], tmp_path_factory: pytest.TempPathFactory) -> tuple[Rig, Run]:
+    rig = small_rig()
+    bag: Path = tmp_path_factory.mktemp("press") / "bag"
+    simulate_to_bag(rig, Experiment.model_validate({"name": "press", "motions": {"finger": PRESS}}), bag)
+    return rig, load_run(rig, bag)
+
+
+def test_slopes_of_the_own_error_are_its_differences(pressed: tuple[Rig, Run]) -> None:
+    rig, run = pressed
+    parameters: list[FitParameter] = fit_parameters(rig, NAMES)
+    engine, at = Engine(), start_of(rig, parameters)
+    # In units of what is plausible, so that a step is as large for an offset as for a modulus.
+    width = np.array([p.prior_sd for p in parameters])
+
+    def measured(scaled: np.ndarray) -> list[Any]:
+        return discretisation(engine, rig_at(rig, parameters, scaled), [run])
+
+    plain = engine.predict_all(rig, [run], parameters, at)
+    found = discretisation_with_slopes(engine, rig, [run], plain, parameters, at)
+    values = measured(at)
+    for k in range(len(parameters)):
+        step = STEP * width * np.eye(len(parameters))[k]
+        ahead, behind = measured(at + step), measured(at - step)
+        for direction, value, high, low in zip(found, values, ahead, behind, strict=True):
+            assert direction.label == value.label and np.array_equal(direction.at, at)
+            for channel, slopes in direction.slopes[0].items():
+                np.testing.assert_allclose(
+                    direction.shapes[0][channel], value.shapes[0][channel], rtol=1e-9, atol=1e-12
+                )
+                difference = (high.shapes[0][channel] - low.shapes[0][channel]) / (2.0 * STEP * width[k])
+                largest = np.nanmax(np.abs(difference))
+                assert largest > 0.0
+                assert np.max(np.abs(slopes[:, :, k] - difference)) < 1e-2 * largest, (
+                    NAMES[k],
+                    channel,
+                    direction.label,
+                )
