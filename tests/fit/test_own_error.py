@@ -13,6 +13,7 @@ from sim_core.simulate import Trace
 from sysid.fit import own_error
 from sysid.fit.directions import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, Direction
 from sysid.fit.engine import Prediction
+from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter
@@ -264,6 +265,39 @@ def test_an_error_without_the_shape_is_allowed_for(vectors: None, rho: float) ->
         assert fitted.misfit < 1.5
         inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
     assert np.all(inside >= 90), inside
+
+
+def beside_a_fast_error(n: int, errors: np.ndarray | float) -> Fitted:
+    """The two parameters at the truth, by ``n`` samples of eight columns beside an own error that oscillates faster
+    than its size drifts, in each column otherwise; the readings are off by ``errors`` ``(n, 8)``."""
+    t, j = np.linspace(0.0, 1.0, n)[:, None], np.arange(8)
+    slopes = np.stack([np.cos(0.7 * j * t + j), np.sin(1.1 * j * t + 1.0)], axis=-1)
+    shape = np.sin((250.0 + 20.0 * j) * t)
+    values = slopes @ TRUTH + 0.5 * shape + errors
+    run = Run("run", "", (), {}, (Measured("gauge", "markers", t[:, 0], values, tuple("abcdefgh")),), 1.0)
+    noise = {"gauge": ChannelNoise(np.full(8, SIGMA), np.zeros(8), "test")}
+    problem = Problem([run], noise, cast(PooledEngine, None), [Direction("mesh", ({"gauge": shape},))])
+    there = Prediction({"gauge": slopes @ TRUTH}, {"gauge": slopes}, cast(Trace, None))
+    return problem.compare([there], cast(Any, Vector(np.zeros(2))), PARAMETERS, TRUTH)
+
+
+def test_an_error_without_the_shape_may_stay_for_a_while(vectors: None) -> None:
+    """It is drawn anew 23 times in a run, not from sample to sample."""
+    n, rng = 1200, np.random.default_rng(9)
+    block = np.minimum((np.linspace(0.0, 1.0, n) * 23).astype(int), 22)
+    scores = []
+    for _ in range(100):
+        fitted = beside_a_fast_error(n, 0.5**0.5 * ROUGH * rng.standard_normal((23, 8))[block])
+        miss = np.linalg.lstsq(fitted.jacobian, fitted.residual, rcond=None)[0]
+        scores.append(miss / uncertainty(fitted).sd)
+    assert np.std(scores, axis=0) == pytest.approx(np.ones(2), abs=0.3)
+
+
+def test_intervals_beside_an_own_error_do_not_shrink_with_the_rate(vectors: None) -> None:
+    few, many = beside_a_fast_error(1200, 0.0), beside_a_fast_error(4800, 0.0)
+    blind = [uncertainty(replace(fitted, rough={})).sd for fitted in (few, many)]
+    assert np.all(blind[1] < 0.7 * blind[0]), "they would have"
+    assert uncertainty(many).sd == pytest.approx(uncertainty(few).sd, rel=0.2)
 
 
 def test_where_error_and_readings_change_alike_less_is_known(vectors: None) -> None:
