@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from sim_core.errors import WorkerError
 from sim_core.rigs import Rig
@@ -83,6 +84,8 @@ def worker_pool(workers: int, start: Callable[[], None] | None = None) -> Iterat
 
 def _begin(start: Callable[[], None] | None) -> None:
     serve_parent()
+    # One process a core: threads of linear algebra on top would wait for each other.
+    threadpool_limits(1)
     if start is not None:
         start()
 

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
-from sim_core.batch import Rollout, simulate_batch
+from sim_core.batch import Rollout, simulate_batch, worker_pool
 from sim_core.errors import ConvergenceError
 from sim_core.rigs import with_parameters
 from sim_core.scene import build_scene
@@ -36,3 +37,14 @@ def test_the_first_failure_is_that_of_the_batch(small_rig, visit):
 
 def test_an_empty_batch_starts_no_process():
     assert simulate_batch([]) == []
+
+
+def test_workers_leave_the_other_cores_to_each_other():
+    """One thread of linear algebra each, also beside a library that would take as many as there are cores."""
+    with worker_pool(1) as pool:
+        threads = pool.submit(_threads).result()
+    assert threads and set(threads) == {1}
+
+
+def _threads() -> list[int]:
+    return [library["num_threads"] for library in threadpool_info()]
