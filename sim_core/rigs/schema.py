@@ -20,6 +20,7 @@ from sim_core.rigs.fields import (
     FrameId,
     Interval,
     Name,
+    NonNegative,
     Pose,
     Position,
     Real,
@@ -36,6 +37,7 @@ Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=5
 Stiffness = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]
 Shift = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-0.1, le=0.1)]
 Turn = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-45.0, le=45.0)]
+Deviations = Annotated[tuple[NonNegative, NonNegative, NonNegative], of_length(3)]
 
 
 class Region(Strict):
@@ -138,7 +140,8 @@ class EndEffector(Strict):
 
     ``offset_*``: where it really is, seen from where its poses say, in its own axes (a tool that is mounted askew):
     a shift, and a turn as a rotation vector. What it carries follows the true pose
-    (:mod:`sim_core.scene.offset`); start poses, commands and recordings are as told.
+    (:mod:`sim_core.scene.offset`); start poses, commands and recordings are as told. ``offset_sd_*``: how well that is
+    known, for fits; usually as of a tool that is mounted by hand.
     """
 
     base_frame: FrameId = "base_link"
@@ -150,6 +153,8 @@ class EndEffector(Strict):
     offset_rx_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its x")
     offset_ry_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its y")
     offset_rz_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its z")
+    offset_sd_m: Deviations = Field(default=(5e-4, 5e-4, 5e-4), description="standard deviations of the shifts")
+    offset_sd_deg: Deviations = Field(default=(0.5, 0.5, 0.5), description="standard deviations of the turns")
 
     def offset(self) -> FloatArray:
         """Shift [m] and rotation vector [rad] of the true pose in the told one, ``(6,)``."""

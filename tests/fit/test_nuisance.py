@@ -222,6 +222,21 @@ def test_every_stream_and_camera_has_its_nuisances_once(small_rig: Any) -> None:
     assert (there.fx_px, there.fy_px) == pytest.approx((1407.0, 1507.5))
 
 
+def test_offsets_are_as_uncertain_as_the_rig_says(small_rig: Any) -> None:
+    finger = small_rig().end_effectors["finger"].model_dump()
+    known = {"offset_sd_m": [1e-3, 5e-4, 0.0], "offset_sd_deg": [0.0, 0.0, 2.0]}
+    rig = small_rig(end_effectors={"finger": finger | known})
+    runs = [Run("one", "", (), {}, (Measured("wrench", "wrench", T, np.zeros((len(T), 6)), ()),), 2.0)]
+    found = nuisance_parameters(rig, runs, [], ("pose",))
+    assert {p.name: p.prior_sd for p in found} == {
+        "finger.offset_x_m": 1e-3,
+        "finger.offset_y_m": 5e-4,
+        "finger.offset_rz_deg": 2.0,
+    }
+    with pytest.raises(ConfigError, match=r"end_effectors\.finger\.offset_sd_m.*-0\.0001"):
+        small_rig(end_effectors={"finger": finger | {"offset_sd_m": [1e-3, 5e-4, -1e-4]}})
+
+
 def test_a_camera_that_places_the_markers_has_no_nuisance_but_its_clock() -> None:
     rig = load_rig("knit_acrylic_garter_x")
     run = Run("pull", "", (), {}, (Measured("video", "tracks", T, np.zeros((len(T), 10)), ()),), 2.0)

@@ -173,10 +173,11 @@ def test_pictures_may_go_into_the_working_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("height_m", [0.0, 7e-4, -7e-4])
+@pytest.mark.parametrize("height_m", [0.0, 2e-4, -2e-4])
 def test_the_bench_determines_sheet_gel_and_friction(height_m: float) -> None:
     """Gel modulus and Poisson's ratio, stretching and bending stiffness (E, t, nu), density, two frictions: below 3 %,
-    with unknown time offsets, biases, intrinsics and offsets; also where the finger is higher or lower than it says."""
+    with unknown time offsets, biases, intrinsics and offsets; also where the finger is two standard deviations
+    higher or lower than it says."""
     rig = with_parameters(load_rig("material_bench"), {"finger.offset_z_m": height_m})
     experiments = by_rig(identifying())["material_bench"]
     names = parameters_of(rig, experiments)
