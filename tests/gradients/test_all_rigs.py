@@ -16,6 +16,14 @@ STEPS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-7)
 
 PULL = {"type": "slide", "by_m": [0.002, 0.0, 0.0], "speed_m_s": 0.0005}
 PRESS = {"type": "slide", "by_m": [0.001, 0.0, -0.002], "speed_m_s": 0.0005}
+RUB = {
+    "type": "waypoints", "speed_m_s": 0.01,
+    "poses": [{"position_m": [-0.26, 0.0, -0.0024]}, {"position_m": [-0.258, 0.0, -0.0024]}],
+}  # fmt: skip
+ON_THE_STRIP = {
+    "begin": {"gripper": {"position_m": [0.0015, 0.0, 0.0]}, "finger": {"position_m": [-0.26, 0.0, -0.0016]}},
+    "motions": {"finger": [RUB]},
+}
 
 RUNS: dict[str, tuple[str | dict[str, object], float]] = {
     "balancing": ("balance", 0.02),
@@ -25,7 +33,7 @@ RUNS: dict[str, tuple[str | dict[str, object], float]] = {
     "folding": ("fold", 0.3),
     "forming": ("form", 0.3),
     "lifting": ("lift", 0.03),
-    "material_bench": ("rub_strip", 1.9),
+    "material_bench": (ON_THE_STRIP, 0.5),
     "pick_folding": ("pick_fold", 0.15),
     "proof_bench": ("press_post", 0.5),
     "push_block": ("push", 0.3),
@@ -56,8 +64,8 @@ def test_gradients_by_all_classes_of_parameters(name):
     if isinstance(motion, str):
         experiment = load_experiment(motion)
     else:
-        motions = {next(iter(rig.end_effectors)): [motion]}
-        experiment = Experiment.model_validate({"name": "short", "motions": motions})
+        whole = motion if "motions" in motion else {"motions": {next(iter(rig.end_effectors)): [motion]}}
+        experiment = Experiment.model_validate({"name": "short", **whole})
     classes: dict[str, str] = {}
     for parameter in list_parameters(rig):
         if parameter.value is not None:
