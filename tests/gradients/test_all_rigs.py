@@ -56,6 +56,7 @@ def test_no_rig_is_left_out():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(2400)
 @pytest.mark.parametrize("name", RUNS)
 def test_gradients_by_all_classes_of_parameters(name):
     """Below 1e-5, or 1e-4 with contact or plastic flow, forwards as well as backwards; one parameter of each name."""
