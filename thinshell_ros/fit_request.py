@@ -68,6 +68,7 @@ def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], 
         starts=values["fit.starts"],
         intervals="profiled" if values["fit.profile"] else "checked",
         max_evaluations=values["fit.max_iterations"],
+        robust=values["fit.robust"],
         seed=values["fit.seed"],
     )
     out = _folder(values["output_dir"]) / job_id

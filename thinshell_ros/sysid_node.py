@@ -31,7 +31,8 @@ from thinshell_ros.runner import run
 
 VALUES = (
     "bag_uri", "held_out_uri", "fit.parameters", "fit.initial", "fit.lower", "fit.upper", "fit.max_iterations",
-    "fit.seed", "fit.nuisance", "fit.prior_sd", "fit.per_bag", "fit.starts", "fit.profile", "output_dir",
+    "fit.seed", "fit.nuisance", "fit.prior_sd", "fit.per_bag", "fit.starts", "fit.profile", "fit.robust",
+    "output_dir",
 )  # fmt: skip
 
 
@@ -62,6 +63,7 @@ class SysidNode(Node):
         )
         declare(self, "fit.starts", 1, "searches from so many starts", bounds=(1, 1000), fixed=False)
         declare(self, "fit.profile", False, "find each interval from the likelihood itself", fixed=False)
+        declare(self, "fit.robust", True, "leave out readings that are mistakes of a tracker or a sensor", fixed=False)
         declare(self, "output_dir", "", "each fit makes a folder of its own in this one", fixed=False)
 
         self._state = FitState()
@@ -91,7 +93,8 @@ class SysidNode(Node):
             response.success, response.message = False, str(error)
             return response
         self._process = FitProcess(self._request)
-        self._state = FitState(job_id, "running", "starting", values["fit.max_iterations"])
+        self._state, self._elapsed_s = FitState(job_id, "running", "starting", values["fit.max_iterations"]), 0.0
+        self._estimate.publish(messages.named_numbers(self._state.estimate()))
         self.get_logger().info(f"{job_id}: fitting {', '.join(self._request.names)} of {self._rig.name}.")
         self._tell()
         response.success, response.message = True, job_id

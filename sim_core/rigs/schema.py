@@ -20,7 +20,6 @@ from sim_core.rigs.fields import (
     FrameId,
     Interval,
     Name,
-    NonNegative,
     Pose,
     Position,
     Real,
@@ -37,7 +36,8 @@ Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=5
 Stiffness = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]
 Shift = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-0.1, le=0.1)]
 Turn = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-45.0, le=45.0)]
-Deviations = Annotated[tuple[NonNegative, NonNegative, NonNegative], of_length(3)]
+ShiftSd = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=0.1)]
+TurnSd = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=45.0)]
 
 
 class Region(Strict):
@@ -141,7 +141,7 @@ class EndEffector(Strict):
     ``offset_*``: where it really is, seen from where its poses say, in its own axes (a tool that is mounted askew):
     a shift, and a turn as a rotation vector. What it carries follows the true pose
     (:mod:`sim_core.scene.offset`); start poses, commands and recordings are as told. ``offset_sd_*``: how well that is
-    known, for fits; usually as of a tool that is mounted by hand.
+    known, for fits, 0 exactly; usually as of a tool that is mounted by hand.
     """
 
     base_frame: FrameId = "base_link"
@@ -153,8 +153,12 @@ class EndEffector(Strict):
     offset_rx_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its x")
     offset_ry_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its y")
     offset_rz_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its z")
-    offset_sd_m: Deviations = Field(default=(5e-4, 5e-4, 5e-4), description="standard deviations of the shifts")
-    offset_sd_deg: Deviations = Field(default=(0.5, 0.5, 0.5), description="standard deviations of the turns")
+    offset_sd_m: Annotated[tuple[ShiftSd, ShiftSd, ShiftSd], of_length(3)] = Field(
+        default=(5e-4, 5e-4, 5e-4), description="standard deviations of the shifts [m]"
+    )
+    offset_sd_deg: Annotated[tuple[TurnSd, TurnSd, TurnSd], of_length(3)] = Field(
+        default=(0.5, 0.5, 0.5), description="standard deviations of the turns [deg]"
+    )
 
     def offset(self) -> FloatArray:
         """Shift [m] and rotation vector [rad] of the true pose in the told one, ``(6,)``."""

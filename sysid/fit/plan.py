@@ -201,8 +201,8 @@ def _still(fitted: Fitted) -> list[str]:
     """A sentence for each friction on which no reading depends."""
     reach = np.linalg.norm(fitted.jacobian, axis=0) * [p.prior_sd for p in fitted.parameters]
     return [
-        f"Nothing slides where {p.name} acts: a recording would at most say that it is at least the largest ratio of "
-        "tangential to normal force. Plan a motion that slides there."
+        f"Nothing slides where {p.name} acts: a recording would at most say, if there is a touch at all, that it is at "
+        "least the largest ratio of tangential to normal force. Plan a motion that slides there."
         for p, r in zip(fitted.parameters, reach, strict=True)
         if p.name.endswith(".friction") and r < 1.0 / UNDETERMINED_SHARE
     ]

@@ -24,8 +24,8 @@ FAR = 3.0
 REMEDIES = {
     "time": "the time offsets were known: share one clock, and leave 'time' out of --nuisance",
     "bias": "force sensors had no bias: tare them with nothing in touch, and leave 'bias' out of --nuisance",
-    "pose": "the end effectors' poses were known: calibrate how the tools are mounted, and leave 'pose' out of "
-    "--nuisance",
+    "pose": "the end effectors' poses were known: calibrate how the tools are mounted, and write how well into the rig "
+    "(offset_sd_m, offset_sd_deg), or leave 'pose' out of --nuisance",
     "camera": "the cameras' intrinsics were known: calibrate them, and leave 'camera' out of --nuisance",
 }
 

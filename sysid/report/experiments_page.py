@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from sim_core.errors import ConfigError
-from sim_core.rigs import Rig, load_rig, resolve_name
+from sim_core.rigs import EndEffector, Rig, load_rig, resolve_name
 from sim_core.rigs.load import names_in
 from sim_core.rigs.motion import Experiment, load_experiment
 from sysid.fit.plan import Expected, Outlook, plan_experiments
@@ -112,7 +112,7 @@ def _section(
     rig: Rig, experiments: Sequence[Experiment], names: Sequence[str], outlooks: Sequence[Outlook], folder: str
 ) -> str:
     """All of one rig: the pictures, then the table with a column for each experiment and one for all together."""
-    lines = [f"\n## {rig.name}\n", f"{' '.join(rig.description.split())}\n"]
+    lines = [f"\n## {rig.name}\n", f"{' '.join(rig.description.split())}\n", *_calibrated(rig)]
     for experiment in experiments:
         lines += [f"**{experiment.name}.** {experiment.description}\n"]
         lines += [f"![{experiment.name}: side views and commands]({folder}/{experiment.name}.svg)\n"]
@@ -128,6 +128,17 @@ def _section(
     words = " ".join(e.name for e in experiments)
     lines += [f"`thinshell plan {rig.name} {words} --params {','.join(names)}`", ""]
     return "\n".join(lines)
+
+
+def _calibrated(rig: Rig) -> list[str]:
+    """A sentence for each end effector whose offset is not as uncertain as usual."""
+    usual = EndEffector()
+    return [
+        f"The offset of the {name} is known to {', '.join(f'{1e3 * sd:g}' for sd in e.offset_sd_m)} mm and "
+        f"{', '.join(f'{sd:g}' for sd in e.offset_sd_deg)} deg along and about its axes before.\n"
+        for name, e in rig.end_effectors.items()
+        if (e.offset_sd_m, e.offset_sd_deg) != (usual.offset_sd_m, usual.offset_sd_deg)
+    ]
 
 
 def _relative(expected: Expected) -> str:

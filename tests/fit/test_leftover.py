@@ -12,6 +12,7 @@ import pytest
 from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions
+from sysid.fit.directions import Direction
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.leftover import left_over, unexplained, worst
@@ -119,6 +120,29 @@ def wrench(forces: float, torques: float, samples: int = 300) -> tuple[Problem, 
     return Problem([run], {"cell": noise}, cast(PooledEngine, None)), Fitted(
         [], np.zeros(0), cast(Any, None), np.zeros(0), np.zeros((0, 0)), [], [given], cast(Any, None), 1, True, "", 0.0
     )
+
+
+@pytest.mark.parametrize("times", [1.0, 4.0])
+def test_what_is_taken_for_the_own_error_and_is_more_than_was_measured_is_told(small_rig: Any, times: float) -> None:
+    """Readings that miss by a shape that one refinement shows, once as it shows it and once four times that."""
+    shape = 0.1 * LOUD[:, None]
+    data = times * shape + SIGMA * np.random.default_rng(3).standard_normal(shape.shape)
+    run = Run("press", "press", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
+    beside = Problem(
+        [run], {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(PooledEngine, None),
+        [Direction("mesh", ({"gauge": shape},))],
+    )  # fmt: skip
+    given = [Prediction({"gauge": np.zeros_like(shape)}, {}, cast(Trace, None))]
+    fitted = beside.compare(given, small_rig(), [], np.zeros(0))
+    assert worst(beside, fitted) < 1.5, "nothing is left"
+    said = unexplained(beside, fitted)
+    assert len(said) == (times > 1.0)
+    if said:
+        shown = np.sqrt(np.mean(shape**2))
+        assert said[0].startswith(
+            f"In the position of gauge {times * shown:.2g} m are taken for the error of mesh and time step, of which "
+            f"one refinement shows {shown:.2g} m."
+        )
 
 
 def test_each_quantity_is_judged_by_itself() -> None:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError, RecordingError
-from sim_core.rigs import with_parameters
+from sim_core.rigs import config_folder, load_rig, with_parameters
 from sim_core.rigs.motion import Experiment
 from sysid.fit import FitOptions, fit_runs
+from sysid.fit.engine import Engine
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.runs import load_run
 from sysid.simulate import simulate_to_bag
@@ -101,3 +102,14 @@ def test_a_bag_without_poses_is_refused(recorded):
             update={"target_pose": "hand/target", "current_pose": "hand/current"})})}})  # fmt: skip
     with pytest.raises(RecordingError, match="pose"):
         load_run(other, bag)
+
+
+def test_the_recording_that_comes_with_the_package_is_of_this_simulator():
+    """What the rig predicts of it leaves the noise that it was made with."""
+    rig = load_rig("card_press")
+    run = load_run(rig, config_folder().parent / "bags" / "press_post")
+    predicted = Engine().predict(rig, run).values
+    left = {m.channel: m.values - predicted[m.channel] for m in run.measured}
+    assert np.std(left["wrench_gel"][:, :3]) == pytest.approx(rig.sensors["wrench_gel"].noise.force_n, rel=0.1)
+    assert np.std(left["gel_markers"]) == pytest.approx(rig.sensors["gel_markers"].noise.position_m, rel=0.1)
+    assert np.nanstd(left["outside"]) == pytest.approx(rig.cameras["outside"].noise.position_px, rel=0.1)

@@ -133,6 +133,14 @@ def test_pictures_and_page_are_named_after_the_folder(drawn: Path, capsys: pytes
     assert "(pics.v2/one.svg)" in page and "`thinshell experiments one.yaml two.yaml --out deep/pics.v2 --page`" in page
 
 
+def test_the_page_says_where_offsets_are_known_better_than_usual(drawn: Path) -> None:
+    (drawn / "one.yaml").write_text(SHORT.format(name="one").replace("strip_pull", "material_bench"))
+    assert main(["experiments", "one.yaml", "two.yaml", "--out", "pics", "--page"]) == 0
+    (said,) = [line for line in (drawn / "pics.md").read_text().splitlines() if "is known to" in line]
+    known = "0.5, 0.5, 0.1 mm and 0.5, 0.5, 0.5 deg along and about its axes before."
+    assert said == f"The offset of the finger is known to {known}"
+
+
 def test_pictures_without_a_page(drawn: Path) -> None:
     assert main(["experiments", "one.yaml", "--out", "pics"]) == 0
     assert sorted(p.name for p in drawn.iterdir()) == ["one.yaml", "pics", "two.yaml"]

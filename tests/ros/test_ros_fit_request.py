@@ -18,7 +18,7 @@ from thinshell_ros.fit_state import FitState
 NONE: dict[str, Any] = {
     "held_out_uri": "", "fit.initial": None, "fit.lower": None, "fit.upper": None, "fit.max_iterations": 50,
     "fit.seed": 3, "fit.nuisance": "all", "fit.parameters": ["strip.E", "strip.nu"], "fit.prior_sd": None,
-    "fit.per_bag": None, "fit.starts": 1, "fit.profile": False,
+    "fit.per_bag": None, "fit.starts": 1, "fit.profile": False, "fit.robust": True,
 }  # fmt: skip
 
 
@@ -55,12 +55,14 @@ def test_what_is_known_before_and_how_it_is_searched(rig: Rig, tmp_path: Path) -
     bags = [str(tmp_path / "one"), str(tmp_path / "two")]
     asked = request_of(
         rig, tmp_path, bag_uri=bags, fit__initial=[5e9, 0.3], fit__prior_sd=[1e8, 0.0], fit__per_bag=["strip.nu"],
-        fit__starts=3, fit__profile=True,
+        fit__starts=3, fit__profile=True, fit__robust=False,
     )  # fmt: skip
+    assert not asked.options.robust
     assert asked.options.priors == {"strip.E_pa": (5e9, 1e8)}
     assert (asked.options.per_bag, asked.options.starts, asked.options.intervals) == (["strip.nu"], 3, "profiled")
     plain = request_of(rig, tmp_path).options
     assert (plain.priors, plain.per_bag, plain.starts, plain.intervals) == ({}, [], 1, "checked")
+    assert plain.robust
 
 
 @pytest.mark.parametrize(

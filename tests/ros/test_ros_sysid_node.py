@@ -164,7 +164,10 @@ def test_a_fit_ends_at_the_most_iterations_that_it_may_make(fitter: Fitter, tmp_
     job = fitter.ask("start").message
     done = fitter.until(job, "succeeded", "failed")
     assert done.message == "succeeded", values_of(done)
-    assert max(int(values_of(s)["iteration"]) for s in fitter.statuses if values_of(s)["job_id"] == job) == 2
+    mine = [values_of(s) for s in fitter.statuses if values_of(s)["job_id"] == job]
+    assert max(int(v["iteration"]) for v in mine) == 2
+    assert mine[0]["elapsed_s"] == "0.0", "not that of the fit before"
+    assert any(not estimate.data for estimate in fitter.estimates), "nor its estimate"
     assert (values_of(done)["iteration"], values_of(done)["max_iterations"]) == ("2", "2")
     fit = json.loads((tmp_path / "fits" / job / "fit.json").read_text())
     assert fit["evaluations"] == 2 and not fit["converged"]
