@@ -74,7 +74,7 @@ class Bending:
         self._onset = np.full(count, np.inf)
         self._law, self._exact = np.zeros(2), np.zeros(1, dtype=np.int32)
         self._seen = np.full((0, 3), np.nan)
-        self._yield_curvature = np.inf
+        self._yield_curvature, self._yield_share = np.inf, np.ones(count)
         self._damping = 0.0
         self.rest_angles = self._measure(mesh.nodes if formed is None else formed, node_offset)
         self.built_angles = self.rest_angles.copy()
@@ -127,6 +127,10 @@ class Bending:
         curvature at which it yields stays as it is."""
         self._areas[:] = self._whole_areas * factors
 
+    def scale_yield(self, factors: np.ndarray) -> None:
+        """Let each triangle yield at ``factors`` ``(m,)`` times the curvature that is configured."""
+        self._yield_share[:] = factors
+
     def shift_nu(self, beside: np.ndarray) -> None:
         """Let each triangle have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
         self._beside[:] = beside
@@ -154,7 +158,7 @@ class Bending:
         self._onset[:] = np.inf
         if internals:
             self._plastic[:] = internals["plastic_curvature"]
-            self._onset[:] = self._yield_curvature + self._law[HARDENING] * internals["accumulated_curvature"]
+            self._onset[:] = self._onset_of(internals)
         self._law[RATE] = self._damping / step.tau
         if self._damping > 0.0 or internals:  # beside flow, also for the derivative by a damping of zero
             self._base[:] = step.base(self._curvatures_at)
@@ -197,9 +201,12 @@ class Bending:
     def _flow(self, internals: Internals) -> PlasticFlow:
         """What flows in a step from ``internals`` to the positions at hand."""
         elastic = self.curvatures() - internals["plastic_curvature"]
-        hardening = float(self._law[HARDENING])
-        onset = self._yield_curvature + hardening * internals["accumulated_curvature"]
-        return PlasticFlow(elastic, onset, hardening, self._d)
+        return PlasticFlow(elastic, self._onset_of(internals), float(self._law[HARDENING]), self._d)
+
+    def _onset_of(self, internals: Internals) -> np.ndarray:
+        """Curvature [1/m] ``(m,)`` at which each triangle flows."""
+        hardened = self._law[HARDENING] * internals["accumulated_curvature"]
+        return np.asarray(self._yield_curvature * self._yield_share + hardened)
 
     def work(self, along: np.ndarray, internals: Internals) -> np.ndarray:
         """Work of each triangle's forces dE/dx along nodal vectors ``(n, 3)``, ``(m,)``."""
@@ -220,15 +227,21 @@ class Bending:
         del step
         d, curvatures, out = self._rigidity(plane_stress_by_nu(self._given, self._nu)), self.curvatures(), 0.0
         if internals:
-            place, flow = places(internals), self._flow(internals)
+            flow = self._flow(internals)
             turned, rise = flow.by_law(d, np.zeros(len(d)), 0.0)
             moment = applied(d, flow.left) - applied(self._d, turned)
-            out = (kept[place["plastic_curvature"]] * turned).sum(axis=1) + kept[place["accumulated_curvature"]] * rise
+            out = _weighted(kept, internals, turned, rise)
         else:
             moment = applied(d, curvatures)
         if self._law[RATE] > 0.0:
             moment += self._law[RATE] * applied(d, curvatures - self._base)
         return np.asarray(out + self._areas * (moment * self._curving(along)).sum(axis=1))
+
+    def by_yield(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
+        """Derivative by the curvature at which each triangle yields ``(m,)``, of the same."""
+        turned, rise = self._flow(internals).by_law(np.zeros_like(self._d), np.ones(len(self._areas)), 0.0)
+        work = (applied(self._d, turned) * self._curving(along)).sum(axis=1)
+        return np.asarray(_weighted(kept, internals, turned, rise) - self._areas * work)
 
     def by_rest_angles(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
         """Derivative by the rest angles ``(n_hinges,)`` of the work of the forces along nodal vectors ``(n, 3)`` and of
@@ -348,7 +361,8 @@ class Bending:
         numbers = {}
         for quantity in self._given:
             d, onset, harder, damping = self._by_number(quantity)
-            turned, rise = flow.by_law(d, onset + harder * internals["accumulated_curvature"], harder)
+            later = onset * self._yield_share + harder * internals["accumulated_curvature"]
+            turned, rise = flow.by_law(d, later, harder)
             moment = applied(d, flow.left) - applied(self._d, turned)
             moment += applied(self._law[RATE] * d + damping / step.tau * self._d, change)
             kept = gathered((turned, plastic), (rise, accumulated), size=size)
@@ -396,3 +410,12 @@ class Bending:
         self._elsewhere[:] = x
         self._angles_there()
         return np.array(self._deviation_there)
+
+
+def _weighted(kept: np.ndarray, internals: Internals, turned: np.ndarray, rise: np.ndarray) -> np.ndarray:
+    """Product, triangle by triangle ``(m,)``, of flattened weights ``kept`` of the internal variables with changes of
+    the plastic ``(m, 3)`` and the accumulated curvature ``(m,)``."""
+    place = places(internals)
+    return np.asarray(
+        (kept[place["plastic_curvature"]] * turned).sum(axis=1) + kept[place["accumulated_curvature"]] * rise
+    )

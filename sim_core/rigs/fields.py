@@ -25,6 +25,7 @@ UNITS: dict[str, tuple[str, dict[str, float]]] = {
     "m_per_px": ("m/px", {"mm_per_px": 1e-3, "um_per_px": 1e-6}),
     "kg_m3": ("kg/m^3", {"g_cm3": 1e3, "kg_per_m3": 1.0}),
     "per_s": ("1/s", {"per_ms": 1e3}),
+    "per_m": ("1/m", {"per_mm": 1e3, "per_cm": 1e2}),
     "deg_s": ("deg/s", {"rad_s": 180.0 / math.pi}),
     "m_s2": ("m/s^2", {"mm_s2": 1e-3}),
     "m_s": ("m/s", {"mm_s": 1e-3, "cm_s": 1e-2}),

@@ -9,6 +9,9 @@ density of an element; of a sheet's thickness h the membrane has the first power
 
     E_element = f E_uniform,    f = prod_q (q / q_rig)^p
 
+The curvature at which a sheet yields, where the rig's effects let it, is a share of the rig's too, in each triangle's
+flow alone (:mod:`sim_core.energies.plastic_flow`).
+
 Poisson's ratio is no factor of an energy, and may be zero. Its field is kept as the difference from the rig's number,
 so a rig with another number shifts all of it; each element has the moduli of its own nu and the rig's E, times f.
 
@@ -55,7 +58,7 @@ POWERS: dict[str, dict[str, int]] = {
 """Power of each quantity in the terms of a body and in its mass."""
 
 
-NU = "nu"
+NU, YIELD = "nu", "yield_curvature_per_m"
 
 MATERIAL = ("E_pa", NU, "thickness_m", "density_kg_m3")
 """Quantities of a sheet that differ from triangle to triangle; of a gel all but the thickness."""
@@ -63,10 +66,10 @@ MATERIAL = ("E_pa", NU, "thickness_m", "density_kg_m3")
 
 class Fields:
     """All fields of a scene by name: ``<gel>.E_pa``, ``.nu`` and ``.density_kg_m3``, one value a tetrahedron;
-    ``<sheet>.E_pa``, ``.nu``, ``.thickness_m`` and ``.density_kg_m3``, one a triangle; ``<sheet>.rest_angle_rad``, one
-    a hinge (inner edge): the angle between the normals of its triangles; ``<sheet>.rest_m`` and ``<gel>.rest_m``, one
-    vector a node ``(n, 3)``: its position at rest in the world, as in ``scene.bodies[name].rest``, when mounts are at
-    their start poses. Units may be left out.
+    ``<sheet>.E_pa``, ``.nu``, ``.thickness_m``, ``.density_kg_m3`` and, of a sheet that yields,
+    ``.yield_curvature_per_m``, one a triangle; ``<sheet>.rest_angle_rad``, one a hinge (inner edge): the angle between
+    the normals of its triangles; ``<sheet>.rest_m`` and ``<gel>.rest_m``, one vector a node ``(n, 3)``: its position at
+    rest in the world, as in ``scene.bodies[name].rest``, when mounts are at their start poses. Units may be left out.
 
     nu is above -1 and below 0.5 everywhere, also when a rig with another number shifts it (:meth:`check`).
     The thickness is that which stretches, bends and weighs; contact finds the surface where the rig's number puts it.
@@ -88,7 +91,8 @@ class Fields:
             if isinstance(body.spec, Gel):
                 found += [f"{name}.{key}" for key in (*MATERIAL, REST) if key != "thickness_m"]
             elif isinstance(body.spec, Sheet):
-                found += [f"{name}.{key}" for key in (*MATERIAL, REST_ANGLE, REST)]
+                yields = (YIELD,) if YIELD in self._numbers(name) else ()
+                found += [f"{name}.{key}" for key in (*MATERIAL, *yields, REST_ANGLE, REST)]
         return tuple(found)
 
     def resolve(self, name: str) -> str:
@@ -150,7 +154,13 @@ class Fields:
 
     def _number(self, body: str, key: str, rig: Rig | None = None) -> float:
         """What a rig (None: that of the scene) has for a quantity."""
+        if key == YIELD:
+            return self._numbers(body)[YIELD]
         return float(getattr((rig or self._scene.rig).bodies[body].material, key))  # type: ignore[union-attr]
+
+    def _numbers(self, body: str) -> dict[str, float]:
+        """What the term by which a sheet bends takes of the rig and its effects."""
+        return self._scene.values(self._scene.rig).terms[f"{body}.bending"]
 
     def _changed(self) -> set[str]:
         """Bodies with fields of their elements."""
@@ -238,6 +248,8 @@ class Fields:
             if part in ("elastic", "membrane", "bending"):
                 term.scale(self.factor(name, part))  # type: ignore[attr-defined]
                 term.shift_nu(self._beside(name))  # type: ignore[attr-defined]
+            if isinstance(term, Bending):
+                term.scale_yield(self._share(name, YIELD))
         factor = self.factor(name, MASS)
         mesh = body.mesh
         if isinstance(mesh, SheetMesh):

@@ -13,7 +13,7 @@ from sim_core.gradients import Backward, Tape, directions, simulate_adjoint
 from sim_core.rigs import parse_rig, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
-from sim_core.simulate import simulate
+from sim_core.simulate import Simulation, run, simulate
 
 SHAKEN = {"clamps": [{"name": "vice", "body": "card", "region": {"x_m": [-0.04, -0.02]}, "mount": "finger"}]}
 BALL = {
@@ -104,6 +104,36 @@ def test_what_all_elements_have_together(small_rig, visit):
     rig, poses, times = small(PRESS, 0.4)(small_rig, visit, effects=EFFECTS)
     names = ["gel.E_pa", "gel.nu", "gel.density_kg_m3", "card.E_pa", "card.nu", "card.density_kg_m3"]
     compare_with_scalars(rig, poses, times, names)
+
+
+def test_what_all_triangles_have_together_of_a_yield_curvature(small_rig, visit):
+    rig, poses, times = small(PRESS, 0.4)(small_rig, visit, effects=EFFECTS)
+    scene, name = build_scene(rig), "effects.bending_plasticity.yield_curvature_per_m"
+    uneven(scene)
+    tape = Tape(scene, poses, times, TIGHT)
+    found = Backward(tape, directions(rig, [name]), ["card.yield_curvature"]).gradient(0.0, weights(tape.trace))
+    shares = found.fields["card.yield_curvature_per_m"] * scene.fields["card.yield_curvature"]
+    whole = found.parameters[name] * rig.effects["bending_plasticity"]["yield_curvature_per_m"]
+    assert abs(whole) > 0.0 and shares.sum() == pytest.approx(whole, rel=1e-7)
+
+
+def test_a_half_of_a_sheet_that_does_not_yield(small_rig, visit):
+    rig, poses, times = small(PRESS, 0.4)(small_rig, visit, effects=EFFECTS)
+    scene = build_scene(rig)
+    here, places = scene.fields["card.yield_curvature"], scene.fields.places("card.yield_curvature")
+    plain = flowed(scene, poses, times)
+    hard = places[:, 0] > np.median(places[plain > 0.0, 0])
+    assert plain[hard].any() and plain[~hard].any()
+    scene.fields["card.yield_curvature"] = np.where(hard, 1e6, here)
+    kept = flowed(scene, poses, times)
+    assert kept[~hard].any() and not kept[hard].any()
+
+
+def flowed(scene, poses, times):
+    """What has flowed in each triangle of the card at the end."""
+    simulation = Simulation(scene, TIGHT)
+    run(simulation, poses, times)
+    return simulation.state.internals["card.bending"]["accumulated_curvature"]
 
 
 def test_what_all_triangles_have_together_of_a_thickness(small_rig, visit):
@@ -311,6 +341,7 @@ def test_fields_that_cannot_be_used(small_rig):
     assert fields.resolve("card.rest_angle") == "card.rest_angle_rad"
     for name, values, words in (
         ("gel.thickness_m", 1.0, "no field"),
+        ("card.yield_curvature_per_m", 5.0, "no field"),  # without that effect
         ("gel.E_pa", np.ones(3), "values, not an array"),
         ("gel.E_pa", 0.0, "above zero"),
         ("card.density_kg_m3", np.nan, "finite"),
