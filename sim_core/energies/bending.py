@@ -225,7 +225,8 @@ class Bending:
         """Derivative by Poisson's ratio of each triangle ``(m,)`` of the work of its forces along nodal vectors
         ``(n, 3)`` and of the product of the new internal variables, flattened, with ``kept``: by D, in the flow too."""
         del step
-        d, curvatures, out = self._rigidity(plane_stress_by_nu(self._given, self._nu)), self.curvatures(), 0.0
+        d, curvatures = self._rigidity(plane_stress_by_nu(self._given, self._nu)), self.curvatures()
+        out = np.zeros(len(d))
         if internals:
             flow = self._flow(internals)
             turned, rise = flow.by_law(d, np.zeros(len(d)), 0.0)
