@@ -61,7 +61,8 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Coverage:
-    """``failed``: what cases could not be run, by their number."""
+    """``cases``: how many ended; ``failed``: what of them could not be run, by their number; ``stopped``: numbers of
+    those that had not ended when it was interrupted."""
 
     rig: str
     cases: int
@@ -69,6 +70,7 @@ class Coverage:
     seed: int
     outcomes: tuple[Outcome, ...]
     failed: dict[int, str]
+    stopped: tuple[int, ...] = ()
 
     def to_json(self) -> str:
         """All figures."""
@@ -114,7 +116,10 @@ class Coverage:
             lines.append(
                 f"0 in the rig: {', '.join(absolute)}, drawn within the plausible width about it; errors in its unit."
             )
-        return [*lines, *(f"Case {case} failed: {why}" for case, why in self.failed.items())]
+        lines += [f"Case {case} failed: {why}" for case, why in self.failed.items()]
+        if self.stopped:
+            lines.append(f"Interrupted: cases {', '.join(map(str, self.stopped))} had not ended, and are in no row.")
+        return lines
 
     @staticmethod
     def _shares(names: Sequence[str], outcomes: Sequence[Outcome], missing: int) -> str:
@@ -154,28 +159,36 @@ def measure_coverage(
     on_progress: Progress | None = None,
 ) -> Coverage:
     """Run the numbered ``cases``. ``spread``: factor either way within which values are drawn about the rig's
-    (:func:`draw`); ``refine``: how much finer the truth is simulated."""
+    (:func:`draw`); ``refine``: how much finer the truth is simulated. Ctrl-C keeps the cases that have ended."""
     parameters = fit_parameters(rig, names)
     outcomes: list[Outcome] = []
     failed: dict[int, str] = {}
+    left = set(cases)
     workers = min(os.cpu_count() or 1, max(1, len(cases)))
-    with worker_pool(workers) as pool:
-        pending = {}
-        for case in cases:
-            rng = np.random.default_rng([seed, case])
-            truth, start = (draw(rig, parameters, spread, rng) for _ in range(2))
-            drawn = (truth, start, refine, int(rng.integers(2**31)))
-            pending[pool.submit(_case, rig, experiments, parameters, case, *drawn)] = case
-        for done, future in enumerate(as_completed(pending), 1):
-            try:
-                outcomes += future.result()
-            except ThinshellError as error:
-                failed[pending[future]] = str(error)
-            if on_progress is not None:
-                inside = sum(o.inside for o in outcomes)
-                on_progress(done / len(cases), f"case {pending[future]}, {inside} of {len(outcomes)} inside")
+    try:
+        with worker_pool(workers) as pool:
+            pending = {}
+            for case in cases:
+                rng = np.random.default_rng([seed, case])
+                truth, start = (draw(rig, parameters, spread, rng) for _ in range(2))
+                drawn = (truth, start, refine, int(rng.integers(2**31)))
+                pending[pool.submit(_case, rig, experiments, parameters, case, *drawn)] = case
+            for future in as_completed(pending):
+                case = pending[future]
+                try:
+                    outcomes += future.result()
+                except ThinshellError as error:
+                    failed[case] = str(error)
+                left.remove(case)
+                if on_progress is not None:
+                    inside = sum(o.inside for o in outcomes)
+                    on_progress(1.0 - len(left) / len(cases), f"case {case}, {inside} of {len(outcomes)} inside")
+    except KeyboardInterrupt:
+        if not outcomes:
+            raise
     outcomes.sort(key=lambda o: o.case)
-    return Coverage(rig.name, len(cases), refine, seed, tuple(outcomes), dict(sorted(failed.items())))
+    ended = len(cases) - len(left)
+    return Coverage(rig.name, ended, refine, seed, tuple(outcomes), dict(sorted(failed.items())), tuple(sorted(left)))
 
 
 def draw(rig: Rig, parameters: Sequence[FitParameter], spread: float, rng: np.random.Generator) -> np.ndarray:

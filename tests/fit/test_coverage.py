@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from inspect import signature
 from types import SimpleNamespace
 
@@ -100,6 +101,28 @@ def test_the_table_names_what_failed_and_what_did_not_converge():
     assert "1 of 5 fits did not converge, and are counted: cases 3. Without them: gel.E_pa 3 of 3." in text
     assert "1 of 5 cases failed, and are in no row. Counted as outside: gel.E_pa 4 of 5." in text
     assert "Case 4 failed: no equilibrium" in text
+
+
+@pytest.mark.parametrize("ended", [0, 2])
+def test_an_interruption_keeps_the_cases_that_have_ended(small_rig, monkeypatch, ended):
+    def some(pending):
+        yield from list(pending)[:ended]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(coverage, "as_completed", some)
+    monkeypatch.setattr(coverage, "worker_pool", ThreadPoolExecutor)
+    monkeypatch.setattr(coverage, "_case", lambda rig, experiments, parameters, case, *drawn: [outcome(case, 0.5)])
+
+    def measured() -> Coverage:
+        return measure_coverage(small_rig(), [], ["gel.E_pa"], cases=range(4, 8))
+
+    if not ended:
+        with pytest.raises(KeyboardInterrupt):
+            measured()
+        return
+    found = measured()
+    assert [o.case for o in found.outcomes] == [4, 5] and (found.cases, found.stopped) == (2, (6, 7))
+    assert "Interrupted: cases 6, 7 had not ended, and are in no row." in found.table()
 
 
 def test_a_table_in_which_all_failed():
