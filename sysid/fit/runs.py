@@ -69,7 +69,7 @@ class Run:
     ``end`` [s]: time of its last measurement. ``sights``: what a camera sees in this recording, where the
     rig leaves the places of markers to it (``placed: first_frame``). ``since`` [s]: for a window of a recording, the
     time at which it begins; times of the run, poses before included, count from there; ``until``: its end, if it has
-    one; ``changes``: until then, by channel.
+    one; ``changes``: until then, by channel. ``unlike``: in what it differs from recordings of the rig, in words.
     """
 
     name: str
@@ -83,6 +83,7 @@ class Run:
     since: float = 0.0
     until: float | None = None
     changes: Mapping[str, Change] = field(default_factory=dict)
+    unlike: str = ""
 
     def seen_by(self, rig: Rig) -> Rig:
         """The rig with the markers where they are in this recording."""
@@ -169,6 +170,8 @@ def load_run(rig: Rig, path: Path) -> Run:
         )
     recorded = tuple(_measured(rig, recording))
     unlike = " ".join(differences(rig, recording, _marker_numbers(rig)))
+    if unlike:
+        unlike += " Give the rig that it was recorded with, if that is another one."
     measured, blanked = while_posed(rig, poses, recorded)
     if not measured:
         raise RecordingError(
@@ -186,11 +189,12 @@ def load_run(rig: Rig, path: Path) -> Run:
         notes=(
             *(f"{n.channel}: {n.text}" for n in recording.notes),
             *(f"{topic}: named by the rig, not in this recording" for topic in missing),
-            *([f"{unlike} Give the rig that it was recorded with, if that is another one."] if unlike else []),
+            *([unlike] if unlike else []),
             *blanked,
             *missed,
         ),
         sights=sights,
+        unlike=unlike,
     )
 
 

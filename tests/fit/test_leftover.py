@@ -145,6 +145,13 @@ def test_what_is_taken_for_the_own_error_and_is_more_than_was_measured_is_told(s
         )
 
 
+def test_that_a_recording_may_be_of_another_rig_is_said_first() -> None:
+    beside, fitted = wrench(1.0, 3.0)
+    beside.runs = [replace(beside.runs[0], unlike="27 markers, the rig 33."), *beside.runs[1:]]
+    said = unexplained(beside, fitted)
+    assert said[0] == "press: 27 markers, the rig 33." and said[1].startswith("The rig does not explain")
+
+
 def test_each_quantity_is_judged_by_itself() -> None:
     beside = wrench(1.0, 3.0)
     forces, torques = left_over(*beside)
