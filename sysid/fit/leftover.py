@@ -100,7 +100,7 @@ def stretched(problem: Problem, fitted: Fitted) -> list[str]:
 
 def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
     """Sentences, if there is more than noise in any quantity, or more is taken for the simulator's own error than was
-    measured of it: in which, and what that means for the values. First that the recordings may be of another rig."""
+    measured of it: in which, and what that means for the values. Also whether the recordings may be of another rig."""
     most: dict[tuple[str, str], LeftOver] = {}
     for found in left_over(problem, fitted):
         known = most.get((found.channel, found.quantity))
@@ -121,4 +121,4 @@ def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
             "other."
         )
     foreign = {run.path: f"{run.name}: {run.unlike}" for run in problem.runs if run.unlike}
-    return [*foreign.values(), said, *stretched(problem, fitted)]
+    return [said, *foreign.values(), *stretched(problem, fitted)]
