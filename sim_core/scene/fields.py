@@ -91,7 +91,7 @@ class Fields:
             if isinstance(body.spec, Gel):
                 found += [f"{name}.{key}" for key in (*MATERIAL, REST) if key != "thickness_m"]
             elif isinstance(body.spec, Sheet):
-                yields = (YIELD,) if YIELD in self._numbers(name) else ()
+                yields = (YIELD,) if YIELD in self._bending_numbers(name) else ()
                 found += [f"{name}.{key}" for key in (*MATERIAL, *yields, REST_ANGLE, REST)]
         return tuple(found)
 
@@ -155,12 +155,12 @@ class Fields:
     def _number(self, body: str, key: str, rig: Rig | None = None) -> float:
         """What a rig (None: that of the scene) has for a quantity."""
         if key == YIELD:
-            return self._numbers(body)[YIELD]
+            return self._bending_numbers(body, rig)[YIELD]
         return float(getattr((rig or self._scene.rig).bodies[body].material, key))  # type: ignore[union-attr]
 
-    def _numbers(self, body: str) -> dict[str, float]:
-        """What the term by which a sheet bends takes of the rig and its effects."""
-        return self._scene.values(self._scene.rig).terms[f"{body}.bending"]
+    def _bending_numbers(self, body: str, rig: Rig | None = None) -> dict[str, float]:
+        """What the term by which a sheet bends takes of a rig (None: that of the scene) and its effects."""
+        return self._scene.values(rig or self._scene.rig).terms[f"{body}.bending"]
 
     def _changed(self) -> set[str]:
         """Bodies with fields of their elements."""

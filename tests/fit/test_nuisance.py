@@ -233,8 +233,9 @@ def test_offsets_are_as_uncertain_as_the_rig_says(small_rig: Any) -> None:
         "finger.offset_y_m": 5e-4,
         "finger.offset_rz_deg": 2.0,
     }
-    with pytest.raises(ConfigError, match=r"end_effectors\.finger\.offset_sd_m.*-0\.0001"):
-        small_rig(end_effectors={"finger": finger | {"offset_sd_m": [1e-3, 5e-4, -1e-4]}})
+    for wrong in (-1e-4, 0.5):  # the latter in millimetres
+        with pytest.raises(ConfigError, match=rf"end_effectors\.finger\.offset_sd_m.*{wrong:g}"):
+            small_rig(end_effectors={"finger": finger | {"offset_sd_m": [1e-3, 5e-4, wrong]}})
 
 
 def test_a_camera_that_places_the_markers_has_no_nuisance_but_its_clock() -> None:
