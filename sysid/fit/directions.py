@@ -54,6 +54,10 @@ FAINT = 1e-3
 ROUGH = 0.25
 """Part of the error that follows no shape, in units of the largest error thereabouts."""
 
+BELIEVED = 2.0
+"""Own error that is allowed for where what is left is judged, in units of the largest error thereabouts: one refinement
+tells its size to within a factor of two."""
+
 
 @dataclass(frozen=True)
 class Direction:
@@ -185,6 +189,23 @@ def basis_of(
         always = np.ones((len(t), 1))
         own.append(Changes(bias * always, always, np.array([0.5 * run.end])))
     return Basis(expected, slopes, at, tuple(common), tuple(own), np.sqrt(rough))
+
+
+def believed(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:
+    """Of what the most probable coefficients take for the own error of a channel ``(n, m)``, without a bias, as much
+    as may be: in no quantity more than :data:`BELIEVED` times the largest thereabouts, rms over the columns.
+
+    Thousands of samples can afford any coefficient, and missing physics that happens to have a shape of the error
+    would be taken for it.
+    """
+    out: np.ndarray = taken.copy()
+    for quantity in column_groups(measured):
+        group = quantity[np.isfinite(measured.values[:, quantity]).any(axis=0)]
+        if len(group):
+            size = np.sqrt(np.mean(np.nan_to_num(taken[:, group]) ** 2, axis=1))
+            most = BELIEVED / ROUGH * basis.rough[:, group[0]]
+            out[:, quantity] *= np.minimum(1.0, most / np.maximum(size, np.finfo(float).tiny))[:, None]
+    return out
 
 
 def _hats(t: np.ndarray, end: float, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -2,8 +2,8 @@
 
 One wrench among a thousand markers may be missed by far while the misfit of all readings together is that of noise, so
 each quantity of each channel of each run is judged by itself: the mean square of its whitened residual, 1 where noise
-alone is left. The simulator's own error is allowed for, of whatever size the readings want it; where that is far more
-than one refinement shows of it, something else may hide there.
+alone is left. The simulator's own error is allowed for as far as it is believed
+(:func:`sysid.fit.directions.believed`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import numpy as np
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import quantities
 from sysid.fit.problem import Problem
-from sysid.fit.runs import UNITS
 
 GOOD_MISFIT = 1.5
 """Mean square of a whitened residual up to which noise, whose size is estimated from a rest, may have left it."""
@@ -25,10 +24,6 @@ CHANCE = 4.0
 
 FEWEST = 20
 """Readings of a run from which one of its quantities is judged by itself; fewer are judged with those of other runs."""
-
-
-STRETCHED = 2.0
-"""What is taken for the error of mesh and time step, over what one refinement shows of it, from which that is said."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +49,7 @@ def left_over(problem: Problem, fitted: Fitted) -> list[LeftOver]:
     few: dict[tuple[str, str], list[np.ndarray]] = {}
     for i, run in enumerate(problem.runs):
         for m in run.measured:
-            white = problem.whiten(i, m, m.values - problem.corrected(fitted, i, m))
+            white = problem.whiten(i, m, m.values - problem.explained(fitted, i, m))
             for quantity, group in quantities(m):
                 seen = white[:, group][np.isfinite(white[:, group])]
                 if len(seen) >= FEWEST:
@@ -72,48 +67,24 @@ def worst(problem: Problem, fitted: Fitted) -> float:
     return max((found.excess for found in left_over(problem, fitted)), default=0.0)
 
 
-def stretched(problem: Problem, fitted: Fitted) -> list[str]:
-    """A sentence for each quantity in which more is taken for the error of mesh and time step than was measured of it,
-    and more than the noise."""
-    most: dict[tuple[str, str], tuple[float, float, str]] = {}
-    for i, run in enumerate(problem.runs):
-        for m in run.measured if problem.directions else ():
-            taken = problem.corrected(fitted, i, m) - problem.read(fitted, i, m)
-            shown = sum((d.shapes[i].get(m.channel, 0.0 * taken) for d in problem.directions), 0.0 * taken)
-            seen = np.isfinite(m.values) & np.isfinite(taken)
-            for (quantity, group), unit in zip(quantities(m), UNITS[m.kind], strict=True):
-                rows = seen[:, group]
-                if not rows.any():
-                    continue
-                size, known = (float(np.sqrt(np.mean(part[:, group][rows] ** 2))) for part in (taken, shown))
-                noise = float(np.sqrt(np.mean(problem.noise[m.channel].sigma[group] ** 2)))
-                so_far = most.get((m.channel, quantity), (0.0, 0.0, ""))
-                if size > max(STRETCHED * known, noise, so_far[0]):
-                    most[m.channel, quantity] = (size, known, unit)
-    return [
-        f"In the {quantity} of {channel} {size:.2g} {unit} are taken for the error of mesh and time step, of which one "
-        f"refinement shows {known:.2g} {unit}. Something else may hide there and pull values further away than their "
-        "intervals say: 'thinshell diagnose' looks for it."
-        for (channel, quantity), (size, known, unit) in most.items()
-    ]
-
-
 def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
-    """Sentences, if there is more than noise in any quantity, or more is taken for the simulator's own error than was
-    measured of it: in which, and what that means for the values. Also whether the recordings may be of another rig."""
+    """Sentences, if more than noise is left in any quantity: in which, and what that means for the values. Also whether
+    the recordings may be of another rig."""
     most: dict[tuple[str, str], LeftOver] = {}
     for found in left_over(problem, fitted):
         known = most.get((found.channel, found.quantity))
         if found.excess > max(GOOD_MISFIT, known.excess if known else 0.0):
             most[found.channel, found.quantity] = found
     if not most:
-        return stretched(problem, fitted)
+        return []
     parts = [
         f"{np.sqrt(found.misfit):.2g} times the noise in the {quantity} of {channel}"
         + (f" ({found.run})" if found.run and len(problem.runs) > 1 else "")
         for (channel, quantity), found in most.items()
     ]
     said = f"The rig does not explain the recordings: what it leaves is {', '.join(parts)}."
+    if problem.directions:
+        said += " Twice the error of mesh and time step that one refinement shows is allowed for."
     if fitted.parameters:
         said += (
             " Intervals are widened by the misfit, but a law that is missing, or a minimum that is not the lowest, can "
@@ -121,4 +92,4 @@ def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
             "other."
         )
     foreign = {run.path: f"{run.name}: {run.unlike}" for run in problem.runs if run.unlike}
-    return [said, *foreign.values(), *stretched(problem, fitted)]
+    return [said, *foreign.values()]

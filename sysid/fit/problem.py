@@ -12,7 +12,7 @@ from sim_core.errors import ConvergenceError, ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.coherence import Rough, rough_of
 from sysid.fit.colour import Samples
-from sysid.fit.directions import Basis, Direction, Sizes, basis_of
+from sysid.fit.directions import Basis, Direction, Sizes, basis_of, believed
 from sysid.fit.elimination import Elimination
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
@@ -138,6 +138,15 @@ class Problem:
             return prediction
         error = self.basis(index, measured).error(fitted.scaled, fitted.sizes[(index, measured.channel)])
         return np.asarray(prediction + error)
+
+    def explained(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
+        """As :meth:`corrected`, with no more own error than is believed (:func:`sysid.fit.directions.believed`): what
+        the model accounts for, measured units ``(n, m)``."""
+        read = self.read(fitted, index, measured)
+        if not self.directions:
+            return read
+        taken = self.corrected(fitted, index, measured) - read
+        return np.asarray(read + believed(taken, self.basis(index, measured), measured))
 
     def assemble(
         self, predictions: Sequence[Prediction], names: Sequence[str], scaled: np.ndarray | None = None

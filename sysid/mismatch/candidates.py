@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -94,8 +94,12 @@ def _predict(
     predictions: list[Prediction],
 ) -> Start:
     """One bounded linear least-squares step from the secant."""
-    r, j, _, _ = problem.assemble(predictions, [p.name for p in own])
     shared = len(base.parameters)
+    # The simulator's own error stays that of the baseline, with its changes by the baseline's parameters.
+    beside = [replace(p, derivatives={c: _after(shared, d) for c, d in p.derivatives.items()}) for p in predictions]
+    names = [p.name for p in (*base.parameters, *own)]
+    r, rows_of_all, _, _ = problem.assemble(beside, names, np.concatenate([base.scaled, scaled]))
+    j = rows_of_all[:, shared:]
     # The baseline was sought with priors weighed up by what chance makes of its misfit; so is this step.
     pull = np.sqrt(chance(base))
     width = np.array([p.prior_sd for p in (*base.parameters, *own)]) / pull
@@ -120,6 +124,11 @@ def _predict(
     misfit = goal - small @ step.x
     before = base.residual[:rows] @ base.residual[:rows] + prior_residual @ prior_residual
     return Start(effect, rig, own, float(before - misfit @ misfit), at + step.x)
+
+
+def _after(count: int, derivatives: np.ndarray) -> np.ndarray:
+    """Derivatives ``(n, m, p)`` after those by ``count`` other parameters, 0."""
+    return np.concatenate([np.zeros((*derivatives.shape[:2], count)), derivatives], axis=2)
 
 
 def _rest(effect: Effect, parameter: FitParameter, scaled: float) -> float:

@@ -98,8 +98,8 @@ def block_scores(run: Run, measured: Measured, white: np.ndarray) -> tuple[np.nd
 
 
 def whitened(problem: Problem, fitted: Fitted, run: int, measured: Measured) -> np.ndarray:
-    """Whitened residual of one channel with the simulator's own error taken out, ``(n, m)``."""
-    miss = measured.values - problem.corrected(fitted, run, measured)
+    """Whitened residual of one channel, as much of the simulator's own error as is believed taken out, ``(n, m)``."""
+    miss = measured.values - problem.explained(fitted, run, measured)
     return problem.whiten(run, measured, miss)
 
 

@@ -12,7 +12,7 @@ import pytest
 from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions
-from sysid.fit.directions import Direction
+from sysid.fit.directions import ROUGH, Direction
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.leftover import left_over, unexplained, worst
@@ -22,10 +22,12 @@ from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
 from sysid.fit.starts import OFFSETS_DRAWN, Evaluations, Searches
+from sysid.mismatch.locate import structure
 
 T = np.linspace(0.0, 1.0, 200)
 LOUD, SOFT = np.sin(6.0 * T), np.cos(6.0 * T)
 SIGMA = 0.01
+OWN = 0.1
 OFFSET = "finger.offset_x_m"
 
 
@@ -122,27 +124,36 @@ def wrench(forces: float, torques: float, samples: int = 300) -> tuple[Problem, 
     )
 
 
-@pytest.mark.parametrize("times", [1.0, 4.0])
-def test_what_is_taken_for_the_own_error_and_is_more_than_was_measured_is_told(small_rig: Any, times: float) -> None:
-    """Readings that miss by a shape that one refinement shows, once as it shows it and once four times that."""
-    shape = 0.1 * LOUD[:, None]
+def beside_own_error(times: float, rig: Any) -> tuple[Problem, Fitted]:
+    """Readings that miss by so many times what one refinement shows, the same all the time."""
+    shape = np.full((len(T), 1), OWN)
     data = times * shape + SIGMA * np.random.default_rng(3).standard_normal(shape.shape)
     run = Run("press", "press", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
-    beside = Problem(
-        [run], {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(PooledEngine, None),
-        [Direction("mesh", ({"gauge": shape},))],
-    )  # fmt: skip
+    noise = {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}
+    beside = Problem([run], noise, cast(PooledEngine, None), [Direction("mesh", ({"gauge": shape},))])
     given = [Prediction({"gauge": np.zeros_like(shape)}, {}, cast(Trace, None))]
-    fitted = beside.compare(given, small_rig(), [], np.zeros(0))
-    assert worst(beside, fitted) < 1.5, "nothing is left"
-    said = unexplained(beside, fitted)
-    assert len(said) == (times > 1.0)
-    if said:
-        shown = np.sqrt(np.mean(shape**2))
-        assert said[0].startswith(
-            f"In the position of gauge {times * shown:.2g} m are taken for the error of mesh and time step, of which "
-            f"one refinement shows {shown:.2g} m."
-        )
+    return beside, beside.compare(given, rig, [], np.zeros(0))
+
+
+@pytest.mark.parametrize("times", [1.0, 1.9])
+def test_what_may_be_the_own_error_is_not_spoken_of(small_rig: Any, times: float) -> None:
+    beside, fitted = beside_own_error(times, small_rig())
+    assert worst(beside, fitted) < 1.0 and unexplained(beside, fitted) == []
+    assert not structure(beside, fitted).missing
+
+
+def test_no_more_than_twice_of_what_a_refinement_shows_is_taken_for_the_own_error(small_rig: Any) -> None:
+    """The coefficients take up all of it, and what is more than twice is left, over the noise and the rough part."""
+    beside, fitted = beside_own_error(4.0, small_rig())
+    taken = beside.corrected(fitted, 0, beside.runs[0].measured[0])
+    assert taken == pytest.approx(4.0 * OWN * np.ones_like(taken), rel=0.05)
+    left = 2.0 * OWN / np.hypot(SIGMA, ROUGH * OWN)
+    (found,) = left_over(beside, fitted)
+    assert np.sqrt(found.misfit) == pytest.approx(left, rel=0.05)
+    (said,) = unexplained(beside, fitted)
+    assert f"{np.sqrt(found.misfit):.2g} times the noise in the position of gauge" in said
+    assert "Twice the error of mesh" in said
+    assert structure(beside, fitted).missing
 
 
 def test_that_a_recording_may_be_of_another_rig_is_said_where_it_is_not_explained() -> None:
