@@ -64,8 +64,8 @@ class Direction:
     """A known shape of error for each run and channel, with an uncertain size that may drift.
 
     ``shapes[run index][channel]``: ``(n, m)`` in measured units, as measured at the scaled parameters
-    ``at`` ``(p,)``; ``slopes``: their derivatives by the parameters ``(n, m, p)``, where they are known.
-    Size: normal with ``mean`` and ``sd``.
+    ``at`` ``(p,)``; ``slopes``: their derivatives by the parameters ``(n, m, p)``, where they are known, believed up to
+    ``reach`` ``(p,)`` to either side, scaled; empty: however far. Size: normal with ``mean`` and ``sd``.
     """
 
     label: str
@@ -74,6 +74,7 @@ class Direction:
     sd: float = RIGHT_SD
     slopes: tuple[dict[str, np.ndarray], ...] = ()
     at: np.ndarray | None = None
+    reach: np.ndarray | None = None
 
 
 class Sizes(NamedTuple):
@@ -105,14 +106,15 @@ class Basis:
     """Directions of one channel of one run, in measured units.
 
     ``expected`` ``(n, m)``: the error with the expected sizes, at the parameters ``at``; ``slopes``
-    ``(n, m, p)``: its derivatives by them (``p`` = 0: not known); ``common`` and ``own``, at least one each: its
-    changes for coefficients that all columns share, and for those that each has for itself; ``rough`` ``(n, m)``:
-    standard deviation of what follows no shape.
+    ``(n, m, p)``: its derivatives by them (``p`` = 0: not known), up to ``reach`` ``(p,)`` to either side; ``common``
+    and ``own``, at least one each: its changes for coefficients that all columns share, and for those that each has
+    for itself; ``rough`` ``(n, m)``: standard deviation of what follows no shape.
     """
 
     expected: np.ndarray
     slopes: np.ndarray
     at: np.ndarray
+    reach: np.ndarray
     common: tuple[Changes, ...]
     own: tuple[Changes, ...]
     rough: np.ndarray
@@ -127,7 +129,13 @@ class Basis:
         """Expected error ``(n, m)`` at scaled parameters, of which the first are those of ``at``; ``(0,)``: there."""
         if not len(scaled):
             return self.expected
-        return np.asarray(self.expected + self.slopes @ (scaled[: len(self.at)] - self.at))
+        away = np.clip(scaled[: len(self.at)] - self.at, -self.reach, self.reach)
+        return np.asarray(self.expected + self.slopes @ away)
+
+    def follows(self, scaled: np.ndarray) -> np.ndarray:
+        """1 for each parameter of ``slopes`` with which the expected error changes at scaled parameters, 0 beyond its
+        reach ``(p,)``."""
+        return np.asarray((np.abs(scaled[: len(self.at)] - self.at) <= self.reach).astype(float))
 
     def error(self, scaled: np.ndarray, sizes: Sizes) -> np.ndarray:
         """The error ``(n, m)`` with given coefficients."""
@@ -163,7 +171,7 @@ def basis_of(
     drift, instants = _drift(t, run.end)
     expected = np.zeros(measured.values.shape)
     rough = np.zeros(expected.shape)
-    at = next((d.at for d in directions if d.at is not None), np.zeros(0))
+    at, reach = next(((d.at, d.reach) for d in directions if d.at is not None), (np.zeros(0), None))
     slopes = np.zeros((*expected.shape, len(at)))
     nothing = Changes(np.zeros(expected.shape), np.zeros((len(t), 0)), np.zeros(0))
     common, own = [nothing], [nothing]
@@ -188,7 +196,8 @@ def basis_of(
     if bias is not None:
         always = np.ones((len(t), 1))
         own.append(Changes(bias * always, always, np.array([0.5 * run.end])))
-    return Basis(expected, slopes, at, tuple(common), tuple(own), np.sqrt(rough))
+    reach = np.full(len(at), np.inf) if reach is None else reach
+    return Basis(expected, slopes, at, reach, tuple(common), tuple(own), np.sqrt(rough))
 
 
 def believed(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:

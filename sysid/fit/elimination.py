@@ -27,13 +27,13 @@ from sysid.fit.whitening import Whitening
 class Elimination:
     """The map for a ``basis`` in measured units, of whose samples those that are ``good`` ``(n, m)`` count.
 
-    ``slopes`` ``(n, m, p)``: those of the basis, whitened; ``times`` [s]: where the rows of coefficients belong.
+    ``times`` [s]: where the rows of coefficients belong.
     """
 
     def __init__(self, basis: Basis, noise: ChannelNoise, good: np.ndarray) -> None:
         self._basis, self._good = basis, good
         self._whiten = Whitening(noise, good, basis.weights(noise))
-        self.slopes = self._whiten(basis.slopes)
+        self._slopes = self._whiten(basis.slopes)
         own = np.concatenate([p.instants for p in basis.own])
         self.times = np.concatenate([np.tile(own, good.shape[1]), *(p.instants for p in basis.common)])
         pairs = [self._grams(j) for j in range(good.shape[1])]
@@ -43,6 +43,10 @@ class Elimination:
     def mean_error(self, scaled: np.ndarray | None) -> np.ndarray:
         """Expected error, whitened ``(n, m)``, at scaled parameters; None: where it was measured."""
         return self._whiten(self._basis.expected if scaled is None else self._basis.mean_error(scaled))
+
+    def slopes(self, scaled: np.ndarray) -> np.ndarray:
+        """Derivatives of the expected error by the first parameters at scaled ones, whitened ``(n, m, p)``."""
+        return np.asarray(self._slopes * self._basis.follows(scaled))
 
     def suits(self, good: np.ndarray) -> bool:
         """The same samples count."""

@@ -25,7 +25,8 @@ class Fitted:
     simulator's own error follows no shape (:mod:`sysid.fit.coherence`); ``seen``: readings that a
     prediction is compared with, those that it has in sight; ``began``: chi-square where the search began, infinite
     without one; ``elsewhere``: the simulator's own error that it was found beside is that of another place, and is to
-    be measured again before anything is made of the misfit."""
+    be measured again before anything is made of the misfit; ``still``: the jacobian beside an own error that would not
+    change with the parameters, None where it does not."""
 
     parameters: list[FitParameter]
     scaled: np.ndarray
@@ -46,6 +47,7 @@ class Fitted:
     seen: int = 0
     began: float = np.inf
     elsewhere: bool = False
+    still: np.ndarray | None = None
 
     @property
     def interrupted(self) -> bool:

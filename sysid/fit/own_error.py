@@ -37,6 +37,9 @@ NEAR = 1.0
 """Rounds end when a search has moved no parameter by more than a standard deviation from where the error and
 its slopes were measured."""
 
+SLOPES_REACH = 0.25
+"""How far derivatives of the own error are believed, in plausible ranges of a parameter."""
+
 LOUD = 10.0
 """Error of mesh and time step over noise from which a result says that it rests on that error."""
 
@@ -91,7 +94,8 @@ def discretisation_with_slopes(
     at = (parameters, scaled)
     fine = [engine.submit_with_derivatives(rig, run, *at, 2) for run in runs]
     short = [engine.submit_with_derivatives(rig, run, *at, 1, 0.5 * rig.solver.dt_s) for run in runs]
-    return [replace(d, at=scaled) for d in _directions(runs, plain, fine, short)]
+    reach = np.array([SLOPES_REACH * p.prior_sd for p in parameters])
+    return [replace(d, at=scaled, reach=reach) for d in _directions(runs, plain, fine, short)]
 
 
 def _directions(

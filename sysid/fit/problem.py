@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,18 @@ def _check_numbers(run: Run, measured: Measured, prediction: Prediction, names: 
             f"{run.name}: predictions {' and '.join(broken)} are not numbers.",
             "Start the fit from other values, or with a shorter time step (solver.dt_s).",
         )
+
+
+class Assembled(NamedTuple):
+    """Whitened ``residual`` ``(n,)`` and ``jacobian`` ``(n, p)``, ``labels`` (run, channel, times of the samples), most
+    probable ``sizes`` of directions, and the jacobian beside an own error that would be ``still`` ``(n, p)``, None
+    where it is."""
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    labels: list[tuple[int, str, np.ndarray]]
+    sizes: dict[tuple[int, str], Sizes]
+    still: np.ndarray | None
 
 
 class Problem:
@@ -150,8 +163,8 @@ class Problem:
 
     def assemble(
         self, predictions: Sequence[Prediction], names: Sequence[str], scaled: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, list[tuple[int, str, np.ndarray]], dict[tuple[int, str], Sizes]]:
-        """Whitened residual, jacobian, labels (run, channel, times of the samples), sizes of directions.
+    ) -> Assembled:
+        """All samples of all runs in one least-squares problem.
 
         The simulator's own error is eliminated channel by channel (:mod:`sysid.fit.elimination`).
         ``names``: of the parameters that the predictions have derivatives by; ``scaled``: where the predictions stand,
@@ -179,8 +192,9 @@ class Problem:
                 if self.eliminates:
                     eliminate = self._elimination(i, m, seen)
                     stacked[:, :, 0] -= eliminate.mean_error(scaled)
-                    if names:
-                        stacked[:, :, 1 : 1 + eliminate.slopes.shape[2]] -= eliminate.slopes
+                    if names and scaled is not None:
+                        stacked = np.concatenate([stacked, eliminate.slopes(scaled)], axis=2)
+                    rows = np.zeros((len(times), stacked.shape[2]))
                     left, sizes[(i, m.channel)] = eliminate(stacked)
                     times, count = np.concatenate([times, eliminate.times]), np.count_nonzero(seen)
                     rows[seen[good]] = left[:count]
@@ -190,7 +204,12 @@ class Problem:
                 assembled.append(rows)
                 labels.append((i, m.channel, times))
         rows = np.concatenate(assembled)
-        return rows[:, 0], rows[:, 1:], labels, sizes
+        still, changes = rows[:, 1 : 1 + len(names)], rows[:, 1 + len(names) :]
+        if not changes.any():
+            return Assembled(rows[:, 0], still, labels, sizes, None)
+        jacobian = still.copy()
+        jacobian[:, : changes.shape[1]] -= changes
+        return Assembled(rows[:, 0], jacobian, labels, sizes, still)
 
     def _seen(self, predictions: Sequence[Prediction]) -> int:
         """Readings that are in sight in the predictions as well."""
@@ -222,7 +241,7 @@ class Problem:
             for at, futures in zip(points, pending, strict=True):
                 try:
                     predictions = [future.result() for future in futures]
-                    residual = self.assemble(predictions, [], at)[0]
+                    residual = self.assemble(predictions, [], at).residual
                 except ThinshellError:
                     found.append(np.inf)
                     seen.append(0)
@@ -245,17 +264,19 @@ class Problem:
     ) -> Fitted:
         """Residuals and derivatives of predictions at hand, which are those at ``scaled``, with the priors' rows."""
         names = [p.name for p in parameters]
-        r, j, labels, sizes = self.assemble(predictions, names, scaled if names else None)
+        r, j, labels, sizes, still = self.assemble(predictions, names, scaled if names else None)
         pulled = [k for k, p in enumerate(parameters) if self.prior or p.pulled]
         if pulled:
             width = np.array([parameters[k].known_sd or parameters[k].prior_sd for k in pulled])
             r = np.concatenate([r, (scaled - start_of(rig, parameters))[pulled] / width])
-            j = np.vstack([j, np.eye(len(parameters))[pulled] / width[:, None]])
+            pulls = np.eye(len(parameters))[pulled] / width[:, None]
+            j, still = np.vstack([j, pulls]), None if still is None else np.vstack([still, pulls])
             labels = [*labels, (-1, "prior", np.zeros(len(width)))]
         seconds = time.monotonic() - started if started is not None else 0.0
         return Fitted(
             list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, rig, 1, True,
             "evaluated", seconds, sizes, colourless=self._colourless, rough=self._rough(), seen=self._seen(predictions),
+            still=still,
         )  # fmt: skip
 
     def fit(

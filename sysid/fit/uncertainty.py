@@ -13,7 +13,7 @@ Sentences are about the parameters that were asked for, with the nuisances besid
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,7 +50,23 @@ class Uncertainty:
 
 
 def uncertainty(fitted: Fitted) -> Uncertainty:
-    """Uncertainty of a fit in its scaled parameters."""
+    """Uncertainty of a fit in its scaled parameters.
+
+    How the own error changes with them tells nothing of a parameter, as its size is not known: the larger of the
+    deviations with and without that counts.
+    """
+    with_changes = _beside(fitted)
+    if fitted.still is None:
+        return with_changes
+    still = _beside(replace(fitted, jacobian=fitted.still))
+    plain = with_changes.sd / with_changes.inflation
+    sd = np.maximum(with_changes.sd, still.sd)
+    wider = with_changes if np.all(with_changes.sd >= still.sd) else still
+    return replace(wider, sd=sd, inflation=np.maximum(with_changes.inflation, sd / plain))
+
+
+def _beside(fitted: Fitted) -> Uncertainty:
+    """Uncertainty by the jacobian of a fit."""
     parameters = fitted.parameters
     p = len(parameters)
     reduced = fitted.chi2 / max(fitted.samples - p, 1)

@@ -120,7 +120,8 @@ def with_explicit_bias(problem: Problem, fitted: Fitted) -> Fitted:
             slopes[m.channel] = np.concatenate([prediction.derivatives[m.channel], extra], axis=2)
         predictions.append(replace(prediction, values=amended, derivatives=slopes))
     scaled = np.concatenate([fitted.scaled, values])
-    r, j, labels, sizes = plain.assemble(predictions, [b.name for b in (*fitted.parameters, *biases)], scaled)
+    names = [b.name for b in (*fitted.parameters, *biases)]
+    r, j, labels, sizes, still = plain.assemble(predictions, names, scaled)
     width = np.array([b.prior_sd for b in biases])
     first = len(fitted.residual) - fitted.pulls
     pulls = np.block([[fitted.jacobian[first:], np.zeros((fitted.pulls, q))], [np.zeros((q, p)), np.diag(1.0 / width)]])
@@ -130,6 +131,7 @@ def with_explicit_bias(problem: Problem, fitted: Fitted) -> Fitted:
         scaled=scaled,
         residual=np.concatenate([r, fitted.residual[first:], np.array(values) / width]),
         jacobian=np.vstack([j, pulls]),
+        still=None if still is None else np.vstack([still, pulls]),
         labels=[*labels, (-1, "prior", np.zeros(len(pulls)))],
         sizes=sizes,
     )

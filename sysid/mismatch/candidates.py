@@ -98,8 +98,8 @@ def _predict(
     # The simulator's own error stays that of the baseline, with its changes by the baseline's parameters.
     beside = [replace(p, derivatives={c: _after(shared, d) for c, d in p.derivatives.items()}) for p in predictions]
     names = [p.name for p in (*base.parameters, *own)]
-    r, rows_of_all, _, _ = problem.assemble(beside, names, np.concatenate([base.scaled, scaled]))
-    j = rows_of_all[:, shared:]
+    there = problem.assemble(beside, names, np.concatenate([base.scaled, scaled]))
+    r, j = there.residual, there.jacobian[:, shared:]
     # The baseline was sought with priors weighed up by what chance makes of its misfit; so is this step.
     pull = np.sqrt(chance(base))
     width = np.array([p.prior_sd for p in (*base.parameters, *own)]) / pull

@@ -11,7 +11,7 @@ import pytest
 
 from sim_core.simulate import Trace
 from sysid.fit import own_error
-from sysid.fit.directions import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, Direction
+from sysid.fit.directions import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, Direction, basis_of
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
@@ -119,11 +119,11 @@ def test_parameters_and_error_settle_together(vectors: None) -> None:
 
 
 def test_slopes_save_rounds(vectors: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The error is linear in the parameters: with its slopes two measurements tell all, the third sees it."""
+    """The error is linear in the parameters: with its slopes two measurements tell all."""
     run = run_of(measured(np.random.default_rng(0)))
     quick = Linear()
     fit(quick, run, rounds=40)
-    assert quick.refined == 3
+    assert quick.refined == 2
     blind = own_error.discretisation_with_slopes
     monkeypatch.setattr(
         own_error, "discretisation_with_slopes", lambda *given: [replace(d, slopes=()) for d in blind(*given)]
@@ -310,6 +310,37 @@ def test_where_error_and_readings_change_alike_less_is_known(vectors: None) -> N
     )
     wider = uncertainty(fitted).sd / uncertainty(plain).sd
     assert np.max(wider) == pytest.approx(1.0 / 0.75, rel=0.05)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_what_only_the_error_depends_on_is_not_determined(
+    vectors: None, monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    """Readings depend on the first parameter, the error on the second, and nobody knows how much of it there is."""
+    monkeypatch.setattr(f"{__name__}.coarse", lambda x: x[0] * np.column_stack([T, np.cos(2.0 * T)]))
+
+    def ripple(x: np.ndarray) -> np.ndarray:
+        return 0.05 * np.column_stack([np.sin(60.0 * T + x[1]), np.cos(60.0 * T + x[1])])
+
+    rng = np.random.default_rng(4)
+    readings = coarse(TRUTH) + share * ripple(TRUTH) + SIGMA * rng.standard_normal((len(T), 2))
+    _, fitted = fit(Linear(ripple), run_of(readings))
+    assert fitted.still is not None, "its slopes are known"
+    known = uncertainty(fitted)
+    assert abs(fitted.scaled[0] - TRUTH[0]) < 1.96 * known.sd[0] < 0.1
+    assert any(said.startswith("The data do not determine b:") for said in known.sentences)
+
+
+def test_slopes_are_believed_near_where_they_were_measured() -> None:
+    shape, slopes = np.ones((len(T), 2)), np.full((len(T), 2, 2), 3.0)
+    direction = Direction(
+        "mesh", ({"gauge": shape},), slopes=({"gauge": slopes},), at=TRUTH, reach=np.array([0.1, 0.2])
+    )
+    basis = basis_of([direction], 0, run_of(shape), run_of(shape).measured[0])
+    near, far = TRUTH + [0.05, -0.1], TRUTH + [0.05, -9.0]
+    assert basis.mean_error(near)[0, 0] == pytest.approx(direction.mean * (1.0 + 3.0 * (0.05 - 0.1)))
+    assert basis.mean_error(far)[0, 0] == pytest.approx(direction.mean * (1.0 + 3.0 * (0.05 - 0.2)))
+    assert basis.follows(near).tolist() == [1.0, 1.0] and basis.follows(far).tolist() == [1.0, 0.0]
 
 
 def test_readings_after_a_gap_are_whitened_like_the_error_in_them(vectors: None) -> None:
