@@ -211,8 +211,8 @@ class Problem:
         jacobian[:, : changes.shape[1]] -= changes
         return Assembled(rows[:, 0], jacobian, labels, sizes, still)
 
-    def _seen(self, predictions: Sequence[Prediction]) -> int:
-        """Readings that are in sight in the predictions as well."""
+    def seen(self, predictions: Sequence[Prediction]) -> int:
+        """How many readings are in sight in the predictions as well."""
         pairs = [(m, p.values[m.channel]) for run, p in zip(self.runs, predictions, strict=True) for m in run.measured]
         return int(sum(np.count_nonzero(np.isfinite(m.values) & np.isfinite(values)) for m, values in pairs))
 
@@ -247,7 +247,7 @@ class Problem:
                     seen.append(0)
                 else:
                     found.append(float(residual @ residual))
-                    seen.append(self._seen(predictions))
+                    seen.append(self.seen(predictions))
         except BaseException:
             for future in (f for futures in pending for f in futures):
                 future.cancel()
@@ -275,7 +275,7 @@ class Problem:
         seconds = time.monotonic() - started if started is not None else 0.0
         return Fitted(
             list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, rig, 1, True,
-            "evaluated", seconds, sizes, colourless=self._colourless, rough=self._rough(), seen=self._seen(predictions),
+            "evaluated", seconds, sizes, colourless=self._colourless, rough=self._rough(), seen=self.seen(predictions),
             still=still,
         )  # fmt: skip
 

@@ -29,7 +29,7 @@ FRESH = 0.1
 """Least radius, in plausible widths, with which a search goes on after another one."""
 
 IN_SIGHT = 0.9
-"""Least share of the readings in sight at the best point that another one must have in sight. What is out of sight says
+"""Least share of the readings that were in sight anywhere that a point must have in sight. What is out of sight says
 nothing, so that without it a search would be drawn to where nothing is seen."""
 
 
@@ -53,6 +53,7 @@ class Search:
         self._halt = halt
         self._course: list[float] = []
         self._evaluations = 0
+        self._seen = 0
         self._weight = 1.0
 
     @property
@@ -125,7 +126,8 @@ class Search:
                 raise
             self._tell(1)
             return None
-        if self._best is not None and here.seen < IN_SIGHT * self._best.seen:
+        self._seen = max(self._seen, here.seen)
+        if self._best is not None and here.seen < IN_SIGHT * self._seen:
             self._tell(here.evaluations)
             return None
         self._last = here

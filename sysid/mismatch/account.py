@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim_core.effects import EFFECTS
+from sim_core.rigs import Rig
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import FROM_DIFFERENCES
 from sysid.fit.own_error import loud
@@ -12,7 +13,7 @@ from sysid.fit.parameters import start_of
 from sysid.fit.problem import Problem
 from sysid.fit.uncertainty import uncertainty
 from sysid.fit.windows import not_from_rest
-from sysid.mismatch.decide import Trial
+from sysid.mismatch.decide import Trial, Verdict
 from sysid.mismatch.locate import Structure
 
 
@@ -36,19 +37,22 @@ def limits(trials: list[Trial], named: set[str]) -> dict[str, float]:
     return found
 
 
-def fates(trials: list[Trial], failed: dict[str, str], named: set[str]) -> dict[str, str]:
-    """What became of each effect of the library, in a few words."""
-    became = {e.name: "promised no better fit" for e in EFFECTS}
-    became |= {name: f"could not be simulated: {why}" for name, why in failed.items()}
+def fates(trials: list[Trial], failed: dict[str, str], named: set[str], rig: Rig) -> dict[str, str]:
+    """What became of each effect of the library that the rig may lack, in a few words."""
+    apply = [e.name for e in EFFECTS if e.name not in rig.effects and e.variants(rig)]
+    became = dict.fromkeys(apply, "promised no better fit") | failed
     became |= {t.effect.name: t.rejected or "fits, but less well than the answer" for t in trials}
     return became | {name: "the answer" for name in named}
 
 
-def notes(base: Fitted, problem: Problem, before: Structure) -> tuple[str, ...]:
-    """What a reader should know of the baseline before believing the verdict."""
+def notes(base: Fitted, problem: Problem, before: Structure, verdict: Verdict) -> tuple[str, ...]:
+    """What a reader should know of the baseline, and of answers, before believing the verdict."""
     said = [f"{run.name} does not begin at rest: {n}" for run in problem.runs for n in not_from_rest(base.rig, run)]
     if not base.converged:
         said.append(f"The baseline fit did not converge: {base.message}.")
+    for trial in verdict.named if verdict.kind != "unknown" else ():
+        if not trial.fitted.converged:
+            said.append(f"The fit with '{trial.effect.title}' did not converge: {trial.fitted.message}.")
     if before.hidden:
         said.append(
             "There is misfit beyond the noise, but no more than the error of mesh and time step could leave. "

@@ -25,6 +25,7 @@ from sysid.fit.fitted import Fitted
 from sysid.fit.parameters import FitParameter, fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
+from sysid.fit.search import IN_SIGHT
 from sysid.fit.uncertainty import chance
 
 LARGEST_STEP = 1.0
@@ -33,6 +34,9 @@ LARGEST_STEP = 1.0
 
 REFIT_TOLERANCE = 5.0
 """Improvement of chi-square, in units of the misfit, below which a refit ends."""
+
+OUT_OF_SIGHT = "it moves readings out of sight"
+"""Why an effect is no answer that explains readings by hiding them."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,8 @@ def starting_values(effect: Effect, rig: Rig) -> list[dict[str, float]]:
 
 
 def screen(engine: PooledEngine, problem: Problem, base: Fitted) -> tuple[list[Start], dict[str, str]]:
-    """Predict, for every effect and start, how well it would fit, best first; and what failed, by effect."""
+    """Predict, for every effect and start, how well it would fit, best first; and what failed, by effects of which no
+    start could be simulated with as much in sight as the baseline has."""
     pending: list[tuple[Effect, Rig, list[FitParameter], np.ndarray, list[Future[Prediction]]]] = []
     for effect in EFFECTS:
         if effect.name in base.rig.effects:
@@ -78,10 +83,14 @@ def screen(engine: PooledEngine, problem: Problem, base: Fitted) -> tuple[list[S
     for effect, rig, own, scaled, jobs in pending:
         try:
             predictions = [job.result() for job in jobs]
+            if problem.seen(predictions) < IN_SIGHT * base.seen:
+                failed[effect.name] = OUT_OF_SIGHT
+                continue
             starts.append(_predict(problem, base, effect, rig, own, scaled, predictions))
         except ThinshellError as error:
-            failed[effect.name] = str(error)
-    return sorted(starts, key=lambda s: -s.gain), failed
+            failed[effect.name] = f"could not be simulated: {error}"
+    known = {start.effect.name for start in starts}
+    return sorted(starts, key=lambda s: -s.gain), {name: why for name, why in failed.items() if name not in known}
 
 
 def _predict(

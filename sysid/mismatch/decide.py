@@ -35,8 +35,8 @@ class Trial:
     """One effect refitted. ``gain``: log evidence over the baseline; ``explained``: share of the baseline's
     structured misfit; ``left``: what it leaves of it; ``held_out``: share of the robust misfit on held-out
     data that it removes (negative: it predicts worse). ``significance``: see :func:`significance`, infinite
-    before the trial is ``finished``, fitted to the end; ``failure``: why that could not be simulated;
-    ``predicted``: the finished trial on the held-out runs."""
+    before the trial is ``finished``, fitted to the end; ``failure``: why it is no answer
+    whatever its figures; ``predicted``: the finished trial on the held-out runs."""
 
     effect: Effect
     fitted: Fitted
@@ -53,7 +53,7 @@ class Trial:
     def rejected(self) -> str:
         """Why the effect is no answer; empty when it may be one."""
         if self.failure:
-            return f"it could not be simulated where it fits best: {self.failure}"
+            return self.failure
         if self.gain < MIN_GAIN_NATS:
             return f"it improves the fit too little ({self.gain:.1f} of {MIN_GAIN_NATS:g} nats)"
         if self.held_out is not None and self.held_out <= 0.0:

@@ -16,17 +16,18 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise
-from sysid.fit.own_error import discretisation, fit_beside_own_error
-from sysid.fit.parameters import fit_parameters
+from sysid.fit.own_error import Unmeasured, discretisation, fit_beside_own_error
+from sysid.fit.parameters import FitParameter, fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.result import plot_series, rms_errors
 from sysid.fit.runs import Run, check_apart, load_runs
+from sysid.fit.search import IN_SIGHT
 from sysid.folder import whole_folder
 from sysid.mismatch import words
 from sysid.mismatch.account import fates, limits, notes
 from sysid.mismatch.baseline import open_parameters
-from sysid.mismatch.candidates import Start, log_evidence, refit, screen
+from sysid.mismatch.candidates import OUT_OF_SIGHT, Start, log_evidence, refit, screen
 from sysid.mismatch.decide import (
     Trial,
     Verdict,
@@ -78,7 +79,7 @@ def diagnose_runs(
     with PooledEngine(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
         tell(0.0, "baseline fit")
         parameters = fit_parameters(rig, open_parameters(rig))
-        problem, base = fit_beside_own_error(engine, runs, noise, rig, parameters, prior=True, rounds=BASELINE)
+        problem, base = _fitted(engine, runs, noise, rig, parameters, rounds=BASELINE)
         if base.interrupted:
             raise KeyboardInterrupt
         before = structure(problem, base)
@@ -92,7 +93,7 @@ def diagnose_runs(
         verdict = decide(trials, before, on_held_out)
         while unfinished := [t for t in _in_question(verdict) if not t.finished]:
             tell(0.85, "the answer fitted to the end")
-            final = _polished(engine, problem, check.runs, plain, before, unfinished[0])
+            final = _polished(engine, problem, check, base, unfinished[0])
             trials = [final if t is unfinished[0] else t for t in trials]
             verdict = decide(trials, before, on_held_out)
         answer = verdict.named[0] if verdict.kind in ("named", "one_of") else None
@@ -102,6 +103,24 @@ def diagnose_runs(
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
     return diagnosis, (answer.fitted if answer else base).rig
+
+
+def _fitted(
+    engine: PooledEngine,
+    runs: Sequence[Run],
+    noise: dict[str, ChannelNoise],
+    rig: Rig,
+    parameters: Sequence[FitParameter],
+    *,
+    start: np.ndarray | None = None,
+    rounds: int,
+) -> tuple[Problem, Fitted]:
+    """A fit with priors; where its own error cannot be measured at the end, beside the one measured last, as not
+    converged."""
+    try:
+        return fit_beside_own_error(engine, runs, noise, rig, parameters, start=start, prior=True, rounds=rounds)
+    except Unmeasured as error:
+        return error.beside, error.fitted
 
 
 def _in_question(verdict: Verdict) -> tuple[Trial, ...]:
@@ -132,10 +151,14 @@ def _refits(
     def attempt(start: Start) -> tuple[Start, Fitted, Fitted | None] | None:
         try:
             fitted = refit(problem, base, start, EVALUATIONS)
-            return start, fitted, _held_out(check, fitted)
+            there = _held_out(check, fitted)
         except ThinshellError as error:
-            failed[start.effect.name] = str(error)
+            failed[start.effect.name] = f"could not be simulated: {error}"
             return None
+        if _hides(base, fitted) or _hides(plain, there):
+            failed[start.effect.name] = OUT_OF_SIGHT
+            return None
+        return start, fitted, there
 
     with ThreadPoolExecutor(max(1, len(chosen))) as threads:
         done = [found for found in threads.map(attempt, chosen) if found is not None]
@@ -148,18 +171,25 @@ def _refits(
         return []
     temper = max(1.0, min(fitted.misfit for _, fitted, _ in best.values()))
     reference = log_evidence(base, temper)
-    excess = structure(problem, base).whole.excess
+    before = structure(problem, base)
     trials = []
     for start, fitted, there in best.values():
         left = structure(problem, fitted)
         gain = log_evidence(fitted, temper) - reference
-        trials.append(Trial(start.effect, fitted, gain, _explained(excess, left), left, _gain(plain, there)))
+        trials.append(Trial(start.effect, fitted, gain, _explained(before, left), left, _gain(plain, there)))
     return sorted(trials, key=lambda t: -t.gain)
 
 
-def _explained(excess: float, left: Structure) -> float:
-    """Share of the structured misfit that is gone."""
-    return 1.0 - left.whole.excess / excess if excess > 0.0 else 0.0
+def _hides(plain: Fitted | None, amended: Fitted | None) -> bool:
+    """An amendment has less of the readings in sight."""
+    return plain is not None and amended is not None and amended.seen < IN_SIGHT * plain.seen
+
+
+def _explained(before: Structure, left: Structure) -> float:
+    """Share of the structured misfit that is gone, 1 where there was none that stands out."""
+    if not before.whole.stands_out:
+        return 1.0
+    return min(1.0, 1.0 - left.whole.excess / before.whole.excess)
 
 
 def _check(
@@ -185,50 +215,51 @@ def _held_out(check: Problem, fitted: Fitted) -> Fitted | None:
 
 
 def _gain(plain: Fitted | None, amended: Fitted | None) -> float | None:
-    """Share of the robust misfit on held-out data that an amendment removes."""
-    return None if plain is None or amended is None else held_out_gain(plain.residual, amended.residual)
+    """Share of the robust misfit on held-out data that an amendment removes; None where nothing is to be seen."""
+    if plain is None or amended is None or not plain.seen:
+        return None
+    return held_out_gain(plain.residual, amended.residual)
 
 
-def _polished(
-    engine: PooledEngine,
-    problem: Problem,
-    held_out: Sequence[Run],
-    plain: Fitted | None,
-    before: Structure,
-    trial: Trial,
-) -> Trial:
+def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitted, trial: Trial) -> Trial:
     """Fit an answer to the end, with the simulator's own error measured where it now stands.
 
-    A trial that cannot be simulated there is rejected.
+    The baseline is judged beside the same error, so that nothing else differs. Where that error cannot be measured, the
+    one measured last is kept, and the fit has not converged; a trial that cannot be simulated there is rejected.
     """
-    answer = trial.fitted
+    answer, there = trial.fitted, problem
     try:
-        there, fitted = fit_beside_own_error(
+        there, fitted = _fitted(
             engine,
             problem.runs,
             problem.noise,
             answer.centre,
             answer.parameters,
             start=answer.scaled,
-            prior=True,
             rounds=POLISHING,
         )
-        check = Problem(held_out, problem.noise, engine, discretisation(engine, fitted.rig, held_out))
-        predicted = _held_out(check, fitted)
+        check = Problem(check.runs, problem.noise, engine, discretisation(engine, fitted.rig, check.runs))
     except ThinshellError as error:
-        return replace(trial, finished=True, failure=str(error))
+        fitted = answer if there is problem else fitted
+        fitted = replace(fitted, converged=False, message=f"it stands where its own error is not known. {error}")
     if fitted.interrupted:
         raise KeyboardInterrupt
+    try:
+        predicted, plain = _held_out(check, fitted), _held_out(check, base)
+        before = structure(there, there.evaluate(base.rig, [], np.zeros(0)))
+    except ThinshellError as error:
+        return replace(trial, finished=True, failure=f"it could not be simulated where it fits best: {error}")
     left = structure(there, fitted)
     return replace(
         trial,
         fitted=fitted,
         predicted=predicted,
-        explained=_explained(before.whole.excess, left),
+        explained=_explained(before, left),
         left=left,
         held_out=_gain(plain, predicted),
         significance=significance(trial.effect, fitted, trial.gain),
         finished=True,
+        failure=OUT_OF_SIGHT if _hides(base, fitted) or _hides(plain, predicted) else "",
     )
 
 
@@ -255,11 +286,11 @@ def _collect(
     before: Structure,
     failed: dict[str, str],
 ) -> Diagnosis:
-    located = locate(problem, base)
+    located = locate(problem, base, answer.fitted if answer else None)
     chances = probabilities(trials)
     reported = [candidate(t, chances[t.effect.name]) for t in trials]
     names = {t.effect.name for t in verdict.named} if verdict.kind in ("named", "one_of") else set()
-    became = fates(trials, failed, names)
+    became = fates(trials, failed, names, rig)
     shown, predicted = (answer.fitted, answer.predicted) if answer else (base, plain)
     series = plot_series(problem, base, shown, held_out=False)
     if plain is not None and predicted is not None:
@@ -287,7 +318,7 @@ def _collect(
         provenance={},
         seconds=0.0,
         tried=became,
-        notes=notes(base, problem, before),
+        notes=notes(base, problem, before, verdict),
         series=series,
     )
 

@@ -123,8 +123,9 @@ def structure(problem: Problem, fitted: Fitted) -> Structure:
     return Structure(tuple(parts))
 
 
-def locate(problem: Problem, fitted: Fitted) -> Located:
-    """Channels, time windows and phase of what the model misses."""
+def locate(problem: Problem, fitted: Fitted, answer: Fitted | None = None) -> Located:
+    """Channels, time windows and phase of what the model misses; of what an ``answer`` adds to its predictions, where
+    there is one: the simulator's own error may have taken part of that up."""
     shares: list[tuple[str, str, float]] = []
     windows: dict[str, tuple[tuple[float, float], ...]] = {}
     phases = {k: 0.0 for k in ("moving in contact", "holding in contact", "moving freely", "at rest without contact")}
@@ -132,11 +133,16 @@ def locate(problem: Problem, fitted: Fitted) -> Located:
         energy = np.zeros(BLOCKS)
         columns = np.zeros(BLOCKS)
         for m in run.measured:
-            scores, edges = block_scores(run, m, whitened(problem, fitted, i, m))
+            if answer is None:
+                white, chance = whitened(problem, fitted, i, m), 1.0
+            else:
+                added = answer.predictions[i].values[m.channel] - fitted.predictions[i].values[m.channel]
+                white, chance = problem.whiten(i, m, np.where(np.isfinite(m.values), added, np.nan)), 0.0
+            scores, edges = block_scores(run, m, white)
             for name, group in quantities(m):
                 part = scores[:, group]
-                shares.append((m.channel, name, float(np.nansum(part**2 - 1.0))))
-            energy += np.nansum(np.where(np.isfinite(scores), scores**2 - 1.0, 0.0), axis=1)
+                shares.append((m.channel, name, float(np.nansum(part**2 - chance))))
+            energy += np.nansum(np.where(np.isfinite(scores), scores**2 - chance, 0.0), axis=1)
             columns += np.isfinite(scores).sum(axis=1)
         hot = energy > WINDOW_SIGMAS * np.sqrt(2.0 * np.maximum(columns, 1.0))
         strong = hot & (energy > 0.05 * max(float(energy.max(initial=0.0)), 1e-30))

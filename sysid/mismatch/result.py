@@ -49,7 +49,8 @@ class Candidate:
 
 @dataclass(frozen=True)
 class LocatedChannel:
-    """Share of the baseline's excess misfit in one quantity of one channel (shares sum to one)."""
+    """Share of the baseline's excess misfit, or of what an answer changes in its predictions (squared, in units of the
+    noise, by blocks of time), in one quantity of one channel (shares sum to one)."""
 
     channel: str
     quantity: str

@@ -16,7 +16,7 @@ _SEPARATE = {
 
 def sentence(verdict: Verdict, located: Located, fates: dict[str, str], hidden: bool) -> str:
     """The answer in one or two sentences. ``hidden``: the simulator's own error may hide something."""
-    where = _where(located)
+    where = _where(located, "misfit" if verdict.kind in ("nothing_missing", "unknown") else "difference")
     if verdict.kind == "nothing_missing" and hidden:
         return (
             "Nothing can be said to be missing: the misfit is beyond the noise, but no larger than the "
@@ -38,11 +38,11 @@ def sentence(verdict: Verdict, located: Located, fates: dict[str, str], hidden: 
     return f"The rig leaves out that {titles}; these recordings do not tell which. It shows {where}."
 
 
-def _where(located: Located) -> str:
+def _where(located: Located, what: str) -> str:
     if not located.channels:
         return "nowhere in particular"
     first = located.channels[0]
-    return f"most in the {first.quantity} of {first.channel} ({100 * first.share:.0f} % of the misfit), {located.phase}"
+    return f"most in the {first.quantity} of {first.channel} ({100 * first.share:.0f} % of the {what}), {located.phase}"
 
 
 def not_explained(verdict: Verdict, baseline_excess: float) -> str:

@@ -113,7 +113,7 @@ def _bar(label: str, detail: str, share: float, accent: bool = False) -> Bar:
 
 
 def shares(d: Diagnosis) -> list[Bar]:
-    """Where the baseline's excess misfit is."""
+    """Where the baseline's excess misfit is, or what the answer changes."""
     return [_bar(f"{c.channel} {c.quantity}".strip(), "", c.share, True) for c in d.located.channels]
 
 
@@ -252,7 +252,8 @@ def place_and_time(d: Diagnosis) -> str:
         return ""
     top = max(channels, key=lambda c: c.share)
     name = f"{top.channel} {top.quantity}".strip()
-    sentence = f"{percent(top.share)} of the baseline's excess misfit is in {name}"
+    what = "what the answer changes" if d.effects and d.amended else "the baseline's excess misfit"
+    sentence = f"{percent(top.share)} of {what} is in {name}"
     if d.located.phase:
         sentence += f", mostly while {d.located.phase}"
     total = sum(b - a for spans in d.located.windows.values() for a, b in spans)

@@ -192,7 +192,7 @@ def test_each_verdict_says_what_it_must(verdicts: dict[str, Page]) -> None:
     words = {v: page.words for v, page in verdicts.items()}
     assert "card.E_pa was 14 % too high without it: 2.31 GPa instead of 2.03 GPa." in words["named"]
     assert "the error falls from 7.12 to 1.05 times the noise" in words["named"]
-    assert "71 % of the baseline's excess misfit is in wrench_gel force" in words["named"]
+    assert "71 % of what the answer changes is in wrench_gel force" in words["named"]
     assert f"Rejected: {REJECTED}" in words["named"]
     assert "What would separate them" in words["one_of"]
     assert "do not tell them apart" in words["one_of"]
