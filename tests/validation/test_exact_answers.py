@@ -108,12 +108,14 @@ def navier(radius, length, thickness, modulus, nu, most):
     return float(2.0 * (ways / (0.5 * length * radius * np.where(n == 0, 2.0 * np.pi, np.pi))).sum())
 
 
+@pytest.mark.slow
 def test_the_pinched_cylinder_is_its_double_series():
     """Both are cut off; their tails shrink with the square of the highest harmonic."""
     coarse, fine = (navier(300.0, 600.0, 3.0, 3e6, 0.3, most) for most in (200, 400))
     assert exact_cylinder() == pytest.approx(fine + (fine - coarse) / 3.0, rel=2e-4)
 
 
+@pytest.mark.slow
 def test_the_pinched_hemisphere_is_what_others_find():
     """0.0935: Simo, Fox & Rifai, Comput. Methods Appl. Mech. Eng. 73, 1989, for a fine mesh 0.0934 to 0.0935."""
     assert exact_hemisphere() == pytest.approx(0.0935, rel=1e-3)
