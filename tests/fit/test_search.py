@@ -120,3 +120,21 @@ def test_a_search_that_is_halted_says_so_and_knows_where_it_began() -> None:
     assert not found.converged and found.message == HALTED and found.elsewhere
     assert found.began == pytest.approx(evaluate(begin).chi2)
     assert seen[-1] == pytest.approx([found.began, found.chi2])
+
+
+def test_a_search_does_not_go_out_of_sight_little_by_little() -> None:
+    """The farther it goes the better it fits, since ever more is out of sight: a tenth of the most that was seen is all
+    that may be, not a tenth at each step."""
+    slope = np.linspace(0.5, 1.5, 1000)
+    line = [FitParameter("a", "-", False, -1e6, 1e6, 1.0, "")]
+
+    def evaluate(scaled: np.ndarray) -> Fitted:
+        seen = int(1000 * np.exp(-max(scaled[0], 0.0) / 20.0))
+        there = np.arange(1000) < seen
+        residual = np.where(there, slope * (100.0 - scaled[0]), 0.0)
+        jacobian = np.where(there, -slope, 0.0)[:, None]
+        nothing, labels = cast(Any, None), [(0, "gauge", np.linspace(0.0, 1.0, 1000))]
+        return Fitted(line, scaled, nothing, residual, jacobian, labels, [], nothing, 1, True, "", 0.0, seen=seen)
+
+    found = Search(evaluate, line, None).run(np.array([0.0]), 200, 0.5)
+    assert 0.0 < found.scaled[0] and 900 <= found.seen < 1000
