@@ -7,7 +7,9 @@ refined simulations are therefore differentiated as well, and the fit uses
 
     d(theta) = d(theta_k) + D (theta - theta_k),    D = d'(theta_k).
 
-Far from it, where a search is to be followed by another one anyway, derivatives say little of where that will lead.
+within :data:`SLOPES_REACH` of where they were measured. Far from it, where a search is to be followed by another one
+anyway, derivatives say little of where that will lead. They lead a search, but intervals learn nothing from them
+(:func:`sysid.fit.uncertainty.uncertainty`): how large the error is, is not known.
 """
 
 from __future__ import annotations

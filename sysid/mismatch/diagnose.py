@@ -17,7 +17,7 @@ from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise
 from sysid.fit.own_error import Unmeasured, discretisation, fit_beside_own_error
-from sysid.fit.parameters import FitParameter, fit_parameters
+from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.result import plot_series, rms_errors
@@ -79,7 +79,9 @@ def diagnose_runs(
     with PooledEngine(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
         tell(0.0, "baseline fit")
         parameters = fit_parameters(rig, open_parameters(rig))
-        problem, base = _fitted(engine, runs, noise, rig, parameters, rounds=BASELINE)
+        problem, base = _kept(
+            lambda: fit_beside_own_error(engine, runs, noise, rig, parameters, prior=True, rounds=BASELINE)
+        )
         if base.interrupted:
             raise KeyboardInterrupt
         before = structure(problem, base)
@@ -105,20 +107,11 @@ def diagnose_runs(
     return diagnosis, (answer.fitted if answer else base).rig
 
 
-def _fitted(
-    engine: PooledEngine,
-    runs: Sequence[Run],
-    noise: dict[str, ChannelNoise],
-    rig: Rig,
-    parameters: Sequence[FitParameter],
-    *,
-    start: np.ndarray | None = None,
-    rounds: int,
-) -> tuple[Problem, Fitted]:
-    """A fit with priors; where its own error cannot be measured at the end, beside the one measured last, as not
+def _kept(fit: Callable[[], tuple[Problem, Fitted]]) -> tuple[Problem, Fitted]:
+    """What a fit finds; where its own error cannot be measured at the end, beside the one measured last, as not
     converged."""
     try:
-        return fit_beside_own_error(engine, runs, noise, rig, parameters, start=start, prior=True, rounds=rounds)
+        return fit()
     except Unmeasured as error:
         return error.beside, error.fitted
 
@@ -229,14 +222,17 @@ def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitt
     """
     answer, there = trial.fitted, problem
     try:
-        there, fitted = _fitted(
-            engine,
-            problem.runs,
-            problem.noise,
-            answer.centre,
-            answer.parameters,
-            start=answer.scaled,
-            rounds=POLISHING,
+        there, fitted = _kept(
+            lambda: fit_beside_own_error(
+                engine,
+                problem.runs,
+                problem.noise,
+                answer.centre,
+                answer.parameters,
+                start=answer.scaled,
+                prior=True,
+                rounds=POLISHING,
+            )
         )
         check = Problem(check.runs, problem.noise, engine, discretisation(engine, fitted.rig, check.runs))
     except ThinshellError as error:
