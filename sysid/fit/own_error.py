@@ -5,7 +5,7 @@ error, so both are found in turns: measure at theta_k, fit, measure at theta_{k+
 the two resemble each other (a coarse gel slides later, so does one with more friction). Near the solution the
 refined simulations are therefore differentiated as well, and the fit uses
 
-    d(theta) = d(theta_k) + D (theta - theta_k),    D = d'(theta_k).
+    d(theta) = d(theta_k) + D (theta - theta_k),    D = d'(theta_k),
 
 within :data:`SLOPES_REACH` of where they were measured. Far from it, where a search is to be followed by another one
 anyway, derivatives say little of where that will lead. They lead a search, but intervals learn nothing from them
