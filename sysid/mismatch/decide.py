@@ -36,7 +36,8 @@ class Trial:
     structured misfit; ``left``: what it leaves of it; ``held_out``: share of the robust misfit on held-out
     data that it removes (negative: it predicts worse). ``significance``: see :func:`significance`, infinite
     before the trial is ``finished``, fitted to the end; ``failure``: why it is no answer
-    whatever its figures; ``predicted``: the finished trial on the held-out runs."""
+    whatever its figures; ``predicted``: the finished trial on the held-out runs; ``plain``: misfits of the baseline on
+    the runs given and on those held out, beside the same own error of the simulator as the finished trial."""
 
     effect: Effect
     fitted: Fitted
@@ -48,6 +49,7 @@ class Trial:
     finished: bool = False
     failure: str = ""
     predicted: Fitted | None = None
+    plain: tuple[float, float | None] | None = None
 
     @property
     def rejected(self) -> str:

@@ -242,7 +242,7 @@ def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitt
         raise KeyboardInterrupt
     try:
         predicted, plain = _held_out(check, fitted), _held_out(check, base)
-        before = structure(there, there.evaluate(base.rig, [], np.zeros(0)))
+        unamended = there.evaluate(base.rig, [], np.zeros(0))
     except ThinshellError as error:
         return replace(trial, finished=True, failure=f"it could not be simulated where it fits best: {error}")
     left = structure(there, fitted)
@@ -250,7 +250,8 @@ def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitt
         trial,
         fitted=fitted,
         predicted=predicted,
-        explained=_explained(before, left),
+        plain=(unamended.misfit, None if plain is None else plain.misfit),
+        explained=_explained(structure(there, unamended), left),
         left=left,
         held_out=_gain(plain, predicted),
         significance=significance(trial.effect, fitted, trial.gain),
@@ -260,14 +261,21 @@ def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitt
 
 
 def _misfit(
-    problem: Problem, check: Problem, base: Fitted, plain: Fitted | None, fitted: Fitted, predicted: Fitted | None
+    problem: Problem,
+    check: Problem,
+    base: Fitted,
+    plain: Fitted | None,
+    fitted: Fitted,
+    predicted: Fitted | None,
+    misfits: tuple[float, float | None] | None = None,
 ) -> Misfit:
     """Misfit of a model, with the errors of the baseline beside its own; ``plain``, ``predicted``: the two on
-    the held-out runs."""
+    the held-out runs; ``misfits``: on the runs given and held out, where they are told."""
     errors = rms_errors(problem, base, fitted, held_out=False)
     if plain is not None and predicted is not None:
         errors += rms_errors(check, plain, predicted, held_out=True)
-    return Misfit(fitted.misfit, None if predicted is None else predicted.misfit, tuple(errors))
+    training, there = misfits or (fitted.misfit, None if predicted is None else predicted.misfit)
+    return Misfit(training, there, tuple(errors))
 
 
 def _collect(
@@ -298,7 +306,7 @@ def _collect(
         effects=tuple(c for c in reported if c.name in names),
         alternatives=tuple(c for c in reported if c.name not in names),
         located=located,
-        baseline=_misfit(problem, check, base, plain, base, plain),
+        baseline=_misfit(problem, check, base, plain, base, plain, answer.plain if answer else None),
         amended=_misfit(problem, check, base, plain, shown, predicted) if answer else None,
         noise_floor={c: float(np.median(n.sigma)) for c, n in problem.noise.items()},
         discretisation={

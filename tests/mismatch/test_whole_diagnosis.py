@@ -150,6 +150,9 @@ def test_an_answer_is_not_judged_by_an_own_error_that_it_makes_smaller(
     found = diagnose(law, held=0.15 * SHARE)
     assert found.verdict == "named", found.tried
     assert found.effects[0].held_out_gain is not None and found.effects[0].held_out_gain > 0.0
+    # The misfits that are reported are those that were compared.
+    assert found.amended is not None and found.amended.held_out is not None and found.baseline.held_out is not None
+    assert found.amended.held_out < found.baseline.held_out
 
 
 def test_an_effect_that_hides_readings_explains_nothing(diagnose: Callable[..., Diagnosis]) -> None:
