@@ -89,15 +89,17 @@ def decide(trials: list[Trial], before: Structure, on_held_out: Structure | None
 def held_out_gain(plain: np.ndarray, amended: np.ndarray) -> float:
     """Share of the robust misfit that an amendment removes, from whitened residuals ``(n,)`` of both.
 
-    Loss: 2 w^2 (sqrt(1 + (r/w)^2) - 1) with w = :data:`ROBUST_WIDTH`, quadratic for noise, linear beyond.
+    Loss: 2 w^2 (sqrt(1 + (r/w)^2) - 1) with w = :data:`ROBUST_WIDTH`, quadratic for noise, linear beyond. What is out
+    of sight of either, where residuals are 0, does not count: hiding a reading explains nothing.
     """
 
     def loss(r: np.ndarray) -> float:
         w = ROBUST_WIDTH
         return float(np.sum(2.0 * w * w * (np.sqrt(1.0 + (r / w) ** 2) - 1.0)))
 
-    before = loss(plain)
-    return (before - loss(amended)) / before
+    seen = (plain != 0.0) & (amended != 0.0)
+    before = loss(plain[seen])
+    return (before - loss(amended[seen])) / before if before else 0.0
 
 
 def significance(effect: Effect, fitted: Fitted, gain: float) -> float:
