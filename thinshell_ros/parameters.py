@@ -12,7 +12,7 @@ from rclpy.exceptions import (
 )
 from rclpy.node import Node
 
-from sim_core.errors import ConfigError
+from sim_core.errors import ConfigError, nearest_match
 
 
 def declare(
@@ -60,3 +60,16 @@ def value_of(node: Node, name: str) -> Any:
         return node.get_parameter(name).value
     except ParameterUninitializedException:
         return None
+
+
+def warn_of_unknown(node: Node) -> None:
+    """Log a warning for each parameter that was given on the command line or in a file, and that a node whose
+    parameters are all declared does not have. No error: a file may be for several nodes."""
+    # rclpy keeps what was given, and has no public way to ask for what was not declared.
+    for name in node._parameter_overrides:
+        # Overrides of quality of service are declared with the topics, which come later.
+        if not node.has_parameter(name) and not name.startswith("qos_overrides."):
+            node.get_logger().warning(
+                f"The parameter {name} was given, and is not one of {node.get_name()}: it is ignored. "
+                f"{nearest_match(name, node._parameters)}"
+            )

@@ -27,7 +27,7 @@ from sim_core.rigs import load_rig, rig_to_yaml
 from thinshell_ros import messages
 from thinshell_ros.bagfile import BagFile
 from thinshell_ros.health import recording_report
-from thinshell_ros.parameters import declare
+from thinshell_ros.parameters import declare, warn_of_unknown
 from thinshell_ros.runner import FinishingNode, run_and_finish
 from thinshell_ros.streams import RecordedTopic, topics_to_record
 
@@ -43,6 +43,7 @@ class RecordNode(FinishingNode):
         rig_name = declare(self, "rig", "", "rig whose topics are recorded: a name or a YAML file")
         named = declare(self, "topics", Parameter.Type.STRING_ARRAY, "topics to record, besides the rig's")
         uri = declare(self, "uri", "", "bag to create; empty: recording_<date>_<time> in the working folder")
+        warn_of_unknown(self)
         topics = [RecordedTopic(name) for name in named or []]
         notes = {}
         if rig_name:

@@ -26,7 +26,7 @@ from sim_core.rigs import load_rig
 from thinshell_ros import messages, physics
 from thinshell_ros.health import CommandLog, physics_report
 from thinshell_ros.outputs import Outputs
-from thinshell_ros.parameters import declare
+from thinshell_ros.parameters import declare, warn_of_unknown
 from thinshell_ros.poses import Floats, Pose, PoseGate
 from thinshell_ros.qos import LATEST
 from thinshell_ros.runner import run
@@ -39,7 +39,7 @@ class SimNode(Node):
 
     def __init__(self) -> None:
         super().__init__("thinshell_sim")
-        self._rig = load_rig(declare(self, "rig", "", "rig to simulate: a name or a YAML file"))
+        rig_name = declare(self, "rig", "", "rig to simulate: a name or a YAML file")
         base = declare(self, "base_frame", "", "frame of all poses; empty: the rig's")
         rate = declare(self, "pose_rate_hz", 100.0, "rate of current_pose", bounds=(1.0, 250.0))
         noise = declare(self, "noise", True, "add the noise that the rig states")
@@ -49,7 +49,9 @@ class SimNode(Node):
         jump = declare(self, "max_jump_m", 0.05, "farthest target that is taken", bounds=(1e-6, 10.0))
         tilt = declare(self, "max_jump_rad", 0.5, "largest turn that is taken", bounds=(1e-6, 3.2))
         give_clock = declare(self, "publish_clock", False, "publish simulated time on /clock")
+        warn_of_unknown(self)
 
+        self._rig = load_rig(rig_name)
         channels = channels_of(self._rig, rate, base)
         effectors = self._rig.end_effectors
         self._gates = {name: PoseGate(channels[name].frame_id, jump, tilt) for name in effectors}

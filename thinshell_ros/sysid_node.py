@@ -25,7 +25,7 @@ from thinshell_ros import messages
 from thinshell_ros.fit_process import Event, FitProcess
 from thinshell_ros.fit_request import FitRequest, fit_request, topic_names
 from thinshell_ros.fit_state import FitState
-from thinshell_ros.parameters import declare, value_of
+from thinshell_ros.parameters import declare, value_of, warn_of_unknown
 from thinshell_ros.qos import LATCHED
 from thinshell_ros.runner import run
 
@@ -65,6 +65,7 @@ class SysidNode(Node):
         declare(self, "fit.profile", False, "find each interval from the likelihood itself", fixed=False)
         declare(self, "fit.robust", True, "leave out readings that are mistakes of a tracker or a sensor", fixed=False)
         declare(self, "output_dir", "", "each fit makes a folder of its own in this one", fixed=False)
+        warn_of_unknown(self)
 
         self._state = FitState()
         self._request: FitRequest | None = None
