@@ -106,7 +106,7 @@ def with_parameters(rig: Rig, values: Mapping[str, float]) -> Rig:
     data: dict[str, Any] = rig.model_dump()
     given: dict[str, str] = {}
     for name, value in values.items():
-        full = resolve_name(rig, name)
+        full = name if name in places else resolve_name(rig, name)
         if full in given:
             raise ConfigError(
                 f"The parameter {full} is given twice, as {given[full]!r} and {name!r}.",
