@@ -28,6 +28,10 @@ def coverage(
             8,
         ),
     ] = 3,
+    colour: Annotated[
+        float,
+        number("--colour", "Correlation of the noise of forces from sample to sample, as filters make it.", 0.0, 0.99),
+    ] = 0.0,
     seed: SeedOption = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
@@ -54,6 +58,7 @@ def coverage(
             spread=spread,
             refine=refine,
             seed=seed,
+            colour=colour,
             on_progress=report,
         )
     print(found.to_json() if as_json else found.table())

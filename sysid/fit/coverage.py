@@ -8,6 +8,9 @@ fit`` takes as well. Cases are numbered, so that any of them can be run again by
 
 A fit learns the error of its mesh and time step by halving them (:mod:`sysid.fit.own_error`). A truth of half the mesh
 and half the step differs from the fit's model by just what it has learnt, so the usual truth is three times finer.
+
+The noise of forces and torques may be coloured, as that of a sensor with a filter: n_k = rho n_{k-1} + sqrt(1 - rho^2)
+w_k, with w white and rho from sample to sample; its standard deviation stays what the rig declares.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import lfilter
 
 from sim_core.batch import worker_pool
 from sim_core.errors import ThinshellError
@@ -62,7 +66,8 @@ class Outcome:
 @dataclass(frozen=True)
 class Coverage:
     """``cases``: how many ended; ``failed``: what of them could not be run, by their number; ``stopped``: numbers of
-    those that had not ended when it was interrupted."""
+    those that had not ended when it was interrupted; ``colour``: correlation of the noise of forces from sample to
+    sample."""
 
     rig: str
     cases: int
@@ -71,6 +76,7 @@ class Coverage:
     outcomes: tuple[Outcome, ...]
     failed: dict[int, str]
     stopped: tuple[int, ...] = ()
+    colour: float = 0.0
 
     def to_json(self) -> str:
         """All figures."""
@@ -156,10 +162,12 @@ def measure_coverage(
     spread: float = 1.5,
     refine: int = USUAL_REFINE,
     seed: int = 0,
+    colour: float = 0.0,
     on_progress: Progress | None = None,
 ) -> Coverage:
     """Run the numbered ``cases``. ``spread``: factor either way within which values are drawn about the rig's
-    (:func:`draw`); ``refine``: how much finer the truth is simulated. Ctrl-C keeps the cases that have ended."""
+    (:func:`draw`); ``refine``: how much finer the truth is simulated; ``colour``: correlation rho of the noise of
+    forces from sample to sample. Ctrl-C keeps the cases that have ended."""
     parameters = fit_parameters(rig, names)
     outcomes: list[Outcome] = []
     failed: dict[int, str] = {}
@@ -171,7 +179,7 @@ def measure_coverage(
             for case in cases:
                 rng = np.random.default_rng([seed, case])
                 truth, start = (draw(rig, parameters, spread, rng) for _ in range(2))
-                drawn = (truth, start, refine, int(rng.integers(2**31)))
+                drawn = (truth, start, refine, int(rng.integers(2**31)), colour)
                 pending[pool.submit(_case, rig, experiments, parameters, case, *drawn)] = case
             for future in as_completed(pending):
                 case = pending[future]
@@ -188,7 +196,8 @@ def measure_coverage(
             raise
     outcomes.sort(key=lambda o: o.case)
     ended = len(cases) - len(left)
-    return Coverage(rig.name, ended, refine, seed, tuple(outcomes), dict(sorted(failed.items())), tuple(sorted(left)))
+    lost, stopped = dict(sorted(failed.items())), tuple(sorted(left))
+    return Coverage(rig.name, ended, refine, seed, tuple(outcomes), lost, stopped, colour)
 
 
 def draw(rig: Rig, parameters: Sequence[FitParameter], spread: float, rng: np.random.Generator) -> np.ndarray:
@@ -214,17 +223,26 @@ def _untold(rig: Rig, asked: Sequence[FitParameter], rng: np.random.Generator) -
 
 @dataclass(frozen=True)
 class _Biased:
-    """Noise with a constant in each component of a wrench."""
+    """Noise with a constant in each component of a wrench, and there correlated by ``colour`` from sample to sample."""
 
     noise: Noise
     seed: int
+    colour: float
 
     def __call__(self, channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.ndarray:
         drawn = self.noise(channel, kind, stamps, clean)
         if kind != "wrench":
             return drawn
         rng = np.random.default_rng([self.seed, *channel.encode()])
-        return drawn + np.repeat(BIAS_SD, 3) * rng.standard_normal(6)
+        return coloured(drawn, self.colour) + np.repeat(BIAS_SD, 3) * rng.standard_normal(6)
+
+
+def coloured(white: np.ndarray, rho: float) -> np.ndarray:
+    """Stationary noise of the same standard deviation, of which neighbouring samples are correlated by ``rho``, from
+    white noise ``(n, m)``."""
+    driven = np.sqrt(1.0 - rho**2) * white
+    driven[:1] = white[:1]
+    return np.asarray(lfilter([1.0], [1.0, -rho], driven, axis=0))
 
 
 @cache
@@ -242,13 +260,14 @@ def _case(
     start: np.ndarray,
     refine: int,
     noise_seed: int,
+    colour: float,
 ) -> list[Outcome]:
     rng = np.random.default_rng(noise_seed)
     true = _untold(rig_at(rig, parameters, truth), parameters, rng)
     with tempfile.TemporaryDirectory() as folder:
         bags = [Path(folder) / f"{k}" for k in range(len(experiments))]
         for k, (experiment, bag) in enumerate(zip(experiments, bags, strict=True)):
-            noise = _Biased(WhiteNoise(true, noise_seed + k), noise_seed + k)
+            noise = _Biased(WhiteNoise(true, noise_seed + k), noise_seed + k, colour)
             simulate_to_bag(true, experiment, bag, refine=refine, noise=noise)
         runs, _ = load_runs(rig, bags)
     names = [p.name for p in parameters]

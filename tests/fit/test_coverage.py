@@ -14,7 +14,7 @@ import pytest
 
 from sysid.cli import coverage as command_line
 from sysid.fit import coverage
-from sysid.fit.coverage import Coverage, Outcome, draw, measure_coverage, wilson
+from sysid.fit.coverage import Coverage, Outcome, coloured, draw, measure_coverage, wilson
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.result import Estimate
 
@@ -53,6 +53,24 @@ def test_values_that_are_zero_are_drawn_about_it(small_rig):
     assert 0.0 <= drawn[:, 2].min() < 0.02 and 0.48 < drawn[:, 2].max() <= 0.5
 
 
+def test_coloured_noise_has_the_same_size_and_forgets_by_rho_a_sample():
+    """Autocorrelation rho^k after k samples; from the first sample on as large as later."""
+    white = np.random.default_rng(0).standard_normal((400, 2000))
+    noise = coloured(white, 0.8)
+    assert np.std(noise, axis=1) == pytest.approx(1.0, abs=0.1)
+    for k in (1, 3):
+        assert np.mean(noise[k:] * noise[:-k]) == pytest.approx(0.8**k, abs=0.01)
+    np.testing.assert_array_equal(coloured(white, 0.0), white)
+
+
+def test_only_forces_are_coloured():
+    white = np.random.default_rng(0).standard_normal((4000, 6))
+    noise = coverage._Biased(lambda *_: white, 1, 0.8)
+    drawn = {kind: noise("sensor", kind, np.zeros(4000), white) for kind in ("wrench", "markers")}
+    correlated = {k: np.corrcoef(n[1:, 0], n[:-1, 0])[0, 1] for k, n in drawn.items()}
+    assert correlated["wrench"] == pytest.approx(0.8, abs=0.05) and abs(correlated["markers"]) < 0.1
+
+
 def outcome(case: int, score: float, name: str = "gel.E_pa", **given: object) -> Outcome:
     """An outcome with a relative error of a hundredth of its score."""
     usual = {"unit": "Pa", "truth": 1.0, "value": 1.0, "relative": True, "error": 0.01 * score, "converged": True}
@@ -69,7 +87,7 @@ def test_the_error_of_what_is_zero_is_not_over_it(small_rig, monkeypatch):
     result = SimpleNamespace(estimates=[found], converged=False)
     monkeypatch.setattr(coverage, "fit_runs", lambda *_, **__: (result, rig))
     for truth in (0.1, 0.0):
-        (told,) = coverage._case(rig, [], parameters, 3, np.array([truth]), np.zeros(1), 3, 1)
+        (told,) = coverage._case(rig, [], parameters, 3, np.array([truth]), np.zeros(1), 3, 1, 0.0)
         assert (told.relative, told.converged, told.inside) == (False, False, truth == 0.1)
         assert told.error == pytest.approx(0.14 - truth) and told.score == pytest.approx((0.14 - truth) / 0.02)
 
