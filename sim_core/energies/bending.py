@@ -22,7 +22,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from sim_core.energies import bending_kernels as kernels
-from sim_core.energies.bending_kernels import HARDENING, RATE
 from sim_core.energies.curvature import Stencils, curvature_operator
 from sim_core.energies.linearised import Blocks, ByNumber, Linearised, axes_of, gathered, placed, places
 from sim_core.energies.membrane import material_frames
@@ -72,9 +71,11 @@ class Bending:
         self._beside, self._nu = np.zeros(count), np.zeros(count)
         self._given: dict[str, float] = {}
         self._onset = np.full(count, np.inf)
-        self._law, self._exact = np.zeros(2), np.zeros(1, dtype=np.int32)
+        self._rate, self._exact = np.zeros(1), np.zeros(1, dtype=np.int32)
         self._seen = np.full((0, 3), np.nan)
         self._yield_curvature, self._yield_share = np.inf, np.ones(count)
+        self._hardening_ratio, self._hardening_share = 0.0, np.ones(count)
+        self._hardening = np.zeros(count)
         self._damping = 0.0
         self.rest_angles = self._measure(mesh.nodes if formed is None else formed, node_offset)
         self.built_angles = self.rest_angles.copy()
@@ -98,7 +99,7 @@ class Bending:
         around = self._stencils
         stencil = (around.first, around.around, around.b)
         angles = (self._deviation, *stencil)
-        law = (*angles, self._plastic, self._base, self._onset, self._areas, self._d, self._law)
+        law = (*angles, self._plastic, self._base, self._onset, self._areas, self._d, self._hardening, self._rate)
         inner, outer = np.split(slots, [int(around.start[-1])])
         scratch = np.zeros((3 * int(around.nodes.max(initial=0)), 6))
         self._angles = BoundKernel(kernels.angles, buffers.x, self._hinge, self.rest_angles, self._deviation)
@@ -109,7 +110,8 @@ class Bending:
         self._energy = BoundKernel(kernels.energy, *law, buffers.energy)
         self._moments = BoundKernel(kernels.moments, *law, self._moment)
         self._tangents = BoundKernel(
-            kernels.tangents, *angles, self._plastic, self._onset, self._d, self._law, self._exact, self._tangent
+            kernels.tangents,
+            *(*angles, self._plastic, self._onset, self._d, self._hardening, self._rate, self._exact, self._tangent),
         )
         self._gradient = BoundKernel(kernels.gradient, buffers.x, self._hinge, self._moment, buffers.gradient)
         self._gradients = BoundKernel(kernels.gradients, buffers.x, self._hinge, self._g)
@@ -127,9 +129,11 @@ class Bending:
         curvature at which it yields stays as it is."""
         self._areas[:] = self._whole_areas * factors
 
-    def scale_yield(self, factors: np.ndarray) -> None:
-        """Let each triangle yield at ``factors`` ``(m,)`` times the curvature that is configured."""
-        self._yield_share[:] = factors
+    def scale_flow(self, onset: np.ndarray, hardening: np.ndarray) -> None:
+        """Let each triangle yield at ``onset`` ``(m,)`` times the curvature that is configured, and harden by
+        ``hardening`` ``(m,)`` times the ratio."""
+        self._yield_share[:], self._hardening_share[:] = onset, hardening
+        self._hardening[:] = self._hardening_ratio * hardening
 
     def shift_nu(self, beside: np.ndarray) -> None:
         """Let each triangle have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
@@ -146,7 +150,8 @@ class Bending:
         self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside)
         self._d[:] = self._rigidity(plane_stress(parameters, self._nu))
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
-        self._law[HARDENING] = parameters.get("hardening_ratio", 0.0)
+        self._hardening_ratio = parameters.get("hardening_ratio", 0.0)
+        self._hardening[:] = self._hardening_ratio * self._hardening_share
         self._damping = parameters.get("stiffness_damping_s", 0.0)
 
     def _rigidity(self, stiffness: np.ndarray) -> np.ndarray:
@@ -159,7 +164,7 @@ class Bending:
         if internals:
             self._plastic[:] = internals["plastic_curvature"]
             self._onset[:] = self._onset_of(internals)
-        self._law[RATE] = self._damping / step.tau
+        self._rate[0] = self._damping / step.tau
         if self._damping > 0.0 or internals:  # beside flow, also for the derivative by a damping of zero
             self._base[:] = step.base(self._curvatures_at)
 
@@ -201,11 +206,11 @@ class Bending:
     def _flow(self, internals: Internals) -> PlasticFlow:
         """What flows in a step from ``internals`` to the positions at hand."""
         elastic = self.curvatures() - internals["plastic_curvature"]
-        return PlasticFlow(elastic, self._onset_of(internals), float(self._law[HARDENING]), self._d)
+        return PlasticFlow(elastic, self._onset_of(internals), self._hardening, self._d)
 
     def _onset_of(self, internals: Internals) -> np.ndarray:
         """Curvature [1/m] ``(m,)`` at which each triangle flows."""
-        hardened = self._law[HARDENING] * internals["accumulated_curvature"]
+        hardened = self._hardening * internals["accumulated_curvature"]
         return np.asarray(self._yield_curvature * self._yield_share + hardened)
 
     def work(self, along: np.ndarray, internals: Internals) -> np.ndarray:
@@ -217,8 +222,8 @@ class Bending:
         """Moments of the triangles per width [N] ``(m, 3)`` at the end of a step from ``internals``."""
         curvatures = self.curvatures()
         moment = applied(self._d, self._flow(internals).left if internals else curvatures)
-        if self._law[RATE] > 0.0:
-            moment += self._law[RATE] * applied(self._d, curvatures - self._base)
+        if self._rate[0] > 0.0:
+            moment += self._rate[0] * applied(self._d, curvatures - self._base)
         return moment
 
     def by_nu(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> np.ndarray:
@@ -229,18 +234,29 @@ class Bending:
         out = np.zeros(len(d))
         if internals:
             flow = self._flow(internals)
-            turned, rise = flow.by_law(d, np.zeros(len(d)), 0.0)
+            turned, rise = flow.by_law(d, np.zeros(len(d)), np.zeros(len(d)))
             moment = applied(d, flow.left) - applied(self._d, turned)
             out = _weighted(kept, internals, turned, rise)
         else:
             moment = applied(d, curvatures)
-        if self._law[RATE] > 0.0:
-            moment += self._law[RATE] * applied(d, curvatures - self._base)
+        if self._rate[0] > 0.0:
+            moment += self._rate[0] * applied(d, curvatures - self._base)
         return np.asarray(out + self._areas * (moment * self._curving(along)).sum(axis=1))
 
     def by_yield(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
         """Derivative by the curvature at which each triangle yields ``(m,)``, of the same."""
-        turned, rise = self._flow(internals).by_law(np.zeros_like(self._d), np.ones(len(self._areas)), 0.0)
+        count = len(self._areas)
+        return self._by_flow(along, kept, internals, np.ones(count), np.zeros(count))
+
+    def by_hardening(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
+        """Derivative by the hardening ratio of each triangle ``(m,)``, of the same."""
+        return self._by_flow(along, kept, internals, internals["accumulated_curvature"], np.ones(len(self._areas)))
+
+    def _by_flow(
+        self, along: np.ndarray, kept: np.ndarray, internals: Internals, later: np.ndarray, harder: np.ndarray
+    ) -> np.ndarray:
+        """Derivative by a number of each triangle's flow, by which s has the derivative ``later`` and H ``harder``."""
+        turned, rise = self._flow(internals).by_law(np.zeros_like(self._d), later, harder)
         work = (applied(self._d, turned) * self._curving(along)).sum(axis=1)
         return np.asarray(_weighted(kept, internals, turned, rise) - self._areas * work)
 
@@ -270,9 +286,9 @@ class Bending:
         curving, turning = self._curving(along), self._turning(along)
         out = by_curvature[triangle] * self._deviation[hinge, None]
         out += (self._areas[:, None] * moment)[triangle] * turning[hinge, None]
-        if self._law[RATE] > 0.0:
+        if self._rate[0] > 0.0:
             since = self._deviation - step.base(self._deviations_at)
-            out += (self._law[RATE] * self._areas[:, None] * applied(self._d, curving))[triangle] * since[hinge, None]
+            out += (self._rate[0] * self._areas[:, None] * applied(self._d, curving))[triangle] * since[hinge, None]
         by_area = self._areas / self._whole_areas * (moment * curving).sum(axis=1)
         return out, by_area, np.asarray(-(self._kappa.T @ by_curvature.ravel()))
 
@@ -302,7 +318,7 @@ class Bending:
         curvatures = self._by_positions()
         start = past = None
         if self._damping > 0.0:
-            viscous = (curvatures.T @ self._by_area(-self._law[RATE] * self._d)).tocsr()
+            viscous = (curvatures.T @ self._by_area(-self._rate[0] * self._d)).tocsr()
             start = (step.weights[0] * viscous @ self._by_positions(step.x_start)).tocoo()
             if step.x_past is not None:
                 past = (step.weights[1] * viscous @ self._by_positions(step.x_past)).tocoo()
@@ -337,7 +353,7 @@ class Bending:
     ) -> Linearised:
         place, flow = places(internals), self._flow(internals)
         plastic, accumulated = place["plastic_curvature"], place["accumulated_curvature"][:, None]
-        size, hardening = plastic.size + accumulated.size, float(self._law[HARDENING])
+        size, hardening = plastic.size + accumulated.size, self._hardening[:, None]
         count = len(self._areas)
         rows = np.arange(3 * count).reshape(count, 3)
         rate, along = flow.rate[:, None], flow.direction
@@ -352,7 +368,7 @@ class Bending:
             (np.eye(3) - by_curvature, plastic, plastic),
             (by_accumulated[..., None], plastic, accumulated),
             ((-rate * flow.slope)[:, None], accumulated, plastic),
-            (1.0 - hardening * rate[..., None], accumulated, accumulated),
+            ((1.0 - hardening * rate)[..., None], accumulated, accumulated),
             shape=(size, size),
         )
         by_total: Blocks = placed(
@@ -361,11 +377,12 @@ class Bending:
         change = self.curvatures() - self._base
         numbers = {}
         for quantity in self._given:
-            d, onset, harder, damping = self._by_number(quantity)
+            d, onset, ratio, damping = self._by_number(quantity)
+            harder = ratio * self._hardening_share
             later = onset * self._yield_share + harder * internals["accumulated_curvature"]
             turned, rise = flow.by_law(d, later, harder)
             moment = applied(d, flow.left) - applied(self._d, turned)
-            moment += applied(self._law[RATE] * d + damping / step.tau * self._d, change)
+            moment += applied(self._rate[0] * d + damping / step.tau * self._d, change)
             kept = gathered((turned, plastic), (rise, accumulated), size=size)
             numbers[quantity] = ByNumber(curvatures.T @ (self._areas[:, None] * moment).ravel(), kept, np.zeros(3))
         return Linearised(
@@ -383,7 +400,7 @@ class Bending:
         h = 1e-5 * abs(given[quantity]) or 1e-7
         for value in (given[quantity] + h, given[quantity] - h):
             self.configure({**given, quantity: value})
-            ends.append((self._d.copy(), self._yield_curvature, float(self._law[HARDENING]), self._damping))
+            ends.append((self._d.copy(), self._yield_curvature, self._hardening_ratio, self._damping))
         self.configure(given)
         d, onset, hardening, damping = ((a - b) / (2.0 * h) for a, b in zip(*ends, strict=True))
         return d, onset, hardening, damping

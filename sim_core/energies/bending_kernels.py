@@ -1,13 +1,12 @@
-"""Kernels of :mod:`sim_core.energies.bending`: angles, response of the triangles, forces, Hessian."""
+"""Kernels of :mod:`sim_core.energies.bending`: angles, response of the triangles, forces, Hessian.
+
+``harder``: hardening ratio of each triangle; ``rate``: of one entry, damping over the time of a rate."""
 
 import taichi as ti
 
 from sim_core.energies.dihedral import angle, angle_gradient, side_curvature
 from sim_core.energies.plastic_flow import AT_YIELD
 from sim_core.kernels import F1, F2, F3, I1, I2, mat3, row, times3, vec3
-
-# Places in the array of constants that the kernels read.
-HARDENING, RATE = range(2)
 
 
 @ti.func
@@ -46,7 +45,20 @@ def _excess(c: ti.template(), t: ti.i32, kappa, moment, onset):
 
 
 @ti.kernel
-def energy(d: F1, first: I1, around: I1, b: F2, plastic: F2, base: F2, onset: F1, area: F1, c: F3, law: F1, out: F1):
+def energy(
+    d: F1,
+    first: I1,
+    around: I1,
+    b: F2,
+    plastic: F2,
+    base: F2,
+    onset: F1,
+    area: F1,
+    c: F3,
+    harder: F1,
+    rate: F1,
+    out: F1,
+):
     ti.loop_config(serialize=True)
     for t in range(area.shape[0]):
         kappa = _curvature(t, d, first, around, b, row(plastic, t))
@@ -54,14 +66,27 @@ def energy(d: F1, first: I1, around: I1, b: F2, plastic: F2, base: F2, onset: F1
         out[0] = out[0] + 0.5 * area[t] * kappa.dot(moment)
         _, excess = _excess(c, t, kappa, moment, onset[t])
         if excess > 0.0:
-            out[0] = out[0] - 0.5 * area[t] * c[t, 0, 0] * excess**2 / (1.0 + law[HARDENING])
-        if law[RATE] > 0.0:
+            out[0] = out[0] - 0.5 * area[t] * c[t, 0, 0] * excess**2 / (1.0 + harder[t])
+        if rate[0] > 0.0:
             change = _curvature(t, d, first, around, b, row(base, t))
-            out[0] = out[0] + 0.5 * area[t] * law[RATE] * change.dot(times3(c, t, change))
+            out[0] = out[0] + 0.5 * area[t] * rate[0] * change.dot(times3(c, t, change))
 
 
 @ti.kernel
-def moments(d: F1, first: I1, around: I1, b: F2, plastic: F2, base: F2, onset: F1, area: F1, c: F3, law: F1, out: F1):
+def moments(
+    d: F1,
+    first: I1,
+    around: I1,
+    b: F2,
+    plastic: F2,
+    base: F2,
+    onset: F1,
+    area: F1,
+    c: F3,
+    harder: F1,
+    rate: F1,
+    out: F1,
+):
     """Hinge moments [N m]."""
     ti.loop_config(serialize=True)
     for h in range(d.shape[0]):
@@ -72,16 +97,18 @@ def moments(d: F1, first: I1, around: I1, b: F2, plastic: F2, base: F2, onset: F
         m = times3(c, t, kappa)
         norm, excess = _excess(c, t, kappa, m, onset[t])
         if excess > 0.0:
-            m *= 1.0 - excess / (1.0 + law[HARDENING]) / norm
-        if law[RATE] > 0.0:
-            m += law[RATE] * times3(c, t, _curvature(t, d, first, around, b, row(base, t)))
+            m *= 1.0 - excess / (1.0 + harder[t]) / norm
+        if rate[0] > 0.0:
+            m += rate[0] * times3(c, t, _curvature(t, d, first, around, b, row(base, t)))
         m *= area[t]
         for k in range(first[t], first[t + 1]):
             out[around[k]] = out[around[k]] + b[k, 0] * m[0] + b[k, 1] * m[1] + b[k, 2] * m[2]
 
 
 @ti.kernel
-def tangents(d: F1, first: I1, around: I1, b: F2, plastic: F2, onset: F1, c: F3, law: F1, exact: I1, out: F3):
+def tangents(
+    d: F1, first: I1, around: I1, b: F2, plastic: F2, onset: F1, c: F3, harder: F1, rate: F1, exact: I1, out: F3
+):
     """Derivative of each triangle's moment per area by its curvature; unless ``exact``, the secant where it flows,
     which is larger. At yield it has not begun to flow, as in :mod:`sim_core.energies.plastic_flow`."""
     ti.loop_config(serialize=True)
@@ -91,12 +118,12 @@ def tangents(d: F1, first: I1, around: I1, b: F2, plastic: F2, onset: F1, c: F3,
         norm, excess = _excess(c, t, kappa, m, onset[t])
         share, turn = 1.0, 0.0
         if excess > 0.0:
-            flow = 1.0 / (1.0 + law[HARDENING])
+            flow = 1.0 / (1.0 + harder[t])
             share = 1.0 - flow * excess / norm
             if exact[0] == 1 and excess > AT_YIELD * onset[t]:
                 turn = (flow - flow * excess / norm) / (c[t, 0, 0] * norm**2)
         for i, j in ti.static(ti.ndrange(3, 3)):
-            out[t, i, j] = (share + law[RATE]) * c[t, i, j] - turn * m[i] * m[j]
+            out[t, i, j] = (share + rate[0]) * c[t, i, j] - turn * m[i] * m[j]
 
 
 @ti.kernel

@@ -29,10 +29,10 @@ those of going on elastically."""
 
 
 class PlasticFlow:
-    """Flow of all triangles. ``elastic``: kappa - kappa^p before it [1/m] ``(m, 3)``; ``onset``: s ``(m,)``; ``d``: D
-    [N m], one of all ``(3, 3)`` or one each ``(m, 3, 3)``."""
+    """Flow of all triangles. ``elastic``: kappa - kappa^p before it [1/m] ``(m, 3)``; ``onset``: s ``(m,)``;
+    ``hardening``: H ``(m,)``; ``d``: D [N m], one of all ``(3, 3)`` or one each ``(m, 3, 3)``."""
 
-    def __init__(self, elastic: np.ndarray, onset: np.ndarray, hardening: float, d: np.ndarray) -> None:
+    def __init__(self, elastic: np.ndarray, onset: np.ndarray, hardening: np.ndarray, d: np.ndarray) -> None:
         self._elastic, self._d, self._hardening = elastic, d, hardening
         moment = applied(d, elastic)
         norm = np.sqrt((elastic * moment).sum(axis=1) / d[..., 0, 0])
@@ -56,9 +56,9 @@ class PlasticFlow:
         turn = (self.amount / self._far)[:, None, None] * (np.eye(3) - outer)
         return np.asarray(self.rate[:, None, None] * outer + turn)
 
-    def by_law(self, d: np.ndarray, onset: np.ndarray, hardening: float) -> tuple[np.ndarray, np.ndarray]:
+    def by_law(self, d: np.ndarray, onset: np.ndarray, hardening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of plastic ``(m, 3)`` and accumulated curvature ``(m,)`` [1/m] along derivatives of D, of
-        its shape, of s ``(m,)`` and of H."""
+        its shape, of s ``(m,)`` and of H ``(m,)``."""
         first, change = (matrix[..., :1, :1] for matrix in (self._d, d))
         metric = (d - self._d * change / first) / first
         grown = 0.5 * (self._elastic * applied(metric, self._elastic)).sum(axis=1) / self._far

@@ -15,7 +15,7 @@ which a sheet yields, so beside forces it changes the new internal variables xi'
 
 The mean dilatation of a gel is that of one element, so no element's nu acts in another.
 
-The curvature at which a triangle yields enters through its flow alone.
+The curvature at which a triangle yields, and its hardening, enter through its flow alone.
 
 Rest angles enter through the curvatures of the triangles around a hinge
 (:meth:`sim_core.energies.bending.Bending.by_rest_angles`), shapes at rest through all that is measured on them
@@ -34,7 +34,7 @@ from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.columns import borne_by_mass
 from sim_core.gradients.rest_shape import RestSums
 from sim_core.gradients.step import Pulled, Weights
-from sim_core.scene.fields import MASS, NU, POWERS, REST, REST_ANGLE, YIELD
+from sim_core.scene.fields import FLOW, MASS, NU, POWERS, REST, REST_ANGLE, YIELD
 from sim_core.scene.scene import Scene
 
 
@@ -50,7 +50,7 @@ class FieldSums:
         self._parts = list(dict.fromkeys((b, part) for b, key in pairs for part in POWERS.get(key, ())))
         self._mixed = {b: _elastic(terms, b) for b, key in pairs if key == NU}
         self._bent = [body for body, key in pairs if key == REST_ANGLE]
-        self._yielding = [body for body, key in pairs if key == YIELD]
+        self._flows = [(body, key) for body, key in pairs if key in FLOW]
         self._terms = {(b, part): terms[f"{b}.{part}"] for b, part in self._parts if f"{b}.{part}" in terms}
         self._masses = {b: scene.fields.mass_blocks(b) for b, part in self._parts if part == MASS}
         self._numbers = scene.values(scene.rig)
@@ -65,7 +65,7 @@ class FieldSums:
         self._work: dict[tuple[str, str], Any] = dict.fromkeys(self._parts, 0.0)
         self._by_nu: dict[str, Any] = dict.fromkeys(self._mixed, 0.0)
         self._bending: dict[str, Any] = dict.fromkeys(self._bent, 0.0)
-        self._by_yield: dict[str, Any] = dict.fromkeys(self._yielding, 0.0)
+        self._by_flow: dict[tuple[str, str], Any] = dict.fromkeys(self._flows, 0.0)
         self.shapes.clear()
 
     def add(
@@ -94,11 +94,12 @@ class FieldSums:
             term.begin_step(step, internals[term.name])
             found = term.by_rest_angles(exerted, memory[term.name], internals[term.name])
             self._bending[body] = self._bending[body] + found
-        for body in self._yielding:
+        for body, key in self._flows:
             term = self._scene.fields.bending(body)
             term.begin_step(step, internals[term.name])
-            found = term.by_yield(exerted, memory[term.name], internals[term.name])
-            self._by_yield[body] = self._by_yield[body] + found
+            by = term.by_yield if key == YIELD else term.by_hardening
+            found = by(exerted, memory[term.name], internals[term.name])
+            self._by_flow[body, key] = self._by_flow[body, key] + found
         if self.shapes:
             self.shapes.add(step, internals, pulled, after, terms)
 
@@ -120,8 +121,8 @@ class FieldSums:
                 total = self._by_nu[body]
             elif key == REST_ANGLE:
                 total = self._bending[body]
-            elif key == YIELD:
-                total = self._by_yield[body]
+            elif key in FLOW:
+                total = self._by_flow[body, key]
             else:
                 total = sum(power * self._work[body, part] for part, power in POWERS[key].items()) / values
             out[name] = total + np.zeros(len(values))

@@ -9,8 +9,8 @@ density of an element; of a sheet's thickness h the membrane has the first power
 
     E_element = f E_uniform,    f = prod_q (q / q_rig)^p
 
-The curvature at which a sheet yields, where the rig's effects let it, is a share of the rig's too, in each triangle's
-flow alone (:mod:`sim_core.energies.plastic_flow`).
+The curvature at which a sheet yields, where the rig's effects let it, and its hardening are shares of the rig's too, in
+each triangle's flow alone (:mod:`sim_core.energies.plastic_flow`).
 
 Poisson's ratio is no factor of an energy, and may be zero. Its field is kept as the difference from the rig's number,
 so a rig with another number shifts all of it; each element has the moduli of its own nu and the rig's E, times f.
@@ -58,7 +58,10 @@ POWERS: dict[str, dict[str, int]] = {
 """Power of each quantity in the terms of a body and in its mass."""
 
 
-NU, YIELD = "nu", "yield_curvature_per_m"
+NU, YIELD, HARDENING = "nu", "yield_curvature_per_m", "hardening_ratio"
+
+FLOW = (YIELD, HARDENING)
+"""Quantities of a sheet that yields."""
 
 MATERIAL = ("E_pa", NU, "thickness_m", "density_kg_m3")
 """Quantities of a sheet that differ from triangle to triangle; of a gel all but the thickness."""
@@ -67,9 +70,10 @@ MATERIAL = ("E_pa", NU, "thickness_m", "density_kg_m3")
 class Fields:
     """All fields of a scene by name: ``<gel>.E_pa``, ``.nu`` and ``.density_kg_m3``, one value a tetrahedron;
     ``<sheet>.E_pa``, ``.nu``, ``.thickness_m``, ``.density_kg_m3`` and, of a sheet that yields,
-    ``.yield_curvature_per_m``, one a triangle; ``<sheet>.rest_angle_rad``, one a hinge (inner edge): the angle between
-    the normals of its triangles; ``<sheet>.rest_m`` and ``<gel>.rest_m``, one vector a node ``(n, 3)``: its position at
-    rest in the world, as in ``scene.bodies[name].rest``, when mounts are at their start poses. Units may be left out.
+    ``.yield_curvature_per_m`` and ``.hardening_ratio``, one a triangle; ``<sheet>.rest_angle_rad``, one a hinge (inner
+    edge): the angle between the normals of its triangles; ``<sheet>.rest_m`` and ``<gel>.rest_m``, one vector a node
+    ``(n, 3)``: its position at rest in the world, as in ``scene.bodies[name].rest``, when mounts are at their start
+    poses. Units may be left out.
 
     nu is above -1 and below 0.5 everywhere, also when a rig with another number shifts it (:meth:`check`).
     The thickness is that which stretches, bends and weighs; contact finds the surface where the rig's number puts it.
@@ -91,8 +95,8 @@ class Fields:
             if isinstance(body.spec, Gel):
                 found += [f"{name}.{key}" for key in (*MATERIAL, REST) if key != "thickness_m"]
             elif isinstance(body.spec, Sheet):
-                yields = (YIELD,) if YIELD in self._bending_numbers(name) else ()
-                found += [f"{name}.{key}" for key in (*MATERIAL, *yields, REST_ANGLE, REST)]
+                flow = FLOW if YIELD in self._bending_numbers(name) else ()
+                found += [f"{name}.{key}" for key in (*MATERIAL, *flow, REST_ANGLE, REST)]
         return tuple(found)
 
     def resolve(self, name: str) -> str:
@@ -154,8 +158,8 @@ class Fields:
 
     def _number(self, body: str, key: str, rig: Rig | None = None) -> float:
         """What a rig (None: that of the scene) has for a quantity."""
-        if key == YIELD:
-            return self._bending_numbers(body, rig)[YIELD]
+        if key in FLOW:
+            return self._bending_numbers(body, rig)[key]
         return float(getattr((rig or self._scene.rig).bodies[body].material, key))  # type: ignore[union-attr]
 
     def _bending_numbers(self, body: str, rig: Rig | None = None) -> dict[str, float]:
@@ -249,7 +253,7 @@ class Fields:
                 term.scale(self.factor(name, part))  # type: ignore[attr-defined]
                 term.shift_nu(self._beside(name))  # type: ignore[attr-defined]
             if isinstance(term, Bending):
-                term.scale_yield(self._share(name, YIELD))
+                term.scale_flow(self._share(name, YIELD), self._share(name, HARDENING))
         factor = self.factor(name, MASS)
         mesh = body.mesh
         if isinstance(mesh, SheetMesh):

@@ -24,7 +24,7 @@ def some_curvatures(count=40, seed=4):
 
 def test_flow_ends_on_the_yield_surface_and_is_none_within():
     elastic = some_curvatures()
-    flow = PlasticFlow(elastic, np.full(len(elastic), ONSET), HARDENING, D)
+    flow = PlasticFlow(elastic, np.full(len(elastic), ONSET), np.full(len(elastic), HARDENING), D)
     flows = norm(elastic) > ONSET
     assert 5 < flows.sum() < 35
     np.testing.assert_allclose(norm(flow.left)[flows], ONSET + HARDENING * flow.amount[flows], rtol=1e-12)

@@ -58,7 +58,8 @@ def uneven(scene):
     """Set all fields but shapes to something that varies, such that no sheet yields before it moves: the path to the
     first equilibrium counts as given."""
     rng = np.random.default_rng(1)
-    for name in sorted(over_elements(scene), key=lambda name: name.endswith(".nu")):
+    last = ["nu", "hardening_ratio"]
+    for name in sorted(over_elements(scene), key=lambda name: [name.endswith(end) for end in reversed(last)]):
         wave = rng.standard_normal(len(scene.fields[name]))
         given, beside = scene.fields[name], BESIDE.get(name.split(".")[1])
         scene.fields[name] = given * np.exp(0.1 * wave) if beside is None else given + beside * wave
@@ -106,14 +107,15 @@ def test_what_all_elements_have_together(small_rig, visit):
     compare_with_scalars(rig, poses, times, names)
 
 
-def test_what_all_triangles_have_together_of_a_yield_curvature(small_rig, visit):
+@pytest.mark.parametrize("quantity", ["yield_curvature_per_m", "hardening_ratio"])
+def test_what_all_triangles_have_together_of_their_flow(small_rig, visit, quantity):
     rig, poses, times = small(PRESS, 0.4)(small_rig, visit, effects=EFFECTS)
-    scene, name = build_scene(rig), "effects.bending_plasticity.yield_curvature_per_m"
+    scene, name, field = build_scene(rig), f"effects.bending_plasticity.{quantity}", f"card.{quantity}"
     uneven(scene)
     tape = Tape(scene, poses, times, TIGHT)
-    found = Backward(tape, directions(rig, [name]), ["card.yield_curvature"]).gradient(0.0, weights(tape.trace))
-    shares = found.fields["card.yield_curvature_per_m"] * scene.fields["card.yield_curvature"]
-    whole = found.parameters[name] * rig.effects["bending_plasticity"]["yield_curvature_per_m"]
+    found = Backward(tape, directions(rig, [name]), [field]).gradient(0.0, weights(tape.trace))
+    shares = found.fields[field] * scene.fields[field]
+    whole = found.parameters[name] * rig.effects["bending_plasticity"][quantity]
     assert abs(whole) > 0.0 and shares.sum() == pytest.approx(whole, rel=1e-7)
 
 
