@@ -4,13 +4,15 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 LOCKER := $(VENV)/.locker
+# Test files that run side by side.
+JOBS ?= 2
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-all lint format lock clean
 
 help:
 	@echo "make demo      simulate a press, record it, fit it back, and write a report"
-	@echo "make test      all tests but those marked slow (20 minutes on 2 cores)"
+	@echo "make test      all tests but those marked slow (15 minutes on 2 cores)"
 	@echo "make test-all  those too"
 	@echo "make lint      style and types"
 	@echo "make format    put the code into the style that lint asks for"
@@ -21,10 +23,10 @@ demo: $(READY)
 	$(BIN)/python -m sysid.demo
 
 test: $(READY)
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow"
 
 test-all: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 lint: $(READY)
 	$(BIN)/ruff check .

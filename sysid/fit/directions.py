@@ -5,8 +5,8 @@ reading, but only estimates its size, and the estimate need not be equally good 
 rolls over an element edge or starts to slip it is off by more than during a hold. The error is therefore
 taken to be, in column j of a channel,
 
-    e_j(t) = d_j(t) (mean + sd (g(t) + g_j(t))) + sd sum_p A_p(t) v_pj g_p(t) + ROUGH D(t) n_j(t),
-    g(t) = c_0 + sum_l a_l sum_k c_lk h_lk(t),    c, n ~ N(0, 1),
+    e_j(t) = d_j(t) (mean + sd (g(t) + g_j(t))) + sd sum_p A_p(t) v_pj g_p(t) + R(t) n_j(t),
+    g(t) = c_0 + sum_l a_l sum_k c_lk h_lk(t),    R(t)^2 = (ROUGH D(t))^2 + U(t)^2,    c, n ~ N(0, 1),
 
 with h_lk the hat functions of the equidistant instants of level l of :data:`LEVELS`, ever finer and ever
 weaker (a_l), so that the size drifts like a random walk; g is common to all columns of a quantity (the
@@ -14,7 +14,9 @@ forces, the torques, the markers), g_j is each column's own. Where a body starts
 error has the patterns of d, but not their course: v_p are the strongest principal components of d over the columns
 of a quantity, d(t) = sum_p a_p(t) v_p, and A_p(t) is the largest |a_p| about t. Where two refinements act on each
 other the error is not made of d at all; the last part stands for that, independent from sample to sample, with D(t)
-the largest rms of d over the columns of a quantity about t. The coefficients are eliminated from the least-squares
+the largest rms of d over the columns of a quantity about t. U(t) is that of what came unforeseen, between two places
+where the error and its slopes were measured: where a gel snaps over, it does so with other parameters a moment later
+or not at all, and nobody knows which of both the real one does. The coefficients are eliminated from the least-squares
 problem and the last part weighs samples down, so intervals and evidence are those with the error integrated out (the
 discrepancy of Kennedy & O'Hagan 2001 with a basis from the solver instead of a stationary kernel).
 
@@ -66,6 +68,7 @@ class Direction:
     ``shapes[run index][channel]``: ``(n, m)`` in measured units, as measured at the scaled parameters
     ``at`` ``(p,)``; ``slopes``: their derivatives by the parameters ``(n, m, p)``, where they are known, believed up to
     ``reach`` ``(p,)`` to either side, scaled; empty: however far. Size: normal with ``mean`` and ``sd``.
+    ``unforeseen``: largest changes ``(n, m)`` from one measurement to the next that slopes did not tell, where known.
     """
 
     label: str
@@ -75,6 +78,23 @@ class Direction:
     slopes: tuple[dict[str, np.ndarray], ...] = ()
     at: np.ndarray | None = None
     reach: np.ndarray | None = None
+    unforeseen: tuple[dict[str, np.ndarray], ...] = ()
+
+    def following(self, before: Direction, scaled: np.ndarray) -> Direction:
+        """This direction, measured at ``scaled`` ``(p,)`` after another one ``before``, with what that did not foresee;
+        beyond its reach nothing was foreseen, and what was known stays."""
+        known = before.unforeseen
+        if before.at is not None and before.slopes:
+            away = scaled - before.at
+            if before.reach is None or np.all(np.abs(away) <= before.reach):
+                missed = [
+                    {c: np.abs(shape - then[c] - slopes[c] @ away) for c, shape in now.items()}
+                    for now, then, slopes in zip(self.shapes, before.shapes, before.slopes, strict=True)
+                ]
+                old = known or [{c: 0.0 * m for c, m in run.items()} for run in missed]
+                both = zip(missed, old, strict=True)
+                known = tuple({c: np.maximum(m, there[c]) for c, m in run.items()} for run, there in both)
+        return replace(self, unforeseen=known)
 
 
 class Sizes(NamedTuple):
@@ -108,7 +128,8 @@ class Basis:
     ``expected`` ``(n, m)``: the error with the expected sizes, at the parameters ``at``; ``slopes``
     ``(n, m, p)``: its derivatives by them (``p`` = 0: not known), up to ``reach`` ``(p,)`` to either side; ``common``
     and ``own``, at least one each: its changes for coefficients that all columns share, and for those that each has
-    for itself; ``rough`` ``(n, m)``: standard deviation of what follows no shape.
+    for itself; ``rough`` ``(n, m)``: standard deviation of what follows no shape; ``largest`` ``(n, m)``: the error
+    thereabouts, largest rms over the columns of a quantity.
     """
 
     expected: np.ndarray
@@ -118,6 +139,7 @@ class Basis:
     common: tuple[Changes, ...]
     own: tuple[Changes, ...]
     rough: np.ndarray
+    largest: np.ndarray
 
     def weights(self, noise: ChannelNoise) -> np.ndarray:
         """Factors on whitened samples ``(n, m)`` that account for what follows no shape."""
@@ -170,7 +192,7 @@ def basis_of(
     t = measured.t
     drift, instants = _drift(t, run.end)
     expected = np.zeros(measured.values.shape)
-    rough = np.zeros(expected.shape)
+    largest, unforeseen = np.zeros(expected.shape), np.zeros(expected.shape)
     at, reach = next(((d.at, d.reach) for d in directions if d.at is not None), (np.zeros(0), None))
     slopes = np.zeros((*expected.shape, len(at)))
     nothing = Changes(np.zeros(expected.shape), np.zeros((len(t), 0)), np.zeros(0))
@@ -191,13 +213,16 @@ def basis_of(
                 wide = np.zeros(shape.shape)
                 wide[:, group] = direction.sd * part.shape
                 common.append(replace(part, shape=wide))
-            rms = np.sqrt(np.mean(shape[:, group] ** 2, axis=1))
-            rough[:, group] += (ROUGH * _largest(rms, t, run.end))[:, None] ** 2
+            largest[:, group] += _largest(_rms(shape[:, group]), t, run.end)[:, None] ** 2
+            if direction.unforeseen:
+                missed = direction.unforeseen[index][measured.channel][:, group]
+                unforeseen[:, group] += _largest(_rms(missed), t, run.end)[:, None] ** 2
     if bias is not None:
         always = np.ones((len(t), 1))
         own.append(Changes(bias * always, always, np.array([0.5 * run.end])))
     reach = np.full(len(at), np.inf) if reach is None else reach
-    return Basis(expected, slopes, at, reach, tuple(common), tuple(own), np.sqrt(rough))
+    rough = np.sqrt(ROUGH**2 * largest + unforeseen)
+    return Basis(expected, slopes, at, reach, tuple(common), tuple(own), rough, np.sqrt(largest))
 
 
 def believed(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:
@@ -211,8 +236,8 @@ def believed(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:
     for quantity in column_groups(measured):
         group = quantity[np.isfinite(measured.values[:, quantity]).any(axis=0)]
         if len(group):
-            size = np.sqrt(np.mean(np.nan_to_num(taken[:, group]) ** 2, axis=1))
-            most = BELIEVED / ROUGH * basis.rough[:, group[0]]
+            size = _rms(np.nan_to_num(taken[:, group]))
+            most = BELIEVED * basis.largest[:, group[0]]
             out[:, quantity] *= np.minimum(1.0, most / np.maximum(size, np.finfo(float).tiny))[:, None]
     return out
 
@@ -240,6 +265,11 @@ def _patterns(shape: np.ndarray, t: np.ndarray, end: float) -> list[Changes]:
     kept = np.flatnonzero(strengths[:PATTERNS] > FAINT * max(strengths[0], np.finfo(float).tiny))
     sizes = [_largest(np.abs(courses[:, p] * strengths[p]), t, end) for p in kept]
     return [Changes(a[:, None] * components[p], drift, instants) for p, a in zip(kept, sizes, strict=True)]
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    """Over the columns ``(n,)``."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=1)))
 
 
 def _largest(size: np.ndarray, t: np.ndarray, end: float) -> np.ndarray:

@@ -7,9 +7,12 @@ refined simulations are therefore differentiated as well, and the fit uses
 
     d(theta) = d(theta_k) + D (theta - theta_k),    D = d'(theta_k),
 
-within :data:`SLOPES_REACH` of where they were measured. Far from it, where a search is to be followed by another one
-anyway, derivatives say little of where that will lead. They lead a search, but intervals learn nothing from them
-(:func:`sysid.fit.uncertainty.uncertainty`): how large the error is, is not known.
+within :data:`SLOPES_REACH` of where they were measured. What the next measurement shows beside that is unforeseen: the
+refined simulation snaps over a moment earlier or later than before. Readings are weighed down by it there
+(:meth:`sysid.fit.directions.Direction.following`), or turns would go on from one side to the other. Far from the
+solution, where a search is to be followed by another one anyway, derivatives say little of where that will lead. They
+lead a search, but intervals learn nothing from them (:func:`sysid.fit.uncertainty.uncertainty`): how large the error
+is, is not known.
 """
 
 from __future__ import annotations
@@ -184,14 +187,15 @@ def fit_beside_own_error(
         try:
             if with_slopes:
                 at = (parameters, scaled)
-                directions = discretisation_with_slopes(engine, rig, runs, fitted.predictions, *at)
+                found = discretisation_with_slopes(engine, rig, runs, fitted.predictions, *at)
             else:
-                directions = discretisation(engine, each(scaled), runs, fitted.predictions)
+                found = discretisation(engine, each(scaled), runs, fitted.predictions)
         except KeyboardInterrupt:
             fitted.message, fitted.converged = "interrupted; the best values so far are kept", False
             return problem, _counted(fitted, evaluations, seconds)
         except ThinshellError as error:
             raise Unmeasured(error, problem, _counted(fitted, evaluations, seconds)) from error
+        directions = [now.following(then, scaled) for now, then in zip(found, directions, strict=True)]
         problem = Problem(runs, noise, engine, directions, prior, bias)
         problem.keep(problem.compare(fitted.predictions, rig, parameters, scaled))
     if fitted.converged or fitted.elsewhere:

@@ -142,6 +142,55 @@ def test_an_error_that_stays_as_it_was_measured_needs_no_other_round(vectors: No
     assert engine.refined == 2
 
 
+WINDOW = ((T > 0.4) & (T < 0.57))[:, None] * np.array([[1.0, -0.5]])
+SNAP = 60.0 * SIGMA
+
+
+class Snapping(Linear):
+    """For a sixth of the run the refined simulation is on either of two sides, with next to no change of the
+    parameters; its derivatives, as real ones, are those of the side where it is."""
+
+    def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        return self._snapped(super().submit(rig, run, refine, dt), rig.x, refine)
+
+    def submit_with_derivatives(
+        self, rig: Any, run: Run, parameters: Any, scaled: np.ndarray, refine: int = 1, dt: float | None = None
+    ) -> Future[Prediction]:
+        return self._snapped(super().submit_with_derivatives(rig, run, parameters, scaled, refine, dt), scaled, refine)
+
+    def _snapped(self, future: Future[Prediction], x: np.ndarray, refine: int) -> Future[Prediction]:
+        if refine > 1:
+            future.result().values["gauge"] += SNAP * np.sign(np.sin(900.0 * x.sum())) * WINDOW
+        return future
+
+
+def test_an_error_that_snaps_over_does_not_keep_the_rounds_going(vectors: None) -> None:
+    """The recording is on one side."""
+    error = 0.1 * coarse(np.array([0.4, 1.0]))
+    settled, inside = [], []
+    for seed in range(40):
+        side = 0.5 / 0.75 * SNAP * (-1) ** seed * WINDOW
+        noise = SIGMA * np.random.default_rng(seed).standard_normal((len(T), 2))
+        _, fitted = fit(Snapping(lambda x: error), run_of(coarse(TRUTH) + 0.5 * error + side + noise))
+        settled.append(fitted.converged)
+        inside.append(np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd)
+    assert np.mean(settled) >= 0.9 and np.mean(inside) > 0.8, (np.mean(settled), np.mean(inside))
+
+
+def test_what_slopes_foresee_is_not_unforeseen() -> None:
+    """Within their reach; the largest of what was missed is kept."""
+    at, slopes = np.array([1.0]), np.full((4, 2, 1), 3.0)
+    before = Direction("mesh", ({"gauge": np.ones((4, 2))},), slopes=({"gauge": slopes},), at=at, reach=np.array([0.5]))
+    jump = np.zeros((4, 2))
+    jump[2] = 0.7, -0.2
+    after = Direction("mesh", ({"gauge": np.ones((4, 2)) + 3.0 * 0.1 + jump},), slopes=before.slopes, at=at + 0.1)
+    near = after.following(before, at + 0.1)
+    np.testing.assert_allclose(near.unforeseen[0]["gauge"], np.abs(jump), atol=1e-12)
+    calm = replace(after, shapes=({"gauge": after.shapes[0]["gauge"] + 3.0 * 0.1},))
+    np.testing.assert_allclose(calm.following(near, at + 0.2).unforeseen[0]["gauge"], np.abs(jump), atol=1e-12)
+    assert after.following(before, at + 0.6).unforeseen == ()
+
+
 def test_rounds_that_end_too_soon_are_said(vectors: None) -> None:
     _, fitted = fit(Linear(), run_of(measured(np.random.default_rng(0))), rounds=1)
     assert not fitted.converged
