@@ -30,7 +30,7 @@ def coverage(
     ] = 3,
     colour: Annotated[
         float,
-        number("--colour", "Correlation of the noise of forces from sample to sample, as filters make it.", 0.0, 0.99),
+        number("--colour", "Correlation of the noise of wrenches from sample to sample, as by a filter.", 0.0, 0.99),
     ] = 0.0,
     seed: SeedOption = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,

@@ -103,7 +103,7 @@ class Coverage:
         return "\n".join([*lines, *self._remarks(names)])
 
     def _remarks(self, names: Sequence[str]) -> list[str]:
-        """On cases that failed or did not converge, and errors that are not relative, in words."""
+        """On cases that failed or did not converge, errors that are not relative, and coloured noise, in words."""
         lines = []
         astray = sorted({o.case for o in self.outcomes if not o.converged})
         if astray:
@@ -122,6 +122,8 @@ class Coverage:
             lines.append(
                 f"0 in the rig: {', '.join(absolute)}, drawn within the plausible width about it; errors in its unit."
             )
+        if self.colour:
+            lines.append(f"Noise of wrenches is correlated by {self.colour:g} from sample to sample.")
         lines += [f"Case {case} failed: {why}" for case, why in self.failed.items()]
         if self.stopped:
             lines.append(f"Interrupted: cases {', '.join(map(str, self.stopped))} had not ended, and are in no row.")

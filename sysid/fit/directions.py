@@ -68,7 +68,8 @@ class Direction:
     ``shapes[run index][channel]``: ``(n, m)`` in measured units, as measured at the scaled parameters
     ``at`` ``(p,)``; ``slopes``: their derivatives by the parameters ``(n, m, p)``, where they are known, believed up to
     ``reach`` ``(p,)`` to either side, scaled; empty: however far. Size: normal with ``mean`` and ``sd``.
-    ``unforeseen``: largest changes ``(n, m)`` from one measurement to the next that slopes did not tell, where known.
+    ``sight``: which readings were in sight in all that was measured, bool ``(n, m)``; empty: all. ``unforeseen``:
+    largest changes ``(n, m)`` from one measurement to the next that slopes did not tell, where known.
     """
 
     label: str
@@ -78,6 +79,7 @@ class Direction:
     slopes: tuple[dict[str, np.ndarray], ...] = ()
     at: np.ndarray | None = None
     reach: np.ndarray | None = None
+    sight: tuple[dict[str, np.ndarray], ...] = ()
     unforeseen: tuple[dict[str, np.ndarray], ...] = ()
 
     def following(self, before: Direction, scaled: np.ndarray) -> Direction:
@@ -91,6 +93,10 @@ class Direction:
                     {c: np.abs(shape - then[c] - slopes[c] @ away) for c, shape in now.items()}
                     for now, then, slopes in zip(self.shapes, before.shapes, before.slopes, strict=True)
                 ]
+                for sight in (self.sight, before.sight):
+                    for run, there in zip(missed, sight, strict=False):
+                        for c, seen in there.items():
+                            run[c][~seen] = 0.0
                 old = known or [{c: 0.0 * m for c, m in run.items()} for run in missed]
                 both = zip(missed, old, strict=True)
                 known = tuple({c: np.maximum(m, there[c]) for c, m in run.items()} for run, there in both)
@@ -129,7 +135,7 @@ class Basis:
     ``(n, m, p)``: its derivatives by them (``p`` = 0: not known), up to ``reach`` ``(p,)`` to either side; ``common``
     and ``own``, at least one each: its changes for coefficients that all columns share, and for those that each has
     for itself; ``rough`` ``(n, m)``: standard deviation of what follows no shape; ``largest`` ``(n, m)``: the error
-    thereabouts, largest rms over the columns of a quantity.
+    thereabouts, largest rms over the columns of a quantity; ``unforeseen``: the same of what came unforeseen.
     """
 
     expected: np.ndarray
@@ -140,6 +146,12 @@ class Basis:
     own: tuple[Changes, ...]
     rough: np.ndarray
     largest: np.ndarray
+    unforeseen: np.ndarray
+
+    def doubtful(self, noise: ChannelNoise) -> np.ndarray:
+        """Samples ``(n, m)`` that count little, since what came unforeseen is above noise and the rest of the error:
+        they cannot tell either whether something is missing."""
+        return np.asarray(self.unforeseen > np.maximum(noise.sigma, ROUGH * self.largest))
 
     def weights(self, noise: ChannelNoise) -> np.ndarray:
         """Factors on whitened samples ``(n, m)`` that account for what follows no shape."""
@@ -222,7 +234,8 @@ def basis_of(
         own.append(Changes(bias * always, always, np.array([0.5 * run.end])))
     reach = np.full(len(at), np.inf) if reach is None else reach
     rough = np.sqrt(ROUGH**2 * largest + unforeseen)
-    return Basis(expected, slopes, at, reach, tuple(common), tuple(own), rough, np.sqrt(largest))
+    sizes = np.sqrt(largest), np.sqrt(unforeseen)
+    return Basis(expected, slopes, at, reach, tuple(common), tuple(own), rough, *sizes)
 
 
 def believed(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:

@@ -49,7 +49,7 @@ def left_over(problem: Problem, fitted: Fitted) -> list[LeftOver]:
     few: dict[tuple[str, str], list[np.ndarray]] = {}
     for i, run in enumerate(problem.runs):
         for m in run.measured:
-            white = problem.whiten(i, m, m.values - problem.explained(fitted, i, m))
+            white = problem.judged(i, m, m.values - problem.explained(fitted, i, m))
             for quantity, group in quantities(m):
                 seen = white[:, group][np.isfinite(white[:, group])]
                 if len(seen) >= FEWEST:

@@ -118,7 +118,8 @@ def _directions(
         pairs = list(zip(refined, base, strict=True))
         shapes = tuple(_difference(r.values, b.values, factor) for r, b in pairs)
         slopes = tuple(_difference(r.derivatives, b.derivatives, factor) for r, b in pairs if r.derivatives)
-        found.append(Direction(label, shapes, slopes=slopes))
+        sight = tuple({c: np.isfinite(v - b.values[c]) for c, v in r.values.items()} for r, b in pairs)
+        found.append(Direction(label, shapes, slopes=slopes, sight=sight))
     return found
 
 
@@ -226,6 +227,26 @@ def loud(problem: Problem) -> list[str]:
         for (channel, quantity), ratios in found.items()
         if max(ratios) > LOUD
     ]
+
+
+def doubtful(problem: Problem) -> list[str]:
+    """A sentence for each quantity of a run that counts little where its own error changes unforeseen."""
+    said = []
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            basis, sigma = problem.basis(i, m), problem.noise[m.channel].sigma
+            little = basis.doubtful(problem.noise[m.channel]) & np.isfinite(m.values)
+            for quantity, group in quantities(m):
+                when = m.t[little[:, group].any(axis=1)]
+                if len(when):
+                    apart = np.max((basis.unforeseen / sigma)[:, group][little[:, group]])
+                    said.append(
+                        f"The {quantity} of {m.channel} in {run.name} counts little between {when[0]:.2f} and "
+                        f"{when[-1]:.2f} s: with nearly the same parameters a finer mesh or a shorter step is there on "
+                        f"either of two sides, up to {apart:.0f} times the noise apart. A gentler motion or finer "
+                        "cells would tell."
+                    )
+    return said
 
 
 def _counted(fitted: Fitted, evaluations: int, seconds: float) -> Fitted:

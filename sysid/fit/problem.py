@@ -79,6 +79,7 @@ class Problem:
         self.prior = prior
         self.bias = bias
         self._weights: dict[tuple[int, str], np.ndarray] = {}
+        self._doubtful: dict[tuple[int, str], np.ndarray] = {}
         self._eliminations: dict[tuple[int, str], Elimination] = {}
         self._known: Fitted | None = None
         self._colourless = {
@@ -143,6 +144,17 @@ class Problem:
             return white
         weight = self._weights_of(index, measured)
         return np.asarray(white * weight.reshape(*weight.shape, *(1,) * (white.ndim - 2)))
+
+    def judged(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
+        """As :meth:`whiten`, of values ``(n, m)``; NaN where what is left cannot be judged, since the own error changes
+        unforeseen."""
+        white = self.whiten(index, measured, values)
+        if not self.directions:
+            return white
+        key = (index, measured.channel)
+        if key not in self._doubtful:
+            self._doubtful[key] = self.basis(index, measured).doubtful(self.noise[measured.channel])
+        return np.where(self._doubtful[key], np.nan, white)
 
     def corrected(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
         """Prediction of a channel with the most probable own error added, measured units ``(n, m)``."""

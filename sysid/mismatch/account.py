@@ -8,7 +8,7 @@ from sim_core.effects import EFFECTS
 from sim_core.rigs import Rig
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import FROM_DIFFERENCES
-from sysid.fit.own_error import loud
+from sysid.fit.own_error import doubtful, loud
 from sysid.fit.parameters import start_of
 from sysid.fit.problem import Problem
 from sysid.fit.uncertainty import uncertainty
@@ -58,7 +58,7 @@ def notes(base: Fitted, problem: Problem, before: Structure, verdict: Verdict) -
             "There is misfit beyond the noise, but no more than the error of mesh and time step could leave. "
             "Finer cells or a shorter solver.dt_s in the rig would tell."
         )
-    said += loud(problem)
+    said += loud(problem) + doubtful(problem)
     for name, noise in problem.noise.items():
         if noise.source == FROM_DIFFERENCES:
             said.append(

@@ -36,8 +36,9 @@ class Trial:
     structured misfit; ``left``: what it leaves of it; ``held_out``: share of the robust misfit on held-out
     data that it removes (negative: it predicts worse). ``significance``: see :func:`significance`, infinite
     before the trial is ``finished``, fitted to the end; ``failure``: why it is no answer
-    whatever its figures; ``predicted``: the finished trial on the held-out runs; ``plain``: misfits of the baseline on
-    the runs given and on those held out, beside the same own error of the simulator as the finished trial."""
+    whatever its figures; ``predicted``: the finished trial on the held-out runs; ``misfits``: those of the baseline and
+    of the finished trial on the runs given, and on what both see of those held out, beside the same own error of the
+    simulator."""
 
     effect: Effect
     fitted: Fitted
@@ -49,7 +50,7 @@ class Trial:
     finished: bool = False
     failure: str = ""
     predicted: Fitted | None = None
-    plain: tuple[float, float | None] | None = None
+    misfits: tuple[tuple[float, float | None], tuple[float, float | None]] | None = None
 
     @property
     def rejected(self) -> str:
@@ -89,17 +90,15 @@ def decide(trials: list[Trial], before: Structure, on_held_out: Structure | None
 def held_out_gain(plain: np.ndarray, amended: np.ndarray) -> float:
     """Share of the robust misfit that an amendment removes, from whitened residuals ``(n,)`` of both.
 
-    Loss: 2 w^2 (sqrt(1 + (r/w)^2) - 1) with w = :data:`ROBUST_WIDTH`, quadratic for noise, linear beyond. What is out
-    of sight of either, where residuals are 0, does not count: hiding a reading explains nothing.
+    Loss: 2 w^2 (sqrt(1 + (r/w)^2) - 1) with w = :data:`ROBUST_WIDTH`, quadratic for noise, linear beyond.
     """
 
     def loss(r: np.ndarray) -> float:
         w = ROBUST_WIDTH
         return float(np.sum(2.0 * w * w * (np.sqrt(1.0 + (r / w) ** 2) - 1.0)))
 
-    seen = (plain != 0.0) & (amended != 0.0)
-    before = loss(plain[seen])
-    return (before - loss(amended[seen])) / before if before else 0.0
+    before = loss(plain)
+    return (before - loss(amended)) / before
 
 
 def significance(effect: Effect, fitted: Fitted, gain: float) -> float:

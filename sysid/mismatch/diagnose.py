@@ -33,11 +33,11 @@ from sysid.mismatch.decide import (
     Verdict,
     candidate,
     decide,
-    held_out_gain,
     named_parameters,
     probabilities,
     significance,
 )
+from sysid.mismatch.heldout import gain_on, of_readings, seen_by_both
 from sysid.mismatch.locate import Structure, locate, structure
 from sysid.mismatch.result import Diagnosis, Misfit
 from sysid.provenance import provenance
@@ -169,7 +169,7 @@ def _refits(
     for start, fitted, there in best.values():
         left = structure(problem, fitted)
         gain = log_evidence(fitted, temper) - reference
-        trials.append(Trial(start.effect, fitted, gain, _explained(before, left), left, _gain(plain, there)))
+        trials.append(Trial(start.effect, fitted, gain, _explained(before, left), left, gain_on(check, plain, there)))
     return sorted(trials, key=lambda t: -t.gain)
 
 
@@ -207,13 +207,6 @@ def _held_out(check: Problem, fitted: Fitted) -> Fitted | None:
     return check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
 
 
-def _gain(plain: Fitted | None, amended: Fitted | None) -> float | None:
-    """Share of the robust misfit on held-out data that an amendment removes; None where nothing is to be seen."""
-    if plain is None or amended is None or not plain.seen:
-        return None
-    return held_out_gain(plain.residual, amended.residual)
-
-
 def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitted, trial: Trial) -> Trial:
     """Fit an answer to the end, with the simulator's own error measured where it now stands.
 
@@ -245,15 +238,18 @@ def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitt
         unamended = there.evaluate(base.rig, [], np.zeros(0))
     except ThinshellError as error:
         return replace(trial, finished=True, failure=f"it could not be simulated where it fits best: {error}")
-    left = structure(there, fitted)
+    left, both = structure(there, fitted), seen_by_both(check, plain, predicted)
     return replace(
         trial,
         fitted=fitted,
         predicted=predicted,
-        plain=(unamended.misfit, None if plain is None else plain.misfit),
+        misfits=(
+            (of_readings(unamended), None if both is None else both[0].misfit),
+            (of_readings(fitted), None if both is None else both[1].misfit),
+        ),
         explained=_explained(structure(there, unamended), left),
         left=left,
-        held_out=_gain(plain, predicted),
+        held_out=gain_on(check, plain, predicted),
         significance=significance(trial.effect, fitted, trial.gain),
         finished=True,
         failure=OUT_OF_SIGHT if _hides(base, fitted) or _hides(plain, predicted) else "",
@@ -274,7 +270,7 @@ def _misfit(
     errors = rms_errors(problem, base, fitted, held_out=False)
     if plain is not None and predicted is not None:
         errors += rms_errors(check, plain, predicted, held_out=True)
-    training, there = misfits or (fitted.misfit, None if predicted is None else predicted.misfit)
+    training, there = misfits or (of_readings(fitted), None if predicted is None else predicted.misfit)
     return Misfit(training, there, tuple(errors))
 
 
@@ -296,6 +292,7 @@ def _collect(
     names = {t.effect.name for t in verdict.named} if verdict.kind in ("named", "one_of") else set()
     became = fates(trials, failed, names, rig)
     shown, predicted = (answer.fitted, answer.predicted) if answer else (base, plain)
+    misfits = answer.misfits if answer and answer.misfits else (None, None)
     series = plot_series(problem, base, shown, held_out=False)
     if plain is not None and predicted is not None:
         series += plot_series(check, plain, predicted, held_out=True)
@@ -306,8 +303,8 @@ def _collect(
         effects=tuple(c for c in reported if c.name in names),
         alternatives=tuple(c for c in reported if c.name not in names),
         located=located,
-        baseline=_misfit(problem, check, base, plain, base, plain, answer.plain if answer else None),
-        amended=_misfit(problem, check, base, plain, shown, predicted) if answer else None,
+        baseline=_misfit(problem, check, base, plain, base, plain, misfits[0]),
+        amended=_misfit(problem, check, base, plain, shown, predicted, misfits[1]) if answer else None,
         noise_floor={c: float(np.median(n.sigma)) for c, n in problem.noise.items()},
         discretisation={
             "structured_energy": before.whole.own,

@@ -98,9 +98,10 @@ def block_scores(run: Run, measured: Measured, white: np.ndarray) -> tuple[np.nd
 
 
 def whitened(problem: Problem, fitted: Fitted, run: int, measured: Measured) -> np.ndarray:
-    """Whitened residual of one channel, as much of the simulator's own error as is believed taken out, ``(n, m)``."""
+    """Whitened residual of one channel ``(n, m)``, as much of the simulator's own error as is believed taken out; NaN
+    where that changes unforeseen."""
     miss = measured.values - problem.explained(fitted, run, measured)
-    return problem.whiten(run, measured, miss)
+    return problem.judged(run, measured, miss)
 
 
 def structure(problem: Problem, fitted: Fitted) -> Structure:
@@ -115,7 +116,7 @@ def structure(problem: Problem, fitted: Fitted) -> Structure:
             scores, _ = block_scores(run, m, whitened(problem, fitted, i, m))
             # What is not measured has no noise to compare with.
             shift = np.where(np.isfinite(m.values), problem.basis(i, m).expected, np.nan)
-            own, _ = block_scores(run, m, problem.whiten(i, m, shift))
+            own, _ = block_scores(run, m, problem.judged(i, m, shift))
             for group in column_groups(m):
                 good = np.isfinite(scores[:, group])
                 excess = float(np.sum(scores[:, group][good] ** 2 - 1.0))

@@ -26,7 +26,7 @@ def basis(rng: np.random.Generator, bias: float, common: int = COMMON) -> Basis:
     rough = rng.uniform(size=(N, M))
     return Basis(
         nothing, np.zeros((N, M, 0)), np.zeros(0), np.zeros(0), (part(common - common // 2), part(common // 2)),
-        (part(OWN - 1), always), rough, rough,
+        (part(OWN - 1), always), rough, rough, nothing,
     )  # fmt: skip
 
 
@@ -79,7 +79,7 @@ def test_memory_does_not_grow_with_samples_times_coefficients() -> None:
     part = Changes(rng.standard_normal((n, m)), rng.standard_normal((n, count)), np.zeros(count))
     few = Changes(part.shape, part.functions[:, :10], np.zeros(10))
     zero = np.zeros((n, m))
-    here = Basis(zero, np.zeros((n, m, 0)), np.zeros(0), np.zeros(0), (part,), (few,), zero, zero)
+    here = Basis(zero, np.zeros((n, m, 0)), np.zeros(0), np.zeros(0), (part,), (few,), zero, zero, zero)
     vectors = rng.standard_normal((n, m, 3))
     tracemalloc.start()
     Elimination(here, ChannelNoise(np.ones(m), np.full(m, 0.5), "test"), zero == 0.0)(vectors)

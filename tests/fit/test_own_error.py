@@ -189,6 +189,27 @@ def test_what_slopes_foresee_is_not_unforeseen() -> None:
     calm = replace(after, shapes=({"gauge": after.shapes[0]["gauge"] + 3.0 * 0.1},))
     np.testing.assert_allclose(calm.following(near, at + 0.2).unforeseen[0]["gauge"], np.abs(jump), atol=1e-12)
     assert after.following(before, at + 0.6).unforeseen == ()
+    hidden = np.ones((4, 2), dtype=bool)
+    hidden[2, 0] = False
+    there = replace(before, sight=({"gauge": hidden},))
+    assert after.following(there, at + 0.1).unforeseen[0]["gauge"].max() == pytest.approx(0.2)
+
+
+def test_where_the_error_changes_unforeseen_nothing_is_judged_and_that_is_said() -> None:
+    """A miss of forty times the noise in a sixth of the run."""
+    values = np.where(WINDOW != 0.0, 40.0 * SIGMA, 0.0) + SIGMA * np.random.default_rng(0).standard_normal((len(T), 2))
+    run = run_of(coarse(TRUTH) + values)
+    shape = 0.1 * np.column_stack([np.sin(9 * T), np.cos(7 * T)])
+    found = {}
+    for name, unforeseen in (("calm", ()), ("snapping", ({"gauge": 80.0 * SIGMA * np.abs(WINDOW)},))):
+        direction = Direction("mesh", ({"gauge": shape},), unforeseen=unforeseen)
+        problem = Problem([run], NOISE, cast(PooledEngine, None), [direction])
+        judged = problem.judged(0, run.measured[0], run.measured[0].values - coarse(TRUTH))
+        found[name] = np.isfinite(judged), own_error.doubtful(problem)
+    assert found["calm"][0].all() and not found["calm"][1]
+    there, said = found["snapping"]
+    assert not there[(T > 0.4) & (T < 0.57)].any() and there[(T < 0.3) | (T > 0.67)].all()
+    assert len(said) == 1 and "position of gauge in run counts little between 0.3" in said[0]
 
 
 def test_rounds_that_end_too_soon_are_said(vectors: None) -> None:

@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 
 import pytest
-from ros_live import WAIT_S, NodeProcess
+from ros_live import START_S, NodeProcess
 
 pytestmark = pytest.mark.ros
 
@@ -22,9 +22,11 @@ WIDE = "qos_overrides./pull/target_pose.subscription.depth"
 )
 def test_a_misspelt_parameter_is_said(ros: None, tmp_path: Path, module: str, misspelt: str, meant: str) -> None:
     given = {"rig": RIG, misspelt: "[a]", WIDE: 2}
+    if module == "record_node":
+        given["uri"] = tmp_path / "bag"
     node = NodeProcess(module, tmp_path / "output", **given)
     try:
-        end = time.monotonic() + WAIT_S
+        end = time.monotonic() + START_S
         while "it is ignored" not in node.output and node.process.poll() is None and time.monotonic() < end:
             time.sleep(0.1)
         assert f"The parameter {misspelt} was given" in node.output

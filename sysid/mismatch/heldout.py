@@ -1,0 +1,47 @@
+"""How two models compare on recordings that neither was fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sysid.fit.fitted import Fitted
+from sysid.fit.problem import Problem
+from sysid.mismatch.decide import held_out_gain
+
+
+def seen_by_both(check: Problem, plain: Fitted | None, amended: Fitted | None) -> tuple[Fitted, Fitted] | None:
+    """Two models on what both see of the held-out runs ``check``; None where that is nothing.
+
+    A reading that one of them hides tells neither for it nor against it, also not through the own error of the
+    simulator that is fitted to it.
+    """
+    if plain is None or amended is None:
+        return None
+    pair = (plain.predictions, amended.predictions)
+    sight = [
+        {c: np.isfinite(v) & np.isfinite(there.values[c]) for c, v in here.values.items()}
+        for here, there in zip(*pair, strict=True)
+    ]
+    found = []
+    for model, predictions in zip((plain, amended), pair, strict=True):
+        both = list(zip(predictions, sight, strict=True))
+        if all(np.array_equal(s[c], np.isfinite(v)) for p, s in both for c, v in p.values.items()):
+            found.append(model)
+        else:
+            common = [replace(p, values={c: np.where(s[c], v, np.nan) for c, v in p.values.items()}) for p, s in both]
+            found.append(check.compare(common, model.rig, [], np.zeros(0)))
+    return (found[0], found[1]) if found[0].seen else None
+
+
+def gain_on(check: Problem, plain: Fitted | None, amended: Fitted | None) -> float | None:
+    """Share of the robust misfit on held-out runs that an amendment removes; None where nothing is to be seen."""
+    both = seen_by_both(check, plain, amended)
+    return None if both is None else held_out_gain(both[0].residual, both[1].residual)
+
+
+def of_readings(fitted: Fitted) -> float:
+    """Misfit without what priors add."""
+    readings = fitted.residual[: len(fitted.residual) - fitted.pulls]
+    return float(readings @ readings) / max(fitted.samples, 1)
