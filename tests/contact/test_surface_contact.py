@@ -86,6 +86,38 @@ def test_turning_the_whole_scene_turns_the_forces():
 THIN = {**LAW, "range_m": 4e-5}
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("beside", [0.0, 1e-7, -1e-7])
+def test_right_above_an_edge_derivatives_are_those_of_one_side(beside, friction):
+    """Two triangles of a plane; the sample is as near to both."""
+    corners = 0.01 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.5, -1.0, 0.0]])
+    nodes = np.vstack([corners, [0.004, beside, 2.2e-4]])
+    samples = Samples(np.array([[4]], dtype=np.int32), np.ones((1, 1)), np.array([1e-6]), 0.0)
+    term = SurfaceContact("c", samples, np.array([[0, 1, 2], [1, 0, 3]]), 2e-4, 1e-3)
+    term.configure({**THIN, "friction": friction})
+    system = System(nodes, sp.csr_matrix((5, 5)), np.zeros((5, 3), dtype=bool), [term], np.zeros(3), inertia=False)
+    system.set_targets(nodes)
+    step = step_context(nodes, np.zeros_like(nodes), 0.01)
+    system.begin_step(step, system.initial_internals())
+    system.x[:] = nodes
+    system.residual()
+    internals = system.end_step(step, system.initial_internals())
+    system.begin_step(step, internals)
+    system.x[:] = nodes
+    upper = system.hessian(exact=True).toarray()
+    hessian = upper + np.triu(upper, 1).T
+    across, gradients = np.zeros_like(nodes), []
+    across[4, 1] = h = 1e-10
+    for shift in (-across, 0.0, across):
+        system.x[:] = nodes + shift
+        gradients.append(system.gradient().ravel().copy())
+    found, sides = hessian @ across.ravel() / h, np.diff(gradients, axis=0) / h
+    # What a corner bears begins on one side of the edge; the sample itself has the same derivative on both.
+    misses = [np.abs(found - slope).max() for slope in sides]
+    assert min(misses) < 1e-4 * np.abs(sides).max()
+    assert sides[0][12:] == pytest.approx(sides[1][12:], rel=1e-4, abs=1e-4 * np.abs(sides).max())
+
+
 def one_triangle(point, size, law=THIN):
     """One sample at ``point`` against one triangle in the plane z = 0; returns force on it and gap."""
     corners = size * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

@@ -18,7 +18,7 @@ PULL = {"type": "slide", "by_m": [0.002, 0.0, 0.0], "speed_m_s": 0.0005}
 PRESS = {"type": "slide", "by_m": [0.001, 0.0, -0.002], "speed_m_s": 0.0005}
 RUB = {
     "type": "waypoints", "speed_m_s": 0.01,
-    "poses": [{"position_m": [-0.26, 0.0, -0.0024]}, {"position_m": [-0.258, 0.0, -0.0024]}],
+    "poses": [{"position_m": [-0.26, 0.0, -0.0021]}, {"position_m": [-0.258, 0.0, -0.0021]}],
 }  # fmt: skip
 ON_THE_STRIP = {
     "begin": {"gripper": {"position_m": [0.0015, 0.0, 0.0]}, "finger": {"position_m": [-0.26, 0.0, -0.0016]}},
@@ -34,7 +34,7 @@ RUNS: dict[str, tuple[str | dict[str, object], float]] = {
     "forming": ("form", 0.3),
     "gel_sensor": ("press_twist", 1.6),
     "lifting": ("lift", 0.03),
-    "material_bench": (ON_THE_STRIP, 0.5),
+    "material_bench": (ON_THE_STRIP, 0.45),
     "pick_folding": ("pick_fold", 0.15),
     "proof_bench": ("press_post", 0.5),
     "push_block": ("push", 0.3),
