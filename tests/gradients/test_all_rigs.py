@@ -18,10 +18,11 @@ PULL = {"type": "slide", "by_m": [0.002, 0.0, 0.0], "speed_m_s": 0.0005}
 PRESS = {"type": "slide", "by_m": [0.001, 0.0, -0.002], "speed_m_s": 0.0005}
 RUB = {
     "type": "waypoints", "speed_m_s": 0.01,
-    "poses": [{"position_m": [-0.26, 0.0, -0.0021]}, {"position_m": [-0.258, 0.0, -0.0021]}],
+    "poses": [{"position_m": [-0.26, 7e-4, -0.0021]}, {"position_m": [-0.258, 7e-4, -0.0021]}],
 }  # fmt: skip
+# Beside the middle of the strip: what its corners bear there has two sides.
 ON_THE_STRIP = {
-    "begin": {"gripper": {"position_m": [0.0015, 0.0, 0.0]}, "finger": {"position_m": [-0.26, 0.0, -0.0016]}},
+    "begin": {"gripper": {"position_m": [0.0015, 0.0, 0.0]}, "finger": {"position_m": [-0.26, 7e-4, -0.0016]}},
     "motions": {"finger": [RUB]},
 }
 
