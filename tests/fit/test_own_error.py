@@ -14,6 +14,7 @@ from sysid.fit import own_error
 from sysid.fit.directions import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, Direction, basis_of
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
+from sysid.fit.leftover import left_over
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.own_error import fit_beside_own_error, loud
 from sysid.fit.parameters import FitParameter
@@ -21,6 +22,7 @@ from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
 from sysid.fit.uncertainty import uncertainty
+from sysid.mismatch.locate import block_scores, structure
 
 T = np.linspace(0.0, 1.0, 120)
 SIGMA = 0.01
@@ -195,7 +197,7 @@ def test_what_slopes_foresee_is_not_unforeseen() -> None:
     assert after.following(there, at + 0.1).unforeseen[0]["gauge"].max() == pytest.approx(0.2)
 
 
-def test_where_the_error_changes_unforeseen_nothing_is_judged_and_that_is_said() -> None:
+def test_where_the_error_changes_unforeseen_nothing_is_judged_and_that_is_said(vectors: None) -> None:
     """A miss of forty times the noise in a sixth of the run."""
     values = np.where(WINDOW != 0.0, 40.0 * SIGMA, 0.0) + SIGMA * np.random.default_rng(0).standard_normal((len(T), 2))
     run = run_of(coarse(TRUTH) + values)
@@ -206,8 +208,15 @@ def test_where_the_error_changes_unforeseen_nothing_is_judged_and_that_is_said()
         problem = Problem([run], NOISE, cast(PooledEngine, None), [direction])
         judged = problem.judged(0, run.measured[0], run.measured[0].values - coarse(TRUTH))
         found[name] = np.isfinite(judged), own_error.doubtful(problem)
+        prediction = Prediction({"gauge": coarse(TRUTH)}, {}, cast(Trace, None))
+        fitted = problem.compare([prediction], cast(Any, Vector(TRUTH)), [], np.zeros(0))
+        (left,) = left_over(problem, fitted)
+        assert left.samples == np.isfinite(judged).sum()
+        blocks = block_scores(run, run.measured[0], judged)[0]
+        assert structure(problem, fitted).whole.count == np.isfinite(blocks).sum()
     assert found["calm"][0].all() and not found["calm"][1]
     there, said = found["snapping"]
+    assert np.isfinite(blocks).sum() < blocks.size
     assert not there[(T > 0.4) & (T < 0.57)].any() and there[(T < 0.3) | (T > 0.67)].all()
     assert len(said) == 1 and "position of gauge in run counts little between 0.3" in said[0]
 
