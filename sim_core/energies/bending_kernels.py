@@ -1,6 +1,7 @@
 """Kernels of :mod:`sim_core.energies.bending`: angles, response of the triangles, forces, Hessian.
 
-``harder``: hardening ratio of each triangle; ``rate``: of one entry, damping over the time of a rate."""
+``harder``: hardening ratio of each triangle; ``rate``: of one entry, damping over the time of a rate.
+"""
 
 import taichi as ti
 
@@ -46,19 +47,9 @@ def _excess(c: ti.template(), t: ti.i32, kappa, moment, onset):
 
 @ti.kernel
 def energy(
-    d: F1,
-    first: I1,
-    around: I1,
-    b: F2,
-    plastic: F2,
-    base: F2,
-    onset: F1,
-    area: F1,
-    c: F3,
-    harder: F1,
-    rate: F1,
+    d: F1, first: I1, around: I1, b: F2, plastic: F2, base: F2, onset: F1, area: F1, c: F3, harder: F1, rate: F1,
     out: F1,
-):
+):  # fmt: skip
     ti.loop_config(serialize=True)
     for t in range(area.shape[0]):
         kappa = _curvature(t, d, first, around, b, row(plastic, t))
@@ -74,19 +65,9 @@ def energy(
 
 @ti.kernel
 def moments(
-    d: F1,
-    first: I1,
-    around: I1,
-    b: F2,
-    plastic: F2,
-    base: F2,
-    onset: F1,
-    area: F1,
-    c: F3,
-    harder: F1,
-    rate: F1,
+    d: F1, first: I1, around: I1, b: F2, plastic: F2, base: F2, onset: F1, area: F1, c: F3, harder: F1, rate: F1,
     out: F1,
-):
+):  # fmt: skip
     """Hinge moments [N m]."""
     ti.loop_config(serialize=True)
     for h in range(d.shape[0]):

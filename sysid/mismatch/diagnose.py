@@ -37,7 +37,7 @@ from sysid.mismatch.decide import (
     probabilities,
     significance,
 )
-from sysid.mismatch.heldout import gain_on, of_readings, seen_by_both
+from sysid.mismatch.heldout import gain_of, of_readings, seen_by_both
 from sysid.mismatch.locate import Structure, locate, structure
 from sysid.mismatch.result import Diagnosis, Misfit
 from sysid.provenance import provenance
@@ -169,7 +169,11 @@ def _refits(
     for start, fitted, there in best.values():
         left = structure(problem, fitted)
         gain = log_evidence(fitted, temper) - reference
-        trials.append(Trial(start.effect, fitted, gain, _explained(before, left), left, gain_on(check, plain, there)))
+        trials.append(
+            Trial(
+                start.effect, fitted, gain, _explained(before, left), left, gain_of(seen_by_both(check, plain, there))
+            )
+        )
     return sorted(trials, key=lambda t: -t.gain)
 
 
@@ -249,7 +253,7 @@ def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitt
         ),
         explained=_explained(structure(there, unamended), left),
         left=left,
-        held_out=gain_on(check, plain, predicted),
+        held_out=gain_of(both),
         significance=significance(trial.effect, fitted, trial.gain),
         finished=True,
         failure=OUT_OF_SIGHT if _hides(base, fitted) or _hides(plain, predicted) else "",

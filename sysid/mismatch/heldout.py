@@ -35,9 +35,9 @@ def seen_by_both(check: Problem, plain: Fitted | None, amended: Fitted | None) -
     return (found[0], found[1]) if found[0].seen else None
 
 
-def gain_on(check: Problem, plain: Fitted | None, amended: Fitted | None) -> float | None:
-    """Share of the robust misfit on held-out runs that an amendment removes; None where nothing is to be seen."""
-    both = seen_by_both(check, plain, amended)
+def gain_of(both: tuple[Fitted, Fitted] | None) -> float | None:
+    """Share of the robust misfit on held-out runs that an amendment removes (:func:`seen_by_both`); None where nothing
+    is to be seen."""
     return None if both is None else held_out_gain(both[0].residual, both[1].residual)
 
 

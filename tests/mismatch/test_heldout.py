@@ -46,8 +46,8 @@ def test_hiding_readings_is_no_gain_and_seeing_them_no_loss(check: Problem) -> N
     hidden[BAD] = np.nan
     plain, hiding = model(check, CLEAN), model(check, hidden)
     assert hiding.misfit < 0.7 * plain.misfit
-    assert heldout.gain_on(check, plain, hiding) == pytest.approx(0.0, abs=1e-9)
-    assert heldout.gain_on(check, hiding, plain) == pytest.approx(0.0, abs=1e-9)
+    assert heldout.gain_of(heldout.seen_by_both(check, plain, hiding)) == pytest.approx(0.0, abs=1e-9)
+    assert heldout.gain_of(heldout.seen_by_both(check, hiding, plain)) == pytest.approx(0.0, abs=1e-9)
     both = heldout.seen_by_both(check, plain, hiding)
     assert both is not None and both[0].misfit == pytest.approx(hiding.misfit)
 
@@ -55,6 +55,7 @@ def test_hiding_readings_is_no_gain_and_seeing_them_no_loss(check: Problem) -> N
 def test_a_model_that_is_better_where_both_see_gains(check: Problem) -> None:
     right, wrong = CLEAN.copy(), CLEAN + 5.0 * SIGMA * T[:, None] ** 3
     right[BAD] += 15.0 * SIGMA
-    found = heldout.gain_on(check, model(check, wrong), model(check, right))
+    found = heldout.gain_of(heldout.seen_by_both(check, model(check, wrong), model(check, right)))
     assert found is not None and found > 0.3
-    assert heldout.gain_on(check, model(check, CLEAN * np.nan), model(check, right)) is None
+    assert heldout.seen_by_both(check, model(check, CLEAN * np.nan), model(check, right)) is None
+    assert heldout.gain_of(None) is None
