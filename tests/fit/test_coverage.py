@@ -92,6 +92,20 @@ def test_the_error_of_what_is_zero_is_not_over_it(small_rig, monkeypatch):
         assert told.error == pytest.approx(0.14 - truth) and told.score == pytest.approx((0.14 - truth) / 0.02)
 
 
+def test_a_case_is_recorded_with_coloured_noise_and_the_table_says_so(small_rig, monkeypatch):
+    rig, noises = small_rig(), []
+    parameters = fit_parameters(rig, ["gravity.x"])
+    monkeypatch.setattr(coverage, "simulate_to_bag", lambda *_, noise, **__: noises.append(noise))
+    monkeypatch.setattr(coverage, "load_runs", lambda *_: ([], []))
+    monkeypatch.setattr(coverage, "fit_runs", lambda *_, **__: (SimpleNamespace(estimates=[], converged=True), rig))
+    with pytest.raises(ValueError, match="shorter"):  # nothing was estimated
+        coverage._case(rig, [None], parameters, 3, np.zeros(1), np.zeros(1), 3, 1, 0.7)
+    assert [noise.colour for noise in noises] == [0.7]
+    said = "correlated by 0.7 from sample to sample"
+    tables = [Coverage("rig", 1, 3, 0, (outcome(0, 1.0),), {}, colour=c).table() for c in (0.7, 0.0)]
+    assert [said in text for text in tables] == [True, False]
+
+
 def row(table: str, name: str) -> str:
     return next(line for line in table.splitlines() if line.startswith(name))
 
