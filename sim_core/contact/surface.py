@@ -81,7 +81,7 @@ class SurfaceContact:
         bearing: float = 1.0,
     ) -> None:
         self.name = name
-        self._bearing = bearing
+        self.bearing = bearing
         self._samples = samples
         self._triangles = np.ascontiguousarray(triangles, dtype=np.int32)
         self._margin = margin_m
@@ -178,7 +178,7 @@ class SurfaceContact:
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         set_law(self._c, parameters)
-        self._c[RANGE] *= self._bearing
+        self._c[RANGE] *= self.bearing
         self._c[BLEND] = CREASE_ROUNDING * self._c[RANGE]
         self._seen_nothing()
 

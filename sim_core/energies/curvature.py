@@ -112,7 +112,8 @@ class Stencils:
         self.first = pattern.indptr.astype(np.int32)
         self.around = pattern.indices.astype(np.int32)
         triangle = np.repeat(np.arange(count), np.diff(pattern.indptr))
-        self.b = np.column_stack([np.asarray(r[triangle, pattern.indices]).ravel() for r in rows])
+        held = not len(triangle)
+        self.b = np.column_stack([[] if held else np.asarray(r[triangle, pattern.indices]).ravel() for r in rows])
         key = triangle[:, None].astype(np.int64) * most + hinge[self.around]
         members, place = np.unique(key, return_inverse=True)
         self.nodes = np.bincount(members // most, minlength=count).astype(np.int32)

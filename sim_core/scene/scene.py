@@ -24,7 +24,13 @@ from sim_core.scene.assembly import (
 )
 from sim_core.scene.fields import Fields
 from sim_core.scene.joints import Link, embedding, guides, joint_label, make_link
-from sim_core.scene.touching import ContactTerm, contact_of_surfaces, contact_with_rigid, half_thicknesses
+from sim_core.scene.touching import (
+    ContactTerm,
+    bearing_surfaces,
+    contact_of_surfaces,
+    contact_with_rigid,
+    half_thicknesses,
+)
 from sim_core.solve.system import System
 from sim_core.solve.unknowns import Compliant
 
@@ -267,12 +273,12 @@ class Scene:
                 damping = {"mass_damping_per_s": spec.material.mass_damping_per_s, "density": values.density[name]}
                 values.terms[f"{name}.mass_damping"] = damping
         for contact in rig.contacts:
-            rigid = any(isinstance(rig.bodies[b], Rigid) for b in contact.between)
-            sides = 1 if rigid else 2  # both surfaces bring points
-            for term in self.contacts[contact.name]:
+            terms = self.contacts[contact.name]
+            stiffness = contact.stiffness_pa_per_m or CONTACT_STIFFNESS_PA_PER_M
+            for term in terms:
                 values.terms[term.name] = {
                     "friction": contact.friction,
-                    "stiffness_pa_per_m": (contact.stiffness_pa_per_m or CONTACT_STIFFNESS_PA_PER_M) / sides,
+                    "stiffness_pa_per_m": stiffness / bearing_surfaces(contact, terms),
                     "range_m": CONTACT_RANGE_M,
                     "offset_m": self._beyond[term.name] + half_thicknesses(rig, contact),
                 }

@@ -26,7 +26,8 @@ PRESS: list[dict[str, Any]] = [
     }
 ]
 NAMES = ["card.E_pa", "gel.E_pa", "finger.offset_z_m"]
-STEP = 1e-3
+STEPS = 3e-3, 1e-3
+"""Contacts are made within the longer one, rounding shows in the shorter one."""
 
 
 @pytest.fixture(scope="module")
@@ -50,20 +51,19 @@ def test_slopes_of_the_own_error_are_its_differences(pressed: tuple[Rig, Run]) -
     plain = engine.predict_all(rig, [run], parameters, at)
     found = discretisation_with_slopes(engine, rig, [run], plain, parameters, at)
     values = measured(at)
+    for direction, value in zip(found, values, strict=True):
+        assert direction.label == value.label and np.array_equal(direction.at, at)
+        for channel, shape in direction.shapes[0].items():
+            np.testing.assert_allclose(shape, value.shapes[0][channel], rtol=1e-9, atol=1e-12)
     for k in range(len(parameters)):
-        step = STEP * width * np.eye(len(parameters))[k]
-        ahead, behind = measured(at + step), measured(at - step)
-        for direction, value, high, low in zip(found, values, ahead, behind, strict=True):
-            assert direction.label == value.label and np.array_equal(direction.at, at)
-            for channel, slopes in direction.slopes[0].items():
-                np.testing.assert_allclose(
-                    direction.shapes[0][channel], value.shapes[0][channel], rtol=1e-9, atol=1e-12
-                )
-                difference = (high.shapes[0][channel] - low.shapes[0][channel]) / (2.0 * STEP * width[k])
-                largest = np.nanmax(np.abs(difference))
-                assert largest > 0.0
-                assert np.max(np.abs(slopes[:, :, k] - difference)) < 1e-2 * largest, (
-                    NAMES[k],
-                    channel,
-                    direction.label,
-                )
+        errors: dict[tuple[str, str], list[float]] = {}
+        for step in (share * width[k] for share in STEPS):
+            ahead, behind = (measured(at + side * step * np.eye(len(parameters))[k]) for side in (1.0, -1.0))
+            for direction, high, low in zip(found, ahead, behind, strict=True):
+                for channel, slopes in direction.slopes[0].items():
+                    difference = (high.shapes[0][channel] - low.shapes[0][channel]) / (2.0 * step)
+                    largest = np.nanmax(np.abs(difference))
+                    assert largest > 0.0
+                    error = np.max(np.abs(slopes[:, :, k] - difference)) / largest
+                    errors.setdefault((direction.label, channel), []).append(error)
+        assert max(min(e) for e in errors.values()) < 1e-2, (NAMES[k], errors)

@@ -86,7 +86,7 @@ EXPECTED = {
     "press": {"card.bending", "gel.elastic", "contact.gel-card.0", "card.drag"},
     "drag": {"contact.gel-card.0"},
     "rub": {"gel.elastic", "contact.gel-post"},
-    "forming": {"contact.gel-card.0", "contact.gel-card.1", "contact.gel-card.edges", "contact.card-table"},
+    "forming": {"contact.gel-card.0", "contact.gel-card.edges", "contact.card-table"},
     "ball": {"contact.card-ball"},
     "damped": DAMPED,
     "damped, looking back": DAMPED,
@@ -146,9 +146,16 @@ def test_distance_without_gap_and_stiffness_of_every_contact():
         own = term.linearise(step, before.internals[term.name], after[term.name]).numbers
         for number in ("offset_m", "stiffness_pa_per_m"):
             column = columns._of_term(term, number, step, before.internals[term.name], after[term.name])
-            found, moment = own[number], column.moment.get(term.name, np.zeros(3))
-            pairs = ((column.force.ravel(), found.force), (column.memory[term.name], found.memory))
-            for reference, ours in (*pairs, (moment, found.moment)):
+            force, memory, moment = (
+                column.force.ravel(),
+                column.memory[term.name],
+                column.moment.get(term.name, np.zeros(3)),
+            )
+            if not own:  # the points of the coarser surface do not bear
+                assert not force.any() and not memory.any() and not moment.any()
+                continue
+            found = own[number]
+            for reference, ours in ((force, found.force), (memory, found.memory), (moment, found.moment)):
                 scale = np.abs(reference).max()
                 assert np.abs(ours - reference).max() <= 1e-8 * scale
                 compared |= {term.name} if scale > 0.0 else set()
