@@ -209,3 +209,11 @@ def test_only_what_the_rig_may_lack_is_counted(diagnose: Callable[..., Diagnosis
     found = diagnose(lambda rig, run, fine: read(rig), concealed=0.1, held=0.1, rig=rig)
     assert "gel_relaxation" not in found.tried and "bending_plasticity" not in found.tried
     assert f"{len(found.tried)} effects were looked for" in found.sentence
+
+
+def test_readings_on_which_the_own_error_is_not_known_are_said(
+    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is said of them is what a fit says (tests/fit/test_own_error.py)."""
+    monkeypatch.setattr("sysid.mismatch.account.doubtful", lambda problem: ["It counts little for a while."])
+    assert "It counts little for a while." in diagnose(lambda rig, run, fine: read(rig)).notes
