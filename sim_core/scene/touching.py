@@ -15,7 +15,7 @@ from sim_core.contact.samples import Samples, edge_shares, triangle_edges
 from sim_core.contact.surface import SurfaceContact
 from sim_core.errors import ConfigError
 from sim_core.geometry import sheets
-from sim_core.rigs import Rig, Rigid, Sheet
+from sim_core.rigs import Gel, Rig, Rigid, Sheet
 from sim_core.rigs.schema import Contact
 from sim_core.scene.assembly import BuiltBody, contact_samples, contact_triangles, rigid_shape
 
@@ -24,18 +24,14 @@ ContactTerm = RigidContact | SurfaceContact | EdgeContact
 MARGIN = 0.5
 """How much wider than a step needs partners are looked for, in mesh sizes: a few steps of motion."""
 
-ALIKE = 1.2
-"""Ratio of the distances of two surfaces' points up to which both bear."""
-
 
 def contact_of_surfaces(
     name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, drawn: np.ndarray
 ) -> list[ContactTerm]:
     """Contact of two bodies that are simulated, or of one with itself: points and faces both ways, edges and edges.
 
-    The points of the finer surface bear, those of the other one only where they fail: between few points a soft
-    surface would sag, and its load would go up and down as it slides over them (the finer side is the "slave" of
-    Wriggers, Computational Contact Mechanics, 2nd ed.).
+    Against a sheet the points of a gel bear as they do against what is rigid, and those of the sheet only where they
+    fail: few and large points of a sheet would dent the gel, and a fine sheet's would let the gel's border tuck under.
 
     ``rest``: all nodes at rest [m] ``(n, 3)``; ``drawn``: as the rig has them, of which typical sizes are taken.
     """
@@ -56,8 +52,8 @@ def contact_of_surfaces(
             "Move one of them until they are apart.",
         )
     shares = [edge_shares(triangles), edge_shares(their_triangles)]
-    spacings = [_spacing(a, drawn), _spacing(b, drawn)]
-    bearing = [EDGE_RANGE if s > ALIKE * min(spacings) else 1.0 for s in spacings]
+    on_gel = any(isinstance(body.spec, Gel) for body in (a, b))
+    bearing = [EDGE_RANGE if on_gel and isinstance(body.spec, Sheet) else 1.0 for body in (a, b)]
     return [
         SurfaceContact(f"{name}.0", ours, their_triangles, offset, margin, bearing[0]),
         SurfaceContact(f"{name}.1", theirs, triangles, offset, margin, bearing[1]),
@@ -71,7 +67,7 @@ def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, 
     assert isinstance(b.spec, Rigid)
     samples, triangles, shape = contact_samples(a, rest), contact_triangles(a), rigid_shape(b.spec)
     edges, areas = triangle_edges(triangles, rest)
-    cell, typical = _cell(triangles, drawn), _spacing(a, drawn) ** 2
+    cell, typical = _cell(triangles, drawn), float(np.median(contact_samples(replace(a, mesh=a.layout), drawn).areas))
     terms: list[ContactTerm] = [RigidContact(name, samples, int(b.nodes[0]), shape, b.rotation)]
     first = int(b.nodes[0]) + 1
     for k, core in enumerate(cores(shape)):
@@ -91,11 +87,6 @@ def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, 
             )
         first += count
     return terms
-
-
-def _spacing(body: BuiltBody, drawn: np.ndarray) -> float:
-    """Typical distance [m] of the points of a body's surface, as drawn."""
-    return float(np.sqrt(np.median(contact_samples(replace(body, mesh=body.layout), drawn).areas)))
 
 
 def bearing_surfaces(contact: Contact, terms: Sequence[ContactTerm]) -> int:

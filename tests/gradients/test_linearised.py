@@ -151,7 +151,7 @@ def test_distance_without_gap_and_stiffness_of_every_contact():
                 column.memory[term.name],
                 column.moment.get(term.name, np.zeros(3)),
             )
-            if not own:  # the points of the coarser surface do not bear
+            if not own:  # points of a sheet against a gel, which do not bear here
                 assert not force.any() and not memory.any() and not moment.any()
                 continue
             found = own[number]

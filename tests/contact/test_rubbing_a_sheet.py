@@ -66,9 +66,9 @@ def on_a_rigid_plane():
     return rubbed({"type": "rigid", "shape": {"type": "box", "size_m": [0.04, 0.02, 0.02]}, "pose": pose})
 
 
-@pytest.mark.parametrize("cells", [[4, 2], [7, 3], [13, 6]])
+@pytest.mark.parametrize("cells", [[4, 2], [7, 3], [15, 8], [30, 15], [40, 20]])
 def test_it_feels_a_rigid_plane(cells, on_a_rigid_plane):
     found = rubbed(sheet(cells))
     np.testing.assert_allclose(found, on_a_rigid_plane, atol=2e-3 * np.abs(on_a_rigid_plane).max())
     sliding = found[STEPS // 2 :]
-    np.testing.assert_allclose(np.hypot(sliding[:, 0], sliding[:, 1]), MU * np.abs(sliding[:, 2]), rtol=3e-3)
+    np.testing.assert_allclose(np.hypot(sliding[:, 0], sliding[:, 1]), MU * np.abs(sliding[:, 2]), rtol=5e-3)
