@@ -71,12 +71,12 @@ class Bending:
         self._beside, self._nu = np.zeros(count), np.zeros(count)
         self._given: dict[str, float] = {}
         self._onset = np.full(count, np.inf)
-        self._rate, self._exact = np.zeros(1), np.zeros(1, dtype=np.int32)
+        self._rate, self._exact = np.zeros(count), np.zeros(1, dtype=np.int32)
         self._seen = np.full((0, 3), np.nan)
         self._yield_curvature, self._yield_share = np.inf, np.ones(count)
         self._hardening_ratio, self._hardening_share = 0.0, np.ones(count)
         self._hardening = np.zeros(count)
-        self._damping = 0.0
+        self._damping, self._more_damping, self._damped = np.zeros(count), np.zeros(count), False
         self.rest_angles = self._measure(mesh.nodes if formed is None else formed, node_offset)
         self.built_angles = self.rest_angles.copy()
         """Angles [rad] of the shape in which the sheet was built, ``(n_hinges,)``."""
@@ -140,6 +140,11 @@ class Bending:
         self._beside[:] = beside
         self.configure(self._given)
 
+    def shift_damping(self, beside: np.ndarray) -> None:
+        """Let each triangle have ``beside`` ``(m,)`` [s] more stiffness damping than configured."""
+        self._more_damping[:] = beside
+        self.configure(self._given)
+
     def set_rest_angles(self, angles: np.ndarray) -> None:
         """Take other rest angles [rad] ``(n_hinges,)``."""
         self.rest_angles[:] = angles
@@ -152,7 +157,8 @@ class Bending:
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
         self._hardening_ratio = parameters.get("hardening_ratio", 0.0)
         self._hardening[:] = self._hardening_ratio * self._hardening_share
-        self._damping = parameters.get("stiffness_damping_s", 0.0)
+        self._damping[:] = parameters.get("stiffness_damping_s", 0.0) + self._more_damping
+        self._damped = bool(self._damping.any())
 
     def _rigidity(self, stiffness: np.ndarray) -> np.ndarray:
         """D [N m] of plane stress stiffness [Pa], ``(m, 3, 3)``."""
@@ -164,8 +170,8 @@ class Bending:
         if internals:
             self._plastic[:] = internals["plastic_curvature"]
             self._onset[:] = self._onset_of(internals)
-        self._rate[0] = self._damping / step.tau
-        if self._damping > 0.0 or internals:  # beside flow, also for the derivative by a damping of zero
+        self._rate[:] = self._damping / step.tau
+        if self._damped or internals:  # beside flow, also for the derivative by a damping of zero
             self._base[:] = step.base(self._curvatures_at)
 
     def _measure_angles(self) -> None:
@@ -222,8 +228,8 @@ class Bending:
         """Moments of the triangles per width [N] ``(m, 3)`` at the end of a step from ``internals``."""
         curvatures = self.curvatures()
         moment = applied(self._d, self._flow(internals).left if internals else curvatures)
-        if self._rate[0] > 0.0:
-            moment += self._rate[0] * applied(self._d, curvatures - self._base)
+        if self._damped:
+            moment += self._rate[:, None] * applied(self._d, curvatures - self._base)
         return moment
 
     def by_nu(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> np.ndarray:
@@ -239,9 +245,15 @@ class Bending:
             out = _weighted(kept, internals, turned, rise)
         else:
             moment = applied(d, curvatures)
-        if self._rate[0] > 0.0:
-            moment += self._rate[0] * applied(d, curvatures - self._base)
+        if self._damped:
+            moment += self._rate[:, None] * applied(d, curvatures - self._base)
         return np.asarray(out + self._areas * (moment * self._curving(along)).sum(axis=1))
+
+    def by_damping(self, along: np.ndarray, step: StepContext) -> np.ndarray:
+        """Derivative by the stiffness damping of each triangle ``(m,)`` [1/s] of the work of its forces along nodal
+        vectors ``(n, 3)``: that of the moments D (kappa - kappa_b) / tau."""
+        moment = applied(self._d, self.curvatures() - step.base(self._curvatures_at))
+        return np.asarray(self._areas / step.tau * (moment * self._curving(along)).sum(axis=1))
 
     def by_yield(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
         """Derivative by the curvature at which each triangle yields ``(m,)``, of the same."""
@@ -286,9 +298,9 @@ class Bending:
         curving, turning = self._curving(along), self._turning(along)
         out = by_curvature[triangle] * self._deviation[hinge, None]
         out += (self._areas[:, None] * moment)[triangle] * turning[hinge, None]
-        if self._rate[0] > 0.0:
+        if self._damped:
             since = self._deviation - step.base(self._deviations_at)
-            out += (self._rate[0] * self._areas[:, None] * applied(self._d, curving))[triangle] * since[hinge, None]
+            out += ((self._rate * self._areas)[:, None] * applied(self._d, curving))[triangle] * since[hinge, None]
         by_area = self._areas / self._whole_areas * (moment * curving).sum(axis=1)
         return out, by_area, np.asarray(-(self._kappa.T @ by_curvature.ravel()))
 
@@ -313,12 +325,12 @@ class Bending:
         """Derivatives by plastic and accumulated curvature (at yield, those of going on elastically), and by the
         positions that rates of bending are measured from."""
         del after
-        if not internals and self._damping == 0.0:
+        if not internals and not self._damped:
             return None
         curvatures = self._by_positions()
         start = past = None
-        if self._damping > 0.0:
-            viscous = (curvatures.T @ self._by_area(-self._rate[0] * self._d)).tocsr()
+        if self._damped:
+            viscous = (curvatures.T @ self._by_area(-self._rate[:, None, None] * self._d)).tocsr()
             start = (step.weights[0] * viscous @ self._by_positions(step.x_start)).tocoo()
             if step.x_past is not None:
                 past = (step.weights[1] * viscous @ self._by_positions(step.x_past)).tocoo()
@@ -382,7 +394,7 @@ class Bending:
             later = onset * self._yield_share + harder * internals["accumulated_curvature"]
             turned, rise = flow.by_law(d, later, harder)
             moment = applied(d, flow.left) - applied(self._d, turned)
-            moment += applied(self._rate[0] * d + damping / step.tau * self._d, change)
+            moment += applied(self._rate[:, None, None] * d + damping / step.tau * self._d, change)
             kept = gathered((turned, plastic), (rise, accumulated), size=size)
             numbers[quantity] = ByNumber(curvatures.T @ (self._areas[:, None] * moment).ravel(), kept, np.zeros(3))
         return Linearised(
@@ -400,10 +412,10 @@ class Bending:
         h = 1e-5 * abs(given[quantity]) or 1e-7
         for value in (given[quantity] + h, given[quantity] - h):
             self.configure({**given, quantity: value})
-            ends.append((self._d.copy(), self._yield_curvature, self._hardening_ratio, self._damping))
+            ends.append((self._d.copy(), self._yield_curvature, self._hardening_ratio))
         self.configure(given)
-        d, onset, hardening, damping = ((a - b) / (2.0 * h) for a, b in zip(*ends, strict=True))
-        return d, onset, hardening, damping
+        d, onset, hardening = ((a - b) / (2.0 * h) for a, b in zip(*ends, strict=True))
+        return d, onset, hardening, float(quantity == "stiffness_damping_s")
 
     def initial_internals(self) -> Internals:
         """Plastic curvature [1/m] ``(m, 3)`` and its accumulation ``(m,)``; nothing when yield is off."""

@@ -1,6 +1,6 @@
 """Kernels of :mod:`sim_core.energies.bending`: angles, response of the triangles, forces, Hessian.
 
-``harder``: hardening ratio of each triangle; ``rate``: of one entry, damping over the time of a rate.
+``harder``: hardening ratio of each triangle; ``rate``: its damping over the time of a rate.
 """
 
 import taichi as ti
@@ -58,9 +58,9 @@ def energy(
         _, excess = _excess(c, t, kappa, moment, onset[t])
         if excess > 0.0:
             out[0] = out[0] - 0.5 * area[t] * c[t, 0, 0] * excess**2 / (1.0 + harder[t])
-        if rate[0] > 0.0:
+        if rate[t] > 0.0:
             change = _curvature(t, d, first, around, b, row(base, t))
-            out[0] = out[0] + 0.5 * area[t] * rate[0] * change.dot(times3(c, t, change))
+            out[0] = out[0] + 0.5 * area[t] * rate[t] * change.dot(times3(c, t, change))
 
 
 @ti.kernel
@@ -79,8 +79,8 @@ def moments(
         norm, excess = _excess(c, t, kappa, m, onset[t])
         if excess > 0.0:
             m *= 1.0 - excess / (1.0 + harder[t]) / norm
-        if rate[0] > 0.0:
-            m += rate[0] * times3(c, t, _curvature(t, d, first, around, b, row(base, t)))
+        if rate[t] > 0.0:
+            m += rate[t] * times3(c, t, _curvature(t, d, first, around, b, row(base, t)))
         m *= area[t]
         for k in range(first[t], first[t + 1]):
             out[around[k]] = out[around[k]] + b[k, 0] * m[0] + b[k, 1] * m[1] + b[k, 2] * m[2]
@@ -104,7 +104,7 @@ def tangents(
             if exact[0] == 1 and excess > AT_YIELD * onset[t]:
                 turn = (flow - flow * excess / norm) / (c[t, 0, 0] * norm**2)
         for i, j in ti.static(ti.ndrange(3, 3)):
-            out[t, i, j] = (share + rate[0]) * c[t, i, j] - turn * m[i] * m[j]
+            out[t, i, j] = (share + rate[t]) * c[t, i, j] - turn * m[i] * m[j]
 
 
 @ti.kernel

@@ -5,7 +5,8 @@
 x_b and tau are those of the integrator (:mod:`sim_core.solve.integrator`), so the force is that of the velocity at
 the end of the step. M is the mass between nodes that nothing holds; those that a mount carries feel nothing. Momentum
 falls like exp(-alpha t), also that of a body in free flight; a vibration of the angular frequency w is damped by the
-ratio alpha / (2 w). Rayleigh, The Theory of Sound, 2nd ed., sec. 81.
+ratio alpha / (2 w). Rayleigh, The Theory of Sound, 2nd ed., sec. 81. Where alpha differs from element to element, the
+sum over elements of alpha_e M_e is in place of alpha M.
 """
 
 from __future__ import annotations
@@ -30,27 +31,45 @@ class MassDamping(Memoryless):
         self.name = name
         self._keep = sp.diags(loose.astype(float))
         self._nodes = slice(offset, offset + len(loose))
+        upper = sp.triu(self._kept(unit_mass)).tocoo()
+        self._upper = upper.row, upper.col
+        self._alpha = self._density = self._factor = 0.0
         self.set_unit_mass(unit_mass)
-        self._strength = self._factor = 0.0
 
-    def set_unit_mass(self, unit_mass: sp.csr_matrix) -> None:
-        """Take another mass per unit of density, of the same pattern."""
-        self._matrix = (self._keep @ unit_mass @ self._keep).tocsr()
-        self._matrix.eliminate_zeros()
-        upper = sp.triu(self._matrix).tocoo()
-        self._pairs = np.column_stack([upper.row, upper.col]) + self._nodes.start
-        self._upper = upper.data
+    def set_unit_mass(self, unit_mass: sp.csr_matrix, more: sp.csr_matrix | None = None) -> None:
+        """Take another mass per unit of density, of the same pattern. ``more``: sum over the elements of their masses
+        times what their alpha is above that which is configured [1/s]; None: nothing."""
+        plain, beside = self._kept(unit_mass), None if more is None else self._kept(more)
+        self._given = [m if m is None else (m, np.asarray(m[self._upper]).ravel()) for m in (plain, beside)]
+        self._renew()
+
+    def _kept(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
+        """What is between nodes that nothing holds."""
+        kept = (self._keep @ matrix @ self._keep).tocsr()
+        kept.eliminate_zeros()
+        return kept
+
+    def _renew(self) -> None:
+        """Bring the matrix, its upper half and the strength up to date."""
+        mass, more = self._given
+        assert mass is not None
+        if more is None:
+            (self._matrix, self._upper_values), self._strength = mass, self._density * self._alpha
+        else:
+            self._matrix, self._upper_values = (self._alpha * a + b for a, b in zip(mass, more, strict=True))
+            self._strength = self._density
+        self._factor = 0.0
 
     def blocks(self) -> np.ndarray:
-        return self._pairs
+        return np.column_stack(self._upper) + self._nodes.start
 
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
         self._buffers, self._diagonal = buffers, slots[:, [0, 4, 8]]
         self._base = np.zeros_like(buffers.x)
 
     def configure(self, parameters: Mapping[str, float]) -> None:
-        self._strength = parameters["mass_damping_per_s"] * parameters["density"]
-        self._factor = 0.0
+        self._alpha, self._density = parameters["mass_damping_per_s"], parameters["density"]
+        self._renew()
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         del internals
@@ -74,7 +93,7 @@ class MassDamping(Memoryless):
     def add_hessian(self, exact: bool) -> None:
         del exact
         if self._factor > 0.0:
-            np.add.at(self._buffers.hessian, self._diagonal, self._factor * self._upper[:, None])
+            np.add.at(self._buffers.hessian, self._diagonal, self._factor * self._upper_values[:, None])
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
         """Derivatives by the positions that the velocity is measured from."""

@@ -188,7 +188,8 @@ class Membrane(Memoryless):
         self._before, self._strains = np.zeros((count, 3)), np.zeros((count, 3))
         self._beside, self._nu = np.zeros(count), np.zeros(count)
         self._given: dict[str, float] = {}
-        self._damping = self._constant = 0.0
+        self._damping, self._more_damping = np.zeros(count), np.zeros(count)
+        self._damped, self._constant = False, 0.0
         self._exact, self._foreseen = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32)
 
     def blocks(self) -> np.ndarray:
@@ -230,6 +231,11 @@ class Membrane(Memoryless):
         self._beside[:] = beside
         self.configure(self._given)
 
+    def shift_damping(self, beside: np.ndarray) -> None:
+        """Let each triangle have ``beside`` ``(m,)`` [s] more stiffness damping than configured."""
+        self._more_damping[:] = beside
+        self.configure(self._given)
+
     def work(self, along: np.ndarray, internals: Internals) -> np.ndarray:
         """Work of each triangle's forces dE/dx along nodal vectors ``(n, 3)``, ``(m,)``."""
         del internals
@@ -243,17 +249,25 @@ class Membrane(Memoryless):
         del kept
         rate, held = self._damping / step.tau, self._c.copy()
         slopes = self._given["thickness_m"] * plane_stress_by_nu(self._given, self._nu)
-        self._c[:] = (1.0 + rate) * slopes
+        self._c[:] = (1.0 + rate)[:, None, None] * slopes
         found = self.work(along, internals)
         self._c[:] = held
+        return found
+
+    def by_damping(self, along: np.ndarray, step: StepContext) -> np.ndarray:
+        """Derivative by the stiffness damping of each triangle ``(m,)`` [1/s] of the work of its forces along nodal
+        vectors ``(n, 3)``: that of C (eps - eps_b) / tau."""
+        kept = self._c.copy(), self._before.copy()
+        self._c[:], self._before[:] = self._elastic / step.tau, step.base(self._strains_at)
+        found = self.work(along, {})
+        self._c[:], self._before[:] = kept
         return found
 
     def by_rest(self, along: np.ndarray, step: StepContext) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the work of the forces along nodal vectors ``(n, 3)`` by Dm^-1 ``(m, 2, 2)`` and by the areas
         ``(m,)`` of the triangles: with V = dv Dm^-1 as F is dx Dm^-1, it is A S : F^T V, and S is linear in strains
         C (F^T F - 1) / 2 at the end of the step, at its start and before."""
-        rate = self._damping / step.tau if self._damping > 0.0 else 0.0
-        now, before = step.weights
+        rate, (now, before) = self._damping / step.tau, step.weights
         times = [(self._x, 1.0 + rate), (step.x_start, -now * rate)]
         if step.x_past is not None:
             times.append((step.x_past, -before * rate))
@@ -263,11 +277,11 @@ class Membrane(Memoryless):
         held = _as_stress(applied(self._elastic, virtual))
         out = np.zeros_like(dm)
         for x, weight in times:
-            if weight != 0.0:
+            if weight.any():
                 there, across = self._slopes(x)
                 metric = there.transpose(0, 2, 1) @ there
-                strain += weight * _as_strain(0.5 * (metric - np.eye(2)))
-                out += weight * across.transpose(0, 2, 1) @ there @ held
+                strain += weight[:, None] * _as_strain(0.5 * (metric - np.eye(2)))
+                out += weight[:, None, None] * across.transpose(0, 2, 1) @ there @ held
         stress = _as_stress(applied(self._elastic, strain))
         out += sides.transpose(0, 2, 1) @ v @ stress + moved.transpose(0, 2, 1) @ f @ stress
         work = np.einsum("mij,mij->m", stress, sheared)
@@ -282,18 +296,19 @@ class Membrane(Memoryless):
         self._given = dict(parameters)
         self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside)
         self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters, self._nu)
-        self._damping = parameters.get("stiffness_damping_s", 0.0)
+        self._damping[:] = parameters.get("stiffness_damping_s", 0.0) + self._more_damping
+        self._damped = bool(self._damping.any())
         self._c[:] = self._elastic
         self._before[:], self._constant = 0.0, 0.0
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         del internals
-        if self._damping == 0.0:
+        if not self._damped:
             return
         rate = self._damping / step.tau
-        self._c[:] = (1.0 + rate) * self._elastic
+        self._c[:] = (1.0 + rate)[:, None, None] * self._elastic
         base = step.base(self._strains_at)
-        self._before[:] = rate / (1.0 + rate) * base
+        self._before[:] = (rate / (1.0 + rate))[:, None] * base
         self._constant = 0.5 * float(np.einsum("t,ti,tij,tj->", self._area, base, self._elastic, self._before))
 
     def add_energy(self) -> None:
@@ -303,9 +318,9 @@ class Membrane(Memoryless):
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
         """Derivatives by the positions that rates of strain are measured from."""
         del internals, after
-        if self._damping == 0.0:
+        if not self._damped:
             return None
-        pull = -self._damping / step.tau * self._area[:, None, None] * self._by_positions(self._x).transpose(0, 2, 1)
+        pull = (-self._damping / step.tau * self._area)[:, None, None] * self._by_positions(self._x).transpose(0, 2, 1)
         pull, axes, shape = pull @ self._elastic, axes_of(self._triangles), (self._x.size,) * 2
 
         def by(x: np.ndarray, weight: float) -> Blocks:

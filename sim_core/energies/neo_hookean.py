@@ -30,11 +30,12 @@ but for a constant that makes the damping's part zero at the start of the step. 
 the stiffness; it dissipates as long as W is convex in C.
 
 Near incompressibility the bulk energy is weighed between the points and the mean of each element
-(:mod:`sim_core.energies.neo_hookean_moduli`). mu, K and that weight are those of the element's own nu, all else is the
-same everywhere.
+(:mod:`sim_core.energies.neo_hookean_moduli`). mu, K and that weight are those of the element's own nu; g, tau and beta
+may differ from element to element, too.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -84,11 +85,12 @@ class NeoHookean:
         self._weight = self._whole_weight.copy()
         self._moduli, self._beside, self._nu = np.zeros((m, 3)), np.zeros(m), np.zeros(m)
         self._given: dict[str, float] = {}
-        self._constants = np.array([1.0, 1.0, 0.0])
+        self._constants = np.tile([1.0, 1.0, 0.0], (m, 1))
         self._history, self._fading = np.zeros((4 * m, 7)), np.zeros((4 * m, 6))
-        self._g, self._tau, self._blend = 0.0, 1.0, 1.0
-        self._damping, self._constant = 0.0, 0.0
-        self._isotropic_known = False
+        self._g, self._tau, self._damping = np.zeros(m), np.ones(m), np.zeros(m)
+        self._g_share, self._tau_share, self._more_damping = np.ones(m), np.ones(m), np.zeros(m)
+        self._fade, self._blend, self._constant = np.ones(m), np.ones(m), 0.0
+        self._relaxes = self._damped = self._isotropic_known = False
         self._seen = np.full((0, 3), np.nan)
 
     def blocks(self) -> np.ndarray:
@@ -144,6 +146,17 @@ class NeoHookean:
         self._beside[:] = beside
         self.configure(self._given)
 
+    def shift_damping(self, beside: np.ndarray) -> None:
+        """Let each element have ``beside`` ``(m,)`` [s] more stiffness damping than configured."""
+        self._more_damping[:] = beside
+        self.configure(self._given)
+
+    def scale_relaxation(self, share: np.ndarray, tau: np.ndarray) -> None:
+        """Let each element relax by ``share`` ``(m,)`` times the share that is configured, with ``tau`` times the time
+        constant."""
+        self._g_share[:], self._tau_share[:] = share, tau
+        self.configure(self._given)
+
     def configure(self, parameters: Mapping[str, float]) -> None:
         """Take ``E_pa``, ``nu`` and, if the gel relaxes or is damped, the other parameters."""
         values = {"relaxation_g": 0.0, "relaxation_tau_s": 1.0, "stiffness_damping_s": 0.0, **parameters}
@@ -162,7 +175,9 @@ class NeoHookean:
         if not 0.0 <= g < 1.0:
             raise ConfigError(f"{self.name}: relaxation_g = {g} is not in [0, 1).")
         self._given, self._nu[:], self._moduli[:] = dict(parameters), nu, moduli(e_pa, nu)
-        self._g, self._tau, self._damping = g, tau, values["stiffness_damping_s"]
+        self._g[:], self._tau[:] = g * self._g_share, tau * self._tau_share
+        self._damping[:] = values["stiffness_damping_s"] + self._more_damping
+        self._relaxes, self._damped = bool(self._g.any()), bool(self._damping.any())
         self._constants[:] = 1.0, 1.0, self._remembers
         self._constant = 0.0
         if not self._remembers:
@@ -172,7 +187,7 @@ class NeoHookean:
 
     @property
     def _remembers(self) -> bool:
-        return self._g > 0.0 or self._damping > 0.0
+        return self._relaxes or self._damped
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         """Freeze the memory stress H_n of the step, and what rates are measured from."""
@@ -180,20 +195,25 @@ class NeoHookean:
             return
         self._isotropic_known = False
         ratio = step.dt / self._tau
-        fade, self._blend = np.exp(-ratio), -np.expm1(-ratio) / ratio
-        self._constants[SHARE] = 1.0 - self._g + self._blend * self._g
-        self._fading[:] = fade * internals["Q"].reshape(-1, 6)
-        if self._g > 0.0:
-            self._fading -= self._blend * self._g * self._stress_at(step.x_start)
+        self._fade[:], self._blend[:] = np.exp(-ratio), -np.expm1(-ratio) / ratio
+        self._constants[:, SHARE] = 1.0 - self._g + self._blend * self._g
+        self._fading[:] = _at_points(self._fade) * internals["Q"].reshape(-1, 6)
+        if self._relaxes:
+            self._fading -= _at_points(self._blend * self._g) * self._stress_at(step.x_start)
         self._history[:, :6], self._history[:, 6] = self._fading, 0.0
-        if self._damping > 0.0:
+        if self._damped:
             rate = self._damping / step.tau
-            self._constants[SHARE] += rate
-            self._constants[BULK_SHARE] = 1.0 + rate
-            base = -rate * step.base(self._stress_and_dilatation_at)
-            base[:, 6] *= np.repeat(self._moduli[:, BULK], 4)
+            self._constants[:, SHARE] += rate
+            self._constants[:, BULK_SHARE] = 1.0 + rate
+            base = self._damping_history(step, rate)
             self._constant = -self._damping_energy(step.x_start, rate, base)
             self._history += base
+
+    def _damping_history(self, step: StepContext, rate: np.ndarray) -> np.ndarray:
+        """Memory of stress and pressure [Pa] ``(4 m, 7)`` of a damping with k = ``rate`` ``(m,)``."""
+        base = -_at_points(rate) * step.base(self._stress_and_dilatation_at)
+        base[:, 6] *= np.repeat(self._moduli[:, BULK], 4)
+        return np.asarray(base)
 
     def _measure(self) -> None:
         """Bring strains up to date with the positions."""
@@ -201,10 +221,10 @@ class NeoHookean:
             self._deform()
             self._seen[:] = self._x
 
-    def _damping_energy(self, x: np.ndarray, rate: float, history: np.ndarray) -> float:
+    def _damping_energy(self, x: np.ndarray, rate: np.ndarray, history: np.ndarray) -> float:
         """Energy [J] at ``x`` [m] of the damping alone."""
         kept, total = (self._constants.copy(), self._history.copy()), float(self._buffers.energy[0])
-        self._constants[SHARE], self._constants[BULK_SHARE] = rate, rate
+        self._constants[:, SHARE] = self._constants[:, BULK_SHARE] = rate
         self._history[:] = history
         self._positions[:] = x
         self._deform_stored()
@@ -249,6 +269,28 @@ class NeoHookean:
         self.begin_step(step, internals)
         return np.asarray(found + (kept.reshape(after.shape) * after).sum(axis=(1, 2)))
 
+    def by_damping(self, along: np.ndarray, step: StepContext) -> np.ndarray:
+        """Derivative by the stiffness damping of each element ``(m,)`` [1/s] of the work of its forces along nodal
+        vectors ``(n, 3)``: forces are linear in it, and memory does not depend on it."""
+        kept = self._constants.copy(), self._history.copy()
+        rate = np.full(len(self._tets), 1.0 / step.tau)
+        history = self._damping_history(step, rate)
+        self._constants[:], self._history[:] = np.column_stack([rate, rate, np.ones_like(rate)]), history
+        found = self.work(along, {})
+        self._constants[:], self._history[:] = kept
+        return found
+
+    def by_relaxation(
+        self, name: str, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals
+    ) -> np.ndarray:
+        """Derivative by ``relaxation_g`` or ``relaxation_tau_s`` of each element ``(m,)`` of the work of its forces
+        along nodal vectors ``(n, 3)`` and of the product of the new internal variables, flattened, with ``kept``."""
+        share, stress, fresh = self._changes_by_relaxation(step, internals)[name]
+        with self._exerting(share, stress):
+            found = self.work(along, internals)
+        memory = kept.reshape(stress.shape) * (stress + fresh)
+        return np.asarray(found + memory.reshape(len(found), -1).sum(axis=1))
+
     def by_rest(self, along: np.ndarray, kept: np.ndarray, step: StepContext) -> np.ndarray:
         """What the derivative by the shape at rest of the work of the forces along nodal vectors ``(n, 3)``, and of the
         product of the new internal variables, flattened, with ``kept``, is made of at the quadrature points,
@@ -258,20 +300,20 @@ class NeoHookean:
         def deformation(x: np.ndarray) -> np.ndarray:
             return np.asarray(np.eye(3) + self._displacement_gradients(x).reshape(shape))
 
-        fresh, rate = (self._blend * self._g, self._damping / step.tau) if self._remembers else (0.0, 0.0)
+        fresh, rate = ((self._blend * self._g)[:, None], (self._damping / step.tau)[:, None])
         earlier = []
         if self._remembers:
             now, before = step.weights
             earlier = [(deformation(step.x_start), -fresh - now * rate, -now * rate)]
-            if step.x_past is not None and rate > 0.0:
+            if step.x_past is not None and self._damped:
                 earlier.append((deformation(step.x_past), -before * rate, -before * rate))
         history = self._history.reshape(len(self._tets), 4, 7)
         memory = as_tensors(history[..., :6]), history[..., 6]
         law = self._moduli[:, [MU]], self._moduli[:, [BULK]], self._moduli[:, [OWN]]
-        shares = float(self._constants[SHARE]), float(self._constants[BULK_SHARE])
+        shares = self._constants[:, [SHARE]], self._constants[:, [BULK_SHARE]]
         known = GelStep(self._weight, deformation(self._x), *memory, *law, *shares, tuple(earlier), fresh)
         slope = np.einsum("mai,mqaj->mqij", along[self._tets], grad)
-        weights = as_tensors(kept.reshape(len(self._tets), 4, 6), 0.5) if fresh > 0.0 else None
+        weights = as_tensors(kept.reshape(len(self._tets), 4, 6), 0.5) if self._relaxes else None
         return by_rest(known, slope, weights)
 
     def add_hessian(self, exact: bool) -> None:
@@ -288,9 +330,9 @@ class NeoHookean:
 
     def end_step(self, step: StepContext, internals: Internals) -> Internals:
         """Return Q_{n+1} = H_n + b g S_dev(F_{n+1})."""
-        if self._g == 0.0:
+        if not self._relaxes:
             return internals
-        q = self._fading + self._blend * self._g * self._stress_at(self._x)
+        q = self._fading + _at_points(self._blend * self._g) * self._stress_at(self._x)
         return {"Q": q.reshape(-1, 4, 6)}
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
@@ -302,19 +344,21 @@ class NeoHookean:
         axes = np.repeat(axes_of(self._tets), 4, axis=0)
         f = np.eye(3) + self._displacement_gradients(self._x)
         push = self._weight.reshape(-1, 1, 1) * stress_forces(f, self._grad)
-        fade, fresh = np.exp(-step.dt / self._tau), self._blend * self._g
-        rate, (now, before) = self._damping / step.tau, step.weights
+        fade, fresh, rate = (
+            _at_points(each)[..., None] for each in (self._fade, self._blend * self._g, self._damping / step.tau)
+        )
+        now, before = step.weights
         start = self._stress_derivatives(step.x_start)
         by_start = [(-(fresh + now * rate) * push @ start, axes, axes)]
         past = None
-        if rate > 0.0:
-            by_start.append(self._pressure_blocks(step.x_start, -now * rate))
-        if rate > 0.0 and step.x_past is not None:
+        if self._damped:
+            by_start.append(self._pressure_blocks(step.x_start, -now * self._damping / step.tau))
+        if self._damped and step.x_past is not None:
             sheared = -before * rate * push @ self._stress_derivatives(step.x_past)
-            pressed = self._pressure_blocks(step.x_past, -before * rate)
+            pressed = self._pressure_blocks(step.x_past, -before * self._damping / step.tau)
             past = placed((sheared, axes, axes), pressed, shape=(whole, whole))
         found = Linearised(force_start=placed(*by_start, shape=(whole, whole)), force_past=past)
-        if self._g == 0.0:
+        if not self._relaxes:
             return found
         size = internals["Q"].size
         q = np.arange(size).reshape(count, 6)
@@ -323,40 +367,54 @@ class NeoHookean:
             numbers=self._by_relaxation(step, internals),
             force_memory=placed((fade * push, axes, q), shape=(whole, size)),
             memory_start=placed((-fresh * start, q, axes), shape=(size, whole)),
-            memory_memory=placed((np.full((size, 1, 1), fade), q.reshape(-1, 1), q.reshape(-1, 1)), shape=(size, size)),
+            memory_memory=placed((np.repeat(fade, 6, axis=0), q.reshape(-1, 1), q.reshape(-1, 1)), shape=(size, size)),
             memory_end=placed((fresh * self._stress_derivatives(self._x), q, axes), shape=(size, whole)),
         )
 
     def _by_relaxation(self, step: StepContext, internals: Internals) -> dict[str, ByNumber]:
-        """Derivatives by g and tau. Force and memory are linear in the share of S_dev and in H, so their derivatives
-        are what the derivatives of these two exert."""
-        ratio, g, b = step.dt / self._tau, self._g, self._blend
-        fade = np.exp(-ratio)
+        """Derivatives by g and tau, of which each element has a share."""
+        gradient, found = self._buffers.gradient, {}
+        shares = {"relaxation_g": self._g_share, "relaxation_tau_s": self._tau_share}
+        for name, (share, stress, fresh) in self._changes_by_relaxation(step, internals).items():
+            part = shares[name]
+            gradient[:] = 0.0
+            with self._exerting(part * share, _at_points(part) * stress):
+                self.add_gradient()
+            memory = _at_points(part) * (stress + fresh)
+            found[name] = ByNumber(gradient.ravel().copy(), memory.ravel(), np.zeros(3))
+        return found
+
+    def _changes_by_relaxation(
+        self, step: StepContext, internals: Internals
+    ) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Derivatives by g and tau of the factor on S_dev ``(m,)``, of H and of what end_step adds to it
+        ``(4 m, 6)``. Force and memory are linear in these, so theirs are what these derivatives exert."""
+        ratio, g, b, fade = step.dt / self._tau, self._g, self._blend, self._fade
         fading, slower = fade * ratio / self._tau, (b - fade) / self._tau  # of fade and b by tau
         q = internals["Q"].reshape(-1, 6)
         start, end = self._stress_at(step.x_start).copy(), self._stress_at(self._x).copy()
-        kept = self._constants.copy(), self._history.copy()
-        gradient, found = self._buffers.gradient, {}
-        changes = {
-            "relaxation_g": (b - 1.0, -b * start, b * end),
-            "relaxation_tau_s": (slower * g, fading * q - slower * g * start, slower * g * end),
+        slow = _at_points(slower * g)
+        return {
+            "relaxation_g": (b - 1.0, -_at_points(b) * start, _at_points(b) * end),
+            "relaxation_tau_s": (slower * g, _at_points(fading) * q - slow * start, slow * end),
         }
-        for name, (share, stress, fresh) in changes.items():
-            self._constants[SHARE], self._constants[BULK_SHARE] = share, 0.0
-            self._history[:, :6], self._history[:, 6] = stress, 0.0
-            gradient[:] = 0.0
-            self.add_gradient()
-            found[name] = ByNumber(gradient.ravel().copy(), (stress + fresh).ravel(), np.zeros(3))
-        self._constants[:], self._history[:] = kept
-        return found
 
-    def _pressure_blocks(self, x: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivative by other positions ``x`` of the force that a memory of pressure, ``weight`` K (J - 1) there,
-        exerts at those at hand: blocks of the elements, and where they are."""
+    @contextmanager
+    def _exerting(self, share: np.ndarray, stress: np.ndarray) -> Iterator[None]:
+        """While in it, forces are those of ``share`` ``(m,)`` times S_dev and of a memory ``stress`` ``(4 m, 6)``."""
+        kept = self._constants.copy(), self._history.copy()
+        self._constants[:, SHARE], self._constants[:, BULK_SHARE] = share, 0.0
+        self._history[:, :6], self._history[:, 6] = stress, 0.0
+        yield
+        self._constants[:], self._history[:] = kept
+
+    def _pressure_blocks(self, x: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivative by other positions ``x`` of the force that a memory of pressure, K (J - 1) there times ``weight``
+        ``(m,)``, exerts at those at hand: blocks of the elements, and where they are."""
         moved, axes = (self._displacement_gradients(at) for at in (self._x, x)), axes_of(self._tets)
         here, there = (volume_derivatives(np.eye(3) + g, self._grad) for g in moved)
         blocks = pressure_blocks(here, there, self._weight, self._moduli[:, BULK], self._moduli[:, OWN])
-        return weight * blocks, axes, axes
+        return weight[:, None, None] * blocks, axes, axes
 
     def _stress_derivatives(self, x: np.ndarray) -> np.ndarray:
         """Derivative of S_dev at ``x`` by the nodes of each point's element [Pa/m], ``(4 m, 6, 30)``."""
@@ -382,6 +440,11 @@ class NeoHookean:
     def _stress_and_dilatation_at(self, x: np.ndarray) -> np.ndarray:
         """S_dev [Pa] and the J - 1 that the bulk modulus sees, at positions ``x`` [m], ``(4 m, 7)``."""
         return np.column_stack([self._stress_at(x), self._dilatation])
+
+
+def _at_points(values: np.ndarray) -> np.ndarray:
+    """Values of the elements ``(m,)`` at the quadrature points ``(4 m, 1)``."""
+    return np.repeat(values, 4)[:, None]
 
 
 def _places(slots: np.ndarray, nowhere: int) -> np.ndarray:

@@ -12,7 +12,8 @@ HISTORY_J = 0.1
 REGULAR_J = 0.05
 """Least J at all points of an element for which its Hessian is formed with a division by J."""
 
-# Places in the array of constants that the kernels read: factors on W_dev and on the bulk energy, and a switch.
+# Places in the rows of constants that the kernels read, one an element: factors on W_dev and on the bulk energy, and a
+# switch.
 SHARE, BULK_SHARE, REMEMBERS = range(3)
 
 
@@ -81,11 +82,11 @@ def _load(deformation: ti.template(), p):
 
 
 @ti.kernel
-def add_energy(deformation: F3, dilatation: F1, history: F2, weight: F2, moduli: F2, constants: F1, out: F1):
-    share = constants[SHARE]
+def add_energy(deformation: F3, dilatation: F1, history: F2, weight: F2, moduli: F2, constants: F2, out: F1):
     ti.loop_config(serialize=True)
     for e in range(weight.shape[0]):
-        mu, bulk, total = moduli[e, MU], constants[BULK_SHARE] * moduli[e, BULK], 0.0
+        mu, bulk, total = moduli[e, MU], constants[e, BULK_SHARE] * moduli[e, BULK], 0.0
+        share = constants[e, SHARE]
         for q in range(4):
             p = 4 * e + q
             g = _load(deformation, p)
@@ -93,7 +94,7 @@ def add_energy(deformation: F3, dilatation: F1, history: F2, weight: F2, moduli:
             theta = g.trace() + bilinear
             density = share * mu * (0.5 * g.norm_sqr() - bilinear + theta * theta / 6.0)
             density += (0.5 * bulk * dilatation[p] + history[p, 6]) * theta
-            if constants[REMEMBERS] > 0.0:
+            if constants[e, REMEMBERS] > 0.0:
                 strain = g + g.transpose() + g.transpose() @ g
                 density += 0.5 * (_memory(history, p) * strain).sum()
             total += weight[e, q] * density
@@ -106,7 +107,8 @@ def _piola(
     constants: ti.template(), p: ti.i32,
 ):  # fmt: skip
     """First Piola-Kirchhoff stress at quadrature point ``p`` [Pa]."""
-    mu, bulk, share = moduli[p // 4, MU], constants[BULK_SHARE] * moduli[p // 4, BULK], constants[SHARE]
+    e = p // 4
+    mu, bulk, share = moduli[e, MU], constants[e, BULK_SHARE] * moduli[e, BULK], constants[e, SHARE]
     one = ti.Matrix.identity(ti.f64, 3)
     g = _load(deformation, p)
     f = one + g
@@ -115,14 +117,14 @@ def _piola(
     # F - cof F = G + G^T - tr(G) 1 - cof G, which is small when G is.
     stress = share * mu * (g + g.transpose() - g.trace() * one - cof_g)
     stress += (share * mu / 3.0 * theta + bulk * dilatation[p] + history[p, 6]) * _cofactor(f)
-    if constants[REMEMBERS] > 0.0:
+    if constants[e, REMEMBERS] > 0.0:
         stress += f @ _memory(history, p)
     return stress
 
 
 @ti.kernel
 def add_gradient(
-    deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, moduli: F2, constants: F1, out: F2
+    deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, moduli: F2, constants: F2, out: F2
 ):
     ti.loop_config(serialize=True)
     for p in range(grad.shape[0]):
@@ -136,7 +138,7 @@ def add_gradient(
 
 @ti.kernel
 def work(
-    deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, moduli: F2, constants: F1, along: F2,
+    deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, moduli: F2, constants: F2, along: F2,
     out: F1,
 ):  # fmt: skip
     """Work of each element's forces along nodal vectors: w P : sum_a v_a (x) g_a."""
@@ -155,23 +157,23 @@ def work(
 
 
 @ti.kernel
-def projected_tangent(deformation: F3, dilatation: F1, history: F2, moduli: F2, constants: F1, modes: F2, out: F3):
+def projected_tangent(deformation: F3, dilatation: F1, history: F2, moduli: F2, constants: F2, modes: F2, out: F3):
     """Second derivative of the energy density by F (row by row) at each quadrature point [Pa].
 
     alpha 1(x)1 + 1(x)H + f'' dJ(x)dJ + f' d2J, less its negative eigenvalues.
     """
-    share = constants[SHARE]
     ti.loop_config(serialize=True)
     for p in range(deformation.shape[0]):
-        mu, bulk = moduli[p // 4, MU], constants[BULK_SHARE] * moduli[p // 4, BULK]
+        e = p // 4
+        mu, bulk, share = moduli[e, MU], constants[e, BULK_SHARE] * moduli[e, BULK], constants[e, SHARE]
         g = _load(deformation, p)
         f = ti.Matrix.identity(ti.f64, 3) + g
         cof = _cofactor(f)
         alpha = share * mu
         slope = share * mu * ((g.trace() + _bilinear(g)) / 3.0 - 1.0) + bulk * dilatation[p] + history[p, 6]
-        curvature = share * mu / 3.0 + bulk * moduli[p // 4, OWN]
+        curvature = share * mu / 3.0 + bulk * moduli[e, OWN]
         memory = mat3(0.0)
-        if constants[REMEMBERS] > 0.0:
+        if constants[e, REMEMBERS] > 0.0:
             memory = _memory(history, p)
         for i in range(3):
             for k in range(3):
@@ -186,7 +188,7 @@ def projected_tangent(deformation: F3, dilatation: F1, history: F2, moduli: F2, 
                     else:
                         value += turn * ti.static((n - j) * (3 - n - 2 * j) * (3 - 2 * n - j) // 2) * f[m, 3 - j - n]
                     out[p, 3 * i + j, 3 * k + n] = value
-        negative_modes(modes, f, alpha, slope, curvature, memory, constants[REMEMBERS] > 0.0)
+        negative_modes(modes, f, alpha, slope, curvature, memory, constants[e, REMEMBERS] > 0.0)
         for m in range(9):
             if modes[m, 9] < 0.0:
                 mode = ti.Vector.zero(ti.f64, 9)
@@ -205,7 +207,7 @@ def add_projected(
     grad: F3,
     weight: F2,
     moduli: F2,
-    constants: F1,
+    constants: F2,
     slots: I2,
     columns: F2,
     volume: F1,
@@ -236,7 +238,7 @@ def add_projected(
                 for i in ti.static(range(3)):
                     v = cof[i, 0] * grad[p, a, 0] + cof[i, 1] * grad[p, a, 1] + cof[i, 2] * grad[p, a, 2]
                     volume[3 * a + i] = volume[3 * a + i] + v
-        stiffness = (1.0 - moduli[e, OWN]) * (constants[BULK_SHARE] * moduli[e, BULK]) / whole
+        stiffness = (1.0 - moduli[e, OWN]) * (constants[e, BULK_SHARE] * moduli[e, BULK]) / whole
         for a in range(10):
             ga = ti.Matrix.zero(ti.f64, 4, 3)
             for q, j in ti.static(ti.ndrange(4, 3)):
@@ -260,14 +262,14 @@ def add_projected(
 
 
 @ti.kernel
-def isotropic(history: F2, grad: F3, weight: F2, moduli: F2, constants: F1, out: F2):
+def isotropic(history: F2, grad: F3, weight: F2, moduli: F2, constants: F2, out: F2):
     """Part of each block (a <= b) of an element's Hessian that is a multiple of 1: alpha ga.gb + ga.H gb [N/m].
 
     It does not depend on the positions, so it is kept until parameters or memory change.
     """
     ti.loop_config(serialize=True)
     for e in range(weight.shape[0]):
-        alpha = constants[SHARE] * moduli[e, MU]
+        alpha = constants[e, SHARE] * moduli[e, MU]
         block = 0
         for a in range(10):
             for b in range(a, 10):
@@ -277,7 +279,7 @@ def isotropic(history: F2, grad: F3, weight: F2, moduli: F2, constants: F1, out:
                     ga = vec3(grad[p, a, 0], grad[p, a, 1], grad[p, a, 2])
                     gb = vec3(grad[p, b, 0], grad[p, b, 1], grad[p, b, 2])
                     value = alpha * ga.dot(gb)
-                    if constants[REMEMBERS] > 0.0:
+                    if constants[e, REMEMBERS] > 0.0:
                         value += ga.dot(_memory(history, p) @ gb)
                     total += weight[e, q] * value
                 out[e, block] = total
@@ -286,7 +288,7 @@ def isotropic(history: F2, grad: F3, weight: F2, moduli: F2, constants: F1, out:
 
 @ti.kernel
 def exact_hessian(
-    deformation: F3, dilatation: F1, history: F2, grad: F3, weight: F2, moduli: F2, constants: F1, isotropic_part: F2,
+    deformation: F3, dilatation: F1, history: F2, grad: F3, weight: F2, moduli: F2, constants: F2, isotropic_part: F2,
     slots: I2, volume: F2, out: F1,
 ):  # fmt: skip
     """Add the unprojected Hessian of each element, block by block, to the kept entries.
@@ -295,10 +297,10 @@ def exact_hessian(
     ``slots``: place of each entry of each block a <= b, -1 where nobody needs it; ``volume``: scratch, v_a at the
     four points and its mean.
     """
-    share = constants[SHARE]
     ti.loop_config(serialize=True)
     for e in range(weight.shape[0]):
-        mu, bulk, own = moduli[e, MU], constants[BULK_SHARE] * moduli[e, BULK], moduli[e, OWN]
+        mu, bulk, own = moduli[e, MU], constants[e, BULK_SHARE] * moduli[e, BULK], moduli[e, OWN]
+        share = constants[e, SHARE]
         curvature = ti.Vector.zero(ti.f64, 5)
         twist = ti.Vector.zero(ti.f64, 4)
         whole, least = 0.0, REGULAR_J

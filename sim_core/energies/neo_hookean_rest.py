@@ -32,7 +32,7 @@ class GelStep:
     ``(m, 4, 3, 3)``; ``stress``: H [Pa] ``(m, 4, 3, 3)`` and ``pressure`` of the memory [Pa] ``(m, 4)``. ``mu``,
     ``bulk`` [Pa] and ``own``, K_own / K: of the elements ``(m, 1)``; ``share``, ``bulk_share``: factors on the energies
     of both. ``earlier``: F at other times, with the factors by which S_dev and K (J - 1) there are in the stress and
-    pressure of the memory; ``fresh``: b g."""
+    pressure of the memory; ``fresh``: b g; all these factors ``(m, 1)``."""
 
     weight: np.ndarray
     now: np.ndarray
@@ -41,10 +41,10 @@ class GelStep:
     mu: np.ndarray
     bulk: np.ndarray
     own: np.ndarray
-    share: float
-    bulk_share: float
-    earlier: tuple[tuple[np.ndarray, float, float], ...]
-    fresh: float
+    share: np.ndarray
+    bulk_share: np.ndarray
+    earlier: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
+    fresh: np.ndarray
 
 
 def by_rest(step: GelStep, slope: np.ndarray, kept: np.ndarray | None) -> np.ndarray:
@@ -69,20 +69,20 @@ def by_rest(step: GelStep, slope: np.ndarray, kept: np.ndarray | None) -> np.nda
     strain = _symmetric(f.swapaxes(-1, -2) @ v)
     out = -(v.swapaxes(-1, -2) @ first) - f.swapaxes(-1, -2) @ slopes
     for there, sheared, pressed in step.earlier:
-        then, cof_then = np.zeros_like(f), cofactor(there)
-        if sheared:
-            then += sheared * stress_slope(there, cof_then, strain, step.mu)
-        if pressed:
+        cof_then = cofactor(there)
+        then = sheared[..., None, None] * stress_slope(there, cof_then, strain, step.mu)
+        if pressed.any():
             then += (pressed * step.bulk * mixed(swelling))[..., None, None] * cof_then
             volume = determinant(there, cof_then)
             spread = spread + pressed * step.bulk * (volume - mean(volume))
         out -= there.swapaxes(-1, -2) @ then
     work = _dot(first, v) + (1.0 - own) * spread * mean(swelling)
     out = w * (out + work[..., None, None] * one)
-    if kept is not None and step.fresh > 0.0:
+    if kept is not None:
         ends = ((f, step.fresh), (step.earlier[0][0], -step.fresh))
         for there, factor in ends:
-            out -= factor * there.swapaxes(-1, -2) @ stress_slope(there, cofactor(there), kept, step.mu)
+            slope_there = stress_slope(there, cofactor(there), kept, step.mu)
+            out -= factor[..., None, None] * there.swapaxes(-1, -2) @ slope_there
     return np.asarray(out)
 
 

@@ -147,17 +147,27 @@ def accelerations(system: System, step: StepContext) -> np.ndarray:
 
 
 def borne_by_mass(
-    system: System, values: Values, body: str, step: StepContext, exerted: np.ndarray, borne: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of nodal vectors ``(n, 3)`` whose product by a body's mass, per unit of what the rig has for its density,
-    is the work of inertia and weight along ``borne``, and of damping by mass along ``exerted``."""
-    density = values.density[body]
-    pairs = [(density * accelerations(system, step), borne)]
-    damping = values.terms[f"{body}.mass_damping"]["mass_damping_per_s"]
-    if damping > 0.0:
-        loose = ~system.prescribed.all(axis=1, keepdims=True)
-        pairs.append((density * damping / step.tau * loose * (system.x - step.x_base), loose * exerted))
+    scene: Scene, density: float, body: str, step: StepContext, exerted: np.ndarray, borne: np.ndarray
+) -> list[tuple[np.ndarray | float, np.ndarray, np.ndarray]]:
+    """Pairs of nodal vectors ``(n, 3)`` and factors of the elements ``(m,)`` before them, whose products by the masses
+    of a body's elements, per unit of what the rig has for its ``density``, are the work of inertia and weight along
+    ``borne``, and of damping by mass along ``exerted``."""
+    pairs: list[tuple[np.ndarray | float, np.ndarray, np.ndarray]] = [
+        (1.0, density * accelerations(scene.system, step), borne)
+    ]
+    damping = scene.fields[f"{body}.mass_damping_per_s"]
+    if damping.any():
+        pairs.append((damping, *damped_by_mass(scene.system, density, step, exerted)))
     return pairs
+
+
+def damped_by_mass(
+    system: System, density: float, step: StepContext, exerted: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nodal vectors ``(n, 3)`` whose product by an element's mass, per unit of density, is the work of its damping by
+    mass along ``exerted``, per unit of its alpha."""
+    loose = ~system.prescribed.all(axis=1, keepdims=True)
+    return density / step.tau * loose * (system.x - step.x_base), loose * exerted
 
 
 def moment_on_body(term: Any) -> np.ndarray:

@@ -15,7 +15,9 @@ which a sheet yields, so beside forces it changes the new internal variables xi'
 
 The mean dilatation of a gel is that of one element, so no element's nu acts in another.
 
-The curvature at which a triangle yields, and its hardening, enter through its flow alone.
+Of the numbers of the elements' memories, damping by stiffness changes forces alone, share and time constant of a
+relaxation the new stress that relaxes, too (``by_damping``, ``by_relaxation``); damping by mass is a share of the mass
+that a velocity meets. The curvature at which a triangle yields, and its hardening, enter through its flow alone.
 
 Rest angles enter through the curvatures of the triangles around a hinge
 (:meth:`sim_core.energies.bending.Bending.by_rest_angles`), shapes at rest through all that is measured on them
@@ -31,10 +33,21 @@ import numpy as np
 
 from sim_core.energies.linearised import Linearised
 from sim_core.energies.term import Internals, StepContext
-from sim_core.gradients.columns import borne_by_mass
+from sim_core.gradients.columns import borne_by_mass, damped_by_mass
 from sim_core.gradients.rest_shape import RestSums
 from sim_core.gradients.step import Pulled, Weights
-from sim_core.scene.fields import FLOW, MASS, NU, POWERS, REST, REST_ANGLE, YIELD
+from sim_core.scene.fields import (
+    FLOW,
+    MASS,
+    MASS_DAMPING,
+    NU,
+    POWERS,
+    RELAXATION,
+    REST,
+    REST_ANGLE,
+    STIFFNESS_DAMPING,
+    YIELD,
+)
 from sim_core.scene.scene import Scene
 
 
@@ -48,11 +61,11 @@ class FieldSums:
         terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
         pairs = [name.split(".") for name in self._names]
         self._parts = list(dict.fromkeys((b, part) for b, key in pairs for part in POWERS.get(key, ())))
-        self._mixed = {b: _elastic(terms, b) for b, key in pairs if key == NU}
-        self._bent = [body for body, key in pairs if key == REST_ANGLE]
-        self._flows = [(body, key) for body, key in pairs if key in FLOW]
+        self._others = [(body, key) for body, key in pairs if key != REST and key not in POWERS]
+        self._elastic = {body: _elastic(terms, body) for body, _ in self._others}
         self._terms = {(b, part): terms[f"{b}.{part}"] for b, part in self._parts if f"{b}.{part}" in terms}
-        self._masses = {b: scene.fields.mass_blocks(b) for b, part in self._parts if part == MASS}
+        weighed = [b for b, part in self._parts if part == MASS] + [b for b, key in self._others if key == MASS_DAMPING]
+        self._masses = {b: scene.fields.mass_blocks(b) for b in weighed}
         self._numbers = scene.values(scene.rig)
         self.shapes = RestSums(scene, self._numbers, [body for body, key in pairs if key == REST])
         self.clear()
@@ -63,9 +76,7 @@ class FieldSums:
     def clear(self) -> None:
         """Begin anew."""
         self._work: dict[tuple[str, str], Any] = dict.fromkeys(self._parts, 0.0)
-        self._by_nu: dict[str, Any] = dict.fromkeys(self._mixed, 0.0)
-        self._bending: dict[str, Any] = dict.fromkeys(self._bent, 0.0)
-        self._by_flow: dict[tuple[str, str], Any] = dict.fromkeys(self._flows, 0.0)
+        self._by: dict[tuple[str, str], Any] = dict.fromkeys(self._others, 0.0)
         self.shapes.clear()
 
     def add(
@@ -78,36 +89,55 @@ class FieldSums:
     ) -> None:
         """Add what a step has, at the end of which the system is. ``internals``: before it; ``after``: weights of its
         end; ``terms``: as linearised."""
-        exerted, borne, memory = pulled.exerted, pulled.borne, after.memory
+        exerted, borne = pulled.exerted, pulled.borne
         for part, term in self._terms.items():
             term.begin_step(step, internals[term.name])
             self._work[part] = self._work[part] + term.work(exerted, internals[term.name])
-        for body in self._masses:
-            self._work[body, MASS] = self._work[body, MASS] + self._of_mass(body, step, exerted, borne)
-        for body, terms_of in self._mixed.items():
-            for term in terms_of:
-                term.begin_step(step, internals[term.name])
-                found = term.by_nu(exerted, memory[term.name], step, internals[term.name])
-                self._by_nu[body] = self._by_nu[body] + found
-        for body in self._bent:
-            term = self._scene.fields.bending(body)
-            term.begin_step(step, internals[term.name])
-            found = term.by_rest_angles(exerted, memory[term.name], internals[term.name])
-            self._bending[body] = self._bending[body] + found
-        for body, key in self._flows:
-            term = self._scene.fields.bending(body)
-            term.begin_step(step, internals[term.name])
-            by = term.by_yield if key == YIELD else term.by_hardening
-            found = by(exerted, memory[term.name], internals[term.name])
-            self._by_flow[body, key] = self._by_flow[body, key] + found
+        for body, of in self._parts:
+            if of == MASS:
+                pairs = borne_by_mass(self._scene, self._numbers.density[body], body, step, exerted, borne)
+                work = sum(factor * self._by_mass(body, v, w) for factor, v, w in pairs)
+                self._work[body, MASS] = self._work[body, MASS] + work
+        for body, key in self._others:
+            self._by[body, key] = self._by[body, key] + self._of(body, key, step, internals, exerted, after.memory)
         if self.shapes:
             self.shapes.add(step, internals, pulled, after, terms)
 
-    def _of_mass(self, body: str, step: StepContext, exerted: np.ndarray, borne: np.ndarray) -> np.ndarray:
-        """Work of inertia, weight, and damping by mass of each element."""
-        system, (nodes, blocks) = self._scene.system, self._masses[body]
-        pairs = borne_by_mass(system, self._numbers, body, step, exerted, borne)
-        return np.asarray(sum(np.einsum("mab,mai,mbi->m", blocks, v[nodes], w[nodes]) for v, w in pairs))
+    def _of(
+        self,
+        body: str,
+        key: str,
+        step: StepContext,
+        internals: Mapping[str, Internals],
+        exerted: np.ndarray,
+        kept: Mapping[str, np.ndarray],
+    ) -> Any:
+        """What a step adds to the derivatives by a field that is no factor of an energy or a mass."""
+        if key == MASS_DAMPING:
+            return self._by_mass(body, *damped_by_mass(self._scene.system, self._numbers.density[body], step, exerted))
+        of_bending = key == REST_ANGLE or key in FLOW
+        terms: list[Any] = [self._scene.fields.bending(body)] if of_bending else self._elastic[body]
+        total: Any = 0.0
+        for term in terms:
+            before, weights = internals[term.name], kept[term.name]
+            term.begin_step(step, before)
+            if key == NU:
+                total = total + term.by_nu(exerted, weights, step, before)
+            elif key == STIFFNESS_DAMPING:
+                total = total + term.by_damping(exerted, step)
+            elif key in RELAXATION:
+                total = total + term.by_relaxation(key, exerted, weights, step, before)
+            elif key == REST_ANGLE:
+                total = total + term.by_rest_angles(exerted, weights, before)
+            else:
+                by = term.by_yield if key == YIELD else term.by_hardening
+                total = total + by(exerted, weights, before)
+        return total
+
+    def _by_mass(self, body: str, v: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Products of nodal vectors ``(n, 3)`` by the masses of the elements of a body, ``(m,)``."""
+        nodes, blocks = self._masses[body]
+        return np.asarray(np.einsum("mab,mai,mbi->m", blocks, v[nodes], w[nodes]))
 
     def gradients(self) -> dict[str, np.ndarray]:
         """Derivatives by the values of each field in SI units."""
@@ -117,18 +147,14 @@ class FieldSums:
             if key == REST:
                 out[name] = shapes[body]
                 continue
-            if key == NU:
-                total = self._by_nu[body]
-            elif key == REST_ANGLE:
-                total = self._bending[body]
-            elif key in FLOW:
-                total = self._by_flow[body, key]
-            else:
+            if key in POWERS:
                 total = sum(power * self._work[body, part] for part, power in POWERS[key].items()) / values
+            else:
+                total = self._by[body, key]
             out[name] = total + np.zeros(len(values))
         return out
 
 
 def _elastic(terms: Mapping[str, Any], body: str) -> list[Any]:
-    """Terms of a body that depend on Poisson's ratio."""
+    """Terms of a body that strains and curvatures store energy in."""
     return [terms[f"{body}.{part}"] for part in ("elastic", "membrane", "bending") if f"{body}.{part}" in terms]

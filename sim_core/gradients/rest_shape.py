@@ -70,7 +70,7 @@ class RestSums:
         end; ``terms``: as linearised."""
         scene, exerted = self._scene, pulled.exerted
         for name, part in self._parts.items():
-            pairs = borne_by_mass(scene.system, self._values, name, step, exerted, pulled.borne)
+            pairs = borne_by_mass(scene, self._values.density[name], name, step, exerted, pulled.borne)
             part.add(step, internals, exerted, after.memory, pairs)
         for name, total in self._measured.items():
             if name in terms:
@@ -141,7 +141,7 @@ class _Sheet:
         internals: Mapping[str, Internals],
         exerted: np.ndarray,
         memory: Mapping[str, np.ndarray],
-        borne: list[tuple[np.ndarray, np.ndarray]],
+        borne: list[tuple[np.ndarray | float, np.ndarray, np.ndarray]],
     ) -> None:
         for term in (self._membrane, self._bending):
             term.begin_step(step, internals[term.name])
@@ -153,8 +153,8 @@ class _Sheet:
         self._by_operator += parts[0]
         self._by_area += parts[1]
         self._by_angle += parts[2]
-        for v, w in borne:
-            self._by_area += self._factor / 3.0 * (v[self._triangles] * w[self._triangles]).sum(axis=(1, 2))
+        for factor, v, w in borne:
+            self._by_area += factor * self._factor / 3.0 * (v[self._triangles] * w[self._triangles]).sum(axis=(1, 2))
         if self._drag is not None:
             self._drag.begin_step(step, internals[self._drag.name])
             self._by_area += self._drag.by_areas(exerted)
@@ -195,13 +195,14 @@ class _Gel:
         internals: Mapping[str, Internals],
         exerted: np.ndarray,
         memory: Mapping[str, np.ndarray],
-        borne: list[tuple[np.ndarray, np.ndarray]],
+        borne: list[tuple[np.ndarray | float, np.ndarray, np.ndarray]],
     ) -> None:
         term = self._elastic
         term.begin_step(step, internals[term.name])
         self._tensor += term.by_rest(exerted, memory[term.name], step)
-        for v, w in borne:
-            self._by_mass += v[self._tets] @ w[self._tets].swapaxes(-1, -2)
+        for factor, v, w in borne:
+            weights = np.broadcast_to(factor, len(self._tets))[:, None, None]
+            self._by_mass += weights * v[self._tets] @ w[self._tets].swapaxes(-1, -2)
 
     def pass_on(self, total: np.ndarray) -> None:
         """Add the derivatives by the nodes to those of all ``(n, 3)``: of volumes, d det = det div dX."""

@@ -9,11 +9,13 @@ density of an element; of a sheet's thickness h the membrane has the first power
 
     E_element = f E_uniform,    f = prod_q (q / q_rig)^p
 
-The curvature at which a sheet yields, where the rig's effects let it, and its hardening are shares of the rig's too, in
-each triangle's flow alone (:mod:`sim_core.energies.plastic_flow`).
+Where the rig's effects let a sheet yield, the curvature at which it does and its hardening are shares of the rig's
+too, in each triangle's flow alone (:mod:`sim_core.energies.plastic_flow`); where they let a gel relax, so are the share
+of its stress that fades and the time constant.
 
-Poisson's ratio is no factor of an energy, and may be zero. Its field is kept as the difference from the rig's number,
-so a rig with another number shifts all of it; each element has the moduli of its own nu and the rig's E, times f.
+Poisson's ratio and the dampings are no factors of an energy, and may be zero. Their fields are kept as the difference
+from the rig's number, so a rig with another number shifts all of it; each element has the moduli of its own nu and the
+rig's E, times f.
 
 A shape at rest is that of a scene whose body is meshed with the same elements on other nodes: lengths, areas, volumes,
 masses, curvatures and rest angles are measured on it, what is sampled for contact bears by its areas, and the body is
@@ -31,6 +33,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sim_core.energies.bending import Bending
+from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.errors import ConfigError
 from sim_core.geometry import solids
 from sim_core.geometry.sheets import SheetMesh
@@ -63,19 +66,29 @@ NU, YIELD, HARDENING = "nu", "yield_curvature_per_m", "hardening_ratio"
 FLOW = (YIELD, HARDENING)
 """Quantities of a sheet that yields."""
 
-MATERIAL = ("E_pa", NU, "thickness_m", "density_kg_m3")
+RELAXATION = ("relaxation_g", "relaxation_tau_s")
+"""Quantities of a gel that relaxes."""
+
+MASS_DAMPING, STIFFNESS_DAMPING = "mass_damping_per_s", "stiffness_damping_s"
+
+SHIFTED = (NU, MASS_DAMPING, STIFFNESS_DAMPING)
+"""Quantities that are kept as differences from the rig's."""
+
+MATERIAL = ("E_pa", NU, "thickness_m", "density_kg_m3", MASS_DAMPING, STIFFNESS_DAMPING)
 """Quantities of a sheet that differ from triangle to triangle; of a gel all but the thickness."""
 
 
 class Fields:
-    """All fields of a scene by name: ``<gel>.E_pa``, ``.nu`` and ``.density_kg_m3``, one value a tetrahedron;
-    ``<sheet>.E_pa``, ``.nu``, ``.thickness_m``, ``.density_kg_m3`` and, of a sheet that yields,
-    ``.yield_curvature_per_m`` and ``.hardening_ratio``, one a triangle; ``<sheet>.rest_angle_rad``, one a hinge (inner
-    edge): the angle between the normals of its triangles; ``<sheet>.rest_m`` and ``<gel>.rest_m``, one vector a node
-    ``(n, 3)``: its position at rest in the world, as in ``scene.bodies[name].rest``, when mounts are at their start
-    poses. Units may be left out.
+    """All fields of a scene by name: ``<gel>.E_pa``, ``.nu``, ``.density_kg_m3``, ``.mass_damping_per_s``,
+    ``.stiffness_damping_s`` and, of a gel that relaxes, ``.relaxation_g`` (the share) and ``.relaxation_tau_s``, one
+    value a tetrahedron; ``<sheet>.E_pa``, ``.nu``, ``.thickness_m``, ``.density_kg_m3``, both dampings and, of a sheet
+    that yields, ``.yield_curvature_per_m`` and ``.hardening_ratio``, one a triangle; ``<sheet>.rest_angle_rad``, one a
+    hinge (inner edge): the angle between the normals of its triangles; ``<sheet>.rest_m`` and ``<gel>.rest_m``, one
+    vector a node ``(n, 3)``: its position at rest in the world, as in ``scene.bodies[name].rest``, when mounts are at
+    their start poses. Units may be left out.
 
-    nu is above -1 and below 0.5 everywhere, also when a rig with another number shifts it (:meth:`check`).
+    nu is above -1 and below 0.5 everywhere, dampings are not below zero and the share that relaxes is below 1, also
+    when a rig with another number shifts or scales them (:meth:`check`).
     The thickness is that which stretches, bends and weighs; contact finds the surface where the rig's number puts it.
     Rest angles are those of the shape at rest, but for what they were set to beside it: that difference stays when the
     shape changes. Shapes build the scene anew (:meth:`sim_core.scene.scene.Scene.reshape`).
@@ -84,7 +97,7 @@ class Fields:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._shares: dict[str, np.ndarray] = {}
-        self._ratios: dict[str, np.ndarray] = {}  # Poisson's ratios beside the rig's, by body
+        self._shifts: dict[str, np.ndarray] = {}  # beside the rig's number
         self._creases: dict[str, np.ndarray] = {}  # rest angles beside those of the shape
 
     @property
@@ -93,9 +106,11 @@ class Fields:
         found: list[str] = []
         for name, body in self._scene.bodies.items():
             if isinstance(body.spec, Gel):
-                found += [f"{name}.{key}" for key in (*MATERIAL, REST) if key != "thickness_m"]
+                relaxes = self._numbers(f"{name}.elastic").get(RELAXATION[0], 0.0) > 0.0
+                more = (*(RELAXATION if relaxes else ()), REST)
+                found += [f"{name}.{key}" for key in (*MATERIAL, *more) if key != "thickness_m"]
             elif isinstance(body.spec, Sheet):
-                flow = FLOW if YIELD in self._bending_numbers(name) else ()
+                flow = FLOW if YIELD in self._numbers(f"{name}.bending") else ()
                 found += [f"{name}.{key}" for key in (*MATERIAL, *flow, REST_ANGLE, REST)]
         return tuple(found)
 
@@ -117,7 +132,7 @@ class Fields:
         if key == REST_ANGLE:
             return np.array(self.bending(body).rest_angles)
         number = self._number(body, key)
-        return np.asarray(number + self._beside(body) if key == NU else number * self._share(body, key))
+        return np.asarray(number + self._beside(body, key) if key in SHIFTED else number * self._share(body, key))
 
     def __setitem__(self, name: str, values: np.ndarray | float) -> None:
         """Take values in SI units for all elements, hinges or nodes, or one for all elements or hinges."""
@@ -130,7 +145,7 @@ class Fields:
                 f"The field {full} has {' x '.join(map(str, shape))} values, not an array of shape {given.shape}.",
                 "Give one value an element, or one vector a node, in the order of Fields.places.",
             )
-        signed = key in (NU, REST_ANGLE, REST)
+        signed = key in (*SHIFTED, REST_ANGLE, REST)
         if not np.isfinite(given).all() or not (signed or (given > 0.0).all()):
             raise ConfigError(f"The field {full} has values that are not finite and above zero.", "Correct them.")
         if key == REST:
@@ -144,31 +159,36 @@ class Fields:
             bending.set_rest_angles(given)
             return
         number = self._number(body, key)
-        if key == NU:
-            poisson_ratios(f"The field {full}", 0.0, np.atleast_1d(given))
-            self._ratios[body] = np.broadcast_to(given - number, shape).copy()
+        _check_values(full, np.atleast_1d(given))
+        if key in SHIFTED:
+            self._shifts[full] = np.broadcast_to(given - number, shape).copy()
         else:
             self._shares[full] = np.broadcast_to(given / number, shape).copy()
         self._spread(body)
 
     def check(self, rig: Rig) -> None:
         """Refuse a rig of the same geometry whose numbers would shift a field out of its bounds."""
-        for body, beside in self._ratios.items():
-            poisson_ratios(f"The field {body}.{NU}", self._number(body, NU, rig), beside)
+        for full, beside in self._shifts.items():
+            body, key = full.split(".")
+            _check_values(full, self._number(body, key, rig) + beside)
+        for full, share in self._shares.items():
+            body, key = full.split(".")
+            if key == RELAXATION[0]:
+                _check_values(full, self._numbers(f"{body}.elastic", rig).get(key, 0.0) * share)
 
     def _number(self, body: str, key: str, rig: Rig | None = None) -> float:
         """What a rig (None: that of the scene) has for a quantity."""
-        if key in FLOW:
-            return self._bending_numbers(body, rig)[key]
+        if key in (*FLOW, *RELAXATION):
+            return self._numbers(f"{body}.{'bending' if key in FLOW else 'elastic'}", rig)[key]
         return float(getattr((rig or self._scene.rig).bodies[body].material, key))  # type: ignore[union-attr]
 
-    def _bending_numbers(self, body: str, rig: Rig | None = None) -> dict[str, float]:
-        """What the term by which a sheet bends takes of a rig (None: that of the scene) and its effects."""
-        return self._scene.values(rig or self._scene.rig).terms[f"{body}.bending"]
+    def _numbers(self, term: str, rig: Rig | None = None) -> dict[str, float]:
+        """What a term takes of a rig (None: that of the scene) and its effects."""
+        return self._scene.values(rig or self._scene.rig).terms[term]
 
     def _changed(self) -> set[str]:
         """Bodies with fields of their elements."""
-        return {full.split(".")[0] for full in self._shares} | set(self._ratios)
+        return {full.split(".")[0] for full in (*self._shares, *self._shifts)}
 
     def _reshape(self, body: str, rest: np.ndarray | None) -> None:
         """Give a body another shape at rest (None: that of the rig)."""
@@ -193,7 +213,7 @@ class Fields:
         """Back to the rig's numbers, and to its shapes at rest."""
         changed = self._changed()
         self._shares.clear()
-        self._ratios.clear()
+        self._shifts.clear()
         for name in self._creases:
             self.bending(name).set_rest_angles(self.bending(name).built_angles)
         self._creases.clear()
@@ -240,27 +260,48 @@ class Fields:
         share = self._shares.get(f"{body}.{key}")
         return np.ones(len(_elements(self._scene.bodies[body]))) if share is None else share
 
-    def _beside(self, body: str) -> np.ndarray:
-        beside = self._ratios.get(body)
+    def _beside(self, body: str, key: str) -> np.ndarray:
+        beside = self._shifts.get(f"{body}.{key}")
         return np.zeros(len(_elements(self._scene.bodies[body]))) if beside is None else beside
 
     def _spread(self, name: str) -> None:
-        """Hand a body's factors and ratios on to its terms and its mass."""
+        """Hand a body's factors, differences and shares on to its terms and its mass."""
         body = self._scene.bodies[name]
         for term in body.terms:
             part = term.name.rpartition(".")[2]
             if part in ("elastic", "membrane", "bending"):
                 term.scale(self.factor(name, part))  # type: ignore[attr-defined]
-                term.shift_nu(self._beside(name))  # type: ignore[attr-defined]
+                term.shift_nu(self._beside(name, NU))  # type: ignore[attr-defined]
+                term.shift_damping(self._beside(name, STIFFNESS_DAMPING))  # type: ignore[attr-defined]
             if isinstance(term, Bending):
-                term.scale_flow(self._share(name, YIELD), self._share(name, HARDENING))
-        factor = self.factor(name, MASS)
-        mesh = body.mesh
-        if isinstance(mesh, SheetMesh):
-            body.unit_mass = sp.diags(mesh.shared(factor * mesh.areas)).tocsr()
-        elif isinstance(mesh, solids.TetMesh):
-            body.unit_mass = solids.consistent_mass(mesh, factor)
-        self._scene.renew_mass(body)
+                term.scale_flow(*(self._share(name, key) for key in FLOW))
+            if isinstance(term, NeoHookean):
+                term.scale_relaxation(*(self._share(name, key) for key in RELAXATION))
+        factor, more = self.factor(name, MASS), self._beside(name, MASS_DAMPING)
+        body.unit_mass = _mass(body, factor)
+        self._scene.renew_mass(body, _mass(body, factor * more) if more.any() else None)
+
+
+def _mass(body: BuiltBody, factor: np.ndarray) -> sp.csr_matrix:
+    """Mass of a body per unit of density, of each element times its factor ``(m,)``."""
+    if isinstance(body.mesh, SheetMesh):
+        return sp.diags(body.mesh.shared(factor * body.mesh.areas)).tocsr()
+    assert isinstance(body.mesh, solids.TetMesh)
+    return solids.consistent_mass(body.mesh, factor)
+
+
+def _check_values(full: str, values: np.ndarray) -> None:
+    """Refuse values of a field that no material has."""
+    key = full.split(".")[1]
+    if key == NU:
+        poisson_ratios(f"The field {full}", 0.0, values)
+    elif key in SHIFTED and values.min() < 0.0:
+        raise ConfigError(f"The field {full} has the value {values.min():.6g}, below zero.", "Give it none below 0.")
+    elif key == RELAXATION[0] and values.max() >= 1.0:
+        raise ConfigError(
+            f"The field {full} has the value {values.max():.6g}, but no more than all stress can fade.",
+            "Give it values below 1.",
+        )
 
 
 def _elements(body: BuiltBody) -> np.ndarray:

@@ -304,11 +304,12 @@ class Scene:
             self.system.set_mass(self._masses[masses])
             self._applied_mass = masses
 
-    def renew_mass(self, body: BuiltBody) -> None:
-        """Take over a ``unit_mass`` that was changed."""
+    def renew_mass(self, body: BuiltBody, more_damping: sp.csr_matrix | None = None) -> None:
+        """Take over a ``unit_mass`` that was changed, and what damps beside it
+        (:meth:`sim_core.energies.mass_damping.MassDamping.set_unit_mass`)."""
         for term in body.terms:
             if isinstance(term, MassDamping) and body.unit_mass is not None:
-                term.set_unit_mass(body.unit_mass)
+                term.set_unit_mass(body.unit_mass, more_damping)
         applied, self._applied_mass = self._applied_mass, None
         self._masses.clear()
         if applied is not None:

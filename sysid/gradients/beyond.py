@@ -48,17 +48,22 @@ SHIFT_M, TURN_RAD = 1e-5, 1e-4
 NODE_M, SPEED_M_S = 1e-4, 1e-2
 """Of a position, at rest or at the start, and of a velocity."""
 
-RATIO, ANGLE_RAD = 0.1, 0.1
-"""Of Poisson's ratio and of a rest angle; of other fields as much as their values."""
+RATIO, ANGLE_RAD, DAMPING = 0.1, 0.1, {"mass_damping_per_s": 1.0, "stiffness_damping_s": 1e-3}
+"""Of Poisson's ratio, of a rest angle and of a damping that is zero; of other fields as much as their values."""
+
+MIDDLE, EDGE = (1.0, -1.0), (1.0, 2.0)
+"""Shares of a step at which differences look: to both sides, or where a damping is zero to one."""
 
 
 @dataclass(frozen=True)
 class _Way:
-    """A direction. ``rolled``: the rollout so many times its length along it; ``along``: the gradient's part."""
+    """A direction. ``rolled``: the rollout so many times its length along it; ``along``: the gradient's part; ``ends``:
+    :data:`MIDDLE` or :data:`EDGE`."""
 
     name: str
     rolled: Callable[[float], Trace]
     along: Callable[[Gradient], float]
+    ends: tuple[float, float] = MIDDLE
 
 
 class Beyond:
@@ -93,9 +98,9 @@ class Beyond:
             sweep = []
             for h in steps:
                 ends = []
-                for share in (h, -h):
+                for side in way.ends:
                     self._on_work(way.name)
-                    ends.append(way.rolled(share))
+                    ends.append(way.rolled(side * h))
                 sweep.append(ends)
             for channel in tape.trace.outputs:
                 for part, columns in parts_of(tape.trace.kinds[channel]):
@@ -144,11 +149,14 @@ class Beyond:
             for name in self._scene.fields.names:
                 value = self._scene.fields[name]
                 along = rng.standard_normal(value.shape) * _size(name, value)
+                zero = name.rpartition(".")[2] in DAMPING and not value.any()
+                along = np.abs(along) if zero else along
 
                 def of_field(found: Gradient, name: str = name, along: np.ndarray = along) -> float:
                     return float(np.vdot(found.fields[name], along))
 
-                yield _Way(f"field {name}", partial(self._varied, name, value, along), of_field)
+                ends = EDGE if zero else MIDDLE
+                yield _Way(f"field {name}", partial(self._varied, name, value, along), of_field, ends)
 
     def _moved(self, mount: str, move: np.ndarray, share: float) -> Trace:
         """The rollout with the true poses of an end effector moved in their own frames, ``move`` ``(n_times, 6)``."""
@@ -198,8 +206,9 @@ class Beyond:
         seen = np.isfinite(base) & np.all([np.isfinite(t.outputs[channel]) for ends in sweep for t in ends], axis=0)
         base = np.where(seen, base, 0.0)
         readings = [[np.where(seen, t.outputs[channel], 0.0) for t in ends] for ends in sweep]
-        slopes = [slope_of(base, *pair, h, -h) for pair, h in zip(_pairs(readings), steps, strict=True)]
-        bent = [first - 2.0 * base + second for first, second in _pairs(readings)]
+        a, b = way.ends
+        slopes = [slope_of(base, *pair, a * h, b * h) for pair, h in zip(_pairs(readings), steps, strict=True)]
+        bent = [(first - base) - (second - base) * a / b for first, second in _pairs(readings)]
         least = int(np.argmin(steps))
         found, errors, hidden = [], np.zeros(len(steps)), np.zeros(len(steps))
         for weights, gradient in self._summed(channel, part, columns, seen):
@@ -242,4 +251,6 @@ def _pairs(readings: Sequence[Sequence[np.ndarray]]) -> list[tuple[np.ndarray, n
 def _size(name: str, value: np.ndarray) -> np.ndarray | float:
     """Standard deviation of changes of a field at step 1."""
     quantity = name.rpartition(".")[2]
+    if quantity in DAMPING and not value.any():
+        return DAMPING[quantity]
     return {"nu": RATIO, "rest_angle_rad": ANGLE_RAD, "rest_m": NODE_M}.get(quantity, value)

@@ -38,7 +38,9 @@ def unsettled(small_rig, visit):
 
 BESIDE = {"nu": 0.03, "rest_angle_rad": 2.5e-4}
 """How far fields that are no shares of the rig's number vary about it."""
-SCALES = {"nu": 1.0, "rest_angle_rad": 0.01}
+DAMPINGS = {"mass_damping_per_s": 3.0, "stiffness_damping_s": 2e-3}
+"""Mean of what dampings have beside the rig's number; never below zero."""
+SCALES = {"nu": 1.0, "rest_angle_rad": 0.01, "mass_damping_per_s": 90.0, "stiffness_damping_s": 0.06}
 """Changes of them that are as large as changes of the others by their own size."""
 
 SCENES = {
@@ -58,11 +60,15 @@ def uneven(scene):
     """Set all fields but shapes to something that varies, such that no sheet yields before it moves: the path to the
     first equilibrium counts as given."""
     rng = np.random.default_rng(1)
-    last = ["nu", "hardening_ratio"]
+    last = ["nu", "hardening_ratio", "relaxation_g", "relaxation_tau_s", *DAMPINGS]
     for name in sorted(over_elements(scene), key=lambda name: [name.endswith(end) for end in reversed(last)]):
         wave = rng.standard_normal(len(scene.fields[name]))
-        given, beside = scene.fields[name], BESIDE.get(name.split(".")[1])
-        scene.fields[name] = given * np.exp(0.1 * wave) if beside is None else given + beside * wave
+        given, quantity = scene.fields[name], name.split(".")[1]
+        if quantity in DAMPINGS:
+            scene.fields[name] = given + DAMPINGS[quantity] * np.exp(0.5 * wave)
+        else:
+            beside = BESIDE.get(quantity)
+            scene.fields[name] = given * np.exp(0.1 * wave) if beside is None else given + beside * wave
 
 
 @pytest.mark.parametrize("case", SCENES)
@@ -86,7 +92,7 @@ def test_fields_against_differences_of_rollouts(case, small_rig, visit):
         largest = int(np.argmax(np.abs(gradient * scale)))
         for along in (rng.standard_normal(len(here)), *np.eye(len(here))[[largest, -1]]):
             bound, errors = 5e-5 * np.abs(gradient * scale).max() * np.linalg.norm(along), []
-            for h in (1e-4, 1e-5, 1e-3):
+            for h in (1e-4, 1e-5, 1e-3, 2e-3):
                 ends = []
                 for s in (h, -h):
                     fields[name] = here + s * along * scale
@@ -107,16 +113,63 @@ def test_what_all_elements_have_together(small_rig, visit):
     compare_with_scalars(rig, poses, times, names)
 
 
-@pytest.mark.parametrize("quantity", ["yield_curvature_per_m", "hardening_ratio"])
-def test_what_all_triangles_have_together_of_their_flow(small_rig, visit, quantity):
+def test_what_all_elements_have_together_of_effects(small_rig, visit):
+    """Of the flow of a sheet and of the relaxation of a gel, whatever the field."""
     rig, poses, times = small(PRESS, 0.4)(small_rig, visit, effects=EFFECTS)
-    scene, name, field = build_scene(rig), f"effects.bending_plasticity.{quantity}", f"card.{quantity}"
+    scene = build_scene(rig)
+    pairs = {
+        "effects.bending_plasticity.yield_curvature_per_m": "card.yield_curvature_per_m",
+        "effects.bending_plasticity.hardening_ratio": "card.hardening_ratio",
+        "effects.gel_relaxation.share": "gel.relaxation_g",
+        "effects.gel_relaxation.tau_s": "gel.relaxation_tau_s",
+    }
     uneven(scene)
     tape = Tape(scene, poses, times, TIGHT)
-    found = Backward(tape, directions(rig, [name]), [field]).gradient(0.0, weights(tape.trace))
-    shares = found.fields[field] * scene.fields[field]
-    whole = found.parameters[name] * rig.effects["bending_plasticity"][quantity]
-    assert abs(whole) > 0.0 and shares.sum() == pytest.approx(whole, rel=1e-7)
+    found = Backward(tape, directions(rig, pairs), list(pairs.values())).gradient(0.0, weights(tape.trace))
+    for name, field in pairs.items():
+        _, effect, quantity = name.split(".")
+        shares = found.fields[field] * scene.fields[field]
+        whole = found.parameters[name] * rig.effects[effect][quantity]
+        assert abs(whole) > 0.0 and shares.sum() == pytest.approx(whole, rel=1e-7), name
+
+
+@pytest.mark.parametrize("uniform", [True, False])
+def test_what_all_elements_have_together_of_dampings(small_rig, visit, uniform):
+    """sum dL/da_e = dL/da of the rig's number, by which a field of damping is shifted; also where there is none."""
+    rig, poses, times = SCENES["damped, looking back"](small_rig, visit, effects=EFFECTS)
+    names = [f"{body}.{quantity}" for body in ("gel", "card") for quantity in DAMPINGS]
+    rig = with_parameters(rig, dict.fromkeys(names, 0.0)) if uniform else rig
+    scene = build_scene(rig)
+    if not uniform:
+        uneven(scene)
+    tape = Tape(scene, poses, times, TIGHT)
+    found = Backward(tape, directions(rig, names), names).gradient(0.0, weights(tape.trace))
+    for name in names:
+        by_elements = found.fields[name]
+        expected = pytest.approx(found.parameters[name], rel=1e-6, abs=1e-9 * np.abs(by_elements).sum())
+        assert by_elements.any() and by_elements.sum() == expected, name
+
+
+def test_a_damping_of_each_element_is_the_number_of_the_rig(small_rig, visit):
+    """The same everywhere, and shifted by another rig; a spot without damping is one."""
+    rig, poses, times = SCENES["damped, looking back"](small_rig, visit)
+    given = {"gel.mass_damping_per_s": 4.0, "card.stiffness_damping_s": 3e-3, "card.mass_damping_per_s": 2.0}
+    more = {name: value + 1e-3 * value for name, value in given.items()}
+    scene = build_scene(with_parameters(rig, dict.fromkeys(given, 0.0)))
+    for name, value in given.items():
+        scene.fields[name] = value
+    for numbers, expected in ((dict.fromkeys(given, 0.0), given), ({n: 1e-3 * v for n, v in given.items()}, more)):
+        scene.use(with_parameters(rig, numbers))
+        plain = simulate(build_scene(with_parameters(rig, expected)), poses, times, settings=TIGHT)
+        found = simulate(scene, poses, times, settings=TIGHT)
+        for channel, there in plain.outputs.items():
+            assert np.nanmax(np.abs(found.outputs[channel] - there)) < 1e-8 * np.nanmax(np.abs(there)), channel
+    here = scene.fields["card.stiffness_damping_s"]
+    scene.fields["card.stiffness_damping_s"] = np.where(np.arange(len(here)) < 4, 0.0, here)
+    spotted = simulate(scene, poses, times, settings=TIGHT)
+    assert any(not np.array_equal(spotted.outputs[c], v, equal_nan=True) for c, v in found.outputs.items())
+    with pytest.raises(ConfigError, match=r"card\.stiffness_damping_s .* below zero"):
+        scene.use(with_parameters(rig, dict.fromkeys(given, 0.0) | {"card.stiffness_damping_s": 0.0}))
 
 
 def test_a_half_of_a_sheet_that_does_not_yield(small_rig, visit):
@@ -351,8 +404,17 @@ def test_fields_that_cannot_be_used(small_rig):
         ("gel.nu", 0.5, "not between -1 and 0.5"),
         ("card.nu", np.full(len(fields["card.nu"]), -1.0), "not between -1 and 0.5"),
         ("card.nu", np.nan, "finite"),
+        ("card.mass_damping_per_s", -1.0, "below zero"),
+        ("gel.stiffness_damping_s", np.inf, "finite"),
+        ("gel.relaxation_g", 0.5, "no field"),  # without that effect
     ):
         with pytest.raises(ConfigError, match=words):
             fields[name] = values
     with pytest.raises(ConfigError, match=r"Did you mean 'gel\.E_pa'"):
         fields.resolve("gel.F")
+    relaxing = build_scene(small_rig(effects={"gel_relaxation": {"share": 0.4, "tau_s": 0.1}}))
+    relaxing.fields["gel.relaxation_g"] = 0.8
+    with pytest.raises(ConfigError, match="all stress can fade"):
+        relaxing.fields["gel.relaxation_g"] = 1.0
+    with pytest.raises(ConfigError, match="all stress can fade"):
+        relaxing.use(small_rig(effects={"gel_relaxation": {"share": 0.5, "tau_s": 0.1}}))
