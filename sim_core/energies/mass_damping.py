@@ -40,7 +40,7 @@ class MassDamping(Memoryless):
         """Take another mass per unit of density, of the same pattern. ``more``: sum over the elements of their masses
         times what their alpha is above that which is configured [1/s]; None: nothing."""
         plain, beside = self._kept(unit_mass), None if more is None else self._kept(more)
-        self._given = [m if m is None else (m, np.asarray(m[self._upper]).ravel()) for m in (plain, beside)]
+        self._given = [m if m is None else (m, self._upper_of(m)) for m in (plain, beside)]
         self._renew()
 
     def _kept(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
@@ -48,6 +48,10 @@ class MassDamping(Memoryless):
         kept = (self._keep @ matrix @ self._keep).tocsr()
         kept.eliminate_zeros()
         return kept
+
+    def _upper_of(self, matrix: sp.csr_matrix) -> np.ndarray:
+        """Entries of the upper half."""
+        return np.asarray(matrix[self._upper]).ravel() if len(self._upper[0]) else np.zeros(0)
 
     def _renew(self) -> None:
         """Bring the matrix, its upper half and the strength up to date."""

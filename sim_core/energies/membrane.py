@@ -259,9 +259,10 @@ class Membrane(Memoryless):
         vectors ``(n, 3)``: that of C (eps - eps_b) / tau."""
         kept = self._c.copy(), self._before.copy()
         self._c[:], self._before[:] = self._elastic / step.tau, step.base(self._strains_at)
-        found = self.work(along, {})
-        self._c[:], self._before[:] = kept
-        return found
+        try:
+            return self.work(along, {})
+        finally:
+            self._c[:], self._before[:] = kept
 
     def by_rest(self, along: np.ndarray, step: StepContext) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the work of the forces along nodal vectors ``(n, 3)`` by Dm^-1 ``(m, 2, 2)`` and by the areas

@@ -177,7 +177,7 @@ class NeoHookean:
         self._given, self._nu[:], self._moduli[:] = dict(parameters), nu, moduli(e_pa, nu)
         self._g[:], self._tau[:] = g * self._g_share, tau * self._tau_share
         self._damping[:] = values["stiffness_damping_s"] + self._more_damping
-        self._relaxes, self._damped = bool(self._g.any()), bool(self._damping.any())
+        self._relaxes, self._damped = g > 0.0, bool(self._damping.any())
         self._constants[:] = 1.0, 1.0, self._remembers
         self._constant = 0.0
         if not self._remembers:
@@ -272,13 +272,9 @@ class NeoHookean:
     def by_damping(self, along: np.ndarray, step: StepContext) -> np.ndarray:
         """Derivative by the stiffness damping of each element ``(m,)`` [1/s] of the work of its forces along nodal
         vectors ``(n, 3)``: forces are linear in it, and memory does not depend on it."""
-        kept = self._constants.copy(), self._history.copy()
         rate = np.full(len(self._tets), 1.0 / step.tau)
-        history = self._damping_history(step, rate)
-        self._constants[:], self._history[:] = np.column_stack([rate, rate, np.ones_like(rate)]), history
-        found = self.work(along, {})
-        self._constants[:], self._history[:] = kept
-        return found
+        with self._exerting(rate, rate, self._damping_history(step, rate)):
+            return self.work(along, {})
 
     def by_relaxation(
         self, name: str, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals
@@ -286,7 +282,7 @@ class NeoHookean:
         """Derivative by ``relaxation_g`` or ``relaxation_tau_s`` of each element ``(m,)`` of the work of its forces
         along nodal vectors ``(n, 3)`` and of the product of the new internal variables, flattened, with ``kept``."""
         share, stress, fresh = self._changes_by_relaxation(step, internals)[name]
-        with self._exerting(share, stress):
+        with self._exerting(share, np.zeros_like(share), np.pad(stress, ((0, 0), (0, 1)))):
             found = self.work(along, internals)
         memory = kept.reshape(stress.shape) * (stress + fresh)
         return np.asarray(found + memory.reshape(len(found), -1).sum(axis=1))
@@ -376,9 +372,9 @@ class NeoHookean:
         gradient, found = self._buffers.gradient, {}
         shares = {"relaxation_g": self._g_share, "relaxation_tau_s": self._tau_share}
         for name, (share, stress, fresh) in self._changes_by_relaxation(step, internals).items():
-            part = shares[name]
+            part, scaled = shares[name], _at_points(shares[name]) * stress
             gradient[:] = 0.0
-            with self._exerting(part * share, _at_points(part) * stress):
+            with self._exerting(part * share, np.zeros_like(share), np.pad(scaled, ((0, 0), (0, 1)))):
                 self.add_gradient()
             memory = _at_points(part) * (stress + fresh)
             found[name] = ByNumber(gradient.ravel().copy(), memory.ravel(), np.zeros(3))
@@ -400,13 +396,15 @@ class NeoHookean:
         }
 
     @contextmanager
-    def _exerting(self, share: np.ndarray, stress: np.ndarray) -> Iterator[None]:
-        """While in it, forces are those of ``share`` ``(m,)`` times S_dev and of a memory ``stress`` ``(4 m, 6)``."""
+    def _exerting(self, share: np.ndarray, bulk: np.ndarray, memory: np.ndarray) -> Iterator[None]:
+        """While in it, forces are those of ``share`` and ``bulk`` ``(m,)`` times W_dev and the bulk energy, and of a
+        ``memory`` of stress and pressure [Pa] ``(4 m, 7)``."""
         kept = self._constants.copy(), self._history.copy()
-        self._constants[:, SHARE], self._constants[:, BULK_SHARE] = share, 0.0
-        self._history[:, :6], self._history[:, 6] = stress, 0.0
-        yield
-        self._constants[:], self._history[:] = kept
+        self._constants[:], self._history[:] = np.column_stack([share, bulk, np.ones_like(share)]), memory
+        try:
+            yield
+        finally:
+            self._constants[:], self._history[:] = kept
 
     def _pressure_blocks(self, x: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Derivative by other positions ``x`` of the force that a memory of pressure, K (J - 1) there times ``weight``

@@ -50,6 +50,9 @@ MASS = "mass"
 
 REST_ANGLE, REST = "rest_angle_rad", "rest_m"
 
+ROUND_OFF = 1e-12
+"""Of a difference from the rig's number, relative."""
+
 FLAT = 1e-9
 """Least area of a triangle at rest over the square of its longest side."""
 
@@ -87,7 +90,7 @@ class Fields:
     vector a node ``(n, 3)``: its position at rest in the world, as in ``scene.bodies[name].rest``, when mounts are at
     their start poses. Units may be left out.
 
-    nu is above -1 and below 0.5 everywhere, dampings are not below zero and the share that relaxes is below 1, also
+    nu is above -1 and below 0.5 everywhere, dampings are not below zero and the share that relaxes is in [0, 1), also
     when a rig with another number shifts or scales them (:meth:`check`).
     The thickness is that which stretches, bends and weighs; contact finds the surface where the rig's number puts it.
     Rest angles are those of the shape at rest, but for what they were set to beside it: that difference stays when the
@@ -145,9 +148,10 @@ class Fields:
                 f"The field {full} has {' x '.join(map(str, shape))} values, not an array of shape {given.shape}.",
                 "Give one value an element, or one vector a node, in the order of Fields.places.",
             )
-        signed = key in (*SHIFTED, REST_ANGLE, REST)
-        if not np.isfinite(given).all() or not (signed or (given > 0.0).all()):
-            raise ConfigError(f"The field {full} has values that are not finite and above zero.", "Correct them.")
+        if not np.isfinite(given).all():
+            raise ConfigError(f"The field {full} has values that are not finite.", "Correct them.")
+        if key not in (*SHIFTED, RELAXATION[0], REST_ANGLE, REST) and not (given > 0.0).all():
+            raise ConfigError(f"The field {full} has values that are not above zero.", "Correct them.")
         if key == REST:
             self._reshape(body, given)
             return
@@ -170,11 +174,13 @@ class Fields:
         """Refuse a rig of the same geometry whose numbers would shift a field out of its bounds."""
         for full, beside in self._shifts.items():
             body, key = full.split(".")
-            _check_values(full, self._number(body, key, rig) + beside)
+            number = self._number(body, key, rig)
+            _check_values(full, number + beside, number)
         for full, share in self._shares.items():
             body, key = full.split(".")
             if key == RELAXATION[0]:
-                _check_values(full, self._numbers(f"{body}.elastic", rig).get(key, 0.0) * share)
+                number = self._numbers(f"{body}.elastic", rig).get(key, 0.0)
+                _check_values(full, number * share, number)
 
     def _number(self, body: str, key: str, rig: Rig | None = None) -> float:
         """What a rig (None: that of the scene) has for a quantity."""
@@ -290,17 +296,24 @@ def _mass(body: BuiltBody, factor: np.ndarray) -> sp.csr_matrix:
     return solids.consistent_mass(body.mesh, factor)
 
 
-def _check_values(full: str, values: np.ndarray) -> None:
-    """Refuse values of a field that no material has."""
+def _check_values(full: str, values: np.ndarray, number: float | None = None) -> None:
+    """Refuse values of a field that no material has. ``number``: that of the rig that shifts or scales it (None: the
+    values are given)."""
     key = full.split(".")[1]
     if key == NU:
         poisson_ratios(f"The field {full}", 0.0, values)
-    elif key in SHIFTED and values.min() < 0.0:
-        raise ConfigError(f"The field {full} has the value {values.min():.6g}, below zero.", "Give it none below 0.")
-    elif key == RELAXATION[0] and values.max() >= 1.0:
+        return
+    low, high, words = float(values.min()), float(values.max()), ""
+    if key in SHIFTED and low < -ROUND_OFF * max(high, abs(number or 0.0)):
+        words = f"the value {low:.6g}, below zero"
+    elif key == RELAXATION[0] and (low < 0.0 or high >= 1.0):
+        words = f"values from {low:.6g} to {high:.6g}, not in [0, 1)"
+    if words and number is None:
+        raise ConfigError(f"The field {full} has {words}.", "Correct it.")
+    if words:
         raise ConfigError(
-            f"The field {full} has the value {values.max():.6g}, but no more than all stress can fade.",
-            "Give it values below 1.",
+            f"With {number:.6g}, the number of the rig, the field {full} has {words}.",
+            "Give the rig another number, or set the field anew.",
         )
 
 

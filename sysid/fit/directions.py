@@ -17,11 +17,14 @@ of a quantity, d(t) = sum_p a_p(t) v_p, and A_p(t) is the largest |a_p| about t.
 other, and where one refinement does not show what a second one would, the error is not made of d at all. D(t), the
 largest rms of d over the columns of a quantity about t, stands for that twice: in S_j for what stays as long as the
 motion does (a marker that is off by the same all through a hold, whose every sample must not count as a new
-witness), in R for what is new with every sample. U(t) is that of what came unforeseen, between two places
-where the error and its slopes were measured: where a gel snaps over, it does so with other parameters a moment later
-or not at all, and nobody knows which of both the real one does. The coefficients are eliminated from the least-squares
-problem and the last part weighs samples down, so intervals and evidence are those with the error integrated out (the
-discrepancy of Kennedy & O'Hagan 2001 with a basis from the solver instead of a stationary kernel).
+witness), in R for what is new with every sample. S_j has no sign: of two multiples of d_j, one for all columns and one
+of each, only the first keeps it where d_j changes it. U(t) is that of what came unforeseen, between two places where
+the error and its slopes were measured: where a gel snaps over, it does so with other parameters a moment later or not
+at all, and nobody knows which of both the real one does.
+
+The coefficients are eliminated from the least-squares problem and the last part weighs samples down, so intervals and
+evidence are those with the error integrated out (the discrepancy of Kennedy & O'Hagan 2001 with a basis from the solver
+instead of a stationary kernel).
 
 A wrench sensor that was not tared adds a constant to each of its readings. Such a bias is one more coefficient
 that a column has for itself, and is eliminated with the others.

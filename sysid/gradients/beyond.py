@@ -218,7 +218,7 @@ class Beyond:
             if scale > 0.0:
                 off = np.array([abs(ours - np.vdot(weights, s)) for s in slopes]) / scale
                 errors = np.where(np.isnan(off), np.nan, np.maximum(errors, off))
-                round_off = ROUND_OFF * float(np.linalg.norm(weights * bent[least]))
+                round_off = ROUND_OFF * _amplified(a, b) * float(np.linalg.norm(weights * bent[least]))
                 hidden = np.maximum(hidden, round_off / (np.array(steps) * scale))
         best = int(np.argmin(errors))
         moved = largest(slopes[best][1:, columns])
@@ -246,6 +246,18 @@ class Beyond:
 def _pairs(readings: Sequence[Sequence[np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
     """Readings at both ends, by step."""
     return [(first, second) for first, second in readings]
+
+
+def _amplified(a: float, b: float) -> float:
+    """Standard deviation of the slope of a parabola through values at 0, ``a`` and ``b`` that have round-off, over that
+    of their distance from a straight line; 1 for a step to both sides."""
+
+    def ratio(a: float, b: float) -> float:
+        slope = np.array([a**2 - b**2, b**2, -(a**2)]) / (a * b * (b - a))
+        bent = np.array([a / b - 1.0, 1.0, -a / b])
+        return float(np.linalg.norm(slope) / np.linalg.norm(bent))
+
+    return ratio(a, b) / ratio(*MIDDLE)
 
 
 def _size(name: str, value: np.ndarray) -> np.ndarray | float:
