@@ -473,3 +473,12 @@ def test_an_error_far_above_the_noise_is_said() -> None:
     assert loud(problem(9.0 * SIGMA)) == []
     (said,) = loud(problem(40.0 * SIGMA))
     assert "position of gauge may be 40 times the noise" in said and "finer cells" in said
+
+
+def test_a_reading_that_a_refinement_does_not_move_may_be_off_for_long() -> None:
+    """Beside one that it moves by 1: by a quarter of their largest rms, and the same all through a run."""
+    shape = np.column_stack([np.ones(len(T)), np.zeros(len(T))])
+    run = run_of(np.zeros((len(T), 2)))
+    basis = basis_of([Direction("mesh", ({"gauge": shape},))], 0, run, run.measured[0])
+    lasting = [p.shape[:, 1:] * p.functions[:, :1] for p in basis.own if len(p.instants)]
+    assert np.hypot.reduce(lasting) == pytest.approx(np.full((len(T), 1), ROUGH * 0.5**0.5))
