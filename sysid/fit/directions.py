@@ -5,22 +5,20 @@ reading, but only estimates its size, and the estimate need not be equally good 
 rolls over an element edge or starts to slip it is off by more than during a hold. The error is therefore
 taken to be, in column j of a channel,
 
-    e_j(t) = d_j(t) (mean + sd g(t)) + S_j(t) g_j(t) + sd sum_p A_p(t) v_pj g_p(t) + R(t) n_j(t),
-    g(t) = c_0 + sum_l a_l sum_k c_lk h_lk(t),    c, n ~ N(0, 1),
-    S_j(t)^2 = (sd d_j(t))^2 + (ROUGH D(t))^2,    R(t)^2 = (ROUGH D(t))^2 + U(t)^2,
+    e_j(t) = d_j(t) (mean + sd g(t) + sd g_j(t)) + sd sum_p A_p(t) v_pj g_p(t) + ROUGH D(t) r_j(t) + R(t) n_j(t),
+    g(t) = c_0 + sum_l a_l sum_k c_lk h_lk(t),    c, n ~ N(0, 1),    R(t)^2 = (ROUGH D(t))^2 + U(t)^2,
 
 with h_lk the hat functions of the equidistant instants of level l of :data:`LEVELS`, ever finer and ever
-weaker (a_l), so that the size drifts like a random walk; g is common to all columns of a quantity (the
-forces, the torques, the markers), g_j is each column's own. Where a body starts to slip a little earlier the
-error has the patterns of d, but not their course: v_p are the strongest principal components of d over the columns
-of a quantity, d(t) = sum_p a_p(t) v_p, and A_p(t) is the largest |a_p| about t. Where two refinements act on each
-other, and where one refinement does not show what a second one would, the error is not made of d at all. D(t), the
-largest rms of d over the columns of a quantity about t, stands for that twice: in S_j for what stays as long as the
-motion does (a marker that is off by the same all through a hold, whose every sample must not count as a new
-witness), in R for what is new with every sample. S_j has no sign: of two multiples of d_j, one for all columns and one
-of each, only the first keeps it where d_j changes it. U(t) is that of what came unforeseen, between two places where
-the error and its slopes were measured: where a gel snaps over, it does so with other parameters a moment later or not
-at all, and nobody knows which of both the real one does.
+weaker (a_l), so that the size drifts like a random walk. g is common to all columns of a quantity (the forces, the
+torques, the markers); g_j, g_p and r_j are made like g, and each column has a g_j and an r_j of its own. Where a body
+starts to slip a little earlier the error has the patterns of d, but not their course: v_p are the strongest principal
+components of d over the columns of a quantity, d(t) = sum_p a_p(t) v_p, and A_p(t) is the largest |a_p| about t. Where
+two refinements act on each other, and where one refinement does not show what a second one would, the error is not made
+of d at all. D(t), the largest rms of d over the columns of a quantity about t, stands for that twice: with r_j for what
+stays as long as the motion does (a marker that is off by the same all through a hold, whose every sample must not count
+as a new witness: intervals would shrink with the rate of the sensor), in R for what is new with every sample. U(t) is
+that of what came unforeseen, between two places where the error and its slopes were measured: where a gel snaps over,
+it does so with other parameters a moment later or not at all, and nobody knows which of both the real one does.
 
 The coefficients are eliminated from the least-squares problem and the last part weighs samples down, so intervals and
 evidence are those with the error integrated out (the discrepancy of Kennedy & O'Hagan 2001 with a basis from the solver
@@ -223,7 +221,7 @@ def basis_of(
         expected += direction.mean * shape
         if direction.slopes:
             slopes += direction.mean * direction.slopes[index][measured.channel]
-        alone = (direction.sd * shape) ** 2
+        lasting = np.zeros(shape.shape)
         for quantity in column_groups(measured):
             group = quantity[np.isfinite(measured.values[:, quantity]).any(axis=0)]
             if not len(group):
@@ -232,13 +230,13 @@ def basis_of(
                 wide = np.zeros(shape.shape)
                 wide[:, group] = direction.sd * part.shape
                 common.append(replace(part, shape=wide))
-            size = _largest(_rms(shape[:, group]), t, run.end)[:, None] ** 2
-            alone[:, group] += ROUGH**2 * size
-            largest[:, group] += size
+            size = _largest(_rms(shape[:, group]), t, run.end)[:, None]
+            lasting[:, group] = ROUGH * size
+            largest[:, group] += size**2
             if direction.unforeseen:
                 missed = direction.unforeseen[index][measured.channel][:, group]
                 unforeseen[:, group] += _largest(_rms(missed), t, run.end)[:, None] ** 2
-        own.append(Changes(np.sqrt(alone), drift, instants))
+        own += [Changes(direction.sd * shape, drift, instants), Changes(lasting, drift, instants)]
     if bias is not None:
         always = np.ones((len(t), 1))
         own.append(Changes(bias * always, always, np.array([0.5 * run.end])))

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sim_core.rigs import Rig
-from sysid.fit.coherence import Rough
 from sysid.fit.colour import Part, Samples
 from sysid.fit.directions import Sizes
 from sysid.fit.engine import Prediction
@@ -21,8 +20,7 @@ class Fitted:
     ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable
     coefficients of the simulator's own error by run and channel (:mod:`sysid.fit.directions`); ``limited``: the
     evaluations allowed for all searches together are used up; ``colourless``: samples of the channels whose noise may
-    be coloured, since no rest told (:mod:`sysid.fit.colour`); ``rough``: of the channels in which part of the
-    simulator's own error follows no shape (:mod:`sysid.fit.coherence`); ``seen``: readings that a
+    be coloured, since no rest told (:mod:`sysid.fit.colour`); ``seen``: readings that a
     prediction is compared with, those that it has in sight; ``began``: chi-square where the search began, infinite
     without one; ``elsewhere``: the simulator's own error that it was found beside is that of another place, and is to
     be measured again before anything is made of the misfit; ``still``: the jacobian beside an own error that would not
@@ -43,7 +41,6 @@ class Fitted:
     sizes: dict[tuple[int, str], Sizes] = field(default_factory=dict)
     limited: bool = False
     colourless: dict[tuple[int, str], Samples] = field(default_factory=dict)
-    rough: dict[tuple[int, str], Rough] = field(default_factory=dict)
     seen: int = 0
     began: float = np.inf
     elsewhere: bool = False
@@ -98,17 +95,6 @@ class Fitted:
                     found.setdefault((channel, k), []).append(part)
             at += len(times)
         return list(found.values())
-
-    @property
-    def rough_parts(self) -> list[tuple[Rough, np.ndarray]]:
-        """``rough``, with the rows of the jacobian of the samples that are there."""
-        found, at = [], 0
-        for index, channel, times in self.labels:
-            rough = self.rough.get((index, channel))
-            if rough is not None:
-                found.append((rough, self.jacobian[at : at + int(rough.there.sum())]))
-            at += len(times)
-        return found
 
     @property
     def values(self) -> dict[str, float]:

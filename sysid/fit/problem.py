@@ -11,7 +11,6 @@ import numpy as np
 
 from sim_core.errors import ConvergenceError, ThinshellError
 from sim_core.rigs import Rig
-from sysid.fit.coherence import Rough, rough_of
 from sysid.fit.colour import Samples
 from sysid.fit.directions import Basis, Direction, Sizes, basis_of, believed
 from sysid.fit.elimination import Elimination
@@ -117,16 +116,6 @@ class Problem:
         if key not in self._weights:
             self._weights[key] = self.basis(index, measured).weights(self.noise[measured.channel])
         return self._weights[key]
-
-    def _rough(self) -> dict[tuple[int, str], Rough]:
-        """What of the own error follows no shape, by run and channel."""
-        if not self.directions:
-            return {}
-        return {
-            (i, m.channel): rough_of(np.isfinite(m.values), self._weights_of(i, m), m.t, run.end)
-            for i, run in enumerate(self.runs)
-            for m in run.measured
-        }
 
     def _elimination(self, index: int, measured: Measured, good: np.ndarray) -> Elimination:
         """Of the basis, for the samples that count; kept while these are the same."""
@@ -287,7 +276,7 @@ class Problem:
         seconds = time.monotonic() - started if started is not None else 0.0
         return Fitted(
             list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, rig, 1, True,
-            "evaluated", seconds, sizes, colourless=self._colourless, rough=self._rough(), seen=self.seen(predictions),
+            "evaluated", seconds, sizes, colourless=self._colourless, seen=self.seen(predictions),
             still=still,
         )  # fmt: skip
 

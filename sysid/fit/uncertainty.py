@@ -1,11 +1,10 @@
 """How well a fit determines its parameters, and what it cannot tell apart.
 
-Four covariances are compared parameter by parameter and the largest is kept: the inverse Fisher matrix of
+Three covariances are compared parameter by parameter and the largest is kept: the inverse Fisher matrix of
 the whitened residuals, widened by the misfit where the model does not reach the noise, the sandwich
 estimate H^-1 (sum_b s_b s_b^T) H^-1 over blocks b of neighbouring samples (s_b = J_b^T r_b), which does
-not trust the noise model in time (White 1982; Newey & West 1987), where no rest told the colour of a
-channel's noise, that of the noise that the fit leaves there (:mod:`sysid.fit.colour`), and that in which the
-simulator's own error repeats itself from sample to sample (:mod:`sysid.fit.coherence`).
+not trust the noise model in time (White 1982; Newey & West 1987), and, where no rest told the colour of a
+channel's noise, that of the noise that the fit leaves there (:mod:`sysid.fit.colour`).
 
 Sentences are about the parameters that were asked for, with the nuisances beside them projected out.
 """
@@ -17,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.fit.coherence import coherent_scores
 from sysid.fit.colour import coloured_scores
 from sysid.fit.fitted import Fitted
 from sysid.fit.parameters import FitParameter
@@ -78,8 +76,7 @@ def _beside(fitted: Fitted) -> Uncertainty:
     scores = _scores(fitted, fitted.residual)
     sandwich = inverse @ (scores.T @ scores) @ inverse
     coloured = inverse + inverse @ coloured_scores(fitted.colourless_parts, inverse) @ inverse
-    coherent = inverse + inverse @ coherent_scores(fitted.rough_parts, p) @ inverse
-    variance = np.max([np.diag(v) for v in (plain, sandwich, coloured, coherent)], axis=0)
+    variance = np.max([np.diag(v) for v in (plain, sandwich, coloured)], axis=0)
     sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)), WIDEST * prior)
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlation = np.clip(inverse / np.outer(spread, spread), -1.0, 1.0)

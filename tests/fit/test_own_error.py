@@ -345,12 +345,13 @@ def test_an_error_without_the_shape_is_allowed_for(vectors: None, rho: float) ->
     assert np.all(inside >= 90), inside
 
 
-def beside_a_fast_error(n: int, errors: np.ndarray | float) -> Fitted:
-    """The two parameters at the truth, by ``n`` samples of eight columns beside an own error that oscillates faster
-    than its size drifts, in each column otherwise; the readings are off by ``errors`` ``(n, 8)``."""
+def beside_a_fast_error(n: int, errors: np.ndarray | float, amplitude: float = 1.0) -> Fitted:
+    """The two parameters at the truth, by ``n`` samples of eight columns beside an own error of a given ``amplitude``
+    that oscillates faster than its size drifts, in each column otherwise; the readings are off by ``errors``
+    ``(n, 8)``."""
     t, j = np.linspace(0.0, 1.0, n)[:, None], np.arange(8)
     slopes = np.stack([np.cos(0.7 * j * t + j), np.sin(1.1 * j * t + 1.0)], axis=-1)
-    shape = np.sin((250.0 + 20.0 * j) * t)
+    shape = amplitude * np.sin((250.0 + 20.0 * j) * t)
     values = slopes @ TRUTH + 0.5 * shape + errors
     run = Run("run", "", (), {}, (Measured("gauge", "markers", t[:, 0], values, tuple("abcdefgh")),), 1.0)
     noise = {"gauge": ChannelNoise(np.full(8, SIGMA), np.zeros(8), "test")}
@@ -373,8 +374,8 @@ def test_an_error_without_the_shape_may_stay_for_a_while(vectors: None) -> None:
 
 def test_intervals_beside_an_own_error_do_not_shrink_with_the_rate(vectors: None) -> None:
     few, many = beside_a_fast_error(1200, 0.0), beside_a_fast_error(4800, 0.0)
-    blind = [uncertainty(replace(fitted, rough={})).sd for fitted in (few, many)]
-    assert np.all(blind[1] < 0.7 * blind[0]), "they would have"
+    alone = [uncertainty(beside_a_fast_error(n, 0.0, 1e-9)).sd for n in (1200, 4800)]
+    assert alone[1] == pytest.approx(0.5 * alone[0], rel=0.01), "by noise alone they do"
     assert uncertainty(many).sd == pytest.approx(uncertainty(few).sd, rel=0.2)
 
 
@@ -482,3 +483,13 @@ def test_a_reading_that_a_refinement_does_not_move_may_be_off_for_long() -> None
     basis = basis_of([Direction("mesh", ({"gauge": shape},))], 0, run, run.measured[0])
     lasting = [p.shape[:, 1:] * p.functions[:, :1] for p in basis.own if len(p.instants)]
     assert np.hypot.reduce(lasting) == pytest.approx(np.full((len(T), 1), ROUGH * 0.5**0.5))
+
+
+def test_each_column_may_have_its_own_multiple_of_the_error(vectors: None) -> None:
+    """With its sign: half as much again all through a run takes one coefficient, also where the error changes sign."""
+    shape = 100.0 * SIGMA * np.column_stack([np.sin(15 * T), np.cos(11 * T)])
+    problem = Problem(
+        [run_of(shape * [1.0, 0.5])], NOISE, cast(PooledEngine, None), [Direction("mesh", ({"gauge": shape},))]
+    )
+    nothing = Prediction({"gauge": np.zeros(shape.shape)}, {}, cast(Trace, None))
+    assert problem.compare([nothing], cast(Any, Vector(TRUTH)), [], np.zeros(0)).chi2 < 1.0

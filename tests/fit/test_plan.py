@@ -84,7 +84,7 @@ def test_progress_goes_on_all_the_time(plan, told):
 def test_each_experiment_tells_of_what_it_touches(plan):
     press, touch, rub, together = (known(outlook) for outlook in plan.outlooks)
     assert press["card.E_pa"].determined and not press["contacts.gel-post.friction"].determined
-    assert max(press["card.E_pa"].from_channels, key=press["card.E_pa"].from_channels.get) == "wrench"
+    assert all(press["card.E_pa"].from_channels[c] > 0.3 for c in ("wrench", "side")), "what it takes, and how it bends"
     assert touch["card.E_pa"].from_channels["side"] > 0.99  # how far it droops, seen from outside
     assert rub["contacts.gel-post.friction"].sd < 0.1 * touch["contacts.gel-post.friction"].sd
     assert all(p.determined for p in together.values())
