@@ -90,11 +90,3 @@ def visit() -> Callable[..., dict[str, PoseTrajectory]]:
         return {"finger": PoseTrajectory(np.array(times), start + np.array(offsets), quaternions)}
 
     return build
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Where files run side by side, those with nodes share one worker and its simulator."""
-    if config.pluginmanager.hasplugin("xdist"):
-        for item in items:
-            group = "ros" if item.get_closest_marker("ros") else str(item.path)
-            item.add_marker(pytest.mark.xdist_group(group))
