@@ -355,10 +355,13 @@ def _between(inside: tuple[float, float], beyond: tuple[float, float]) -> float:
 
 
 def _crossing(found: Sequence[tuple[float, float]], inside: tuple[float, float], beyond: tuple[float, float]) -> float:
-    """Where the root of the deviance passes its limit, by monotone interpolation."""
-    kept = [found[0]]
-    for x, root in found[1:]:
-        if np.isfinite(root) and root > kept[-1][1]:
+    """Where the root of the deviance passes its limit, by monotone interpolation; of points that are as good the
+    farthest counts, so that the limit lies between ``inside`` and ``beyond``."""
+    kept: list[tuple[float, float]] = []
+    for x, root in found:
+        if np.isfinite(root):
+            while kept and kept[-1][1] >= root:
+                kept.pop()
             kept.append((x, root))
     xs, roots = np.array(kept).T
     if roots[-1] >= LIMIT and len(kept) > 2:

@@ -183,6 +183,19 @@ def test_friction_that_never_slips_has_a_lower_limit() -> None:
     assert a.sentence.endswith("A contact that sticks sets friction no upper limit.")
 
 
+def walled(a: float, b: float) -> np.ndarray:
+    """Nothing tells of ``a`` up to a wall at 2."""
+    return 1e3 * max(a - 2.0, 0.0) * np.cos(T) + b * np.sin(3.0 * T)
+
+
+def test_no_limit_lies_before_what_fits_as_well() -> None:
+    """Four points as good as the best on the way to a wall."""
+    problem, fitted = fitted_to(walled, (0.5, 0.5), low=0.0, high=3.0)
+    (a, _) = Profiler(problem, fitted).profiles()
+    good = [x for x, deviance in zip(a.values, a.deviance, strict=True) if deviance < 3.841459]
+    assert a.ends[1] == "found" and max(good) <= a.ci95[1] < 2.1
+
+
 def calibration_of_misfit(fitted: Fitted) -> float:
     return max(1.0, uncertainty(fitted).reduced_chi2) * float(uncertainty(fitted).inflation[0]) ** 2
 
