@@ -25,7 +25,7 @@ def inspect(
 ) -> None:
     """List the streams of a recording, and everything that was repaired, assumed or found odd.
 
-    Example: thinshell inspect bags/press
+    Example: thinshell inspect bags/press_post
     """
     from sim_core.rigs import load_rig
     from sim_core.rigs.trajectory import PoseTrajectory

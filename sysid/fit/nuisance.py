@@ -56,6 +56,8 @@ def checked_kinds(words: Collection[str]) -> frozenset[str]:
         return frozenset()
     for word in words:
         if word not in KINDS:
+            if word in ("all", "none"):
+                raise ConfigError(f"Nuisance {word!r} stands beside others.", "Name kinds, or 'all' or 'none' alone.")
             raise ConfigError(f"There is no nuisance {word!r}.", nearest_match(word, (*KINDS, "all", "none")))
     return frozenset(words)
 

@@ -193,7 +193,7 @@ def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], lis
 def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) -> list[ChannelError]:
     """Root-mean-square errors by run, channel and quantity, over the samples that both models have in sight.
 
-    A bias is of the recording, not of the rig: either model has the most probable one where the problem allows it.
+    A bias is of the recording, not of the rig: either model has the best one where the problem allows it.
 
     A quantity without such a sample is left out (:func:`out_of_sight` says so).
     """
@@ -244,7 +244,7 @@ def _misses(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Measured minus predicted where both models predict something; None where they nowhere do."""
     was, now = (
-        measured.values[:, columns] - problem.read(fitted, index, measured)[:, columns] for fitted in (before, after)
+        measured.values[:, columns] - problem.tared(fitted, index, measured)[:, columns] for fitted in (before, after)
     )
     both = np.isfinite(was) & np.isfinite(now)
     return (was[both], now[both]) if both.any() else None
@@ -266,7 +266,7 @@ def plot_series(
             spread = np.array([np.std(column) if len(column) else -1.0 for column in finite])
             chosen = np.sort(np.argsort(-spread, kind="stable")[: min(most, int(np.sum(spread >= 0.0)))])
             step = max(1, len(m.t) // 600)
-            was, now = (problem.read(fitted, i, m) for fitted in (before, after))
+            was, now = (problem.tared(fitted, i, m) for fitted in (before, after))
             for k in chosen:
                 unit = UNITS[m.kind][1 if m.kind == "wrench" and k >= 3 else 0]
                 values = m.values[::step, k]

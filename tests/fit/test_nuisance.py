@@ -318,8 +318,8 @@ def test_kinds_are_checked() -> None:
     assert checked_kinds(["all"]) == set(KINDS) and checked_kinds(["none"]) == set()
     assert checked_kinds(["time", "bias"]) == {"time", "bias"}
     assert FitOptions().kinds == set(KINDS), "what a laboratory leaves unknown is estimated unless told otherwise"
-    for wrong in (["tine"], ["none", "time"]):
-        with pytest.raises(ConfigError, match="no nuisance"):
+    for wrong, said in ((["tine"], "no nuisance 'tine'"), (["none", "time"], "'none' stands beside others")):
+        with pytest.raises(ConfigError, match=said):
             checked_kinds(wrong)
 
 

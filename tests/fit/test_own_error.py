@@ -493,3 +493,17 @@ def test_each_column_may_have_its_own_multiple_of_the_error(vectors: None) -> No
     )
     nothing = Prediction({"gauge": np.zeros(shape.shape)}, {}, cast(Trace, None))
     assert problem.compare([nothing], cast(Any, Vector(TRUTH)), [], np.zeros(0)).chi2 < 1.0
+
+
+def test_errors_of_a_rig_that_is_right_are_the_noise(vectors: None) -> None:
+    """Beside an own error of ten times the noise, which is not in the readings, of a wrench that was not tared."""
+    rng, bias = np.random.default_rng(3), np.array([0.3, -0.2, 0.0, 0.0, 0.0, 0.0])
+    noise = {"cell": ChannelNoise(np.full(6, SIGMA), np.zeros(6), "test")}
+    values = bias + SIGMA * rng.standard_normal((len(T), 6))
+    run = Run("run", "", (), {}, (Measured("cell", "wrench", T, values, tuple("abcdef")),), 1.0)
+    direction = Direction("mesh", ({"cell": np.full((len(T), 6), 10.0 * SIGMA)},))
+    problem = Problem([run], noise, cast(PooledEngine, None), [direction], bias=True)
+    nothing = Prediction({"cell": np.zeros((len(T), 6))}, {}, cast(Trace, None))
+    fitted = problem.compare([nothing], cast(Any, Vector(TRUTH)), [], np.zeros(0))
+    left = values - problem.tared(fitted, 0, run.measured[0])
+    assert np.sqrt(np.mean(left**2)) == pytest.approx(SIGMA, rel=0.05)
