@@ -127,7 +127,7 @@ class Evaluations:
     def __call__(self, best: Fitted) -> None:
         """One more has been made, after which ``best`` is the best of its search."""
         self.done += 1
-        self.tell(f"evaluation {self.done}, misfit {best.misfit:.3g} (up to 1: noise alone)")
+        self.tell(f"evaluation {self.done}, misfit {best.misfit:.3g} (up to 1: noise and own error)")
         if self._on_step is not None:
             asked = {p.name for p in best.parameters if not p.nuisance}
             self._on_step(Step(self.done, best.misfit, {n: v for n, v in best.values.items() if n in asked}))

@@ -143,7 +143,9 @@ def headline(result: FitResult) -> str:
         return "The fitted rig explains the recordings it was fitted to, but not those held out."
     if found == "good":
         also = ", and predicts those held out as well" if there == "good" else ""
-        return f"The fitted rig explains the recordings down to their noise{also}."
+        left = over_noise([e for e in result.errors if not e.held_out], after=True)
+        own = "" if level(left) in ("", "good") else " and the error of its own mesh and time step"
+        return f"The fitted rig explains the recordings down to their noise{own}{also}."
     if found == "fair":
         return "The fitted rig comes near the recordings, but leaves more than their noise."
     if found == "bad":

@@ -92,7 +92,7 @@ def test_progress_tells_the_misfit_beside_what_the_noise_alone_makes(small_rig: 
     )  # fmt: skip
     told: list[str] = []
     Evaluations(FitOptions(), lambda share, text: told.append(text))(fitted)
-    assert told == ["evaluation 1, misfit 9 (up to 1: noise alone)"]
+    assert told == ["evaluation 1, misfit 9 (up to 1: noise and own error)"]
 
 
 def test_starts_are_those_of_many_draws_that_fit_best_and_can_be_simulated(small_rig: Any) -> None:

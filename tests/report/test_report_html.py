@@ -382,6 +382,14 @@ def test_more_than_noise_in_one_quantity_is_said_first_however_good_the_rest(tmp
     assert left in first and "leaves more than their noise" in first
 
 
+@pytest.mark.parametrize(("after", "said"), [(1.1, False), (2.4, True)])
+def test_what_only_the_own_error_explains_is_no_noise(tmp_path: Path, after: float, said: bool) -> None:
+    errors = [replace(e, after=after * e.noise) for e in make_fit().errors if not e.held_out]
+    page = fit_page(tmp_path, make_fit(errors=errors, unexplained=[], series=[]))
+    assert "down to their noise" in page.words
+    assert ("down to their noise and the error of its own mesh and time step." in page.words) == said
+
+
 def test_what_is_determined_is_said_first(tmp_path: Path) -> None:
     pair = make_fit().identifiability[1]
     together = "The data do not determine gel.E_pa and gel.nu separately, only in combination: both up. Fix one."
