@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -24,6 +25,12 @@ NOISE_USED = (
     f"more than {REPLACED_FROM:g} times the estimate."
 )
 """Which of the two is used, in words."""
+
+LOOK_FIRST = (
+    "What is said of clocks, cameras, biases and end effectors can also make up for a parameter that is fixed at a "
+    "wrong value, or for physics that the rig lacks: check it on the robot before it goes into the rig."
+)
+"""Beside what a fit says to write into a rig."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +117,19 @@ class FitResult:
     outliers: list[Outliers] = field(default_factory=list)
     unexplained: list[str] = field(default_factory=list)
 
+    @property
+    def undetermined(self) -> set[str]:
+        """Parameters that some sentence says the data do not determine, or of which they only give a limit."""
+        found = {p.name for p in self.profiles if p.undetermined}
+        # Names are matched whole: that of a bag, in brackets, may hold anything.
+        names = "|".join(re.escape(e.name) for e in sorted(self.estimates, key=lambda e: -len(e.name)))
+        subject = re.compile(f"The data do not determine ((?:{names})(?: and (?:{names}))*)(?:: | separately,)")
+        for sentence in self.identifiability:
+            told = subject.match(sentence)
+            if told:
+                found |= set(re.findall(names, told[1]))
+        return found
+
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series."""
         data = asdict(self)
@@ -125,10 +145,11 @@ class FitResult:
         lines = [] if self.converged else [not_converged(self.message), ""]
         for sentence in self.unexplained:
             lines += [sentence, ""]
+        undetermined = self.undetermined
         lines += [f"{'parameter':<34}{'value':>13}  {'95 % interval':<27}unit"]
         for e in self.estimates:
             low, high = e.ci95
-            mark = "  (at its bound)" if e.at_bound else ""
+            mark = "  (not determined)" if e.name in undetermined else "  (at its bound)" if e.at_bound else ""
             lines.append(f"{e.name:<34}{e.value:>13.5g}  {f'{low:.5g} .. {high:.5g}':<27}{e.unit}{mark}")
         lines += ["", *self._profile_table(), *self._nuisance_table()]
         runs = [c.run + (" (held out)" if c.held_out else "") for c in self.errors]
@@ -142,7 +163,8 @@ class FitResult:
             )
         if self.errors:
             lines.append(NOISE_USED)
-        lines += ["", *self.identifiability, *self.remarks, *(f"Note: {note}" for note in self.notes)]
+        first = [LOOK_FIRST] if self.remarks else []
+        lines += ["", *self.identifiability, *self.remarks, *first, *(f"Note: {note}" for note in self.notes)]
         return "\n".join(lines)
 
     def _profile_table(self) -> list[str]:

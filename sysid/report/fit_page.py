@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sysid.fit.noise import REPLACED_FROM
+from sysid.fit.result import LOOK_FIRST
 from sysid.report.numbers import MISSING, seconds, significant, times, with_unit
 from sysid.report.page import embedded_json, write_page
 from sysid.report.panels import run_views, showcase
@@ -53,7 +53,7 @@ class Tile:
 
 def write_fit_report(result: FitResult, path: Path) -> Path:
     """Write the report of a fit as one HTML file and return its path."""
-    undetermined = undetermined_names(result)
+    undetermined = result.undetermined
     runs = run_views(result.series, result.errors)
     return write_page(
         "fit.html.j2",
@@ -78,6 +78,8 @@ def write_fit_report(result: FitResult, path: Path) -> Path:
         level_edges=LEVELS,
         provenance=provenance_of(result.provenance),
         notes=result.notes,
+        look_first=LOOK_FIRST,
+        trusted=explains(result) != "bad",
         data=embedded_json(result.to_json()),
     )
 
@@ -97,19 +99,6 @@ class ErrorTables:
         if len(full) <= SHORT_TABLE:
             return ErrorTables(full, [])
         return ErrorTables(short, full if len(full) > len(short) else [])
-
-
-def undetermined_names(result: FitResult) -> set[str]:
-    """Parameters that some sentence says the data do not determine, or of which they only give a limit."""
-    found = {p.name for p in result.profiles if p.undetermined}
-    # Names are matched whole: that of a bag, in brackets, may hold anything.
-    names = "|".join(re.escape(e.name) for e in sorted(result.estimates, key=lambda e: -len(e.name)))
-    subject = re.compile(f"The data do not determine ((?:{names})(?: and (?:{names}))*)(?:: | separately,)")
-    for sentence in result.identifiability:
-        told = subject.match(sentence)
-        if told:
-            found |= set(re.findall(names, told[1]))
-    return found
 
 
 def explains(result: FitResult) -> str:
@@ -182,7 +171,7 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
         out.append(
             f"These recordings do not determine {_listed(named)} on {'its' if len(named) == 1 else 'their'} own."
         )
-    elif n and result.converged:
+    elif n and result.converged and explains(result) != "bad":
         traded = ", though some are traded off against each other" if result.identifiability else ""
         every = "Every parameter" if not bounds else "Every other parameter" if len(bounds) < n else ""
         if every:

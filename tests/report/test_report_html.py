@@ -35,13 +35,13 @@ from sysid.fit.parameters import fit_parameters
 from sysid.fit.problem import Problem
 from sysid.fit.result import Estimate, FitResult
 from sysid.fit.runs import Measured, Run
+from sysid.fit.untold import Nuisance
 from sysid.mismatch.candidates import with_effect
 from sysid.mismatch.decide import Trial, Verdict
 from sysid.mismatch.diagnose import _collect
 from sysid.mismatch.locate import structure
 from sysid.mismatch.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
 from sysid.report import write_diagnosis_report, write_fit_report
-from sysid.report.fit_page import undetermined_names
 from sysid.report.numbers import TIMES
 
 NAN = float("nan")
@@ -370,7 +370,10 @@ def test_what_a_bag_has_for_itself_is_undetermined_whatever_the_bag_is_called(ba
          {whole, third.name}),
         (f"{own} and {whole} are traded off against each other: The data do not determine {own}: no.", set()),
     ):  # fmt: skip
-        assert undetermined_names(make_fit(estimates=estimates, identifiability=[said])) == expected
+        fit = make_fit(estimates=estimates, identifiability=[said])
+        assert fit.undetermined == expected
+        marked = {line.split("  ")[0] for line in fit.table().splitlines() if line.endswith("(not determined)")}
+        assert marked == expected
 
 
 def test_more_than_noise_in_one_quantity_is_said_first_however_good_the_rest(tmp_path: Path) -> None:
@@ -388,6 +391,24 @@ def test_what_only_the_own_error_explains_is_no_noise(tmp_path: Path, after: flo
     page = fit_page(tmp_path, make_fit(errors=errors, unexplained=[], series=[]))
     assert "down to their noise" in page.words
     assert ("down to their noise and the error of its own mesh and time step." in page.words) == said
+
+
+@pytest.mark.parametrize(
+    "remarks", [[], ["The stream wrench lags by 20 +- 1 ms: write wrench.latency_s = 0.02 into the rig."]]
+)
+def test_what_to_write_into_a_rig_is_to_be_checked_first(tmp_path: Path, remarks: list[str]) -> None:
+    late = Nuisance("wrench.latency_s", "", "s", 0.0, 0.02, (0.018, 0.022), 0.001, 0.03, False, ())
+    fit = make_fit(remarks=remarks, nuisances=[late], series=[])
+    page = fit_page(tmp_path, fit)
+    for words in (page.words, fit.table()):
+        assert ("check it on the robot before it goes into the rig" in words) == bool(remarks)
+
+
+def test_a_rig_that_explains_nothing_determines_nothing(tmp_path: Path) -> None:
+    inside = [replace(e, at_bound=False) for e in make_fit().estimates]
+    page = fit_page(tmp_path, make_fit(identifiability=[], estimates=inside, reduced_chi2=400.0, series=[]))
+    assert "does not explain the recordings" in page.words and "determined by these recordings" not in page.words
+    assert "means little" in page.words and "is determined on its own" not in page.words
 
 
 def test_what_is_determined_is_said_first(tmp_path: Path) -> None:
