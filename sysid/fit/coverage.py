@@ -49,7 +49,8 @@ own error."""
 @dataclass(frozen=True)
 class Outcome:
     """One parameter of one case. ``error``: fitted minus true, over true where it is ``relative``, in ``unit`` where
-    the value of the rig is 0; ``score``: the difference in the fitted scale over the standard deviation."""
+    the value of the rig is 0; ``score``: the difference in the fitted scale over the standard deviation;
+    ``determined``: the data determine it, as the fit says."""
 
     case: int
     name: str
@@ -61,6 +62,7 @@ class Outcome:
     error: float
     score: float
     converged: bool
+    determined: bool
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,13 @@ class Coverage:
                 f"{len(self.failed)} of {self.cases} cases failed, and are in no row. Counted as outside: "
                 f"{self._shares(names, self.outcomes, len(self.failed)) or 'none is inside'}."
             )
+        for name in names:
+            vague = sum(o.name == name and not o.determined for o in self.outcomes)
+            if vague:
+                lines.append(
+                    f"{name} is not determined in {vague} of {sum(o.name == name for o in self.outcomes)} cases: an "
+                    "interval as wide as what is possible holds any truth."
+                )
         absolute = [name for name in names if any(o.name == name and not o.relative for o in self.outcomes)]
         if absolute:
             lines.append(
@@ -291,6 +300,7 @@ def _case(
                 (found.value - value) / (value if relative else 1.0),
                 float((p.scaled(found.value) - scaled) / found.sd),
                 result.converged,
+                p.name not in result.undetermined,
             )
         )
     return outcomes

@@ -74,6 +74,7 @@ def test_only_forces_are_coloured():
 def outcome(case: int, score: float, name: str = "gel.E_pa", **given: object) -> Outcome:
     """An outcome with a relative error of a hundredth of its score."""
     usual = {"unit": "Pa", "truth": 1.0, "value": 1.0, "relative": True, "error": 0.01 * score, "converged": True}
+    usual["determined"] = True
     own = {"case": case, "name": name, "inside": abs(score) < 2.0, "score": score}
     return Outcome(**usual | own | given)  # type: ignore[arg-type]
 
@@ -84,11 +85,12 @@ def test_the_error_of_what_is_zero_is_not_over_it(small_rig, monkeypatch):
     parameters = fit_parameters(rig, ["gravity.x"])
     found = Estimate("gravity.x_m_s2", "m/s^2", 0.0, 0.14, (0.1, 0.18), 0.02, False, False)
     monkeypatch.setattr(coverage, "load_runs", lambda *_: ([], []))
-    result = SimpleNamespace(estimates=[found], converged=False)
+    result = SimpleNamespace(estimates=[found], converged=False, undetermined={found.name})
     monkeypatch.setattr(coverage, "fit_runs", lambda *_, **__: (result, rig))
     for truth in (0.1, 0.0):
         (told,) = coverage._case(rig, [], parameters, 3, np.array([truth]), np.zeros(1), 3, 1, 0.0)
         assert (told.relative, told.converged, told.inside) == (False, False, truth == 0.1)
+        assert not told.determined
         assert told.error == pytest.approx(0.14 - truth) and told.score == pytest.approx((0.14 - truth) / 0.02)
 
 
@@ -97,7 +99,9 @@ def test_a_case_is_recorded_with_coloured_noise_and_the_table_says_so(small_rig,
     parameters = fit_parameters(rig, ["gravity.x"])
     monkeypatch.setattr(coverage, "simulate_to_bag", lambda *_, noise, **__: noises.append(noise))
     monkeypatch.setattr(coverage, "load_runs", lambda *_: ([], []))
-    monkeypatch.setattr(coverage, "fit_runs", lambda *_, **__: (SimpleNamespace(estimates=[], converged=True), rig))
+    monkeypatch.setattr(
+        coverage, "fit_runs", lambda *_, **__: (SimpleNamespace(estimates=[], converged=True, undetermined=set()), rig)
+    )
     with pytest.raises(ValueError, match="shorter"):  # nothing was estimated
         coverage._case(rig, [None], parameters, 3, np.zeros(1), np.zeros(1), 3, 1, 0.7)
     assert [noise.colour for noise in noises] == [0.7]
@@ -115,6 +119,12 @@ def test_the_table_counts_and_tells_the_spread_of_scores():
     text = Coverage("rig", 4, 3, 0, tuple(outcome(k, float(k)) for k in range(4)), {}).table()
     assert row(text, "gel.E_pa").split()[1:] == "2 of 4 50 % 15 .. 85 % 1.50 % 1.50 1.29".split()
     assert len(text.splitlines()) == 2, text
+
+
+def test_what_no_data_determine_is_no_hit_that_counts():
+    outcomes = tuple(outcome(k, 0.5, determined=k > 2) for k in range(4)) + (outcome(0, 0.5, "gel.nu"),)
+    (said,) = Coverage("rig", 4, 3, 0, outcomes, {}).table().splitlines()[4:]
+    assert said.startswith("gel.E_pa is not determined in 3 of 4 cases")
 
 
 def test_parameters_of_one_case_are_not_counted_as_independent():
