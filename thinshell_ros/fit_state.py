@@ -91,7 +91,14 @@ def result_of(fit: dict[str, Any], job_id: str, request: FitRequest) -> dict[str
         "correlation": fit["correlation"],
         "loss": fit["misfit"],
         "converged": fit["converged"],
-        "remarks": [*astray, *fit["unexplained"], *fit["identifiability"], *fit["remarks"], *fit["notes"]],
+        "remarks": [
+            *astray,
+            *fit["unexplained"],
+            *fit["cautions"],
+            *fit["identifiability"],
+            *fit["remarks"],
+            *fit["notes"],
+        ],
         "bag_sha256": {bag["path"]: bag["sha256"] for bag in source["bags"]},
         "code_version": source["versions"],
     }

@@ -135,9 +135,7 @@ def _fit_runs(
     ]
     if fitted.converged and fitted.message == AT_KINK:
         notes.append(f"The search ended since {AT_KINK}; standard deviations are those of the side on which it stands.")
-    notes += (
-        search.ends + loud(problem) + doubtful(problem) + unheard(problem.noise) + out_of_sight(problem, before, fitted)
-    )
+    notes += search.ends + unheard(problem.noise) + out_of_sight(problem, before, fitted)
     sentences = found.sentences
     moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
     if moved:
@@ -176,6 +174,7 @@ def _fit_runs(
         profiles=found.profiles,
         outliers=look.outliers,
         unexplained=unexplained(problem, fitted),
+        cautions=loud(problem) + doubtful(problem),
     )
     return result, fitted.rig
 

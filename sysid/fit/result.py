@@ -94,7 +94,8 @@ class FitResult:
     ``reduced_chi2``: the same sum over degrees of freedom; ``evaluations``: of all searches; ``nuisances``: what was
     estimated beside what was asked for; ``profiles``: deviance against each parameter, where that was asked for
     (:mod:`sysid.fit.profiler`); ``outliers``: readings that were left out (:mod:`sysid.fit.outliers`);
-    ``unexplained``: in which quantities more than noise is left, in words (:mod:`sysid.fit.leftover`)."""
+    ``unexplained``: in which quantities more than noise is left, in words (:mod:`sysid.fit.leftover`);
+    ``cautions``: where values and intervals rest on the error of mesh and time step, in words."""
 
     rig: str
     estimates: list[Estimate]
@@ -116,6 +117,7 @@ class FitResult:
     profiles: list[Profile] = field(default_factory=list)
     outliers: list[Outliers] = field(default_factory=list)
     unexplained: list[str] = field(default_factory=list)
+    cautions: list[str] = field(default_factory=list)
 
     @property
     def undetermined(self) -> set[str]:
@@ -143,7 +145,7 @@ class FitResult:
     def table(self) -> str:
         """Parameters and errors as text, below whether they are to be trusted."""
         lines = [] if self.converged else [not_converged(self.message), ""]
-        for sentence in self.unexplained:
+        for sentence in [*self.unexplained, *self.cautions]:
             lines += [sentence, ""]
         undetermined = self.undetermined
         lines += [f"{'parameter':<34}{'value':>13}  {'95 % interval':<27}unit"]

@@ -185,7 +185,7 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
             "Intervals are widened by the misfit, but a law that is missing can still pull values away from "
             "the truth; 'thinshell diagnose' looks for one."
         )
-    return [*out, *result.unexplained]
+    return [*out, *result.unexplained, *result.cautions]
 
 
 def _went(start: float, end: float) -> str:

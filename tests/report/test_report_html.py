@@ -385,6 +385,12 @@ def test_more_than_noise_in_one_quantity_is_said_first_however_good_the_rest(tmp
     assert left in first and "leaves more than their noise" in first
 
 
+def test_what_intervals_rest_on_is_said_first(tmp_path: Path) -> None:
+    fit = make_fit(cautions=["The error of mesh and time step may be 28 times the noise."], series=[])
+    assert fit.cautions[0] in fit_page(tmp_path, fit).words.split("Reduced chi-square")[0]
+    assert fit.table().index(fit.cautions[0]) < fit.table().index("95 % interval")
+
+
 @pytest.mark.parametrize(("after", "said"), [(1.1, False), (2.4, True)])
 def test_what_only_the_own_error_explains_is_no_noise(tmp_path: Path, after: float, said: bool) -> None:
     errors = [replace(e, after=after * e.noise) for e in make_fit().errors if not e.held_out]

@@ -119,7 +119,7 @@ def test_standard_deviations_are_in_the_units_of_the_parameters(rig: Rig, tmp_pa
     ]
     fit = {
         "rig": "pull", "estimates": estimates, "correlation": [[1.0, 0.2], [0.2, 1.0]], "misfit": 1.1,
-        "converged": True, "identifiability": ["a"], "remarks": [], "notes": ["b"], "unexplained": [],
+        "converged": True, "identifiability": ["a"], "remarks": [], "cautions": [], "notes": ["b"], "unexplained": [],
         "provenance": {"bags": [{"path": "one", "sha256": ["ab"]}], "versions": {"thinshell_ros": "0.1.0"}},
     }  # fmt: skip
     state = FitState("fit_7", "running")
@@ -140,7 +140,7 @@ def test_a_fit_that_did_not_converge_is_a_warning(rig: Rig, tmp_path: Path) -> N
     fit = {
         "rig": "pull", "estimates": [], "correlation": [], "misfit": 40.0, "converged": False,
         "message": "the evaluations allowed, 2, are used up", "identifiability": ["a"], "remarks": [], "notes": [],
-        "unexplained": ["It leaves more than noise."],
+        "cautions": [], "unexplained": ["It leaves more than noise."],
         "provenance": {"bags": [], "versions": {}},
     }  # fmt: skip
     state = FitState("fit_7", "running")
