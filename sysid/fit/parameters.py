@@ -180,7 +180,8 @@ def within_bounds(
             )
         value = values[p.name]
         assert value is not None
-        found.append(_within(replace(p, lower=low, upper=high), rig, value))
+        whose = "of a fit" if (low, high) == (p.lower, p.upper) else "that was given"
+        found.append(_within(replace(p, lower=low, upper=high), rig, value, whose))
     if asked:
         raise ConfigError(f"There are bounds of {', '.join(asked)}, which is not fitted.", "Leave them out.")
     return found
@@ -198,7 +199,11 @@ def known_before(
             f"Something is said to be known of {unasked[0]}, which is not fitted.",
             "Name it among the parameters as well, or write its value into the rig.",
         )
-    at = with_parameters(rig, {name: value for name, (value, _) in known.items()})
+    try:
+        at = with_parameters(rig, {name: value for name, (value, _) in known.items()})
+    except ConfigError as error:
+        said = " and ".join(f"{name} = {value:g}" for name, (value, _) in known.items())
+        raise ConfigError(f"What is known beforehand, {said}, cannot be: {error.problem}", error.remedy) from error
     found = []
     for p in parameters:
         if p.name in known:
@@ -208,16 +213,17 @@ def known_before(
     return found, at
 
 
-def _within(parameter: FitParameter, rig: Rig, value: float) -> FitParameter:
-    """The parameter, if a fit can start at ``value``. Raises ``ConfigError``."""
+def _within(parameter: FitParameter, rig: Rig, value: float, whose: str = "of a fit") -> FitParameter:
+    """The parameter, if a fit can start at ``value``. Raises ``ConfigError``, which says ``whose`` the bound is."""
     low, high = parameter.lower, parameter.upper
     if low <= value <= high:
         return parameter
     unit = f" {parameter.unit}" if parameter.unit else ""
     side, bound = ("below", low) if value < low else ("above", high)
     raise ConfigError(
-        f"{parameter.name} is {value:g}{unit} in the rig {rig.name!r}, {side} {bound:g}{unit}, the bound of a fit.",
-        f"Write a value between {low:g} and {high:g}{unit} into the rig, or leave the parameter out of the fit.",
+        f"{parameter.name} is {value:g}{unit} in the rig {rig.name!r}, {side} {bound:g}{unit}, the bound {whose}.",
+        f"Write a value between {low:g} and {high:g}{unit} into the rig, or "
+        + ("give wider bounds." if whose == "that was given" else "leave the parameter out of the fit."),
     )
 
 

@@ -57,7 +57,9 @@ def test_bounds_can_be_narrowed_and_not_widened(small_rig: Any) -> None:
     assert narrow.physical(0.1) == 0.35
     with pytest.raises(ConfigError, match=r"leave nothing between 0\.45 and 0\.44"):
         within_bounds(parameters, rig, {"gel.nu": (0.45, 0.44)})
-    with pytest.raises(ConfigError, match=r"gel\.nu is 0\.4 in the rig 'small', below 0\.45"):
+    with pytest.raises(
+        ConfigError, match=r"gel\.nu is 0\.4 .* below 0\.45, the bound that was given\. .* or give wider"
+    ):
         within_bounds(parameters, rig, {"gel.nu": (0.45, 0.49)})
     with pytest.raises(ConfigError, match="which is not fitted"):
         within_bounds(parameters[:1], rig, {"gel.nu": (0.35, 0.45)})
@@ -71,6 +73,8 @@ def test_bounds_hold_for_what_is_known_before_and_not_for_what_the_rig_says(smal
     (nu,), start = asked_for(rig, ["gel.nu"], bounds={"gel.nu": (0.45, 0.49)}, **known)
     assert (nu.lower, nu.upper, nu.known_sd) == (0.45, 0.49, 0.01)
     assert start_of(start, [nu]) == pytest.approx([0.46])
+    with pytest.raises(ConfigError, match=r"What is known beforehand, gel\.nu_?.* = 0\.9, cannot be: .*gel"):
+        asked_for(rig, ["gel.nu"], bounds={}, **known | {"priors": {"gel.nu": (0.9, 0.01)}})
     with pytest.raises(ConfigError, match=r"gel\.nu is 0\.46 in the rig 'small', below 0\.47"):
         asked_for(rig, ["gel.nu"], bounds={"gel.nu": (0.47, 0.49)}, **known)
 
