@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from difflib import get_close_matches
 from io import StringIO
 from typing import Any
 
@@ -40,7 +41,7 @@ def check_gradients(
     """
     known = {p.name: p for p in list_parameters(rig)}
     kinds = [k for k in KINDS if names is None or k in names]
-    chosen = list(known) if names is None else [resolve_name(rig, n) for n in names if n not in KINDS]
+    chosen = list(known) if names is None else [_resolved(rig, n) for n in names if n not in KINDS]
     if names is not None:
         for name in chosen:
             if known[name].value is None:
@@ -83,6 +84,15 @@ def check_gradients(
         )
     passed = all(row.verdict != "differs" for row in rows)
     return passed, _as_json(rows, steps, passed) if as_json else _as_text(rows, steps)
+
+
+def _resolved(rig: Rig, name: str) -> str:
+    """Full name of a parameter. Raises ``ConfigError``, also for a word that is nearly one of ``KINDS``."""
+    try:
+        return resolve_name(rig, name)
+    except ConfigError as error:
+        near = get_close_matches(name, KINDS, n=1)
+        raise (ConfigError(error.problem, f"Did you mean {near[0]!r}?") if near else error) from None
 
 
 def _as_json(rows: Sequence[Row], steps: Sequence[float], passed: bool) -> str:

@@ -177,8 +177,9 @@ def _files_of(path: Path, notes: Notes) -> tuple[list[Path], Mapping[str, Any]]:
                 f"{path} is a folder of {plural(len(inner), 'recording')}, not a recording.",
                 "Give one of: " + ", ".join(inner) + ".",
             )
+        listing = f"a {METADATA} that lists nothing" if (path / METADATA).exists() else f"no {METADATA}"
         raise RecordingError(
-            f"{path} is not a recording: it holds no {METADATA} and no .mcap or .db3 file.",
+            f"{path} is not a recording: it holds {listing} and no .mcap or .db3 file.",
             "Give a rosbag2 directory, an .mcap file or a .db3 file.",
         )
     notes.warning(METADATA, f"missing or unusable; {plural(len(here), 'storage file')} read in the order of names")

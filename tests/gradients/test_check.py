@@ -140,6 +140,8 @@ def test_bad_input_is_an_error(small_rig):
     blind = small_rig().model_copy(update={"sensors": {}, "cameras": {}})
     with pytest.raises(ConfigError, match="nothing that is measured"):
         check_gradients(blind, EXPERIMENT, ["card.E"])
+    with pytest.raises(ConfigError, match=r"no parameter 'pose'\. Did you mean 'poses'"):
+        check_gradients(small_rig(), EXPERIMENT, ["pose"])
 
 
 def test_poses_start_and_fields_are_checked_too(small_rig):

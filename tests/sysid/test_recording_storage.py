@@ -326,6 +326,9 @@ def test_not_a_recording(tmp_path: Path) -> None:
         read_recording(tmp_path / "old.bag")
     with pytest.raises(RecordingError, match="it holds no metadata"):
         read_recording(tmp_path)
+    (tmp_path / "metadata.yaml").write_text("nothing: of a bag\n")
+    with pytest.raises(RecordingError, match=r"it holds a metadata\.yaml that lists nothing"):
+        read_recording(tmp_path)
 
 
 def test_a_ros1_profile_is_refused(tmp_path: Path) -> None:
