@@ -14,8 +14,10 @@ from sim_core.solve.step import NewtonSettings
 
 TIGHT = NewtonSettings(step_tolerance_m=1e-13)
 
-STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
-"""Steps of the differences as shares of a parameter's value (of :data:`SIZES` where that is zero)."""
+STEPS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-7)
+"""Steps of the differences as shares of a parameter's value (of :data:`SIZES` where that is zero). Not 1e-5, by which
+readings are themselves differentiated by what is of the sensors (:mod:`sim_core.gradients.directions`): both would make
+the same error."""
 
 SIZES = {"m": 1e-3, "s": 1e-2}
 """Size of a parameter that is zero, by its unit; 1 in others."""

@@ -10,6 +10,7 @@ import pytest
 
 from sim_core.errors import ConfigError
 from sim_core.gradients import Backward, Tape, adjoint, directions, tangent
+from sim_core.gradients.directions import RELATIVE_STEP
 from sim_core.rigs import list_parameters, parse_rig, with_parameters
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.scene import build_scene
@@ -231,3 +232,8 @@ def test_words_for_what_is_no_parameter_go_with_names(small_rig):
     passed, text = check_gradients(small_rig(), EXPERIMENT, ["card.E", "start"], steps=(1e-3, 1e-4))
     assert passed
     assert "card.E_pa" in text and "velocities at the start" in text and "poses of" not in text
+
+
+def test_no_derivative_is_compared_with_itself():
+    """By latencies and cameras readings are differentiated by differences of one step."""
+    assert RELATIVE_STEP not in differences.STEPS
