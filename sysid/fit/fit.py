@@ -17,7 +17,7 @@ from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.kinked import AT_KINK
 from sysid.fit.leftover import unexplained
-from sysid.fit.noise import ChannelNoise, channel_noise, column_groups
+from sysid.fit.noise import ChannelNoise, channel_noise, column_groups, overruled
 from sysid.fit.nuisance import has_bias, nuisance_parameters
 from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
@@ -135,7 +135,9 @@ def _fit_runs(
     ]
     if fitted.converged and fitted.message == AT_KINK:
         notes.append(f"The search ended since {AT_KINK}; standard deviations are those of the side on which it stands.")
-    notes += search.ends + unheard(problem.noise) + out_of_sight(problem, before, fitted)
+    notes += (
+        search.ends + unheard(problem.noise) + overruled(runs, problem.noise) + out_of_sight(problem, before, fitted)
+    )
     sentences = found.sentences
     moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
     if moved:

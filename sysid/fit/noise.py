@@ -19,7 +19,7 @@ is far from all others in time (single images at rest).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.runs import Measured, Run
+from sysid.fit.runs import UNITS, Measured, Run
 
 MIN_REST_SAMPLES = 15
 """Samples that a quiet stretch must have to be used."""
@@ -74,11 +74,13 @@ FROM_DIFFERENCES = "third differences"
 @dataclass(frozen=True)
 class ChannelNoise:
     """``sigma``: standard deviation of each column ``(m,)``; ``rho``: lag-one correlation of each column at the
-    channel's rate ``(m,)``, or one for all, 0 where white; ``source``: how they were found, in words."""
+    channel's rate ``(m,)``, or one for all, 0 where white; ``source``: how they were found, in words; ``estimated``:
+    what recordings show, where a declared noise took its place ``(m,)``."""
 
     sigma: np.ndarray
     rho: np.ndarray
     source: str
+    estimated: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rho", np.broadcast_to(np.asarray(self.rho, dtype=float), self.sigma.shape))
@@ -267,8 +269,27 @@ def unless_larger(noise: ChannelNoise, declared: np.ndarray) -> ChannelNoise:
     floor = np.broadcast_to(declared, noise.sigma.shape)
     larger = floor > REPLACED_FROM * noise.sigma
     if larger.any():
-        return ChannelNoise(np.maximum(noise.sigma, floor), np.where(larger, 0.0, noise.rho), DECLARED)
+        sigma = np.maximum(noise.sigma, floor)
+        return ChannelNoise(sigma, np.where(larger, 0.0, noise.rho), DECLARED, noise.sigma)
     return noise
+
+
+def overruled(runs: Sequence[Run], noise: Mapping[str, ChannelNoise]) -> list[str]:
+    """A sentence for each quantity whose declared noise took the place of the estimated one."""
+    said: dict[tuple[str, str], str] = {}
+    for m in (m for run in runs for m in run.measured):
+        found = noise[m.channel]
+        if found.estimated is None:
+            continue
+        for unit, (quantity, group) in zip(UNITS[m.kind], quantities(m), strict=False):
+            seen = group[np.isfinite(m.values[:, group]).any(axis=0)]
+            declared, shown = (np.median(sigma[seen]) if len(seen) else 0.0 for sigma in (found.sigma, found.estimated))
+            if declared > REPLACED_FROM * shown:
+                said[(m.channel, quantity)] = (
+                    f"The noise of the {quantity} of {m.channel} is {declared:.3g} {unit}, as the rig declares; "
+                    f"recordings show {shown:.2g} {unit}. Unless they were smoothed or interpolated, correct the rig."
+                )
+    return list(said.values())
 
 
 def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_core.rigs import load_rig
-from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, channel_noise, declared_noise, unless_larger
+from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, channel_noise, declared_noise, overruled, unless_larger
 from sysid.fit.runs import Measured, Run
 
 
@@ -33,6 +33,16 @@ def test_declared_noise_counts_when_it_is_much_larger(declared: float, sigma: fl
     np.testing.assert_array_equal(noise.sigma, np.full(4, sigma))
     np.testing.assert_array_equal(noise.rho, np.full(4, rho))
     assert noise.source == source
+
+
+def test_what_recordings_show_beside_a_declared_noise_is_said() -> None:
+    """The force is declared a hundred times too noisy, the torque as it is."""
+    values = np.random.default_rng(0).standard_normal((300, 6)) * np.repeat([0.02, 0.01], 3)
+    run = Run("run", "", (), {}, (Measured("cell", "wrench", np.arange(300) / 50.0, values, ("",) * 6),), 6.0)
+    shown = ChannelNoise(np.repeat([0.02, 0.01], 3), 0.0, "quiet stretches")
+    (said,) = overruled([run], {"cell": unless_larger(shown, np.repeat([2.0, 0.01], 3))})
+    assert said.startswith("The noise of the force of cell is 2 N, as the rig declares; recordings show 0.02 N.")
+    assert overruled([run], {"cell": unless_larger(shown, np.repeat([0.02, 0.01], 3))}) == []
 
 
 @pytest.mark.parametrize(("pause", "source"), [(1.0 / 30.0, FROM_DIFFERENCES), (7.0, "declared by the rig")])
