@@ -23,7 +23,7 @@ def check_gradients(
             "--params",
             metavar="A,B",
             help="Parameters, as 'thinshell params' lists them, and 'poses' at every step, 'start' (positions and "
-            "velocities) and 'fields' over elements and nodes; default: all of these.",
+            "velocities) and 'fields' over elements and nodes, or 'fields.gel.E' alone; default: all of these.",
         ),
     ] = None,
     settings: Annotated[

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sim_core.errors import ConfigError, nearest_match
 from sim_core.gradients import Backward, Tape
 from sim_core.gradients.adjoint import Gradient
 from sim_core.rigs import Rig
@@ -67,7 +68,8 @@ class _Way:
 
 
 class Beyond:
-    """A rig under a motion until ``end`` [s], and some of :data:`KINDS`."""
+    """A rig under a motion until ``end`` [s], and some of :data:`KINDS`; ``fields``: names of those that are looked at,
+    which may leave out the unit; none: all of them."""
 
     def __init__(
         self,
@@ -76,23 +78,25 @@ class Beyond:
         end: float,
         kinds: Sequence[str],
         on_work: Callable[[str], None],
+        fields: Sequence[str] = (),
     ) -> None:
         self._rig, self._poses, self._on_work = rig, poses, on_work
         self._times = step_times(0.0, end, rig.solver.dt_s)
         self._kinds = kinds
         self._scene, self._other = build_scene(rig), build_scene(rig)
+        every = self._scene.fields.names if "fields" in kinds else ()
+        self._fields = [_field_of(every, name) for name in fields] or list(every)
 
     def amount_of_work(self, steps: Sequence[float]) -> int:
         """Number of times that ``on_work`` is called at most."""
-        ways = len(self._poses) + 2 + len(self._scene.fields.names)
+        ways = len(self._poses) + 2 + len(self._fields)
         return 1 + 2 * ways * len(steps)
 
     def rows(self, steps: Sequence[float]) -> Iterator[Row]:
         """Compare everything, one direction after the other."""
         self._on_work("adjoint")
         tape = Tape(self._scene, self._poses, self._times, TIGHT, factors=True)
-        names = self._scene.fields.names if "fields" in self._kinds else ()
-        self._backward = Backward(tape, [], names)
+        self._backward = Backward(tape, [], self._fields)
         self._known: dict[tuple[str, str, bytes], list[tuple[np.ndarray, Gradient]]] = {}
         for way in self._ways():
             sweep = []
@@ -145,18 +149,17 @@ class Beyond:
                     partial(self._begun, np.zeros_like(speeds), speeds),
                     lambda found: float(np.vdot(found.start_v, speeds)),
                 )
-        if "fields" in self._kinds:
-            for name in self._scene.fields.names:
-                value = self._scene.fields[name]
-                along = rng.standard_normal(value.shape) * _size(name, value)
-                zero = name.rpartition(".")[2] in DAMPING and not value.any()
-                along = np.abs(along) if zero else along
+        for name in self._fields:
+            value = self._scene.fields[name]
+            along = rng.standard_normal(value.shape) * _size(name, value)
+            zero = name.rpartition(".")[2] in DAMPING and not value.any()
+            along = np.abs(along) if zero else along
 
-                def of_field(found: Gradient, name: str = name, along: np.ndarray = along) -> float:
-                    return float(np.vdot(found.fields[name], along))
+            def of_field(found: Gradient, name: str = name, along: np.ndarray = along) -> float:
+                return float(np.vdot(found.fields[name], along))
 
-                ends = EDGE if zero else MIDDLE
-                yield _Way(f"field {name}", partial(self._varied, name, value, along), of_field, ends)
+            ends = EDGE if zero else MIDDLE
+            yield _Way(f"field {name}", partial(self._varied, name, value, along), of_field, ends)
 
     def _moved(self, mount: str, move: np.ndarray, share: float) -> Trace:
         """The rollout with the true poses of an end effector moved in their own frames, ``move`` ``(n_times, 6)``."""
@@ -241,6 +244,14 @@ class Beyond:
             tuple(float(e) for e in errors), float(errors[best]), steps[best], plateau(steps, list(errors)), None,
             bound, said, reason,
         )  # fmt: skip
+
+
+def _field_of(names: Sequence[str], given: str) -> str:
+    """The field that is named, with or without its unit. Raises ``ConfigError``."""
+    found = [name for name in names if given == name or name.startswith(f"{given}_")]
+    if len(found) != 1:
+        raise ConfigError(f"There is no field {given!r}.", nearest_match(given, names))
+    return found[0]
 
 
 def _pairs(readings: Sequence[Sequence[np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -22,6 +22,9 @@ from sysid.gradients.differences import STEPS, Row
 
 WIDTH = 150
 
+FIELD = "fields."
+"""Before the name of a single field."""
+
 
 def check_gradients(
     rig: Rig,
@@ -35,13 +38,15 @@ def check_gradients(
 ) -> tuple[bool, str]:
     """Compare forward sensitivities, adjoint and central differences; whether all agree, and the table.
 
-    ``names``: full or short names of parameters, and words of :data:`sysid.gradients.beyond.KINDS` for what is none;
-    None for all of the rig and all of those. ``until_s``: end of the rollout, None for
+    ``names``: full or short names of parameters, and words of :data:`sysid.gradients.beyond.KINDS` for what is none, or
+    ``fields.NAME`` for one field; None for all of the rig and all of those. ``until_s``: end of the rollout, None for
     that of the motion. ``steps``: of the differences, relative.
     """
     known = {p.name: p for p in list_parameters(rig)}
-    kinds = [k for k in KINDS if names is None or k in names]
-    chosen = list(known) if names is None else [_resolved(rig, n) for n in names if n not in KINDS]
+    fields = [n.removeprefix(FIELD) for n in names or () if n.startswith(FIELD)]
+    kinds = [k for k in KINDS if names is None or k in names or (fields and k == "fields")]
+    plain = [n for n in names or () if n not in KINDS and not n.startswith(FIELD)]
+    chosen = list(known) if names is None else [_resolved(rig, n) for n in plain]
     if names is not None:
         for name in chosen:
             if known[name].value is None:
@@ -74,7 +79,8 @@ def check_gradients(
         done += 1
 
     by_parameters = Comparison(rig, poses, end, chosen, on_work) if chosen else None
-    by_others = Beyond(rig, poses, end, kinds, on_work) if kinds else None
+    only = () if names is None or "fields" in names else fields
+    by_others = Beyond(rig, poses, end, kinds, on_work, only) if kinds else None
     both = [found for found in (by_parameters, by_others) if found is not None]
     work = sum(found.amount_of_work(steps) for found in both)
     rows = [row for found in both for row in found.rows(steps)]

@@ -32,6 +32,9 @@ judged."""
 ROUND_OFF = 3.0
 """Errors within this many times what round-off of the rollouts makes of differences are put down to it."""
 
+STRIDE = 100.0
+"""Steps whose error is so many times that of the next shorter one stride over a jump."""
+
 PLATEAU = 10.0
 """Steps whose error is within this factor of the least belong to the plateau."""
 
@@ -76,12 +79,26 @@ def verdict(
     best = errors[int(np.argmin(errors))]
     if sound and best <= bound:
         return "agrees"
-    within, widest = np.array(errors) <= hidden, int(np.argmin(hidden))
+    within = np.array(errors) <= hidden
+    widest = int(np.argmin(np.where(_short_of_a_jump(steps, errors), hidden, np.inf)))
     near = within[int(np.argmin(errors))] if alone else within.any()
     if sound and (within[widest] or (best <= 10.0 * bound and near)):
         return "unresolved"
     hides = alone and within[np.argsort(steps)[:3]].any()
     return "jumps" if sound and not hides and jumps(steps, errors, bound) else "differs"
+
+
+def _short_of_a_jump(steps: Sequence[float], errors: Sequence[float]) -> np.ndarray:
+    """Which steps do not stride over a jump beside the place: the largest ones do, at least two, where each misses the
+    derivative by more than itself, and the next shorter one by :data:`STRIDE` times less than the last of them."""
+    order = np.argsort(steps)[::-1]
+    sizes, over = np.array(errors)[order], 0
+    for k in range(2, len(sizes)):
+        if sizes[:k].min() > 1.0 and sizes[k] * STRIDE < sizes[k - 1]:
+            over = k
+    short = np.ones(len(sizes), dtype=bool)
+    short[order[:over]] = False
+    return short
 
 
 def plateau(steps: Sequence[float], errors: Sequence[float]) -> tuple[float, ...]:

@@ -9,8 +9,8 @@ import pytest
 
 from sim_core.rigs import config_folder, list_parameters, load_rig
 from sim_core.rigs.motion import Experiment, load_experiment
+from sim_core.scene import build_scene
 from sysid.gradients import check_gradients
-from sysid.gradients.beyond import KINDS
 
 PULL = {"type": "slide", "by_m": [0.002, 0.0, 0.0], "speed_m_s": 0.0005}
 PRESS = {"type": "slide", "by_m": [0.001, 0.0, -0.002], "speed_m_s": 0.0005}
@@ -68,7 +68,8 @@ def test_no_rig_is_left_out():
 @pytest.mark.timeout(2400)
 @pytest.mark.parametrize("name", RUNS)
 def test_gradients_by_all_classes_of_parameters(name):
-    """Below 1e-5, or 1e-4 with contact or plastic flow, forwards as well as backwards; one parameter of each name."""
+    """Below 1e-5, or 1e-4 with contact or plastic flow, forwards as well as backwards; one parameter of each name, and
+    one field of each of gels and of sheets."""
     motion, until = RUNS[name]
     rig = load_rig(name)
     if isinstance(motion, str):
@@ -80,7 +81,11 @@ def test_gradients_by_all_classes_of_parameters(name):
     for parameter in list_parameters(rig):
         if parameter.value is not None:
             classes.setdefault(parameter.name.rpartition(".")[2], parameter.name)
-    names = [*classes.values(), *KINDS]
+    fields: dict[tuple[str, str], str] = {}
+    for field in build_scene(rig).fields.names:
+        body, _, quantity = field.rpartition(".")
+        fields.setdefault((rig.bodies[body].type, quantity), f"fields.{field}")
+    names = [*classes.values(), "poses", "start", *fields.values()]
     _, text = check_gradients(rig, experiment, names, until_s=until, as_json=True)
     rows = json.loads(text)["rows"]
     assert any(row["verdict"] == "agrees" for row in rows)

@@ -237,3 +237,27 @@ def test_words_for_what_is_no_parameter_go_with_names(small_rig):
 def test_no_derivative_is_compared_with_itself():
     """By latencies and cameras readings are differentiated by differences of one step."""
     assert RELATIVE_STEP not in differences.STEPS
+
+
+JUMP = [3e4, 3e5, 8e5]
+"""Errors of steps that stride over a jump, of 1e-2 to 1e-4."""
+
+
+@pytest.mark.parametrize(
+    ("small", "said"),
+    [
+        ([0.005, 0.05], "unresolved"),  # round-off, as large as it is said to be
+        ([0.5, 0.5], "differs"),  # half of the derivative, at both steps
+        ([1e-6, 1e-6], "agrees"),
+    ],
+)
+def test_a_gradient_beside_a_jump_is_judged_by_the_steps_short_of_it(small, said):
+    hidden = np.array([1e-6, 1e-5, 1e-4, 0.01, 0.1])
+    assert differences.verdict(differences.STEPS, [*JUMP, *small], hidden, 1e-4, alone=True) == said
+
+
+def test_a_single_field_is_checked_by_its_name(small_rig):
+    _, rows = check(small_rig(), ["fields.gel.E"])
+    assert {r["parameter"] for r in rows} == {"field gel.E_pa"}
+    with pytest.raises(ConfigError, match=r"no field 'gel\.Epa'\. Did you mean 'gel\.E_pa'"):
+        check_gradients(small_rig(), EXPERIMENT, ["fields.gel.Epa"])
