@@ -82,21 +82,30 @@ def check_topics(rig: Rig, path: Path, topics: Mapping[str, TopicInfo]) -> None:
     )
 
 
-def differences(rig: Rig, recording: Recording, markers: Mapping[str, np.ndarray]) -> Iterator[str]:
-    """What is different in a recording that can be read: frames and marker numbers. ``markers``: numbers ``(m,)`` that
-    the rig knows, by sensor or camera."""
+def differences(rig: Rig, recording: Recording, markers: Mapping[str, np.ndarray]) -> Iterator[tuple[str, bool]]:
+    """What is different in a recording that can be read, frames and marker numbers, and whether that may be because it
+    is of another rig. ``markers``: numbers ``(m,)`` that the rig knows, by sensor or camera.
+
+    A rig may leave out a few markers on purpose: where all that it knows were seen, and most of what was seen is known,
+    nothing speaks against it.
+    """
     for name, sensor in rig.sensors.items():
         stream = recording.wrenches.get(name) or recording.markers.get(name)
         if stream is not None and sensor.frame_id is not None and stream.frame_id != sensor.frame_id:
-            yield f"{name}: {stream.topic} is in the frame {stream.frame_id!r}, in the rig in {sensor.frame_id!r}."
+            yield _frames_apart(name, stream.topic, stream.frame_id, sensor.frame_id), True
     for name, camera in rig.cameras.items():
         tracks = recording.tracks.get(name)
         if tracks is not None and camera.frame_id is not None and tracks.frame_id != camera.frame_id:
-            yield f"{name}: {tracks.topic} is in the frame {tracks.frame_id!r}, in the rig in {camera.frame_id!r}."
+            yield _frames_apart(name, tracks.topic, tracks.frame_id, camera.frame_id), True
     for name, known in markers.items():
         seen = recording.markers.get(name) or recording.tracks.get(name)
         if seen is not None and set(seen.ids.tolist()) != set(known.tolist()):
-            yield f"{name}: {numbers_apart(seen.ids, known)}"
+            strange, lost = (len(np.setdiff1d(*pair)) for pair in ((seen.ids, known), (known, seen.ids)))
+            yield f"{name}: {numbers_apart(seen.ids, known)}", bool(lost or 2 * strange > len(known))
+
+
+def _frames_apart(name: str, topic: str, recorded: str, known: str) -> str:
+    return f"{name}: {topic} is in the frame {recorded!r}, in the rig in {known!r}."
 
 
 def numbers_apart(recorded: np.ndarray, known: np.ndarray) -> str:

@@ -12,22 +12,22 @@ from sysid.recording import EETopics, SensorTopic, TopicNames
 def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str, ...]]:
     """The topic map for reading a recording of a rig, and the rig's topics that the recording lacks.
 
-    A stream that the recording lacks is left out of the map; what is needed, the reader says.
+    A stream that the recording lacks is left out of the map; what is needed, the reader says. What another topic stands
+    for (commanded poses beside measured ones, images beside tracks) or the rig itself says (intrinsics) is not missed.
     ``available``: topics of the recording. Names of the rig match in any namespace.
     """
     present = ["/" + topic.strip("/") for topic in available]
     missing: list[str] = []
 
     def found(topic: str) -> str | None:
-        if any(candidate.endswith("/" + topic.strip("~/")) for candidate in present):
-            return topic.strip("~")
-        missing.append(topic)
-        return None
+        return topic.strip("~") if any(name.endswith("/" + topic.strip("~/")) for name in present) else None
 
     poses = {}
     for name, effector in rig.end_effectors.items():
         topics = effector.topics
         current, target = found(topics.current_pose), found(topics.target_pose)
+        if not current:
+            missing.append(topics.current_pose)
         if current or target:
             poses[name] = EETopics(
                 current_pose=current,
@@ -39,9 +39,11 @@ def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str
     markers: dict[str, SensorTopic] = {}
     for name, sensor in rig.sensors.items():
         topic = found(sensor.topic)
-        if topic:
-            group = wrenches if sensor.type == "wrench" else markers
-            group[name] = SensorTopic(topic=topic)
+        if topic is None:
+            missing.append(sensor.topic)
+            continue
+        group = wrenches if sensor.type == "wrench" else markers
+        group[name] = SensorTopic(topic=topic)
     tracks: dict[str, str] = {}
     infos: dict[str, str] = {}
     images: dict[str, str] = {}
@@ -52,8 +54,10 @@ def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str
             (images, camera.topics.image),
         ):
             topic = found(named)
-            if topic:
+            if topic is not None:
                 streams[name] = topic
+        if name not in tracks:
+            missing.append(camera.topics.marker_tracks)
     names = TopicNames(
         ee=poses,
         wrench=wrenches,

@@ -1,4 +1,4 @@
-"""Progress on the terminal: a bar where someone is looking, one line every ten percent elsewhere.
+"""Progress on the terminal: a bar where someone is looking, one line at once and every ten percent elsewhere.
 
 Both estimate the time that is left from the share that is done.
 """
@@ -45,7 +45,7 @@ def _bar(title: str) -> Iterator[ProgressCallback]:
 
 def _lines(title: str) -> ProgressCallback:
     started = time.monotonic()
-    last = 0
+    last = -1
 
     def report(share: float, text: str) -> None:
         nonlocal last
@@ -53,7 +53,7 @@ def _lines(title: str) -> ProgressCallback:
         if tenth > last:
             last = tenth
             spent = time.monotonic() - started
-            left = f", about {spent * (1.0 / share - 1.0):.0f} s left" if share < 1.0 else ""
+            left = f", about {spent * (1.0 / share - 1.0):.0f} s left" if tenth and share < 1.0 else ""
             print(f"{title}: {10 * tenth} % after {spent:.0f} s{left}: {text}".removesuffix(": "), file=sys.stderr)
 
     return report

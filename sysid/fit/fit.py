@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ import numpy as np
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.colour import unheard
+from sysid.fit.doubts import doubts
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.kinked import AT_KINK
@@ -36,6 +38,7 @@ from sysid.fit.result import (
     out_of_sight,
     plot_series,
     rms_errors,
+    undetermined,
 )
 from sysid.fit.runs import Run, check_apart, load_runs
 from sysid.fit.starts import SEARCHED, Evaluations, Progress, Searches, Step
@@ -76,6 +79,8 @@ def fit_runs(
         bags=[run.name for run in runs],
     )  # fmt: skip
     on_progress = _forward(on_progress)
+    if on_progress is not None:
+        on_progress(0.0, "first simulations")
     evaluations = Evaluations(options, on_progress, on_step)
     own = PooledEngine(os.cpu_count()) if engine is None else nullcontext(engine)
     with own as engine:
@@ -118,6 +123,7 @@ def _fit_runs(
     beside = nuisance_parameters(rig, runs, asked, options.kinds) if asked else []
     bias = bool(asked) and has_bias(runs, asked, options.kinds)
     parameters = [*asked, *beside]
+    started = time.monotonic()
     first = start_of(rig, parameters)
     search = Searches(rig, parameters, options, evaluations)
     found = _searched(engine, rig, runs, parameters, first, held_out, options, search, bias, on_progress)
@@ -138,7 +144,7 @@ def _fit_runs(
     notes += (
         search.ends + unheard(problem.noise) + overruled(runs, problem.noise) + out_of_sight(problem, before, fitted)
     )
-    sentences = found.sentences
+    sentences, left = found.sentences, unexplained(problem, fitted)
     moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
     if moved:
         sentences = ["What was fitted to a window that does not begin at rest means nothing.", *moved, *sentences]
@@ -166,17 +172,17 @@ def _fit_runs(
         converged=fitted.converged,
         message=fitted.message,
         evaluations=evaluations.done,
-        seconds=fitted.seconds,
+        seconds=time.monotonic() - started,
         noise={c: _shown([*runs, *held_out], c, n) for c, n in problem.noise.items()},
         notes=notes,
         provenance=provenance(rig, list(runs), list(held_out), options.seed, options.told()),
         series=series + [one for score in scores for one in score.series],
         nuisances=nuisances,
-        remarks=remarks(rig, nuisances),
+        remarks=remarks(rig, nuisances, trusted=not left and not undetermined(found.estimates, sentences)),
         profiles=found.profiles,
         outliers=look.outliers,
-        unexplained=unexplained(problem, fitted),
-        cautions=loud(problem) + doubtful(problem),
+        unexplained=left,
+        cautions=doubts(runs) + loud(problem) + doubtful(problem),
     )
     return result, fitted.rig
 
@@ -211,7 +217,7 @@ def _searched(
     look = _Look(list(runs), list(held_out), [], None)
     if options.robust:
         look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
-    at, spent = first, 0.0
+    at = first
     for left in reversed(range(ENDS)):
         try:
             look, problem, fitted = _fit_beside_mistakes(
@@ -222,13 +228,12 @@ def _searched(
                 raise
             fitted.message, fitted.converged = f"a better fit cannot be searched from. {error}", False
             break
-        fitted.seconds += spent
         estimates, correlation, sentences, reduced = estimates_of(fitted, first)
         sentences += blamed(problem, fitted, sorted(options.kinds))
         profiles, sentences, better = _profiled(problem, fitted, sentences, options.intervals, on_progress)
         if better is None or not left:
             break
-        at, spent, look = better, fitted.seconds, replace(look, plain=None)
+        at, look = better, replace(look, plain=None)
     return _Found(look, problem, fitted, estimates, correlation, sentences, reduced, profiles)
 
 
@@ -279,7 +284,6 @@ def _fit_beside_mistakes(
     search: Searches,
 ) -> tuple[_Look, Problem, Fitted]:
     """A fit from scaled values ``(p,)``, repeated while other readings of ``runs`` turn out to be mistakes."""
-    spent = 0.0
     for left in reversed(range(LOOKS)):
         noise = channel_noise(rig, look.runs, look.held_out)
         try:
@@ -288,14 +292,13 @@ def _fit_beside_mistakes(
             )
         except Unmeasured as error:
             problem, fitted, left = error.beside, error.fitted, 0
-        fitted.seconds += spent
         if not robust or not left or fitted.cut_short:
             break
         again, told = without_outliers(runs, fitted.predictions, noise)
         if not worth_another_fit(look.runs, again):
             break
         look = replace(look, runs=again, outliers=told, plain=fitted.predictions)
-        at, spent = fitted.scaled, fitted.seconds
+        at = fitted.scaled
     return look, problem, fitted
 
 

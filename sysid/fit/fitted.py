@@ -37,7 +37,6 @@ class Fitted:
     evaluations: int
     converged: bool
     message: str
-    seconds: float
     sizes: dict[tuple[int, str], Sizes] = field(default_factory=dict)
     limited: bool = False
     colourless: dict[tuple[int, str], Samples] = field(default_factory=dict)

@@ -172,16 +172,15 @@ def fit_beside_own_error(
 
     directions = discretisation(engine, each(scaled), runs, plain)
     problem = Problem(runs, noise, engine, directions, prior, bias)
-    evaluations, seconds, with_slopes = 0, 0.0, False
+    evaluations, with_slopes = 0, False
     for left in reversed(range(rounds)):
         fitted = look(problem, scaled)
         evaluations += fitted.evaluations
-        seconds += fitted.seconds
         moved = np.abs(fitted.scaled - scaled)
         scaled = fitted.scaled
         settled = not fitted.elsewhere and bool(np.all(moved <= NEAR * uncertainty(fitted).sd))
         if fitted.cut_short or (settled and (with_slopes or not parameters)):
-            return problem, _counted(fitted, evaluations, seconds)
+            return problem, _counted(fitted, evaluations)
         if not left:
             break
         with_slopes = not fitted.elsewhere
@@ -193,9 +192,9 @@ def fit_beside_own_error(
                 found = discretisation(engine, each(scaled), runs, fitted.predictions)
         except KeyboardInterrupt:
             fitted.message, fitted.converged = "interrupted; the best values so far are kept", False
-            return problem, _counted(fitted, evaluations, seconds)
+            return problem, _counted(fitted, evaluations)
         except ThinshellError as error:
-            raise Unmeasured(error, problem, _counted(fitted, evaluations, seconds)) from error
+            raise Unmeasured(error, problem, _counted(fitted, evaluations)) from error
         directions = [now.following(then, scaled) for now, then in zip(found, directions, strict=True)]
         problem = Problem(runs, noise, engine, directions, prior, bias)
         problem.keep(problem.compare(fitted.predictions, rig, parameters, scaled))
@@ -205,7 +204,7 @@ def fit_beside_own_error(
             "mesh (cells) or a shorter step (solver.dt_s) makes it smaller"
         )
     fitted.converged = False
-    return problem, _counted(fitted, evaluations, seconds)
+    return problem, _counted(fitted, evaluations)
 
 
 def loud(problem: Problem) -> list[str]:
@@ -249,6 +248,6 @@ def doubtful(problem: Problem) -> list[str]:
     return said
 
 
-def _counted(fitted: Fitted, evaluations: int, seconds: float) -> Fitted:
-    fitted.evaluations, fitted.seconds = evaluations, seconds
+def _counted(fitted: Fitted, evaluations: int) -> Fitted:
+    fitted.evaluations = evaluations
     return fitted

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -235,9 +234,8 @@ class Problem:
         if known is not None and rig is known.centre and list(parameters) == known.parameters:
             if np.array_equal(scaled, known.scaled):
                 return replace(known)
-        started = time.monotonic()
         predictions = self.engine.predict_all(rig, self.runs, parameters, scaled)
-        return self.compare(predictions, rig, parameters, scaled, started)
+        return self.compare(predictions, rig, parameters, scaled)
 
     def keep(self, known: Fitted) -> None:
         """An outcome of :meth:`compare` of this problem, which is not made again where it is asked for."""
@@ -273,7 +271,6 @@ class Problem:
         rig: Rig,
         parameters: Sequence[FitParameter],
         scaled: np.ndarray,
-        started: float | None = None,
     ) -> Fitted:
         """Residuals and derivatives of predictions at hand, which are those at ``scaled``, with the priors' rows."""
         names = [p.name for p in parameters]
@@ -285,11 +282,9 @@ class Problem:
             pulls = np.eye(len(parameters))[pulled] / width[:, None]
             j, still = np.vstack([j, pulls]), None if still is None else np.vstack([still, pulls])
             labels = [*labels, (-1, "prior", np.zeros(len(width)))]
-        seconds = time.monotonic() - started if started is not None else 0.0
         return Fitted(
             list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, rig, 1, True,
-            "evaluated", seconds, sizes, colourless=self._colourless, seen=self.seen(predictions),
-            still=still,
+            "evaluated", sizes, colourless=self._colourless, seen=self.seen(predictions), still=still,
         )  # fmt: skip
 
     def fit(

@@ -122,15 +122,7 @@ class FitResult:
     @property
     def undetermined(self) -> set[str]:
         """Parameters that some sentence says the data do not determine, or of which they only give a limit."""
-        found = {p.name for p in self.profiles if p.undetermined}
-        # Names are matched whole: that of a bag, in brackets, may hold anything.
-        names = "|".join(re.escape(e.name) for e in sorted(self.estimates, key=lambda e: -len(e.name)))
-        subject = re.compile(f"The data do not determine ((?:{names})(?: and (?:{names}))*)(?:: | separately,)")
-        for sentence in self.identifiability:
-            told = subject.match(sentence)
-            if told:
-                found |= set(re.findall(names, told[1]))
-        return found
+        return {p.name for p in self.profiles if p.undetermined} | undetermined(self.estimates, self.identifiability)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series."""
@@ -189,6 +181,15 @@ class FitResult:
         if rest:
             lines.append(f"The data do not tell {', '.join(rest)}, known no better than before.")
         return [*lines, ""] if lines else []
+
+
+def undetermined(estimates: Sequence[Estimate], sentences: Sequence[str]) -> set[str]:
+    """Names of the estimates that some sentence says the data do not determine."""
+    # Names are matched whole: that of a bag, in brackets, may hold anything.
+    names = "|".join(re.escape(e.name) for e in sorted(estimates, key=lambda e: -len(e.name)))
+    subject = re.compile(f"The data do not determine ((?:{names})(?: and (?:{names}))*)(?:: | separately,)")
+    subjects = [told[1] for told in map(subject.match, sentences) if told]
+    return {name for subject in subjects for name in re.findall(names, subject)}
 
 
 def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], list[list[float]], list[str], float]:

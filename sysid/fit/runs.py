@@ -26,7 +26,7 @@ from sysid.likeness import check_topics, differences, numbers_apart
 from sysid.parts import Part, given_again, part_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
-from sysid.recording.notes import Notes
+from sysid.recording.notes import Notes, told_once
 from sysid.rig_topics import topics_of
 
 UNITS = {"wrench": ("N", "N m"), "markers": ("m",), "tracks": ("px",)}
@@ -70,6 +70,7 @@ class Run:
     rig leaves the places of markers to it (``placed: first_frame``). ``since`` [s]: for a window of a recording, the
     time at which it begins; times of the run, poses before included, count from there; ``until``: its end, if it has
     one; ``changes``: until then, by channel. ``unlike``: in what it differs from recordings of the rig, in words.
+    ``doubts``: those of the ``notes`` on how it was read that may change a result.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Run:
     until: float | None = None
     changes: Mapping[str, Change] = field(default_factory=dict)
     unlike: str = ""
+    doubts: tuple[str, ...] = ()
 
     def seen_by(self, rig: Rig) -> Rig:
         """The rig with the markers where they are in this recording."""
@@ -108,7 +110,7 @@ def load_runs(rig: Rig, bags: Sequence[Path], held_out: Sequence[Path] = ()) -> 
     runs = []
     for part, name in named:
         runs.append(replace(window_of(rig, whole[part.path], part), name=name))
-        whole[part.path] = replace(whole[part.path], notes=())  # told once
+        whole[part.path] = replace(whole[part.path], notes=(), doubts=())  # told once
     return runs[: len(bags)], runs[len(bags) :]
 
 
@@ -169,7 +171,8 @@ def load_run(rig: Rig, path: Path) -> Run:
             source=f"{path}: {stream.topic}",
         )
     recorded = tuple(_measured(rig, recording))
-    unlike = " ".join(differences(rig, recording, _marker_numbers(rig)))
+    different = list(differences(rig, recording, _marker_numbers(rig)))
+    unlike = " ".join(text for text, of_another in different if of_another)
     if unlike:
         unlike += " Give the rig that it was recorded with, if that is another one."
     measured, blanked = while_posed(rig, poses, recorded)
@@ -187,14 +190,16 @@ def load_run(rig: Rig, path: Path) -> Run:
         measured=measured,
         end=float(max(m.t[-1] for m in measured)),
         notes=(
-            *(f"{n.channel}: {n.text}" for n in recording.notes),
+            *told_once(recording.notes),
             *(f"{topic}: named by the rig, not in this recording" for topic in missing),
+            *(text for text, of_another in different if not of_another),
             *([unlike] if unlike else []),
             *blanked,
             *missed,
         ),
         sights=sights,
         unlike=unlike,
+        doubts=tuple(told_once([n for n in recording.notes if n.severity == "warning"])),
     )
 
 

@@ -9,7 +9,6 @@ improves kappa falls, and the next stage goes on with what it is then, down to 1
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -65,7 +64,6 @@ class Search:
     def run(self, start: np.ndarray, max_evaluations: int, tolerance: float) -> Fitted:
         """Search from scaled values ``(p,)``. Raises ``ThinshellError`` if they cannot be simulated; Ctrl-C
         keeps the best so far."""
-        started = time.monotonic()
         low, high = np.array([p.scaled_bounds for p in self._parameters]).T
         scale = np.array([min(p.prior_sd, 1.0) for p in self._parameters])
         message, converged, radius = "", True, 1.0
@@ -107,7 +105,6 @@ class Search:
             message, converged = "interrupted; the best values so far are kept", False
         found = self.best
         found.evaluations, found.converged, found.message = self._evaluations, converged, message
-        found.seconds = time.monotonic() - started
         found.began, found.elsewhere = self._course[0], message == HALTED
         return found
 

@@ -192,7 +192,6 @@ class Searches:
         except ThinshellError:
             self._evaluations(best)
             return None
-        found.seconds = best.seconds = found.seconds + best.seconds
         if found.interrupted:
             best.message, best.converged = found.message, False
         return found

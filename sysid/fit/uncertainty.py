@@ -53,26 +53,33 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
     How the own error changes with them tells nothing of a parameter, as its size is not known: the larger of the
     deviations with and without that counts.
     """
-    with_changes = _beside(fitted)
-    if fitted.still is None:
-        return with_changes
-    still = _beside(replace(fitted, jacobian=fitted.still))
-    plain = with_changes.sd / with_changes.inflation
-    sd = np.maximum(with_changes.sd, still.sd)
-    wider = with_changes if np.all(with_changes.sd >= still.sd) else still
-    return replace(wider, sd=sd, inflation=np.maximum(with_changes.inflation, sd / plain))
+    if not fitted.parameters:
+        return Uncertainty(np.zeros(0), np.ones(0), np.zeros((0, 0)), (), _reduced(fitted))
+    sd, inflation, correlation = _spread(fitted)
+    wider = fitted
+    if fitted.still is not None:
+        without = replace(fitted, jacobian=fitted.still)
+        still, _, other = _spread(without)
+        if not np.all(sd >= still):
+            wider, correlation = without, other
+        inflation = np.maximum(inflation, still / (sd / inflation))
+        sd = np.maximum(sd, still)
+    sentences = _undetermined(wider, sd)
+    sentences += _wide(fitted, sd, sentences) + _together(fitted.parameters, fitted.scaled, correlation, sd)
+    return Uncertainty(sd, inflation, correlation, tuple(sentences), _reduced(fitted))
 
 
-def _beside(fitted: Fitted) -> Uncertainty:
-    """Uncertainty by the jacobian of a fit."""
-    parameters = fitted.parameters
-    p = len(parameters)
-    reduced = fitted.chi2 / max(fitted.samples - p, 1)
-    if p == 0:
-        return Uncertainty(np.zeros(0), np.ones(0), np.zeros((0, 0)), (), reduced)
-    prior = np.array([q.prior_sd for q in parameters])
+def _reduced(fitted: Fitted) -> float:
+    """Reduced chi-square."""
+    return fitted.chi2 / max(fitted.samples - len(fitted.parameters), 1)
+
+
+def _spread(fitted: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Standard deviations ``(p,)`` by the jacobian of a fit, by how much they exceed what the noise says ``(p,)``, and
+    correlation ``(p, p)``."""
+    prior = np.array([q.prior_sd for q in fitted.parameters])
     inverse = inverse_information(fitted.jacobian, prior)
-    plain = inverse * max(1.0, reduced)
+    plain = inverse * max(1.0, _reduced(fitted))
     scores = _scores(fitted, fitted.residual)
     sandwich = inverse @ (scores.T @ scores) @ inverse
     coloured = inverse + inverse @ coloured_scores(fitted.colourless_parts, inverse) @ inverse
@@ -80,11 +87,7 @@ def _beside(fitted: Fitted) -> Uncertainty:
     sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)), WIDEST * prior)
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlation = np.clip(inverse / np.outer(spread, spread), -1.0, 1.0)
-    widen = float(np.sqrt(max(1.0, reduced)))
-    sentences = _undetermined(fitted, widen)
-    sentences += _anywhere(fitted, sd, sentences) + _together(parameters, fitted.scaled, correlation, sd)
-    inflation = np.sqrt(variance / np.maximum(np.diag(plain), 1e-300))
-    return Uncertainty(sd, inflation, correlation, tuple(sentences), reduced)
+    return sd, np.sqrt(variance / np.maximum(np.diag(plain), 1e-300)), correlation
 
 
 def inverse_information(jacobian: np.ndarray, prior: np.ndarray) -> np.ndarray:
@@ -144,19 +147,19 @@ def _information(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return singular[::-1] ** 2, rows[::-1].T
 
 
-def _undetermined(fitted: Fitted, widen: float) -> list[str]:
-    """One sentence for each direction that is not determined."""
+def _undetermined(fitted: Fitted, sd: np.ndarray) -> list[str]:
+    """One sentence for each direction that is not determined. ``sd``: of each parameter ``(p,)``."""
     parameters, values, vectors = marginal(fitted)
-    at = {p.name: scaled for p, scaled in zip(fitted.parameters, fitted.scaled, strict=True)}
+    at = {p.name: (x, spread) for p, x, spread in zip(fitted.parameters, fitted.scaled, sd, strict=True)}
+    widen = np.sqrt(max(1.0, _reduced(fitted)))
     out = []
     for value, vector in zip(values, vectors.T, strict=True):
-        sd = widen / np.sqrt(max(value, 1e-300))
-        if sd < UNDETERMINED_SHARE:
+        if widen / np.sqrt(max(value, 1e-300)) < UNDETERMINED_SHARE:
             continue
         strong = np.flatnonzero(np.abs(vector) > 0.25)
         if len(strong) == 1:
             p = parameters[strong[0]]
-            low, high = interval(p, at[p.name], sd * p.width(at[p.name]))
+            low, high = interval(p, *at[p.name])
             out.append(
                 f"The data do not determine {p.name}: {f'{low:.3g} to {high:.3g} {p.unit}'.strip()} fit about as well. "
                 "Record a motion that depends on it, or fix it."
@@ -166,7 +169,7 @@ def _undetermined(fitted: Fitted, widen: float) -> list[str]:
         for k in strong:
             p = parameters[k]
             step = 0.1 * vector[k] / np.max(np.abs(vector))
-            amount = p.width(at[p.name]) * step
+            amount = p.width(at[p.name][0]) * step
             changes.append(
                 f"{p.name} {'up' if amount > 0 else 'down'} by "
                 + (f"{100 * abs(np.expm1(amount)):.2g} %" if p.log else f"{abs(amount):.2g} {p.unit}".rstrip())
@@ -186,22 +189,25 @@ def _names(sentence: str, name: str) -> bool:
     return re.search(rf"(?<![\w.]){re.escape(name)}(?![\w\[])", sentence) is not None
 
 
-def _anywhere(fitted: Fitted, sd: np.ndarray, said: list[str]) -> list[str]:
-    """One sentence for each parameter whose interval spans all that is possible, unless it was named before."""
+def _wide(fitted: Fitted, sd: np.ndarray, said: list[str]) -> list[str]:
+    """One sentence for each parameter whose interval is too wide to determine it, unless it was named before: the noise
+    alone would not leave it so wide, but what the rig does not explain, or a prior that says little, does."""
     out = []
     for p, scaled, spread in zip(fitted.parameters, fitted.scaled, sd, strict=True):
-        if p.nuisance:
+        if p.nuisance or any(_names(s, p.name) for s in said):
             continue
         low, high = p.scaled_bounds
-        if (
-            scaled - 1.96 * spread <= low
-            and scaled + 1.96 * spread >= high
-            and not any(_names(s, p.name) for s in said)
-        ):
-            out.append(
-                f"The data do not determine {p.name}: its 95 % interval spans all possible values, "
-                f"{p.lower:g} to {p.upper:g} {p.unit}. Record a motion that depends on it, or fix it."
-            )
+        if scaled - 1.96 * spread <= low and scaled + 1.96 * spread >= high:
+            where = f"spans all possible values, {p.lower:g} to {p.upper:g} {p.unit}".rstrip()
+        elif spread >= UNDETERMINED_SHARE * p.width(scaled):
+            first, last = interval(p, scaled, spread)
+            where = f"is {first:.3g} to {last:.3g} {p.unit}".rstrip()
+        else:
+            continue
+        out.append(
+            f"The data do not determine {p.name}: its 95 % interval {where}. Record a motion that depends on it, or "
+            "fix it."
+        )
     return out
 
 

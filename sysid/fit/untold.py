@@ -137,8 +137,13 @@ def with_explicit_bias(problem: Problem, fitted: Fitted) -> Fitted:
     )
 
 
-def remarks(rig: Rig, found: Sequence[Nuisance]) -> list[str]:
-    """A sentence for each nuisance that is not what the rig says, and what to do."""
+def remarks(rig: Rig, found: Sequence[Nuisance], trusted: bool) -> list[str]:
+    """A sentence for each nuisance that is not what the rig says, and what to do about it where the fit is ``trusted``:
+    beside misfit, or parameters that are not determined, it may stand for those."""
+
+    def told(what: str, remedy: str) -> str:
+        return f"{what}: {remedy}." if trusted else f"{what}, or that stands for something else."
+
     said = []
     for n in found:
         owner, _, quantity = n.name.rpartition(".")
@@ -151,10 +156,8 @@ def remarks(rig: Rig, found: Sequence[Nuisance]) -> list[str]:
             topic = source.topic if source is not None else rig.cameras[owner].topics.marker_tracks
             beside = f", where the rig says {1e3 * n.start:.4g} ms" if n.start else ""
             way = "lags" if n.value > 0.0 else "leads"
-            said.append(
-                f"The stream {topic} {way} by {_pair(1e3 * abs(n.value), 1e3 * half)} ms{beside}: "
-                f"write {n.name} = {n.value:.4g} into the rig."
-            )
+            what = f"The stream {topic} {way} by {_pair(1e3 * abs(n.value), 1e3 * half)} ms{beside}"
+            said.append(told(what, f"write {n.name} = {n.value:.4g} into the rig"))
             continue
         if kind_of(n.name) == "pose":
             axis = quantity.removeprefix("offset_").split("_")[0]
@@ -163,24 +166,22 @@ def remarks(rig: Rig, found: Sequence[Nuisance]) -> list[str]:
             else:
                 what = f"turned by {_pair(n.off, half)} deg about {axis[1:]}"
             beside = f", where the rig says {n.start:.4g} {n.unit}" if n.start else ""
-            said.append(
-                f"The end effector {owner} is {what} of its own frame{beside}: write {n.name} = {n.value:.4g} into the "
-                "rig, or correct how its poses are calibrated."
-            )
+            remedy = f"write {n.name} = {n.value:.4g} into the rig, or correct how its poses are calibrated"
+            said.append(told(f"The end effector {owner} is {what} of its own frame{beside}", remedy))
             continue
         write = " and ".join([f"{n.name} = {n.value:.6g}", *(f"{t} in proportion" for t in n.tied)])
         if n.log:
             what = f"The scale of the camera {owner} is off by {_pair(100 * n.off, 100 * n.sd)} %"
         else:
             what = f"{n.name} is off by {_pair(n.off, half)} {n.unit}"
-        said.append(f"{what}: write {write} into the rig, or calibrate the camera.")
+        said.append(told(what, f"write {write} into the rig, or calibrate the camera"))
     for run, channel in dict.fromkeys((n.run, n.name.split(" ")[0]) for n in found if n.far and n.run):
         parts = [
             f"{n.name.removeprefix(channel + ' ').removesuffix(' bias')} {_pair(n.value, n.sd)} {n.unit}"
             for n in found
             if n.far and n.run == run and n.name.startswith(channel + " ")
         ]
-        said.append(f"In {run}, {channel} has a bias: {', '.join(parts)}. Tare it with nothing in touch.")
+        said.append(told(f"In {run}, {channel} has a bias of {', '.join(parts)}", "tare it with nothing in touch"))
     return said
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from sim_core.effects import EFFECTS
 from sim_core.rigs import Rig
+from sysid.fit.doubts import doubts
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import FROM_DIFFERENCES
 from sysid.fit.own_error import doubtful, loud
@@ -58,7 +59,7 @@ def notes(base: Fitted, problem: Problem, before: Structure, verdict: Verdict) -
             "There is misfit beyond the noise, but no more than the error of mesh and time step could leave. "
             "Finer cells or a shorter solver.dt_s in the rig would tell."
         )
-    said += loud(problem) + doubtful(problem)
+    said += doubts(problem.runs) + loud(problem) + doubtful(problem)
     for name, noise in problem.noise.items():
         if noise.source == FROM_DIFFERENCES:
             said.append(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -43,6 +44,14 @@ class Notes:
     def collected(self) -> tuple[Note, ...]:
         """Return the remarks, warnings first."""
         return tuple(sorted(self._notes, key=lambda note: note.severity != "warning"))
+
+
+def told_once(notes: Iterable[Note]) -> list[str]:
+    """Each remark with all the channels that it is about."""
+    channels: dict[str, list[str]] = {}
+    for note in notes:
+        channels.setdefault(note.text, []).append(note.channel)
+    return [f"{', '.join(about)}: {text}" for text, about in channels.items()]
 
 
 def plural(count: int, thing: str) -> str:

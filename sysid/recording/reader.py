@@ -171,7 +171,10 @@ def _inputs(
                 poses.check_pair(measured[name], targets[name], names.ee[name], notes)
         elif name in targets:
             inputs[name] = targets[name]
-            notes.info(targets[name].topic, "no measured pose: the commanded pose is the input")
+            notes.warning(
+                targets[name].topic,
+                "no measured pose: the commanded pose is the input, which differs from it where the robot lags",
+            )
     return inputs
 
 

@@ -116,6 +116,7 @@ def test_an_interrupt_ends_it_with_130_and_leaves_nothing(tmp_path: Path) -> Non
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # a background shell ignores it
     )
     assert child.stderr is not None
+    assert " 0 %" in child.stderr.readline()
     assert "10 %" in child.stderr.readline()
     child.send_signal(signal.SIGINT)
     _, errors = child.communicate(timeout=60)
@@ -155,12 +156,14 @@ def test_the_doctor_knows_the_traps_of_the_ros_wheels() -> None:
     assert "unset RMW_IMPLEMENTATION" in list(_ros_traps(other))[-1].remedy
 
 
-def test_progress_without_a_terminal_is_a_line_every_tenth(capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_without_a_terminal_is_a_line_at_once_and_every_tenth(capsys: pytest.CaptureFixture[str]) -> None:
     with progress("work") as report:
         for step in range(1, 101):
-            report(step / 100, "")
+            report(step / 100, "first" if step == 1 else "")
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 10
+    assert len(lines) == 11
+    assert lines[0].startswith("work: 0 % after") and lines[0].endswith("s: first")
+    assert "left" in lines[1]
     assert lines[-1].startswith("work: 100 % after")
 
 

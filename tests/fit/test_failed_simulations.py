@@ -155,7 +155,7 @@ def test_what_was_found_where_the_own_error_cannot_be_measured_is_kept(
 def test_a_fit_goes_on_with_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = cast(Any, None)
     beside = Problem([], {}, nothing)
-    found = Fitted([X], np.ones(1), nothing, np.ones(4), np.ones((4, 1)), [], [], nothing, 3, True, "", 2.0)
+    found = Fitted([X], np.ones(1), nothing, np.ones(4), np.ones((4, 1)), [], [], nothing, 3, True, "")
 
     def broken(*given: Any, **more: Any) -> None:
         raise Unmeasured(ConvergenceError("The step does not converge.", "Shorten it."), beside, found)

@@ -120,7 +120,7 @@ def wrench(forces: float, torques: float, samples: int = 300) -> tuple[Problem, 
     noise = ChannelNoise(np.repeat([0.2, 0.01], 3), 0.0, "test")
     given = Prediction({"cell": np.zeros_like(values)}, {}, cast(Trace, None))
     return Problem([run], {"cell": noise}, cast(PooledEngine, None)), Fitted(
-        [], np.zeros(0), cast(Any, None), np.zeros(0), np.zeros((0, 0)), [], [given], cast(Any, None), 1, True, "", 0.0
+        [], np.zeros(0), cast(Any, None), np.zeros(0), np.zeros((0, 0)), [], [given], cast(Any, None), 1, True, ""
     )
 
 

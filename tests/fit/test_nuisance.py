@@ -120,8 +120,11 @@ def test_a_bias_pulls_parameters_away_unless_it_is_allowed_for(stubs: None) -> N
     assert [n.name for n in biases] == [f"gauge {label} bias" for label in LABELS]
     assert all(n.told and n.far and abs(n.value - b) < 4.0 * n.sd for n, b in zip(biases, BIAS, strict=True))
     assert {n.unit for n in biases} == {"N", "N m"} and {n.run for n in biases} == {"press"}
-    (said,) = remarks(cast(Any, None), biases)
-    assert said.startswith("In press, gauge has a bias: force x 0.30") and "Tare it" in said
+    (said,) = remarks(cast(Any, None), biases, trusted=True)
+    assert said.startswith("In press, gauge has a bias of force x 0.30") and "tare it" in said
+    (open_,) = remarks(cast(Any, None), biases, trusted=False)
+    assert open_.startswith("In press, gauge has a bias of force x 0.30") and "stands for something else" in open_
+    assert "tare it" not in open_
 
 
 def test_a_gauge_along_one_axis_has_one_bias(stubs: None) -> None:
@@ -169,7 +172,7 @@ def test_nuisances_have_a_prior_and_stay_there_without_information(stubs: None) 
     alone = Problem([run_of(np.zeros(6))], NOISE, cast(Engine, Linear())).fit(cast(Any, None), ASKED, start=np.zeros(2))
     np.testing.assert_allclose(known.sd[:2], uncertainty(alone).sd, rtol=1e-2)
     (n,) = nuisances_of(problem, found)
-    assert not n.told and not n.far and remarks(cast(Any, None), [n]) == []
+    assert not n.told and not n.far and remarks(cast(Any, None), [n], trusted=True) == []
 
 
 def test_a_parameter_that_only_the_clock_hides_is_no_better_known_than_the_clock(stubs: None) -> None:
@@ -306,7 +309,7 @@ def test_remarks_say_how_an_end_effector_is_off(small_rig: Any) -> None:
     vague = replace(shift, sd=6e-4)
     assert [kind_of(n.name) for n in (shift, turn)] == ["pose", "pose"]
     assert kind_of("side.cx_px") == "camera" and kind_of("side.latency_s") == "time"
-    assert remarks(small_rig(), [shift, turn, vague]) == [
+    assert remarks(small_rig(), [shift, turn, vague], trusted=True) == [
         "The end effector finger is shifted by 0.400 +- 0.010 mm along x of its own frame: write finger.offset_x_m = "
         "0.0004 into the rig, or correct how its poses are calibrated.",
         "The end effector finger is turned by -0.400 +- 0.020 deg about z of its own frame, where the rig says 0.1 "
@@ -329,12 +332,12 @@ def test_remarks_say_what_to_write(small_rig: Any) -> None:
     scale = Nuisance("side.fx_px", "", "px", 1400.0, 1407.0, (1406.0, 1408.0), 4e-4, 0.01, True, ("side.fy_px",))
     near = replace(late, name="side.latency_s", value=0.002)
     vague = replace(late, sd=0.02)
-    said = remarks(rig, [late, scale, near, vague])
+    said = remarks(rig, [late, scale, near, vague], trusted=True)
     topic = rig.sensors["wrench"].topic
     assert said == [
         f"The stream {topic} lags by 21.0 +- 1.0 ms: write wrench.latency_s = 0.021 into the rig.",
         "The scale of the camera side is off by 0.499 +- 0.040 %: write side.fx_px = 1407 and side.fy_px in proportion "
         "into the rig, or calibrate the camera.",
     ]
-    (lead,) = remarks(rig, [replace(late, value=-0.021, start=-0.005)])
+    (lead,) = remarks(rig, [replace(late, value=-0.021, start=-0.005)], trusted=True)
     assert "leads by 21.0" in lead and "where the rig says -5 ms" in lead

@@ -28,7 +28,7 @@ def problem(data: np.ndarray) -> Any:
         labels = [(0, "gauge", T), (-1, "prior", np.zeros(2))]
         rig = cast(Any, None)
         jacobian = np.vstack([-BASIS, np.eye(2)])
-        return Fitted(PARAMETERS, scaled, rig, residual, jacobian, labels, [], rig, 1, True, "", 0.0)
+        return Fitted(PARAMETERS, scaled, rig, residual, jacobian, labels, [], rig, 1, True, "")
 
     return evaluate
 
@@ -99,7 +99,7 @@ def test_a_search_gets_away_from_where_it_starts(start: float, sd: float) -> Non
     def evaluate(scaled: np.ndarray) -> Fitted:
         nothing, labels = cast(Any, None), [(0, "gauge", np.linspace(0.0, 1.0, 400))]
         residual = data - slope * scaled[0]
-        return Fitted([friction], scaled, nothing, residual, -slope[:, None], labels, [], nothing, 1, True, "", 0.0)
+        return Fitted([friction], scaled, nothing, residual, -slope[:, None], labels, [], nothing, 1, True, "")
 
     found = Search(evaluate, [friction], None).run(np.array([start]), 30, 0.5)
     best = float(slope @ data / (slope @ slope))
@@ -134,7 +134,7 @@ def test_a_search_does_not_go_out_of_sight_little_by_little() -> None:
         residual = np.where(there, slope * (100.0 - scaled[0]), 0.0)
         jacobian = np.where(there, -slope, 0.0)[:, None]
         nothing, labels = cast(Any, None), [(0, "gauge", np.linspace(0.0, 1.0, 1000))]
-        return Fitted(line, scaled, nothing, residual, jacobian, labels, [], nothing, 1, True, "", 0.0, seen=seen)
+        return Fitted(line, scaled, nothing, residual, jacobian, labels, [], nothing, 1, True, "", seen=seen)
 
     found = Search(evaluate, line, None).run(np.array([0.0]), 200, 0.5)
     assert 0.0 < found.scaled[0] and 900 <= found.seen < 1000

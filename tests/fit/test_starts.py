@@ -88,7 +88,7 @@ def test_progress_tells_the_misfit_beside_what_the_noise_alone_makes(small_rig: 
     off = np.full(len(T), 3.0)
     fitted = Fitted(
         fit_parameters(rig, ["gel.E"]), np.array([MIDDLE]), rig, off, np.zeros((len(T), 1)), [(0, "gauge", T)], [], rig,
-        1, True, "", 0.0,
+        1, True, "",
     )  # fmt: skip
     told: list[str] = []
     Evaluations(FitOptions(), lambda share, text: told.append(text))(fitted)

@@ -22,7 +22,7 @@ def fitted(jacobian: np.ndarray, misfit: float = 1.0) -> Fitted:
     labels = [(0, "gauge", np.linspace(0.0, 1.0, len(jacobian)))]
     nothing = cast(Any, None)
     return Fitted(
-        parameters, np.full(len(parameters), 10.0), nothing, residual, jacobian, labels, [], nothing, 1, True, "", 0.0
+        parameters, np.full(len(parameters), 10.0), nothing, residual, jacobian, labels, [], nothing, 1, True, ""
     )
 
 
@@ -83,3 +83,28 @@ def test_a_channel_without_samples_is_left_out() -> None:
 )
 def test_a_name_is_not_found_in_a_longer_one(sentence: str, named: bool) -> None:
     assert _names(sentence, "gel.nu") == named
+
+
+def torn(strength: float) -> Fitted:
+    """Readings miss by no more than noise does, but neighbours alike: half of them pull one way and half the other."""
+    residual = np.where(np.arange(N) < N // 2, 1.0, -1.0)
+    return replace(fitted(np.full((N, 1), strength / np.sqrt(N))), residual=residual)
+
+
+def test_what_misfit_leaves_wide_is_not_determined() -> None:
+    fit = torn(1.9)
+    known = uncertainty(fit)
+    low, high = interval(fit.parameters[0], 10.0, known.sd[0])
+    assert known.sd[0] > UNDETERMINED_SHARE * 2.0
+    assert known.sentences == (
+        f"The data do not determine p0: its 95 % interval is {low:.3g} to {high:.3g} Pa. Record a motion that depends "
+        "on it, or fix it.",
+    )
+
+
+def test_the_interval_in_words_is_that_of_the_table() -> None:
+    fit = torn(0.8)
+    known = uncertainty(fit)
+    low, high = interval(fit.parameters[0], 10.0, known.sd[0])
+    assert known.inflation[0] > 1.5
+    assert known.sentences[0].startswith(f"The data do not determine p0: {low:.3g} to {high:.3g} Pa fit about as well.")

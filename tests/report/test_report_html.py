@@ -227,7 +227,7 @@ def empty_diagnosis() -> Diagnosis:
     rig = load_rig("card_press")
     base = Fitted(
         [], np.zeros(0), rig, white.ravel(), np.zeros((360, 0)), [(0, "wrench_gel", np.repeat(t, 6))], [prediction],
-        rig, 1, True, "", 0.0,
+        rig, 1, True, "",
     )  # fmt: skip
     with_gel = with_effect(rig, EFFECTS[0], {"share": 0.1, "tau_s": 0.2})
     own = fit_parameters(with_gel, ["effects.gel_relaxation.share"])

@@ -95,6 +95,20 @@ def test_other_frames_and_other_markers_are_noted(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(("more", "of_another"), [(3, False), (20, True)])
+def test_a_few_markers_that_a_rig_leaves_out_speak_not_against_it(tmp_path: Path, more: int, of_another: bool) -> None:
+    """The gel of card_press has markers 0 to 24."""
+    at = np.column_stack([1e-3 * np.arange(25.0 + more), np.zeros(25 + more), np.zeros(25 + more)])
+    with RecordingWriter(tmp_path / "bag") as bag:
+        for k in range(1, 30):
+            bag.pose("current_pose", k * 10_000_000, (0.03, 0, 0.056), (0, 0, 0, 1), "base_link")
+            bag.markers("tactile/left/markers", k * 10_000_000, at, at, np.arange(25 + more), "tactile_left_gel")
+    run = load_run(load_rig("card_press"), tmp_path / "bag")
+    assert bool(run.unlike) == of_another
+    (note,) = (n for n in run.notes if "not compared, since the rig does not know them" in n)
+    assert ("Give the rig" in note) == of_another
+
+
 def test_markers_of_which_the_rig_knows_none_are_refused(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "bag") as bag:
         for k in range(1, 30):

@@ -1,0 +1,33 @@
+"""Which topics of a rig a recording is said to lack."""
+
+from __future__ import annotations
+
+import pytest
+
+from sim_core.rigs import Rig, load_rig
+from sysid.rig_topics import topics_of
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return load_rig("card_press")
+
+
+def topics(rig: Rig) -> set[str]:
+    """What a recording of the rig has, without images."""
+    hands = {e.topics.current_pose for e in rig.end_effectors.values()}
+    return hands | {s.topic for s in rig.sensors.values()} | {c.topics.marker_tracks for c in rig.cameras.values()}
+
+
+def test_neither_images_beside_tracks_nor_intrinsics_nor_commanded_poses_are_missed(rig: Rig) -> None:
+    assert topics_of(rig, topics(rig))[1] == ()
+
+
+def test_a_sensor_tracks_and_measured_poses_are_missed(rig: Rig) -> None:
+    (camera,), (hand,) = rig.cameras.values(), rig.end_effectors.values()
+    sensor = next(iter(rig.sensors.values()))
+    there = topics(rig) - {sensor.topic, camera.topics.marker_tracks, hand.topics.current_pose}
+    names, missing = topics_of(rig, there | {hand.topics.target_pose})
+    assert set(missing) == {sensor.topic, camera.topics.marker_tracks, hand.topics.current_pose}
+    (pose,) = names.ee.values()
+    assert (pose.current_pose, pose.target_pose) == (None, hand.topics.target_pose)
