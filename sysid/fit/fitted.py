@@ -19,8 +19,8 @@ class Fitted:
     ``(n,)`` and ``(n, p)``, nuisance sizes eliminated; ``labels``: run, channel and times of the residuals;
     ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable
     coefficients of the simulator's own error by run and channel (:mod:`sysid.fit.directions`); ``limited``: the
-    evaluations allowed for all searches together are used up; ``colourless``: samples of the channels whose noise may
-    be coloured, since no rest told (:mod:`sysid.fit.colour`); ``seen``: readings that a
+    evaluations allowed for all searches together are used up; ``compared``: samples of each channel that are
+    compared (:mod:`sysid.fit.colour`); ``seen``: readings that a
     prediction is compared with, those that it has in sight; ``began``: chi-square where the search began, infinite
     without one; ``elsewhere``: the simulator's own error that it was found beside is that of another place, and is to
     be measured again before anything is made of the misfit; ``still``: the jacobian beside an own error that would not
@@ -39,7 +39,7 @@ class Fitted:
     message: str
     sizes: dict[tuple[int, str], Sizes] = field(default_factory=dict)
     limited: bool = False
-    colourless: dict[tuple[int, str], Samples] = field(default_factory=dict)
+    compared: dict[tuple[int, str], Samples] = field(default_factory=dict)
     seen: int = 0
     began: float = np.inf
     elsewhere: bool = False
@@ -81,12 +81,12 @@ class Fitted:
         return self.chi2 / max(self.samples, 1)
 
     @property
-    def colourless_parts(self) -> list[list[Part]]:
-        """Residuals and derivatives of ``colourless``, quantity by quantity over all runs."""
+    def parts(self) -> list[list[Part]]:
+        """Residuals and derivatives, quantity by quantity over all runs."""
         found: dict[tuple[str, int], list[Part]] = {}
         at = 0
         for index, channel, times in self.labels:
-            samples = self.colourless.get((index, channel))
+            samples = self.compared.get((index, channel))
             if samples is not None:
                 # The rows of a channel are its samples, then the sizes of the simulator's own error.
                 rows = slice(at, at + int(samples.there.sum()))

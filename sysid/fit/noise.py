@@ -309,10 +309,7 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
             if not values.size:
                 continue
             extent = max(extent, float(np.nanmax(np.nanmax(values, axis=0) - np.nanmin(values, axis=0))))
-            third = np.diff(values, n=3, axis=0)
-            third = third[np.isfinite(third)]
-            if len(third):
-                jumps.append(1.4826 * float(np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0))
+            jumps += by_differences(values)
             for stretch in quiet(run, measured.t):
                 scatter = _scatter(values[stretch])
                 if scatter is not None:
@@ -333,6 +330,13 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
         sigma[group] = max(level, rounding, FLOOR_SHARE * extent, 1e-12)
         rho[group] = min(colour, MOST_COLOURED) if colour > WHITE else 0.0
     return ChannelNoise(sigma, rho, source)
+
+
+def by_differences(values: np.ndarray) -> list[float]:
+    """Standard deviation of white noise that has the third differences of ``values`` ``(n, m)``; empty without any."""
+    third = np.diff(values, n=3, axis=0)
+    third = third[np.isfinite(third)]
+    return [1.4826 * float(np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0)] if len(third) else []
 
 
 def _quantile(values: list[float], weights: list[int], share: float) -> float:
@@ -360,22 +364,28 @@ class _Stretch(NamedTuple):
 
 
 def _scatter(values: np.ndarray) -> _Stretch | None:
-    """Noise of a quiet stretch, after removing a line from each column; None where nothing was measured."""
-    good = np.isfinite(values).all(axis=0)
+    """Noise of a quiet stretch, after removing a line from each column, by the readings that are there; None where no
+    column has enough of them."""
+    values = values[:, np.isfinite(values).sum(axis=0) >= MIN_REST_SAMPLES]
+    good = np.isfinite(values)
     if not good.any():
         return None
-    values = values[:, good]
     n = len(values)
     base = np.column_stack([np.ones(n), np.linspace(-1.0, 1.0, n)])
-    residual = values - base @ np.linalg.lstsq(base, values, rcond=None)[0]
-    variance = np.sum(residual**2) / ((n - 2) * values.shape[1])
-    if variance <= 0.0:
-        return _Stretch(0.0, 0.0, values.size)
-    product = np.sum(residual[1:] * residual[:-1]) / ((n - 3) * values.shape[1])
+    residual = np.zeros(values.shape)
+    for there in np.unique(good, axis=1).T:
+        alike = (good == there[:, None]).all(axis=0)
+        seen, line = values[np.ix_(there, alike)], base[there]
+        residual[np.ix_(there, alike)] = seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0]
+    size, pairs = int(good.sum()), int((good[1:] & good[:-1]).sum())
+    variance = np.sum(residual**2) / (size - 2 * values.shape[1])
+    if variance <= 0.0 or pairs <= 2 * values.shape[1]:
+        return _Stretch(float(np.sqrt(variance)), 0.0, size)
+    product = np.sum(residual[1:] * residual[:-1]) / (pairs - 2 * values.shape[1])
     # Removing a line biases the correlation down by about 2 (1 + rho) / n.
     rho = product / variance
-    rho = min(float(rho + 2.0 * (1.0 + rho) / n), MOST_COLOURED)
-    return _Stretch(float(np.sqrt(variance / _share_left(n, max(rho, 0.0), base))), rho, values.size)
+    rho = min(float(rho + 2.0 * (1.0 + rho) * values.shape[1] / size), MOST_COLOURED)
+    return _Stretch(float(np.sqrt(variance / _share_left(n, max(rho, 0.0), base))), rho, size)
 
 
 def _share_left(n: int, rho: float, base: np.ndarray) -> float:

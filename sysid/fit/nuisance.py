@@ -3,7 +3,8 @@
 A fit estimates these nuisances beside the parameters that it is asked for. Each has a prior about the value of the
 rig, as wide as such things are off in a laboratory, so that data which do not tell leave it where it is:
 
-- ``time``: the latency of each measured stream;
+- ``time``: the latency of each measured stream, in each recording by itself, since clocks are set anew between them
+  (windows of one recording share it);
 - ``bias``: a constant in each component of each wrench sensor and run, eliminated as the simulator's own error is
   (:mod:`sysid.fit.directions`);
 - ``camera``: the focal length (fx and fy together; the scale of an orthographic camera) and the principal point;
@@ -72,15 +73,18 @@ def nuisance_parameters(
     names = {p.target for p in asked}
     found: list[FitParameter] = []
 
-    def add(name: str, sd: float, tied: tuple[str, ...] = ()) -> None:
-        if not names & {name, *tied}:
-            found.append(replace(fit_parameters(rig, [name])[0], prior_sd=sd, nuisance=True, tied=tied))
+    def add(name: str, sd: float, tied: tuple[str, ...] = (), bags: Sequence[str] = ()) -> None:
+        if names & {name, *tied}:
+            return
+        one = replace(fit_parameters(rig, [name])[0], prior_sd=sd, nuisance=True, tied=tied)
+        found.extend([replace(one, name=f"{name}[{bag}]", bag=bag) for bag in bags] or [one])
 
     measured = {m.channel: m for run in runs for m in run.measured}
     for channel, m in measured.items():
         late = f"effects.stream_delay.{'wrench' if m.kind == 'wrench' else 'vision'}_s"
         if "time" in kinds and late not in names:
-            add(f"{channel}.latency_s", LATENCY_SD_S)
+            there = {run.name: run.path for run in runs if any(other.channel == channel for other in run.measured)}
+            add(f"{channel}.latency_s", LATENCY_SD_S, bags=[*there] if len({*there.values()}) > 1 else ())
         if "camera" in kinds and channel in rig.cameras:
             for name, sd, tied in _intrinsics(channel, rig.cameras[channel]):
                 add(name, sd, tied)

@@ -15,7 +15,7 @@ from sysid.fit.directions import Basis, Direction, Sizes, basis_of, believed
 from sysid.fit.elimination import Elimination
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
-from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, column_groups
+from sysid.fit.noise import ChannelNoise, column_groups
 from sysid.fit.nuisance import bias_sd
 from sysid.fit.parameters import FitParameter, rig_at, rig_in, start_of
 from sysid.fit.pool import AnyEngine
@@ -80,11 +80,10 @@ class Problem:
         self._doubtful: dict[tuple[int, str], np.ndarray] = {}
         self._eliminations: dict[tuple[int, str], Elimination] = {}
         self._known: Fitted | None = None
-        self._colourless = {
+        self._compared = {
             (i, m.channel): Samples(np.isfinite(m.values), tuple(column_groups(m)))
             for i, run in enumerate(self.runs)
             for m in run.measured
-            if noise[m.channel].source == FROM_DIFFERENCES
         }
 
     @property
@@ -284,7 +283,7 @@ class Problem:
             labels = [*labels, (-1, "prior", np.zeros(len(width)))]
         return Fitted(
             list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, rig, 1, True,
-            "evaluated", sizes, colourless=self._colourless, seen=self.seen(predictions), still=still,
+            "evaluated", sizes, compared=self._compared, seen=self.seen(predictions), still=still,
         )  # fmt: skip
 
     def fit(

@@ -172,7 +172,7 @@ class FitResult:
     def _nuisance_table(self) -> list[str]:
         """What the data tell of nuisances, as text."""
         told = [n for n in self.nuisances if n.told]
-        rest = [n.name for n in self.nuisances if not n.told and not n.run]
+        rest = list(dict.fromkeys(n.name for n in self.nuisances if not n.told and not n.bias))
         lines = [f"{'estimated beside them':<34}{'value':>13}  {'95 % interval':<30}unit"] if told else []
         for n in told:
             low, high = n.ci95

@@ -3,8 +3,8 @@
 Three covariances are compared parameter by parameter and the largest is kept: the inverse Fisher matrix of
 the whitened residuals, widened by the misfit where the model does not reach the noise, the sandwich
 estimate H^-1 (sum_b s_b s_b^T) H^-1 over blocks b of neighbouring samples (s_b = J_b^T r_b), which does
-not trust the noise model in time (White 1982; Newey & West 1987), and, where no rest told the colour of a
-channel's noise, that of the noise that the fit leaves there (:mod:`sysid.fit.colour`).
+not trust the noise model in time (White 1982; Newey & West 1987), and that of the colour of what the fit leaves
+(:mod:`sysid.fit.colour`).
 
 Sentences are about the parameters that were asked for, with the nuisances beside them projected out.
 """
@@ -82,7 +82,7 @@ def _spread(fitted: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     plain = inverse * max(1.0, _reduced(fitted))
     scores = _scores(fitted, fitted.residual)
     sandwich = inverse @ (scores.T @ scores) @ inverse
-    coloured = inverse + inverse @ coloured_scores(fitted.colourless_parts, inverse) @ inverse
+    coloured = inverse + inverse @ coloured_scores(fitted.parts, inverse) @ inverse
     variance = np.max([np.diag(v) for v in (plain, sandwich, coloured)], axis=0)
     sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)), WIDEST * prior)
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))

@@ -32,8 +32,9 @@ REMEDIES = {
 
 @dataclass(frozen=True)
 class Nuisance:
-    """One nuisance. ``run``: empty for what is of the rig; ``start``: value of the rig; ``sd``, ``prior_sd``: after
-    and before the fit, in the fitted scale, logarithmic with ``log``; ``tied``: what changes in proportion."""
+    """One nuisance. ``run``: the recording that it is of, empty for what is of all; ``start``: value of the rig;
+    ``sd``, ``prior_sd``: after and before the fit, in the fitted scale, logarithmic with ``log``; ``tied``: what is
+    changed in proportion."""
 
     name: str
     run: str
@@ -52,6 +53,11 @@ class Nuisance:
         return self.sd < UNDETERMINED_SHARE * self.prior_sd
 
     @property
+    def bias(self) -> bool:
+        """It is the bias of a sensor in a recording."""
+        return self.name.endswith(" bias")
+
+    @property
     def off(self) -> float:
         """Distance from the value of the rig, in the fitted scale."""
         return float(np.log(self.value / self.start)) if self.log else self.value - self.start
@@ -66,12 +72,12 @@ def nuisances_of(problem: Problem, fitted: Fitted) -> list[Nuisance]:
     """All nuisances with their intervals."""
     whole = with_explicit_bias(problem, fitted)
     sd = uncertainty(whole).sd
-    runs = [*[""] * len(fitted.parameters), *(run for run, _ in _biases(problem))]
+    runs = [*(p.bag for p in fitted.parameters), *(run for run, _ in _biases(problem))]
     start = np.concatenate([start_of(fitted.centre, fitted.parameters), np.zeros(len(runs) - len(fitted.parameters))])
     return [
         Nuisance(
-            p.name, run, p.unit, p.physical(first), p.physical(at), interval(p, at, spread), float(spread), p.prior_sd,
-            p.log, p.tied,
+            p.target, run, p.unit, p.physical(first), p.physical(at), interval(p, at, spread), float(spread),
+            p.prior_sd, p.log, p.tied,
         )
         for p, run, first, at, spread in zip(whole.parameters, runs, start, whole.scaled, sd, strict=True)
         if p.nuisance
@@ -145,18 +151,15 @@ def remarks(rig: Rig, found: Sequence[Nuisance], trusted: bool) -> list[str]:
         return f"{what}: {remedy}." if trusted else f"{what}, or that stands for something else."
 
     said = []
-    for n in found:
+    for n in _of_all(found):
         owner, _, quantity = n.name.rpartition(".")
-        if not n.far or n.run:
+        if not n.far:
             continue
         low, high = n.ci95
         half = 0.5 * (high - low) / 1.96
         if quantity == "latency_s":
-            source = rig.sensors.get(owner)
-            topic = source.topic if source is not None else rig.cameras[owner].topics.marker_tracks
             beside = f", where the rig says {1e3 * n.start:.4g} ms" if n.start else ""
-            way = "lags" if n.value > 0.0 else "leads"
-            what = f"The stream {topic} {way} by {_pair(1e3 * abs(n.value), 1e3 * half)} ms{beside}"
+            what = f"The stream {_topic(rig, owner)} {_way(n)}{beside}"
             said.append(told(what, f"write {n.name} = {n.value:.4g} into the rig"))
             continue
         if kind_of(n.name) == "pose":
@@ -175,7 +178,14 @@ def remarks(rig: Rig, found: Sequence[Nuisance], trusted: bool) -> list[str]:
         else:
             what = f"{n.name} is off by {_pair(n.off, half)} {n.unit}"
         said.append(told(what, f"write {write} into the rig, or calibrate the camera"))
-    for run, channel in dict.fromkeys((n.run, n.name.split(" ")[0]) for n in found if n.far and n.run):
+    for name, there in _by_name(found).items():
+        if _differ(there):
+            ways = "; ".join(f"{_way(n)} in {n.run}" for n in there if n.told)
+            said.append(
+                f"The stream {_topic(rig, name.rpartition('.')[0])} has another offset in time in each recording: "
+                f"{ways}. Let one clock stamp it and the poses. Held-out recordings are compared at the mean of these."
+            )
+    for run, channel in dict.fromkeys((n.run, n.name.split(" ")[0]) for n in found if n.far and n.bias):
         parts = [
             f"{n.name.removeprefix(channel + ' ').removesuffix(' bias')} {_pair(n.value, n.sd)} {n.unit}"
             for n in found
@@ -183,6 +193,43 @@ def remarks(rig: Rig, found: Sequence[Nuisance], trusted: bool) -> list[str]:
         ]
         said.append(told(f"In {run}, {channel} has a bias of {', '.join(parts)}", "tare it with nothing in touch"))
     return said
+
+
+def _by_name(found: Sequence[Nuisance]) -> dict[str, list[Nuisance]]:
+    """What each recording has for itself, but for biases."""
+    names = dict.fromkeys(n.name for n in found if n.run and not n.bias)
+    return {name: [n for n in found if n.name == name] for name in names}
+
+
+def _differ(there: Sequence[Nuisance]) -> bool:
+    """Whether recordings do not have the same."""
+    mean = _mean(there).value
+    return any(n.told and abs(n.value - mean) > FAR * n.sd for n in there)
+
+
+def _mean(there: Sequence[Nuisance]) -> Nuisance:
+    """What recordings tell together."""
+    weights = np.array([n.sd**-2 for n in there])
+    value, sd = float(np.average([n.value for n in there], weights=weights)), float(np.sum(weights) ** -0.5)
+    return replace(there[0], run="", value=value, sd=sd, ci95=(value - 1.96 * sd, value + 1.96 * sd))
+
+
+def _of_all(found: Sequence[Nuisance]) -> list[Nuisance]:
+    """What is of all recordings, and what is the same in each."""
+    same = {name: there for name, there in _by_name(found).items() if not _differ(there)}
+    return [n for n in found if not n.run] + [_mean(there) for there in same.values()]
+
+
+def _topic(rig: Rig, owner: str) -> str:
+    source = rig.sensors.get(owner)
+    return source.topic if source is not None else rig.cameras[owner].topics.marker_tracks
+
+
+def _way(n: Nuisance) -> str:
+    """By how much a stream is late, in words."""
+    low, high = n.ci95
+    half = 0.5 * (high - low) / 1.96
+    return f"{'lags' if n.value > 0.0 else 'leads'} by {_pair(1e3 * abs(n.value), 1e3 * half)} ms"
 
 
 def _pair(value: float, sd: float) -> str:
@@ -211,7 +258,7 @@ def blamed(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> list[str]:
 def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str, float]:
     """Standard deviation of the parameters that were asked for, in units of what they are judged by, as the noise alone
     leaves it with the nuisances of some kinds known."""
-    kept = [k for k, p in enumerate(fitted.parameters) if not (p.nuisance and kind_of(p.name) in known)]
+    kept = [k for k, p in enumerate(fitted.parameters) if not (p.nuisance and kind_of(p.target) in known)]
     jacobian, rows = fitted.jacobian, fitted.pulls
     if "bias" in known and problem.bias:
         plain = Problem(problem.runs, problem.noise, problem.engine, problem.directions, problem.prior)

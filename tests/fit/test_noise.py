@@ -105,6 +105,22 @@ def test_level_and_colour_come_from_the_rest(jitter: float) -> None:
     assert found[0].source == "rest at the start"
 
 
+@pytest.mark.parametrize("lost", [0.01, 0.2])
+def test_lost_readings_do_not_hide_a_rest(lost: float) -> None:
+    """No column is whole over a rest of 9 s."""
+    rng = np.random.default_rng(6)
+    n = 900
+    values = coloured(rng, n, 0.8, 0.1)
+    values[rng.random(values.shape) < lost] = np.nan
+    assert not np.isfinite(values).all(axis=0).any()
+    t = np.arange(n) / RATE
+    still = PoseTrajectory(t, np.zeros((n, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)))
+    found = estimate_noise([run_with(still, values)], "gauge")
+    assert found.source == "rest at the start"
+    np.testing.assert_allclose(found.sigma, 0.1, rtol=0.1)
+    np.testing.assert_allclose(found.rho, 0.8, atol=0.04)
+
+
 @pytest.mark.parametrize("coloured_group", [0, 1], ids=["forces", "torques"])
 def test_forces_and_torques_have_colours_of_their_own(coloured_group: int) -> None:
     rng = np.random.default_rng(5)

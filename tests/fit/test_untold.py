@@ -71,7 +71,7 @@ def test_what_nobody_told_does_not_fool_a_fit(small_rig: Any, dirty: Run, tmp_pa
         assert abs(found[f"wrench force {axis} bias"].value - value) < 4.0 * found[f"wrench force {axis} bias"].sd
     assert rig.sensors["markers"].latency_s == found["markers.latency_s"].value
     assert rig.cameras["side"].fy_px == pytest.approx(rig.cameras["side"].fx_px)
-    assert [s.split(":")[0].split(" is off")[0].split(" by")[0] for s in result.remarks] == [
+    assert [s.split(":")[0].split(" is off")[0].split(" by")[0].split(" of force")[0] for s in result.remarks] == [
         "The stream markers lags", "The scale of the camera side", "In bag, wrench has a bias",
     ]  # fmt: skip
     assert all(e.after < 1.2 * e.noise + 0.05 * e.before for e in result.errors)

@@ -88,7 +88,7 @@ def fitted_with(columns, residual, parameters):
     times = np.linspace(0.0, 1.0, len(residual))
     return cast(Fitted, SimpleNamespace(
         parameters=parameters, scaled=np.zeros(len(parameters)), jacobian=columns, residual=residual,
-        labels=[(0, "gauge", times)], colourless_parts=[], rough_parts=[], samples=len(residual), still=None,
+        labels=[(0, "gauge", times)], parts=[], samples=len(residual), still=None,
         chi2=float(residual @ residual)))  # fmt: skip
 
 
