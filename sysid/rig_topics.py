@@ -32,8 +32,8 @@ def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str
             poses[name] = EETopics(
                 current_pose=current,
                 target_pose=target,
-                length_unit=topics.length_unit if topics.length_unit == "mm" else None,
-                quaternion_order=topics.quaternion_order if topics.quaternion_order == "wxyz" else None,
+                length_unit=topics.length_unit,
+                quaternion_order=topics.quaternion_order,
             )
     wrenches: dict[str, SensorTopic] = {}
     markers: dict[str, SensorTopic] = {}
@@ -43,7 +43,7 @@ def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str
             missing.append(sensor.topic)
             continue
         group = wrenches if sensor.type == "wrench" else markers
-        group[name] = SensorTopic(topic=topic)
+        group[name] = SensorTopic(topic=topic, length_unit=sensor.length_unit)
     tracks: dict[str, str] = {}
     infos: dict[str, str] = {}
     images: dict[str, str] = {}

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sim_core.errors import ConfigError
+from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import Rig, resolve_name, with_parameters
 from sysid.fit.options import FitOptions
 from sysid.fit.parameters import asked_for
-from sysid.parts import check_parts
+from sysid.parts import check_parts, part_of
+from sysid.recording.bag import open_bag
+from sysid.recording.notes import Notes
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,7 @@ def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], 
     if not bags:
         raise ConfigError("There is no recording to fit.", "Set the parameter bag_uri to a bag, or to a list of them.")
     check_parts(bags, held_out)
+    _check_topics([*bags, *held_out], {n: t for n, t in topics.items() if t != topic_names(rig)[n]})
     rig = with_topics(rig, topics)
     names = [resolve_name(rig, name) for name in values["fit.parameters"] or []]
     if not names:
@@ -51,6 +54,13 @@ def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], 
     lower = _numbers(values["fit.lower"], names, "fit.lower") or [-math.inf] * len(names)
     upper = _numbers(values["fit.upper"], names, "fit.upper") or [math.inf] * len(names)
     bounds = dict(zip(names, zip(lower, upper, strict=True), strict=True))
+    for name, value in zip(names, initial, strict=False):
+        if not bounds[name][0] <= value <= bounds[name][1]:
+            raise ConfigError(
+                f"fit.initial has {value:g} for {name}, which is not within fit.lower and fit.upper, "
+                f"{bounds[name][0]:g} to {bounds[name][1]:g}.",
+                "Start within the bounds.",
+            )
     spread = _numbers(values["fit.prior_sd"], names, "fit.prior_sd")
     if spread and not initial:
         raise ConfigError(
@@ -100,6 +110,20 @@ def with_topics(rig: Rig, topics: Mapping[str, str]) -> Rig:
             "cameras": {name: changed(camera, name) for name, camera in rig.cameras.items()},
         }
     )
+
+
+def _check_topics(bags: Sequence[Path], named: Mapping[str, str]) -> None:
+    """Each recording has the topics that were named for it. Raises ``RecordingError``."""
+    if not named:
+        return
+    for path in dict.fromkeys(part_of(bag).path for bag in bags):
+        there = open_bag(path, Notes()).topics
+        for name, topic in named.items():
+            if not any(("/" + other.strip("/")).endswith("/" + topic.strip("~/")) for other in there):
+                raise RecordingError(
+                    f"topics.{name} is {topic!r}, and {path} has no such topic.",
+                    f"It has {', '.join(there)}.",
+                )
 
 
 def _paths(value: Any, name: str) -> tuple[Path, ...]:

@@ -36,7 +36,7 @@ class FitState:
         elif isinstance(event, Succeeded):
             self.state, self.share, self.doing = "succeeded", 1.0, f"results in {request.out}"
             self.result = result_of(event.fit, self.job_id, request)
-            if not self.result["converged"]:
+            if self._astray:
                 self.doing = f"{self.result['remarks'][0]} {self.doing}"
         elif isinstance(event, Failed):
             self.state, self.doing = "failed", event.reason
@@ -47,11 +47,15 @@ class FitState:
 
     @property
     def level(self) -> Level:
-        """How serious the state is. A fit that ended and did not converge has succeeded in writing its results, which
-        need a look."""
+        """How serious the state is. A fit that ended and did not converge, or does not explain the recordings, or does
+        not determine all that was asked for, has succeeded in writing its results, which need a look."""
         levels: dict[State, Level] = {"failed": "error", "cancelled": "warn"}
-        astray = bool(self.result) and not self.result["converged"]
-        return levels.get(self.state, "warn" if astray else "ok")
+        return levels.get(self.state, "warn" if self._astray else "ok")
+
+    @property
+    def _astray(self) -> bool:
+        found = self.result
+        return bool(found) and (not found["converged"] or not found["explained"] or bool(found["undetermined"]))
 
     def report(self, elapsed_s: float) -> Report:
         """The state after some time [s] since the start, until the end. ``loss``: mean squared whitened residual
@@ -75,7 +79,8 @@ def result_of(fit: dict[str, Any], job_id: str, request: FitRequest) -> dict[str
 
     ``std``: standard deviations in the units of the parameters (to first order where the logarithm is fitted);
     ``correlation``: rows and columns in the order of ``estimate``; ``loss``: mean squared whitened residual;
-    ``remarks``: first that the fit did not converge, or not to the noise, if so.
+    ``explained``: down to the noise; ``undetermined``: names of parameters that the recordings do not determine;
+    ``remarks``: first that the fit did not converge, or not to the noise, or what is not determined, if so.
     """
     estimates = fit["estimates"]
     source = fit["provenance"]
@@ -91,11 +96,14 @@ def result_of(fit: dict[str, Any], job_id: str, request: FitRequest) -> dict[str
         "correlation": fit["correlation"],
         "loss": fit["misfit"],
         "converged": fit["converged"],
+        "explained": not fit["unexplained"],
+        "undetermined": fit["undetermined"],
         "remarks": [
             *astray,
             *fit["unexplained"],
+            *([s for s in fit["identifiability"] if s.startswith("The data do not determine")]),
             *fit["cautions"],
-            *fit["identifiability"],
+            *([s for s in fit["identifiability"] if not s.startswith("The data do not determine")]),
             *fit["remarks"],
             *fit["notes"],
         ],

@@ -39,7 +39,7 @@ def channels_of(rig: Rig, pose_rate_hz: float, base_frame: str = "") -> dict[str
     """
     channels: dict[str, Channel] = {}
     for name, effector in rig.end_effectors.items():
-        if effector.topics.length_unit != "m" or effector.topics.quaternion_order != "xyzw":
+        if effector.topics.length_unit == "mm" or effector.topics.quaternion_order == "wxyz":
             raise ConfigError(
                 f"The rig {rig.name!r} declares other pose units than m and x y z w for {name!r}.",
                 "Live topics carry m and x y z w: leave length_unit and quaternion_order out of the rig.",
@@ -47,6 +47,11 @@ def channels_of(rig: Rig, pose_rate_hz: float, base_frame: str = "") -> dict[str
         frame = base_frame or effector.base_frame
         channels[name] = Channel(name, "pose", effector.topics.current_pose, frame, pose_rate_hz)
     for name, sensor in rig.sensors.items():
+        if sensor.length_unit == "mm":
+            raise ConfigError(
+                f"The rig {rig.name!r} declares mm for the readings of {name!r}.",
+                "Live topics carry m: leave length_unit out of the rig.",
+            )
         frame = sensor.frame_id or name
         common = (sensor.topic, frame, sensor.rate_hz, sensor.latency_s)
         if isinstance(sensor, WrenchSensor):

@@ -155,7 +155,9 @@ class SysidNode(Node):
     def destroy_node(self) -> None:
         """End the fit, then the node."""
         if self._process is not None:
-            self._process.stop()
+            done = self._process.stop() is not None
+            ended = "had just succeeded in writing its results" if done else "was cancelled; nothing was written"
+            print(f"{self._state.job_id} {ended}.", file=sys.stderr)  # the middleware, and its log, may be gone
         super().destroy_node()
 
 

@@ -88,6 +88,8 @@ def rig_to_yaml(rig: Rig) -> str:
 
 def _load(path: Path, chain: tuple[Path, ...]) -> Rig:
     data = read_mapping(path)
+    if "motions" in data and "bodies" not in data:
+        raise ConfigError(f"{path} is an experiment, and a rig is wanted.", "Rigs come before experiments.")
     if "overlay_of" not in data:
         return parse_rig(data, str(path))
     resolved = path.resolve()

@@ -278,14 +278,21 @@ class Experiment(Strict):
         if not any(self.motions.values()) and not self.duration_s:
             raise trouble("has neither motions nor duration_s.", "Say what moves, or how long to watch.", "motions")
         if bool(self.identifies) != (self.rig is not None):
-            raise trouble("has only one of rig and identifies.", "Give both or neither.", "rig")
+            raise trouble(
+                "stands without identifies, or identifies stands without it.",
+                "identifies lists what the motion determines on that rig: give both, or neither.",
+                "rig",
+            )
         return self
 
 
 def load_experiment(name_or_path: str | Path) -> Experiment:
     """Load an experiment by the name of one that comes with the package, or from a file."""
     path = find_config(name_or_path, "experiments")
-    return validate(Experiment, read_mapping(path), str(path))
+    data = read_mapping(path)
+    if "bodies" in data and "motions" not in data:
+        raise ConfigError(f"{path} is a rig, and an experiment is wanted.", "Rigs come before experiments.")
+    return validate(Experiment, data, str(path))
 
 
 def compile_experiment(experiment: Experiment, rig: Rig) -> dict[str, PoseTrajectory]:

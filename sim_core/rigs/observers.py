@@ -87,6 +87,10 @@ class Points(Strict):
         return self.grid[0] * self.grid[1] if self.grid is not None else len(self.positions_m or ())
 
 
+LengthUnit = Literal["m", "mm"] | None
+"""Of recordings; what is written is believed, nothing is taken for m."""
+
+
 class WrenchNoise(Strict):
     """Standard deviation of white noise on each component."""
 
@@ -112,7 +116,8 @@ class WrenchSensor(Strict):
     ``on`` is an end effector (all that it carries), a gel or rigid body, or a named clamp. ``pose``
     puts the sensor's frame into the frame of the end effector, the body's local frame, or the frame
     of the clamp's mount. ``measures``: the components that a real sensor has (a gauge along one axis has
-    one); what a recording holds in the others is not compared.
+    one); what a recording holds in the others is not compared. ``length_unit``: of the lengths in recorded torques,
+    where that is not m.
     """
 
     type: Literal["wrench"]
@@ -124,13 +129,14 @@ class WrenchSensor(Strict):
     noise: WrenchNoise = WrenchNoise()
     measures: Annotated[tuple[WrenchComponent, ...], Field(min_length=1)] = WRENCH_COMPONENTS
     topic: Topic = "wrench"
+    length_unit: LengthUnit = None
 
 
 class MarkerSensor(Strict):
     """3-D positions of material points.
 
     ``pose`` puts the sensor's frame into the body's rest frame, which moves with the body's mount (the
-    rest frame of a sheet or of a free gel stands still).
+    rest frame of a sheet or of a free gel stands still). ``length_unit``: of recorded positions, where that is not m.
     """
 
     type: Literal["markers"]
@@ -142,6 +148,7 @@ class MarkerSensor(Strict):
     latency_s: Latency = 0.0
     noise: MarkerNoise = MarkerNoise()
     topic: Topic = "markers"
+    length_unit: LengthUnit = None
 
 
 Sensor = Annotated[WrenchSensor | MarkerSensor, Field(discriminator="type")]

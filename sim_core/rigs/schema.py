@@ -123,15 +123,16 @@ class Joint(Strict):
 class PoseTopics(Strict):
     """Where the poses of an end effector are, in a bag and on a live system.
 
-    ``length_unit`` and ``quaternion_order`` are for recordings that do not keep to m and x, y, z, w.
+    ``length_unit`` and ``quaternion_order`` are for recordings that do not keep to m and x, y, z, w, or that look as if
+    they did not: what is written is believed.
     ``max_gap_s``: longest gap in a recorded pose stream that is bridged by a straight line; a longer one
     is an error, unless the motion is known to be slow and steady there.
     """
 
     target_pose: Topic = "target_pose"
     current_pose: Topic = "current_pose"
-    length_unit: Literal["m", "mm"] = "m"
-    quaternion_order: Literal["xyzw", "wxyz"] = "xyzw"
+    length_unit: Literal["m", "mm"] | None = None
+    quaternion_order: Literal["xyzw", "wxyz"] | None = None
     max_gap_s: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=3600.0)] = 1.0
 
 

@@ -22,6 +22,9 @@ Model = TypeVar("Model", bound=Strict)
 
 MAX_BYTES = 10_000_000
 
+RECORDINGS = {".mcap", ".db3"}
+"""Endings of files of recordings."""
+
 
 class _Loader(yaml.SafeLoader):
     """Safe loader with the scalars of YAML 1.2 that refuses a key given twice."""
@@ -68,21 +71,29 @@ def read_mapping(path: Path) -> dict[str, Any]:
     """Read a YAML file that holds one mapping at its top level."""
     try:
         if path.is_dir():
-            raise ConfigError(f"{path} is a folder, not a YAML file.", "Name the file inside it.")
+            raise ConfigError(f"{path} is a folder, not a YAML file.", _wanted(path))
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise ConfigError(
                 f"{path} has {size} bytes, more than the {MAX_BYTES} that a configuration may have.",
-                "This looks like another kind of file; name a YAML file.",
+                _wanted(path),
             )
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ConfigError(f"{path} does not exist.", _near_files(path)) from None
     except UnicodeDecodeError:
-        raise ConfigError(f"{path} is not a text file in UTF-8.", "Name a YAML file.") from None
+        raise ConfigError(f"{path} is not a text file in UTF-8.", _wanted(path)) from None
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}.", "Check the path and its permissions.") from None
     return parse_mapping(text, str(path))
+
+
+def _wanted(path: Path) -> str:
+    """What to give instead of what is no YAML file."""
+    inside = [path, *path.iterdir()] if path.is_dir() else [path]
+    if any(p.suffix in RECORDINGS or p.name == "metadata.yaml" for p in inside):
+        return "This looks like a recording; rigs and experiments come before recordings."
+    return "Name the YAML file inside it." if path.is_dir() else "Name a YAML file."
 
 
 def parse_mapping(text: str, source: str) -> dict[str, Any]:

@@ -35,7 +35,7 @@ def check_gradients(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
-    """Check the gradients of a rollout; exit code 1 if one is off by more than its bound.
+    """Check the gradients of a rollout; exit code 1 if one is off by more than its bound, or none could be judged.
 
     Example: thinshell check-gradients card_press press_post --params gel.E,gel-post.friction
     """

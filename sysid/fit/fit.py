@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from sysid.fit.noise import ChannelNoise, channel_noise, column_groups, overrule
 from sysid.fit.nuisance import has_bias, nuisance_parameters
 from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
-from sysid.fit.own_error import Unmeasured, doubtful, fit_beside_own_error, loud
+from sysid.fit.own_error import Unmeasured, doubtful, fit_beside_own_error, loud, own_sizes
 from sysid.fit.parameters import FitParameter, asked_for, rig_at, start_of
 from sysid.fit.pool import AnyEngine, PooledEngine
 from sysid.fit.problem import Problem
@@ -130,9 +130,12 @@ def _fit_runs(
     look, problem, fitted = found.look, found.problem, found.fitted
     before = problem.evaluate(rig, [], np.zeros(0))
     nuisances = nuisances_of(problem, fitted)
-    errors = rms_errors(problem, before, fitted, held_out=False)
+    own = own_sizes(problem)
+    errors = rms_errors(problem, before, fitted, held_out=False, own=own)
     series = plot_series(problem, before, fitted, held_out=False, raw=runs)
-    notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes]
+    sentences, left = found.sentences, unexplained(problem, fitted)
+    told = {run.unlike for run in runs if left}
+    notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes if note not in told]
     notes += [
         f"What was known of {p.name} before: {p.physical(at):g} +- {p.known_sd * (p.physical(at) if p.log else 1.0):g} "
         f"{p.unit}".rstrip()
@@ -144,7 +147,6 @@ def _fit_runs(
     notes += (
         search.ends + unheard(problem.noise) + overruled(runs, problem.noise) + out_of_sight(problem, before, fitted)
     )
-    sentences, left = found.sentences, unexplained(problem, fitted)
     moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
     if moved:
         sentences = ["What was fitted to a window that does not begin at rest means nothing.", *moved, *sentences]
@@ -153,7 +155,7 @@ def _fit_runs(
         notes.append("Held-out recordings are predicted with the mean of the values that each bag has for itself.")
     if held_out and on_progress is not None:
         on_progress(0.98, "held-out recordings")
-    scores = [_scored(engine, rig, fitted.rig, run, problem.noise, bias) for run in held_out]
+    scores = [_scored(engine, rig, fitted.rig, run, problem.noise, bias, own) for run in held_out]
     notes += [note for score in scores for note in score.notes]
     if options.robust:
         followed = [(score.run, score.prediction) for score in scores if score.prediction is not None]
@@ -182,7 +184,7 @@ def _fit_runs(
         profiles=found.profiles,
         outliers=look.outliers,
         unexplained=left,
-        cautions=doubts(runs) + loud(problem) + doubtful(problem),
+        cautions=doubts(rig, runs) + loud(problem) + doubtful(problem),
     )
     return result, fitted.rig
 
@@ -248,7 +250,15 @@ class _Score:
     series: list[Series]
 
 
-def _scored(engine: AnyEngine, before: Rig, after: Rig, run: Run, noise: dict[str, ChannelNoise], bias: bool) -> _Score:
+def _scored(
+    engine: AnyEngine,
+    before: Rig,
+    after: Rig,
+    run: Run,
+    noise: dict[str, ChannelNoise],
+    bias: bool,
+    own: Mapping[tuple[str, str], float],
+) -> _Score:
     check = Problem([run], noise, engine, bias=bias)
     try:
         there = check.evaluate(before, [], np.zeros(0))
@@ -256,8 +266,8 @@ def _scored(engine: AnyEngine, before: Rig, after: Rig, run: Run, noise: dict[st
     except ThinshellError as error:
         return _Score(run, None, [], [f"{run.name}: could not be simulated: {error}"], [])
     return _Score(
-        run, scored.predictions[0], rms_errors(check, there, scored, held_out=True), out_of_sight(check, there, scored),
-        plot_series(check, there, scored, held_out=True, raw=[run]),
+        run, scored.predictions[0], rms_errors(check, there, scored, held_out=True, own=own),
+        out_of_sight(check, there, scored), plot_series(check, there, scored, held_out=True, raw=[run]),
     )  # fmt: skip
 
 

@@ -275,16 +275,16 @@ def unless_larger(noise: ChannelNoise, declared: np.ndarray) -> ChannelNoise:
 
 
 def overruled(runs: Sequence[Run], noise: Mapping[str, ChannelNoise]) -> list[str]:
-    """A sentence for each quantity whose declared noise took the place of the estimated one."""
+    """A sentence for each quantity whose declared noise took the place of the estimated one, if that tells anything."""
     said: dict[tuple[str, str], str] = {}
     for m in (m for run in runs for m in run.measured):
         found = noise[m.channel]
-        if found.estimated is None:
+        if found.estimated is None or len(m.t) < MIN_REST_SAMPLES:
             continue
         for unit, (quantity, group) in zip(UNITS[m.kind], quantities(m), strict=False):
             seen = group[np.isfinite(m.values[:, group]).any(axis=0)]
             declared, shown = (np.median(sigma[seen]) if len(seen) else 0.0 for sigma in (found.sigma, found.estimated))
-            if declared > REPLACED_FROM * shown:
+            if declared > REPLACED_FROM * shown > 1e-9 * declared:
                 said[(m.channel, quantity)] = (
                     f"The noise of the {quantity} of {m.channel} is {declared:.3g} {unit}, as the rig declares; "
                     f"recordings show {shown:.2g} {unit}. Unless they were smoothed or interpolated, correct the rig."

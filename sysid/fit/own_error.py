@@ -209,23 +209,35 @@ def fit_beside_own_error(
 
 def loud(problem: Problem) -> list[str]:
     """A sentence for each quantity in which the error of mesh and time step is far above the noise."""
-    found: dict[tuple[str, str], list[float]] = {}
-    for i, run in enumerate(problem.runs):
-        for m in run.measured:
-            noise = problem.noise[m.channel].sigma
-            whole = np.sum([d.shapes[i].get(m.channel, 0.0 * m.values) for d in problem.directions], axis=0)
-            relative = np.where(np.isfinite(m.values), whole / noise, np.nan)
-            for quantity, group in quantities(m):
-                if np.isfinite(relative[:, group]).any():
-                    ratio = float(np.sqrt(np.nanmean(relative[:, group] ** 2)))
-                    found.setdefault((m.channel, quantity), []).append(ratio)
     return [
         f"The error of mesh and time step in the {quantity} of {channel} may be {max(ratios):.0f} times the noise. "
         "Intervals rest on what one refinement shows of it and may be too narrow: use finer cells or a shorter "
         "solver.dt_s."
-        for (channel, quantity), ratios in found.items()
+        for (channel, quantity), (_, ratios) in _sizes(problem).items()
         if max(ratios) > LOUD
     ]
+
+
+def own_sizes(problem: Problem) -> dict[tuple[str, str], float]:
+    """Root mean square of the error of mesh and time step by channel and quantity, measured units: the largest of all
+    runs."""
+    return {key: max(sizes) for key, (sizes, _) in _sizes(problem).items()}
+
+
+def _sizes(problem: Problem) -> dict[tuple[str, str], tuple[list[float], list[float]]]:
+    """Root mean square of that error by channel and quantity, one a run: measured units, and over the noise."""
+    found: dict[tuple[str, str], tuple[list[float], list[float]]] = {}
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            noise = problem.noise[m.channel].sigma
+            whole = np.sum([d.shapes[i].get(m.channel, 0.0 * m.values) for d in problem.directions], axis=0)
+            seen = np.where(np.isfinite(m.values), whole, np.nan)
+            for quantity, group in quantities(m):
+                if np.isfinite(seen[:, group]).any():
+                    both = found.setdefault((m.channel, quantity), ([], []))
+                    for sizes, values in zip(both, (seen[:, group], (seen / noise)[:, group]), strict=True):
+                        sizes.append(float(np.sqrt(np.nanmean(values**2))))
+    return found
 
 
 def doubtful(problem: Problem) -> list[str]:

@@ -266,15 +266,24 @@ class Profiler:
 
     def _root_at_end(self, k: int, side: int) -> float | None:
         """Root of the deviance at one end of the quadratic interval, infinite where that cannot be simulated; None
-        where it is at a bound."""
-        end = self._end(k, side)
-        if not self._low[k] < end < self._high[k] or abs(end - self._fitted.scaled[k]) > REACH * self._prior[k]:
-            return None
+        where it is at a bound or out of reach. Then a better fit is looked for a plausible range away."""
+        end, at = self._end(k, side), float(self._fitted.scaled[k])
+        inside = self._low[k] < end < self._high[k] and abs(end - at) <= REACH * self._prior[k]
+        if not inside:
+            end = float(np.clip(at + side * self._prior[k], self._low[k], self._high[k]))
+            if abs(end - at) < 1e-9 * self._prior[k]:
+                return None
         point = self._at(k, end, self._best, 1)
         if point is not None and point.least < _square(self._best.residual) - self._gain:
             # A better fit is in sight: whether it is there takes more than one evaluation.
             point = self._at(k, end, point) or point
-        return self._root(k, point)
+        if not inside:
+            return None
+        root = self._root(k, point)
+        if point is not None and not BELIEVED[0] <= root <= BELIEVED[1]:
+            # The other parameters may not have followed all the way yet.
+            root = self._root(k, self._at(k, end, point))
+        return root
 
     def _side(self, k: int, side: int) -> tuple[list[tuple[float, float]], End]:
         """Points (value, root of the deviance) on one side, in the order of the value's distance, and the end."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sysid.fit.fitted import Fitted
-from sysid.fit.noise import REPLACED_FROM, declared_noise
+from sysid.fit.noise import REPLACED_FROM, declared_noise, quantities
 from sysid.fit.outliers import Outliers
 from sysid.fit.problem import Problem
 from sysid.fit.profile import Profile
@@ -52,7 +52,8 @@ class Estimate:
 @dataclass(frozen=True)
 class ChannelError:
     """Root-mean-square error of one channel of one run in its own unit (wrench: forces; torques apart). ``noise``: what
-    the fit used; ``declared``: what the rig says."""
+    the fit used; ``declared``: what the rig says; ``own``: error of mesh and time step, as far as one refinement of the
+    recordings that were fitted shows it."""
 
     run: str
     channel: str
@@ -63,6 +64,7 @@ class ChannelError:
     noise: float
     held_out: bool
     declared: float | None = None
+    own: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ class FitResult:
         """Plain data without the series."""
         data = asdict(self)
         del data["series"]
-        return data
+        return {**data, "undetermined": sorted(self.undetermined)}
 
     def write(self, path: Path) -> None:
         """Write ``fit.json``."""
@@ -166,7 +168,7 @@ class FitResult:
         if not self.profiles:
             return []
         lines = [f"{'by profile likelihood':<34}{'value':>13}  {'95 % interval':<27}unit"]
-        lines += [f"{p.name:<34}{p.value:>13.5g}  {p.text():<27}{p.unit}" for p in self.profiles]
+        lines += [f"{p.name:<34}{p.value:>13.5g}  {p.text():<26} {p.unit}" for p in self.profiles]
         return [*lines, ""]
 
     def _nuisance_table(self) -> list[str]:
@@ -215,8 +217,11 @@ def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], lis
     return out, known.correlation[np.ix_(asked, asked)].tolist(), list(known.sentences), known.reduced_chi2
 
 
-def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) -> list[ChannelError]:
-    """Root-mean-square errors by run, channel and quantity, over the samples that both models have in sight.
+def rms_errors(
+    problem: Problem, before: Fitted, after: Fitted, held_out: bool, own: Mapping[tuple[str, str], float]
+) -> list[ChannelError]:
+    """Root-mean-square errors by run, channel and quantity, over the samples that both models have in sight. ``own``:
+    of mesh and time step, by channel and quantity (:func:`sysid.fit.own_error.own_sizes`).
 
     A bias is of the recording, not of the rig: either model has the best one where the problem allows it.
 
@@ -225,7 +230,7 @@ def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) 
     out = []
     for i, run in enumerate(problem.runs):
         for m in run.measured:
-            for quantity, columns, unit in _quantities(m):
+            for (quantity, columns, unit), (whole, _) in zip(_quantities(m), quantities(m), strict=True):
                 misses = _misses(problem, m, columns, i, before, after)
                 if misses is None:
                     continue
@@ -240,6 +245,7 @@ def rms_errors(problem: Problem, before: Fitted, after: Fitted, held_out: bool) 
                         _rms(problem.noise[m.channel].sigma[columns]),
                         held_out,
                         _rms(np.broadcast_to(declared_noise(after.rig, m.channel), m.values.shape[1])[columns]),
+                        own.get((m.channel, whole), 0.0),
                     )
                 )
     return out

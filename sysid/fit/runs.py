@@ -109,7 +109,13 @@ def load_runs(rig: Rig, bags: Sequence[Path], held_out: Sequence[Path] = ()) -> 
     named = zip(parts, distinct_names(paths), strict=True)
     runs = []
     for part, name in named:
-        runs.append(replace(window_of(rig, whole[part.path], part), name=name))
+        run = replace(window_of(rig, whole[part.path], part), name=name)
+        if run.end <= 0.0:
+            raise RecordingError(
+                f"{run.name} has readings of its first instant only, so there is nothing to simulate.",
+                "Give a longer recording, or a longer window of it.",
+            )
+        runs.append(run)
         whole[part.path] = replace(whole[part.path], notes=(), doubts=())  # told once
     return runs[: len(bags)], runs[len(bags) :]
 

@@ -30,6 +30,9 @@ determined."""
 WIDEST = 10.0
 """Largest standard deviation that is reported, in plausible ranges: beyond it nothing is known anyway."""
 
+ADDS_NOTHING = 0.95
+"""Standard deviation, over that of what was known before, from which recordings add nothing."""
+
 TOGETHER = 0.97
 """Correlation from which two parameters are reported as known only in combination."""
 
@@ -195,6 +198,12 @@ def _wide(fitted: Fitted, sd: np.ndarray, said: list[str]) -> list[str]:
     out = []
     for p, scaled, spread in zip(fitted.parameters, fitted.scaled, sd, strict=True):
         if p.nuisance or any(_names(s, p.name) for s in said):
+            continue
+        if p.known_sd is not None and spread > ADDS_NOTHING * p.known_sd:
+            out.append(
+                f"The data do not determine {p.name}: its interval is what was known of it before. Record a motion "
+                "that depends on it, or fix it."
+            )
             continue
         low, high = p.scaled_bounds
         if scaled - 1.96 * spread <= low and scaled + 1.96 * spread >= high:

@@ -88,7 +88,8 @@ def check_gradients(
         raise ConfigError(
             f"The rig {rig.name!r} has no {' and no '.join(kinds)}.", "Leave them out, or name another rig."
         )
-    passed = all(row.verdict != "differs" for row in rows)
+    verdicts = {row.verdict for row in rows}
+    passed = "agrees" in verdicts and "differs" not in verdicts
     return passed, _as_json(rows, steps, passed) if as_json else _as_text(rows, steps)
 
 
@@ -177,6 +178,8 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
             f"{worst_of_all.best:.1e} ({worst_of_all.parameter}, {worst_of_all.channel}), that of the adjoint beside "
             f"forward sensitivities {max((r.adjoint for r in judged if r.adjoint is not None), default=0.0):.0e}."
         )
+    else:
+        lines.append("Nothing could be judged: let the motion go on for longer, or name other parameters.")
     return "\n".join(lines)
 
 

@@ -59,7 +59,7 @@ def notes(base: Fitted, problem: Problem, before: Structure, verdict: Verdict) -
             "There is misfit beyond the noise, but no more than the error of mesh and time step could leave. "
             "Finer cells or a shorter solver.dt_s in the rig would tell."
         )
-    said += doubts(problem.runs) + loud(problem) + doubtful(problem)
+    said += doubts(base.rig, problem.runs) + loud(problem) + doubtful(problem)
     for name, noise in problem.noise.items():
         if noise.source == FROM_DIFFERENCES:
             said.append(

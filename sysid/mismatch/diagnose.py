@@ -16,7 +16,7 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise
-from sysid.fit.own_error import Unmeasured, discretisation, fit_beside_own_error
+from sysid.fit.own_error import Unmeasured, discretisation, fit_beside_own_error, own_sizes
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
@@ -271,9 +271,10 @@ def _misfit(
 ) -> Misfit:
     """Misfit of a model, with the errors of the baseline beside its own; ``plain``, ``predicted``: the two on
     the held-out runs; ``misfits``: on the runs given and held out, where they are told."""
-    errors = rms_errors(problem, base, fitted, held_out=False)
+    own = own_sizes(problem)
+    errors = rms_errors(problem, base, fitted, held_out=False, own=own)
     if plain is not None and predicted is not None:
-        errors += rms_errors(check, plain, predicted, held_out=True)
+        errors += rms_errors(check, plain, predicted, held_out=True, own=own)
     training, there = misfits or (of_readings(fitted), None if predicted is None else predicted.misfit)
     return Misfit(training, there, tuple(errors))
 

@@ -192,6 +192,6 @@ def _scale(topic: str, position: Floats, displacement: Floats | None, declared: 
             raise RecordingError(
                 f"{topic}: markers spread over {spread:.4g} m and move by up to {moved:.4g} m (plausible: "
                 f"{WIDEST_M:g} m); they look like millimetres.",
-                "Declare `length_unit: mm` for this sensor in the topic map, or `length_unit: m` if metres are right.",
+                "Write `length_unit: mm` into this sensor of the rig, or `length_unit: m` if metres are right.",
             )
     return 1.0

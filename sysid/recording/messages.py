@@ -68,7 +68,7 @@ class Table:
         if declared is not None:
             if declared not in counts:
                 raise RecordingError(
-                    f"{self.topic}: frame_id is {listing} where the topic map declares {declared!r}.",
+                    f"{self.topic}: frame_id is {listing} where {declared!r} is declared.",
                     "Correct the declaration, or transform the recording into that frame.",
                 )
             if len(counts) > 1:
@@ -77,7 +77,7 @@ class Table:
         if len(counts) > 1:
             raise RecordingError(
                 f"{self.topic}: messages of more than one frame: {listing}.",
-                "Declare the right one as `frame_id` of this topic in the topic map; the others are dropped.",
+                "Record each frame on a topic of its own, and name the right one in the rig.",
             )
         frame = next(iter(counts))
         if not frame:

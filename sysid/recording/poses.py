@@ -100,8 +100,8 @@ def _metres(topic: str, t: Floats, position: Floats, declared: EETopics, notes: 
             raise RecordingError(
                 f"{topic}: positions reach {farthest:.4g} m from the frame's origin and span {widest:.4g} m "
                 f"(plausible: {FARTHEST_M:g} m and {WIDEST_M:g} m); they look like millimetres.",
-                "Declare `length_unit: mm` for this end effector in the topic map, or `length_unit: m` if "
-                "metres are right.",
+                "Write `length_unit: mm` under `topics` of this end effector in the rig, or `length_unit: m` if metres "
+                "are right.",
             )
         if len(t) > 2:
             speed = np.linalg.norm(np.diff(position, axis=0), axis=1) / np.diff(t)
@@ -156,14 +156,14 @@ def _refuse_w_first(topic: str, quaternion: Floats, notes: Notes) -> None:
         raise RecordingError(
             f"{topic}: the first orientation is x y z w = {_show(first)}, a half turn about x, which is also "
             "what the identity looks like when written w x y z.",
-            "Declare `quaternion_order: wxyz` for this end effector in the topic map, or "
+            "Write `quaternion_order: wxyz` under `topics` of this end effector in the rig, or "
             "`quaternion_order: xyzw` if the half turn is right.",
         )
     if abs(first[0]) > _HALF_TURN_X:
         notes.warning(
             topic,
             f"starts near a half turn about x ({_show(first)}); if it should start near the identity, the "
-            "quaternions are w-first: declare `quaternion_order: wxyz`",
+            "quaternions are w-first: write `quaternion_order: wxyz` under `topics` of the end effector",
         )
 
 

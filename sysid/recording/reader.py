@@ -109,12 +109,12 @@ def _check_needed(bag: Bag, roles: Mapping[str, Mapping[str, str]], need_pose: b
     if not any(roles[role] for role in _MEASUREMENTS):
         raise RecordingError(
             f"{bag.path} holds no measurement: no wrench, markers, marker_tracks or image topic was found.",
-            f"Name the topics in the topic map. Topics in the recording: {listing}.",
+            f"Name the topics in the rig (--rig). Topics in the recording: {listing}.",
         )
     if need_pose and not (roles["current_pose"] or roles["target_pose"]):
         raise RecordingError(
             f"{bag.path} holds no pose of an end effector: no current_pose or target_pose topic was found.",
-            f"Name the topic in the topic map. Topics in the recording: {listing}.",
+            f"Name the topic in the rig (--rig). Topics in the recording: {listing}.",
         )
 
 
@@ -128,7 +128,9 @@ def _series(role: str, name: str, topic: str, names: TopicNames, bag: Bag, notes
         frame_id = sensor_topic(names.markers[name]).frame_id
     info = bag.topics[topic]
     if not info.count:
-        raise RecordingError(f"Topic {topic} ({role}) has no messages.", "Leave it out of the topic map.")
+        raise RecordingError(
+            f"Topic {topic} ({role}) has no messages.", "Record it, or take out of the rig what publishes it."
+        )
     series = read_series(topic, info.msgtypes[0], bag.messages(topic), _CONTENT[role], frame_id, names.time, notes)
     if len(series.rows) == 1:
         notes.warning(topic, "a single message (latched?): taken as constant")
@@ -155,7 +157,7 @@ def _note_clocks(series: Mapping[tuple[str, str], Series], t0_ns: int, notes: No
             notes.warning(
                 one.topic,
                 f"starts {apart:.6g} s after {pose.topic} and never overlaps it: the clocks differ; "
-                "`time: log` in the topic map uses the recorder's clock for all",
+                "`recording_clock: log` in the rig uses the recorder's clock for all",
             )
 
 

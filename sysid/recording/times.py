@@ -106,7 +106,7 @@ def _without_spikes(topic: str, times: Ints, kept: Ints, notes: Notes) -> Ints:
             raise RecordingError(
                 f"{topic}: the stamps go back by {step:.4g} s at message {int(kept[start])} and go on from "
                 "there (clock set back, or a recording played in a loop).",
-                "Cut the recording there, or declare `time: log` in the topic map to use the recorder's.",
+                "Cut the recording there, or write `recording_clock: log` into the rig to use the recorder's times.",
             )
         spikes.append(1e-9 * float(times[kept[last]] - times[kept[start]]))
         kept = np.delete(kept, last)

@@ -158,7 +158,7 @@ def resolve(role: str, wanted: Mapping[str, str | None], bag: Mapping[str, Topic
                     entry = f"ee: {{{name}: {{{role}: {choice[0]}}}}}"
                 raise RecordingError(
                     f"{role} of {name!r} may be any of: {', '.join(choice)}.",
-                    f"Name the topic in the topic map, e.g. {entry}.",
+                    f"Name the topic in the rig (--rig), or in a `TopicNames`, e.g. {entry}.",
                 )
             if mine:
                 found[name] = mine[0]

@@ -114,7 +114,7 @@ def overall_level(result: FitResult) -> str:
     """The colour of the headline."""
     if not result.converged:
         return "bad"
-    held_out = level(over_noise([e for e in result.errors if e.held_out], after=True))
+    held_out = level(over_noise([e for e in result.errors if e.held_out], after=True, own=True))
     worst = {"bad": 2, "fair": 1}
     return max((explains(result), held_out), key=lambda x: worst.get(x, 0))
 
@@ -127,12 +127,12 @@ def headline(result: FitResult) -> str:
         return "Nothing was fitted: the rig as it is, against the recordings."
     found = explains(result)
     held_out = [e for e in result.errors if e.held_out]
-    there = level(over_noise(held_out, after=True))
+    there = level(over_noise(held_out, after=True, own=True))
     if found == "good" and there == "bad":
         return "The fitted rig explains the recordings it was fitted to, but not those held out."
     if found == "good":
         also = ", and predicts those held out as well" if there == "good" else ""
-        left = over_noise([e for e in result.errors if not e.held_out], after=True)
+        left = over_noise(result.errors, after=True)
         own = "" if level(left) in ("", "good") else " and the error of its own mesh and time step"
         return f"The fitted rig explains the recordings down to their noise{own}{also}."
     if found == "fair":
@@ -203,12 +203,17 @@ def tiles(result: FitResult, undetermined: set[str]) -> list[Tile]:
     n = len(result.estimates)
     open_ended = undetermined | {e.name for e in result.estimates if e.at_bound}
     out = [
-        Tile("Error, training", times(training), "the noise", level(training)),
+        Tile(
+            "Error, training",
+            times(training),
+            "the noise",
+            level(over_noise([e for e in result.errors if not e.held_out], after=True, own=True)),
+        ),
         Tile(
             "Error, held out",
             times(held_out),
             "the noise" if held_out is not None else "no recording was held out",
-            level(held_out),
+            level(over_noise([e for e in result.errors if e.held_out], after=True, own=True)),
         ),
         Tile(
             "Reduced chi-square",

@@ -87,7 +87,8 @@ def run_views(
             columns = groups[run, held_out]
             first = held_out not in roles_seen
             shown = _worst(columns, errors, max(quota, MOST_IN_OPEN) if first else quota)
-            ratio = over_noise([e for e in errors if (e.run, e.held_out) == (run, held_out)], after=True)
+            own = [e for e in errors if (e.run, e.held_out) == (run, held_out)]
+            ratio = over_noise(own, after=True)
             view = RunView(
                 run,
                 held_out,
@@ -97,7 +98,7 @@ def run_views(
                 left_out=len(columns) - len(shown),
                 open=first,
                 ratio=times(ratio) if ratio is not None else "",
-                level=level(ratio),
+                level=level(over_noise(own, after=True, own=True)),
             )
             roles_seen.add(held_out)
             if len(views) < MOST_PANELS:

@@ -131,26 +131,28 @@ def error_row(error: ChannelError) -> ErrorRow:
         return Number(raw_number(value), significant(value * scale.factor, 3))
 
     ratio = over_noise([e], after=True)
+    colour = level(over_noise([e], after=True, own=True))
     return ErrorRow(
         e.run, e.held_out, f"{e.channel} {e.quantity}".strip(), scale.unit, shown(e.before), shown(e.after),
-        shown(e.noise), times(ratio), level(ratio),
+        shown(e.noise), times(ratio), colour,
     )  # fmt: skip
 
 
 def level(ratio: float | None) -> str:
-    """How good an error is that is ``ratio`` times the noise."""
+    """How good an error is that is ``ratio`` times what may be left."""
     if ratio is None or not math.isfinite(ratio):
         return ""
     return "good" if ratio <= 1.25 else "fair" if ratio <= 2.0 else "bad"
 
 
-def over_noise(errors: Iterable[ChannelError], after: bool) -> float | None:
-    """Error over noise, root mean square over channels; None where neither is known."""
+def over_noise(errors: Iterable[ChannelError], after: bool, own: bool = False) -> float | None:
+    """Error over noise, root mean square over channels; None where neither is known. ``own``: over noise and the error
+    of mesh and time step together."""
     ratios = []
     for e in errors:
         value = e.after if after else e.before
         if value is not None and e.noise and math.isfinite(value) and math.isfinite(e.noise):
-            ratios.append(value / e.noise)
+            ratios.append(value / math.hypot(e.noise, e.own if own else 0.0))
     return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
 
 
@@ -173,6 +175,7 @@ def merged_errors(errors: Sequence[ChannelError]) -> list[ErrorRow]:
                     before=_mean([e.before for e in members]),
                     after=_mean([e.after for e in members]),
                     noise=_mean([e.noise for e in members]),
+                    own=_mean([e.own for e in members]),
                     held_out=first.held_out,
                 )
             )

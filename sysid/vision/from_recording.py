@@ -158,7 +158,7 @@ def _camera(recording: Recording, camera: str | None) -> tuple[str, ImageStream]
     if not images:
         raise RecordingError(
             f"{recording.provenance.path} holds no images.",
-            "Give a recording with an image topic, or name it in the topic map.",
+            "Give a recording with an image topic, or a rig that names it (--rig).",
         )
     if camera is None:
         if len(images) > 1:

@@ -141,6 +141,22 @@ FAULTS: dict[str, Fault] = {
     "recording to track missing": Fault("track no.bag --out o", "does not exist"),
     "recording of presses missing": Fault("presses tactip_cr no.bag --out o", "does not exist"),
     "benchmark missing": Fault("prove score nowhere", "nowhere does not exist"),
+    "rig and recording exchanged": Fault(
+        ["fit", PRESS_POST, "card_press", "--params", "gel.E", "--out", "o"],
+        "press_post is a folder, not a YAML file. This looks like a recording; rigs and experiments come before",
+    ),
+    "rig and experiment exchanged": Fault(
+        "simulate move.yaml my.yaml --out o",
+        "move.yaml is an experiment, and a rig is wanted",
+        {**rig("", ""), **motion("", "")},
+    ),
+    "rig for an experiment": Fault(
+        "simulate card_press my.yaml --out o", "my.yaml is a rig, and an experiment is wanted", rig("", "")
+    ),
+    "window of an instant": Fault(
+        ["fit", "card_press", f"{PRESS_POST}@0:0.01", "--params", "gel.E", "--out", "o"],
+        "has readings of its first instant only.*Give a longer recording, or a longer window",
+    ),
     # output
     "output exists": Fault("simulate card_press slide --out taken", "already exists", {"taken/x": ""}),
     "output below a file": Fault("simulate card_press slide --out file/o", "file is a file", {"file": ""}),

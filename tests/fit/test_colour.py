@@ -77,8 +77,8 @@ def drifting(rng: np.random.Generator) -> np.ndarray:
 def test_noise_of_more_than_one_colour_widens_intervals_as_it_should(
     kind: Callable[[np.random.Generator], np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of 200 recordings, weighed by what neighbouring samples show: 95 % intervals hold in 90 % or more and are at most half
-    too wide. By the level of what is left, taken for white, they would hold in less than 70 %."""
+    """Of 200 recordings, weighed by what neighbouring samples show: 95 % intervals hold in 90 % or more and are at most
+    half too wide. By the level of what is left, taken for white, they would hold in less than 70 %."""
     rng = np.random.default_rng(6)
     off, sd, white = np.zeros((3, 200, 2))
     for k in range(200):

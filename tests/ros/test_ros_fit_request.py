@@ -120,6 +120,7 @@ def test_standard_deviations_are_in_the_units_of_the_parameters(rig: Rig, tmp_pa
     fit = {
         "rig": "pull", "estimates": estimates, "correlation": [[1.0, 0.2], [0.2, 1.0]], "misfit": 1.1,
         "converged": True, "identifiability": ["a"], "remarks": [], "cautions": [], "notes": ["b"], "unexplained": [],
+        "undetermined": [],
         "provenance": {"bags": [{"path": "one", "sha256": ["ab"]}], "versions": {"thinshell_ros": "0.1.0"}},
     }  # fmt: skip
     state = FitState("fit_7", "running")
@@ -140,7 +141,7 @@ def test_a_fit_that_did_not_converge_is_a_warning(rig: Rig, tmp_path: Path) -> N
     fit = {
         "rig": "pull", "estimates": [], "correlation": [], "misfit": 40.0, "converged": False,
         "message": "the evaluations allowed, 2, are used up", "identifiability": ["a"], "remarks": [], "notes": [],
-        "cautions": [], "unexplained": ["It leaves more than noise."],
+        "cautions": [], "unexplained": ["It leaves more than noise."], "undetermined": [],
         "provenance": {"bags": [], "versions": {}},
     }  # fmt: skip
     state = FitState("fit_7", "running")
@@ -152,3 +153,44 @@ def test_a_fit_that_did_not_converge_is_a_warning(rig: Rig, tmp_path: Path) -> N
     assert report.values["detail"].startswith(words) and str(asked.out) in report.values["detail"]
     first, *others = state.result["remarks"]
     assert first.startswith(words) and others == ["It leaves more than noise.", "a"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "first"),
+    [
+        ({"undetermined": ["strip.nu"]}, "The data do not determine strip.nu: 0 to 0.5 fit about as well."),
+        ({"unexplained": ["The rig does not explain it."]}, "The rig does not explain it."),
+    ],
+)
+def test_a_fit_that_needs_a_look_is_a_warning(
+    rig: Rig, tmp_path: Path, changed: dict[str, list[str]], first: str
+) -> None:
+    """What is not determined is said before cautions and notes, and after what the rig does not explain."""
+    fit = {
+        "rig": "pull", "estimates": [], "correlation": [], "misfit": 1.0, "converged": True, "message": "",
+        "identifiability": ["a", "The data do not determine strip.nu: 0 to 0.5 fit about as well."], "remarks": [],
+        "cautions": ["c"], "notes": ["n"], "unexplained": [], "undetermined": [],
+        "provenance": {"bags": [], "versions": {}},
+    }  # fmt: skip
+    state = FitState("fit_7", "running")
+    state.take(Succeeded({**fit, **changed}), request_of(rig, tmp_path))
+    report = state.report(9.0)
+    assert (report.level, report.message) == ("warn", "succeeded")
+    assert report.values["detail"].startswith(first)
+    assert state.result["remarks"][-3:] == ["c", "a", "n"]
+
+
+def test_topics_that_a_recording_does_not_have_are_refused(rig: Rig, tmp_path: Path) -> None:
+    """Those of the rig may be missing: a recording need not have all of them."""
+    bag = Path(__file__).parents[2] / "bags" / "press_post"
+    asked = {**NONE, "bag_uri": str(bag), "output_dir": str(tmp_path)}
+    own = topic_names(rig)
+    assert fit_request(rig, own, asked, "job").bags == (bag,)
+    with pytest.raises(ThinshellError, match=r"topics.load_cell is 'ft/nope', and .*press_post has no such topic. It"):
+        fit_request(rig, {**own, "load_cell": "ft/nope"}, asked, "job")
+    assert fit_request(rig, {**own, "load_cell": "left/wrench"}, asked, "job").bags == (bag,)
+
+
+def test_initial_values_outside_the_bounds_are_those_of_the_request(rig: Rig, tmp_path: Path) -> None:
+    with pytest.raises(ThinshellError, match=r"fit.initial has 3e\+09 for strip.E_pa, .* 4e\+09 to inf. Start within"):
+        request_of(rig, tmp_path, fit__parameters=["strip.E"], fit__initial=[3e9], fit__lower=[4e9])

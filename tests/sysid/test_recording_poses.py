@@ -23,7 +23,7 @@ def test_mixed_frames_are_refused_unless_one_is_declared(tmp_path: Path) -> None
 
 def test_a_wrong_frame_is_refused(tmp_path: Path) -> None:
     topics = TopicNames(ee={"ee": EETopics(frame_id="world")})
-    with pytest.raises(RecordingError, match=r"frame_id is 'base_link' .* declares 'world'"):
+    with pytest.raises(RecordingError, match=r"frame_id is 'base_link' .* where 'world' is declared"):
         read(tmp_path, poses() + wrenches(), topics)
 
 
