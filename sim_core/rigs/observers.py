@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sim_core.rigs.bodies import WORLD
+from sim_core.rigs.displaced import Displaced, ShiftSds, TurnSds
 from sim_core.rigs.fields import (
     Cells2,
     Count,
@@ -27,6 +28,8 @@ from sim_core.rigs.fields import (
 
 Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e4)]
 Latency = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10.0, le=10.0)]
+Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=1e3)]
+"""Standard deviation of what is told, 0 where it is exact."""
 Focal = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e6)]
 Pixel = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
 WrenchComponent = Literal["force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z"]
@@ -116,7 +119,8 @@ class WrenchSensor(Strict):
     ``on`` is an end effector (all that it carries), a gel or rigid body, or a named clamp. ``pose``
     puts the sensor's frame into the frame of the end effector, the body's local frame, or the frame
     of the clamp's mount. ``measures``: the components that a real sensor has (a gauge along one axis has
-    one); what a recording holds in the others is not compared. ``length_unit``: of the lengths in recorded torques,
+    one); what a recording holds in the others is not compared. ``latency_sd_s``: how well the latency is known, for
+    fits. ``length_unit``: of the lengths in recorded torques,
     where that is not m.
     """
 
@@ -126,6 +130,7 @@ class WrenchSensor(Strict):
     pose: Pose = Pose()
     rate_hz: Rate = 100.0
     latency_s: Latency = 0.0
+    latency_sd_s: Spread = 0.03
     noise: WrenchNoise = WrenchNoise()
     measures: Annotated[tuple[WrenchComponent, ...], Field(min_length=1)] = WRENCH_COMPONENTS
     topic: Topic = "wrench"
@@ -146,6 +151,7 @@ class MarkerSensor(Strict):
     pose: Pose = Pose()
     rate_hz: Rate = 60.0
     latency_s: Latency = 0.0
+    latency_sd_s: Spread = 0.03
     noise: MarkerNoise = MarkerNoise()
     topic: Topic = "markers"
     length_unit: LengthUnit = None
@@ -169,7 +175,10 @@ class Sight(Strict):
     points: Points = Field(description="grid or positions_m")
 
 
-class _Camera(Strict):
+class _Camera(Displaced):
+    """``offset_*``: where the camera really is, seen from its ``pose``. How well things are known, for fits, 0 exactly:
+    ``offset_sd_*``, ``scale_sd`` (relative, of focal lengths or scale), ``centre_sd_px`` and ``latency_sd_s``."""
+
     width_px: Count = Field(description="width of the picture in px")
     height_px: Count = Field(description="height of the picture in px")
     pose: Pose = Pose()
@@ -178,8 +187,13 @@ class _Camera(Strict):
     frame_id: FrameId | None = None
     rate_hz: Rate = 30.0
     latency_s: Latency = 0.0
+    latency_sd_s: Spread = 0.03
     noise: TrackNoise = TrackNoise()
     topics: CameraTopics = CameraTopics()
+    offset_sd_m: ShiftSds = Field(default=(0.0, 0.0, 0.0), description="standard deviations of the shifts [m]")
+    offset_sd_deg: TurnSds = Field(default=(0.0, 0.0, 0.0), description="standard deviations of the turns [deg]")
+    scale_sd: Spread = 0.01
+    centre_sd_px: Spread = 5.0
 
 
 class _Lens(_Camera):

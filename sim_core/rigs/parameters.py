@@ -1,7 +1,7 @@
 """The numbers of a rig that can be changed or fitted, by name.
 
 Names: ``gravity.x_m_s2``, ``<body>.<quantity>`` (``card.E_pa``), ``contacts.<body>-<body>.<quantity>``,
-``<end effector>.offset_x_m``, ``<sensor or camera>.latency_s``, ``<camera>.<intrinsic>``,
+``<end effector or camera>.offset_x_m``, ``<sensor or camera>.latency_s``, ``<camera>.<intrinsic>``,
 ``effects.<effect>.<parameter>``. The unit suffix may be left out (``card.E``), the two bodies of a contact may be in
 any order, and where a rig has one body of a type the type may stand for it (``sheet.E``).
 """
@@ -17,14 +17,12 @@ from typing import Any, get_args
 import annotated_types
 
 from sim_core.errors import ConfigError
+from sim_core.rigs.displaced import OFFSETS
 from sim_core.rigs.fields import Strict, split_unit, unit_of
 from sim_core.rigs.schema import Rig
 from sim_core.rigs.yamlfile import validate
 
 _INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "scale_m_per_px")
-
-OFFSETS = ("offset_x_m", "offset_y_m", "offset_z_m", "offset_rx_deg", "offset_ry_deg", "offset_rz_deg")
-"""Shift and turn of an end effector against its poses, in the order of :meth:`EndEffector.offset`."""
 
 Path = tuple[str | int, ...]
 
@@ -169,7 +167,7 @@ def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
     for name, sensor in rig.sensors.items():
         yield ("sensors", name, "latency_s"), _parameter(f"{name}.latency_s", sensor, "latency_s")
     for name, camera in rig.cameras.items():
-        for key in ("latency_s", *_INTRINSICS):
+        for key in ("latency_s", *_INTRINSICS, *OFFSETS):
             if key in type(camera).model_fields:
                 yield ("cameras", name, key), _parameter(f"{name}.{key}", camera, key)
     for effect, values in rig.effects.items():

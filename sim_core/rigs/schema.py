@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from sim_core.rigs.bodies import WORLD, Body
 from sim_core.rigs.check import check_references
+from sim_core.rigs.displaced import Displaced, ShiftSds, TurnSds
 from sim_core.rigs.fields import (
     Direction,
     Flag,
@@ -34,10 +35,6 @@ from sim_core.rigs.observers import Camera, Sensor
 
 Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=5.0)]
 Stiffness = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]
-Shift = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-0.1, le=0.1)]
-Turn = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-45.0, le=45.0)]
-ShiftSd = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=0.1)]
-TurnSd = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=45.0)]
 
 
 class Region(Strict):
@@ -136,35 +133,19 @@ class PoseTopics(Strict):
     max_gap_s: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=3600.0)] = 1.0
 
 
-class EndEffector(Strict):
+class EndEffector(Displaced):
     """Something that moves as it is told. Its start pose is in ``base_frame``, which is the world.
 
-    ``offset_*``: where it really is, seen from where its poses say, in its own axes (a tool that is mounted askew):
-    a shift, and a turn as a rotation vector. What it carries follows the true pose
-    (:mod:`sim_core.scene.offset`); start poses, commands and recordings are as told. ``offset_sd_*``: how well that is
-    known, for fits, 0 exactly; usually as of a tool that is mounted by hand.
+    ``offset_*``: where it really is, seen from where its poses say (a tool that is mounted askew). What it carries
+    follows the true pose (:mod:`sim_core.scene.offset`); start poses, commands and recordings are as told.
+    ``offset_sd_*``: how well that is known, for fits, 0 exactly; usually as of a tool that is mounted by hand.
     """
 
     base_frame: FrameId = "base_link"
     start: Pose = Pose()
     topics: PoseTopics = PoseTopics()
-    offset_x_m: Shift = Field(default=0.0, description="true pose ahead of the told one along its x")
-    offset_y_m: Shift = Field(default=0.0, description="true pose ahead of the told one along its y")
-    offset_z_m: Shift = Field(default=0.0, description="true pose ahead of the told one along its z")
-    offset_rx_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its x")
-    offset_ry_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its y")
-    offset_rz_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its z")
-    offset_sd_m: Annotated[tuple[ShiftSd, ShiftSd, ShiftSd], of_length(3)] = Field(
-        default=(5e-4, 5e-4, 5e-4), description="standard deviations of the shifts [m]"
-    )
-    offset_sd_deg: Annotated[tuple[TurnSd, TurnSd, TurnSd], of_length(3)] = Field(
-        default=(0.5, 0.5, 0.5), description="standard deviations of the turns [deg]"
-    )
-
-    def offset(self) -> FloatArray:
-        """Shift [m] and rotation vector [rad] of the true pose in the told one, ``(6,)``."""
-        turn = np.deg2rad([self.offset_rx_deg, self.offset_ry_deg, self.offset_rz_deg])
-        return np.array([self.offset_x_m, self.offset_y_m, self.offset_z_m, *turn])
+    offset_sd_m: ShiftSds = Field(default=(5e-4, 5e-4, 5e-4), description="standard deviations of the shifts [m]")
+    offset_sd_deg: TurnSds = Field(default=(0.5, 0.5, 0.5), description="standard deviations of the turns [deg]")
 
 
 class Contact(Strict):

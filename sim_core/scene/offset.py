@@ -1,8 +1,5 @@
-"""Where end effectors really are: a constant offset in their own frame against the poses that are told.
-
-With the pose (p, R) that was commanded or recorded, and the offset, a shift rho and a rotation vector phi,
-
-    T_true = T_told * (rho, exp phi):    p_true = p + R rho,    R_true = R exp(phi)
+"""Where end effectors really are: a constant offset in their own frame against the poses that are told
+(:class:`sim_core.rigs.displaced.Displaced`).
 
 A mount that was measured wrongly, a tool that is clamped askew, and a calibration of the hand that is off are of this
 form.
@@ -26,15 +23,11 @@ SMALL_ANGLE = 1e-2
 
 def with_offsets(rig: Rig, frames: Mapping[str, Frame]) -> dict[str, Frame]:
     """True frames of mounts from those that are told. One without an offset is the very same object."""
-    return {name: _true(rig.end_effectors[name], f) if name in rig.end_effectors else f for name, f in frames.items()}
-
-
-def _true(effector: EndEffector, told: Frame) -> Frame:
-    offset = effector.offset()
-    if not offset.any():
-        return told
-    origin, rotation = told
-    return origin + rotation.apply(offset[:3]), rotation * Rotation.from_rotvec(offset[3:])
+    return {
+        name: f if name not in rig.end_effectors or not rig.end_effectors[name].offset().any()
+        else rig.end_effectors[name].truly(*f)
+        for name, f in frames.items()
+    }  # fmt: skip
 
 
 def offset_motion(effector: EndEffector) -> np.ndarray:

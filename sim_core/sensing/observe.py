@@ -54,6 +54,12 @@ def _placement(pose: Pose) -> Placement:
     return pose.position(), pose.rotation().as_matrix()
 
 
+def _camera_placement(camera: Camera) -> Placement:
+    """Where a camera really is in the frame of its mount."""
+    origin, rotation = camera.truly(camera.pose.position(), camera.pose.rotation())
+    return origin, rotation.as_matrix()
+
+
 def _within(frame: Placement, placed: Placement) -> Placement:
     """A frame given in another, in the world."""
     return frame[0] + frame[1] @ placed[0], frame[1] @ placed[1]
@@ -127,7 +133,7 @@ class Observer:
     def _place(self) -> None:
         """Constant placements: of every observer in its carrier, and of every body in its mount."""
         scene, rig = self._scene, self._scene.rig
-        self._poses = {n: _placement(o.pose) for n, o in (*rig.sensors.items(), *rig.cameras.items())}
+        self._poses = {n: _placement(o.pose) for n, o in rig.sensors.items()}
         self._body_poses = {n: _placement(b.pose) for n, b in rig.bodies.items()}
         self._mounts = {n: scene.mount_of(n) for n in rig.bodies}
         self._rigid = [t for t in scene.system.terms if isinstance(t, RigidContact)]
@@ -151,7 +157,7 @@ class Observer:
     def read(self, rig: Rig, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
         """Readings at the positions that the scene's system holds.
 
-        ``rig``: same geometry as the scene's (intrinsics may differ); ``frames``: of the mounts now.
+        ``rig``: same geometry as the scene's (cameras may differ); ``frames``: of the mounts now.
         Wrench: force [N] and torque [N m] on the sensor, ``(6,)``; markers [m] ``(n, 3)`` in the
         sensor's frame; tracks [px] ``(n, 2)``.
         """
@@ -180,7 +186,7 @@ class Observer:
         x, out = self._scene.system.x, {}
         placed = {mount: (origin, rotation.as_matrix()) for mount, (origin, rotation) in frames.items()}
         for name, camera in rig.cameras.items():
-            origin, rotation = _within(placed[camera.mount], self._poses[name])
+            origin, rotation = _within(placed[camera.mount], _camera_placement(camera))
             points = np.vstack([t.positions(x) for t in self._tracked[name]])
             out[name] = project(camera, (points - origin) @ rotation)
             if isinstance(camera, OrthographicCamera) and camera.origin_id is not None:
@@ -206,7 +212,8 @@ class Observer:
                 out[name] = self._seen_derivatives(name, mount, placed[mount], carrier, None)
             else:
                 camera = rig.cameras[name]
-                out[name] = self._seen_derivatives(name, camera.mount, placed[camera.mount], self._poses[name], camera)
+                carrier = _camera_placement(camera)
+                out[name] = self._seen_derivatives(name, camera.mount, placed[camera.mount], carrier, camera)
         return out
 
     def _seen_derivatives(

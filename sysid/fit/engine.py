@@ -11,7 +11,7 @@ import numpy as np
 from sim_core.errors import ThinshellError
 from sim_core.gradients import Direction, simulate_tangent
 from sim_core.rigs import Rig
-from sim_core.rigs.parameters import OFFSETS
+from sim_core.rigs.displaced import OFFSETS
 from sim_core.scene import Scene, build_scene
 from sim_core.simulate import Trace, simulate
 from sysid.fit.extent import rollout_times, too_late

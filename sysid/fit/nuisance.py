@@ -8,11 +8,13 @@ rig, as wide as such things are off in a laboratory, so that data which do not t
 - ``bias``: a constant in each component of each wrench sensor and run, eliminated as the simulator's own error is
   (:mod:`sysid.fit.directions`);
 - ``camera``: the focal length (fx and fy together; the scale of an orthographic camera) and the principal point;
+  where the camera stands, if the rig says that this is not known exactly (``offset_sd_m``, ``offset_sd_deg``);
 - ``pose``: a constant offset of each end effector against its poses, three shifts and three turns in its own frame, as
   wide as the rig says (``offset_sd_m``, ``offset_sd_deg``); what it says is known exactly is not fitted.
   With it an evaluation takes 1.1 to 1.3 times as long, and without it half a millimetre passes for stiffness.
 
-What is asked for by name is no nuisance.
+What is asked for by name is no nuisance. How well the rest is known the rig may say itself (``latency_sd_s``,
+``scale_sd``, ``centre_sd_px``); what it says is known exactly is not fitted.
 """
 
 from __future__ import annotations
@@ -24,23 +26,14 @@ import numpy as np
 
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.rigs import OrthographicCamera, Rig
+from sim_core.rigs.displaced import OFFSETS
 from sim_core.rigs.observers import Camera
-from sim_core.rigs.parameters import OFFSETS
 from sysid.fit.noise import column_groups
 from sysid.fit.parameters import FitParameter, fit_parameters
 from sysid.fit.reach import acting
 from sysid.fit.runs import Measured, Run
 
 KINDS = ("time", "bias", "camera", "pose")
-
-LATENCY_SD_S = 0.03
-"""Standard deviation of the time offset of a stream, about a frame of a usual camera."""
-
-SCALE_SD = 0.01
-"""Relative standard deviation of the scale of a camera."""
-
-CENTRE_SD_PX = 5.0
-"""Standard deviation of the principal point."""
 
 BIAS_SD = (5.0, 0.5)
 """Least standard deviation of the bias of a force [N] and of a torque [N m]: that of 5 N at 0.1 m."""
@@ -74,7 +67,7 @@ def nuisance_parameters(
     found: list[FitParameter] = []
 
     def add(name: str, sd: float, tied: tuple[str, ...] = (), bags: Sequence[str] = ()) -> None:
-        if names & {name, *tied}:
+        if not sd or names & {name, *tied}:
             return
         one = replace(fit_parameters(rig, [name])[0], prior_sd=sd, nuisance=True, tied=tied)
         found.extend([replace(one, name=f"{name}[{bag}]", bag=bag) for bag in bags] or [one])
@@ -84,7 +77,8 @@ def nuisance_parameters(
         late = f"effects.stream_delay.{'wrench' if m.kind == 'wrench' else 'vision'}_s"
         if "time" in kinds and late not in names:
             there = {run.name: run.path for run in runs if any(other.channel == channel for other in run.measured)}
-            add(f"{channel}.latency_s", LATENCY_SD_S, bags=[*there] if len({*there.values()}) > 1 else ())
+            source = rig.sensors.get(channel) or rig.cameras[channel]
+            add(f"{channel}.latency_s", source.latency_sd_s, bags=[*there] if len({*there.values()}) > 1 else ())
         if "camera" in kinds and channel in rig.cameras:
             for name, sd, tied in _intrinsics(channel, rig.cameras[channel]):
                 add(name, sd, tied)
@@ -92,8 +86,7 @@ def nuisance_parameters(
         for effector in acting(rig, measured):
             known = rig.end_effectors[effector]
             for key, sd in zip(OFFSETS, (*known.offset_sd_m, *known.offset_sd_deg), strict=True):
-                if sd:
-                    add(f"{effector}.{key}", sd)
+                add(f"{effector}.{key}", sd)
     return found
 
 
@@ -111,13 +104,16 @@ def _intrinsics(name: str, camera: Camera) -> list[tuple[str, float, tuple[str, 
     """
     if _places_markers(camera):
         return []
+    found: list[tuple[str, float, tuple[str, ...]]]
     if isinstance(camera, OrthographicCamera):
-        found: list[tuple[str, float, tuple[str, ...]]] = [(f"{name}.scale_m_per_px", SCALE_SD, ())]
-        if camera.origin_id is not None:
-            return found
+        found = [(f"{name}.scale_m_per_px", camera.scale_sd, ())]
+        centred = camera.origin_id is not None
     else:
-        found = [(f"{name}.fx_px", SCALE_SD, (f"{name}.fy_px",))]
-    return [*found, (f"{name}.cx_px", CENTRE_SD_PX, ()), (f"{name}.cy_px", CENTRE_SD_PX, ())]
+        found = [(f"{name}.fx_px", camera.scale_sd, (f"{name}.fy_px",))]
+        centred = False
+    found += [(f"{name}.{axis}_px", camera.centre_sd_px, ()) for axis in ("cx", "cy") if not centred]
+    sds = (*camera.offset_sd_m, *camera.offset_sd_deg)
+    return found + [(f"{name}.{key}", sd, ()) for key, sd in zip(OFFSETS, sds, strict=True)]
 
 
 def has_bias(runs: Sequence[Run], asked: Sequence[FitParameter], kinds: Collection[str]) -> bool:

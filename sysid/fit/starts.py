@@ -145,7 +145,7 @@ class Searches:
         self._rng = np.random.default_rng(options.seed)
         self._elsewhere = options.starts - 1 if self._parameters else 0
         self._restarts = MOST_RESTARTS if self._parameters else 0
-        self._offsets = [k for k, p in enumerate(self._parameters) if kind_of(p.target) == "pose"]
+        self._offsets = [k for k, p in enumerate(self._parameters) if kind_of(rig, p.target) == "pose"]
         self._known = np.array([p.known_sd or p.prior_sd for p in self._parameters])
         self._moved: list[str] = []
         self._found: list[Fitted] = []

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim_core.rigs import Rig
-from sim_core.rigs.parameters import OFFSETS
+from sim_core.rigs.displaced import OFFSETS
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import quantities
@@ -162,15 +162,17 @@ def remarks(rig: Rig, found: Sequence[Nuisance], trusted: bool) -> list[str]:
             what = f"The stream {_topic(rig, owner)} {_way(n)}{beside}"
             said.append(told(what, f"write {n.name} = {n.value:.4g} into the rig"))
             continue
-        if kind_of(n.name) == "pose":
+        if quantity in OFFSETS:
             axis = quantity.removeprefix("offset_").split("_")[0]
             if n.unit == "m":
                 what = f"shifted by {_pair(1e3 * n.off, 1e3 * half)} mm along {axis}"
             else:
                 what = f"turned by {_pair(n.off, half)} deg about {axis[1:]}"
             beside = f", where the rig says {n.start:.4g} {n.unit}" if n.start else ""
-            remedy = f"write {n.name} = {n.value:.4g} into the rig, or correct how its poses are calibrated"
-            said.append(told(f"The end effector {owner} is {what} of its own frame{beside}", remedy))
+            calibrated = "it is" if owner in rig.cameras else "its poses are"
+            remedy = f"write {n.name} = {n.value:.4g} into the rig, or correct how {calibrated} calibrated"
+            whose = "camera" if owner in rig.cameras else "end effector"
+            said.append(told(f"The {whose} {owner} is {what} of its own frame{beside}", remedy))
             continue
         write = " and ".join([f"{n.name} = {n.value:.6g}", *(f"{t} in proportion" for t in n.tied)])
         if n.log:
@@ -258,7 +260,8 @@ def blamed(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> list[str]:
 def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str, float]:
     """Standard deviation of the parameters that were asked for, in units of what they are judged by, as the noise alone
     leaves it with the nuisances of some kinds known."""
-    kept = [k for k, p in enumerate(fitted.parameters) if not (p.nuisance and kind_of(p.target) in known)]
+    rig = fitted.centre
+    kept = [k for k, p in enumerate(fitted.parameters) if not (p.nuisance and kind_of(rig, p.target) in known)]
     jacobian, rows = fitted.jacobian, fitted.pulls
     if "bias" in known and problem.bias:
         plain = Problem(problem.runs, problem.noise, problem.engine, problem.directions, problem.prior)
@@ -276,7 +279,7 @@ def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str,
     return {p.name: float(np.sqrt(v)) for p, v in zip(parameters, variance, strict=True)}
 
 
-def kind_of(name: str) -> str:
+def kind_of(rig: Rig, name: str) -> str:
     """Kind of a nuisance that is a parameter of the rig."""
-    quantity = name.rpartition(".")[2]
-    return "time" if quantity == "latency_s" else "pose" if quantity in OFFSETS else "camera"
+    owner, _, quantity = name.rpartition(".")
+    return "time" if quantity == "latency_s" else "camera" if owner in rig.cameras else "pose"

@@ -64,7 +64,7 @@ def notes(base: Fitted, problem: Problem, before: Structure, verdict: Verdict) -
         if noise.source == FROM_DIFFERENCES:
             said.append(
                 f"Nothing stands still long enough to see the noise of {name}; it was taken from neighbouring "
-                "samples. If it is smooth, misfit is overrated: record 0.3 s of rest, or declare it in the rig."
+                "samples. If it is smooth, misfit is overrated: record a rest of 15 samples, or declare it in the rig."
             )
     start = start_of(base.centre, base.parameters)
     for p, scaled, first in zip(base.parameters, base.scaled, start, strict=True):

@@ -11,7 +11,7 @@ from strip import START, TRUTH, pulled, strip_rig
 
 from sim_core.rigs import with_parameters
 from sysid.fit import FitOptions, fit_runs
-from sysid.fit.nuisance import LATENCY_SD_S, nuisance_parameters
+from sysid.fit.nuisance import nuisance_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.result import FitResult
 from sysid.fit.runs import Measured, Run
@@ -33,7 +33,7 @@ def test_a_stream_has_an_offset_in_each_recording_that_has_it() -> None:
     found = nuisance_parameters(RIG, runs, [], ("time",))
     first, second = (f"{c}.latency_s" for c in CHANNELS)
     assert [p.name for p in found] == [*(f"{first}[{b}]" for b in "abc"), *(f"{second}[{b}]" for b in "ab")]
-    assert {p.target for p in found} == {first, second} and {p.prior_sd for p in found} == {LATENCY_SD_S}
+    assert {p.target for p in found} == {first, second} and {p.prior_sd for p in found} == {0.03}
 
 
 def test_windows_of_one_recording_share_their_clock() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from sim_core.errors import ConfigError
 from sim_core.rigs import load_rig, parse_rig, with_parameters
-from sim_core.rigs.parameters import OFFSETS
+from sim_core.rigs.displaced import OFFSETS
 from sim_core.simulate import Trace
 from sysid.fit.directions import Direction
 from sysid.fit.engine import Engine, Prediction
@@ -307,8 +307,9 @@ def test_remarks_say_how_an_end_effector_is_off(small_rig: Any) -> None:
     shift = Nuisance("finger.offset_x_m", "", "m", 0.0, 4e-4, (3.804e-4, 4.196e-4), 1e-5, 5e-4, False, ())
     turn = Nuisance("finger.offset_rz_deg", "", "deg", 0.1, -0.3, (-0.3392, -0.2608), 0.02, 0.5, False, ())
     vague = replace(shift, sd=6e-4)
-    assert [kind_of(n.name) for n in (shift, turn)] == ["pose", "pose"]
-    assert kind_of("side.cx_px") == "camera" and kind_of("side.latency_s") == "time"
+    assert [kind_of(small_rig(), n.name) for n in (shift, turn)] == ["pose", "pose"]
+    told = {name: kind_of(small_rig(), f"side.{name}") for name in ("cx_px", "offset_x_m", "latency_s")}
+    assert told == {"cx_px": "camera", "offset_x_m": "camera", "latency_s": "time"}
     assert remarks(small_rig(), [shift, turn, vague], trusted=True) == [
         "The end effector finger is shifted by 0.400 +- 0.010 mm along x of its own frame: write finger.offset_x_m = "
         "0.0004 into the rig, or correct how its poses are calibrated.",
