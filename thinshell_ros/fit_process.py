@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -21,6 +22,9 @@ from sysid.fit import fit_bags
 from sysid.fit.starts import Step
 from sysid.folder import unfinished
 from thinshell_ros.fit_request import FitRequest
+
+TIDIED = "ignore:resource_tracker"
+"""What Python says of semaphores of processes that were ended, which it then removes."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +97,8 @@ class FitProcess:
     def __init__(self, request: FitRequest) -> None:
         self._request = request
         self._over = False
+        if TIDIED not in sys.warnoptions:
+            sys.warnoptions.append(TIDIED)  # handed on to the process that tidies up, as -W
         context = get_context("spawn")
         self._link, far = context.Pipe()
         self._process = context.Process(target=run, args=(far, request), name="thinshell-fit")

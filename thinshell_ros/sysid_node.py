@@ -114,7 +114,8 @@ class SysidNode(Node):
             response.message = f"{self._state.job_id} succeeded before it could be cancelled; {self._state.doing}"
             return response
         self._process = None
-        self._state.state, self._state.doing = "cancelled", "nothing was written"
+        self._state.state, self._state.doing, self._state.step = "cancelled", "nothing was written", None
+        self._estimate.publish(messages.named_numbers(self._state.estimate()))
         self.get_logger().info(f"{self._state.job_id} was cancelled.")
         self._tell()
         response.success, response.message = True, f"{self._state.job_id} was cancelled; nothing was written"

@@ -185,6 +185,7 @@ def test_a_cancelled_fit_ends_with_all_its_processes_and_leaves_no_file(
     assert not group(worker), "nothing of it runs when the answer comes"
     assert fitter.until(job, "cancelled", "failed").message == "cancelled"
     assert not list((tmp_path / "fits").iterdir())
+    fitter.wait(lambda: fitter.estimates[-1].data.tolist() == [], "the estimate of what was cancelled stays")
     again = fitter.ask("cancel")
     assert (again.success, again.message) == (False, "No fit is running.")
 
@@ -221,6 +222,8 @@ def test_a_crash_is_told_in_words_and_the_node_lives_on(
         ({"fit__parameters": ["strip.E", "strip.nu"], "fit__initial": [4e9]}, "as many numbers"),
         ({"fit__initial": [-1.0]}, "strip.E_pa"),
         ({"fit__lower": [5e9]}, "below 5e+09 Pa, the bound"),
+        ({"fit__initial": [4e9], "fit__lower": [5e9]}, "fit.initial has 4e+09 for strip.E_pa"),
+        ({"topics__load_cell": "nobody"}, "topics.load_cell is 'nobody', and"),
         ({"fit__nuisance": "clocks"}, "There is no nuisance 'clocks'"),
         ({"output_dir": ""}, "Set the parameter output_dir"),
         ({"output_dir": "/dev/null/fits"}, "cannot be made"),
@@ -236,12 +239,13 @@ def test_a_request_that_cannot_be_met_is_refused_in_one_paragraph(
     assert "\n" not in answer.message
 
 
-def test_a_bag_that_does_not_fit_the_rig_fails_in_words(fitter: Fitter) -> None:
-    fitter.set(topics__load_cell="nobody", topics__above__marker_tracks="nobody_either")
+def test_what_is_no_bag_fails_in_words(fitter: Fitter, tmp_path: Path) -> None:
+    (tmp_path / "notes").mkdir()
+    fitter.set(bag_uri=str(tmp_path / "notes"))
     answer = fitter.ask("start")
     assert answer.success
     reason = values_of(fitter.until(answer.message, "succeeded", "failed"))["detail"]
-    assert "does not match the rig" in reason and "(nobody)" in reason and "nobody_either" in reason
+    assert str(tmp_path / "notes") in reason and "\n" not in reason
 
 
 @pytest.mark.parametrize("kill", [False, True], ids=["interrupted", "killed"])
@@ -261,6 +265,8 @@ def test_a_node_that_ends_takes_its_fit_along(ros: None, bag: Path, tmp_path: Pa
             own.kill()
         else:
             assert own.stop() == 0, own.output
+            assert re.search(r"fit_\S+ was cancelled; nothing was written\.", own.output), own.output
+            assert "resource_tracker" not in own.output, own.output
         client.wait(lambda: not group(worker), "the fit outlives its node")
         assert not list((tmp_path / "fits").iterdir())
     finally:
