@@ -42,7 +42,7 @@ from sysid.fit.result import (
 )
 from sysid.fit.runs import Run, check_apart, load_runs
 from sysid.fit.starts import SEARCHED, Evaluations, Progress, Searches, Step
-from sysid.fit.untold import blamed, nuisances_of, remarks
+from sysid.fit.untold import as_usual, blamed, nuisances_of, remarks
 from sysid.fit.windows import not_from_rest
 from sysid.folder import whole_folder
 from sysid.provenance import provenance
@@ -155,7 +155,8 @@ def _fit_runs(
         notes.append("Held-out recordings are predicted with the mean of the values that each bag has for itself.")
     if held_out and on_progress is not None:
         on_progress(0.98, "held-out recordings")
-    scores = [_scored(engine, rig, fitted.rig, run, problem.noise, bias, own) for run in held_out]
+    final = as_usual(fitted.rig, nuisances)
+    scores = [_scored(engine, rig, final, run, problem.noise, bias, own) for run in held_out]
     notes += [note for score in scores for note in score.notes]
     if options.robust:
         followed = [(score.run, score.prediction) for score in scores if score.prediction is not None]
@@ -186,7 +187,7 @@ def _fit_runs(
         unexplained=left,
         cautions=doubts(rig, runs) + loud(problem) + doubtful(problem),
     )
-    return result, fitted.rig
+    return result, final
 
 
 @dataclass(frozen=True)

@@ -174,7 +174,9 @@ class FitResult:
     def _nuisance_table(self) -> list[str]:
         """What the data tell of nuisances, as text."""
         told = [n for n in self.nuisances if n.told]
-        rest = list(dict.fromkeys(n.name for n in self.nuisances if not n.told and not n.bias))
+        known = {n.name for n in told}
+        vague = [n for n in self.nuisances if not n.told and not n.bias]
+        rest = list(dict.fromkeys(n.name + (f" in {n.run}" if n.name in known else "") for n in vague))
         lines = [f"{'estimated beside them':<34}{'value':>13}  {'95 % interval':<30}unit"] if told else []
         for n in told:
             low, high = n.ci95

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim_core.rigs import Rig
+from sim_core.rigs import Rig, with_parameters
 from sim_core.rigs.displaced import OFFSETS
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
@@ -220,6 +220,11 @@ def _of_all(found: Sequence[Nuisance]) -> list[Nuisance]:
     """What is of all recordings, and what is the same in each."""
     same = {name: there for name, there in _by_name(found).items() if not _differ(there)}
     return [n for n in found if not n.run] + [_mean(there) for there in same.values()]
+
+
+def as_usual(rig: Rig, found: Sequence[Nuisance]) -> Rig:
+    """The rig with what each recording has for itself as it is on average, by how well each tells it."""
+    return with_parameters(rig, {name: _mean(there).value for name, there in _by_name(found).items()})
 
 
 def _topic(rig: Rig, owner: str) -> str:

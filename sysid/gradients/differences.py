@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -31,6 +30,9 @@ judged."""
 
 ROUND_OFF = 3.0
 """Errors within this many times what round-off of the rollouts makes of differences are put down to it."""
+
+GROWS = 2.0
+"""By how much errors grow at least towards the smaller of two steps, where there are jumps."""
 
 STRIDE = 100.0
 """Steps whose error is so many times that of the next shorter one stride over a jump."""
@@ -137,13 +139,12 @@ def slope_of(base: np.ndarray, first: np.ndarray, second: np.ndarray, a: float, 
 
 
 def jumps(steps: Sequence[float], errors: Sequence[float], bound: float) -> bool:
-    """Whether errors grow as steps shrink, as those of differences across a jump do: in proportion to 1 / step or
-    nearly so, over the three smallest steps."""
+    """Whether errors grow as steps shrink, as those of differences across jumps do: from each of the three smallest
+    steps to the next, and to the smallest one in proportion to 1 / step or nearly so."""
     if len(steps) < 3:
         return False
-    last = sorted(zip(steps, errors, strict=True))[:3]
-    grow = all(e > np.sqrt(wider / step) * less for (step, e), (wider, less) in pairwise(last))
-    return grow and min(e for _, e in last) > bound
+    (step, most), (wider, less), (_, least) = sorted(zip(steps, errors, strict=True))[:3]
+    return most > np.sqrt(wider / step) * less and less > GROWS * least and min(most, less, least) > bound
 
 
 def round_off(

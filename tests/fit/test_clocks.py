@@ -15,7 +15,7 @@ from sysid.fit.nuisance import nuisance_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.result import FitResult
 from sysid.fit.runs import Measured, Run
-from sysid.fit.untold import Nuisance, remarks
+from sysid.fit.untold import Nuisance, as_usual, remarks
 
 RIG = strip_rig()
 CHANNELS = [*RIG.sensors, *RIG.cameras]
@@ -67,6 +67,13 @@ def test_that_clocks_differ_is_said(fitted: FitResult) -> None:
     (said,) = (r for r in fitted.remarks if RIG.sensors[CHANNELS[0]].topic in r)
     assert "another offset in time in each recording: leads by" in said and "in early; lags by" in said
     assert "write" not in said
+
+
+def test_the_usual_offset_is_that_of_the_recordings_that_tell_it() -> None:
+    name = f"{CHANNELS[0]}.latency_s"
+    known = Nuisance(name, "a", "s", 0.0, 0.02, (0.018, 0.022), 0.001, 0.03, False, ())
+    rig = as_usual(RIG, [known, replace(known, run="b", value=-0.01, sd=0.029)])
+    assert rig.sensors[CHANNELS[0]].latency_s == pytest.approx(0.02, abs=1e-4)
 
 
 def test_clocks_that_agree_are_told_together() -> None:

@@ -125,6 +125,10 @@ def test_errors_across_a_jump_grow_as_steps_shrink():
         assert not differences.jumps(steps, [0.3 + 1e-9 / step for step in steps], 1e-4)
         assert not differences.jumps(steps, [1e-9 / step for step in steps], 1e-4)
     assert not differences.jumps((1e-3, 1e-4), (0.1, 1.0), 1e-4), "two could be anything"
+    several = [1.0, 9.9, 2.2, 8.7, 2300.0]
+    assert differences.jumps(differences.STEPS, several, 1e-4), "of a sheet that leaves its plane of symmetry"
+    doubled = [1.0, 1.0, 1.0, 1.1, 12.0]
+    assert not differences.jumps(differences.STEPS, doubled, 1e-4), "a wrong derivative, and round-off"
 
 
 def test_a_parameter_at_its_bound_is_stepped_to_one_side_in_second_order():
