@@ -12,6 +12,7 @@ import numpy as np
 from sysid.report.numbers import (
     MISSING,
     Number,
+    Scale,
     change,
     fixed,
     raw_number,
@@ -64,10 +65,16 @@ def named_row(parameter: NamedParameter) -> ParameterRow:
     return ParameterRow(p.name, p.words, value, low, high, scale.unit, None, "", ())
 
 
-def nuisance_row(nuisance: Nuisance) -> ParameterRow:
-    """Row of what was estimated beside the parameters."""
-    n = nuisance
-    scale = scale_for(n.unit, n.value, *n.ci95)
+def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[ParameterRow]:
+    """Rows of what was estimated beside the parameters; those of a unit share its prefix."""
+    sizes: dict[str, list[float]] = {}
+    for n in nuisances:
+        sizes.setdefault(n.unit, []).append(max(abs(end) for end in n.ci95))
+    scales = {unit: scale_for(unit, float(np.median(found))) for unit, found in sizes.items()}
+    return [_nuisance_row(n, scales[n.unit]) for n in nuisances]
+
+
+def _nuisance_row(n: Nuisance, scale: Scale) -> ParameterRow:
     value, low, high = value_and_interval(n.value, n.ci95, scale.factor)
     words = f"in {n.run}" if n.run else ", ".join(f"with {t} in proportion" for t in n.tied)
     return ParameterRow(n.name, words, value, low, high, scale.unit, None, "", ())

@@ -42,7 +42,9 @@ from sysid.mismatch.diagnose import _collect
 from sysid.mismatch.locate import structure
 from sysid.mismatch.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
 from sysid.report import write_diagnosis_report, write_fit_report
+from sysid.report.fit_page import overall_level
 from sysid.report.numbers import TIMES
+from sysid.report.tables import nuisance_rows
 
 NAN = float("nan")
 VOID = {"meta", "link", "br", "img", "input", "hr", "rect", "path", "use", "source"}
@@ -478,3 +480,21 @@ def test_reports_of_the_same_result_are_the_same(tmp_path: Path) -> None:
     one = write_fit_report(make_fit(**values), tmp_path / "one.html").read_bytes()
     two = write_fit_report(make_fit(**values), tmp_path / "two.html").read_bytes()
     assert one == two
+
+
+def test_what_is_estimated_beside_shares_the_prefix_of_its_unit() -> None:
+    late = Nuisance("wrench.latency_s", "a", "s", 0.0, 0.02, (0.018, 0.022), 0.001, 0.03, False, ())
+    found = [late, replace(late, run="b", value=4e-5, ci95=(-2e-4, 3e-4)), replace(late, run="c")]
+    rows = nuisance_rows(found)
+    assert [row.unit for row in rows] == ["ms"] * 3 and [row.value.text for row in rows] == ["20.0", "0.040", "20.0"]
+
+
+@pytest.mark.parametrize(("own", "level", "says"), [(0.0, "bad", "but not those held out"), (8.0, "good", "as well")])
+def test_what_is_held_out_is_judged_beside_the_error_of_mesh_and_step(
+    tmp_path: Path, own: float, level: str, says: str
+) -> None:
+    """Missed by five times the noise, where one refinement shows an error of none, or of eight times it."""
+    errors = [replace(e, after=(5.0 if e.held_out else 1.0) * e.noise, own=own * e.noise) for e in make_fit().errors]
+    fit = make_fit(errors=errors, unexplained=[], reduced_chi2=1.0, series=[])
+    assert overall_level(fit) == level
+    assert says in fit_page(tmp_path, fit).words
