@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from sysid.fit.colour import unheard
 from sysid.fit.doubts import doubts
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
+from sysid.fit.held_out import scored
 from sysid.fit.kinked import AT_KINK
 from sysid.fit.leftover import unexplained
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups, overruled
@@ -30,10 +31,8 @@ from sysid.fit.problem import Problem
 from sysid.fit.profile import Profile
 from sysid.fit.profiler import Profiler
 from sysid.fit.result import (
-    ChannelError,
     Estimate,
     FitResult,
-    Series,
     estimates_of,
     out_of_sight,
     plot_series,
@@ -156,7 +155,7 @@ def _fit_runs(
     if held_out and on_progress is not None:
         on_progress(0.98, "held-out recordings")
     final = as_usual(fitted.rig, nuisances)
-    scores = [_scored(engine, rig, final, run, problem.noise, bias, own) for run in held_out]
+    scores = [scored(engine, rig, final, run, problem.noise, bias, own) for run in held_out]
     notes += [note for score in scores for note in score.notes]
     if options.robust:
         followed = [(score.run, score.prediction) for score in scores if score.prediction is not None]
@@ -238,38 +237,6 @@ def _searched(
             break
         at, look = better, replace(look, plain=None)
     return _Found(look, problem, fitted, estimates, correlation, sentences, reduced, profiles)
-
-
-@dataclass(frozen=True)
-class _Score:
-    """How a held-out recording is predicted by the fit; ``prediction``: None where it could not be simulated."""
-
-    run: Run
-    prediction: Prediction | None
-    errors: list[ChannelError]
-    notes: list[str]
-    series: list[Series]
-
-
-def _scored(
-    engine: AnyEngine,
-    before: Rig,
-    after: Rig,
-    run: Run,
-    noise: dict[str, ChannelNoise],
-    bias: bool,
-    own: Mapping[tuple[str, str], float],
-) -> _Score:
-    check = Problem([run], noise, engine, bias=bias)
-    try:
-        there = check.evaluate(before, [], np.zeros(0))
-        scored = check.evaluate(after, [], np.zeros(0))
-    except ThinshellError as error:
-        return _Score(run, None, [], [f"{run.name}: could not be simulated: {error}"], [])
-    return _Score(
-        run, scored.predictions[0], rms_errors(check, there, scored, held_out=True, own=own),
-        out_of_sight(check, there, scored), plot_series(check, there, scored, held_out=True, raw=[run]),
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)

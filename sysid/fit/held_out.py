@@ -1,0 +1,51 @@
+"""How recordings that no fit has seen are predicted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig
+from sysid.fit.engine import Prediction
+from sysid.fit.noise import ChannelNoise
+from sysid.fit.pool import AnyEngine
+from sysid.fit.problem import Problem
+from sysid.fit.result import ChannelError, Series, out_of_sight, plot_series, rms_errors
+from sysid.fit.runs import Run
+
+
+@dataclass(frozen=True)
+class Score:
+    """How a held-out recording is predicted by the fit; ``prediction``: None where it could not be simulated."""
+
+    run: Run
+    prediction: Prediction | None
+    errors: list[ChannelError]
+    notes: list[str]
+    series: list[Series]
+
+
+def scored(
+    engine: AnyEngine,
+    before: Rig,
+    after: Rig,
+    run: Run,
+    noise: dict[str, ChannelNoise],
+    bias: bool,
+    own: Mapping[tuple[str, str], float],
+) -> Score:
+    """Scores of ``run`` by the rig ``before`` and ``after`` a fit. ``bias``: either has the best bias of each wrench;
+    ``own``: error of mesh and time step by channel and quantity (:func:`sysid.fit.own_error.own_sizes`)."""
+    check = Problem([run], noise, engine, bias=bias)
+    try:
+        there = check.evaluate(before, [], np.zeros(0))
+        then = check.evaluate(after, [], np.zeros(0))
+    except ThinshellError as error:
+        return Score(run, None, [], [f"{run.name}: could not be simulated: {error}"], [])
+    return Score(
+        run, then.predictions[0], rms_errors(check, there, then, held_out=True, own=own),
+        out_of_sight(check, there, then), plot_series(check, there, then, held_out=True, raw=[run]),
+    )  # fmt: skip
