@@ -35,7 +35,7 @@ RUNS: dict[str, tuple[str | dict[str, object], float]] = {
     "lifting": ("lift", 0.03),
     "material_bench": (ON_THE_STRIP, 0.45),
     "pick_folding": ("pick_fold", 0.15),
-    "proof_bench": ("press_post", 0.5),
+    "proof_bench": ("press_post", 0.8),
     "push_block": ("push", 0.3),
     "separating": ("separate", 0.02),
     "sliding": ("push_off", 0.03),
