@@ -287,4 +287,5 @@ def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str,
 def kind_of(rig: Rig, name: str) -> str:
     """Kind of a nuisance that is a parameter of the rig."""
     owner, _, quantity = name.rpartition(".")
-    return "time" if quantity == "latency_s" else "camera" if owner in rig.cameras else "pose"
+    pose = quantity in OFFSETS and owner not in rig.cameras
+    return "time" if quantity == "latency_s" else "pose" if pose else "camera"
