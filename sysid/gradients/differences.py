@@ -13,7 +13,7 @@ from sim_core.solve.step import NewtonSettings
 
 TIGHT = NewtonSettings(step_tolerance_m=1e-13)
 
-STEPS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-7)
+STEPS = (1e-2, 1e-3, 1e-4, 2e-5, 1e-6, 1e-7)
 """Steps of the differences as shares of a parameter's value (of :data:`SIZES` where that is zero). Not 1e-5, by which
 readings are themselves differentiated by what is of the sensors (:mod:`sim_core.gradients.directions`): both would make
 the same error."""
@@ -86,8 +86,9 @@ def verdict(
     near = within[int(np.argmin(errors))] if alone else within.any()
     if sound and (within[widest] or (best <= 10.0 * bound and near)):
         return "unresolved"
-    hides = alone and within[np.argsort(steps)[:3]].any()
-    return "jumps" if sound and not hides and jumps(steps, errors, bound) else "differs"
+    if not (sound and jumps(steps, errors, bound)):
+        return "differs"
+    return "unresolved" if alone and within[np.argsort(steps)[:3]].any() else "jumps"
 
 
 def _short_of_a_jump(steps: Sequence[float], errors: Sequence[float]) -> np.ndarray:

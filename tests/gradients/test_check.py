@@ -115,6 +115,9 @@ def test_losses_on_streams_have_derivatives_by_delays_and_drifts(small_rig):
         assert gradient[d.name] + later == pytest.approx(difference, rel=1e-5), d.name
 
 
+FIVE = (1e-2, 1e-3, 1e-4, 1e-6, 1e-7)
+
+
 def test_errors_across_a_jump_grow_as_steps_shrink():
     """One of a jump is proportional to 1 / step, that of a wrong derivative does not change, round-off is within the
     bound somewhere."""
@@ -126,9 +129,9 @@ def test_errors_across_a_jump_grow_as_steps_shrink():
         assert not differences.jumps(steps, [1e-9 / step for step in steps], 1e-4)
     assert not differences.jumps((1e-3, 1e-4), (0.1, 1.0), 1e-4), "two could be anything"
     several = [1.0, 9.9, 2.2, 8.7, 2300.0]
-    assert differences.jumps(differences.STEPS, several, 1e-4), "of a sheet that leaves its plane of symmetry"
+    assert differences.jumps(FIVE, several, 1e-4), "of a sheet that leaves its plane of symmetry"
     doubled = [1.0, 1.0, 1.0, 1.1, 12.0]
-    assert not differences.jumps(differences.STEPS, doubled, 1e-4), "a wrong derivative, and round-off"
+    assert not differences.jumps(FIVE, doubled, 1e-4), "a wrong derivative, and round-off"
 
 
 def test_a_parameter_at_its_bound_is_stepped_to_one_side_in_second_order():
@@ -258,7 +261,16 @@ JUMP = [3e4, 3e5, 8e5]
 )
 def test_a_gradient_beside_a_jump_is_judged_by_the_steps_short_of_it(small, said):
     hidden = np.array([1e-6, 1e-5, 1e-4, 0.01, 0.1])
-    assert differences.verdict(differences.STEPS, [*JUMP, *small], hidden, 1e-4, alone=True) == said
+    assert differences.verdict(FIVE, [*JUMP, *small], hidden, 1e-4, alone=True) == said
+
+
+def test_what_jumps_as_much_as_round_off_is_said_to_make_is_not_judged():
+    """Round-off is how far readings of the smallest step are from a straight line, which a jump is, too."""
+    errors = np.array([2.0, 5.9, 60.0, 6e3, 6e4])
+    for share, said in ((1.1, "unresolved"), (0.1, "jumps")):
+        assert differences.verdict(FIVE, errors, share * errors, 1e-4, alone=True) == said
+    wrong = np.array([1.0, 1.0, 1.0, 1.1, 12.0])
+    assert differences.verdict(FIVE, wrong, 1e-7 / np.array(FIVE), 1e-4, alone=True) == "differs"
 
 
 def test_a_single_field_is_checked_by_its_name(small_rig):
