@@ -31,6 +31,9 @@ judged."""
 ROUND_OFF = 3.0
 """Errors within this many times what round-off of the rollouts makes of differences are put down to it."""
 
+SAME = 1.2
+"""Ratio of errors up to which they are the same."""
+
 GROWS = 2.0
 """By how much errors grow at least towards the smaller of two steps, where there are jumps."""
 
@@ -86,9 +89,15 @@ def verdict(
     near = within[int(np.argmin(errors))] if alone else within.any()
     if sound and (within[widest] or (best <= 10.0 * bound and near)):
         return "unresolved"
-    if not (sound and jumps(steps, errors, bound)):
+    if not sound or _constant(steps, errors) or not jumps(steps, errors, bound):
         return "differs"
     return "unresolved" if alone and within[np.argsort(steps)[:3]].any() else "jumps"
+
+
+def _constant(steps: Sequence[float], errors: Sequence[float]) -> bool:
+    """Whether three steps in a row have the same error, as those of a wrong derivative do, and of jumps do not."""
+    sizes = np.array(errors)[np.argsort(steps)]
+    return any(sizes[k : k + 3].max() <= SAME * sizes[k : k + 3].min() for k in range(len(sizes) - 2))
 
 
 def _short_of_a_jump(steps: Sequence[float], errors: Sequence[float]) -> np.ndarray:
