@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sim_core.rigs import Rig
-from sysid.fit.noise import by_differences, declared_noise, moving, quantities
+from sysid.fit.noise import by_differences, declared_noise, moving, quantities, quiet
 from sysid.fit.runs import UNITS, Measured, Run
 from sysid.recording.notes import plural
 
@@ -81,12 +81,13 @@ def _restless(rig: Rig, run: Run) -> Iterator[str]:
 
 
 def _apart(runs: Sequence[Run]) -> Iterator[str]:
-    """Quantities that are much noisier in one recording than in another."""
+    """Quantities that are much noisier in one recording than in another, by what neighbouring samples show, at rest if
+    possible."""
     levels: dict[tuple[str, str, str], list[tuple[float, str]]] = {}
     for run in runs:
         for m in run.measured:
             for quantity, group in quantities(m):
-                found = by_differences(_seen(m, group))
+                found = by_differences(_seen(run, m, group))
                 if found and found[0] > 0.0:
                     unit = UNITS[m.kind][1 if quantity == "torque" else 0]
                     levels.setdefault((m.channel, quantity, unit), []).append((found[0], run.name))
@@ -99,7 +100,8 @@ def _apart(runs: Sequence[Run]) -> Iterator[str]:
             )
 
 
-def _seen(measured: Measured, group: np.ndarray) -> np.ndarray:
-    """Readings of a group of columns, empty where there are too few."""
-    values = measured.values[:, group]
-    return values if np.isfinite(values).sum() >= ENOUGH else values[:0]
+def _seen(run: Run, measured: Measured, group: np.ndarray) -> np.ndarray:
+    """Readings of a group of columns in the longest rest, or all, empty where there are too few."""
+    rest = max(quiet(run, measured.t), key=len, default=np.arange(len(measured.t)))
+    values = measured.values[np.ix_(rest, group)]
+    return np.asarray(values if np.isfinite(values).sum() >= ENOUGH else values[:0])
