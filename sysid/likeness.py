@@ -86,8 +86,8 @@ def differences(rig: Rig, recording: Recording, markers: Mapping[str, np.ndarray
     """What is different in a recording that can be read, frames and marker numbers, and whether that may be because it
     is of another rig. ``markers``: numbers ``(m,)`` that the rig knows, by sensor or camera.
 
-    A rig may leave out a few markers on purpose: where all that it knows were seen, and most of what was seen is known,
-    nothing speaks against it.
+    A rig may leave out a few markers on purpose: where all that it knows were seen, and at most half as many it does
+    not know, nothing speaks against it.
     """
     for name, sensor in rig.sensors.items():
         stream = recording.wrenches.get(name) or recording.markers.get(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +41,11 @@ def part_of(path: Path) -> Part:
     if not colon or not 0.0 <= part.begin < part.end < math.inf:
         raise ConfigError(f"{path} names no window of {name}.", f"Write for example {name}@12.5:20, in seconds.")
     return part
+
+
+def recording_of(name: str) -> str:
+    """Name of the recording that a window is of; of a whole one its own."""
+    return re.sub(r"@[0-9.e+-]+:[0-9.e+-]+$", "", name)
 
 
 def check_parts(given: Iterable[Path], held_out: Iterable[Path] = ()) -> None:

@@ -100,7 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 141
     except KeyboardInterrupt:
-        print("thinshell: interrupted; nothing was written.", file=sys.stderr)
+        print("thinshell: interrupted.", file=sys.stderr)
         return 130
     except Exception as error:
         if debug:

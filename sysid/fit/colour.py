@@ -12,7 +12,11 @@ whose variances v_b follow from the products of samples that are l apart, for se
 take up of them, H = J A J^T (A: inverse information; S_l: mean of the samples l before and l after), by non-negative
 least squares (Lawson & Hanson 1974, ch. 23):
 
-    r^T S_l r = sum_b v_b tr((I - H) S_l (I - H) R_b).
+    r^T S_l r = sum_b v_b tr((I - H) S_l (I - H) R_b),
+
+and beside the bias of each column, where that is taken out. Matrices that depend on the distance of samples alone are
+taken to go on beyond the ends of a recording, so that all products with J come from its cross-correlations. What the
+simulator's own error takes up is left out: noise that it resembles is underrated.
 
 The scores J^T r then have the covariance J^T C J instead of J^T J. Only intervals know of it, and only where it
 widens them. Estimates, and the misfit that tells whether something is missing, stay those of the noise assumed: what a
@@ -27,7 +31,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.signal import lfilter
 
 from sysid.fit.noise import FROM_DIFFERENCES, MIN_REST_SAMPLES, ChannelNoise
 
@@ -40,6 +43,9 @@ LONGEST_SHARE = 0.2
 FARTHEST_SHARE = 1.0 / 3.0
 """Largest lag, likewise."""
 
+AT_ONCE = 4e6
+"""Numbers that are transformed at a time."""
+
 SEEN = 6.0
 """By how much colour must lower the sum of squares over lags, in units of their variance by white noise, to be
 believed."""
@@ -47,26 +53,28 @@ believed."""
 
 @dataclass(frozen=True)
 class Samples:
-    """Which samples of a channel the rows of a residual are, one by one ``(n, m)``, and the groups of columns that
-    share a colour."""
+    """Which samples of a channel the rows of a residual are, one by one ``(n, m)``, the groups of columns that share a
+    colour, and whether the bias of each column is taken out."""
 
     there: np.ndarray
     groups: tuple[np.ndarray, ...]
+    tared: bool = False
 
     def of_rows(self, residual: np.ndarray, jacobian: np.ndarray) -> list[Part]:
         """Each group of the channel; ``residual`` ``(rows,)``, ``jacobian`` ``(rows, p)``."""
         r, j = np.zeros(self.there.shape), np.zeros((*self.there.shape, jacobian.shape[1]))
         r[self.there], j[self.there] = residual, jacobian
-        return [Part(self.there[:, g], r[:, g], j[:, g]) for g in self.groups]
+        return [Part(self.there[:, g], r[:, g], j[:, g], self.tared) for g in self.groups]
 
 
 class Part(NamedTuple):
     """One quantity in one run: which samples are ``there`` ``(n, m)``, their residuals ``(n, m)`` and derivatives
-    ``(n, m, p)``, 0 elsewhere."""
+    ``(n, m, p)``, 0 elsewhere; ``tared``: the mean of each column is taken out."""
 
     there: np.ndarray
     residual: np.ndarray
     jacobian: np.ndarray
+    tared: bool = False
 
 
 def coloured_scores(quantities: Sequence[Sequence[Part]], inverse: np.ndarray) -> np.ndarray:
@@ -84,28 +92,62 @@ def _excess(parts: Sequence[Part], number: int, inverse: np.ndarray) -> np.ndarr
     """J^T C J - J^T J of one quantity."""
     longest = max(len(part.there) for part in parts)
     lengths = _geometric(SHORTEST, LONGER, LONGEST_SHARE * longest)
-    lags = np.unique(np.round([0.0, *_geometric(1.0, 2.0, FARTHEST_SHARE * longest)]).astype(int)).tolist()
-    pairs = np.array([sum(int((part.there[lag:] & _until(part.there, lag)).sum()) for part in parts) for lag in lags])
-    products = np.array([sum(float(np.sum(p.residual[lag:] * _until(p.residual, lag))) for p in parts) for lag in lags])
-    jacobians = [part.jacobian for part in parts]
-    taken = [inverse @ _beside(parts, jacobians, lag) @ inverse for lag in lags]
-    spreads, left = [], []
-    for rho in (0.0, *np.exp(-1.0 / lengths)):
-        correlated = [_correlated(jacobian, rho) for jacobian in jacobians]
-        spreads.append(_beside(parts, correlated, 0))
-        crossed = [float(np.sum(inverse * _beside(parts, correlated, lag))) for lag in lags]
-        alike = pairs * np.power(rho, lags)
-        left.append(alike - 2.0 * np.array(crossed) + [float(np.sum(both * spreads[-1])) for both in taken])
-    by_lag = np.column_stack(left)
+    rhos = np.array([0.0, *np.exp(-1.0 / lengths)])
+    lags = np.unique(np.round([0.0, *_geometric(1.0, 2.0, FARTHEST_SHARE * longest)]).astype(int))
+    pairs = np.array([sum(int((_from(p.there, k) & _until(p.there, k)).sum()) for p in parts) for k in lags])
+    products = np.array([sum(float(np.sum(_from(p.residual, k) * _until(p.residual, k))) for p in parts) for k in lags])
+    beside = _beside(parts, longest)
+    distance = np.arange(longest)
+    twice = np.where(distance > 0, 2.0, 1.0)
+    spreads = np.tensordot(twice * np.power.outer(rhos, distance), beside, axes=1)
+    taken = np.tensordot(beside, inverse, axes=2)
+    apart = np.abs(np.subtract.outer(lags, distance)), np.add.outer(lags, distance)
+    by_lag = np.column_stack(
+        [
+            pairs * np.power(rho, lags)
+            - (np.power(rho, apart[0]) + np.power(rho, apart[1])) @ (twice * taken)
+            + np.tensordot(inverse @ beside[lags] @ inverse, spread, axes=2)
+            - _tared(parts, rho, lags)
+            for rho, spread in zip(rhos, spreads, strict=True)
+        ]
+    )
     level = max(products[0] / max(by_lag[0, 0], 1.0), 1e-300)
-    sd = np.sqrt(np.maximum(pairs, 1) * np.where(np.array(lags) == 0, 2.0, 1.0))
+    sd = np.sqrt(np.maximum(pairs, 1) * np.where(lags == 0, 2.0, 1.0))
     weighed, wanted = by_lag / sd[:, None], products / (level * sd)
     size = np.linalg.norm(weighed, axis=0)
-    shares, distance = nnls(weighed / size, wanted)
+    shares, off = nnls(weighed / size, wanted)
     white = weighed[:, 0] * (weighed[:, 0] @ wanted) / size[0] ** 2
-    if np.sum((wanted - white) ** 2) - distance**2 < SEEN:
+    if np.sum((wanted - white) ** 2) - off**2 < SEEN:
         return np.asarray((level - 1.0) * spreads[0])
     return np.asarray(np.tensordot(level * shares / size, spreads, axes=1) - spreads[0])
+
+
+def _beside(parts: Sequence[Part], longest: int) -> np.ndarray:
+    """J^T S_d J for all distances d of samples, summed over runs ``(longest, p, p)``: cross-correlations, by the fast
+    Fourier transform of some columns at a time."""
+    p = parts[0].jacobian.shape[2]
+    found = np.zeros((longest, p, p))
+    for part in parts:
+        n, m = part.there.shape
+        many = max(1, int(AT_ONCE / (2 * n * p)))
+        spectrum = np.zeros((n + 1, p, p), dtype=complex)
+        for k in range(0, m, many):
+            wave = np.fft.rfft(part.jacobian[:, k : k + many], 2 * n, axis=0)
+            spectrum += wave.conj().transpose(0, 2, 1) @ wave
+        found[:n] += np.fft.irfft(spectrum, 2 * n, axis=0)[:n]
+    return np.asarray(0.5 * (found + found.transpose(0, 2, 1)))
+
+
+def _tared(parts: Sequence[Part], rho: float, lags: np.ndarray) -> np.ndarray:
+    """What the bias of each column takes up, ``(l,)``: tr(P S_l R) with P the mean of its n samples, (n - l) / n times
+    the mean of the rows of R."""
+    found = np.zeros(len(lags))
+    for part in parts:
+        for n in part.there.sum(axis=0) if part.tared else ():
+            distance = np.arange(1, max(int(n), 1))
+            row = 1.0 + 2.0 * float(np.sum((1.0 - distance / max(n, 1)) * rho**distance))
+            found += np.maximum(n - lags, 0) / max(n, 1) * row
+    return found
 
 
 def _geometric(first: float, ratio: float, last: float) -> np.ndarray:
@@ -114,28 +156,14 @@ def _geometric(first: float, ratio: float, last: float) -> np.ndarray:
     return np.geomspace(first, last, steps + 1) if steps > 0 else np.full(steps + 1, first)
 
 
+def _from(values: np.ndarray, lag: int) -> np.ndarray:
+    """All samples but the first ``lag``."""
+    return values[lag:]
+
+
 def _until(values: np.ndarray, lag: int) -> np.ndarray:
     """All samples but the last ``lag``."""
-    return values[: len(values) - lag]
-
-
-def _beside(parts: Sequence[Part], others: Sequence[np.ndarray], lag: int) -> np.ndarray:
-    """J^T S_l v, summed over runs ``(p, p)``; ``others``: v by run."""
-    p = others[0].shape[-1]
-    found = np.zeros((p, p))
-    for part, v in zip(parts, others, strict=True):
-        for a, b in ((part.jacobian[lag:], _until(v, lag)), (_until(part.jacobian, lag), v[lag:])):
-            found += 0.5 * a.reshape(-1, p).T @ b.reshape(-1, p)
-    return found
-
-
-def _correlated(values: np.ndarray, rho: float) -> np.ndarray:
-    """R v: sum over l of rho^|k - l| v_l."""
-    if rho == 0.0:
-        return values
-    ahead = lfilter([1.0], [1.0, -rho], values, axis=0)
-    back = lfilter([1.0], [1.0, -rho], values[::-1], axis=0)[::-1]
-    return np.asarray(ahead + back - values)
+    return values[: max(len(values) - lag, 0)]
 
 
 def unheard(noise: Mapping[str, ChannelNoise]) -> list[str]:

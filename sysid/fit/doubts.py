@@ -55,9 +55,11 @@ def doubts(rig: Rig, runs: Sequence[Run]) -> list[str]:
 def _dead(run: Run) -> Iterator[str]:
     """Sensors of which every reading is the same."""
     for m in run.measured:
-        seen = m.values[:, np.isfinite(m.values).any(axis=0)]
-        if len(seen) >= FEW and np.all(np.nanmax(seen, axis=0) == np.nanmin(seen, axis=0)):
-            yield f"All {len(seen)} readings of {m.channel} in {run.name} are the same: look whether it was on."
+        finite = np.isfinite(m.values)
+        seen = m.values[:, finite.sum(axis=0) >= FEW]
+        if seen.size and np.all(np.nanmax(seen, axis=0) == np.nanmin(seen, axis=0)):
+            count = int(finite.any(axis=1).sum())
+            yield f"All {count} readings of {m.channel} in {run.name} are the same: look whether it was on."
 
 
 def _restless(rig: Rig, run: Run) -> Iterator[str]:

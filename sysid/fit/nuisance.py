@@ -32,6 +32,7 @@ from sysid.fit.noise import column_groups
 from sysid.fit.parameters import FitParameter, fit_parameters
 from sysid.fit.reach import acting
 from sysid.fit.runs import Measured, Run
+from sysid.parts import recording_of
 
 KINDS = ("time", "bias", "camera", "pose")
 
@@ -76,9 +77,9 @@ def nuisance_parameters(
     for channel, m in measured.items():
         late = f"effects.stream_delay.{'wrench' if m.kind == 'wrench' else 'vision'}_s"
         if "time" in kinds and late not in names:
-            there = {run.name: run.path for run in runs if any(other.channel == channel for other in run.measured)}
+            there = dict.fromkeys(recording_of(run.name) for run in runs if run.has(channel))
             source = rig.sensors.get(channel) or rig.cameras[channel]
-            add(f"{channel}.latency_s", source.latency_sd_s, bags=[*there] if len({*there.values()}) > 1 else ())
+            add(f"{channel}.latency_s", source.latency_sd_s, bags=[*there] if len(there) > 1 else ())
         if "camera" in kinds and channel in rig.cameras:
             for name, sd, tied in _intrinsics(channel, rig.cameras[channel]):
                 add(name, sd, tied)

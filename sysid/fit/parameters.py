@@ -10,6 +10,7 @@ import numpy as np
 from sim_core.effects import effect_by_name
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, list_parameters, resolve_name, with_parameters
+from sysid.parts import recording_of
 
 PRIOR_SD_LOG = 2.0
 """Width of the plausible range of a logarithm: a factor of e^2 either way."""
@@ -57,7 +58,7 @@ SCALES = {
 class FitParameter:
     """``lower``, ``upper``: bounds in ``unit``; ``prior_sd``: plausible width in the fitted scale. ``nuisance``: not
     asked for, and pulled to the rig's value with ``prior_sd``; ``tied``: parameters of the rig that change in
-    proportion; ``bag``: the recording that has this value for itself, which the name then ends with in brackets;
+    proportion; ``bag``: the recording or window that has it for itself, which the name then ends with in brackets;
     ``known_sd``: standard deviation of what is known of it beforehand, the rig's value, in the fitted scale."""
 
     name: str
@@ -250,8 +251,8 @@ def with_bags(
 
 
 def acting_in(parameters: Sequence[FitParameter], bag: str) -> list[int]:
-    """Numbers of the parameters that a recording depends on."""
-    return [k for k, p in enumerate(parameters) if p.bag in ("", bag)]
+    """Numbers of the parameters that a recording, or a window of one, depends on."""
+    return [k for k, p in enumerate(parameters) if p.bag in ("", bag, recording_of(bag))]
 
 
 def rig_in(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray, bag: str) -> Rig:

@@ -81,7 +81,9 @@ class Problem:
         self._eliminations: dict[tuple[int, str], Elimination] = {}
         self._known: Fitted | None = None
         self._compared = {
-            (i, m.channel): Samples(np.isfinite(m.values), tuple(column_groups(m)))
+            (i, m.channel): Samples(
+                np.isfinite(m.values), tuple(column_groups(m)), tared=self.bias and bias_sd(m) is not None
+            )
             for i, run in enumerate(self.runs)
             for m in run.measured
         }

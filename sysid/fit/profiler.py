@@ -282,7 +282,8 @@ class Profiler:
         root = self._root(k, point)
         if point is not None and not BELIEVED[0] <= root <= BELIEVED[1]:
             # The other parameters may not have followed all the way yet.
-            root = self._root(k, self._at(k, end, point))
+            further = self._at(k, end, point) or point
+            root = self._root(k, min(point, further, key=lambda q: q.least))
         return root
 
     def _side(self, k: int, side: int) -> tuple[list[tuple[float, float]], End]:

@@ -87,6 +87,10 @@ class Run:
     unlike: str = ""
     doubts: tuple[str, ...] = ()
 
+    def has(self, channel: str) -> bool:
+        """Whether it has readings of a channel."""
+        return any(m.channel == channel for m in self.measured)
+
     def seen_by(self, rig: Rig) -> Rig:
         """The rig with the markers where they are in this recording."""
         if not self.sights:

@@ -210,7 +210,8 @@ def _differ(there: Sequence[Nuisance]) -> bool:
 
 
 def _mean(there: Sequence[Nuisance]) -> Nuisance:
-    """What recordings tell together."""
+    """What those recordings that tell it do so together; if none does, what was known before."""
+    there = [n for n in there if n.told] or [replace(there[0], value=there[0].start)]
     weights = np.array([n.sd**-2 for n in there])
     value, sd = float(np.average([n.value for n in there], weights=weights)), float(np.sum(weights) ** -0.5)
     return replace(there[0], run="", value=value, sd=sd, ci95=(value - 1.96 * sd, value + 1.96 * sd))

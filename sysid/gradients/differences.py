@@ -85,19 +85,22 @@ def verdict(
     if sound and best <= bound:
         return "agrees"
     within = np.array(errors) <= hidden
+    if _constant(steps, np.where(within, np.nan, errors)):
+        return "differs"
     widest = int(np.argmin(np.where(_short_of_a_jump(steps, errors), hidden, np.inf)))
     near = within[int(np.argmin(errors))] if alone else within.any()
     if sound and (within[widest] or (best <= 10.0 * bound and near)):
         return "unresolved"
-    if not sound or _constant(steps, errors) or not jumps(steps, errors, bound):
+    if not sound or not jumps(steps, errors, bound):
         return "differs"
     return "unresolved" if alone and within[np.argsort(steps)[:3]].any() else "jumps"
 
 
-def _constant(steps: Sequence[float], errors: Sequence[float]) -> bool:
-    """Whether three steps in a row have the same error, as those of a wrong derivative do, and of jumps do not."""
+def _constant(steps: Sequence[float], errors: np.ndarray) -> bool:
+    """Whether three steps in a row have the same error, as those of a wrong derivative do, and of jumps do not; NaN is
+    like no other."""
     sizes = np.array(errors)[np.argsort(steps)]
-    return any(sizes[k : k + 3].max() <= SAME * sizes[k : k + 3].min() for k in range(len(sizes) - 2))
+    return any(bool(sizes[k : k + 3].max() <= SAME * sizes[k : k + 3].min()) for k in range(len(sizes) - 2))
 
 
 def _short_of_a_jump(steps: Sequence[float], errors: Sequence[float]) -> np.ndarray:

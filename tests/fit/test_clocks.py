@@ -12,6 +12,7 @@ from strip import START, TRUTH, pulled, strip_rig
 from sim_core.rigs import with_parameters
 from sysid.fit import FitOptions, fit_runs
 from sysid.fit.nuisance import nuisance_parameters
+from sysid.fit.parameters import acting_in
 from sysid.fit.pool import PooledEngine
 from sysid.fit.result import FitResult
 from sysid.fit.runs import Measured, Run
@@ -37,8 +38,13 @@ def test_a_stream_has_an_offset_in_each_recording_that_has_it() -> None:
 
 
 def test_windows_of_one_recording_share_their_clock() -> None:
-    runs = [run_of(f"a@{k}", "a", CHANNELS) for k in range(3)]
+    runs = [run_of(f"a@{k}:{k + 1}", "a", CHANNELS) for k in range(3)]
     assert [p.name for p in nuisance_parameters(RIG, runs, [], ("time",))] == [f"{c}.latency_s" for c in CHANNELS]
+    runs = [run_of(name, name, CHANNELS[:1]) for name in ("a@0:9", "a@40:52.5", "b")]
+    found = nuisance_parameters(RIG, runs, [], ("time",))
+    first = f"{CHANNELS[0]}.latency_s"
+    assert [p.name for p in found] == [f"{first}[a]", f"{first}[b]"]
+    assert [acting_in(found, run.name) for run in runs] == [[0], [0], [1]]
 
 
 @pytest.fixture(scope="module")

@@ -165,3 +165,39 @@ def test_what_is_not_known_is_told() -> None:
     }
     (sentence,) = unheard(noise)
     assert "The colour of the noise of gauge is not known" in sentence and "15 of its samples" in sentence
+
+
+@pytest.mark.parametrize("lengths", [(300, 50), (1000, 200), (300, 20), (300, 2)])
+def test_recordings_may_be_of_any_length(lengths: tuple[int, int]) -> None:
+    """A long one and a short one tell what the long one alone does, nearly."""
+    rng = np.random.default_rng(7)
+    parts = []
+    for n in lengths:
+        there, t = np.ones((n, 3), dtype=bool), np.arange(n)[:, None, None] / 100.0
+        parts.append(Part(there, coloured(rng, 0.9, n, 3), np.sin(t + np.arange(3)[:, None] + np.arange(2))))
+    plain = sum(np.einsum("kcp,kcq->pq", part.jacobian, part.jacobian) for part in parts)
+    both = plain + coloured_scores([parts], np.linalg.inv(plain))
+    alone = np.einsum("kcp,kcq->pq", parts[0].jacobian, parts[0].jacobian)
+    alone = alone + coloured_scores([parts[:1]], np.linalg.inv(alone))
+    assert np.all(np.diag(both) > 0.7 * np.diag(alone)) and np.all(np.diag(both) < 2.0 * np.diag(alone))
+
+
+@pytest.mark.parametrize("length", [20.0, 40.0])
+def test_what_a_bias_takes_up_is_allowed_for(length: float) -> None:
+    """Of 150 recordings that are tared, with white noise and three times as much that changes slowly: scores scatter as
+    they are said to, within a tenth and a fifth."""
+    n, t = 400, np.arange(400) / 100.0
+    jacobian = 3.0 * np.stack([t, np.sin(6.0 * t)], axis=1)[:, None, :]
+    jacobian = jacobian - jacobian.mean(axis=0)
+    plain = np.einsum("kcp,kcq->pq", jacobian, jacobian)
+    inverse, there = np.linalg.inv(plain), np.ones((n, 1), dtype=bool)
+    rng, off, said = np.random.default_rng(8), [], []
+    for _ in range(150):
+        noise = 3.0 * coloured(rng, float(np.exp(-1.0 / length)), n, 1) + rng.standard_normal((n, 1))
+        noise -= noise.mean(axis=0)
+        found = inverse @ np.einsum("kcp,kc->p", jacobian, noise)
+        part = Part(there, noise - jacobian @ found, jacobian, tared=True)
+        off.append(found)
+        said.append(np.sqrt(np.diag(inverse + inverse @ coloured_scores([[part]], inverse) @ inverse)))
+    ratio = np.sqrt(np.mean(np.square(said), axis=0)) / np.std(off, axis=0)
+    assert np.all(ratio > 0.9) and np.all(ratio < 1.25), ratio

@@ -197,7 +197,7 @@ def test_every_stream_and_camera_has_its_nuisances_once(small_rig: Any) -> None:
     rig = small_rig()
     kinds = (("wrench", "wrench", 6), ("markers", "markers", 27), ("side", "tracks", 20))
     measured = tuple(Measured(c, k, T, np.zeros((len(T), n)), ()) for c, k, n in kinds)
-    runs = [Run(n, "", (), {}, measured, 2.0) for n in ("one", "two")]
+    runs = [Run(n, "", (), {}, measured, 2.0) for n in ("press@0:2", "press@2:4")]
     asked = fit_parameters(rig, ["gel.E"])
     found = {p.name: p for p in nuisance_parameters(rig, runs, asked, KINDS)}
     assert list(found) == [
