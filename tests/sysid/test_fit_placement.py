@@ -102,3 +102,10 @@ def test_markers_are_located_where_the_clamps_stand_at_that_frame(tmp_path: Path
         sights, notes = placed_sights(knit(), run.poses, [m])
         np.testing.assert_allclose(np.array(sights["video"][0].points.positions_m), PINS, atol=1e-6)
         assert notes == ()
+
+
+def test_markers_are_located_by_where_the_camera_really_stands(tmp_path: Path) -> None:
+    askew = {"offset_rz_deg": 3.0, "offset_x_m": 0.004}
+    bag = record(with_pins(knit(**askew), PINS), tmp_path / "bag", (0.0, 0.004), (0.0, 1.0))
+    located = np.array(load_run(knit(**askew), bag).sights["video"][0].points.positions_m)
+    np.testing.assert_allclose(located, PINS, atol=1e-6)
