@@ -34,6 +34,9 @@ ROUND_OFF = 3.0
 SAME = 1.2
 """Ratio of errors up to which they are the same."""
 
+LOST = 0.5
+"""Relative error of the best difference above which none is of the derivative."""
+
 GROWS = 2.0
 """By how much errors grow at least towards the smaller of two steps, where there are jumps."""
 
@@ -152,12 +155,13 @@ def slope_of(base: np.ndarray, first: np.ndarray, second: np.ndarray, a: float, 
 
 
 def jumps(steps: Sequence[float], errors: Sequence[float], bound: float) -> bool:
-    """Whether errors grow as steps shrink, as those of differences across jumps do: from each of the three smallest
-    steps to the next, and to the smallest one in proportion to 1 / step or nearly so."""
+    """Whether errors grow as steps shrink, as those of differences across jumps do: to the smallest step in proportion
+    to 1 / step or nearly so, and to the one before as well, or all differences miss by about the derivative or more."""
     if len(steps) < 3:
         return False
     (step, most), (wider, less), (_, least) = sorted(zip(steps, errors, strict=True))[:3]
-    return most > np.sqrt(wider / step) * less and less > GROWS * least and min(most, less, least) > bound
+    grow = less > GROWS * least and min(most, less, least) > bound
+    return bool(most > np.sqrt(wider / step) * less and (grow or min(errors) > LOST))
 
 
 def round_off(
