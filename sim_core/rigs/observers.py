@@ -120,8 +120,7 @@ class WrenchSensor(Strict):
     puts the sensor's frame into the frame of the end effector, the body's local frame, or the frame
     of the clamp's mount. ``measures``: the components that a real sensor has (a gauge along one axis has
     one); what a recording holds in the others is not compared. ``latency_sd_s``: how well the latency is known, for
-    fits. ``length_unit``: of the lengths in recorded torques,
-    where that is not m.
+    fits. ``length_unit``: of the lengths in recorded torques, where that is not m.
     """
 
     type: Literal["wrench"]

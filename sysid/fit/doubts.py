@@ -94,11 +94,11 @@ def _apart(runs: Sequence[Run]) -> Iterator[str]:
                     unit = UNITS[m.kind][1 if quantity == "torque" else 0]
                     levels.setdefault((m.channel, quantity, unit), []).append((found[0], run.name))
     for (channel, quantity, unit), there in levels.items():
-        (low, quiet), (high, loud) = min(there), max(there)
+        (low, calm), (high, loud) = min(there), max(there)
         if high > APART * low:
             yield (
                 f"The {quantity} of {channel} has a noise of {high:.2g} {unit} in {loud} and of {low:.2g} {unit} in "
-                f"{quiet}, and both are weighed alike. Fit them apart, or leave out what is noisier."
+                f"{calm}, and both are weighed alike. Fit them apart, or leave out what is noisier."
             )
 
 

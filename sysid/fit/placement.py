@@ -17,6 +17,7 @@ from sim_core.geometry import sheets
 from sim_core.rigs import Rig, Sight, marker_positions
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import Scene, build_scene
+from sim_core.scene.assembly import world_pose
 from sim_core.scene.scene import Frame
 from sim_core.sensing.camera import project
 from sim_core.sensing.observe import frame_of
@@ -80,9 +81,7 @@ def _placed(
     assert isinstance(body.mesh, sheets.SheetMesh)
     local, ids = marker_positions(sight.points, rig.bodies[sight.body])  # type: ignore[arg-type]
     lens = rig.cameras[camera]
-    place, turn = lens.truly(lens.pose.position(), lens.pose.rotation())
-    base, orientation = frames[lens.mount]
-    origin, rotation = base + orientation.apply(place), orientation * turn
+    origin, rotation = lens.truly(*world_pose(lens.pose, frames[lens.mount]))
     picture = project(lens, rotation.inv().apply(scene.system.x[body.nodes] - origin))
     seen = sheets.SheetMesh(np.column_stack([picture, np.zeros(len(picture))]), body.mesh.triangles)
     for k, (marker, pixel) in enumerate(zip(ids, pixels, strict=True)):
