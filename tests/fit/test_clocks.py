@@ -55,6 +55,7 @@ def fitted(workers: PooledEngine, tmp_path_factory: pytest.TempPathFactory) -> F
         replace(pulled(RIG, {**TRUTH, **{f"{c}.latency_s": late for c in CHANNELS}}, folder / name, seed=k), name=name)
         for k, (name, late) in enumerate(LATE.items())
     ]
+    runs[0] = replace(runs[0], doubts=("/wrench: a fault",))
     options = FitOptions(nuisance=("time",), intervals="quadratic")
     return fit_runs(with_parameters(RIG, START), runs, list(TRUTH), options, engine=workers)[0]
 
@@ -67,6 +68,12 @@ def test_clocks_that_are_off_to_either_side_are_found(fitted: FitResult) -> None
         assert e.ci95[0] <= TRUTH[e.name] <= e.ci95[1]
     assert fitted.reduced_chi2 < 1.1 and not fitted.unexplained
     assert all(f"{c}.latency_s" in fitted.table() for c in CHANNELS)
+
+
+def test_what_a_recording_was_read_with_is_said_before_the_values(fitted: FitResult) -> None:
+    assert fitted.cautions[0].startswith("early was read with 1 fault that may change the result: /wrench: a fault.")
+    table = fitted.table()
+    assert table.index("/wrench: a fault") < table.index("strip.E_pa")
 
 
 def test_that_clocks_differ_is_said(fitted: FitResult) -> None:
