@@ -201,3 +201,15 @@ def test_what_a_bias_takes_up_is_allowed_for(length: float) -> None:
         said.append(np.sqrt(np.diag(inverse + inverse @ coloured_scores([[part]], inverse) @ inverse)))
     ratio = np.sqrt(np.mean(np.square(said), axis=0)) / np.std(off, axis=0)
     assert np.all(ratio > 0.9) and np.all(ratio < 1.25), ratio
+
+
+@pytest.mark.parametrize("bias", [True, False])
+def test_a_wrench_is_known_to_be_tared_where_its_bias_is_eliminated(
+    bias: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sysid.fit.problem.rig_at", lambda rig, parameters, scaled: rig)
+    run = run_of(SLOPES @ TRUTH)
+    problem = Problem([run], {"gauge": ChannelNoise(np.ones(6), 0.0, "rest")}, cast(Any, None), bias=bias)
+    there = Prediction({"gauge": SLOPES @ TRUTH}, {"gauge": SLOPES}, cast(Trace, None))
+    fitted = problem.compare([there], cast(Any, None), PARAMETERS, TRUTH)
+    assert [part.tared for quantity in fitted.parts for part in quantity] == [bias, bias]

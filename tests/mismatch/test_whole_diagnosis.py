@@ -216,4 +216,7 @@ def test_readings_on_which_the_own_error_is_not_known_are_said(
 ) -> None:
     """What is said of them is what a fit says (tests/fit/test_own_error.py)."""
     monkeypatch.setattr("sysid.mismatch.account.doubtful", lambda problem: ["It counts little for a while."])
-    assert "It counts little for a while." in diagnose(lambda rig, run, fine: read(rig)).notes
+    monkeypatch.setattr("sysid.mismatch.account.doubts", lambda rig, runs: [f"{run.name} has a fault." for run in runs])
+    notes = diagnose(lambda rig, run, fine: read(rig)).notes
+    assert "It counts little for a while." in notes
+    assert any(said.endswith("has a fault.") for said in notes)
