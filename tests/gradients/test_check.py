@@ -274,6 +274,12 @@ def test_what_jumps_as_much_as_round_off_is_said_to_make_is_not_judged():
     assert differences.verdict(FIVE, wrong, 1e-7 / np.array(FIVE), 1e-4, alone=True) == "differs"
 
 
+def test_an_error_that_stays_is_not_explained_by_round_off_at_the_smallest_step():
+    """Six times the bound at three steps, far above round-off, which hides the derivative at 1e-7 alone."""
+    errors, hidden = [1e-3, 7e-5, 6e-5, 6e-5, 7e-5, 1.6e-4], np.array([0.0, 0.0, 0.0, 1e-6, 2e-5, 2e-4])
+    assert differences.verdict(differences.STEPS, errors, hidden, 1e-5) == "differs"
+
+
 def test_a_single_field_is_checked_by_its_name(small_rig):
     _, rows = check(small_rig(), ["fields.gel.E"])
     assert {r["parameter"] for r in rows} == {"field gel.E_pa"}
