@@ -1,7 +1,7 @@
 """Forward sensitivities and adjoint of one rollout against central differences of whole rollouts, with a step sweep.
 
 Readings are compared at the middle of the time steps, where their interpolation in time has a slope, with the delays
-of sensors and effects. Rollouts are solved to 1e-13 m, so that differences of them are worth something.
+of sensors and effects. Rollouts are solved to 1e-14 m, so that differences of them are worth something.
 """
 
 from __future__ import annotations
