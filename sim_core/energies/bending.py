@@ -162,8 +162,7 @@ class Bending:
 
     def _rigidity(self, stiffness: np.ndarray) -> np.ndarray:
         """D [N m] of plane stress stiffness [Pa], ``(m, 3, 3)``."""
-        given = self._given
-        return np.asarray(given["thickness_m"] ** 3 / 12.0 * stiffness * given.get("bending_factor", 1.0))
+        return np.asarray(self._given["thickness_m"] ** 3 / 12.0 * stiffness)
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         self._onset[:] = np.inf

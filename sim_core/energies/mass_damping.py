@@ -40,7 +40,8 @@ class MassDamping(Memoryless):
         """Take another mass per unit of density, of the same pattern. ``more``: sum over the elements of their masses
         times what their alpha is above that which is configured [1/s]; None: nothing."""
         plain, beside = self._kept(unit_mass), None if more is None else self._kept(more)
-        self._given = [m if m is None else (m, self._upper_of(m)) for m in (plain, beside)]
+        self._plain = plain, self._upper_of(plain)
+        self._beside = None if beside is None else (beside, self._upper_of(beside))
         self._renew()
 
     def _kept(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
@@ -55,12 +56,11 @@ class MassDamping(Memoryless):
 
     def _renew(self) -> None:
         """Bring the matrix, its upper half and the strength up to date."""
-        mass, more = self._given
-        assert mass is not None
-        if more is None:
-            (self._matrix, self._upper_values), self._strength = mass, self._density * self._alpha
+        if self._beside is None:
+            (self._matrix, self._upper_values), self._strength = self._plain, self._density * self._alpha
         else:
-            self._matrix, self._upper_values = (self._alpha * a + b for a, b in zip(mass, more, strict=True))
+            both = zip(self._plain, self._beside, strict=True)
+            self._matrix, self._upper_values = (self._alpha * a + b for a, b in both)
             self._strength = self._density
         self._factor = 0.0
 
@@ -84,6 +84,17 @@ class MassDamping(Memoryless):
         """Motion since the base [m], and force [N], of the body's nodes ``(k, 3)``."""
         move = self._buffers.x[self._nodes] - self._base[self._nodes]
         return move, self._factor * (self._matrix @ move)
+
+    def force_by(self, quantity: str, step: StepContext) -> np.ndarray:
+        """Derivative of dE/dx ``(n, 3)`` at the end of a step by ``mass_damping_per_s`` or ``density``."""
+        (mass, _), more = self._plain, self._beside
+        speed = (self._buffers.x[self._nodes] - step.x_base[self._nodes]) / step.tau
+        out = np.zeros_like(self._buffers.x)
+        if quantity == "mass_damping_per_s":
+            out[self._nodes] = self._density * (mass @ speed)
+        else:
+            out[self._nodes] = self._alpha * (mass @ speed) + (0.0 if more is None else more[0] @ speed)
+        return out
 
     def add_energy(self) -> None:
         if self._factor > 0.0:

@@ -255,11 +255,21 @@ class NeoHookean:
 
     def by_nu(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> np.ndarray:
         """Derivative by Poisson's ratio of each element ``(m,)`` of the work of its forces along nodal vectors
-        ``(n, 3)`` and of the product of the new internal variables, flattened, with ``kept``. Forces and memory are
-        linear in mu, K_own, K - K_own and Q_n: theirs are those of the step with the derivatives in place of the
-        moduli and without Q_n."""
+        ``(n, 3)`` and of the product of the new internal variables, flattened, with ``kept``."""
+        return self._by_moduli(moduli_by_nu(self._given["E_pa"], self._nu), along, kept, step, internals)
+
+    def by_modulus(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> np.ndarray:
+        """Derivative by Young's modulus of each element ``(m,)`` [1/Pa], of the same. Other than its factor
+        (:meth:`scale`), it acts in the stress that relaxes, too."""
+        return self._by_moduli(moduli(1.0, self._nu), along, kept, step, internals)
+
+    def _by_moduli(
+        self, slopes: np.ndarray, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals
+    ) -> np.ndarray:
+        """Derivative by a number by which mu, K_own and K - K_own have the ``slopes``. Forces and memory are linear in
+        them and Q_n: theirs are those of the step with the slopes in place of the moduli and without Q_n."""
         held, nothing = self._moduli.copy(), {name: np.zeros_like(q) for name, q in internals.items()}
-        self._moduli[:] = moduli_by_nu(self._given["E_pa"], self._nu)
+        self._moduli[:] = slopes
         self._seen[:] = np.nan
         self.begin_step(step, nothing)
         found = self.work(along, nothing)

@@ -27,6 +27,7 @@ from sim_core.energies.term import StepContext
 from sim_core.errors import ConfigError
 from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, motions, slopes
+from sim_core.gradients.elements import OwnNumbers
 from sim_core.gradients.fields import FieldSums
 from sim_core.gradients.made import Made
 from sim_core.gradients.mounts import carried_contacts, carried_freely
@@ -35,7 +36,7 @@ from sim_core.gradients.tape import MEMORY_MB, Tape
 from sim_core.rigs import Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
-from sim_core.sensing.observe import Sensed
+from sim_core.sensing.observe import Sensed, taken
 from sim_core.simulate import Trace, midway
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State
@@ -89,7 +90,10 @@ class Backward:
         self._tape, self._scene, self._along = tape, tape.scene, list(along)
         self._observer = tape.observer
         keys, self._slopes = slopes(self._scene, along)
-        self._columns = Columns(self._scene, self._scene.values(self._scene.rig), keys)
+        values = self._scene.values(self._scene.rig)
+        self._own = OwnNumbers(self._scene, values, keys)
+        self._others = [row for row in range(len(keys)) if row not in self._own.rows]
+        self._columns = Columns(self._scene, values, [keys[row] for row in self._others])
         movable = [m for m in self._scene.start if m in self._scene.rig.end_effectors]
         self._followers = [f for f in self._scene.followers if f.mount in movable]
         self._turning = {
@@ -119,8 +123,8 @@ class Backward:
         self._by_readings = {
             c: np.where(np.isnan(tape.trace.outputs[c]), 0.0, given) for c, given in by_readings.items()
         }
-        self._numbers = np.zeros(len(self._columns.keys))
-        self._sensed = np.zeros(len(self._along))
+        self._numbers = np.zeros(len(self._slopes))
+        self._pictures: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
         self._fields.clear()
         zero, state = np.zeros_like(scene.rest), None
         poses = [_Frames() for _ in range(count)]
@@ -151,7 +155,7 @@ class Backward:
                         into.add(weights)
         state = state or Weights(zero, zero, no_memory(tape.start))
         self._at_start(state, poses[0])
-        found = self._slopes.T @ self._numbers + self._sensed
+        found = self._slopes.T @ self._numbers + self._by_cameras()
         for mount, moved in self._moved.items():
             found += np.sum([p.of(mount) for p in poses], axis=0) @ moved
         return Gradient(
@@ -185,7 +189,7 @@ class Backward:
         linear = made.linear
         if linear is None or self._columns.need_contact(linear.terms):
             made.enter(self._scene)
-        elif self._columns.keys or self._cameras or self._fields:
+        elif self._columns.keys or self._own or self._cameras or self._fields:
             self._place(made)
 
     def _collect(
@@ -199,7 +203,9 @@ class Backward:
     ) -> None:
         """Take the weights of numbers, fields, and what followed the mounts. ``after``: of the end of the step;
         ``terms``: as linearised."""
-        self._numbers += pulled.numbers
+        self._numbers[self._others] += pulled.numbers
+        if self._own:
+            self._numbers[self._own.rows] += self._own.of_step(step, made.before.internals, pulled, after.memory)
         self._fields.add(step, made.before.internals, pulled, after, terms)
         self._follow(pulled.targets, pulled.turns, made.frames, target)
 
@@ -260,12 +266,23 @@ class Backward:
             if sensed.mount in scene.compliant:
                 rotation = actual[sensed.mount][1].as_matrix()
                 deflections[scene.compliant.index(sensed.mount)] += rotation @ by_frame[:3]
-        for d in self._cameras:
-            ends = [self._observer.see(r, actual) for r in (self._along[d].high, self._along[d].low)]
-            for name in ends[0].keys() & given.keys():
-                change = (ends[0][name] - ends[1][name]).ravel() / self._along[d].width
-                self._sensed[d] += float(np.nan_to_num(change) @ given[name])
+        if self._cameras:
+            for name, points in self._observer.before_cameras(actual).items():
+                if name in given:
+                    self._pictures.setdefault(name, []).append((points, given[name].reshape(-1, 2)))
         return replace(state, x=x, force=force if force.any() else None, moment=moment, unknowns=unknowns)
+
+    def _by_cameras(self) -> np.ndarray:
+        """Derivatives by the parameters of what cameras are, from all pictures at once."""
+        out = np.zeros(len(self._along))
+        for name, pictures in self._pictures.items():
+            points, weights = (np.stack(a) for a in zip(*pictures, strict=True))
+            for k in self._cameras:
+                high, low = (rig.cameras[name] for rig in (self._along[k].high, self._along[k].low))
+                if high != low:
+                    change = (taken(high, points) - taken(low, points)) / self._along[k].width
+                    out[k] += float(np.vdot(np.nan_to_num(change), weights))
+        return out
 
     def _at_start(self, state: Weights, target: _Frames) -> None:
         """Through the first equilibrium, or to where everything was put."""
@@ -303,7 +320,7 @@ class Backward:
         made = Made(tape.start, tape.start, scene.rig.solver.dt_s, tape.mounts, tape.start_unknowns)
         made.enter(scene)
         state = self._read_back(0, tape.mounts, state, target)
-        x, v, numbers = state.x, state.v, np.zeros_like(self._numbers)
+        x, v, numbers = state.x, state.v, np.zeros(len(self._others))
         step = step_context(made.before.x, made.before.v, made.dt)
         force = passed = np.zeros_like(x)
         if state.force is not None:

@@ -2,7 +2,7 @@
 
 Numbers of a term are stepped to both sides in that term alone: its gradient, its new internal variables, the moment
 on its rigid body; but for those that the term differentiates itself, because steps of them could cross a switch.
-What mass, gravity and compliance do is known in closed form.
+What mass, its damping, gravity and compliance do is known in closed form.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from sim_core.contact.rigid import RigidContact
 from sim_core.energies.linearised import Linearised, flatten
+from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.directions import FROM_ZERO, RELATIVE_STEP, Key
 from sim_core.scene.scene import Scene, Values
@@ -46,6 +47,8 @@ class Columns:
     def __init__(self, scene: Scene, values: Values, keys: Sequence[Key]) -> None:
         self._scene, self._values, self.keys = scene, values, list(keys)
         self._terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
+        self._mass: Any = None
+        self._weights: dict[str, np.ndarray] = {}
 
     def of_step(
         self,
@@ -82,15 +85,27 @@ class Columns:
         kind, owner, quantity = key
         if kind == "terms":
             term = self._terms.get(owner)
-            return Column() if term is None else self._of_term(term, quantity, step, internals[owner], after[owner])
-        system = self._scene.system
+            if term is None:
+                return Column()
+            if isinstance(term, MassDamping):
+                return Column(force=term.force_by(quantity, step))
+            return self._of_term(term, quantity, step, internals[owner], after[owner])
         if kind == "gravity":
-            pull = np.zeros_like(system.x)
-            pull[:, "xyz".index(quantity)] = -1.0
-            return Column(body=np.asarray(system.mass @ pull))
+            return Column(body=self._weight(quantity))
         if kind == "density":
             return Column(body=self._inertia_of(owner, step))
         return Column(unknowns=self._of_compliance(self._scene.compliant.index(owner), "xyz".index(quantity)))
+
+    def _weight(self, axis: str) -> np.ndarray:
+        """-M e for a unit of gravity along an axis, the same in all steps with the same masses."""
+        system = self._scene.system
+        if self._mass is not system.mass:
+            self._mass, self._weights = system.mass, {}
+        if axis not in self._weights:
+            pull = np.zeros_like(system.x)
+            pull[:, "xyz".index(axis)] = -1.0
+            self._weights[axis] = np.asarray(system.mass @ pull)
+        return self._weights[axis]
 
     def _inertia_of(self, body: str, step: StepContext) -> np.ndarray:
         """M_b (a - g) for a unit density of one body."""

@@ -34,19 +34,16 @@ import numpy as np
 from sim_core.energies.linearised import Linearised
 from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.columns import borne_by_mass, damped_by_mass
+from sim_core.gradients.elements import by_element
 from sim_core.gradients.rest_shape import RestSums
 from sim_core.gradients.step import Pulled, Weights
 from sim_core.scene.fields import (
     FLOW,
     MASS,
     MASS_DAMPING,
-    NU,
     POWERS,
-    RELAXATION,
     REST,
     REST_ANGLE,
-    STIFFNESS_DAMPING,
-    YIELD,
 )
 from sim_core.scene.scene import Scene
 
@@ -121,17 +118,10 @@ class FieldSums:
         for term in terms:
             before, weights = internals[term.name], kept[term.name]
             term.begin_step(step, before)
-            if key == NU:
-                total = total + term.by_nu(exerted, weights, step, before)
-            elif key == STIFFNESS_DAMPING:
-                total = total + term.by_damping(exerted, step)
-            elif key in RELAXATION:
-                total = total + term.by_relaxation(key, exerted, weights, step, before)
-            elif key == REST_ANGLE:
+            if key == REST_ANGLE:
                 total = total + term.by_rest_angles(exerted, weights, before)
             else:
-                by = term.by_yield if key == YIELD else term.by_hardening
-                total = total + by(exerted, weights, before)
+                total = total + by_element(term, key, exerted, weights, step, before)
         return total
 
     def _by_mass(self, body: str, v: np.ndarray, w: np.ndarray) -> np.ndarray:

@@ -187,8 +187,8 @@ class TangentSimulation(Simulation):
                 out[name] = total.reshape(out[name].shape)
         for k, direction in enumerate(self._along):
             if not _sees_alike(direction):
-                ends = [self.observer.read(rig, frames) for rig in (direction.high, direction.low)]
-                for name in out:
+                ends = [self.observer.see(rig, frames) for rig in (direction.high, direction.low)]
+                for name in ends[0]:
                     out[name][..., k] += (ends[0][name] - ends[1][name]) / direction.width
         for name, value in reading.items():
             out[name][np.isnan(value)] = np.nan

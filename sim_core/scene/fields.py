@@ -135,7 +135,7 @@ class Fields:
         if key == REST_ANGLE:
             return np.array(self.bending(body).rest_angles)
         number = self._number(body, key)
-        return np.asarray(number + self._beside(body, key) if key in SHIFTED else number * self._share(body, key))
+        return np.asarray(number + self._beside(body, key) if key in SHIFTED else number * self.share(body, key))
 
     def __setitem__(self, name: str, values: np.ndarray | float) -> None:
         """Take values in SI units for all elements, hinges or nodes, or one for all elements or hinges."""
@@ -247,7 +247,7 @@ class Fields:
         out = np.ones(len(_elements(self._scene.bodies[body])))
         for key, powers in POWERS.items():
             if part in powers:
-                out *= self._share(body, key) ** powers[part]
+                out *= self.share(body, key) ** powers[part]
         return out
 
     def mass_blocks(self, body: str) -> tuple[np.ndarray, np.ndarray]:
@@ -262,7 +262,8 @@ class Fields:
             blocks = solids.element_masses(mesh)
         return built.nodes[_elements(built)], factor[:, None, None] * blocks
 
-    def _share(self, body: str, key: str) -> np.ndarray:
+    def share(self, body: str, key: str) -> np.ndarray:
+        """What the elements of a body ``(m,)`` have of the rig's number for a quantity that is kept as a share."""
         share = self._shares.get(f"{body}.{key}")
         return np.ones(len(_elements(self._scene.bodies[body]))) if share is None else share
 
@@ -280,9 +281,9 @@ class Fields:
                 term.shift_nu(self._beside(name, NU))  # type: ignore[attr-defined]
                 term.shift_damping(self._beside(name, STIFFNESS_DAMPING))  # type: ignore[attr-defined]
             if isinstance(term, Bending):
-                term.scale_flow(*(self._share(name, key) for key in FLOW))
+                term.scale_flow(*(self.share(name, key) for key in FLOW))
             if isinstance(term, NeoHookean):
-                term.scale_relaxation(*(self._share(name, key) for key in RELAXATION))
+                term.scale_relaxation(*(self.share(name, key) for key in RELAXATION))
         factor, more = self.factor(name, MASS), self._beside(name, MASS_DAMPING)
         body.unit_mass = _mass(body, factor)
         self._scene.renew_mass(body, _mass(body, factor * more) if more.any() else None)

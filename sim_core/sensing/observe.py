@@ -83,6 +83,17 @@ class Sensed:
         return sum(a.nbytes for a in given if a is not None)
 
 
+def taken(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Pixels ``(k, n, 2)`` of points [m] ``(k, n, 3)`` in the frame of a camera's mount at k instants; NaN where out of
+    the picture. With an origin as its last row where the camera shows one."""
+    origin, rotation = _camera_placement(camera)
+    pixels = project(camera, (points.reshape(-1, 3) - origin) @ rotation).reshape(*points.shape[:2], 2)
+    if not isinstance(camera, OrthographicCamera) or camera.origin_id is None:
+        return pixels
+    shown = np.broadcast_to([camera.cx_px, camera.cy_px], (len(points), 1, 2))
+    return np.concatenate([pixels, shown], axis=1)
+
+
 class Observer:
     """Sensors and cameras of a scene. ``kinds``: channel name to 'wrench', 'markers' or 'tracks'."""
 
@@ -191,6 +202,15 @@ class Observer:
             out[name] = project(camera, (points - origin) @ rotation)
             if isinstance(camera, OrthographicCamera) and camera.origin_id is not None:
                 out[name] = np.vstack([out[name], [camera.cx_px, camera.cy_px]])
+        return out
+
+    def before_cameras(self, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
+        """What each camera is to see, in the frame of its mount [m], ``(n, 3)``."""
+        x, out = self._scene.system.x, {}
+        for name, camera in self._scene.rig.cameras.items():
+            origin, rotation = frames[camera.mount]
+            points = np.vstack([t.positions(x) for t in self._tracked[name]])
+            out[name] = (points - origin) @ rotation.as_matrix()
         return out
 
     def linearise(self, rig: Rig, frames: Mapping[str, Frame], channels: Iterable[str]) -> dict[str, Sensed]:

@@ -9,7 +9,7 @@ from test_adjoint import EFFECTS, TIGHT, small, weights
 from test_linearised import PRESS, ball, damped
 
 from sim_core.errors import ConfigError
-from sim_core.gradients import Backward, Tape, directions, simulate_adjoint
+from sim_core.gradients import Backward, Tape, directions, simulate_adjoint, simulate_tangent
 from sim_core.rigs import parse_rig, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
@@ -124,12 +124,11 @@ def test_what_all_elements_have_together_of_effects(small_rig, visit):
         "effects.gel_relaxation.tau_s": "gel.relaxation_tau_s",
     }
     uneven(scene)
-    tape = Tape(scene, poses, times, TIGHT)
-    found = Backward(tape, directions(rig, pairs), list(pairs.values())).gradient(0.0, weights(tape.trace))
+    found, scalars = by_elements_and_forwards(scene, poses, times, pairs, list(pairs.values()))
     for name, field in pairs.items():
         _, effect, quantity = name.split(".")
         shares = found.fields[field] * scene.fields[field]
-        whole = found.parameters[name] * rig.effects[effect][quantity]
+        whole = scalars[name] * rig.effects[effect][quantity]
         assert abs(whole) > 0.0 and shares.sum() == pytest.approx(whole, rel=1e-7), name
 
 
@@ -142,11 +141,10 @@ def test_what_all_elements_have_together_of_dampings(small_rig, visit, uniform):
     scene = build_scene(rig)
     if not uniform:
         uneven(scene)
-    tape = Tape(scene, poses, times, TIGHT)
-    found = Backward(tape, directions(rig, names), names).gradient(0.0, weights(tape.trace))
+    found, scalars = by_elements_and_forwards(scene, poses, times, names, names)
     for name in names:
         by_elements = found.fields[name]
-        expected = pytest.approx(found.parameters[name], rel=1e-6, abs=1e-9 * np.abs(by_elements).sum())
+        expected = pytest.approx(scalars[name], rel=1e-6, abs=1e-9 * np.abs(by_elements).sum())
         assert by_elements.any() and by_elements.sum() == expected, name
 
 
@@ -196,15 +194,28 @@ def test_what_all_triangles_have_together_of_a_thickness(small_rig, visit):
     compare_with_scalars(*shaken(small_rig, visit, contacts=[]), ["card.thickness_m", "card.E_pa"])
 
 
+def by_elements_and_forwards(scene, poses, times, names, fields):
+    """Gradient of a random sum by fields and parameters, and the derivatives of the sum by the parameters forwards,
+    where terms are stepped; that of the gradient is the same."""
+    along = directions(scene.rig, names)
+    trace, derivatives = simulate_tangent(scene, poses, times, along, settings=TIGHT)
+    given = weights(trace)
+    found = Backward(Tape(scene, poses, times, TIGHT), along, fields).gradient(0.0, given)
+    products = [np.nan_to_num(derivatives[c]) * w[..., None] for c, w in given.items()]
+    sums, sizes = (sum(a(p).reshape(-1, len(along)).sum(axis=0) for p in products) for a in (np.asarray, np.abs))
+    for direction, value, size in zip(along, sums, sizes, strict=True):
+        assert found.parameters[direction.name] == pytest.approx(value, rel=1e-7, abs=1e-8 * size), direction.name
+    return found, dict(zip(names, sums, strict=True))
+
+
 def compare_with_scalars(rig, poses, times, names):
     scene = build_scene(rig)
     uneven(scene)
-    tape = Tape(scene, poses, times, TIGHT)
-    found = Backward(tape, directions(rig, names), names).gradient(0.0, weights(tape.trace))
+    found, scalars = by_elements_and_forwards(scene, poses, times, names, names)
     for name in names:
         body, key = name.split(".")
         shifted = key == "nu"
-        whole = found.parameters[name] * (1.0 if shifted else getattr(rig.bodies[body].material, key))
+        whole = scalars[name] * (1.0 if shifted else getattr(rig.bodies[body].material, key))
         shares = found.fields[name] * (1.0 if shifted else scene.fields[name])
         assert shares.sum() == pytest.approx(whole, rel=1e-7, abs=1e-9 * np.abs(shares).sum()), name
 
