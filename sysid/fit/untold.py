@@ -204,9 +204,13 @@ def _by_name(found: Sequence[Nuisance]) -> dict[str, list[Nuisance]]:
 
 
 def _differ(there: Sequence[Nuisance]) -> bool:
-    """Whether recordings do not have the same."""
-    mean = _mean(there).value
-    return any(n.told and abs(n.value - mean) > FAR * n.sd for n in there)
+    """Whether recordings do not have the same: one is further from the mean than it may be, var(v - mean) = var(v) -
+    var(mean) for a mean that has v in it with the weight 1 / var(v)."""
+    there = [n for n in there if n.told]
+    if len(there) < 2:
+        return False
+    mean = _mean(there)
+    return any(abs(n.value - mean.value) > FAR * np.sqrt(n.sd**2 - mean.sd**2) for n in there)
 
 
 def _mean(there: Sequence[Nuisance]) -> Nuisance:

@@ -99,3 +99,12 @@ def test_clocks_that_agree_are_told_together() -> None:
     assert len(remarks(RIG, [*both, weak], trusted=True)) == 1
     (apart,) = remarks(cast(Any, RIG), [*both, replace(one, run="c", value=0.05)], trusted=True)
     assert "another offset in time in each recording" in apart
+
+
+@pytest.mark.parametrize(("apart_s", "said"), [(0.0041, False), (0.0044, True)])
+def test_two_clocks_differ_beyond_three_deviations_of_their_difference(apart_s: float, said: bool) -> None:
+    """Of 1 ms each, which are 4.24 ms."""
+    name = f"{CHANNELS[0]}.latency_s"
+    one = Nuisance(name, "a", "s", 0.0, 0.019, (0.017, 0.021), 0.001, 0.03, False, ())
+    (found,) = remarks(cast(Any, RIG), [one, replace(one, run="b", value=0.019 + apart_s)], trusted=True)
+    assert ("in each recording" in found) is said
