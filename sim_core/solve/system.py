@@ -70,6 +70,7 @@ class System:
         self._gradient: np.ndarray = np.zeros_like(self._x)
         self._predicted = self._x.copy()
         self._tau = 1.0
+        self._stiffest = 0.0
         self._inertia_factor = np.zeros(1)
         self._external = np.zeros_like(self._x)
         self.loads = np.zeros_like(self._x)
@@ -179,6 +180,10 @@ class System:
     def force_scale(self) -> float:
         """Largest force on any node at the last gradient [N]: reactions, imbalance, weights and loads."""
         return max(float(np.abs(self._gradient).max(initial=0.0)), self.largest_load())
+
+    def force_noise(self) -> float:
+        """What round-off of the positions makes of forces [N], with the Hessian that was assembled last."""
+        return float(np.finfo(float).eps * self._stiffest * np.abs(self._x).max(initial=0.0))
 
     def largest_load(self) -> float:
         """Largest weight or load on any node [N]."""
@@ -369,6 +374,7 @@ class System:
         for term in self.terms:
             term.add_hessian(exact)
         data: np.ndarray = self._pattern.data(self._hessian)
+        self._stiffest = self.largest_stiffness(data)
         diagonal = self._pattern.indptr[:-1]
         if self._unknowns.deflection.size:
             stiff = data[diagonal]

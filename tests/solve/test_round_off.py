@@ -1,0 +1,30 @@
+"""Searches end where nothing but round-off is left to balance."""
+
+from __future__ import annotations
+
+import pytest
+
+from sim_core.rigs import load_rig, with_parameters
+from sim_core.scene import build_scene
+from sim_core.simulate import Simulation
+from sim_core.solve.report import NewtonSettings
+
+
+@pytest.mark.parametrize("gravity", [0.0, 1e-6, 9.81])
+def test_a_gel_that_nothing_loads_settles_in_few_iterations(gravity: float) -> None:
+    """Its elastic forces have round-off of 1e-14 N, far above a millionth of its weight where that is 1e-8 N."""
+    rig = with_parameters(load_rig("tactip_cr"), {"gravity.x_m_s2": gravity, "gravity.z_m_s2": 0.0})
+    scene = build_scene(rig)
+    tried = 0
+    residual = scene.system.residual
+
+    def counted():
+        nonlocal tried
+        tried += 1
+        assert tried < 150
+        return residual()
+
+    scene.system.residual = counted
+    Simulation(scene, NewtonSettings(step_tolerance_m=1e-14))
+    assert tried > 0
+    assert 0.0 < scene.system.force_noise() < 1e-13
