@@ -31,12 +31,13 @@ from sim_core.gradients.elements import OwnNumbers
 from sim_core.gradients.fields import FieldSums
 from sim_core.gradients.made import Made
 from sim_core.gradients.mounts import carried_contacts, carried_freely
+from sim_core.gradients.pictures import Pictures
 from sim_core.gradients.step import LinearStep, Pulled, Weights, linearised_terms, no_memory, passed_on_by
 from sim_core.gradients.tape import MEMORY_MB, Tape
 from sim_core.rigs import Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
-from sim_core.sensing.observe import Sensed, taken
+from sim_core.sensing.observe import Sensed
 from sim_core.simulate import Trace, midway
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State
@@ -104,7 +105,7 @@ class Backward:
         self._movable = movable
         self._fields = FieldSums(self._scene, fields)
         self._moved = motions(self._scene.rig, along)
-        self._cameras = [k for k, d in enumerate(self._along) if d.low.cameras != d.high.cameras]
+        self._pictures = Pictures(self._along)
 
     @property
     def trace(self) -> Trace:
@@ -124,7 +125,7 @@ class Backward:
             c: np.where(np.isnan(tape.trace.outputs[c]), 0.0, given) for c, given in by_readings.items()
         }
         self._numbers = np.zeros(len(self._slopes))
-        self._pictures: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+        self._pictures.clear()
         self._fields.clear()
         zero, state = np.zeros_like(scene.rest), None
         poses = [_Frames() for _ in range(count)]
@@ -155,7 +156,7 @@ class Backward:
                         into.add(weights)
         state = state or Weights(zero, zero, no_memory(tape.start))
         self._at_start(state, poses[0])
-        found = self._slopes.T @ self._numbers + self._by_cameras()
+        found = self._slopes.T @ self._numbers + self._pictures.total()
         for mount, moved in self._moved.items():
             found += np.sum([p.of(mount) for p in poses], axis=0) @ moved
         return Gradient(
@@ -189,7 +190,7 @@ class Backward:
         linear = made.linear
         if linear is None or self._columns.need_contact(linear.terms):
             made.enter(self._scene)
-        elif self._columns.keys or self._own or self._cameras or self._fields:
+        elif self._columns.keys or self._own or self._pictures or self._fields:
             self._place(made)
 
     def _collect(
@@ -266,23 +267,9 @@ class Backward:
             if sensed.mount in scene.compliant:
                 rotation = actual[sensed.mount][1].as_matrix()
                 deflections[scene.compliant.index(sensed.mount)] += rotation @ by_frame[:3]
-        if self._cameras:
-            for name, points in self._observer.before_cameras(actual).items():
-                if name in given:
-                    self._pictures.setdefault(name, []).append((points, given[name].reshape(-1, 2)))
+        if self._pictures:
+            self._pictures.add(self._observer.before_cameras(actual), given)
         return replace(state, x=x, force=force if force.any() else None, moment=moment, unknowns=unknowns)
-
-    def _by_cameras(self) -> np.ndarray:
-        """Derivatives by the parameters of what cameras are, from all pictures at once."""
-        out = np.zeros(len(self._along))
-        for name, pictures in self._pictures.items():
-            points, weights = (np.stack(a) for a in zip(*pictures, strict=True))
-            for k in self._cameras:
-                high, low = (rig.cameras[name] for rig in (self._along[k].high, self._along[k].low))
-                if high != low:
-                    change = (taken(high, points) - taken(low, points)) / self._along[k].width
-                    out[k] += float(np.vdot(np.nan_to_num(change), weights))
-        return out
 
     def _at_start(self, state: Weights, target: _Frames) -> None:
         """Through the first equilibrium, or to where everything was put."""

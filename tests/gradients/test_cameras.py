@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_adjoint import weights
+from test_adjoint import EFFECTS, TIGHT, small, weights
+from test_linearised import PRESS
 
-from sim_core.gradients import Backward, Tape, directions
+from sim_core.gradients import Backward, Tape, directions, simulate_tangent
 from sim_core.rigs import list_parameters, load_rig, with_parameters
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.scene import build_scene
@@ -42,3 +43,30 @@ def test_cameras_against_other_cameras(name):
         size = np.nansum(np.abs(tape.trace.outputs[camera] * drawn[camera]))
         expected = pytest.approx((ends[0] - ends[1]) / (2.0 * h), rel=1e-5, abs=1e-11 * size / h)
         assert found[parameter.name] == expected, parameter.name
+
+
+def test_points_out_of_sight_and_a_camera_on_a_hand_that_gives_way(small_rig, visit):
+    """Against the forward sensitivities, which image each picture for itself."""
+    side = small_rig().model_dump()["cameras"]["side"]
+    narrow = {**side, "width_px": 900, "height_px": 440}
+    pose = {"position_m": [0.0, -0.25, 0.07], "rpy_deg": [-105.0, 0.0, 0.0]}
+    topics = {"marker_tracks": "hand/tracks", "camera_info": "hand/camera_info", "image": "hand/image"}
+    carried = {**side, "mount": "finger", "pose": pose, "height_px": 600, "topics": topics}
+    build = small(PRESS, 0.3)
+    rig, poses, times = build(small_rig, visit, effects=EFFECTS, cameras={"side": narrow, "hand": carried})
+    assert "end_effector_compliance" in rig.effects
+    names = [p.name for p in list_parameters(rig) if p.name.startswith(("side.", "hand.")) and p.value is not None]
+    along = directions(rig, names)
+    scene = build_scene(rig)
+    trace, derivatives = simulate_tangent(scene, poses, times, along, settings=TIGHT)
+    sights = np.isnan(trace.outputs["side"][..., 0]).mean(axis=0)
+    assert sights.any() and not sights.all()
+    backward = Backward(Tape(scene, poses, times, TIGHT), along)
+    for camera in ("side", "hand"):
+        given = weights(trace)[camera]
+        found = backward.gradient(0.0, {camera: given}).parameters
+        products = np.nan_to_num(derivatives[camera]) * given[..., None]
+        sums, sizes = (a(products).reshape(-1, len(along)).sum(axis=0) for a in (np.asarray, np.abs))
+        assert sum(bool(size) for size in sizes) >= 9
+        for name, value, size in zip(names, sums, sizes, strict=True):
+            assert found[name] == pytest.approx(value, rel=1e-7, abs=1e-8 * size), (camera, name)
