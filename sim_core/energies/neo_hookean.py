@@ -177,7 +177,8 @@ class NeoHookean:
         self._given, self._nu[:], self._moduli[:] = dict(parameters), nu, moduli(e_pa, nu)
         self._g[:], self._tau[:] = g * self._g_share, tau * self._tau_share
         self._damping[:] = values["stiffness_damping_s"] + self._more_damping
-        self._relaxes, self._damped = g > 0.0, bool(self._damping.any())
+        self._relaxes = "relaxation_g" in parameters  # also with a share of zero, for the derivative by it
+        self._damped = bool(self._damping.any())
         self._constants[:] = 1.0, 1.0, self._remembers
         self._constant = 0.0
         if not self._remembers:

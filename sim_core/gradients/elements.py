@@ -1,9 +1,9 @@
-"""What an elastic term knows of its numbers on the way back: closed forms, element by element.
+"""What an elastic term knows of its isotropic numbers on the way back: closed forms, element by element.
 
 They are products with the weights of a step (:class:`sim_core.gradients.step.Pulled`): of forces along ``exerted``
 ``(n, 3)``, and of the term's new internal variables, flattened, with ``kept``. :mod:`sim_core.gradients.fields` says
-what they are. A number of the whole body is the sum of its elements', whose values are shares of it or differ from it
-by what is given, so a gradient costs a kernel a number and no step of a difference.
+what they are. A number of the whole body has the sum over its elements, each times its share of the number where it has
+one, so it costs a kernel and no step of a difference. Anisotropy is stepped (:mod:`sim_core.gradients.columns`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.directions import Key
 from sim_core.gradients.step import Pulled
-from sim_core.scene.fields import FLOW, NU, POWERS, RELAXATION, STIFFNESS_DAMPING, YIELD
+from sim_core.scene.fields import FLOW, HARDENING, NU, POWERS, RELAXATION, STIFFNESS_DAMPING, YIELD
 from sim_core.scene.scene import Scene, Values
 
 YOUNG = "E_pa"
@@ -35,8 +35,12 @@ def by_element(
         found = term.by_damping(exerted, step)
     elif quantity in RELAXATION:
         found = term.by_relaxation(quantity, exerted, kept, step, before)
+    elif quantity == YIELD:
+        found = term.by_yield(exerted, kept, before)
+    elif quantity == HARDENING:
+        found = term.by_hardening(exerted, kept, before)
     else:
-        found = (term.by_yield if quantity == YIELD else term.by_hardening)(exerted, kept, before)
+        raise ValueError(f"{term.name} has no closed form by {quantity}")
     return np.asarray(found)
 
 
@@ -85,7 +89,7 @@ def _power(quantity: str, part: str) -> int:
 
 
 def _is_own(key: Key, terms: Mapping[str, Any]) -> bool:
-    """Whether a number is one of an elastic term."""
+    """Whether a number is one of an elastic term that it has a closed form by."""
     kind, owner, quantity = key
     if kind != "terms" or not hasattr(terms.get(owner), "work"):
         return False

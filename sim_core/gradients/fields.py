@@ -37,14 +37,7 @@ from sim_core.gradients.columns import borne_by_mass, damped_by_mass
 from sim_core.gradients.elements import by_element
 from sim_core.gradients.rest_shape import RestSums
 from sim_core.gradients.step import Pulled, Weights
-from sim_core.scene.fields import (
-    FLOW,
-    MASS,
-    MASS_DAMPING,
-    POWERS,
-    REST,
-    REST_ANGLE,
-)
+from sim_core.scene.fields import FLOW, MASS, MASS_DAMPING, POWERS, REST, REST_ANGLE
 from sim_core.scene.scene import Scene
 
 

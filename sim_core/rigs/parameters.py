@@ -171,12 +171,17 @@ def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
             if key in type(camera).model_fields:
                 yield ("cameras", name, key), _parameter(f"{name}.{key}", camera, key)
     for effect, values in rig.effects.items():
+        bounds = _bounds_of_effect(effect)
         for key, value in values.items():
-            label = f"effects.{effect}.{key}"
-            yield (
-                ("effects", effect, key),
-                Parameter(label, value, unit_of(key), -math.inf, math.inf, f"of {effect}"),
-            )
+            label, (lower, upper) = f"effects.{effect}.{key}", bounds.get(key, (-math.inf, math.inf))
+            yield ("effects", effect, key), Parameter(label, value, unit_of(key), lower, upper, f"of {effect}")
+
+
+def _bounds_of_effect(name: str) -> dict[str, tuple[float, float]]:
+    """Bounds of the parameters of an effect, if it is one; whoever builds a scene with it refuses what is none."""
+    from sim_core.effects import EFFECTS
+
+    return {p.name: (p.lower, p.upper) for effect in EFFECTS if effect.name == name for p in effect.parameters}
 
 
 _MEANINGS = {

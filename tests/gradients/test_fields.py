@@ -194,14 +194,56 @@ def test_what_all_triangles_have_together_of_a_thickness(small_rig, visit):
     compare_with_scalars(*shaken(small_rig, visit, contacts=[]), ["card.thickness_m", "card.E_pa"])
 
 
-def by_elements_and_forwards(scene, poses, times, names, fields):
-    """Gradient of a random sum by fields and parameters, and the derivatives of the sum by the parameters forwards,
-    where terms are stepped; that of the gradient is the same."""
+def test_numbers_where_nothing_settles(small_rig, visit):
+    """What the card is put with counts, of elements that are all different."""
+    rig, poses, times = unsettled(small_rig, visit)
+    scene = build_scene(rig)
+    uneven(scene)
+    names = ["card.E_pa", "card.nu", "card.thickness_m", "card.density_kg_m3"]
+    for last in (1, len(times)):  # the readings of the start alone, and all
+        by_elements_and_forwards(scene, poses, times, names, ["card.E_pa"], last)
+
+
+@pytest.mark.parametrize("name", ["card.E_pa", "gel.nu", "effects.gel_relaxation.tau_s"])
+def test_one_number_alone_from_steps_that_were_kept(name, small_rig, visit):
+    """Nothing else puts the system where a step ended."""
+    rig, poses, times = small(PRESS, 0.3)(small_rig, visit, effects=EFFECTS)
+    scene = build_scene(rig)
+    by_elements_and_forwards(scene, poses, times, [name], [])
+
+
+def test_the_share_that_relaxes_where_none_does(small_rig, visit):
+    """On a scene that nothing has gone through before, to the one side that there is."""
+    name = "effects.gel_relaxation.share"
+    rig, poses, times = small(PRESS, 0.3)(small_rig, visit, effects={"gel_relaxation": {"share": 0.0, "tau_s": 0.2}})
+    along = directions(rig, [name])
+    scene = build_scene(rig)
+    tape = Tape(scene, poses, times, TIGHT)
+    given = weights(tape.trace)
+    found = Backward(tape, along).gradient(0.0, given).parameters[name]
+
+    def at(share):
+        outputs = simulate(build_scene(with_parameters(rig, {name: share})), poses, times, settings=TIGHT).outputs
+        return sum(np.nansum(outputs[c] * w) for c, w in given.items())
+
+    h = 1e-4
+    assert found == pytest.approx((4.0 * at(h) - at(2.0 * h) - 3.0 * at(0.0)) / (2.0 * h), rel=1e-4)
+    by_elements_and_forwards(scene, poses, times, [name], [])
+
+
+def by_elements_and_forwards(scene, poses, times, names, fields, last=None):
+    """Gradient of a random sum of the readings before number ``last`` by fields and parameters, and the derivatives of
+    the sum by the parameters forwards. That of the gradient is the same; but for relaxation and flow, which have one
+    closed form both ways, forwards each term is stepped."""
     along = directions(scene.rig, names)
     trace, derivatives = simulate_tangent(scene, poses, times, along, settings=TIGHT)
-    given = weights(trace)
+    given = {
+        c: np.where(np.arange(len(w)).reshape(-1, *[1] * (w.ndim - 1)) < (last or len(w)), w, 0.0)
+        for c, w in weights(trace).items()
+    }
     found = Backward(Tape(scene, poses, times, TIGHT), along, fields).gradient(0.0, given)
     products = [np.nan_to_num(derivatives[c]) * w[..., None] for c, w in given.items()]
+    assert any(np.any(p) for p in products)
     sums, sizes = (sum(a(p).reshape(-1, len(along)).sum(axis=0) for p in products) for a in (np.asarray, np.abs))
     for direction, value, size in zip(along, sums, sizes, strict=True):
         assert found.parameters[direction.name] == pytest.approx(value, rel=1e-7, abs=1e-8 * size), direction.name
