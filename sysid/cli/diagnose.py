@@ -10,7 +10,7 @@ from sysid.cli.options import (
     check_new,
     library,
 )
-from sysid.cli.progress import progress
+from sysid.cli.progress import progress, warn
 from sysid.parts import check_parts
 
 
@@ -31,5 +31,5 @@ def diagnose(
     check_new(out, "folder")
     find = library("sysid.mismatch", "diagnose_bags")
     with progress("diagnose") as report:
-        summary = find(chosen, bags, held_out=held_out or [], out=out, on_progress=report)
+        summary = find(chosen, bags, held_out=held_out or [], out=out, on_progress=report, on_warning=warn)
     print(summary)

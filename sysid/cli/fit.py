@@ -21,7 +21,7 @@ from sysid.cli.options import (
     parse_nuisance,
     parse_pairs,
 )
-from sysid.cli.progress import progress
+from sysid.cli.progress import progress, warn
 from sysid.parts import check_parts
 
 
@@ -96,5 +96,6 @@ def fit(
             held_out=held_out or [],
             out=out,
             on_progress=report,
+            on_warning=warn,
         )
     print(summary)

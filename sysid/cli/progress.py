@@ -14,6 +14,11 @@ ProgressCallback = Callable[[float, str], None]
 """Called with the share of the work that is done (0 to 1) and a word on what is being done."""
 
 
+def warn(text: str) -> None:
+    """Say a warning on stderr, at once."""
+    print(f"warning: {text}", file=sys.stderr, flush=True)
+
+
 @contextmanager
 def progress(title: str) -> Iterator[ProgressCallback]:
     """Show progress on stderr while the block runs."""

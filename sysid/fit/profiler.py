@@ -191,7 +191,7 @@ class Profiler:
             if self._on_progress is not None:
                 share = 1.0 - np.exp(-1.5 * self._evaluations / self._expected)
                 expected = max(self._expected, self._evaluations)
-                self._on_progress(share, f"profile, evaluation {self._evaluations} of about {expected:.0f}")
+                self._on_progress(share, f"ends of intervals, evaluation {self._evaluations} of about {expected:.0f}")
         return found
 
     def _point(self, fitted: Fitted, k: int | None) -> _Point:

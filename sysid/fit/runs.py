@@ -124,6 +124,11 @@ def load_runs(rig: Rig, bags: Sequence[Path], held_out: Sequence[Path] = ()) -> 
     return runs[: len(bags)], runs[len(bags) :]
 
 
+def spoken_against(runs: Sequence[Run]) -> list[str]:
+    """What speaks against recordings as they are read, to be said before anything is simulated, by recording."""
+    return [f"{run.name}: {text}" for run in runs for text in (*filter(None, [run.unlike]), *run.doubts)]
+
+
 def check_apart(runs: Sequence[Run], held_out: Sequence[Run] = ()) -> None:
     """No reading is in two of them, whatever the paths: files are told by their content. Raises ``RecordingError``.
 

@@ -21,7 +21,7 @@ from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.result import plot_series, rms_errors
-from sysid.fit.runs import Run, check_apart, load_runs
+from sysid.fit.runs import Run, check_apart, load_runs, spoken_against
 from sysid.fit.search import IN_SIGHT
 from sysid.folder import whole_folder
 from sysid.mismatch import words
@@ -336,12 +336,17 @@ def diagnose_bags(
     held_out: Sequence[Path] = (),
     out: Path,
     on_progress: Progress | None = None,
+    on_warning: Callable[[str], None] | None = None,
 ) -> str:
-    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``."""
+    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``.
+    ``on_warning``: hears what speaks against the recordings before anything is simulated."""
     from sysid.report import write_diagnosis_report
 
     with whole_folder(out) as folder:
         runs, kept = load_runs(rig, bags, held_out)
+        if on_warning is not None:
+            for text in spoken_against([*runs, *kept]):
+                on_warning(text)
         diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
         overlay = {
             "overlay_of": "rig.yaml",

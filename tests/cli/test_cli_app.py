@@ -14,12 +14,14 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from sim_core.errors import ConfigError
+from sim_core.rigs import config_folder
 from sim_core.rigs.load import names_in
 from sysid.cli import app, prove
 from sysid.cli.doctor import _ros_traps
 from sysid.cli.progress import progress
 
 THINSHELL = [sys.executable, "-m", "sysid"]
+PRESS_POST = config_folder().parent / "bags" / "press_post"
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
@@ -181,3 +183,16 @@ def test_progress_without_a_terminal_says_how_long_it_will_take(
 def test_package_xml_has_the_version_of_the_package() -> None:
     root = Path(__file__).resolve().parents[2]
     assert ET.parse(root / "package.xml").findtext("version") == version("thinshell_ros")
+
+
+@pytest.mark.parametrize("command", [["fit", "--params", "strip.E"], ["diagnose"]])
+def test_a_recording_of_another_rig_is_said_before_anything_is_simulated(command: list[str], tmp_path: Path) -> None:
+    """Its topics serve the rig, and so it is fitted; minutes later the table says that it is of another one."""
+    first, *others = command
+    words = [first, "strip_coarse", str(PRESS_POST), *others, "--out", str(tmp_path / "out")]
+    with subprocess.Popen([*THINSHELL, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stderr is not None
+        said = child.stderr.readline()
+        child.kill()
+    assert said.startswith("warning: press_post: ") and "is in the frame 'tactile_left_gel', in the rig" in said
+    assert "Give the rig that it was recorded with" in said

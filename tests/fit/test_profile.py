@@ -254,7 +254,7 @@ def test_the_number_of_evaluations_is_bounded() -> None:
     Profiler(problem, fitted, lambda share, text: told.append((share, text))).profiles()
     assert engine.calls == len(told) <= 40
     assert all(0.0 < share < 1.0 for share, _ in told)
-    assert all(re.fullmatch(r"profile, evaluation \d+ of about \d+", text) for _, text in told)
+    assert all(re.fullmatch(r"ends of intervals, evaluation \d+ of about \d+", text) for _, text in told)
 
 
 def test_a_better_fit_on_the_way_is_told() -> None:
