@@ -250,7 +250,8 @@ def _field_of(names: Sequence[str], given: str) -> str:
     """The field that is named, with or without its unit. Raises ``ConfigError``."""
     found = [name for name in names if given == name or name.startswith(f"{given}_")]
     if len(found) != 1:
-        raise ConfigError(f"There is no field {given!r}.", nearest_match(given, names))
+        near = nearest_match(f"fields.{given}", [f"fields.{name}" for name in names])
+        raise ConfigError(f"There is no field {given!r}.", near)
     return found[0]
 
 

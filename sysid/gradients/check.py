@@ -135,9 +135,10 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
     lines = [line.rstrip() for line in out.getvalue().rstrip().splitlines()]
     lines += [
         "",
-        "effect: change of the reading that changes most, per relative change of the parameter (per unit where it is",
-        "0); in brackets: the best step; plateau: steps of which the error is about as small; adjoint: its relative",
-        f"difference from the forward sensitivity. Bound: {rows[0].bound:g}.",
+        "effect: change of the reading that changes most, per relative change of the parameter (where it is 0: per mm,",
+        "10 ms or one unit, of which the steps are shares then, too); in brackets: the best step; plateau: steps of",
+        "which the error is about as small; adjoint: its relative difference from the forward sensitivity. Bound: "
+        f"{rows[0].bound:g}.",
     ]
     if any(row.value is None for row in rows):
         lines += [

@@ -17,8 +17,12 @@ def test_the_code_of_the_page_runs():
     assert 0.2 < share.mean() < 0.8
     by_element = names["found"].fields
     assert by_element["gel.E_pa"].shape == share.shape and np.any(by_element["gel.E_pa"] != 0.0)
+    assert np.abs(by_element["card.rest_angle_rad"]).max() > 1e-6
     exec(blocks[1], names)
     assert np.ptp(names["scene"].fields["card.rest_m"][:, 2]) > 5e-4
-    assert names["found"].fields["card.rest_m"].shape == names["shape"].shape
+    by_node = names["found"].fields["card.rest_m"]
+    assert by_node.shape == names["shape"].shape and np.abs(by_node).max() > 1e-4
     exec(blocks[2], names)
-    assert names["found"].zeroth.gradient.shape == (2,) and names["found"].failures == ()
+    zeroth = names["found"].zeroth
+    assert zeroth.gradient.shape == (2,) and names["found"].failures == ()
+    assert np.all(np.abs(zeroth.gradient) > 3.0 * zeroth.error)
