@@ -283,5 +283,5 @@ def test_an_error_that_stays_is_not_explained_by_round_off_at_the_smallest_step(
 def test_a_single_field_is_checked_by_its_name(small_rig):
     _, rows = check(small_rig(), ["fields.gel.E"])
     assert {r["parameter"] for r in rows} == {"field gel.E_pa"}
-    with pytest.raises(ConfigError, match=r"no field 'gel\.Epa'\. Did you mean 'gel\.E_pa'"):
+    with pytest.raises(ConfigError, match=r"no field 'gel\.Epa'\. Did you mean 'fields\.gel\.E_pa'"):
         check_gradients(small_rig(), EXPERIMENT, ["fields.gel.Epa"])
