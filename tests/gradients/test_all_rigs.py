@@ -61,7 +61,7 @@ SLIDING = {
 """Rig: until when [s] its run must go for these contacts to slide, which in :data:`RUNS` they do not."""
 
 
-FEW = {"sliding": (1e-4, 2e-5, 1e-6)}
+FEW = {"sliding": (2e-5, 1e-6, 1e-7)}
 """Rigs of which a rollout takes ten seconds, and steps of their differences."""
 
 
