@@ -39,7 +39,7 @@ from sysid.fit.result import (
     rms_errors,
     undetermined,
 )
-from sysid.fit.runs import Run, check_apart, load_runs, spoken_against
+from sysid.fit.runs import Run, check_apart, load_runs
 from sysid.fit.starts import SEARCHED, Evaluations, Progress, Searches, Step
 from sysid.fit.untold import as_usual, blamed, nuisances_of, remarks
 from sysid.fit.windows import not_from_rest
@@ -353,10 +353,7 @@ def fit_bags(
     from sysid.report import write_fit_report
 
     with whole_folder(out) as folder:
-        runs, kept = load_runs(rig, bags, held_out)
-        if on_warning is not None:
-            for text in spoken_against([*runs, *kept]):
-                on_warning(text)
+        runs, kept = load_runs(rig, bags, held_out, on_warning)
         result, fitted = fit_runs(rig, runs, names, options, held_out=kept, on_progress=on_progress, on_step=on_step)
         result.write(folder / "fit.json")
         (folder / "fitted_rig.yaml").write_text(rig_to_yaml(fitted))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -102,14 +102,23 @@ class Run:
         return rig.model_copy(update={"cameras": cameras})
 
 
-def load_runs(rig: Rig, bags: Sequence[Path], held_out: Sequence[Path] = ()) -> tuple[list[Run], list[Run]]:
+def load_runs(
+    rig: Rig,
+    bags: Sequence[Path],
+    held_out: Sequence[Path] = (),
+    on_warning: Callable[[str], None] | None = None,
+) -> tuple[list[Run], list[Run]]:
     """Read the bags, or windows of bags, to use and those held out (:func:`load_run`), under names that tell all of
-    them apart."""
+    them apart. ``on_warning``: hears what speaks against each recording, once it is read."""
     from sysid.fit.windows import window_of
 
     paths = [*bags, *held_out]
     parts = [part_of(path) for path in paths]
     whole = {path: load_run(rig, path) for path in dict.fromkeys(part.path for part in parts)}
+    if on_warning is not None:
+        for name, run in zip(distinct_names(list(whole)), whole.values(), strict=True):
+            for text in (*filter(None, [run.unlike]), *run.doubts):
+                on_warning(f"{name}: {text}")
     named = zip(parts, distinct_names(paths), strict=True)
     runs = []
     for part, name in named:
@@ -122,11 +131,6 @@ def load_runs(rig: Rig, bags: Sequence[Path], held_out: Sequence[Path] = ()) -> 
         runs.append(run)
         whole[part.path] = replace(whole[part.path], notes=(), doubts=())  # told once
     return runs[: len(bags)], runs[len(bags) :]
-
-
-def spoken_against(runs: Sequence[Run]) -> list[str]:
-    """What speaks against recordings as they are read, to be said before anything is simulated, by recording."""
-    return [f"{run.name}: {text}" for run in runs for text in (*filter(None, [run.unlike]), *run.doubts)]
 
 
 def check_apart(runs: Sequence[Run], held_out: Sequence[Run] = ()) -> None:

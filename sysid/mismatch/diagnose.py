@@ -21,7 +21,7 @@ from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.result import plot_series, rms_errors
-from sysid.fit.runs import Run, check_apart, load_runs, spoken_against
+from sysid.fit.runs import Run, check_apart, load_runs
 from sysid.fit.search import IN_SIGHT
 from sysid.folder import whole_folder
 from sysid.mismatch import words
@@ -343,10 +343,7 @@ def diagnose_bags(
     from sysid.report import write_diagnosis_report
 
     with whole_folder(out) as folder:
-        runs, kept = load_runs(rig, bags, held_out)
-        if on_warning is not None:
-            for text in spoken_against([*runs, *kept]):
-                on_warning(text)
+        runs, kept = load_runs(rig, bags, held_out, on_warning)
         diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
         overlay = {
             "overlay_of": "rig.yaml",

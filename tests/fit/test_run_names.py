@@ -36,3 +36,23 @@ def test_loaded_runs_have_these_names(small_rig, monkeypatch: pytest.MonkeyPatch
     runs, held_out = load_runs(small_rig(), [Path("a/bag")], [Path("b/bag"), Path("c")])
     assert [[r.name for r in group] for group in (runs, held_out)] == [["a/bag"], ["b/bag", "c"]]
     assert runs[0].path == "a/bag"
+
+
+def test_what_speaks_against_recordings_is_heard_once_each(
+    small_rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of another rig, and faults, held out or not; windows of one recording do not say it again."""
+    monkeypatch.chdir(tmp_path)
+    against = {"a": ("of another rig.", ()), "b": ("", ("gap", "stuck")), "c": ("", ())}
+    for name in against:
+        (tmp_path / name).touch()
+
+    def load(rig: object, path: Path) -> Run:
+        unlike, doubts = against[path.name]
+        return Run(path.name, str(path), (), {}, (), 9.0, unlike=unlike, doubts=doubts)
+
+    monkeypatch.setattr(sysid.fit.runs, "load_run", load)
+    monkeypatch.setattr("sysid.fit.windows.window_of", lambda rig, run, part: run)
+    heard: list[str] = []
+    load_runs(small_rig(), [Path("a@0:1"), Path("a@2:3"), Path("c")], [Path("b")], heard.append)
+    assert heard == ["a: of another rig.", "b: gap", "b: stuck"]
