@@ -194,15 +194,7 @@ class Observer:
 
     def see(self, rig: Rig, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
         """The part of :meth:`read` that cameras see, for which positions suffice."""
-        x, out = self._scene.system.x, {}
-        placed = {mount: (origin, rotation.as_matrix()) for mount, (origin, rotation) in frames.items()}
-        for name, camera in rig.cameras.items():
-            origin, rotation = _within(placed[camera.mount], _camera_placement(camera))
-            points = np.vstack([t.positions(x) for t in self._tracked[name]])
-            out[name] = project(camera, (points - origin) @ rotation)
-            if isinstance(camera, OrthographicCamera) and camera.origin_id is not None:
-                out[name] = np.vstack([out[name], [camera.cx_px, camera.cy_px]])
-        return out
+        return {name: taken(rig.cameras[name], p[None])[0] for name, p in self.before_cameras(frames).items()}
 
     def before_cameras(self, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
         """What each camera is to see, in the frame of its mount [m], ``(n, 3)``."""
