@@ -58,8 +58,8 @@ class StepReport:
 
 
 def converged(system: System, settings: NewtonSettings, error: float, residual: float) -> bool:
-    """Whether positions are good enough. ``error``: bound on what is wrong with them [m]; ``residual``:
-    largest free force imbalance [N], from the gradient that was evaluated last; round-off is as good as none."""
+    """Whether positions are good enough. ``error``: bound on what is wrong with them [m]; ``residual``: largest free
+    force imbalance [N], from the gradient that was evaluated last, which may be as large as its round-off."""
     if not error < settings.step_tolerance_m:
         return False
     return residual <= max(settings.force_tolerance * max(system.force_scale(), 1e-9), system.force_noise())

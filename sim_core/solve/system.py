@@ -182,7 +182,8 @@ class System:
         return max(float(np.abs(self._gradient).max(initial=0.0)), self.largest_load())
 
     def force_noise(self) -> float:
-        """What round-off of the positions makes of forces [N], with the Hessian that was assembled last."""
+        """What round-off of the positions makes of forces [N], eps max |x| max K_ii, with the Hessian K that was
+        assembled last."""
         return float(np.finfo(float).eps * self._stiffest * np.abs(self._x).max(initial=0.0))
 
     def largest_load(self) -> float:

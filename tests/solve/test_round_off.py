@@ -28,3 +28,13 @@ def test_a_gel_that_nothing_loads_settles_in_few_iterations(gravity: float) -> N
     Simulation(scene, NewtonSettings(step_tolerance_m=1e-14))
     assert tried > 0
     assert 0.0 < scene.system.force_noise() < 1e-13
+
+
+def test_a_mount_that_hardly_gives_way_makes_no_force_uncertain(small_rig) -> None:
+    """The spring of a compliance acts on a deflection, which is small and knows no origin."""
+    noises = []
+    for compliance in (1e-4, 1e-8):
+        scene = build_scene(small_rig(effects={"end_effector_compliance": {"compliance_m_per_n": compliance}}))
+        Simulation(scene)
+        noises.append(scene.system.force_noise())
+    assert 0.0 < noises[1] < 1e-9 and noises[1] == pytest.approx(noises[0], rel=0.1)
