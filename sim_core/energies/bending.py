@@ -26,6 +26,7 @@ from sim_core.energies.curvature import Stencils, curvature_operator
 from sim_core.energies.linearised import Blocks, ByNumber, Linearised, axes_of, gathered, placed, places
 from sim_core.energies.membrane import material_frames
 from sim_core.energies.plastic_flow import PlasticFlow
+from sim_core.energies.sheet_along import Flowing, SheetAlong
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.geometry.sheets import SheetMesh, find_hinges
 from sim_core.kernels import BoundKernel
@@ -70,6 +71,7 @@ class Bending:
         self._d, self._tangent = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
         self._beside, self._nu = np.zeros(count), np.zeros(count)
         self._given: dict[str, float] = {}
+        self._slope: np.ndarray | None = None
         self._onset = np.full(count, np.inf)
         self._rate, self._exact = np.zeros(count), np.zeros(1, dtype=np.int32)
         self._seen = np.full((0, 3), np.nan)
@@ -151,7 +153,7 @@ class Bending:
         self._seen[:] = np.nan
 
     def configure(self, parameters: Mapping[str, float]) -> None:
-        self._given = dict(parameters)
+        self._given, self._slope = dict(parameters), None
         self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside)
         self._d[:] = self._rigidity(plane_stress(parameters, self._nu))
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
@@ -163,6 +165,12 @@ class Bending:
     def _rigidity(self, stiffness: np.ndarray) -> np.ndarray:
         """D [N m] of plane stress stiffness [Pa], ``(m, 3, 3)``."""
         return np.asarray(self._given["thickness_m"] ** 3 / 12.0 * stiffness)
+
+    def _d_by_nu(self) -> np.ndarray:
+        """Derivative of D by Poisson's ratio of each triangle, ``(m, 3, 3)``."""
+        if self._slope is None:
+            self._slope = self._rigidity(plane_stress_by_nu(self._given, self._nu))
+        return self._slope
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         self._onset[:] = np.inf
@@ -218,10 +226,20 @@ class Bending:
         hardened = self._hardening * internals["accumulated_curvature"]
         return np.asarray(self._yield_curvature * self._yield_share + hardened)
 
-    def work(self, along: np.ndarray, internals: Internals) -> np.ndarray:
-        """Work of each triangle's forces dE/dx along nodal vectors ``(n, 3)``, ``(m,)``."""
-        moment = self._moments_of(internals)
-        return np.asarray(self._areas * (moment * self._curving(along)).sum(axis=1))
+    def along(self, vectors: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> SheetAlong:
+        """What forces along nodal ``vectors`` ``(n, 3)``, and new internal variables with the weights ``kept``,
+        flattened, know of the sheet's numbers at the end of a step from ``internals``."""
+        return SheetAlong(
+            area=self._areas,
+            stiffness=self._d,
+            slope=self._d_by_nu(),
+            strain=self.curvatures(),
+            straining=self._curving(vectors),
+            base=lambda: step.base(self._curvatures_at),
+            damping=self._damping,
+            tau=step.tau,
+            flowing=Flowing(self._flow(internals), internals, kept) if internals else None,
+        )
 
     def _moments_of(self, internals: Internals) -> np.ndarray:
         """Moments of the triangles per width [N] ``(m, 3)`` at the end of a step from ``internals``."""
@@ -230,46 +248,6 @@ class Bending:
         if self._damped:
             moment += self._rate[:, None] * applied(self._d, curvatures - self._base)
         return moment
-
-    def by_nu(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> np.ndarray:
-        """Derivative by Poisson's ratio of each triangle ``(m,)`` of the work of its forces along nodal vectors
-        ``(n, 3)`` and of the product of the new internal variables, flattened, with ``kept``: by D, in the flow too."""
-        del step
-        d, curvatures = self._rigidity(plane_stress_by_nu(self._given, self._nu)), self.curvatures()
-        out = np.zeros(len(d))
-        if internals:
-            flow = self._flow(internals)
-            turned, rise = flow.by_law(d, np.zeros(len(d)), np.zeros(len(d)))
-            moment = applied(d, flow.left) - applied(self._d, turned)
-            out = _weighted(kept, internals, turned, rise)
-        else:
-            moment = applied(d, curvatures)
-        if self._damped:
-            moment += self._rate[:, None] * applied(d, curvatures - self._base)
-        return np.asarray(out + self._areas * (moment * self._curving(along)).sum(axis=1))
-
-    def by_damping(self, along: np.ndarray, step: StepContext) -> np.ndarray:
-        """Derivative by the stiffness damping of each triangle ``(m,)`` [1/s] of the work of its forces along nodal
-        vectors ``(n, 3)``: that of the moments D (kappa - kappa_b) / tau."""
-        moment = applied(self._d, self.curvatures() - step.base(self._curvatures_at))
-        return np.asarray(self._areas / step.tau * (moment * self._curving(along)).sum(axis=1))
-
-    def by_yield(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
-        """Derivative by the curvature at which each triangle yields ``(m,)``, of the same."""
-        count = len(self._areas)
-        return self._by_flow(along, kept, internals, np.ones(count), np.zeros(count))
-
-    def by_hardening(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
-        """Derivative by the hardening ratio of each triangle ``(m,)``, of the same."""
-        return self._by_flow(along, kept, internals, internals["accumulated_curvature"], np.ones(len(self._areas)))
-
-    def _by_flow(
-        self, along: np.ndarray, kept: np.ndarray, internals: Internals, later: np.ndarray, harder: np.ndarray
-    ) -> np.ndarray:
-        """Derivative by a number of each triangle's flow, by which s has the derivative ``later`` and H ``harder``."""
-        turned, rise = self._flow(internals).by_law(np.zeros_like(self._d), later, harder)
-        work = (applied(self._d, turned) * self._curving(along)).sum(axis=1)
-        return np.asarray(_weighted(kept, internals, turned, rise) - self._areas * work)
 
     def by_rest_angles(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
         """Derivative by the rest angles ``(n_hinges,)`` of the work of the forces along nodal vectors ``(n, 3)`` and of
@@ -318,7 +296,8 @@ class Bending:
     def _turning(self, along: np.ndarray) -> np.ndarray:
         """Change of the angles along nodal vectors ``(n, 3)``, ``(n_hinges,)``."""
         self._gradients()
-        return np.asarray((self._g * along[self._hinge].reshape(len(self._hinge), 12)).sum(axis=1))
+        moves = np.take(along, self._hinge, axis=0).reshape(-1, 12)
+        return np.asarray(np.einsum("hk,hk->h", self._g, moves))
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
         """Derivatives by plastic and accumulated curvature (at yield, those of going on elastically), and by the
@@ -439,12 +418,3 @@ class Bending:
         self._elsewhere[:] = x
         self._angles_there()
         return np.array(self._deviation_there)
-
-
-def _weighted(kept: np.ndarray, internals: Internals, turned: np.ndarray, rise: np.ndarray) -> np.ndarray:
-    """Product, triangle by triangle ``(m,)``, of flattened weights ``kept`` of the internal variables with changes of
-    the plastic ``(m, 3)`` and the accumulated curvature ``(m,)``."""
-    place = places(internals)
-    return np.asarray(
-        (kept[place["plastic_curvature"]] * turned).sum(axis=1) + kept[place["accumulated_curvature"]] * rise
-    )

@@ -12,12 +12,31 @@ sum over elements of alpha_e M_e is in place of alpha M.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
 from sim_core.energies.linearised import Linearised
 from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext
+
+
+@dataclass(frozen=True)
+class MassDampingAlong:
+    """``work`` of M v' along nodal vectors, and what is ``beside`` it of the elements' own alpha, per density."""
+
+    work: float
+    beside: float
+    alpha: float
+    density: float
+
+    def by_mass_damping(self) -> float:
+        """Derivative of the work of the forces by alpha."""
+        return self.density * self.work
+
+    def by_density(self) -> float:
+        """Derivative of the work of the forces by the density."""
+        return self.alpha * self.work + self.beside
 
 
 class MassDamping(Memoryless):
@@ -95,6 +114,14 @@ class MassDamping(Memoryless):
         else:
             out[self._nodes] = self._alpha * (mass @ speed) + (0.0 if more is None else more[0] @ speed)
         return out
+
+    def along(self, vectors: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> MassDampingAlong:
+        """What forces along nodal ``vectors`` ``(n, 3)`` know of the damping's numbers at the end of a step."""
+        del kept, internals
+        (mass, _), more, moved = self._plain, self._beside, vectors[self._nodes]
+        speed = (self._buffers.x[self._nodes] - step.x_base[self._nodes]) / step.tau
+        beside = 0.0 if more is None else float(np.vdot(more[0] @ speed, moved))
+        return MassDampingAlong(float(np.vdot(mass @ speed, moved)), beside, self._alpha, self._density)
 
     def add_energy(self) -> None:
         if self._factor > 0.0:

@@ -22,6 +22,7 @@ import numpy as np
 import taichi as ti
 
 from sim_core.energies.linearised import Blocks, Linearised, axes_of, placed
+from sim_core.energies.sheet_along import SheetAlong
 from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext
 from sim_core.kernels import F1, F2, F3, I1, I2, BoundKernel, row, times3, vec3
 from sim_core.materials.elastic import applied, plane_stress, plane_stress_by_nu, poisson_ratios
@@ -102,13 +103,17 @@ def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F3, before: F2, out: 
 
 
 @ti.kernel
-def _work(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F3, before: F2, along: F2, out: F1):
+def _straining_of_all(x: F2, tri: I2, dm_inverse: F3, vectors: F2, strains: F2, straining: F2):
+    """Green strains, and their derivatives along nodal vectors."""
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
         b = _shape(dm_inverse, e)
-        p1, p2 = _stress(x, tri, e, b, area, c, before)
-        v1, v2 = _columns(along, tri, e, b)
-        out[e] = p1.dot(v1) + p2.dot(v2)
+        f1, f2 = _columns(x, tri, e, b)
+        v1, v2 = _columns(vectors, tri, e, b)
+        eps, slope = _strain(f1, f2), vec3(f1.dot(v1), f2.dot(v2), f1.dot(v2) + f2.dot(v1))
+        for i in ti.static(range(3)):
+            strains[e, i] = eps[i]
+            straining[e, i] = slope[i]
 
 
 @ti.kernel
@@ -188,6 +193,7 @@ class Membrane(Memoryless):
         self._before, self._strains = np.zeros((count, 3)), np.zeros((count, 3))
         self._beside, self._nu = np.zeros(count), np.zeros(count)
         self._given: dict[str, float] = {}
+        self._slope: np.ndarray | None = None
         self._damping, self._more_damping = np.zeros(count), np.zeros(count)
         self._damped, self._constant = False, 0.0
         self._exact, self._foreseen = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32)
@@ -204,8 +210,8 @@ class Membrane(Memoryless):
         mesh = (buffers.x, self._triangles, self._dm_inverse, self._area, self._c, self._before)
         self._energy, self._total = BoundKernel(_energy, *mesh, buffers.energy), buffers.energy
         self.add_gradient = BoundKernel(_gradient, *mesh, buffers.gradient)
-        self._along, self._work_of = np.zeros_like(buffers.x), np.zeros(len(self._triangles))
-        self._work = BoundKernel(_work, *mesh, self._along, self._work_of)
+        self._vectors, self._straining = np.zeros_like(buffers.x), np.zeros_like(self._strains)
+        self._strains_along = BoundKernel(_straining_of_all, *mesh[:3], self._vectors, self._strains, self._straining)
         self._move = np.zeros_like(buffers.x)
         self._add_hessian = BoundKernel(
             _hessian, *mesh, self._exact, self._foreseen, self._move, slots, buffers.hessian
@@ -236,33 +242,21 @@ class Membrane(Memoryless):
         self._more_damping[:] = beside
         self.configure(self._given)
 
-    def work(self, along: np.ndarray, internals: Internals) -> np.ndarray:
-        """Work of each triangle's forces dE/dx along nodal vectors ``(n, 3)``, ``(m,)``."""
-        del internals
-        self._along[:] = along
-        self._work()
-        return np.array(self._work_of)
-
-    def by_nu(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> np.ndarray:
-        """Derivative by Poisson's ratio of each triangle of the work of its forces along nodal vectors ``(n, 3)``,
-        ``(m,)``: the work that dC/dnu does in place of C; eps_0 does not depend on C."""
-        del kept
-        rate, held = self._damping / step.tau, self._c.copy()
-        slopes = self._given["thickness_m"] * plane_stress_by_nu(self._given, self._nu)
-        self._c[:] = (1.0 + rate)[:, None, None] * slopes
-        found = self.work(along, internals)
-        self._c[:] = held
-        return found
-
-    def by_damping(self, along: np.ndarray, step: StepContext) -> np.ndarray:
-        """Derivative by the stiffness damping of each triangle ``(m,)`` [1/s] of the work of its forces along nodal
-        vectors ``(n, 3)``: that of C (eps - eps_b) / tau."""
-        kept = self._c.copy(), self._before.copy()
-        self._c[:], self._before[:] = self._elastic / step.tau, step.base(self._strains_at)
-        try:
-            return self.work(along, {})
-        finally:
-            self._c[:], self._before[:] = kept
+    def along(self, vectors: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> SheetAlong:
+        """What forces along nodal ``vectors`` ``(n, 3)`` know of the sheet's numbers at the end of a step."""
+        del kept, internals
+        self._vectors[:] = vectors
+        self._strains_along()
+        return SheetAlong(
+            area=self._area,
+            stiffness=self._elastic,
+            slope=self._by_nu(),
+            strain=self._strains.copy(),
+            straining=self._straining.copy(),
+            base=lambda: step.base(self._strains_at),
+            damping=self._damping,
+            tau=step.tau,
+        )
 
     def by_rest(self, along: np.ndarray, step: StepContext) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the work of the forces along nodal vectors ``(n, 3)`` by Dm^-1 ``(m, 2, 2)`` and by the areas
@@ -294,13 +288,19 @@ class Membrane(Memoryless):
         return sides @ self._dm_inverse, sides
 
     def configure(self, parameters: Mapping[str, float]) -> None:
-        self._given = dict(parameters)
+        self._given, self._slope = dict(parameters), None
         self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside)
         self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters, self._nu)
         self._damping[:] = parameters.get("stiffness_damping_s", 0.0) + self._more_damping
         self._damped = bool(self._damping.any())
         self._c[:] = self._elastic
         self._before[:], self._constant = 0.0, 0.0
+
+    def _by_nu(self) -> np.ndarray:
+        """Derivative of h C by Poisson's ratio of each triangle, ``(m, 3, 3)``."""
+        if self._slope is None:
+            self._slope = self._given["thickness_m"] * plane_stress_by_nu(self._given, self._nu)
+        return self._slope
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         del internals

@@ -42,6 +42,7 @@ import numpy as np
 
 from sim_core.energies import neo_hookean_kernels as kernels
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, placed
+from sim_core.energies.neo_hookean_along import NeoHookeanAlong, Remembered
 from sim_core.energies.neo_hookean_kernels import BULK_SHARE, SHARE
 from sim_core.energies.neo_hookean_memory import (
     pressure_blocks,
@@ -49,7 +50,7 @@ from sim_core.energies.neo_hookean_memory import (
     stress_forces,
     volume_derivatives,
 )
-from sim_core.energies.neo_hookean_moduli import BULK, MU, OWN, moduli, moduli_by_nu
+from sim_core.energies.neo_hookean_moduli import BULK, MU, OWN, moduli
 from sim_core.energies.neo_hookean_rest import GelStep, as_tensors, by_rest
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.errors import ConfigError, nearest_match
@@ -117,8 +118,11 @@ class NeoHookean:
         solid = self._grad, self._weight, *law
         self._energy = BoundKernel(kernels.add_energy, *state, self._weight, *law, buffers.energy)
         self._gradient = BoundKernel(kernels.add_gradient, *state, self._tets, *solid, buffers.gradient)
-        self._along, self._work_of = np.zeros_like(buffers.x), np.zeros(m)
-        self._work = BoundKernel(kernels.work, *state, self._tets, *solid, self._along, self._work_of)
+        self._vectors, self._works, self._virtual = np.zeros_like(buffers.x), np.zeros((m, 3)), np.zeros((4 * m, 7))
+        found = self._works, self._virtual
+        self._works_along = BoundKernel(
+            kernels.along, deformation, self._tets, self._grad, self._weight, self._vectors, *found
+        )
         places = _places(slots.reshape(m, 10, 10, 3, 3), len(buffers.hessian) - 1)
         tangent, local = np.zeros((4 * m, 9, 9)), np.zeros(900)
         self._projected_tangent = BoundKernel(kernels.projected_tangent, *state, *law, np.zeros((9, 10)), tangent)
@@ -246,57 +250,35 @@ class NeoHookean:
         self._measure()
         self._gradient()
 
-    def work(self, along: np.ndarray, internals: Internals) -> np.ndarray:
-        """Work of each element's forces dE/dx along nodal vectors ``(n, 3)``, ``(m,)``."""
-        del internals
-        self._measure()
-        self._along[:] = along
-        self._work()
-        return np.array(self._work_of)
-
-    def by_nu(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> np.ndarray:
-        """Derivative by Poisson's ratio of each element ``(m,)`` of the work of its forces along nodal vectors
-        ``(n, 3)`` and of the product of the new internal variables, flattened, with ``kept``."""
-        return self._by_moduli(moduli_by_nu(self._given["E_pa"], self._nu), along, kept, step, internals)
-
-    def by_modulus(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> np.ndarray:
-        """Derivative by Young's modulus of each element ``(m,)`` [1/Pa], of the same. Other than its factor
-        (:meth:`scale`), it acts in the stress that relaxes, too."""
-        return self._by_moduli(moduli(1.0, self._nu), along, kept, step, internals)
-
-    def _by_moduli(
-        self, slopes: np.ndarray, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals
-    ) -> np.ndarray:
-        """Derivative by a number by which mu, K_own and K - K_own have the ``slopes``. Forces and memory are linear in
-        them and Q_n: theirs are those of the step with the slopes in place of the moduli and without Q_n."""
-        held, nothing = self._moduli.copy(), {name: np.zeros_like(q) for name, q in internals.items()}
-        self._moduli[:] = slopes
-        self._seen[:] = np.nan
-        self.begin_step(step, nothing)
-        found = self.work(along, nothing)
-        after = self.end_step(step, nothing)["Q"]
-        self._moduli[:] = held
-        self._seen[:] = np.nan
+    def along(self, vectors: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> NeoHookeanAlong:
+        """What forces along nodal ``vectors`` ``(n, 3)``, and new internal variables with the weights ``kept``,
+        flattened, know of the gel's numbers at the end of a step from ``internals``."""
         self.begin_step(step, internals)
-        return np.asarray(found + (kept.reshape(after.shape) * after).sum(axis=(1, 2)))
-
-    def by_damping(self, along: np.ndarray, step: StepContext) -> np.ndarray:
-        """Derivative by the stiffness damping of each element ``(m,)`` [1/s] of the work of its forces along nodal
-        vectors ``(n, 3)``: forces are linear in it, and memory does not depend on it."""
-        rate = np.full(len(self._tets), 1.0 / step.tau)
-        with self._exerting(rate, rate, self._damping_history(step, rate)):
-            return self.work(along, {})
-
-    def by_relaxation(
-        self, name: str, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals
-    ) -> np.ndarray:
-        """Derivative by ``relaxation_g`` or ``relaxation_tau_s`` of each element ``(m,)`` of the work of its forces
-        along nodal vectors ``(n, 3)`` and of the product of the new internal variables, flattened, with ``kept``."""
-        share, stress, fresh = self._changes_by_relaxation(step, internals)[name]
-        with self._exerting(share, np.zeros_like(share), np.pad(stress, ((0, 0), (0, 1)))):
-            found = self.work(along, internals)
-        memory = kept.reshape(stress.shape) * (stress + fresh)
-        return np.asarray(found + memory.reshape(len(found), -1).sum(axis=1))
+        self._measure()
+        self._vectors[:] = vectors
+        self._works_along()
+        memory = None
+        if self._remembers:
+            memory = Remembered(
+                self._history.copy(),
+                lambda: (self._stress_at(step.x_start).copy(), self._stress_at(self._x).copy()),
+                self._blend * self._g,
+                kept.reshape(-1, 6),
+                lambda: self._changes_by_relaxation(step, internals),
+            )
+        return NeoHookeanAlong(
+            works=self._works.copy(),
+            virtual=self._virtual.copy(),
+            weight=self._weight,
+            moduli=self._moduli,
+            constants=self._constants.copy(),
+            young=self._given["E_pa"],
+            nu=self._nu,
+            damping=self._damping,
+            tau=step.tau,
+            base=lambda: step.base(self._stress_and_dilatation_at),
+            memory=memory,
+        )
 
     def by_rest(self, along: np.ndarray, kept: np.ndarray, step: StepContext) -> np.ndarray:
         """What the derivative by the shape at rest of the work of the forces along nodal vectors ``(n, 3)``, and of the

@@ -137,23 +137,40 @@ def add_gradient(
 
 
 @ti.kernel
-def work(
-    deformation: F3, dilatation: F1, history: F2, tets: I2, grad: F3, weight: F2, moduli: F2, constants: F2, along: F2,
-    out: F1,
-):  # fmt: skip
-    """Work of each element's forces along nodal vectors: w P : sum_a v_a (x) g_a."""
+def along(deformation: F3, tets: I2, grad: F3, weight: F2, vectors: F2, works: F2, virtual: F2):
+    """Derivatives along nodal vectors of each element's W_dev / mu, and of (J - 1)^2 / 2 point by point and of its mean
+    ``works``; and w sym(F^T V), off the diagonal doubled, and w cof F : V at the points ``virtual``."""
     ti.loop_config(serialize=True)
     for e in range(tets.shape[0]):
-        out[e] = 0.0
+        sheared, own, mean, swelling, whole = 0.0, 0.0, 0.0, 0.0, 0.0
         for q in range(4):
             p = 4 * e + q
             slope = mat3(0.0)
             for a in range(10):
                 for i, j in ti.static(ti.ndrange(3, 3)):
-                    slope[i, j] += along[tets[e, a], i] * grad[p, a, j]
-            out[e] = (
-                out[e] + weight[e, q] * (_piola(deformation, dilatation, history, moduli, constants, p) * slope).sum()
-            )
+                    slope[i, j] += vectors[tets[e, a], i] * grad[p, a, j]
+            slope *= weight[e, q]
+            g = _load(deformation, p)
+            cof_g = _cofactor(g)
+            f = ti.Matrix.identity(ti.f64, 3) + g
+            theta = g.trace() + cof_g.trace() + g.determinant()
+            swell = (_cofactor(f) * slope).sum()
+            shear = g + g.transpose() - g.trace() * ti.Matrix.identity(ti.f64, 3) - cof_g
+            sheared += (shear * slope).sum() + theta / 3.0 * swell
+            own += theta * swell
+            mean += weight[e, q] * theta
+            swelling += swell
+            whole += weight[e, q]
+            strain = f.transpose() @ slope
+            for k, i, j in ti.static(((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 1, 2), (4, 0, 2), (5, 0, 1))):
+                if ti.static(i == j):
+                    virtual[p, k] = strain[i, i]
+                else:
+                    virtual[p, k] = strain[i, j] + strain[j, i]
+            virtual[p, 6] = swell
+        works[e, 0] = sheared
+        works[e, 1] = own
+        works[e, 2] = mean / whole * swelling
 
 
 @ti.kernel

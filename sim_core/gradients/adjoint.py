@@ -27,7 +27,7 @@ from sim_core.energies.term import StepContext
 from sim_core.errors import ConfigError
 from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, motions, slopes
-from sim_core.gradients.elements import OwnNumbers
+from sim_core.gradients.elements import Alongs, OwnNumbers
 from sim_core.gradients.fields import FieldSums
 from sim_core.gradients.made import Made
 from sim_core.gradients.mounts import carried_contacts, carried_freely
@@ -191,7 +191,7 @@ class Backward:
         if linear is None or self._columns.need_contact(linear.terms):
             made.enter(self._scene)
         elif self._columns.keys or self._own or self._pictures or self._fields:
-            self._place(made)
+            self._scene.system.stand_at(made.after.x, made.unknowns)
 
     def _collect(
         self,
@@ -205,9 +205,10 @@ class Backward:
         """Take the weights of numbers, fields, and what followed the mounts. ``after``: of the end of the step;
         ``terms``: as linearised."""
         self._numbers[self._others] += pulled.numbers
+        alongs = Alongs(step, made.before.internals, pulled, after.memory)
         if self._own:
-            self._numbers[self._own.rows] += self._own.of_step(step, made.before.internals, pulled, after.memory)
-        self._fields.add(step, made.before.internals, pulled, after, terms)
+            self._numbers[self._own.rows] += self._own.of_step(alongs)
+        self._fields.add(alongs, after, terms)
         self._follow(pulled.targets, pulled.turns, made.frames, target)
 
     def _follow(
@@ -223,13 +224,6 @@ class Backward:
         for term, turn in turns.items():
             mount, _, own = self._turning[term]
             target.of(mount)[3:] += own @ turn
-
-    def _place(self, made: Made) -> None:
-        """Put the system where a step ended, without looking for contact."""
-        system = self._scene.system
-        system.x[:] = made.after.x
-        system.set_targets(self._scene.targets(made.frames))
-        system.set_unknowns(made.unknowns)
 
     def _read_back(
         self,

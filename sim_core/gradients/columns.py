@@ -48,6 +48,7 @@ class Columns:
         self._scene, self._values, self.keys = scene, values, list(keys)
         self._terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
         self._mass: Any = None
+        self._accelerations: np.ndarray | None = None
         self._weights: dict[str, np.ndarray] = {}
 
     def of_step(
@@ -59,6 +60,7 @@ class Columns:
     ) -> list[Column]:
         """One column a key. ``internals``, ``after``: internal variables before and after the step; ``exact``: what the
         terms with memory know of themselves."""
+        self._accelerations = None
         return [self._known(key, exact) or self._column(key, step, internals, after) for key in self.keys]
 
     def need_contact(self, exact: Mapping[str, Linearised]) -> bool:
@@ -112,7 +114,9 @@ class Columns:
         system, built = self._scene.system, self._scene.bodies[body]
         moved = np.zeros_like(system.x)
         if built.unit_mass is not None:
-            moved[built.nodes] = built.unit_mass @ accelerations(system, step)[built.nodes]
+            if self._accelerations is None:
+                self._accelerations = accelerations(system, step)
+            moved[built.nodes] = built.unit_mass @ self._accelerations[built.nodes]
         return moved
 
     def _of_compliance(self, group: int, axis: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What an elastic term knows of its isotropic numbers on the way back: closed forms, element by element.
+"""What terms know of their numbers on the way back: closed forms, element by element.
 
 They are products with the weights of a step (:class:`sim_core.gradients.step.Pulled`): of forces along ``exerted``
 ``(n, 3)``, and of the term's new internal variables, flattened, with ``kept``. :mod:`sim_core.gradients.fields` says
@@ -13,39 +13,62 @@ from typing import Any
 
 import numpy as np
 
+from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.directions import Key
 from sim_core.gradients.step import Pulled
-from sim_core.scene.fields import FLOW, HARDENING, NU, POWERS, RELAXATION, STIFFNESS_DAMPING, YIELD
+from sim_core.scene.fields import FLOW, HARDENING, MASS_DAMPING, NU, POWERS, RELAXATION, STIFFNESS_DAMPING, YIELD
 from sim_core.scene.scene import Scene, Values
 
-YOUNG = "E_pa"
+YOUNG, DENSITY = "E_pa", "density"
 
 
-def by_element(
-    term: Any, quantity: str, exerted: np.ndarray, kept: np.ndarray, step: StepContext, before: Internals
-) -> np.ndarray:
-    """Derivatives by the values that the elements ``(m,)`` of a term have of a quantity that is more than a factor of
-    their energies. The term is at the end of a step that it began from ``before``."""
-    if quantity == YOUNG:
-        found = term.by_modulus(exerted, kept, step, before)
-    elif quantity == NU:
-        found = term.by_nu(exerted, kept, step, before)
-    elif quantity == STIFFNESS_DAMPING:
-        found = term.by_damping(exerted, step)
-    elif quantity in RELAXATION:
-        found = term.by_relaxation(quantity, exerted, kept, step, before)
-    elif quantity == YIELD:
-        found = term.by_yield(exerted, kept, before)
-    elif quantity == HARDENING:
-        found = term.by_hardening(exerted, kept, before)
-    else:
-        raise ValueError(f"{term.name} has no closed form by {quantity}")
-    return np.asarray(found)
+class Alongs:
+    """The end of a step on the way back, where the system is: each term looks at it once, whoever asks."""
+
+    def __init__(
+        self, step: StepContext, internals: Mapping[str, Internals], pulled: Pulled, kept: Mapping[str, np.ndarray]
+    ) -> None:
+        """Take a step: ``internals`` before it, and weights ``kept`` of those after it."""
+        self.step, self.internals, self.pulled, self.kept = step, internals, pulled, kept
+        self._seen: dict[str, Any] = {}
+        self._works: dict[str, np.ndarray] = {}
+
+    def _of(self, term: Any) -> Any:
+        """What a term knows along the weights: derivatives by the values of its elements, or of the whole body."""
+        name = term.name
+        if name not in self._seen:
+            self._seen[name] = term.along(self.pulled.exerted, self.kept[name], self.step, self.internals[name])
+        return self._seen[name]
+
+    def work(self, term: Any) -> np.ndarray:
+        """Work of the forces dE/dx of each element ``(m,)``: a factor f of its energy has the derivative work / f."""
+        if term.name not in self._works:
+            self._works[term.name] = self._of(term).work()
+        return self._works[term.name]
+
+    def by(self, term: Any, quantity: str) -> np.ndarray:
+        """Derivatives by the values that the elements have of a quantity that is more than a factor of their
+        energies."""
+        along = self._of(term)
+        if quantity in RELAXATION:
+            return np.asarray(along.by_relaxation(quantity))
+        return np.asarray(getattr(along, _METHODS[quantity])())
+
+
+_METHODS = {
+    YOUNG: "by_modulus",
+    NU: "by_nu",
+    STIFFNESS_DAMPING: "by_damping",
+    YIELD: "by_yield",
+    HARDENING: "by_hardening",
+    MASS_DAMPING: "by_mass_damping",
+    DENSITY: "by_density",
+}
 
 
 class OwnNumbers:
-    """Derivatives by those of ``keys`` that are numbers of elastic terms: ``rows``, their places in it."""
+    """Derivatives by those of ``keys`` that are numbers of such terms: ``rows``, their places in it."""
 
     def __init__(self, scene: Scene, values: Values, keys: Sequence[Key]) -> None:
         self._scene, self._values = scene, values
@@ -60,23 +83,18 @@ class OwnNumbers:
     def __bool__(self) -> bool:
         return bool(self.rows)
 
-    def of_step(
-        self, step: StepContext, internals: Mapping[str, Internals], pulled: Pulled, kept: Mapping[str, np.ndarray]
-    ) -> np.ndarray:
-        """Derivatives ``(len(rows),)`` that a step adds, at the end of which the system is. ``internals``: before it;
-        ``kept``: weights of the internal variables after it."""
+    def of_step(self, alongs: Alongs) -> np.ndarray:
+        """Derivatives ``(len(rows),)`` that a step adds."""
         found = np.zeros(len(self.rows))
         for name, wanted in self._by_term.items():
-            term, given, before = self._terms[name], self._values.terms[name], internals[name]
+            term, given = self._terms[name], self._values.terms[name]
             body, _, part = name.rpartition(".")
-            term.begin_step(step, before)
-            powers = {quantity: _power(quantity, part) for _, quantity in wanted}
-            work = float(term.work(pulled.exerted, before).sum()) if any(powers.values()) else 0.0
             for place, quantity in wanted:
-                if powers[quantity]:
-                    found[place] = powers[quantity] * work / given[quantity]
+                power = _power(quantity, part)
+                if power:
+                    found[place] = power * float(alongs.work(term).sum()) / given[quantity]
                     continue
-                values = by_element(term, quantity, pulled.exerted, kept[name], step, before)
+                values = alongs.by(term, quantity)
                 shared = quantity in (*FLOW, *RELAXATION)
                 found[place] = float(np.sum(values * self._scene.fields.share(body, quantity) if shared else values))
         return found
@@ -89,9 +107,11 @@ def _power(quantity: str, part: str) -> int:
 
 
 def _is_own(key: Key, terms: Mapping[str, Any]) -> bool:
-    """Whether a number is one of an elastic term that it has a closed form by."""
+    """Whether a number is one that its term has a closed form by."""
     kind, owner, quantity = key
-    if kind != "terms" or not hasattr(terms.get(owner), "work"):
+    if kind != "terms" or not hasattr(terms.get(owner), "along"):
         return False
+    if isinstance(terms[owner], MassDamping):
+        return True
     more = (YOUNG, NU, STIFFNESS_DAMPING, *RELAXATION, *FLOW)
     return quantity in more or _power(quantity, owner.rpartition(".")[2]) > 0

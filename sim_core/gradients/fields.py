@@ -32,11 +32,10 @@ from typing import Any
 import numpy as np
 
 from sim_core.energies.linearised import Linearised
-from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.columns import borne_by_mass, damped_by_mass
-from sim_core.gradients.elements import by_element
+from sim_core.gradients.elements import Alongs
 from sim_core.gradients.rest_shape import RestSums
-from sim_core.gradients.step import Pulled, Weights
+from sim_core.gradients.step import Weights
 from sim_core.scene.fields import FLOW, MASS, MASS_DAMPING, POWERS, REST, REST_ANGLE
 from sim_core.scene.scene import Scene
 
@@ -69,52 +68,35 @@ class FieldSums:
         self._by: dict[tuple[str, str], Any] = dict.fromkeys(self._others, 0.0)
         self.shapes.clear()
 
-    def add(
-        self,
-        step: StepContext,
-        internals: Mapping[str, Internals],
-        pulled: Pulled,
-        after: Weights,
-        terms: Mapping[str, Linearised],
-    ) -> None:
-        """Add what a step has, at the end of which the system is. ``internals``: before it; ``after``: weights of its
-        end; ``terms``: as linearised."""
-        exerted, borne = pulled.exerted, pulled.borne
+    def add(self, alongs: Alongs, after: Weights, terms: Mapping[str, Linearised]) -> None:
+        """Add what a step has. ``after``: weights of its end; ``terms``: as linearised."""
+        step, pulled = alongs.step, alongs.pulled
         for part, term in self._terms.items():
-            term.begin_step(step, internals[term.name])
-            self._work[part] = self._work[part] + term.work(exerted, internals[term.name])
+            self._work[part] = self._work[part] + alongs.work(term)
         for body, of in self._parts:
             if of == MASS:
-                pairs = borne_by_mass(self._scene, self._numbers.density[body], body, step, exerted, borne)
+                density = self._numbers.density[body]
+                pairs = borne_by_mass(self._scene, density, body, step, pulled.exerted, pulled.borne)
                 work = sum(factor * self._by_mass(body, v, w) for factor, v, w in pairs)
                 self._work[body, MASS] = self._work[body, MASS] + work
         for body, key in self._others:
-            self._by[body, key] = self._by[body, key] + self._of(body, key, step, internals, exerted, after.memory)
+            self._by[body, key] = self._by[body, key] + self._of(body, key, alongs)
         if self.shapes:
-            self.shapes.add(step, internals, pulled, after, terms)
+            self.shapes.add(step, alongs.internals, pulled, after, terms)
 
-    def _of(
-        self,
-        body: str,
-        key: str,
-        step: StepContext,
-        internals: Mapping[str, Internals],
-        exerted: np.ndarray,
-        kept: Mapping[str, np.ndarray],
-    ) -> Any:
+    def _of(self, body: str, key: str, alongs: Alongs) -> Any:
         """What a step adds to the derivatives by a field that is no factor of an energy or a mass."""
+        step, exerted = alongs.step, alongs.pulled.exerted
         if key == MASS_DAMPING:
             return self._by_mass(body, *damped_by_mass(self._scene.system, self._numbers.density[body], step, exerted))
-        of_bending = key == REST_ANGLE or key in FLOW
-        terms: list[Any] = [self._scene.fields.bending(body)] if of_bending else self._elastic[body]
+        bending: Any = self._scene.fields.bending(body) if key == REST_ANGLE or key in FLOW else None
+        if key == REST_ANGLE:
+            before = alongs.internals[bending.name]
+            bending.begin_step(step, before)
+            return bending.by_rest_angles(exerted, alongs.kept[bending.name], before)
         total: Any = 0.0
-        for term in terms:
-            before, weights = internals[term.name], kept[term.name]
-            term.begin_step(step, before)
-            if key == REST_ANGLE:
-                total = total + term.by_rest_angles(exerted, weights, before)
-            else:
-                total = total + by_element(term, key, exerted, weights, step, before)
+        for term in [bending] if bending else self._elastic[body]:
+            total = total + alongs.by(term, key)
         return total
 
     def _by_mass(self, body: str, v: np.ndarray, w: np.ndarray) -> np.ndarray:

@@ -149,6 +149,13 @@ class System:
         self._unknowns.write(values, self._x)
         self._unknowns.give_way(self._targets, self._x)
 
+    def stand_at(self, x: np.ndarray, unknowns: np.ndarray) -> None:
+        """Be at the positions of all nodes [m] ``(n, 3)`` of a solution, with the deflections that its ``unknowns``
+        had; targets stay what they were."""
+        self._x[:] = x
+        if self._unknowns.deflection.size:
+            self._unknowns.deflection[:] = unknowns[-self._unknowns.deflection.size :]
+
     def residual(self) -> np.ndarray:
         """Derivative of the potential with respect to the unknowns [N]."""
         return self.restrict(self.gradient())
