@@ -120,6 +120,9 @@ class NeoHookean:
         self._gradient = BoundKernel(kernels.add_gradient, *state, self._tets, *solid, buffers.gradient)
         self._vectors, self._works, self._virtual = np.zeros_like(buffers.x), np.zeros((m, 3)), np.zeros((4 * m, 7))
         found = self._works, self._virtual
+        self._works_then = np.zeros((m, 3))
+        mesh_then = self._rest, self._tets, self._grad, self._weight, self._virtual
+        self._along_then = BoundKernel(kernels.along_then, self._positions, *mesh_then, self._works_then)
         self._works_along = BoundKernel(
             kernels.along, deformation, self._tets, self._grad, self._weight, self._vectors, *found
         )
@@ -269,16 +272,21 @@ class NeoHookean:
         return NeoHookeanAlong(
             works=self._works.copy(),
             virtual=self._virtual.copy(),
-            weight=self._weight,
             moduli=self._moduli,
             constants=self._constants.copy(),
             young=self._given["E_pa"],
             nu=self._nu,
             damping=self._damping,
             tau=step.tau,
-            base=lambda: step.base(self._stress_and_dilatation_at),
+            base=lambda: step.base(self._works_at),
             memory=memory,
         )
+
+    def _works_at(self, x: np.ndarray) -> np.ndarray:
+        """Work of the stresses at other positions ``x`` [m], along the vectors at hand, by modulus ``(m, 3)``."""
+        self._positions[:] = x
+        self._along_then()
+        return self._works_then
 
     def by_rest(self, along: np.ndarray, kept: np.ndarray, step: StepContext) -> np.ndarray:
         """What the derivative by the shape at rest of the work of the forces along nodal vectors ``(n, 3)``, and of the

@@ -5,8 +5,10 @@ pressure (H, h), so with the virtual strains of the vectors v, V = grad v, at th
 
     work = k_S mu W_dev' + k_B (K_own W_own' + (K - K_own) W_mean') + sum_q w_q [H : sym(F^T V) + h cof F : V]
 
-where a dash is the derivative along v of the energy per modulus, k_S and k_B the shares in which a step has them. The
-memory of stress is linear in mu, and in what is left of it from before; that of pressure in K_own and K - K_own.
+where a dash is the derivative along v of the energy per modulus, k_S and k_B the shares in which a step has them. What
+of the memory is not left from before is linear in the moduli, too. A damping's is the work of the stresses that rates
+are measured from along the same virtual strains, S_dev : sym(F^T V) and (J - 1) cof F : V: as that at the end, with the
+other sign.
 """
 
 from __future__ import annotations
@@ -41,14 +43,13 @@ class Remembered:
 @dataclass(frozen=True)
 class NeoHookeanAlong:
     """A step's end, of which the derivatives are by the values of the elements, ``(m,)``. ``works``: W_dev', W_own',
-    W_mean' ``(m, 3)`` [m^3]; ``virtual``: w_q sym(F^T V), off the diagonal doubled, and w_q cof F : V ``(4 m, 7)``;
-    ``weight``: w_q [m^3] ``(m, 4)``; ``moduli``, ``constants``: as the kernels read them; ``young`` [Pa], ``nu``;
-    ``damping``: beta [s] ``(m,)``; ``tau`` [s]: of the step; ``base``: what S_dev [Pa] and the mixed J - 1 have their
-    rates from ``(4 m, 7)``; ``memory``: None where there is none."""
+    W_mean' [m^3] ``(m, 3)``, and ``base``: those of the stresses that rates are measured from; ``virtual``: w_q
+    sym(F^T V), off the diagonal doubled, and w_q cof F : V ``(4 m, 7)``; ``moduli``, ``constants``: as the kernels read
+    them; ``young`` [Pa], ``nu``; ``damping``: beta [s] ``(m,)``; ``tau`` [s]: of the step; ``memory``: None where there
+    is none."""
 
     works: np.ndarray
     virtual: np.ndarray
-    weight: np.ndarray
     moduli: np.ndarray
     constants: np.ndarray
     young: float
@@ -62,34 +63,19 @@ class NeoHookeanAlong:
     def _base(self) -> np.ndarray:
         return self.base()
 
-    def _of_moduli(self, law: np.ndarray, share: np.ndarray, bulk_share: np.ndarray) -> np.ndarray:
-        """Work with the moduli ``law`` ``(m, 3)`` in these shares, without memory."""
-        sheared, own, mean = self.works.T
-        return np.asarray(
-            share * law[:, MU] * sheared + bulk_share * law[:, BULK] * (law[:, OWN] * own + (1.0 - law[:, OWN]) * mean)
-        )
+    def work(self) -> np.ndarray:
+        """Work of the forces dE/dx."""
+        found = self._shared(self.moduli)
+        return found if self.memory is None else found + self._of_memory(self.memory.history)
+
+    def _shared(self, law: np.ndarray) -> np.ndarray:
+        """Work with the moduli ``law`` ``(m, 3)`` in the shares of the step, without memory."""
+        return _work(law, self.works, self.constants[:, SHARE], self.constants[:, BULK_SHARE])
 
     def _of_memory(self, history: np.ndarray) -> np.ndarray:
         """Work of a memory of stress, and of pressure if ``(4 m, 7)``."""
         products = self.virtual[:, : history.shape[1]] * history
         return np.asarray(products.sum(axis=1).reshape(-1, 4).sum(axis=1))
-
-    def _of_rates(self, law: np.ndarray) -> np.ndarray:
-        """Memory ``(4 m, 7)`` [Pa] that damping at k = 1 has with the moduli ``law``: with mean m of the mixed
-        dilatation d, which has the share K_own / K of what differs from it, -(S mu' / mu, K' [m + own' / own (d - m)]).
-        """
-        base = self._base.reshape(len(law), 4, 7)
-        mean = (self.weight * base[..., 6]).sum(axis=1, keepdims=True) / self.weight.sum(axis=1, keepdims=True)
-        ratio = law / self.moduli
-        out = np.empty_like(base)
-        out[..., :6] = -ratio[:, MU, None, None] * base[..., :6]
-        out[..., 6] = -law[:, [BULK]] * (mean + ratio[:, [OWN]] * (base[..., 6] - mean))
-        return out.reshape(-1, 7)
-
-    def work(self) -> np.ndarray:
-        """Work of the forces dE/dx."""
-        found = self._of_moduli(self.moduli, self.constants[:, SHARE], self.constants[:, BULK_SHARE])
-        return found if self.memory is None else found + self._of_memory(self.memory.history)
 
     def by_nu(self) -> np.ndarray:
         """Derivative by Poisson's ratio of the work, and of the product of the new internal variables with their
@@ -103,32 +89,36 @@ class NeoHookeanAlong:
     def _by_moduli(self, slopes: np.ndarray) -> np.ndarray:
         """Derivative by a number by which mu, K_own and K - K_own have ``slopes``, as moduli are: what is linear in
         them, with the slopes in their place and without what is left from before."""
-        found = self._of_moduli(slopes, self.constants[:, SHARE], self.constants[:, BULK_SHARE])
-        if self.memory is None:
-            return found
+        found = self._shared(slopes)
         memory = self.memory
-        if memory.fresh.any():
+        if memory is not None and memory.fresh.any():
             start, end = memory.ends()
             fresh = np.repeat(memory.fresh * slopes[:, MU] / self.moduli[:, MU], 4)[:, None]
             found = found + self._of_memory(-fresh * start) + self._kept(fresh * (end - start))
         if self.damping.any():
-            found = found + self.damping / self.tau * self._of_memory(self._of_rates(slopes))
+            found = found - self.damping / self.tau * _work(slopes, self._base)
         return found
 
     def by_damping(self) -> np.ndarray:
         """Derivative by the stiffness damping [1/s] of the work."""
-        one = np.ones(len(self.damping))
-        found = self._of_moduli(self.moduli, one, one) + self._of_memory(self._of_rates(self.moduli))
-        return np.asarray(found / self.tau)
+        return np.asarray(_work(self.moduli, self.works - self._base) / self.tau)
 
     def by_relaxation(self, name: str) -> np.ndarray:
         """Derivative by ``relaxation_g`` or ``relaxation_tau_s``, of the same as by nu."""
         assert self.memory is not None, "nothing relaxes"
         share, stress, fresh = self.memory.changes()[name]
-        found = self._of_moduli(self.moduli, share, np.zeros_like(share))
+        found = share * self.moduli[:, MU] * self.works[:, 0]
         return np.asarray(found + self._of_memory(stress) + self._kept(stress + fresh))
 
     def _kept(self, change: np.ndarray) -> np.ndarray:
         """Product with a change of the new stress that relaxes ``(4 m, 6)``."""
         assert self.memory is not None
         return np.asarray((self.memory.kept * change).sum(axis=1).reshape(-1, 4).sum(axis=1))
+
+
+def _work(
+    law: np.ndarray, works: np.ndarray, share: np.ndarray | float = 1.0, bulk_share: np.ndarray | float = 1.0
+) -> np.ndarray:
+    """Work with the moduli ``law`` ``(m, 3)`` in these shares, from ``works`` by modulus ``(m, 3)``."""
+    sheared, own, mean = works.T
+    return np.asarray(share * law[:, MU] * sheared + bulk_share * law[:, BULK] * (law[:, OWN] * (own - mean) + mean))

@@ -174,6 +174,44 @@ def along(deformation: F3, tets: I2, grad: F3, weight: F2, vectors: F2, works: F
 
 
 @ti.kernel
+def along_then(x: F2, rest: F2, tets: I2, grad: F3, weight: F2, virtual: F2, works: F2):
+    """What S_dev / mu and J - 1 at other positions ``x``, point by point and its mean, do along ``virtual`` strains of
+    :func:`along`."""
+    ti.loop_config(serialize=True)
+    for e in range(tets.shape[0]):
+        sheared, own, mean, swelling, whole = 0.0, 0.0, 0.0, 0.0, 0.0
+        for q in range(4):
+            p = 4 * e + q
+            g = _displacement_gradient(x, rest, tets, grad, p)
+            theta = g.trace() + _bilinear(g)
+            s = _deviatoric(g)
+            for k, i, j in ti.static(((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 1, 2), (4, 0, 2), (5, 0, 1))):
+                sheared += virtual[p, k] * s[i, j]
+            own += theta * virtual[p, 6]
+            mean += weight[e, q] * theta
+            swelling += virtual[p, 6]
+            whole += weight[e, q]
+        works[e, 0] = sheared
+        works[e, 1] = own
+        works[e, 2] = mean / whole * swelling
+
+
+@ti.func
+def _deviatoric(g: mat3):
+    """S_dev / mu = 1 + ((J - 1) / 3 - 1) cof(C) / J = f (1 + B) - B, with B = cof(C) - 1 and f = 4/3 (J - 1) / J, both
+    of which are small when G is."""
+    cof_g = _cofactor(g)
+    theta = g.trace() + cof_g.trace() + g.determinant()
+    one = ti.Matrix.identity(ti.f64, 3)
+    change = g.trace() * one - g.transpose() + cof_g
+    b = change + change.transpose() + change.transpose() @ change
+    f = 4.0 / 3.0 * theta / (1.0 + theta)
+    if 1.0 + theta < HISTORY_J:
+        f = 1.0 + (theta / 3.0 - 1.0) / HISTORY_J
+    return f * (one + b) - b
+
+
+@ti.kernel
 def projected_tangent(deformation: F3, dilatation: F1, history: F2, moduli: F2, constants: F2, modes: F2, out: F3):
     """Second derivative of the energy density by F (row by row) at each quadrature point [Pa].
 
@@ -386,16 +424,9 @@ def _twist(deformation: ti.template(), grad: ti.template(), twist, e, a, b):
 
 @ti.kernel
 def deviatoric_stress(deformation: F3, moduli: F2, out: F2):
-    """S_dev = mu 1 + (-mu + mu/3 (J - 1)) cof(C) / J."""
-    one = ti.Matrix.identity(ti.f64, 3)
+    """S_dev at each quadrature point [Pa]."""
     ti.loop_config(serialize=True)
     for p in range(deformation.shape[0]):
-        mu = moduli[p // 4, MU]
-        g = _load(deformation, p)
-        theta = g.trace() + _bilinear(g)
-        f = one + g
-        cof = _cofactor(f)
-        factor = mu * (theta / 3.0 - 1.0) / ti.max(1.0 + theta, HISTORY_J)
-        s = mu * one + factor * (cof.transpose() @ cof)
+        s = moduli[p // 4, MU] * _deviatoric(_load(deformation, p))
         for k, i, j in ti.static(((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 1, 2), (4, 0, 2), (5, 0, 1))):
             out[p, k] = s[i, j]

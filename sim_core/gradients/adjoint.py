@@ -16,8 +16,9 @@ Where the true derivative jumps it is that of the branch that the rollout took, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,7 +34,7 @@ from sim_core.gradients.made import Made
 from sim_core.gradients.mounts import carried_contacts, carried_freely
 from sim_core.gradients.pictures import Pictures
 from sim_core.gradients.step import LinearStep, Pulled, Weights, linearised_terms, no_memory, passed_on_by
-from sim_core.gradients.tape import MEMORY_MB, Tape
+from sim_core.gradients.tape import MEMORY_MB, Tape, backwards
 from sim_core.rigs import Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
@@ -41,6 +42,9 @@ from sim_core.sensing.observe import Sensed
 from sim_core.simulate import Trace, midway
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State
+
+AHEAD = 2
+"""Steps whose factorisations are begun beforehand, so that the second core always has one to make."""
 
 Loss = Callable[[Trace], tuple[float, Mapping[str, np.ndarray]]]
 """Value of a loss and its derivatives by the readings, by channel in the shape of ``trace.outputs`` (a channel may be
@@ -132,15 +136,15 @@ class Backward:
         for first in reversed(tape.segments):
             intervals = tape.intervals(first)
             scene.system.forget()  # whether they were made again or not
-            coming = iter([made for interval in reversed(intervals) for made in reversed(interval.made)])
-            _foresee(next(coming, None))
+            coming = chain(backwards(intervals), tape.kept_before(first))
+            _foresee(islice(coming, AHEAD))
             for offset in reversed(range(len(intervals))):
                 k = first + offset + 1
                 interval = intervals[offset]
                 inner: dict[int, _Frames] = {}
                 for made in reversed(interval.made):
                     last = made is interval.made[-1]
-                    _foresee(next(coming, None))
+                    _foresee(islice(coming, 1))
                     state = state or Weights(zero, zero, no_memory(made.after))
                     target = poses[k] if last else inner.setdefault(id(made.frames), _Frames())
                     state = self._through(made, state, k if last else None, target, interval.sensed)
@@ -338,10 +342,11 @@ class Backward:
             target.of(mount)[3:] += (cross(arms, force) + cross(speeds, push)).sum(axis=0)
 
 
-def _foresee(made: Made | None) -> None:
-    """Let a step that is gone through next be prepared on a second core, if it is linearised."""
-    if made is not None and made.linear is not None:
-        made.linear.foresee()
+def _foresee(coming: Iterable[Made]) -> None:
+    """Let steps that are gone through next be prepared on a second core, if they are linearised."""
+    for made in coming:
+        if made.linear is not None:
+            made.linear.foresee()
 
 
 class _Frames:

@@ -15,7 +15,7 @@ first equilibrium is linearised with the rest, where there is room.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 
@@ -110,6 +110,11 @@ class Recorder(Simulation):
         system.x[:] = point.state.x
         system.set_targets(self.scene.targets(self.frames))
         system.set_unknowns(point.unknowns)
+
+
+def backwards(intervals: Sequence[Interval]) -> Iterator[Made]:
+    """All steps, the last one first."""
+    return (made for interval in reversed(intervals) for made in reversed(interval.made))
 
 
 class Tape:
@@ -220,11 +225,18 @@ class Tape:
         """The steps of the segment that begins at time number ``first``, made again unless they were kept."""
         if first in self._kept:
             return self._kept[first]
-        self._simulation.go_to(self._points[list(self.segments).index(first)])
+        self._simulation.go_to(self._points[self.segments.index(first)])
         last = min(first + self.segments.step, len(self._times) - 1)
         intervals = [self._make(k, True)[0] for k in range(first, last)]
         self.most_bytes = max(self.most_bytes, self.kept_bytes + sum(i.size_bytes() for i in intervals))
         return intervals
+
+    def kept_before(self, first: int) -> Iterator[Made]:
+        """Steps before the segment that begins at time number ``first``, backwards, as long as they were kept."""
+        for earlier in reversed(self.segments[: self.segments.index(first)]):
+            if earlier not in self._kept:
+                return
+            yield from backwards(self._kept[earlier])
 
     def everything(self) -> Iterator[Interval]:
         """What was done, from the start on, in one segment after the other."""
