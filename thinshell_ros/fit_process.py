@@ -36,6 +36,13 @@ class Share:
 
 
 @dataclass(frozen=True)
+class Warned:
+    """``text``: what speaks against a recording, before anything is simulated."""
+
+    text: str
+
+
+@dataclass(frozen=True)
 class Succeeded:
     """``fit``: the content of ``fit.json``."""
 
@@ -49,7 +56,7 @@ class Failed:
     reason: str
 
 
-Event = Share | Step | Succeeded | Failed
+Event = Share | Step | Warned | Succeeded | Failed
 
 
 def run(link: Connection, request: FitRequest) -> None:
@@ -63,6 +70,7 @@ def run(link: Connection, request: FitRequest) -> None:
         fit_bags(
             request.rig, request.bags, request.names, request.options, held_out=request.held_out, out=request.out,
             on_progress=lambda share, words: link.send(Share(share, words)), on_step=link.send,
+            on_warning=lambda text: link.send(Warned(text)),
         )  # fmt: skip
         link.send(_succeeded(request))
     except ThinshellError as error:

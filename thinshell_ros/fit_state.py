@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from sysid.fit.result import not_converged
 from sysid.fit.starts import Step
-from thinshell_ros.fit_process import Event, Failed, Share, Succeeded
+from thinshell_ros.fit_process import Event, Failed, Share, Succeeded, Warned
 from thinshell_ros.fit_request import FitRequest
 from thinshell_ros.health import Level, Report
 
@@ -26,6 +26,8 @@ class FitState:
     share: float = 0.0
     step: Step | None = None
     result: dict[str, Any] = field(default_factory=dict)
+    warned: bool = False
+    """Something speaks against a recording."""
 
     def take(self, event: Event, request: FitRequest) -> None:
         """Take in what the process told."""
@@ -33,6 +35,8 @@ class FitState:
             self.share, self.doing = event.share, event.words
         elif isinstance(event, Step):
             self.step = event
+        elif isinstance(event, Warned):
+            self.warned = True
         elif isinstance(event, Succeeded):
             self.state, self.share, self.doing = "succeeded", 1.0, f"results in {request.out}"
             self.result = result_of(event.fit, self.job_id, request)
@@ -48,9 +52,11 @@ class FitState:
     @property
     def level(self) -> Level:
         """How serious the state is. A fit that ended and did not converge, or does not explain the recordings, or does
-        not determine all that was asked for, has succeeded in writing its results, which need a look."""
+        not determine all that was asked for, has succeeded in writing its results, which need a look; while one runs
+        of whose recordings something is known to be wrong, it may be better to stop it."""
         levels: dict[State, Level] = {"failed": "error", "cancelled": "warn"}
-        return levels.get(self.state, "warn" if self._astray else "ok")
+        doubtful = self.warned if self.state == "running" else self._astray
+        return levels.get(self.state, "warn" if doubtful else "ok")
 
     @property
     def _astray(self) -> bool:

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 from sim_core.errors import ThinshellError
 from sim_core.rigs import load_rig
 from thinshell_ros import messages
-from thinshell_ros.fit_process import Event, FitProcess
+from thinshell_ros.fit_process import Event, FitProcess, Warned
 from thinshell_ros.fit_request import FitRequest, fit_request, topic_names
 from thinshell_ros.fit_state import FitState
 from thinshell_ros.parameters import declare, value_of, warn_of_unknown
@@ -133,6 +133,8 @@ class SysidNode(Node):
         step = self._state.step
         for event in events:
             self._state.take(event, self._request)
+            if isinstance(event, Warned):
+                self.get_logger().warning(f"{self._state.job_id}: {event.text}")
         if self._state.step is not step or self._state.result:
             self._estimate.publish(messages.named_numbers(self._state.estimate()))
         if self._state.result:

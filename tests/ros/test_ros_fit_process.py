@@ -3,6 +3,7 @@
 import json
 import os
 import time
+from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,9 +13,10 @@ import pytest
 from test_ros_fit_request import request_of
 
 from sim_core.rigs import load_rig
+from sysid.fit.starts import Step
 from sysid.folder import unfinished, whole_folder
 from thinshell_ros import fit_process
-from thinshell_ros.fit_process import Failed, FitProcess, Succeeded
+from thinshell_ros.fit_process import Event, Failed, FitProcess, Succeeded
 from thinshell_ros.fit_request import FitRequest
 from thinshell_ros.fit_state import FitState
 
@@ -109,6 +111,51 @@ def test_finished_files_that_could_not_be_moved_are_kept(monkeypatch: pytest.Mon
     (failed,) = until(lambda: list(process.events()))
     assert "cannot be moved" in failed.reason
     assert json.loads((unfinished(asked.out) / "fit.json").read_text()) == FIT
+
+
+def test_what_speaks_against_a_recording_is_told_before_the_fit_ends(
+    monkeypatch: pytest.MonkeyPatch, asked: FitRequest
+) -> None:
+    def fit(*given: Any, on_warning: Callable[[str], None], on_step: Callable[[Step], None], **options: Any) -> None:
+        on_warning("pull: 27 markers, the rig 33.")
+        on_step(Step(1, 7.5, {"strip.E_pa": 4e9}))
+        _write(asked)
+
+    sent: list[Event] = []
+    monkeypatch.setattr(fit_process, "fit_bags", fit)
+    monkeypatch.setattr(fit_process, "_end_with", lambda link, part: None)
+    monkeypatch.setattr(os, "setsid", lambda: None)
+    fit_process.run(SimpleNamespace(send=sent.append), asked)  # type: ignore[arg-type]
+    told, logged = _node(asked, [sent[:2], sent[2:]])
+    assert logged[0] == "fit_7: pull: 27 markers, the rig 33."
+    assert [(s.message, s.level) for s in told] == [("running", b"\x01"), ("succeeded", b"\x00")]
+
+
+def _node(asked: FitRequest, batches: Sequence[Sequence[Event]]) -> tuple[list[Any], list[str]]:
+    """What a node without its middleware publishes as its status, and logs, when it takes the events of a fit."""
+    from thinshell_ros.sysid_node import SysidNode
+
+    published: list[Any] = []
+    logged: list[str] = []
+
+    class Told(SysidNode):
+        def __init__(self) -> None:
+            self._rig, self._request, self._state = RIG, asked, FitState("fit_7", "running", "reading", 200)
+            self._process = None
+            self._elapsed_s = self._told_s = 0.0
+            self._status: Any = SimpleNamespace(publish=published.append)
+            self._estimate = self._result = SimpleNamespace(publish=lambda message: None)  # type: ignore[assignment]
+
+        def get_logger(self) -> Any:
+            return SimpleNamespace(info=logged.append, warning=logged.append, error=logged.append)
+
+        def get_fully_qualified_name(self) -> str:
+            return "/tactile_sysid"
+
+    node = Told()
+    for events in batches:
+        node._take(events)
+    return published, logged
 
 
 def test_a_cancel_that_comes_after_all_is_written_publishes_the_result(
