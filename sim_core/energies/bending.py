@@ -166,7 +166,7 @@ class Bending:
         """D [N m] of plane stress stiffness [Pa], ``(m, 3, 3)``."""
         return np.asarray(self._given["thickness_m"] ** 3 / 12.0 * stiffness)
 
-    def _d_by_nu(self) -> np.ndarray:
+    def _stiffness_by_nu(self) -> np.ndarray:
         """Derivative of D by Poisson's ratio of each triangle, ``(m, 3, 3)``."""
         if self._slope is None:
             self._slope = self._rigidity(plane_stress_by_nu(self._given, self._nu))
@@ -232,7 +232,7 @@ class Bending:
         return SheetAlong(
             area=self._areas,
             stiffness=self._d,
-            slope=self._d_by_nu(),
+            slope=self._stiffness_by_nu,
             strain=self.curvatures(),
             straining=self._curving(vectors),
             base=lambda: step.base(self._curvatures_at),

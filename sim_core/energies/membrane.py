@@ -250,7 +250,7 @@ class Membrane(Memoryless):
         return SheetAlong(
             area=self._area,
             stiffness=self._elastic,
-            slope=self._by_nu(),
+            slope=self._stiffness_by_nu,
             strain=self._strains.copy(),
             straining=self._straining.copy(),
             base=lambda: step.base(self._strains_at),
@@ -296,7 +296,7 @@ class Membrane(Memoryless):
         self._c[:] = self._elastic
         self._before[:], self._constant = 0.0, 0.0
 
-    def _by_nu(self) -> np.ndarray:
+    def _stiffness_by_nu(self) -> np.ndarray:
         """Derivative of h C by Poisson's ratio of each triangle, ``(m, 3, 3)``."""
         if self._slope is None:
             self._slope = self._given["thickness_m"] * plane_stress_by_nu(self._given, self._nu)

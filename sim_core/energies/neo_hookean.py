@@ -42,7 +42,7 @@ import numpy as np
 
 from sim_core.energies import neo_hookean_kernels as kernels
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, placed
-from sim_core.energies.neo_hookean_along import NeoHookeanAlong, Remembered
+from sim_core.energies.neo_hookean_along import Changes, NeoHookeanAlong, Remembered
 from sim_core.energies.neo_hookean_kernels import BULK_SHARE, SHARE
 from sim_core.energies.neo_hookean_memory import (
     pressure_blocks,
@@ -213,15 +213,10 @@ class NeoHookean:
             rate = self._damping / step.tau
             self._constants[:, SHARE] += rate
             self._constants[:, BULK_SHARE] = 1.0 + rate
-            base = self._damping_history(step, rate)
+            base = -_at_points(rate) * step.base(self._stress_and_dilatation_at)
+            base[:, 6] *= np.repeat(self._moduli[:, BULK], 4)
             self._constant = -self._damping_energy(step.x_start, rate, base)
             self._history += base
-
-    def _damping_history(self, step: StepContext, rate: np.ndarray) -> np.ndarray:
-        """Memory of stress and pressure [Pa] ``(4 m, 7)`` of a damping with k = ``rate`` ``(m,)``."""
-        base = -_at_points(rate) * step.base(self._stress_and_dilatation_at)
-        base[:, 6] *= np.repeat(self._moduli[:, BULK], 4)
-        return np.asarray(base)
 
     def _measure(self) -> None:
         """Bring strains up to date with the positions."""
@@ -263,11 +258,11 @@ class NeoHookean:
         memory = None
         if self._remembers:
             memory = Remembered(
-                self._history.copy(),
-                lambda: (self._stress_at(step.x_start).copy(), self._stress_at(self._x).copy()),
-                self._blend * self._g,
-                kept.reshape(-1, 6),
-                lambda: self._changes_by_relaxation(step, internals),
+                history=self._history.copy(),
+                stresses=lambda: self._stresses(step),
+                fresh=self._blend * self._g,
+                kept=kept.reshape(-1, 6),
+                by_relaxation=lambda ends: self._changes_by_relaxation(step, internals, ends),
             )
         return NeoHookeanAlong(
             works=self._works.copy(),
@@ -281,6 +276,10 @@ class NeoHookean:
             base=lambda: step.base(self._works_at),
             memory=memory,
         )
+
+    def _stresses(self, step: StepContext) -> tuple[np.ndarray, np.ndarray]:
+        """S_dev [Pa] ``(4 m, 6)`` at the start and at the end of a step."""
+        return self._stress_at(step.x_start).copy(), self._stress_at(self._x).copy()
 
     def _works_at(self, x: np.ndarray) -> np.ndarray:
         """Work of the stresses at other positions ``x`` [m], along the vectors at hand, by modulus ``(m, 3)``."""
@@ -372,24 +371,26 @@ class NeoHookean:
         """Derivatives by g and tau, of which each element has a share."""
         gradient, found = self._buffers.gradient, {}
         shares = {"relaxation_g": self._g_share, "relaxation_tau_s": self._tau_share}
-        for name, (share, stress, fresh) in self._changes_by_relaxation(step, internals).items():
+        changes = self._changes_by_relaxation(step, internals, self._stresses(step))
+        for name, (share, stress, fresh) in changes.items():
             part, scaled = shares[name], _at_points(shares[name]) * stress
             gradient[:] = 0.0
-            with self._exerting(part * share, np.zeros_like(share), np.pad(scaled, ((0, 0), (0, 1)))):
+            with self._exerting(part * share, scaled):
                 self.add_gradient()
             memory = _at_points(part) * (stress + fresh)
             found[name] = ByNumber(gradient.ravel().copy(), memory.ravel(), np.zeros(3))
         return found
 
     def _changes_by_relaxation(
-        self, step: StepContext, internals: Internals
-    ) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        self, step: StepContext, internals: Internals, ends: tuple[np.ndarray, np.ndarray]
+    ) -> Changes:
         """Derivatives by g and tau of the factor on S_dev ``(m,)``, of H and of what end_step adds to it
-        ``(4 m, 6)``. Force and memory are linear in these, so theirs are what these derivatives exert."""
+        ``(4 m, 6)``; ``ends``: S_dev at the start and at the end. Force and memory are linear in these, so theirs are
+        what these derivatives exert."""
         ratio, g, b, fade = step.dt / self._tau, self._g, self._blend, self._fade
         fading, slower = fade * ratio / self._tau, (b - fade) / self._tau  # of fade and b by tau
         q = internals["Q"].reshape(-1, 6)
-        start, end = self._stress_at(step.x_start).copy(), self._stress_at(self._x).copy()
+        start, end = ends
         slow = _at_points(slower * g)
         return {
             "relaxation_g": (b - 1.0, -_at_points(b) * start, _at_points(b) * end),
@@ -397,11 +398,12 @@ class NeoHookean:
         }
 
     @contextmanager
-    def _exerting(self, share: np.ndarray, bulk: np.ndarray, memory: np.ndarray) -> Iterator[None]:
-        """While in it, forces are those of ``share`` and ``bulk`` ``(m,)`` times W_dev and the bulk energy, and of a
-        ``memory`` of stress and pressure [Pa] ``(4 m, 7)``."""
-        kept = self._constants.copy(), self._history.copy()
-        self._constants[:], self._history[:] = np.column_stack([share, bulk, np.ones_like(share)]), memory
+    def _exerting(self, share: np.ndarray, stress: np.ndarray) -> Iterator[None]:
+        """While in it, forces are those of ``share`` ``(m,)`` times W_dev, and of a memory of ``stress`` [Pa]
+        ``(4 m, 6)``."""
+        kept, one = (self._constants.copy(), self._history.copy()), np.ones_like(share)
+        self._constants[:] = np.column_stack([share, np.zeros_like(share), one])
+        self._history[:, :6], self._history[:, 6] = stress, 0.0
         try:
             yield
         finally:

@@ -30,23 +30,34 @@ end of a step adds to it, ``(4 m, 6)`` [Pa]."""
 @dataclass(frozen=True)
 class Remembered:
     """What a gel with memory had before a step, and has of it at the end. ``history``: H and h [Pa] ``(4 m, 7)``;
-    ``ends``: S_dev before and at the end [Pa] ``(4 m, 6)``; ``fresh``: b g of the elements ``(m,)``; ``kept``: weights
-    of the new stress that relaxes ``(4 m, 6)``; ``changes``: by the numbers of the relaxation, if it relaxes."""
+    ``stresses``: gives S_dev before and at the end [Pa] ``(4 m, 6)``; ``fresh``: b g of the elements ``(m,)``;
+    ``kept``: weights of the new stress that relaxes ``(4 m, 6)``; ``by_relaxation``: gives, from these stresses, what
+    the numbers of the relaxation change."""
 
     history: np.ndarray
-    ends: Callable[[], tuple[np.ndarray, np.ndarray]]
+    stresses: Callable[[], tuple[np.ndarray, np.ndarray]]
     fresh: np.ndarray
     kept: np.ndarray
-    changes: Callable[[], Changes]
+    by_relaxation: Callable[[tuple[np.ndarray, np.ndarray]], Changes]
+
+    @cached_property
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """S_dev before and at the end."""
+        return self.stresses()
+
+    @cached_property
+    def changes(self) -> Changes:
+        """What the numbers of the relaxation change."""
+        return self.by_relaxation(self.ends)
 
 
 @dataclass(frozen=True)
 class NeoHookeanAlong:
     """A step's end, of which the derivatives are by the values of the elements, ``(m,)``. ``works``: W_dev', W_own',
-    W_mean' [m^3] ``(m, 3)``, and ``base``: those of the stresses that rates are measured from; ``virtual``: w_q
+    W_mean' [m^3] ``(m, 3)``, and ``base`` gives those of the stresses that rates are measured from; ``virtual``: w_q
     sym(F^T V), off the diagonal doubled, and w_q cof F : V ``(4 m, 7)``; ``moduli``, ``constants``: as the kernels read
     them; ``young`` [Pa], ``nu``; ``damping``: beta [s] ``(m,)``; ``tau`` [s]: of the step; ``memory``: None where there
-    is none."""
+    is none. Good for as long as the gel does not go on: what is asked for is looked up then."""
 
     works: np.ndarray
     virtual: np.ndarray
@@ -92,7 +103,7 @@ class NeoHookeanAlong:
         found = self._shared(slopes)
         memory = self.memory
         if memory is not None and memory.fresh.any():
-            start, end = memory.ends()
+            start, end = memory.ends
             fresh = np.repeat(memory.fresh * slopes[:, MU] / self.moduli[:, MU], 4)[:, None]
             found = found + self._of_memory(-fresh * start) + self._kept(fresh * (end - start))
         if self.damping.any():
@@ -106,7 +117,7 @@ class NeoHookeanAlong:
     def by_relaxation(self, name: str) -> np.ndarray:
         """Derivative by ``relaxation_g`` or ``relaxation_tau_s``, of the same as by nu."""
         assert self.memory is not None, "nothing relaxes"
-        share, stress, fresh = self.memory.changes()[name]
+        share, stress, fresh = self.memory.changes[name]
         found = share * self.moduli[:, MU] * self.works[:, 0]
         return np.asarray(found + self._of_memory(stress) + self._kept(stress + fresh))
 

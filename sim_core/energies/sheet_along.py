@@ -43,13 +43,14 @@ class Flowing:
 @dataclass(frozen=True)
 class SheetAlong:
     """A step's end, of which the derivatives are by the values of the triangles, ``(m,)``. ``area`` [m^2] ``(m,)``;
-    ``stiffness``: D ``(m, 3, 3)``, and ``slope`` its derivative by nu; ``strain``: e, ``straining``: de along the
-    vectors, ``base``: e_b, all ``(m, 3)``; ``damping``: beta [s] ``(m,)``; ``tau`` [s]: of the step; ``flowing``: what
-    flows (None: nothing can)."""
+    ``stiffness``: D ``(m, 3, 3)``, and ``slope``, which gives its derivative by nu; ``strain``: e, ``straining``: de
+    along the vectors, and ``base``, which gives e_b, all ``(m, 3)``; ``damping``: beta [s] ``(m,)``; ``tau``: of the
+    step [s]; ``flowing``: what flows (None: nothing can). Good for as long as the sheet does not go on: what is asked
+    for is looked up then."""
 
     area: np.ndarray
     stiffness: np.ndarray
-    slope: np.ndarray
+    slope: Callable[[], np.ndarray]
     strain: np.ndarray
     straining: np.ndarray
     base: Callable[[], np.ndarray]
@@ -80,7 +81,7 @@ class SheetAlong:
     def by_nu(self) -> np.ndarray:
         """Derivative by Poisson's ratio of the work, and of the product of the new internal variables with their
         weights: by D, in the flow too."""
-        slope = self.slope
+        slope = self.slope()
         found = self.area * (applied(slope, self.straining) * self._lasting).sum(axis=1)
         none = np.zeros(len(slope))
         return np.asarray(found + (0.0 if self.flowing is None else self._by_flow(slope, none, none)))

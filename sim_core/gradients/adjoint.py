@@ -42,9 +42,7 @@ from sim_core.sensing.observe import Sensed
 from sim_core.simulate import Trace, midway
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State
-
-AHEAD = 2
-"""Steps whose factorisations are begun beforehand, so that the second core always has one to make."""
+from sim_core.solve.stiffness import AHEAD
 
 Loss = Callable[[Trace], tuple[float, Mapping[str, np.ndarray]]]
 """Value of a loss and its derivatives by the readings, by channel in the shape of ``trace.outputs`` (a channel may be

@@ -53,6 +53,8 @@ class Alongs:
         along = self._of(term)
         if quantity in RELAXATION:
             return np.asarray(along.by_relaxation(quantity))
+        if quantity not in _METHODS:
+            raise ValueError(f"{term.name} has no closed form by {quantity}")
         return np.asarray(getattr(along, _METHODS[quantity])())
 
 

@@ -9,7 +9,7 @@ New internal variables do not depend on f: relaxing stresses are kept per f, pla
 field costs one kernel a term and step.
 
 Poisson's ratio enters through the moduli of its element, and with them through the stress that relaxes and the norm by
-which a sheet yields, so beside forces it changes the new internal variables xi' (``by_nu`` of the terms, closed forms):
+which a sheet yields, so beside forces it changes the new internal variables xi' (``by_nu``, closed forms):
 
     dL/dnu = weights . dF_element/dnu + weights of xi' . dxi'_element/dnu
 

@@ -218,7 +218,7 @@ class Tape:
 
     @property
     def memory_mb(self) -> float:
-        """What checkpoints and steps take at the most [MB]."""
+        """What checkpoints and steps take at the most [MB], beside the factorisations of three steps at a time."""
         return 1e-6 * (self.most_bytes + sum(size_of_state(p.state) for p in self._points))
 
     def intervals(self, first: int) -> list[Interval]:

@@ -27,6 +27,9 @@ from sim_core.solve.pattern import Pattern
 from sim_core.solve.product import nodal_product
 from sim_core.solve.system import System
 
+AHEAD = 2
+"""How many steps are foreseen at a time, so that the second core always has one to factorise."""
+
 SHARING = 1.04
 """An analysis is shared while it has at most this many times the pairs of nodes that one of its own would have."""
 
@@ -60,12 +63,12 @@ class Keeper:
         return kept
 
     def prepared(self, layout: Pattern) -> _Prepared:
-        """What the layout needs, shared with those kept before it. Of two layouts at a time it is there: of that of
-        a step and of that of the step before."""
+        """What the layout needs, shared with those kept before it. It is there for a step and for those that are
+        foreseen meanwhile, whether they share a layout or not."""
         for found in self._prepared:
             if found.serves(layout):
                 return found
-        self._prepared = [*self._prepared[-1:], _Prepared(layout, self._earlier(layout))]
+        self._prepared = [*self._prepared[-AHEAD:], _Prepared(layout, self._earlier(layout))]
         return self._prepared[-1]
 
     @property

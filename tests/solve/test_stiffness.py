@@ -8,6 +8,7 @@ from scipy.sparse import triu
 
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, frame_of
+from sim_core.solve import stiffness
 from sim_core.solve.stiffness import Keeper, _Prepared
 
 COMPLIANT = {"end_effector_compliance": {"compliance_m_per_n": 2e-4}}
@@ -30,10 +31,10 @@ def test_products_and_solutions(small_rig, visit, factors):
         references.append(((upper + triu(upper, 1).T).toarray(), system.nodal_product(move)))
     assert len({id(k.layout) for k in kept}) > 1
     assert kept[0].size_bytes > kept[1].size_bytes  # which shares its layout
-    for stiffness, (matrix, product) in reversed(list(zip(kept, references, strict=True))):
-        assert np.array_equal(stiffness.product(move), product)
+    for one, (matrix, product) in reversed(list(zip(kept, references, strict=True))):
+        assert np.array_equal(one.product(move), product)
         for right in (rhs, rhs[:, 0]):
-            assert np.abs(matrix @ stiffness.solve(right) - right).max() < 1e-9
+            assert np.abs(matrix @ one.solve(right) - right).max() < 1e-9
     # As many foreseen as one likes, in any order, with others solved with between.
     solved = []
     for k in (len(kept) - 1, 3, 2, 5, 4):
@@ -80,3 +81,30 @@ def test_what_is_foreseen_and_never_asked_for_leaves_room(small_rig, visit):
         del again
     assert len(keeper.prepared(kept.layout)._analyses) == 1
     assert kept.solve(np.ones(scene.system.n_unknowns)).shape == (scene.system.n_unknowns,)
+
+
+def test_steps_of_different_layouts_are_prepared_once_while_two_are_foreseen(small_rig, monkeypatch):
+    """Backwards, as many ahead as a rollout is gone through with."""
+    scene = build_scene(small_rig())
+    keeper, move = Keeper(scene.system), np.ones_like(scene.system.x)
+    Simulation(scene)
+    monkeypatch.setattr(stiffness, "SHARING", 0.0)
+    kept = []
+    for _ in range(6):
+        keeper._layout = None  # as if contact had changed
+        kept.append(keeper.keep())
+    made, plain = [], _Prepared.__init__
+
+    def counted(self, *given):
+        made.append(self)
+        plain(self, *given)
+
+    monkeypatch.setattr(_Prepared, "__init__", counted)
+    backwards = kept[::-1]
+    for k, one in enumerate(backwards):
+        for ahead in backwards[k : k + stiffness.AHEAD + 1]:
+            ahead.foresee()
+        one.product(move)
+        one.solve(np.ones(scene.system.n_unknowns))
+        one.product(move)
+    assert len(made) == len(kept)
