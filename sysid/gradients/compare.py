@@ -31,6 +31,7 @@ from sysid.gradients.differences import (
     plateau,
     probable_cause,
     round_off,
+    side_of,
     slope_of,
     unit_of,
     verdict,
@@ -165,8 +166,14 @@ class Comparison:
         else:
             hidden = ROUND_OFF * round_off(base, readings, aways) / (np.abs(aways)[:, 0] * scale)
             found = verdict(steps, errors, hidden, bound, sound=bool(derivatives.adjoint[part][k] <= bound))
-            if found == "differs":
-                reason = self._reason(ours, scale, base, readings[best], sweep[best], bound)
+            sound = derivatives.adjoint[part][k] <= bound
+            side = side_of(ours, scale, base, readings, aways, bound) if found == "differs" and sound else None
+            if side is not None:
+                found = "one side"
+                reason = f"to the side of {side[0]} of it, with which they agree to {side[1]:.0e}"
+            elif found == "differs":
+                cause = probable_cause(self.rig, self._times, [trace for _, _, trace in sweep[best]])
+                reason = f"Probably {cause}."
         return Row(
             direction.name, value, f"{channel} {part}".strip(), unit_of(self.trace.kinds[channel], part), scale * size,
             errors, errors[best], steps[best], plateau(steps, errors), float(derivatives.adjoint[part][k]), bound,
@@ -184,21 +191,3 @@ class Comparison:
         return float(
             np.broadcast_to(declared_noise(self.rig, channel), self.trace.outputs[channel].shape[1:2])[columns][0]
         )
-
-    def _reason(
-        self,
-        ours: np.ndarray,
-        scale: float,
-        base: np.ndarray,
-        readings: Sequence[np.ndarray],
-        ends: Sequence[_End],
-        bound: float,
-    ) -> str:
-        """What probably makes the derivative jump, and which side the sensitivities are on."""
-        cause = probable_cause(self.rig, self._times, [trace for _, _, trace in ends])
-        sides = []
-        for reading, (away, _, _) in zip(readings, ends, strict=True):
-            if largest((reading - base) / away - ours) <= 10.0 * bound * scale:
-                sides.append("more" if away > 0.0 else "less")
-        side = f"; the sensitivities are those to the side of {sides[0]} of it" if len(sides) == 1 else ""
-        return f"Probably {cause}{side}."

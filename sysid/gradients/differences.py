@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -56,8 +57,9 @@ class Row:
     relative change of the parameter; ``errors``: of the forward sensitivity against central differences, by step;
     ``plateau``: steps of which the errors are about as small as the least; ``adjoint``: relative error
     of the adjoint against the forward sensitivity of a random sum of readings, None where the errors are its own;
-    ``verdict``: 'agrees', 'no effect', 'negligible', 'unresolved' (round-off hides it in the differences), 'jumps'
-    (differences have no limit: the rollout jumps here) or 'differs'; ``reason``: of the last."""
+    ``verdict``: 'agrees', 'one side' (the derivative jumps here, and agrees with differences to one side), 'no effect',
+    'negligible', 'unresolved' (round-off hides it in the differences), 'jumps' (differences have no limit: the rollout
+    jumps here) or 'differs'; ``reason``: of the last, and of 'one side'."""
 
     parameter: str
     value: float | None
@@ -153,6 +155,30 @@ def away_of(value: float, step: float, lower: float, upper: float) -> tuple[floa
 def slope_of(base: np.ndarray, first: np.ndarray, second: np.ndarray, a: float, b: float) -> np.ndarray:
     """Derivative at 0 of the parabola through ``base`` at 0, ``first`` at ``a`` and ``second`` at ``b``."""
     return np.asarray(((first - base) * b**2 - (second - base) * a**2) / (a * b * (b - a)))
+
+
+def side_of(
+    ours: np.ndarray,
+    scale: float,
+    base: np.ndarray,
+    readings: Sequence[Sequence[np.ndarray]],
+    aways: Sequence[tuple[float, float]],
+    bound: float,
+) -> tuple[str, float] | None:
+    """Side of a place where the derivative jumps that sensitivities ``ours`` are those to, 'more' or 'less', and their
+    least relative error against differences to that side, of second order from two steps of the sweep; None where they
+    miss by more than the ``bound`` on either. ``readings``: at both ends of each step, that far ``aways``."""
+    found = []
+    for side, sign in (("more", 1.0), ("less", -1.0)):
+        there = sorted(
+            ((away, reading) for both, step in zip(aways, readings, strict=True)
+             for away, reading in zip(both, step, strict=True) if sign * away > 0.0),
+            key=lambda pair: abs(pair[0]),
+        )  # fmt: skip
+        for (near, first), (far, second) in pairwise(there):
+            found.append((largest(ours - slope_of(base, first, second, near, far)) / scale, side))
+    error, side = min(found, default=(np.inf, ""))
+    return (side, error) if error <= bound else None
 
 
 def jumps(steps: Sequence[float], errors: Sequence[float], bound: float) -> bool:

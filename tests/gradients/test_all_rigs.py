@@ -62,7 +62,7 @@ SLIDING = {
 """Rig: until when [s] its run must go for these contacts to slide, which in :data:`RUNS` they do not."""
 
 
-FEW = {"sliding": (2e-5, 1e-6, 1e-7)}
+FEW = {"sliding": (2e-5, 5e-6, 1e-6, 1e-7)}
 """Rigs of which a rollout takes ten seconds, and steps of their differences."""
 
 
@@ -71,7 +71,7 @@ def test_no_rig_is_left_out():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(3600)
+@pytest.mark.timeout(7200)
 @pytest.mark.parametrize("name", RUNS)
 def test_gradients_by_all_classes_of_parameters(name):
     """Below 1e-5, or 1e-4 with contact or plastic flow, forwards as well as backwards; one parameter of each name, and
@@ -98,7 +98,7 @@ def test_gradients_by_all_classes_of_parameters(name):
     agree = [row for row in rows if row["verdict"] == "agrees"]
     assert agree
     worst = max(agree, key=lambda row: row["best"])
-    others = Counter(row["verdict"] for row in rows if row["verdict"] in ("unresolved", "jumps"))
+    others = Counter(row["verdict"] for row in rows if row["verdict"] in ("one side", "unresolved", "jumps"))
     print(
         f"{name} until {until:g} s: {len(agree)} agree, to {worst['best']:.0e} ({worst['parameter']}); {dict(others)}"
     )

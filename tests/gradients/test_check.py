@@ -285,3 +285,18 @@ def test_a_single_field_is_checked_by_its_name(small_rig):
     assert {r["parameter"] for r in rows} == {"field gel.E_pa"}
     with pytest.raises(ConfigError, match=r"no field 'gel\.Epa'\. Did you mean 'fields\.gel\.E_pa'"):
         check_gradients(small_rig(), EXPERIMENT, ["fields.gel.Epa"])
+
+
+@pytest.mark.parametrize(("side", "slope"), [("more", 2.0), ("less", 7.0)])
+def test_a_derivative_of_one_side_of_a_kink_is_told_from_a_wrong_one(side, slope):
+    """Of what rises by 2 to the one side and by 7 to the other, and is curved; that of the middle is of no side."""
+
+    def reading(away):
+        return np.array([3.0 + (2.0 if away > 0.0 else 7.0) * away + 5.0 * away**2])
+
+    aways = [(h, -h) for h in (1e-2, 1e-3, 1e-4)]
+    readings = [[reading(a) for a in both] for both in aways]
+    found = differences.side_of(np.array([slope]), slope, reading(0.0), readings, aways, 1e-4)
+    assert found is not None and found[0] == side and found[1] < 1e-9
+    for wrong in (4.5, 1.001 * slope):
+        assert differences.side_of(np.array([wrong]), wrong, reading(0.0), readings, aways, 1e-4) is None
