@@ -25,7 +25,7 @@ from sysid.fit.nuisance import has_bias, nuisance_parameters
 from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
 from sysid.fit.own_error import Unmeasured, doubtful, fit_beside_own_error, loud, own_sizes
-from sysid.fit.parameters import FitParameter, asked_for, rig_at, start_of
+from sysid.fit.parameters import FitParameter, asked_for, bounds_cut, rig_at, start_of
 from sysid.fit.pool import AnyEngine, PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.profile import Profile
@@ -135,6 +135,7 @@ def _fit_runs(
     sentences, left = found.sentences, unexplained(problem, fitted)
     told = {run.unlike for run in runs if left}
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes if note not in told]
+    notes += bounds_cut(rig, list(dict.fromkeys(p.target for p in asked)), options.bounds)
     notes += [
         f"What was known of {p.name} before: {p.physical(at):g} +- {p.known_sd * (p.physical(at) if p.log else 1.0):g} "
         f"{p.unit}".rstrip()
@@ -349,9 +350,12 @@ def fit_bags(
     on_warning: Callable[[str], None] | None = None,
 ) -> str:
     """Fit bags (:func:`fit_runs`) and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``.
-    ``on_warning``: hears what speaks against the recordings before anything is simulated."""
+    ``on_warning``: hears which bounds are cut and what speaks against the recordings before anything is simulated."""
     from sysid.report import write_fit_report
 
+    if on_warning is not None:
+        for text in bounds_cut(rig, names, options.bounds):
+            on_warning(text)
     with whole_folder(out) as folder:
         runs, kept = load_runs(rig, bags, held_out, on_warning)
         result, fitted = fit_runs(rig, runs, names, options, held_out=kept, on_progress=on_progress, on_step=on_step)

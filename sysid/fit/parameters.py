@@ -172,11 +172,11 @@ def within_bounds(
     values = {p.name: p.value for p in list_parameters(rig)}
     found = []
     for p in parameters:
-        low, high = asked.pop(p.name, (p.lower, p.upper))
-        low, high = max(low, p.lower), min(high, p.upper)
+        given = asked.pop(p.name, (p.lower, p.upper))
+        low, high = max(given[0], p.lower), min(given[1], p.upper)
         if not low < high:
             raise ConfigError(
-                f"The bounds of {p.name} leave nothing between {low:g} and {high:g}.",
+                f"The bounds of {p.name}, {given[0]:g} .. {given[1]:g}, leave nothing of {_limits(p)}, its own limits.",
                 f"Give a lower bound below the upper one, both within {p.lower:g} and {p.upper:g}.",
             )
         value = values[p.name]
@@ -186,6 +186,29 @@ def within_bounds(
     if asked:
         raise ConfigError(f"There are bounds of {', '.join(asked)}, which is not fitted.", "Leave them out.")
     return found
+
+
+def bounds_cut(rig: Rig, names: Sequence[str], bounds: Mapping[str, tuple[float, float]]) -> list[str]:
+    """A sentence for each bound of the parameters ``names`` that is beyond their own limits, which hold instead. An
+    infinite one asks for no other bound. Raises ``ConfigError``."""
+    asked = _by_full_name(rig, bounds, "There are two pairs of bounds of")
+    said = []
+    for p in fit_parameters(rig, names):
+        low, high = asked.get(p.name, (-np.inf, np.inf))
+        beyond = [("lower", low, p.lower)] if -np.inf < low < p.lower else []
+        beyond += [("upper", high, p.upper)] if p.upper < high < np.inf else []
+        used = _limits(replace(p, lower=max(low, p.lower), upper=min(high, p.upper)))
+        said += [
+            f"The {side} bound of {p.name}, {bound:g}, is beyond its own limit, {limit:g}: it is fitted within {used}. "
+            "Give a bound within its limits to be rid of this."
+            for side, bound, limit in beyond
+        ]
+    return said
+
+
+def _limits(parameter: FitParameter) -> str:
+    """Its bounds, in words."""
+    return f"{parameter.lower:g} .. {parameter.upper:g} {parameter.unit}".rstrip()
 
 
 def known_before(

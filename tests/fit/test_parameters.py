@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from sim_core.effects import EFFECTS, effect_by_name
 from sim_core.errors import ConfigError
 from sim_core.rigs import list_parameters, with_parameters
-from sysid.fit.parameters import SCALES, FitParameter, asked_for, fit_parameters, start_of, within_bounds
+from sysid.fit.parameters import SCALES, FitParameter, asked_for, bounds_cut, fit_parameters, start_of, within_bounds
 
 STIFFNESS = "contacts.gel-post.stiffness_pa_per_m"
 
@@ -55,16 +56,34 @@ def test_bounds_can_be_narrowed_and_not_widened(small_rig: Any) -> None:
     assert same == parameters[0]
     assert (narrow.lower, narrow.upper) == (0.35, parameters[1].upper)
     assert narrow.physical(0.1) == 0.35
-    with pytest.raises(ConfigError, match=r"leave nothing between 0\.45 and 0\.44"):
+    with pytest.raises(ConfigError, match=r"gel\.nu, 0\.45 \.\. 0\.44, leave nothing of"):
         within_bounds(parameters, rig, {"gel.nu": (0.45, 0.44)})
     with pytest.raises(
         ConfigError, match=r"gel\.nu is 0\.4 .* below 0\.45, the bound that was given\. .* or give wider"
     ):
         within_bounds(parameters, rig, {"gel.nu": (0.45, 0.49)})
+    with pytest.raises(
+        ConfigError, match=r"gel\.nu, 0\.6 \.\. 0\.8, leave nothing of -0\.3 \.\. 0\.495, its own limits"
+    ):
+        within_bounds(parameters, rig, {"gel.nu": (0.6, 0.8)})
     with pytest.raises(ConfigError, match="which is not fitted"):
         within_bounds(parameters[:1], rig, {"gel.nu": (0.35, 0.45)})
     with pytest.raises(ConfigError, match=r"two pairs of bounds of gel\.E_pa"):
         within_bounds(parameters, rig, {"gel.E": (1e4, 1e6), "gel.E_pa": (1e3, 1e6)})
+
+
+def test_bounds_beyond_the_limits_of_a_parameter_are_told(small_rig: Any) -> None:
+    rig = with_parameters(small_rig(), {"gel.nu": 0.4})
+    lower, upper = bounds_cut(rig, ["gel.E", "gel.nu"], {"gel.nu": (-2.0, 7.0), "gel.E_pa": (1e3, 1e9)})
+    assert lower.startswith(
+        "The lower bound of gel.nu, -2, is beyond its own limit, -0.3: it is fitted within -0.3 .. 0.495."
+    )
+    assert upper.startswith(
+        "The upper bound of gel.nu, 7, is beyond its own limit, 0.495: it is fitted within -0.3 .. 0.495."
+    )
+    (stiff,) = bounds_cut(rig, ["gel.E"], {"gel.E": (1e3, 1e20)})
+    assert "gel.E_pa, 1e+20, is beyond its own limit, 1e+13: it is fitted within 1000 .. 1e+13 Pa." in stiff
+    assert not bounds_cut(rig, ["gel.nu"], {"gel.nu": (-math.inf, math.inf)})
 
 
 def test_bounds_hold_for_what_is_known_before_and_not_for_what_the_rig_says(small_rig: Any) -> None:

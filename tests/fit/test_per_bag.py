@@ -73,15 +73,19 @@ def test_the_result_of_a_fit_of_bags_has_a_value_for_each(tmp_path: Path) -> Non
     bags = [tmp_path / name for name in BAGS]
     for k, (bag, values) in enumerate(zip(bags, (TRUTH, STIFF), strict=True)):
         pulled(RIG, values, bag, seed=k)
+    warnings: list[str] = []
     table = fit_bags(
         RIG,
         bags,
         NAMES,
-        FitOptions(per_bag=["strip.E"], nuisance=("none",), intervals="quadratic"),
+        FitOptions(per_bag=["strip.E"], nuisance=("none",), intervals="quadratic", bounds={"strip.E": (1e8, 1e20)}),
         out=tmp_path / "out",
+        on_warning=warnings.append,
     )
-    found = json.loads((tmp_path / "out" / "fit.json").read_text())["estimates"]
-    values = {e["name"]: e["value"] for e in found}
+    result = json.loads((tmp_path / "out" / "fit.json").read_text())
+    (cut,) = warnings
+    assert "strip.E_pa, 1e+20, is beyond its own limit, 1e+13" in cut and cut in result["notes"]
+    values = {e["name"]: e["value"] for e in result["estimates"]}
     assert list(values) == ["strip.E_pa[soft]", "strip.E_pa[stiff]", "strip.nu"]
     assert values["strip.E_pa[stiff]"] > 1.1 * values["strip.E_pa[soft]"]
     assert all(name in table for name in values)
