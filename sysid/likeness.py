@@ -112,13 +112,15 @@ def numbers_apart(recorded: np.ndarray, known: np.ndarray) -> str:
     """How the marker numbers of a recording and those of a rig differ."""
     recorded, known = np.unique(recorded), np.unique(known)
     lost, strange = np.setdiff1d(known, recorded), np.setdiff1d(recorded, known)
-    parts = [f"the recording has {len(recorded)} markers ({_span(recorded)}), the rig {len(known)} ({_span(known)})"]
-    parts += [f"never seen: {_span(lost)}"] if len(lost) else []
-    parts += [f"not compared, since the rig does not know them: {_span(strange)}"] if len(strange) else []
+    parts = [
+        f"the recording has {len(recorded)} markers ({span_of(recorded)}), the rig {len(known)} ({span_of(known)})"
+    ]
+    parts += [f"never seen: {span_of(lost)}"] if len(lost) else []
+    parts += [f"not compared, since the rig does not know them: {span_of(strange)}"] if len(strange) else []
     return "; ".join(parts) + "."
 
 
-def _span(numbers: np.ndarray) -> str:
+def span_of(numbers: np.ndarray) -> str:
     """Sorted numbers, in short."""
     if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
         return f"{numbers[0]} to {numbers[-1]}"

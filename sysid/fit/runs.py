@@ -26,7 +26,7 @@ from sysid.likeness import check_topics, differences, numbers_apart
 from sysid.parts import Part, given_again, part_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
-from sysid.recording.notes import Notes, told_once
+from sysid.recording.notes import Note, Notes, told_once
 from sysid.rig_topics import topics_of
 
 UNITS = {"wrench": ("N", "N m"), "markers": ("m",), "tracks": ("px",)}
@@ -70,7 +70,8 @@ class Run:
     rig leaves the places of markers to it (``placed: first_frame``). ``since`` [s]: for a window of a recording, the
     time at which it begins; times of the run, poses before included, count from there; ``until``: its end, if it has
     one; ``changes``: until then, by channel. ``unlike``: in what it differs from recordings of the rig, in words.
-    ``doubts``: those of the ``notes`` on how it was read that may change a result.
+    ``doubts``: those of the ``notes`` on how it was read that may change a result. ``counted``: notes that count
+    samples, which :func:`sysid.fit.windows.window_of` tells for the window, or for the whole.
     """
 
     name: str
@@ -86,6 +87,7 @@ class Run:
     changes: Mapping[str, Change] = field(default_factory=dict)
     unlike: str = ""
     doubts: tuple[str, ...] = ()
+    counted: tuple[Note, ...] = ()
 
     def has(self, channel: str) -> bool:
         """Whether it has readings of a channel."""
@@ -109,7 +111,7 @@ def load_runs(
     on_warning: Callable[[str], None] | None = None,
 ) -> tuple[list[Run], list[Run]]:
     """Read the bags, or windows of bags, to use and those held out (:func:`load_run`), under names that tell all of
-    them apart. ``on_warning``: hears what speaks against each recording, once it is read."""
+    them apart. ``on_warning``: hears what speaks against each recording, once it is read, and each window of it."""
     from sysid.fit.windows import window_of
 
     paths = [*bags, *held_out]
@@ -123,6 +125,9 @@ def load_runs(
     runs = []
     for part, name in named:
         run = replace(window_of(rig, whole[part.path], part), name=name)
+        if on_warning is not None:
+            for text in run.doubts[len(whole[part.path].doubts) :]:
+                on_warning(f"{name}: {text}")
         if run.end <= 0.0:
             raise RecordingError(
                 f"{run.name} has readings of its first instant only, so there is nothing to simulate.",
@@ -201,6 +206,7 @@ def load_run(rig: Rig, path: Path) -> Run:
             "Record poses and sensors together, with one clock.",
         )
     sights, missed = placed_sights(rig, poses, measured)
+    said = [note for note in recording.notes if not note.thing]
     return Run(
         name=Path(path).name,
         path=str(path),
@@ -209,7 +215,7 @@ def load_run(rig: Rig, path: Path) -> Run:
         measured=measured,
         end=float(max(m.t[-1] for m in measured)),
         notes=(
-            *told_once(recording.notes),
+            *told_once(said),
             *(f"{topic}: named by the rig, not in this recording" for topic in missing),
             *(text for text, of_another in different if not of_another),
             *([unlike] if unlike else []),
@@ -218,7 +224,8 @@ def load_run(rig: Rig, path: Path) -> Run:
         ),
         sights=sights,
         unlike=unlike,
-        doubts=tuple(told_once([n for n in recording.notes if n.severity == "warning"])),
+        doubts=tuple(told_once([note for note in said if note.severity == "warning"])),
+        counted=tuple(note for note in recording.notes if note.thing),
     )
 
 

@@ -15,13 +15,15 @@ from dataclasses import replace
 import numpy as np
 
 from sim_core.errors import ConfigError, RecordingError, ThinshellError
-from sim_core.rigs import Rig
+from sim_core.rigs import Rig, WrenchSensor
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
 from sysid.fit.noise import channel_noise, moving
-from sysid.fit.runs import Change, Run
+from sysid.fit.runs import Change, Measured, Run
+from sysid.likeness import span_of
 from sysid.parts import Part
+from sysid.recording.notes import told_once
 from sysid.streams import predicted
 
 STILL_S = 0.2
@@ -34,15 +36,20 @@ FAR_OFF = 6.0
 def window_of(rig: Rig, run: Run, part: Part) -> Run:
     """The readings of a run in a window, its time counted from there. Raises ``RecordingError`` where there are none,
     and ``ConfigError`` where it cannot be known how the window begins."""
-    if part.whole:
-        return run
-    measured, notes = [], []
+    counted = [n for n in (note.between(part.begin, part.end) for note in run.counted) if n.times]
+    doubts = told_once([n for n in counted if n.severity == "warning"])
+    notes = told_once(counted)
+    when = "" if part.whole else f" from {part.begin:g} to {part.end:g} s"
+    measured = []
     for m in run.measured:
         inside = (m.t >= part.begin) & (m.t < part.end)
+        lacking, matters = _without_reading(rig, m, m.values[inside], when)
+        notes += filter(None, [lacking])
+        doubts += [lacking] if matters else []
         if np.isfinite(m.values[inside]).any():
             measured.append(replace(m, t=m.t[inside] - part.begin, values=m.values[inside]))
-        else:
-            notes.append(f"{m.channel}: no reading from {part.begin:g} to {part.end:g} s")
+    if part.whole:
+        return replace(run, notes=(*run.notes, *notes), doubts=(*run.doubts, *doubts))
     if not measured:
         raise RecordingError(
             f"{part.path}: nothing was measured from {part.begin:g} to {part.end:g} s.",
@@ -75,7 +82,29 @@ def window_of(rig: Rig, run: Run, part: Part) -> Run:
         since=part.begin,
         until=part.end,
         changes=changes,
+        doubts=(*run.doubts, *doubts),
     )
+
+
+def _without_reading(rig: Rig, measured: Measured, inside: np.ndarray, when: str) -> tuple[str, bool]:
+    """What a channel has no reading of among those ``inside`` a window ``(n, m)``, in words, '' if nothing, and whether
+    that may change a result: the whole channel, or a component that the rig says is measured, not a marker out of
+    sight."""
+    seen = np.isfinite(inside).any(axis=0)
+    if not seen.any():
+        return f"{measured.channel}: no reading{when}", True
+    lost = {label for label, there in zip(measured.labels, seen, strict=True) if not there}
+    if measured.kind == "wrench":
+        gauge = rig.sensors[measured.channel]
+        assert isinstance(gauge, WrenchSensor)
+        silent = ", ".join(c.replace("_", " ") for c in gauge.measures if c.replace("_", " ") in lost)
+        words = (
+            f"{measured.channel}: no reading of {silent}{when}, which the rig says to be measured. Look at the sensor, "
+        )
+        return (words + "or leave it out of 'measures' in the rig." if silent else ""), bool(silent)
+    once = np.isfinite(measured.values).any(axis=0)
+    gone = np.unique([int(measured.labels[k].split()[1]) for k in np.flatnonzero(once & ~seen)])
+    return (f"{measured.channel}: no reading of the markers {span_of(gone)}{when}" if len(gone) else ""), False
 
 
 def _until(trajectory: PoseTrajectory, end: float) -> PoseTrajectory:

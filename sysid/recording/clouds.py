@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sim_core.errors import RecordingError
 from sysid.recording.arrays import Floats, Ints
 from sysid.recording.messages import Series
-from sysid.recording.notes import Notes, plural
+from sysid.recording.notes import Notes
 from sysid.recording.streams import CameraInfo, MarkerStream, TrackStream
 from sysid.recording.times import note_gaps
 from sysid.recording.topics import SensorTopic
@@ -68,7 +68,8 @@ def marker_stream(series: Series, declared: SensorTopic, t0_ns: int, notes: Note
         RecordingError: ids are missing or not stable, or the unit is not plausible.
     """
     topic = series.topic
-    ids, row, column, clouds = _assign(series, ("x", "y", "z"), notes)
+    t = series.seconds(t0_ns)
+    ids, row, column, clouds = _assign(series, ("x", "y", "z"), t, notes)
     shape = (len(series.rows), len(ids))
     position = _fill(clouds, ("x", "y", "z"), row, column, shape)
     displacement = force = None
@@ -78,7 +79,6 @@ def marker_stream(series: Series, declared: SensorTopic, t0_ns: int, notes: Note
         force = _fill(clouds, ("fx", "fy", "fz"), row, column, shape)
         force = force if np.isfinite(force).any() else None
     scale = _scale(topic, position, displacement, declared, notes)
-    t = series.seconds(t0_ns)
     note_gaps(topic, t, notes)
     return MarkerStream(
         topic=topic,
@@ -98,7 +98,8 @@ def track_stream(series: Series, camera: CameraInfo | None, t0_ns: int, notes: N
         RecordingError: ids are missing or not stable.
     """
     topic = series.topic
-    ids, row, column, clouds = _assign(series, ("u", "v"), notes)
+    t = series.seconds(t0_ns)
+    ids, row, column, clouds = _assign(series, ("u", "v"), t, notes)
     shape = (len(series.rows), len(ids))
     uv = _fill(clouds, ("u", "v"), row, column, shape)
     confidence = np.zeros(shape)
@@ -110,7 +111,6 @@ def track_stream(series: Series, camera: CameraInfo | None, t0_ns: int, notes: N
     else:
         notes.info(topic, "no confidence given: taken as 1")
         confidence[row, column] = 1.0
-    t = series.seconds(t0_ns)
     note_gaps(topic, t, notes)
     return TrackStream(
         topic=topic, frame_id=series.frame_id, t=t, ids=ids, uv=uv, confidence=confidence, camera_info=camera
@@ -124,8 +124,8 @@ def _with_fields(cloud: Cloud, needed: tuple[str, ...]) -> Cloud:
     return cloud
 
 
-def _assign(series: Series, needed: tuple[str, ...], notes: Notes) -> tuple[Ints, Ints, Ints, Cloud]:
-    """Give every point its place: message (row) and marker (column).
+def _assign(series: Series, needed: tuple[str, ...], t: Floats, notes: Notes) -> tuple[Ints, Ints, Ints, Cloud]:
+    """Give every point its place: message (row) and marker (column). ``t``: times of the messages [s], shape (n,).
 
     Returns:
         Ids of the markers (m,), row and column per point (p,), and the fields of all points (p,).
@@ -151,7 +151,7 @@ def _assign(series: Series, needed: tuple[str, ...], notes: Notes) -> tuple[Ints
         )
     finite = np.all([np.isfinite(points[key]) for key in needed], axis=0)
     if not finite.all():
-        notes.info(topic, f"{plural(int((~finite).sum()), 'point')} with NaN taken as missing markers")
+        notes.count("info", topic, "point", "with NaN taken as missing markers", t[row[~finite]])
     ids = np.unique(name[finite])
     if not len(ids):
         raise RecordingError(f"{topic}: no message holds a finite marker.", "Check the tracker.")
@@ -166,9 +166,9 @@ def _assign(series: Series, needed: tuple[str, ...], notes: Notes) -> tuple[Ints
     first = np.zeros(len(place), dtype=np.bool_)
     usable = np.flatnonzero(finite)
     first[usable[np.unique(place[usable], return_index=True)[1]]] = True
-    doubled = int(finite.sum()) - int(first.sum())
-    if doubled:
-        notes.warning(topic, f"{plural(doubled, 'point')} with an id already used in its message dropped")
+    doubled = finite & ~first
+    if doubled.any():
+        notes.count("warning", topic, "point", "with an id already used in its message dropped", t[row[doubled]])
     return ids, row[first], column[first], {key: values[first] for key, values in points.items()}
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 Severity = Literal["info", "warning"]
@@ -16,12 +16,25 @@ class Note:
     Attributes:
         severity: 'info' for what is harmless, 'warning' for what may change a result.
         channel: the topic or file it is about.
-        text: the remark.
+        words: the remark, without the number that it begins with if it counts something.
+        thing: what it counts, '' for nothing.
+        times: when these were recorded, in seconds since the start of the recording.
     """
 
     severity: Severity
     channel: str
-    text: str
+    words: str
+    thing: str = ""
+    times: tuple[float, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The remark."""
+        return f"{plural(len(self.times), self.thing)} {self.words}" if self.thing else self.words
+
+    def between(self, begin: float, end: float) -> Note:
+        """The remark on what was recorded from ``begin`` until before ``end`` [s], of one that counts something."""
+        return replace(self, times=tuple(t for t in self.times if begin <= t < end))
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.channel}: {self.text}"
@@ -40,6 +53,10 @@ class Notes:
     def warning(self, channel: str, text: str) -> None:
         """Add a remark on something that may change a result."""
         self._notes.append(Note("warning", channel, text))
+
+    def count(self, severity: Severity, channel: str, thing: str, words: str, times: Iterable[float]) -> None:
+        """Add a remark on what there is at these times, in seconds since the start of the recording."""
+        self._notes.append(Note(severity, channel, words, thing, tuple(float(t) for t in times)))
 
     def collected(self) -> tuple[Note, ...]:
         """Return the remarks, warnings first."""

@@ -10,7 +10,7 @@ from sim_core.errors import RecordingError
 from sysid.recording.bag import MessageSet
 from sysid.recording.images import ImageStream
 from sysid.recording.messages import Series, read_table
-from sysid.recording.notes import Notes, plural
+from sysid.recording.notes import Notes
 from sysid.recording.streams import CameraInfo, WrenchStream
 from sysid.recording.times import note_gaps
 from sysid.recording.topics import CAMERA_INFO, SensorTopic
@@ -40,10 +40,7 @@ def wrench_stream(series: Series, declared: SensorTopic, t0_ns: int, notes: Note
         raise RecordingError(f"{topic}: every wrench holds only NaN or infinity.", "Check the force sensor.")
     values = np.where(mask, values, np.nan)
     if not mask.all():
-        notes.warning(
-            topic,
-            f"{plural(int((~mask.all(axis=1)).sum()), 'message')} with NaN or infinite components, masked",
-        )
+        notes.count("warning", topic, "message", "with NaN or infinite components, masked", t[~mask.all(axis=1)])
     if declared.length_unit == "mm":
         notes.info(topic, "torques scaled from N mm to N m, as declared")
         values[:, 3:] *= 1e-3

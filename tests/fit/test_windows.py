@@ -18,6 +18,7 @@ from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import Rig, load_rig, with_parameters
 from sim_core.rigs.motion import Experiment
 from sysid.fit import FitOptions, fit_bags, fit_runs
+from sysid.fit.doubts import doubts
 from sysid.fit.engine import Engine
 from sysid.fit.pool import PooledEngine
 from sysid.fit.runs import Run, check_apart, load_runs
@@ -191,8 +192,38 @@ def test_a_channel_without_readings_in_a_window_is_told(rig: Rig, session: Path)
                  for m in run.measured)  # fmt: skip
     part = window_of(rig, replace(run, measured=late), Part(session, 2.0, 9.0))
     assert {m.channel for m in part.measured} == {"wrench", "markers"}
-    assert "side: no reading from 2 to 9 s" in part.notes
+    assert "side: no reading from 2 to 9 s" in part.notes and "side: no reading from 2 to 9 s" in part.doubts
     assert any(note.startswith("The window ends at 9 s, the recording's readings at 5.") for note in part.notes)
+
+
+def test_what_is_missing_is_counted_in_the_window(rig: Rig, tmp_path: Path) -> None:
+    """Components that are not finite, by the window that they are in; components and markers that it has none of."""
+    bag = tmp_path / "bag"
+    motion = {"finger": [{"type": "wait", "duration_s": 0.6}]}
+
+    def gaps(channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.ndarray:
+        noisy = clean.copy()
+        since = stamps - stamps[0]
+        if kind == "wrench":
+            noisy[:4, 0] = np.nan
+            noisy[since > 0.3, 5] = np.nan
+        if channel == "side":
+            noisy[since > 0.3, 2] = np.nan
+        return noisy
+
+    simulate_to_bag(rig, Experiment.model_validate({"name": "wait", "motions": motion}), bag, noise=gaps)
+    heard: list[str] = []
+    (whole, first, last), _ = load_runs(rig, [bag, Path(f"{bag}@0:0.3"), Path(f"{bag}@0.4:9")], on_warning=heard.append)
+    late = int(np.isnan(next(m for m in last.measured if m.channel == "wrench").values[:, 5]).sum())
+    counted = [next(n for n in run.doubts if "NaN" in n) for run in (whole, first, last)]
+    assert int(counted[0].split()[1]) > 4 + late
+    assert counted[1:] == [f"/wrench: {n} messages with NaN or infinite components, masked" for n in (4, late)]
+    (silent,) = (n for n in last.doubts if "no reading" in n)
+    assert silent.startswith("wrench: no reading of torque z from 0.4 to 9 s, which the rig says to be measured.")
+    assert heard == [f"{run.name}: {n}" for run in (whole, first, last) for n in run.doubts]
+    assert any(re.fullmatch(r"side: no reading of the markers \d+ from 0\.4 to 9 s", n) for n in last.notes)
+    assert not any("no reading" in n for run in (whole, first) for n in run.notes)
+    assert "4 messages" in doubts(rig, [first])[0]
 
 
 @pytest.mark.parametrize(
