@@ -56,6 +56,11 @@ def _senses(rig: Rig) -> list[_Part]:
     ]
 
 
+def places_of_topics(rig: Rig) -> dict[str, str]:
+    """Where the rig file names each topic that it reads, poses, readings and tracks."""
+    return {part.topics[0]: part.key for part in (*_hands(rig), *_senses(rig))}
+
+
 def check_topics(rig: Rig, path: Path, topics: Mapping[str, TopicInfo]) -> None:
     """Refuse a recording that lacks the pose of an end effector, or all that the rig measures, or in which names of the
     rig may mean several topics. Raises ``RecordingError``, which names what differs."""

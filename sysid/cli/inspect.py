@@ -30,6 +30,7 @@ def inspect(
     from sim_core.rigs import load_rig
     from sim_core.rigs.trajectory import PoseTrajectory
     from sysid.fit.noise import standing_still
+    from sysid.likeness import check_topics, places_of_topics
     from sysid.recording import read_recording
     from sysid.recording.bag import open_bag
     from sysid.recording.notes import Notes
@@ -39,8 +40,16 @@ def inspect(
     check_bag(bag)
     names, missing = None, []
     if chosen is not None:
-        names, absent = topics_of(chosen, open_bag(bag, Notes()).topics)
-        missing = [f"missing: {t}: the rig {chosen.name!r} names it, the recording lacks it" for t in absent]
+        topics = open_bag(bag, Notes()).topics
+        names, absent = topics_of(chosen, topics)
+        if not (names.wrench or names.markers or names.tracks or names.images):
+            check_topics(chosen, bag, topics)
+        places = places_of_topics(chosen)
+        missing = [
+            f"missing: {t}: the rig {chosen.name!r} names it in {places[t]}, the recording lacks it" for t in absent
+        ]
+        if missing:
+            missing.append("What the recording has under another name: write that name there into the rig.")
     recording = read_recording(bag, names, need_pose=False)
     print(recording.summary())
     for name, stream in recording.poses.items():

@@ -135,6 +135,12 @@ FAULTS: dict[str, Fault] = {
         ["fit", "material_bench", PRESS_POST, "--params", "gel.E", "--out", "o"],
         r"press_post does not match the rig 'material_bench': it lacks the pose of 'gripper'.*Give the rig that it was",
     ),
+    "recording with other topics": Fault(
+        ["inspect", PRESS_POST, "--rig", "my.yaml"],
+        r"press_post does not match the rig 'card_press': it lacks the readings of 'wrench_gel' \(cell/wrench\).*it "
+        r"has .*/tactile/left/wrench.*write the topics of the recording into this one, as in sensors\.wrench_gel\.",
+        {"my.yaml": GOOD_RIG.replace("tactile/left/", "cell/").replace("outside/", "side/")},
+    ),
     "recording twice": Fault("diagnose card_press a.mcap ./a.mcap --out result", "given twice", BAG),
     "window is held out": Fault(f"{FIT} --held-out a.mcap@1:2", "readings from 1 to 2 s are given both", BAG),
     "held-out is used": Fault(f"{FIT} --held-out a.mcap", "both to use and to hold out", BAG),

@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from sim_core.errors import RecordingError
-from sim_core.rigs import load_rig
+from sim_core.rigs import config_folder, load_rig
+from sysid.cli.app import main
 from sysid.fit.runs import load_run
-from sysid.likeness import check_topics, numbers_apart
+from sysid.likeness import check_topics, numbers_apart, places_of_topics
 from sysid.recording import RecordingWriter
 from sysid.recording.bag import TopicInfo
 from sysid.recording.topics import CAMERA_INFO, CLOUD, IMAGE, POSE, WRENCH
+from sysid.rig_topics import topics_of
+
+PRESS_POST = config_folder().parent / "bags" / "press_post"
 
 OF_CARD_PRESS = {
     "/current_pose": POSE,
@@ -122,3 +126,12 @@ def test_many_numbers_are_told_in_short() -> None:
     assert numbers_apart(np.arange(0, 40, 2), np.arange(3)).startswith(
         "the recording has 20 markers (0, 2, 4, 6, 8, 10, 12, 14, ...), the rig 3 (0 to 2); never seen: 1; not compared"
     )
+
+
+def test_the_rig_names_every_topic_that_a_recording_may_lack_somewhere(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("card_press", "material_bench", "gel_sensor"):
+        assert set(topics_of(load_rig(name), [])[1]) <= set(places_of_topics(load_rig(name)))
+    assert main(["inspect", str(PRESS_POST), "--rig", "material_bench"]) == 0
+    told = capsys.readouterr().out
+    assert "missing: load_cell/wrench: the rig 'material_bench' names it in sensors.load_cell.topic, the rec" in told
+    assert told.endswith("What the recording has under another name: write that name there into the rig.\n")
