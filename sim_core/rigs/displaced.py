@@ -28,12 +28,12 @@ class Displaced(Strict):
         T_true = T_told * (rho, exp phi):    p_true = p + R rho,    R_true = R exp(phi)
     """
 
-    offset_x_m: Shift = Field(default=0.0, description="true pose ahead of the told one along its x")
-    offset_y_m: Shift = Field(default=0.0, description="true pose ahead of the told one along its y")
-    offset_z_m: Shift = Field(default=0.0, description="true pose ahead of the told one along its z")
-    offset_rx_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its x")
-    offset_ry_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its y")
-    offset_rz_deg: Turn = Field(default=0.0, description="true pose turned from the told one, about its z")
+    offset_x_m: Shift = Field(default=0.0, description="shift of the true pose along x")
+    offset_y_m: Shift = Field(default=0.0, description="shift of the true pose along y")
+    offset_z_m: Shift = Field(default=0.0, description="shift of the true pose along z")
+    offset_rx_deg: Turn = Field(default=0.0, description="turn of the true pose, after the shift, about x")
+    offset_ry_deg: Turn = Field(default=0.0, description="turn of the true pose, after the shift, about y")
+    offset_rz_deg: Turn = Field(default=0.0, description="turn of the true pose, after the shift, about z")
 
     def offset(self) -> FloatArray:
         """Shift [m] and rotation vector [rad] of the true pose in the told one, ``(6,)``."""

@@ -24,6 +24,10 @@ from sim_core.rigs.yamlfile import validate
 
 _INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "scale_m_per_px")
 
+OF_END_EFFECTORS = " of the end effector's own frame, as its poses tell it"
+OF_CAMERAS = " of the camera's own frame, as 'pose' in the rig tells it"
+"""Whose axes offsets are along and about."""
+
 Path = tuple[str | int, ...]
 
 
@@ -163,13 +167,14 @@ def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
             yield ("contacts", index, key), _parameter(f"contacts.{contact.name}.{key}", contact, key)
     for name, effector in rig.end_effectors.items():
         for key in OFFSETS:
-            yield ("end_effectors", name, key), _parameter(f"{name}.{key}", effector, key)
+            yield ("end_effectors", name, key), _parameter(f"{name}.{key}", effector, key, OF_END_EFFECTORS)
     for name, sensor in rig.sensors.items():
         yield ("sensors", name, "latency_s"), _parameter(f"{name}.latency_s", sensor, "latency_s")
     for name, camera in rig.cameras.items():
         for key in ("latency_s", *_INTRINSICS, *OFFSETS):
             if key in type(camera).model_fields:
-                yield ("cameras", name, key), _parameter(f"{name}.{key}", camera, key)
+                frame = OF_CAMERAS if key in OFFSETS else ""
+                yield ("cameras", name, key), _parameter(f"{name}.{key}", camera, key, frame)
     for effect, values in rig.effects.items():
         bounds = _bounds_of_effect(effect)
         for key, value in values.items():
@@ -193,10 +198,10 @@ _MEANINGS = {
 }
 
 
-def _parameter(name: str, owner: Strict, key: str) -> Parameter:
+def _parameter(name: str, owner: Strict, key: str, frame: str = "") -> Parameter:
     lower, upper = bounds_of(type(owner), key)
     meaning = type(owner).model_fields[key].description or _MEANINGS.get(key, "")
-    return Parameter(name, getattr(owner, key), unit_of(key), lower, upper, meaning)
+    return Parameter(name, getattr(owner, key), unit_of(key), lower, upper, meaning + frame)
 
 
 def _spellings(rig: Rig, full: str) -> Iterator[str]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from sim_core.errors import ConfigError
 from sim_core.rigs import list_parameters, load_rig, resolve_name, with_parameters
@@ -63,6 +65,27 @@ def test_an_unknown_name_is_answered_with_the_nearest(written: str, remedy: str)
         resolve_name(RIG, written)
     assert caught.value.problem == f"The rig 'card_press' has no parameter {written!r}."
     assert caught.value.remedy == remedy
+
+
+@pytest.mark.parametrize(
+    ("owner", "frame"),
+    [
+        ("finger", "of the end effector's own frame, as its poses tell it"),
+        ("outside", "of the camera's own frame, as 'pose' in the rig tells it"),
+    ],
+)
+def test_offsets_name_the_frame_that_they_are_measured_in(owner: str, frame: str) -> None:
+    """There the true pose is: shifted along, and then turned about, the axes of the pose that is told."""
+    told = {p.name: p.description for p in list_parameters(RIG)}
+    for axis in "xyz":
+        assert told[f"{owner}.offset_{axis}_m"] == f"shift of the true pose along {axis} {frame}"
+        assert told[f"{owner}.offset_r{axis}_deg"] == f"turn of the true pose, after the shift, about {axis} {frame}"
+    changed = with_parameters(RIG, {f"{owner}.offset_x": 0.01, f"{owner}.offset_rx": 30.0})
+    part = changed.end_effectors.get(owner) or changed.cameras[owner]
+    upright = Rotation.from_euler("z", 90.0, degrees=True)
+    origin, turn = part.truly(np.array([0.1, 0.0, 0.0]), upright)
+    assert origin == pytest.approx([0.1, 0.01, 0.0])
+    assert (upright.inv() * turn).as_rotvec(degrees=True) == pytest.approx([30.0, 0.0, 0.0])
 
 
 def test_a_changed_rig_differs_only_there() -> None:
