@@ -59,6 +59,15 @@ class Expected:
     determined: bool
     from_channels: dict[str, float]
 
+    def spread(self) -> str:
+        """Standard deviation over the value, or in its unit where that is zero, in words; '' where it is not
+        determined."""
+        if not self.determined:
+            return ""
+        if not self.log and self.value == 0.0:
+            return f"{self.sd:.2g} {self.unit}".rstrip()
+        return f"{100.0 * (self.sd if self.log else self.sd / abs(self.value)):.2g} %"
+
 
 @dataclass(frozen=True)
 class Outlook:
@@ -210,10 +219,13 @@ def _still(fitted: Fitted) -> list[str]:
 
 def _table(outlook: Outlook) -> str:
     title = " and ".join(outlook.experiments) + (" together" if len(outlook.experiments) > 1 else "")
-    lines = [title, f"{'parameter':<34}{'value':>13}  {'expected 95 % interval':<27}{'unit':<8}from"]
+    lines = [title, f"{'parameter':<34}{'value':>13}  {'expected 95 % interval':<27}{'unit':<8}{'sd':<12}from"]
     for e in outlook.parameters:
         low, high = e.ci95
         told = f"{low:.5g} .. {high:.5g}" if e.determined else "not determined"
         sources = ", ".join(f"{c} {100 * s:.0f} %" for c, s in e.from_channels.items() if s > WORTH_NAMING)
-        lines.append(f"{e.name:<34}{e.value:>13.5g}  {told:<27}{e.unit:<8}{sources if e.determined else ''}".rstrip())
+        lines.append(
+            f"{e.name:<34}{e.value:>13.5g}  {told:<27}{e.unit:<8}{e.spread():<12}"
+            f"{sources if e.determined else ''}".rstrip()
+        )
     return "\n".join([*lines, *outlook.sentences])

@@ -11,7 +11,7 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import EndEffector, Rig, load_rig, resolve_name
 from sim_core.rigs.load import names_in
 from sim_core.rigs.motion import Experiment, load_experiment
-from sysid.fit.plan import Expected, Outlook, plan_experiments
+from sysid.fit.plan import Outlook, plan_experiments
 from sysid.folder import whole_file, whole_folder
 from sysid.report.motion_picture import draw_experiment
 
@@ -24,9 +24,10 @@ HEAD = """# Experiments that identify materials
 
 Each picture shows the rig from the side at some instants, the paths of the end effectors, and the commanded
 displacement and turn against time. Each table says how well the readings of an experiment would determine each
-parameter, as `thinshell plan` computes it: the expected relative standard deviation, with the noise that the rig
-declares, the error of mesh and time step, and all nuisances that a fit allows for (time, bias, camera, pose); a dash
-where the readings do not tell. Values are those of the rig.
+parameter: the relative standard deviation, which `thinshell plan` prints as `sd` beside the 95 % interval that follows
+from it, about twice that either way. It allows for the noise that the rig declares, the error of mesh and time step,
+and all nuisances of a fit (time, bias, camera, pose); a dash where the readings do not tell. Values are those of the
+rig.
 
 Made by `{command}`.
 """
@@ -119,7 +120,7 @@ def _section(
     titles = [o.experiments[0] if len(o.experiments) == 1 else "all together" for o in outlooks]
     lines += [f"| parameter | value | {' | '.join(titles)} | from |", f"| --- | --- |{' --- |' * (len(titles) + 1)}"]
     for k, name in enumerate(names):
-        cells = [_relative(outlook.parameters[k]) for outlook in outlooks]
+        cells = [outlook.parameters[k].spread() or "\u2013" for outlook in outlooks]
         last = outlooks[-1].parameters[k]
         sources = ", ".join(f"{c} {100 * s:.0f} %" for c, s in last.from_channels.items() if s >= 0.05)
         told = sources if last.determined else ""
@@ -139,14 +140,6 @@ def _calibrated(rig: Rig) -> list[str]:
         for name, e in rig.end_effectors.items()
         if (e.offset_sd_m, e.offset_sd_deg) != (usual.offset_sd_m, usual.offset_sd_deg)
     ]
-
-
-def _relative(expected: Expected) -> str:
-    """Relative standard deviation of a parameter, a dash where it is not determined."""
-    if not expected.determined:
-        return "\u2013"
-    relative = expected.sd if expected.log else expected.sd / max(abs(expected.value), 1e-300)
-    return f"{100.0 * relative:.2g} %"
 
 
 def _stiffnesses(rig: Rig, outlook: Outlook) -> list[str]:

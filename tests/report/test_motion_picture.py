@@ -16,9 +16,9 @@ from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sysid.cli.app import main
 from sysid.fit.parameters import fit_parameters
-from sysid.fit.plan import Expected, Outlook, plan_experiments
+from sysid.fit.plan import Expected, Outlook, Plan, plan_experiments
 from sysid.report import experiments_page
-from sysid.report.experiments_page import _section, by_rig, identifying, parameters_of
+from sysid.report.experiments_page import HEAD, _section, by_rig, identifying, parameters_of
 from sysid.report.motion_picture import draw_experiment, telling_instants
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -76,7 +76,12 @@ def test_every_experiment_that_identifies_is_in_the_documentation() -> None:
         assert (DOCS / "experiments" / f"{experiment.name}.svg").read_text().startswith("<?xml")
 
 
-def test_a_table_has_relative_standard_deviations() -> None:
+def test_the_documentation_says_what_the_command_says_of_its_tables() -> None:
+    command = "thinshell experiments --out docs/experiments --page"
+    assert (DOCS / "experiments.md").read_text().startswith(HEAD.format(command=command))
+
+
+def test_a_table_has_the_relative_standard_deviations_of_plan() -> None:
     rig = load_rig("strip_pull")
     experiment = pull(rig="strip_pull", identifies=["strip.E", "strip.thickness", "strip.nu"])
     names = parameters_of(rig, [experiment])
@@ -87,9 +92,20 @@ def test_a_table_has_relative_standard_deviations() -> None:
         Expected(names[2], "", 0.38, (0.0, 1.0), 0.5, False, False, {"above": 1.0}),
     )
     correlation = [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-    text = _section(rig, [experiment], names, [Outlook(("pull",), parameters, correlation, ())], "pictures")
+    outlook = Outlook(("pull",), parameters, correlation, ())
+    text = _section(rig, [experiment], names, [outlook], "pictures")
     assert "| `strip.E_pa` | 4.9e+09 Pa | 2 % | load_cell 97 % |" in text
     assert "| `strip.nu` | 0.38 | \u2013 | |" in text
+    rows = [line.split() for line in Plan(rig.name, (outlook,)).table().splitlines()[2:]]
+    assert [row[0] for row in rows] == names
+    for row, name in zip(rows, names, strict=True):
+        (cell,) = re.findall(rf"\| `{name}` \| [^|]* \| ([^|]*) \|", text)
+        said = "not determined" if cell == "\u2013" else cell
+        assert f" {said} " in f"{' '.join(row)} ", "what the table says, 'thinshell plan' says"
+    assert [Expected("a", "s", 0.0, (0.0, 1.0), 0.012, log, True, {}).spread() for log in (0, 1)] == [
+        "0.012 s",
+        "1.2 %",
+    ]
     # Fully opposed: E t is known to 2 - 1 %, E t^3 to |2 - 3| %.
     assert "E t of the strip: 1 %, its bending stiffness E t\u00b3/12: 1 %" in text
 
