@@ -27,7 +27,7 @@ from sysid.fit.own_error import discretisation
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
-from sysid.fit.runs import load_run
+from sysid.fit.runs import Measured, Run, load_run
 from sysid.fit.uncertainty import UNDETERMINED_SHARE, interval, uncertainty
 from sysid.fit.untold import blamed
 from sysid.simulate import simulate_to_bag
@@ -40,7 +40,7 @@ WORTH_NAMING = 0.05
 PREDICTIONS = 4
 """Predictions of each experiment: with derivatives, as it is, on a finer mesh, with a shorter step."""
 
-SIMULATED, PREDICTED = 0.2, 0.7
+SIMULATED, PREDICTED = 0.1, 0.6
 """Shares of the time, about, after which the experiments are simulated and the predictions made."""
 
 
@@ -138,11 +138,12 @@ def plan_experiments(
         predictions = [p.result() for p in pending]
         outlooks = []
         groups = [[k] for k in range(len(runs))] + ([list(range(len(runs)))] if len(runs) > 1 else [])
-        for done, group in enumerate(groups):
-            told = " and ".join(runs[k].name for k in group)
-            say(PREDICTED + (1.0 - PREDICTED) * done / len(groups), f"what {told} would tell")
+        # With a bias what is known without one is asked twice more (:func:`sysid.fit.untold.blamed`).
+        judged = _Readings(say, (3 if bias else 1) * sum(_readings(runs[k]) for group in groups for k in group))
+        for group in groups:
+            judged.begin(" and ".join(runs[k].name for k in group))
             own = [replace(d, shapes=tuple(d.shapes[k] for k in group)) for d in directions]
-            problem = Problem([runs[k] for k in group], noise, engine, own, bias=bias)
+            problem = Problem([runs[k] for k in group], noise, engine, own, bias=bias, on_channel=judged)
             fitted = problem.compare([predictions[k] for k in group], rig, parameters, start)
             fitted.residual[:] = 0.0
             outlooks.append(_outlook(problem, fitted, sorted(kinds)))
@@ -161,6 +162,29 @@ class _Count:
         self._done += 1
         share = SIMULATED + (PREDICTED - SIMULATED) * self._done / self._all
         self._say(share, f"{self._done} of {self._all} predictions: derivatives, error of mesh and time step")
+
+
+class _Readings:
+    """Tells the progress of what follows from predictions, by the readings that have been put into equations. Called
+    with each channel."""
+
+    def __init__(self, say: Progress, all_of_them: int) -> None:
+        self._say, self._all, self._done = say, all_of_them, 0
+
+    def begin(self, experiments: str) -> None:
+        self._words = f"what {experiments} would tell"
+        self._tell()
+
+    def __call__(self, measured: Measured) -> None:
+        self._done += measured.values.size
+        self._tell()
+
+    def _tell(self) -> None:
+        self._say(PREDICTED + (1.0 - PREDICTED) * self._done / self._all, self._words)
+
+
+def _readings(run: Run) -> int:
+    return sum(m.values.size for m in run.measured)
 
 
 def _none(channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.ndarray:

@@ -58,7 +58,8 @@ class Problem:
     """Runs, their noise, and the known error shapes that are eliminated from the residuals.
 
     ``prior``: pull every parameter to the value of the rig with the width of its plausible range, not only
-    nuisances; ``bias``: every wrench reading has a constant of its own in each run, which is eliminated as well.
+    nuisances; ``bias``: every wrench reading has a constant of its own in each run, which is eliminated as well;
+    ``on_channel``: called with each channel of a run that has been assembled.
     """
 
     def __init__(
@@ -69,6 +70,7 @@ class Problem:
         directions: Sequence[Direction] = (),
         prior: bool = False,
         bias: bool = False,
+        on_channel: Callable[[Measured], None] | None = None,
     ) -> None:
         self.runs = list(runs)
         self.noise = noise
@@ -76,6 +78,7 @@ class Problem:
         self.directions = list(directions)
         self.prior = prior
         self.bias = bias
+        self.on_channel = on_channel
         self._weights: dict[tuple[int, str], np.ndarray] = {}
         self._doubtful: dict[tuple[int, str], np.ndarray] = {}
         self._eliminations: dict[tuple[int, str], Elimination] = {}
@@ -216,6 +219,8 @@ class Problem:
                     rows[seen[good]] = stacked[seen]
                 assembled.append(rows)
                 labels.append((i, m.channel, times))
+                if self.on_channel is not None:
+                    self.on_channel(m)
         rows = np.concatenate(assembled)
         still, changes = rows[:, 1 : 1 + len(names)], rows[:, 1 + len(names) :]
         if not changes.any():

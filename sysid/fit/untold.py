@@ -274,7 +274,10 @@ def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str,
     kept = [k for k, p in enumerate(fitted.parameters) if not (p.nuisance and kind_of(rig, p.target) in known)]
     jacobian, rows = fitted.jacobian, fitted.pulls
     if "bias" in known and problem.bias:
-        plain = Problem(problem.runs, problem.noise, problem.engine, problem.directions, problem.prior)
+        plain = Problem(
+            problem.runs, problem.noise, problem.engine, problem.directions, problem.prior,
+            on_channel=problem.on_channel,
+        )  # fmt: skip
         data = plain.assemble(fitted.predictions, [p.name for p in fitted.parameters], fitted.scaled)[1]
         jacobian = np.vstack([data, fitted.jacobian[len(fitted.jacobian) - rows :]])
     parameters, values, vectors = marginal(

@@ -15,7 +15,7 @@ from sim_core.rigs.motion import Experiment
 from sysid.fit.noise import channel_noise, undeclared
 from sysid.fit.own_error import discretisation
 from sysid.fit.parameters import fit_parameters, start_of
-from sysid.fit.plan import plan_experiments
+from sysid.fit.plan import PREDICTED, plan_experiments
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.runs import load_run
@@ -79,6 +79,9 @@ def test_progress_goes_on_all_the_time(plan, told):
         f"{k} of 12 predictions: derivatives, error of mesh and time step" for k in range(13)
     ]
     assert "what press and touch and rub would tell" in told[-2][1]
+    answers = [share for share, text in told if text.endswith("would tell")]
+    assert answers[0] == pytest.approx(PREDICTED) and answers[-1] == pytest.approx(1.0)
+    assert max(np.diff(answers)) < 0.05, "putting the readings into equations is counted, not only the predictions"
 
 
 def test_each_experiment_tells_of_what_it_touches(plan):
