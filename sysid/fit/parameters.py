@@ -176,7 +176,8 @@ def within_bounds(
         low, high = max(given[0], p.lower), min(given[1], p.upper)
         if not low < high:
             raise ConfigError(
-                f"The bounds of {p.name}, {given[0]:g} .. {given[1]:g}, leave nothing of {_limits(p)}, its own limits.",
+                f"The bounds of {p.name} leave nothing between {low:g} and {high:g}: given were {given[0]:g} .. "
+                f"{given[1]:g}, and its own limits are {_limits(p)}.",
                 f"Give a lower bound below the upper one, both within {p.lower:g} and {p.upper:g}.",
             )
         value = values[p.name]
