@@ -196,12 +196,14 @@ def bounds_cut(rig: Rig, names: Sequence[str], bounds: Mapping[str, tuple[float,
     said = []
     for p in fit_parameters(rig, names):
         low, high = asked.get(p.name, (-np.inf, np.inf))
+        used = replace(p, lower=max(low, p.lower), upper=min(high, p.upper))
+        if not used.lower < used.upper:
+            continue  # nothing is left, which is an error of its own
         beyond = [("lower", low, p.lower)] if -np.inf < low < p.lower else []
         beyond += [("upper", high, p.upper)] if p.upper < high < np.inf else []
-        used = _limits(replace(p, lower=max(low, p.lower), upper=min(high, p.upper)))
         said += [
-            f"The {side} bound of {p.name}, {bound:g}, is beyond its own limit, {limit:g}: it is fitted within {used}. "
-            "Give a bound within its limits to be rid of this."
+            f"The {side} bound of {p.name}, {bound:g}, is beyond its own limit, {limit:g}: it is fitted within "
+            f"{_limits(used)}. Give a bound within its limits to be rid of this."
             for side, bound, limit in beyond
         ]
     return said

@@ -89,7 +89,7 @@ def check_gradients(
             f"The rig {rig.name!r} has no {' and no '.join(kinds)}.", "Leave them out, or name another rig."
         )
     verdicts = {row.verdict for row in rows}
-    passed = bool(verdicts & {"agrees", "one side"}) and "differs" not in verdicts
+    passed = "agrees" in verdicts and not verdicts & {"differs", "one side"}
     return passed, _as_json(rows, steps, passed) if as_json else _as_text(rows, steps)
 
 
@@ -148,17 +148,11 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         ]
     lines += [f"{name} has no effect on any reading in this experiment." for name in idle]
     for row in rows:
-        if row.verdict == "differs":
+        if row.verdict in ("differs", "one side"):
             worst = row.best if row.adjoint is None or not row.best <= row.bound else row.adjoint
             lines.append(
                 f"{_named(row)} in {row.channel}: the error is {worst:.1e}, above {row.bound:g}. {row.reason}".rstrip()
             )
-    lines += [
-        f"{_named(row)} in {row.channel}: the derivative has two sides here, as where contact begins or a point starts "
-        f"to slide. The sensitivities are those {row.reason}."
-        for row in rows
-        if row.verdict == "one side"
-    ]
     lines += [
         f"{row.parameter} in {row.channel}: not judged, round-off of the rollouts hides so small an effect in their "
         "differences."
@@ -171,8 +165,8 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         for row in rows
         if row.verdict == "jumps"
     ]
-    judged = [r for r in rows if r.verdict in ("agrees", "differs")]
-    names = {r.parameter for r in [*judged, *(r for r in rows if r.verdict == "one side")]}.union(idle)
+    judged = [r for r in rows if r.verdict in ("agrees", "differs", "one side")]
+    names = {r.parameter for r in judged}.union(idle)
     lines += [
         f"{name} is judged in no channel: its effects are negligible beside those of others, or hidden."
         for name in dict.fromkeys(r.parameter for r in rows)

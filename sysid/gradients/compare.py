@@ -165,15 +165,15 @@ class Comparison:
             found = "negligible"
         else:
             hidden = ROUND_OFF * round_off(base, readings, aways) / (np.abs(aways)[:, 0] * scale)
-            found = verdict(steps, errors, hidden, bound, sound=bool(derivatives.adjoint[part][k] <= bound))
-            sound = derivatives.adjoint[part][k] <= bound
-            side = side_of(ours, scale, base, readings, aways, bound) if found == "differs" and sound else None
-            if side is not None:
-                found = "one side"
-                reason = f"to the side of {side[0]} of it, with which they agree to {side[1]:.0e}"
-            elif found == "differs":
-                cause = probable_cause(self.rig, self._times, [trace for _, _, trace in sweep[best]])
-                reason = f"Probably {cause}."
+            sound = bool(derivatives.adjoint[part][k] <= bound)
+            found = verdict(steps, errors, hidden, bound, sound=sound)
+            if found == "differs":
+                reason = f"Probably {probable_cause(self.rig, self._times, [t for _, _, t in sweep[best]])}"
+                side = side_of(ours, scale, base, readings, aways, bound) if sound else None
+                if side is not None:
+                    found = "one side"
+                    reason += f"; the sensitivities are those to the side of {side[0]} of it, to {side[1]:.0e}"
+                reason += "."
         return Row(
             direction.name, value, f"{channel} {part}".strip(), unit_of(self.trace.kinds[channel], part), scale * size,
             errors, errors[best], steps[best], plateau(steps, errors), float(derivatives.adjoint[part][k]), bound,

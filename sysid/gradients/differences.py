@@ -57,7 +57,7 @@ class Row:
     relative change of the parameter; ``errors``: of the forward sensitivity against central differences, by step;
     ``plateau``: steps of which the errors are about as small as the least; ``adjoint``: relative error
     of the adjoint against the forward sensitivity of a random sum of readings, None where the errors are its own;
-    ``verdict``: 'agrees', 'one side' (the derivative jumps here, and agrees with differences to one side), 'no effect',
+    ``verdict``: 'agrees', 'one side' (central differences miss, those to one side agree: it jumps here), 'no effect',
     'negligible', 'unresolved' (round-off hides it in the differences), 'jumps' (differences have no limit: the rollout
     jumps here) or 'differs'; ``reason``: of the last, and of 'one side'."""
 
@@ -166,18 +166,22 @@ def side_of(
     bound: float,
 ) -> tuple[str, float] | None:
     """Side of a place where the derivative jumps that sensitivities ``ours`` are those to, 'more' or 'less', and their
-    least relative error against differences to that side, of second order from two steps of the sweep; None where they
-    miss by more than the ``bound`` on either. ``readings``: at both ends of each step, that far ``aways``."""
-    found = []
+    least relative error against differences to that side, of second order from two neighbouring steps of the sweep.
+    None where they miss by more than the ``bound`` on either, or where one pair of steps stands alone: one beside it
+    must be within :data:`PLATEAU` times the bound. ``readings``: at both ends of each step, that far ``aways``."""
+    best: tuple[float, str] = (np.inf, "")
     for side, sign in (("more", 1.0), ("less", -1.0)):
         there = sorted(
             ((away, reading) for both, step in zip(aways, readings, strict=True)
              for away, reading in zip(both, step, strict=True) if sign * away > 0.0),
             key=lambda pair: abs(pair[0]),
         )  # fmt: skip
-        for (near, first), (far, second) in pairwise(there):
-            found.append((largest(ours - slope_of(base, first, second, near, far)) / scale, side))
-    error, side = min(found, default=(np.inf, ""))
+        errors = [
+            largest(ours - slope_of(base, first, second, near, far)) / scale
+            for (near, first), (far, second) in pairwise(there)
+        ]
+        best = min([best, *((min(pair), side) for pair in pairwise(errors) if max(pair) <= PLATEAU * bound)])
+    error, side = best
     return (side, error) if error <= bound else None
 
 

@@ -92,11 +92,11 @@ def test_gradients_by_all_classes_of_parameters(name):
     agree = [row for row in rows if row["verdict"] == "agrees"]
     assert agree
     worst = max(agree, key=lambda row: row["best"])
-    others = Counter(row["verdict"] for row in rows if row["verdict"] in ("one side", "unresolved", "jumps"))
+    others = Counter(row["verdict"] for row in rows if row["verdict"] in ("unresolved", "jumps"))
     print(
         f"{name} until {until:g} s: {len(agree)} agree, to {worst['best']:.0e} ({worst['parameter']}); {dict(others)}"
     )
-    differ = [row for row in rows if row["verdict"] == "differs"]
+    differ = [row for row in rows if row["verdict"] in ("differs", "one side")]
     assert not differ, [(row["parameter"], row["channel"], row["errors"], row["adjoint"]) for row in differ]
 
 
@@ -112,4 +112,4 @@ def test_gradients_by_the_friction_of_what_slides(name):
     _, text = check_gradients(load_rig(name), experiment, names, until_s=until, steps=steps, as_json=True)
     rows = json.loads(text)["rows"]
     assert {row["parameter"] for row in rows if row["verdict"] == "agrees"} == set(names)
-    assert not [row for row in rows if row["verdict"] == "differs"]
+    assert not [row for row in rows if row["verdict"] in ("differs", "one side")]

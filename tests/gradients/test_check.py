@@ -15,7 +15,7 @@ from sim_core.rigs import list_parameters, parse_rig, with_parameters
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
-from sysid.gradients import check_gradients, differences
+from sysid.gradients import check_gradients, compare, differences
 from sysid.streams import predicted, predicted_back
 
 EXPERIMENT = Experiment.model_validate(
@@ -287,6 +287,25 @@ def test_a_single_field_is_checked_by_its_name(small_rig):
         check_gradients(small_rig(), EXPERIMENT, ["fields.gel.Epa"])
 
 
+def test_a_kink_is_named_with_its_side_and_is_no_success(small_rig, monkeypatch):
+    """Readings that fall off below the value of a modulus: sensitivities are those of more of it."""
+    rig, plain = small_rig(), compare.predicted
+
+    def kinked(trace, there, channel, stamps):
+        below = min(0.0, there.bodies["card"].material.E_pa / rig.bodies["card"].material.E_pa - 1.0)
+        return (1.0 + 0.5 * below) * plain(trace, there, channel, stamps)
+
+    monkeypatch.setattr(compare, "predicted", kinked)
+    steps = (1e-3, 1e-4, 2e-5)
+    passed, rows = check(rig, ["card.E", "gravity.z"], steps)
+    assert not passed and {r["verdict"] for r in rows if r["parameter"] == "gravity.z_m_s2"} == {"agrees"}
+    of_card = [r for r in rows if r["parameter"] == "card.E_pa"]
+    assert {r["verdict"] for r in of_card} == {"one side"}, [(r["channel"], r["verdict"], r["errors"]) for r in of_card]
+    assert all(min(r["errors"]) > 0.1 and "to the side of more of it, to " in r["reason"] for r in of_card)
+    _, text = check_gradients(rig, EXPERIMENT, ["card.E"], steps=steps)
+    assert "card.E_pa = 2e+09 in side: the error is" in text and "the side of more of it" in text
+
+
 @pytest.mark.parametrize(("side", "slope"), [("more", 2.0), ("less", 7.0)])
 def test_a_derivative_of_one_side_of_a_kink_is_told_from_a_wrong_one(side, slope):
     """Of what rises by 2 to the one side and by 7 to the other, and is curved; that of the middle is of no side."""
@@ -300,3 +319,6 @@ def test_a_derivative_of_one_side_of_a_kink_is_told_from_a_wrong_one(side, slope
     assert found is not None and found[0] == side and found[1] < 1e-9
     for wrong in (4.5, 1.001 * slope):
         assert differences.side_of(np.array([wrong]), wrong, reading(0.0), readings, aways, 1e-4) is None
+    jumped = [[r + (0.0 if h == aways[0] else 1.0) for r in both] for h, both in zip(aways, readings, strict=True)]
+    by_chance = differences.slope_of(reading(0.0), *(jumped[k][0] for k in (2, 1)), aways[2][0], aways[1][0])
+    assert differences.side_of(by_chance, slope, reading(0.0), jumped, aways, 1e-4) is None, "one pair alone"
