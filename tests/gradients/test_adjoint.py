@@ -205,6 +205,24 @@ def test_steps_made_again_have_the_same_bits(small_rig, visit):
         assert np.abs(one - other).max() < 1e-10 * np.abs(one).max()
 
 
+def test_steps_that_were_kept_are_foreseen_in_the_order_in_which_they_are_gone_through(small_rig, visit):
+    """Across segments, until one that has to be made again."""
+    rig, poses, times = small(PRESS)(small_rig, visit)
+    tape = Tape(build_scene(rig), poses, times)
+    segments = list(tape.segments)
+    assert len(segments) > 2
+
+    def backwards(count):
+        """The steps of the last segments but one, so many."""
+        return [m for k in segments[-2::-1][:count] for i in tape.intervals(k)[::-1] for m in i.made[::-1]]
+
+    every, last = backwards(len(segments)), backwards(1)
+    assert [id(m) for m in tape.kept_before(segments[-1])] == [id(m) for m in every]
+    del tape._kept[segments[-3]]
+    assert [id(m) for m in tape.kept_before(segments[-1])] == [id(m) for m in last]
+    assert not list(tape.kept_before(segments[0]))
+
+
 def test_what_is_kept_changes_nothing_but_round_off(small_rig, visit):
     """Linearised as the step was made, when its turn comes, factorised at once; within the bound on memory."""
     rig, poses, times = small(PRESS)(small_rig, visit, effects=EFFECTS)
