@@ -132,7 +132,7 @@ class Tape:
         factors: bool = False,
     ) -> None:
         """Make the rollout. ``memory_mb``: bound on the steps that are kept; ``factors``: let their factorisations be
-        kept too, for ten losses and more. Raises ``ConvergenceError``."""
+        kept too, which pays from six to ten losses on. Raises ``ConvergenceError``."""
         self.scene, self.system = scene, scene.system
         self._times = np.asarray(times, dtype=float)
         tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}

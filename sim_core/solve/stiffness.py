@@ -3,8 +3,8 @@
 Kept are the values by pairs of nodes; where they belong is shared by all that have the same pattern. The numerical
 factorisation is done when a solution is asked for. Its symbolic analysis costs three of them, so neighbours in time
 share one, of all pairs that any of them has. Or the factorisation is made at once and kept too, which takes ten times
-the memory, and four times the time, because no two factorisations can share an analysis. That pays from about the
-tenth right-hand side on.
+the memory, and four times the time, because no two factorisations can share an analysis. That pays from the sixth to
+tenth right-hand side on, by the machine.
 
 Who knows what is to be solved with next may let it be factorised on a second core meanwhile
 (:meth:`Stiffness.foresee`): the solvers let go of the interpreter. Each that is foreseen and not used yet has an

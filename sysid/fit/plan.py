@@ -138,8 +138,8 @@ def plan_experiments(
         predictions = [p.result() for p in pending]
         outlooks = []
         groups = [[k] for k in range(len(runs))] + ([list(range(len(runs)))] if len(runs) > 1 else [])
-        # With a bias what is known without one is asked twice more (:func:`sysid.fit.untold.blamed`).
-        judged = _Readings(say, (3 if bias else 1) * sum(_readings(runs[k]) for group in groups for k in group))
+        # With a bias what is known without one is asked once more (:func:`sysid.fit.untold.blamed`).
+        judged = _Readings(say, (2 if bias else 1) * sum(_readings(runs[k]) for group in groups for k in group))
         for group in groups:
             judged.begin(" and ".join(runs[k].name for k in group))
             own = [replace(d, shapes=tuple(d.shapes[k] for k in group)) for d in directions]

@@ -116,7 +116,7 @@ def load_runs(
 
     paths = [*bags, *held_out]
     parts = [part_of(path) for path in paths]
-    whole = {path: load_run(rig, path) for path in dict.fromkeys(part.path for part in parts)}
+    whole = {path: read_run(rig, path) for path in dict.fromkeys(part.path for part in parts)}
     if on_warning is not None:
         for name, run in zip(distinct_names(list(whole)), whole.values(), strict=True):
             for text in (*filter(None, [run.unlike]), *run.doubts):
@@ -177,7 +177,17 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
 
 
 def load_run(rig: Rig, path: Path) -> Run:
-    """Read a bag and line it up with a rig. Raises ``RecordingError`` when nothing can be compared."""
+    """Read a bag, or a window of one, and line it up with a rig: with all that there is to be told of how it was read.
+    Raises ``RecordingError`` when nothing can be compared."""
+    from sysid.fit.windows import window_of
+
+    part = part_of(Path(path))
+    return window_of(rig, read_run(rig, part.path), part)
+
+
+def read_run(rig: Rig, path: Path) -> Run:
+    """Read a bag and line it up with a rig; what counts samples is left to be told of the window that is used. Raises
+    ``RecordingError`` when nothing can be compared."""
     from sysid.fit.placement import placed_sights
 
     topics = open_bag(Path(path), Notes()).topics

@@ -254,9 +254,10 @@ def blamed(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> list[str]:
     """A sentence for each parameter that the data would determine if some kind of nuisance were known."""
     if not problem.bias and not any(p.nuisance for p in fitted.parameters):
         return []
-    now = _spread(problem, fitted, ())
-    known = {kind: _spread(problem, fitted, (kind,)) for kind in kinds}
-    known["every nuisance"] = _spread(problem, fitted, kinds)
+    unbiased = _without_bias(problem, fitted)
+    now = _spread(fitted, fitted.jacobian, ())
+    known = {k: _spread(fitted, unbiased if k == "bias" else fitted.jacobian, (k,)) for k in kinds}
+    known["every nuisance"] = _spread(fitted, unbiased, kinds)
     said = []
     for name, spread in now.items():
         if spread < UNDETERMINED_SHARE:
@@ -267,19 +268,22 @@ def blamed(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> list[str]:
     return said
 
 
-def _spread(problem: Problem, fitted: Fitted, known: Sequence[str]) -> dict[str, float]:
+def _without_bias(problem: Problem, fitted: Fitted) -> np.ndarray:
+    """The Jacobian of the same fit with the biases of wrenches known."""
+    if not problem.bias:
+        return fitted.jacobian
+    plain = Problem(
+        problem.runs, problem.noise, problem.engine, problem.directions, problem.prior, on_channel=problem.on_channel
+    )
+    data = plain.assemble(fitted.predictions, [p.name for p in fitted.parameters], fitted.scaled)[1]
+    return np.vstack([data, fitted.jacobian[len(fitted.jacobian) - fitted.pulls :]])
+
+
+def _spread(fitted: Fitted, jacobian: np.ndarray, known: Sequence[str]) -> dict[str, float]:
     """Standard deviation of the parameters that were asked for, in units of what they are judged by, as the noise alone
     leaves it with the nuisances of some kinds known."""
     rig = fitted.centre
     kept = [k for k, p in enumerate(fitted.parameters) if not (p.nuisance and kind_of(rig, p.target) in known)]
-    jacobian, rows = fitted.jacobian, fitted.pulls
-    if "bias" in known and problem.bias:
-        plain = Problem(
-            problem.runs, problem.noise, problem.engine, problem.directions, problem.prior,
-            on_channel=problem.on_channel,
-        )  # fmt: skip
-        data = plain.assemble(fitted.predictions, [p.name for p in fitted.parameters], fitted.scaled)[1]
-        jacobian = np.vstack([data, fitted.jacobian[len(fitted.jacobian) - rows :]])
     parameters, values, vectors = marginal(
         replace(
             fitted,

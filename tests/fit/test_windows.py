@@ -21,7 +21,7 @@ from sysid.fit import FitOptions, fit_bags, fit_runs
 from sysid.fit.doubts import doubts
 from sysid.fit.engine import Engine
 from sysid.fit.pool import PooledEngine
-from sysid.fit.runs import Run, check_apart, load_runs
+from sysid.fit.runs import Run, check_apart, load_run, load_runs
 from sysid.fit.windows import not_from_rest, window_of
 from sysid.mismatch import diagnose_runs
 from sysid.parts import Part, check_parts, part_of
@@ -224,6 +224,8 @@ def test_what_is_missing_is_counted_in_the_window(rig: Rig, tmp_path: Path) -> N
     assert any(re.fullmatch(r"side: no reading of the markers \d+ from 0\.4 to 9 s", n) for n in last.notes)
     assert not any("no reading" in n for run in (whole, first) for n in run.notes)
     assert "4 messages" in doubts(rig, [first])[0]
+    alone = [load_run(rig, path) for path in (bag, Path(f"{bag}@0.4:9"))]
+    assert [(run.since, run.doubts) for run in alone] == [(0.0, whole.doubts), (0.4, last.doubts)]
 
 
 @pytest.mark.parametrize(
