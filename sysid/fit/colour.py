@@ -60,11 +60,14 @@ class Samples:
     groups: tuple[np.ndarray, ...]
     tared: bool = False
 
-    def of_rows(self, residual: np.ndarray, jacobian: np.ndarray) -> list[Part]:
-        """Each group of the channel; ``residual`` ``(rows,)``, ``jacobian`` ``(rows, p)``."""
+    def of_rows(self, residual: np.ndarray, jacobian: np.ndarray, sight: np.ndarray | None = None) -> list[Part]:
+        """Each group of the channel; ``residual`` ``(rows,)``, ``jacobian`` ``(rows, p)``; ``sight`` ``(rows,)``: which
+        of them are predicted in sight."""
         r, j = np.zeros(self.there.shape), np.zeros((*self.there.shape, jacobian.shape[1]))
         r[self.there], j[self.there] = residual, jacobian
-        return [Part(self.there[:, g], r[:, g], j[:, g], self.tared) for g in self.groups]
+        there = self.there.copy()
+        there[self.there] = True if sight is None else sight
+        return [Part(there[:, g], r[:, g], j[:, g], self.tared) for g in self.groups]
 
 
 class Part(NamedTuple):

@@ -37,10 +37,10 @@ from sysid.fit.result import (
     out_of_sight,
     plot_series,
     rms_errors,
-    undetermined,
 )
 from sysid.fit.runs import Run, check_apart, load_runs
 from sysid.fit.starts import SEARCHED, Evaluations, Progress, Searches, Step
+from sysid.fit.uncertainty import Finding, names_undetermined
 from sysid.fit.untold import as_usual, blamed, nuisances_of, remarks
 from sysid.fit.windows import not_from_rest
 from sysid.folder import whole_folder
@@ -132,7 +132,8 @@ def _fit_runs(
     own = own_sizes(problem)
     errors = rms_errors(problem, before, fitted, held_out=False, own=own)
     series = plot_series(problem, before, fitted, held_out=False, raw=runs)
-    sentences, left = found.sentences, unexplained(problem, fitted)
+    sentences, left = [f.sentence for f in found.findings], unexplained(problem, fitted)
+    open_ended = names_undetermined(found.findings)
     told = {run.unlike for run in runs if left}
     notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes if note not in told]
     notes += bounds_cut(rig, list(dict.fromkeys(p.target for p in asked)), options.bounds)
@@ -181,11 +182,12 @@ def _fit_runs(
         provenance=provenance(rig, list(runs), list(held_out), options.seed, options.told()),
         series=series + [one for score in scores for one in score.series],
         nuisances=nuisances,
-        remarks=remarks(rig, nuisances, trusted=not left and not undetermined(found.estimates, sentences)),
+        remarks=remarks(rig, nuisances, trusted=not left and not open_ended),
         profiles=found.profiles,
         outliers=look.outliers,
         unexplained=left,
         cautions=doubts(rig, runs) + loud(problem) + doubtful(problem),
+        undetermined=open_ended | {p.name for p in found.profiles if p.undetermined},
     )
     return result, final
 
@@ -199,7 +201,7 @@ class _Found:
     fitted: Fitted
     estimates: list[Estimate]
     correlation: list[list[float]]
-    sentences: list[str]
+    findings: list[Finding]
     reduced_chi2: float
     profiles: list[Profile]
 
@@ -231,13 +233,16 @@ def _searched(
                 raise
             fitted.message, fitted.converged = f"a better fit cannot be searched from. {error}", False
             break
-        estimates, correlation, sentences, reduced = estimates_of(fitted, first)
-        sentences += blamed(problem, fitted, sorted(options.kinds))
-        profiles, sentences, better = _profiled(problem, fitted, sentences, options.intervals, on_progress)
-        if better is None or not left:
+        estimates, correlation, findings, reduced = estimates_of(fitted, first)
+        findings += [Finding(sentence) for sentence in blamed(problem, fitted, sorted(options.kinds))]
+        profiles, findings, better = _profiled(problem, fitted, findings, options.intervals, on_progress)
+        if better is None:
+            break
+        if not left:
+            fitted.message, fitted.converged = f"after {ENDS} searches a better fit is known than it ended at", False
             break
         at, look = better, replace(look, plain=None)
-    return _Found(look, problem, fitted, estimates, correlation, sentences, reduced, profiles)
+    return _Found(look, problem, fitted, estimates, correlation, findings, reduced, profiles)
 
 
 @dataclass(frozen=True)
@@ -305,19 +310,21 @@ def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequ
 
 
 def _profiled(
-    problem: Problem, fitted: Fitted, sentences: list[str], intervals: Intervals, on_progress: Progress | None
-) -> tuple[list[Profile], list[str], np.ndarray | None]:
+    problem: Problem, fitted: Fitted, findings: list[Finding], intervals: Intervals, on_progress: Progress | None
+) -> tuple[list[Profile], list[Finding], np.ndarray | None]:
     """Profiles, where they are wanted, what is then known of the parameters in words, and scaled values ``(p,)`` at
     which the fit was met to be better.
 
-    Where a profile says how far the data limit a parameter on both sides, that takes the place of the sentence that
+    Where a profile says how far the data limit a parameter on both sides, that takes the place of the finding that
     they do not determine it. Around values that are not the best fit intervals mean nothing, and little is said.
     """
     if intervals == "quadratic" or fitted.cut_short or not fitted.parameters:
-        return [], sentences, None
+        return [], findings, None
     if not fitted.converged:
-        left_out = ["No interval was sought by profile likelihood, since the fit did not converge."]
-        return [], sentences + (left_out if intervals == "profiled" else []), None
+        what = (
+            "interval was sought by profile likelihood" if intervals == "profiled" else "end of an interval was tried"
+        )
+        return [], [*findings, Finding(f"No {what}, since the fit did not converge.")], None
 
     searched = SEARCHED[intervals]
 
@@ -327,14 +334,15 @@ def _profiled(
 
     profiler = Profiler(problem, fitted, tell)
     if intervals == "checked":
-        return [], sentences + profiler.check(), profiler.better
+        return [], findings + [Finding(sentence) for sentence in profiler.check()], profiler.better
     profiles = profiler.profiles()
     better = profiler.lower()
     if better:
-        return profiles, [*sentences, better], profiler.better
+        return profiles, [*findings, Finding(better)], profiler.better
     said = [p for p in profiles if p.sentence]
-    replaced = tuple(f"The data do not determine {p.name}:" for p in said if p.limited)
-    return profiles, [s for s in sentences if not s.startswith(replaced)] + [p.sentence for p in said], None
+    replaced = {(p.name,) for p in said if p.limited}
+    kept = [f for f in findings if f.undetermined not in replaced]
+    return profiles, [*kept, *(Finding(p.sentence) for p in said)], None
 
 
 def fit_bags(

@@ -20,8 +20,8 @@ class Fitted:
     ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable
     coefficients of the simulator's own error by run and channel (:mod:`sysid.fit.directions`); ``limited``: the
     evaluations allowed for all searches together are used up; ``compared``: samples of each channel that are
-    compared (:mod:`sysid.fit.colour`); ``seen``: readings that a
-    prediction is compared with, those that it has in sight; ``began``: chi-square where the search began, infinite
+    compared (:mod:`sysid.fit.colour`); ``sight``: which rows are no reading that is predicted out of sight, whose
+    residual is 0 ``(n,)``, None if there is none; ``began``: chi-square where the search began, infinite
     without one; ``elsewhere``: the simulator's own error that it was found beside is that of another place, and is to
     be measured again before anything is made of the misfit; ``still``: the jacobian beside an own error that would not
     change with the parameters, None where it does not."""
@@ -40,7 +40,7 @@ class Fitted:
     sizes: dict[tuple[int, str], Sizes] = field(default_factory=dict)
     limited: bool = False
     compared: dict[tuple[int, str], Samples] = field(default_factory=dict)
-    seen: int = 0
+    sight: np.ndarray | None = None
     began: float = np.inf
     elsewhere: bool = False
     still: np.ndarray | None = None
@@ -71,8 +71,18 @@ class Fitted:
 
     @property
     def samples(self) -> int:
-        """Number of measured values compared (the residual also has a row for each nuisance size and prior)."""
-        return len(self.residual) - sum(c.number for c in self.sizes.values()) - self.pulls
+        """Number of measured values compared, those that are predicted in sight (the residual also has a row for each
+        nuisance size and prior)."""
+        hidden = 0 if self.sight is None else int(np.count_nonzero(~self.sight))
+        return len(self.residual) - hidden - sum(c.number for c in self.sizes.values()) - self.pulls
+
+    def beside(self, other: Fitted) -> tuple[float, float]:
+        """Chi-square of this and of another outcome of the same problem, over what both have in sight."""
+        both = np.ones(len(self.residual), dtype=bool)
+        for there in (self.sight, other.sight):
+            both &= True if there is None else there
+        mine, others = self.residual[both], other.residual[both]
+        return float(mine @ mine), float(others @ others)
 
     @property
     def misfit(self) -> float:
@@ -90,7 +100,8 @@ class Fitted:
             if samples is not None:
                 # The rows of a channel are its samples, then the sizes of the simulator's own error.
                 rows = slice(at, at + int(samples.there.sum()))
-                for k, part in enumerate(samples.of_rows(self.residual[rows], self.jacobian[rows])):
+                sight = None if self.sight is None else self.sight[rows]
+                for k, part in enumerate(samples.of_rows(self.residual[rows], self.jacobian[rows], sight)):
                     found.setdefault((channel, k), []).append(part)
             at += len(times)
         return list(found.values())

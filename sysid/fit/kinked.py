@@ -17,7 +17,9 @@ known, so the model is the mean over what was seen,
 whose last term keeps the step short along what the pieces disagree about, and along that alone. Those points take part
 that are within the trust region and at which J(x) is wrong; while steps do what it says there are none, and the model
 is that of Gauss-Newton. As the region shrinks points drop out of it, so that nothing that x itself promises is missed.
-Where rollouts jump no derivative tells.
+Where rollouts jump no derivative tells, and a search that ends there has not converged. By one kink between x and x_k
+the sum of squares rises by no more than by J(x) on all of the way and by J(x_k) from where it is least on it; where it
+rises by more, it jumps.
 """
 
 from __future__ import annotations
@@ -56,7 +58,8 @@ SMALLEST = 1e-7
 """Radius at which the search ends."""
 
 AT_MINIMUM = "no step promises more than chance makes of chi-square"
-AT_KINK = "it stands at a kink or a jump, beyond which derivatives do not tell what is better"
+AT_KINK = "it stands at a kink, beyond which derivatives do not tell what is better"
+AT_JUMP = "it stands at a jump of the readings, over which derivatives do not lead: start from elsewhere ('--starts 5')"
 LOST = "what promises more cannot be simulated, or hides what was seen"
 USED_UP = "the evaluations allowed were used up"
 
@@ -119,7 +122,7 @@ def minimise(
         if promised <= tolerance:
             return End(best, not (cut and lost), LOST if cut and lost else AT_KINK if cut else AT_MINIMUM, radius)
         if radius < SMALLEST:
-            return End(best, True, AT_KINK, radius)
+            return _edge(best, near[-1:], tolerance, radius)
         if not go_on():
             return End(best, False, USED_UP, radius)
         there = look(best.x + step)
@@ -130,7 +133,7 @@ def minimise(
             continue
         share = (best.square - there.square) / promised
         if share < 0.0 and float(np.sum((best.jacobian @ step) ** 2)) < STILL * tolerance:
-            return End(best, True, AT_KINK, radius)
+            return _edge(best, [there], tolerance, radius)
         if share < POOR:
             # The first time the model has something to learn.
             radius = (ONCE if refused == 1 else AGAIN) * length
@@ -143,6 +146,24 @@ def minimise(
         best = there if better else best
         if small:
             return End(best, True, AT_MINIMUM, radius)
+
+
+def _edge(best: Point, refused: list[Point], tolerance: float, radius: float) -> End:
+    """The end at the best point though derivatives promise more: beside a kink, or beside a jump."""
+    if any(_jump(best, p) > tolerance for p in refused):
+        return End(best, False, AT_JUMP, radius)
+    return End(best, True, AT_KINK, radius)
+
+
+def _jump(best: Point, point: Point) -> float:
+    """By how much more the sum of squares rises to a point than a kink on the way can make it."""
+    away = point.x - best.x
+    said = best.residual + best.jacobian @ away
+    slope = point.jacobian @ away
+    back = np.clip(point.residual @ slope / max(float(slope @ slope), 1e-300), 0.0, 1.0)
+    least = point.residual - back * slope
+    by_kink = max(0.0, float(said @ said) - best.square) + point.square - float(least @ least)
+    return point.square - best.square - by_kink
 
 
 def _within(point: Point, best: Point, reach: float) -> bool:

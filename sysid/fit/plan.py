@@ -28,7 +28,7 @@ from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run, load_run
-from sysid.fit.uncertainty import UNDETERMINED_SHARE, interval, uncertainty
+from sysid.fit.uncertainty import UNDETERMINED_SHARE, interval, names_undetermined, uncertainty
 from sysid.fit.untold import blamed
 from sysid.simulate import simulate_to_bag
 
@@ -118,16 +118,19 @@ def plan_experiments(
     say = on_progress or (lambda share, text: None)
     kinds = checked_kinds(nuisance)
     asked = fit_parameters(rig, names)
-    runs = []
+    runs: list[Run] = []
     with tempfile.TemporaryDirectory() as folder:
         for k, experiment in enumerate(experiments):
             bag = Path(folder) / f"{k}"
+            before = sum(other.name == experiment.name for other in experiments[:k])
+            # Each recording has offsets of its own, also of the same experiment once more.
+            name = f"{experiment.name} ({before + 1})" if before else experiment.name
 
-            def share(done: float, text: str, at: int = k, name: str = experiment.name) -> None:
+            def share(done: float, text: str, at: int = k, name: str = name) -> None:
                 say(SIMULATED * (at + done) / len(experiments), f"{name}, {text}")
 
             simulate_to_bag(rig, experiment, bag, noise=_none, on_progress=share)
-            runs.append(replace(load_run(rig, bag), name=experiment.name))
+            runs.append(replace(load_run(rig, bag), name=name))
     noise = {m.channel: as_declared(rig, m) for run in runs for m in run.measured}
     parameters = [*asked, *nuisance_parameters(rig, runs, asked, kinds)]
     start, bias = start_of(rig, parameters), has_bias(runs, asked, kinds)
@@ -194,6 +197,7 @@ def _none(channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.
 
 def _outlook(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> Outlook:
     known = uncertainty(fitted)
+    lacking = names_undetermined(known.findings)
     sources = _sources(fitted)
     expected = [
         Expected(
@@ -203,7 +207,7 @@ def _outlook(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> Outlook:
             interval(p, fitted.scaled[k], known.sd[k]),
             float(known.sd[k]),
             p.log,
-            bool(known.sd[k] < UNDETERMINED_SHARE * p.width(fitted.scaled[k])),
+            p.name not in lacking,
             sources[k],
         )
         for k, p in enumerate(fitted.parameters)

@@ -44,13 +44,14 @@ def _check_numbers(run: Run, measured: Measured, prediction: Prediction, names: 
 
 class Assembled(NamedTuple):
     """Whitened ``residual`` ``(n,)`` and ``jacobian`` ``(n, p)``, ``labels`` (run, channel, times of the samples), most
-    probable ``sizes`` of directions, and the jacobian beside an own error that would be ``still`` ``(n, p)``, None
-    where it is."""
+    probable ``sizes`` of directions, which rows are no reading that is predicted out of ``sight`` ``(n,)``, and the
+    jacobian beside an own error that would be ``still`` ``(n, p)``, None where it is."""
 
     residual: np.ndarray
     jacobian: np.ndarray
     labels: list[tuple[int, str, np.ndarray]]
     sizes: dict[tuple[int, str], Sizes]
+    sight: np.ndarray
     still: np.ndarray | None
 
 
@@ -187,7 +188,7 @@ class Problem:
         for errors that change with the parameters. Raises ``ConvergenceError`` where a prediction or a derivative is
         not a number, other than out of sight (NaN in the prediction).
         """
-        assembled, labels = [], []
+        assembled, labels, sight = [], [], []
         sizes: dict[tuple[int, str], Sizes] = {}
         for i, (run, prediction) in enumerate(zip(self.runs, predictions, strict=True)):
             for m in run.measured:
@@ -218,16 +219,17 @@ class Problem:
                 else:
                     rows[seen[good]] = stacked[seen]
                 assembled.append(rows)
+                sight.append(np.concatenate([seen[good], np.ones(len(rows) - np.count_nonzero(good), dtype=bool)]))
                 labels.append((i, m.channel, times))
                 if self.on_channel is not None:
                     self.on_channel(m)
-        rows = np.concatenate(assembled)
+        rows, there = np.concatenate(assembled), np.concatenate(sight)
         still, changes = rows[:, 1 : 1 + len(names)], rows[:, 1 + len(names) :]
         if not changes.any():
-            return Assembled(rows[:, 0], still, labels, sizes, None)
+            return Assembled(rows[:, 0], still, labels, sizes, there, None)
         jacobian = still.copy()
         jacobian[:, : changes.shape[1]] -= changes
-        return Assembled(rows[:, 0], jacobian, labels, sizes, still)
+        return Assembled(rows[:, 0], jacobian, labels, sizes, there, still)
 
     def seen(self, predictions: Sequence[Prediction]) -> int:
         """How many readings are in sight in the predictions as well."""
@@ -248,8 +250,9 @@ class Problem:
         self._known = replace(known, evaluations=0)
 
     def glance(self, rig: Rig, parameters: Sequence[FitParameter], points: Sequence[np.ndarray]) -> list[float]:
-        """Chi-square at scaled ``points``, without priors; infinite where they cannot be simulated, and where much less
-        is in sight than at others. Predictions have no derivatives and are made side by side."""
+        """Chi-square at scaled ``points``, without priors, as if all that is in sight at any were at each and missed as
+        the rest is; infinite where they cannot be simulated, and where much less is in sight than at others.
+        Predictions have no derivatives and are made side by side."""
         pending = [
             [self.engine.submit(rig_in(rig, parameters, at, run.name), run) for run in self.runs] for at in points
         ]
@@ -269,7 +272,11 @@ class Problem:
             for future in (f for futures in pending for f in futures):
                 future.cancel()
             raise
-        return [chi2 if count >= IN_SIGHT * max(seen) else np.inf for chi2, count in zip(found, seen, strict=True)]
+        most = max(seen)
+        return [
+            chi2 * (most / count if count else 1.0) if count >= IN_SIGHT * most else np.inf
+            for chi2, count in zip(found, seen, strict=True)
+        ]
 
     def compare(
         self,
@@ -280,7 +287,7 @@ class Problem:
     ) -> Fitted:
         """Residuals and derivatives of predictions at hand, which are those at ``scaled``, with the priors' rows."""
         names = [p.name for p in parameters]
-        r, j, labels, sizes, still = self.assemble(predictions, names, scaled if names else None)
+        r, j, labels, sizes, sight, still = self.assemble(predictions, names, scaled if names else None)
         pulled = [k for k, p in enumerate(parameters) if self.prior or p.pulled]
         if pulled:
             width = np.array([parameters[k].known_sd or parameters[k].prior_sd for k in pulled])
@@ -288,9 +295,10 @@ class Problem:
             pulls = np.eye(len(parameters))[pulled] / width[:, None]
             j, still = np.vstack([j, pulls]), None if still is None else np.vstack([still, pulls])
             labels = [*labels, (-1, "prior", np.zeros(len(width)))]
+            sight = np.concatenate([sight, np.ones(len(width), dtype=bool)])
         return Fitted(
             list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, rig, 1, True,
-            "evaluated", sizes, compared=self._compared, seen=self.seen(predictions), still=still,
+            "evaluated", sizes, compared=self._compared, sight=sight, still=still,
         )  # fmt: skip
 
     def fit(

@@ -93,8 +93,7 @@ class Profiler:
         self._expected = 1.0
         self._best = self._point(fitted, None)
         self._lowest = self._best
-        plain, weighed = (np.diag(inverse_information(j, self._prior)) for j in (fitted.jacobian, self._best.jacobian))
-        self._calibration = misfit * known.inflation**2 * plain / weighed
+        self._calibration = self._sd**2 / np.diag(inverse_information(self._best.jacobian, self._prior))
 
     def check(self) -> list[str]:
         """A sentence for each quadratic interval that is not to be believed, by an evaluation at each of its ends;

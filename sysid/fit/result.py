@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,7 +16,7 @@ from sysid.fit.outliers import Outliers
 from sysid.fit.problem import Problem
 from sysid.fit.profile import Profile
 from sysid.fit.runs import UNITS, Measured, Run
-from sysid.fit.uncertainty import interval, uncertainty
+from sysid.fit.uncertainty import Finding, interval, uncertainty
 from sysid.fit.untold import Nuisance
 
 NOISE_USED = (
@@ -97,7 +96,8 @@ class FitResult:
     estimated beside what was asked for; ``profiles``: deviance against each parameter, where that was asked for
     (:mod:`sysid.fit.profiler`); ``outliers``: readings that were left out (:mod:`sysid.fit.outliers`);
     ``unexplained``: in which quantities more than noise is left, in words (:mod:`sysid.fit.leftover`);
-    ``cautions``: where values and intervals rest on the error of mesh and time step, in words."""
+    ``cautions``: where values and intervals rest on the error of mesh and time step, in words; ``undetermined``: names
+    of the parameters that the data do not determine, or of which they only give a limit."""
 
     rig: str
     estimates: list[Estimate]
@@ -120,11 +120,7 @@ class FitResult:
     outliers: list[Outliers] = field(default_factory=list)
     unexplained: list[str] = field(default_factory=list)
     cautions: list[str] = field(default_factory=list)
-
-    @property
-    def undetermined(self) -> set[str]:
-        """Parameters that some sentence says the data do not determine, or of which they only give a limit."""
-        return {p.name for p in self.profiles if p.undetermined} | undetermined(self.estimates, self.identifiability)
+    undetermined: set[str] = field(default_factory=set)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series."""
@@ -187,17 +183,8 @@ class FitResult:
         return [*lines, ""] if lines else []
 
 
-def undetermined(estimates: Sequence[Estimate], sentences: Sequence[str]) -> set[str]:
-    """Names of the estimates that some sentence says the data do not determine."""
-    # Names are matched whole: that of a bag, in brackets, may hold anything.
-    names = "|".join(re.escape(e.name) for e in sorted(estimates, key=lambda e: -len(e.name)))
-    subject = re.compile(f"The data do not determine ((?:{names})(?: and (?:{names}))*)(?:: | separately,)")
-    subjects = [told[1] for told in map(subject.match, sentences) if told]
-    return {name for subject in subjects for name in re.findall(names, subject)}
-
-
-def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], list[list[float]], list[str], float]:
-    """Estimates of what was asked for with intervals, correlation, identifiability sentences, reduced chi-square."""
+def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], list[list[float]], list[Finding], float]:
+    """Estimates of what was asked for with intervals, correlation, what is not determined, reduced chi-square."""
     known = uncertainty(fitted)
     out = []
     asked = [k for k, p in enumerate(fitted.parameters) if not p.nuisance]
@@ -216,7 +203,7 @@ def estimates_of(fitted: Fitted, start: np.ndarray) -> tuple[list[Estimate], lis
                 p.bag,
             )
         )
-    return out, known.correlation[np.ix_(asked, asked)].tolist(), list(known.sentences), known.reduced_chi2
+    return out, known.correlation[np.ix_(asked, asked)].tolist(), list(known.findings), known.reduced_chi2
 
 
 def rms_errors(
@@ -254,15 +241,29 @@ def rms_errors(
 
 
 def out_of_sight(problem: Problem, before: Fitted, after: Fitted) -> list[str]:
-    """A note for each channel that is measured but nowhere in sight of both models."""
-    return [
-        f"{run.name}: {m.channel}: the simulated points are out of sight where they are measured, so no error is "
-        "given. Check the pose and the intrinsics of the camera."
-        for i, run in enumerate(problem.runs)
-        for m in run.measured
-        for _, columns, _ in _quantities(m)
-        if np.isfinite(m.values[:, columns]).any() and _misses(problem, m, columns, i, before, after) is None
-    ]
+    """A note for each channel that is measured but nowhere in sight of both models, or not all in sight of the last."""
+    notes = []
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            there = np.isfinite(m.values)
+            if not there.any():
+                continue
+            if any(
+                there[:, columns].any() and _misses(problem, m, columns, i, before, after) is None
+                for _, columns, _ in _quantities(m)
+            ):
+                notes.append(
+                    f"{run.name}: {m.channel}: the simulated points are out of sight where they are measured, so no "
+                    "error is given. Check the pose and the intrinsics of the camera."
+                )
+                continue
+            hidden = np.mean(np.isnan(after.predictions[i].values[m.channel][there]))
+            if hidden:
+                notes.append(
+                    f"{run.name}: {m.channel}: {100 * hidden:.2g} % of the readings are of points that the fitted rig "
+                    "has out of sight, and are not compared. Check the pose and the intrinsics of the camera."
+                )
+    return notes
 
 
 def _quantities(measured: Measured) -> list[tuple[str, slice, int]]:

@@ -28,8 +28,8 @@ FRESH = 0.1
 """Least radius, in plausible widths, with which a search goes on after another one."""
 
 IN_SIGHT = 0.9
-"""Least share of the readings that were in sight anywhere that a point must have in sight. What is out of sight says
-nothing, so that without it a search would be drawn to where nothing is seen."""
+"""Least share of the readings that were in sight anywhere that a point must have in sight, since those of it that are
+not say nothing of it."""
 
 
 class Search:
@@ -53,6 +53,7 @@ class Search:
         self._course: list[float] = []
         self._evaluations = 0
         self._seen = 0
+        self._last_seen: np.ndarray | None = None
         self._weight = 1.0
 
     @property
@@ -78,7 +79,7 @@ class Search:
                     here = self._look(np.clip(begin + scale * z, low, high))
                     if here is None:
                         return None
-                    return Point(z, self._weigh(here, here.residual), self._weigh(here, here.jacobian * scale))
+                    return Point(z, self._weigh(here, self._whole(here)), self._weigh(here, here.jacobian * scale))
 
                 first = point(np.zeros(len(scale)))
                 assert first is not None
@@ -123,12 +124,13 @@ class Search:
                 raise
             self._tell(1)
             return None
-        self._seen = max(self._seen, here.seen)
-        if self._best is not None and here.seen < IN_SIGHT * self._seen:
+        self._seen = max(self._seen, here.samples)
+        if self._best is not None and here.samples < IN_SIGHT * self._seen:
             self._tell(here.evaluations)
             return None
         self._last = here
         if self._best is None or self._weighted(here) < self._weighted(self._best):
+            self._last_seen = self._whole(here)
             self._best = here
         self._tell(here.evaluations)
         return here
@@ -148,6 +150,16 @@ class Search:
         weighed[-fitted.pulls :] *= np.sqrt(self._weight)
         return weighed
 
+    def _whole(self, fitted: Fitted) -> np.ndarray:
+        """The residual ``(n,)`` with what is out of sight as it was missed at the best point that had it in sight, if
+        none had, as the rest is on average: that nothing is gained by hiding a reading, nor lost by seeing it."""
+        if fitted.sight is None or fitted.sight.all():
+            return fitted.residual
+        unknown = self._last_seen
+        if unknown is None:
+            unknown = np.full(len(fitted.residual), np.sqrt(fitted.misfit))
+        return np.where(fitted.sight, fitted.residual, unknown)
+
     def _weighted(self, fitted: Fitted) -> float:
-        residual = self._weigh(fitted, fitted.residual)
+        residual = self._weigh(fitted, self._whole(fitted))
         return float(residual @ residual)

@@ -209,7 +209,8 @@ class Searches:
                 continue
             self._found.append(other)
             self._begun.append(start)
-            if best.chi2 - other.chi2 > SAME_CHI2 * chance(best):
+            mine, others = best.beside(other)
+            if mine - others > SAME_CHI2 * chance(best):
                 best = other
         return best
 
@@ -249,10 +250,13 @@ class Searches:
             if not self._may_go_on(fitted):
                 break
             again = self._tried(problem, start, fitted)
-            if again is None or again.chi2 >= fitted.chi2:
+            if again is None:
+                break
+            known, new = fitted.beside(again)
+            if new >= known:
                 break
             left, now = worst(problem, fitted), worst(problem, again)
-            better = again.chi2 < BETTER * fitted.chi2 or now < BETTER * left
+            better = new < BETTER * known or now < BETTER * left
             fitted = again
             if not better:
                 break
@@ -269,9 +273,9 @@ class Searches:
         while self._restarts and self._may_go_on(fitted) and fitted.misfit >= GOOD_MISFIT:
             near = fitted.scaled + RESTART_WIDTH * width * self._rng.standard_normal(len(width))
             again = self._tried(problem, near, fitted)
-            better = again is not None and again.chi2 < BETTER * fitted.chi2
-            self._restarts = self._restarts - 1 if again is None or better else 0
-            fitted = fitted if again is None else min(fitted, again, key=lambda f: f.chi2)
+            known, new = (1.0, np.inf) if again is None else fitted.beside(again)
+            self._restarts = self._restarts - 1 if again is None or new < BETTER * known else 0
+            fitted = again if again is not None and new < known else fitted
         return fitted
 
 
@@ -285,10 +289,14 @@ def _comes_on_slowly(course: Sequence[float]) -> bool:
 
 def _said(begun: Sequence[np.ndarray], found: Sequence[Fitted], failed: int) -> list[str]:
     """Compares searches among themselves: what is taken for error of the simulator changes afterwards."""
-    best = min(found, key=lambda f: f.chi2)
+    best = found[0]
+    for other in found[1:]:
+        mine, others = best.beside(other)
+        best = other if others < mine else best
     asked = np.array([not p.nuisance for p in best.parameters])
     sd = np.where(asked, uncertainty(best).sd, np.inf)
-    as_good = [f for f in found if f.chi2 - best.chi2 <= SAME_CHI2 * chance(best)]
+    beyond = [np.subtract(*f.beside(best)) for f in found]
+    as_good = [f for f, more in zip(found, beyond, strict=True) if more <= SAME_CHI2 * chance(best)]
     apart = [f for f in as_good if np.any(np.abs(f.scaled - best.scaled) > SAME_PLACE * sd)]
     sentences = [f"Of searches from {len(found) + failed} starts {len(as_good)} ended equally well."]
     if failed:

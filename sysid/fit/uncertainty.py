@@ -11,8 +11,9 @@ Sentences are about the parameters that were asked for, with the nuisances besid
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,17 +38,29 @@ TOGETHER = 0.97
 """Correlation from which two parameters are reported as known only in combination."""
 
 
+class Finding(NamedTuple):
+    """A sentence on what the data tell of parameters, and the names of those that it says they do not determine."""
+
+    sentence: str
+    undetermined: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True)
 class Uncertainty:
     """``sd``: in the fitted scale ``(p,)``; ``inflation``: by how much the largest estimate exceeds what the
-    noise model alone says, 1 where it does not ``(p,)``; ``correlation``: ``(p, p)``; ``sentences``: what the
+    noise model alone says, 1 where it does not ``(p,)``; ``correlation``: ``(p, p)``; ``findings``: what the
     data cannot determine, in words; ``reduced_chi2``: misfit over noise."""
 
     sd: np.ndarray
     inflation: np.ndarray
     correlation: np.ndarray
-    sentences: tuple[str, ...]
+    findings: tuple[Finding, ...]
     reduced_chi2: float
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the data cannot determine."""
+        return tuple(found.sentence for found in self.findings)
 
 
 def uncertainty(fitted: Fitted) -> Uncertainty:
@@ -67,9 +80,15 @@ def uncertainty(fitted: Fitted) -> Uncertainty:
             wider, correlation = without, other
         inflation = np.maximum(inflation, still / (sd / inflation))
         sd = np.maximum(sd, still)
-    sentences = _undetermined(wider, sd)
-    sentences += _wide(fitted, sd, sentences) + _together(fitted.parameters, fitted.scaled, correlation, sd)
-    return Uncertainty(sd, inflation, correlation, tuple(sentences), _reduced(fitted))
+    found = _undetermined(wider, sd)
+    found += _wide(fitted, sd, names_undetermined(found))
+    found += _together(fitted.parameters, fitted.scaled, correlation, sd)
+    return Uncertainty(sd, inflation, correlation, tuple(found), _reduced(fitted))
+
+
+def names_undetermined(findings: Sequence[Finding]) -> set[str]:
+    """Names of the parameters that the data do not determine."""
+    return {name for found in findings for name in found.undetermined}
 
 
 def _reduced(fitted: Fitted) -> float:
@@ -77,12 +96,20 @@ def _reduced(fitted: Fitted) -> float:
     return fitted.chi2 / max(fitted.samples - len(fitted.parameters), 1)
 
 
+def _tempered(fitted: Fitted) -> np.ndarray:
+    """The jacobian with what the recordings tell, not what was known before, worth as much less as the model misses
+    them by more than their noise: (J^T J / chi2_red + P)^-1 is the covariance of the tempered posterior."""
+    rows: np.ndarray = fitted.jacobian.copy()
+    rows[: len(rows) - fitted.pulls] /= np.sqrt(max(1.0, _reduced(fitted)))
+    return rows
+
+
 def _spread(fitted: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Standard deviations ``(p,)`` by the jacobian of a fit, by how much they exceed what the noise says ``(p,)``, and
     correlation ``(p, p)``."""
     prior = np.array([q.prior_sd for q in fitted.parameters])
     inverse = inverse_information(fitted.jacobian, prior)
-    plain = inverse * max(1.0, _reduced(fitted))
+    plain = inverse_information(_tempered(fitted), prior)
     scores = _scores(fitted, fitted.residual)
     sandwich = inverse @ (scores.T @ scores) @ inverse
     coloured = inverse + inverse @ coloured_scores(fitted.parts, inverse) @ inverse
@@ -150,23 +177,20 @@ def _information(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return singular[::-1] ** 2, rows[::-1].T
 
 
-def _undetermined(fitted: Fitted, sd: np.ndarray) -> list[str]:
-    """One sentence for each direction that is not determined. ``sd``: of each parameter ``(p,)``."""
-    parameters, values, vectors = marginal(fitted)
+def _undetermined(fitted: Fitted, sd: np.ndarray) -> list[Finding]:
+    """One for each direction that is not determined. ``sd``: of each parameter ``(p,)``."""
+    parameters, values, vectors = marginal(replace(fitted, jacobian=_tempered(fitted)))
     at = {p.name: (x, spread) for p, x, spread in zip(fitted.parameters, fitted.scaled, sd, strict=True)}
-    widen = np.sqrt(max(1.0, _reduced(fitted)))
     out = []
     for value, vector in zip(values, vectors.T, strict=True):
-        if widen / np.sqrt(max(value, 1e-300)) < UNDETERMINED_SHARE:
+        if 1.0 / np.sqrt(max(value, 1e-300)) < UNDETERMINED_SHARE:
             continue
         strong = np.flatnonzero(np.abs(vector) > 0.25)
         if len(strong) == 1:
             p = parameters[strong[0]]
             low, high = interval(p, *at[p.name])
-            out.append(
-                f"The data do not determine {p.name}: {f'{low:.3g} to {high:.3g} {p.unit}'.strip()} fit about as well. "
-                "Record a motion that depends on it, or fix it."
-            )
+            told = f"{f'{low:.3g} to {high:.3g} {p.unit}'.strip()} fit about as well"
+            out.append(_not_told(p, told))
             continue
         changes = []
         for k in strong:
@@ -177,33 +201,30 @@ def _undetermined(fitted: Fitted, sd: np.ndarray) -> list[str]:
                 f"{p.name} {'up' if amount > 0 else 'down'} by "
                 + (f"{100 * abs(np.expm1(amount)):.2g} %" if p.log else f"{abs(amount):.2g} {p.unit}".rstrip())
             )
-        out.append(
-            "The data do not determine "
-            + " and ".join(parameters[k].name for k in strong)
-            + " separately, only in combination: "
-            + ", ".join(changes)
-            + " together leave every reading as it is. Fix one of them, or record a motion that separates them."
+        names = tuple(parameters[k].name for k in strong)
+        sentence = (
+            f"The data do not determine {' and '.join(names)} separately, only in combination: {', '.join(changes)} "
+            "together leave every reading as it is. Fix one of them, or record a motion that separates them."
         )
+        out.append(Finding(sentence, names))
     return out
 
 
-def _names(sentence: str, name: str) -> bool:
-    """Whether a sentence names a parameter, and not one whose name goes on."""
-    return re.search(rf"(?<![\w.]){re.escape(name)}(?![\w\[])", sentence) is not None
+def _not_told(parameter: FitParameter, why: str) -> Finding:
+    name = parameter.name
+    remedy = "Record a motion that depends on it, or fix it."
+    return Finding(f"The data do not determine {name}: {why}. {remedy}", (name,))
 
 
-def _wide(fitted: Fitted, sd: np.ndarray, said: list[str]) -> list[str]:
-    """One sentence for each parameter whose interval is too wide to determine it, unless it was named before: the noise
+def _wide(fitted: Fitted, sd: np.ndarray, said: set[str]) -> list[Finding]:
+    """One for each parameter whose interval is too wide to determine it, unless it was named before: the noise
     alone would not leave it so wide, but what the rig does not explain, or a prior that says little, does."""
     out = []
     for p, scaled, spread in zip(fitted.parameters, fitted.scaled, sd, strict=True):
-        if p.nuisance or any(_names(s, p.name) for s in said):
+        if p.nuisance or p.name in said:
             continue
         if p.known_sd is not None and spread > ADDS_NOTHING * p.known_sd:
-            out.append(
-                f"The data do not determine {p.name}: its interval is what was known of it before. Record a motion "
-                "that depends on it, or fix it."
-            )
+            out.append(_not_told(p, "its interval is what was known of it before"))
             continue
         low, high = p.scaled_bounds
         if scaled - 1.96 * spread <= low and scaled + 1.96 * spread >= high:
@@ -213,15 +234,14 @@ def _wide(fitted: Fitted, sd: np.ndarray, said: list[str]) -> list[str]:
             where = f"is {first:.3g} to {last:.3g} {p.unit}".rstrip()
         else:
             continue
-        out.append(
-            f"The data do not determine {p.name}: its 95 % interval {where}. Record a motion that depends on it, or "
-            "fix it."
-        )
+        out.append(_not_told(p, f"its 95 % interval {where}"))
     return out
 
 
-def _together(parameters: list[FitParameter], scaled: np.ndarray, correlation: np.ndarray, sd: np.ndarray) -> list[str]:
-    """One sentence for each pair that is determined but strongly traded off."""
+def _together(
+    parameters: list[FitParameter], scaled: np.ndarray, correlation: np.ndarray, sd: np.ndarray
+) -> list[Finding]:
+    """One for each pair that is determined but strongly traded off."""
     out = []
     for a in range(len(parameters)):
         for b in range(a):
@@ -231,10 +251,11 @@ def _together(parameters: list[FitParameter], scaled: np.ndarray, correlation: n
             limit = UNDETERMINED_SHARE * max(parameters[k].width(scaled[k]) for k in (a, b))
             if abs(c) > TOGETHER and max(sd[a], sd[b]) < limit:
                 way = "up" if c > 0 else "down"
-                out.append(
+                sentence = (
                     f"{parameters[b].name} and {parameters[a].name} are traded off against each other "
                     f"(correlation {c:.3f}): if one is really higher, the other goes {way}."
                 )
+                out.append(Finding(sentence))
     return out
 
 

@@ -83,7 +83,7 @@ def screen(engine: PooledEngine, problem: Problem, base: Fitted) -> tuple[list[S
     for effect, rig, own, scaled, jobs in pending:
         try:
             predictions = [job.result() for job in jobs]
-            if problem.seen(predictions) < IN_SIGHT * base.seen:
+            if problem.seen(predictions) < IN_SIGHT * base.samples:
                 failed[effect.name] = OUT_OF_SIGHT
                 continue
             starts.append(_predict(problem, base, effect, rig, own, scaled, predictions))

@@ -179,7 +179,7 @@ def _refits(
 
 def _hides(plain: Fitted | None, amended: Fitted | None) -> bool:
     """An amendment has less of the readings in sight."""
-    return plain is not None and amended is not None and amended.seen < IN_SIGHT * plain.seen
+    return plain is not None and amended is not None and amended.samples < IN_SIGHT * plain.samples
 
 
 def _explained(before: Structure, left: Structure) -> float:

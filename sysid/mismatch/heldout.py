@@ -32,7 +32,7 @@ def seen_by_both(check: Problem, plain: Fitted | None, amended: Fitted | None) -
         else:
             common = [replace(p, values={c: np.where(s[c], v, np.nan) for c, v in p.values.items()}) for p, s in both]
             found.append(check.compare(common, model.rig, [], np.zeros(0)))
-    return (found[0], found[1]) if found[0].seen else None
+    return (found[0], found[1]) if found[0].samples else None
 
 
 def gain_of(both: tuple[Fitted, Fitted] | None) -> float | None:

@@ -21,6 +21,7 @@ from sysid.fit.options import Intervals
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
+from sysid.fit.profiler import Profiler
 from sysid.fit.runs import Measured, Run
 from sysid.fit.starts import Evaluations, Searches, Step
 from sysid.report import write_fit_report
@@ -34,10 +35,11 @@ def column(young: float) -> np.ndarray:
 
 
 class Readings:
-    """An engine that reads log(E) of the gel; ``broken`` runs fail, ``hidden`` channels are out of sight."""
+    """An engine that reads log(E) of the gel; ``broken`` runs fail, ``hidden`` channels are out of sight from their
+    sample ``begins`` on."""
 
-    def __init__(self, broken: str = "", hidden: str = "") -> None:
-        self.broken, self.hidden = broken, hidden
+    def __init__(self, broken: str = "", hidden: str = "", begins: int = 0) -> None:
+        self.broken, self.hidden, self.begins = broken, hidden, begins
 
     def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
         future: Future[Prediction] = Future()
@@ -61,7 +63,7 @@ class Readings:
         values = {m.channel: column(young) for m in run.measured}
         slopes = {c: np.repeat(np.sin(6.0 * T)[:, None, None], p, axis=2) for c in values}
         if self.hidden in values:
-            values[self.hidden] = np.full_like(values[self.hidden], np.nan)
+            values[self.hidden][self.begins :] = np.nan
         return Prediction(values, slopes, cast(Trace, None))
 
 
@@ -116,6 +118,20 @@ def test_a_channel_that_is_predicted_out_of_sight_is_noted(small_rig: Any, tmp_p
     assert json.loads((tmp_path / "fit.json").read_text())["errors"][0]["after"] < 0.02
     assert "press" in result.table()
     assert write_fit_report(result, tmp_path / "report.html").stat().st_size > 0
+
+
+def test_readings_that_are_predicted_out_of_sight_are_not_counted_but_told(small_rig: Any) -> None:
+    """As if they had not been recorded."""
+    run = run_of("press", "side")
+    (m,) = run.measured
+    half = len(T) // 2
+    blind = result_of(Readings(hidden="side", begins=half), small_rig(), [run], [])
+    short = replace(run, measured=(replace(m, values=np.where(np.arange(len(T))[:, None] < half, m.values, np.nan)),))
+    alone = result_of(Readings(), small_rig(), [short], [])
+    assert blind.misfit == pytest.approx(alone.misfit) and blind.reduced_chi2 == pytest.approx(alone.reduced_chi2)
+    assert blind.estimates[0].sd == pytest.approx(alone.estimates[0].sd)
+    (note,) = blind.notes
+    assert note.startswith("press: side: 50 % of the readings are of points that the fitted rig has out of sight")
 
 
 class Walled(Readings):
@@ -210,8 +226,23 @@ def test_a_search_that_ended_too_early_goes_on_from_the_better_fit_that_interval
         on_progress=lambda share, text: shares.append(share),
     )  # fmt: skip
     assert shares == sorted(shares)
-    assert result.estimates[0].value == pytest.approx(TRUTH, rel=0.004)
+    assert result.estimates[0].value == pytest.approx(TRUTH, rel=0.004) and result.converged
     assert not any("too early" in sentence for sentence in result.identifiability)
+
+
+def test_a_search_that_ends_too_early_each_time_has_not_converged(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        Problem, "fit", lambda problem, rig, parameters, start, *_, **__: problem.evaluate(rig, parameters, start)
+    )
+    monkeypatch.setattr(Profiler, "better", property(lambda profiler: profiler._best.scaled + 1e-4))
+    rig = with_parameters(small_rig(), {"gel.E_pa": 1.01 * TRUTH})
+    options = FitOptions(nuisance=("none",), robust=False)
+    runs, engine = [run_of("press", "markers")], cast(PooledEngine, Readings())
+    result, _ = fit.fit_runs(rig, runs, ["gel.E"], options, engine=engine)
+    assert not result.converged and "a better fit is known" in result.message
+    assert "did not converge" in result.table()
 
 
 class Counted(Readings):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from sysid.fit.kinked import AT_MINIMUM, LOST, USED_UP, End, Point, minimise
+from sysid.fit.kinked import AT_JUMP, AT_KINK, AT_MINIMUM, LOST, USED_UP, End, Point, minimise
 
 Residuals = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Residuals ``(n,)`` and their derivatives ``(n, p)``."""
@@ -134,3 +134,21 @@ def test_a_small_region_to_begin_with_does_not_end_a_search() -> None:
 def test_what_cannot_be_simulated_is_no_minimum() -> None:
     end = Counted(far, 30, broken=lambda x: bool(x[0] > 0.02)).minimise([0.0], LINE, tolerance=0.5)
     assert not end.converged and end.message == LOST
+
+
+@pytest.mark.parametrize("start", [-1.0, 0.6, 0.9])
+def test_beside_a_jump_nothing_has_converged(start: float) -> None:
+    """A line with a step in it: least at 0.1 beyond the step, where it has no minimum but at the edge."""
+
+    def stepped(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([10.0 * (x[0] - 1.0) + 9.0 * (x[0] > 0.5), x[1]]), np.diag([10.0, 1.0])
+
+    end = Counted(stepped, 200).minimise([start, 1.0], tolerance=0.5)
+    assert not end.converged and end.message == AT_JUMP
+
+
+@pytest.mark.parametrize("start", [[3.0, 0.5], [0.0, -0.3]])
+def test_beside_a_kink_it_has(start: list[float]) -> None:
+    end = Counted(sharp, 200).minimise(start, tolerance=1e-6)
+    assert end.converged and end.message in (AT_KINK, AT_MINIMUM)
+    np.testing.assert_allclose(end.best.x, [1.5, 0.0], atol=1e-4)

@@ -131,6 +131,7 @@ def test_a_strip_at_rest_tells_one_number():
     names = ["strip.E_pa", "strip.density_kg_m3", "strip.thickness_m"]
     found = plan_experiments(rig, [tilt], names).outlooks[0]
     assert not any(p.determined for p in found.parameters)
+    assert {p.name for p in found.parameters} == {n for n in names if any(n in s for s in found.sentences)}
     combined = [s for s in found.sentences if "only in combination" in s]
     assert len(combined) == 2  # three numbers, one of which is known
     alone = plan_experiments(rig, [tilt], names[:1]).outlooks[0].parameters[0]

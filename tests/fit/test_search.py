@@ -134,7 +134,37 @@ def test_a_search_does_not_go_out_of_sight_little_by_little() -> None:
         residual = np.where(there, slope * (100.0 - scaled[0]), 0.0)
         jacobian = np.where(there, -slope, 0.0)[:, None]
         nothing, labels = cast(Any, None), [(0, "gauge", np.linspace(0.0, 1.0, 1000))]
-        return Fitted(line, scaled, nothing, residual, jacobian, labels, [], nothing, 1, True, "", seen=seen)
+        return Fitted(line, scaled, nothing, residual, jacobian, labels, [], nothing, 1, True, "", sight=there)
 
     found = Search(evaluate, line, None).run(np.array([0.0]), 200, 0.5)
-    assert 0.0 < found.scaled[0] and 900 <= found.seen < 1000
+    assert 0.0 < found.scaled[0] and 900 <= found.samples < 1000
+
+
+@pytest.mark.parametrize("start", [0.0, 0.3, 0.6])
+def test_nothing_is_gained_by_hiding_what_is_missed_nor_lost_by_seeing_it(start: float) -> None:
+    """One marker in twelve is missed by six times the noise and leaves the picture beyond 0.4; the rest says 0."""
+    slope, bad = np.full(1200, 0.3), np.arange(1200) % 12 == 0
+    data = np.where(bad, 6.0, 0.0) + np.random.default_rng(1).standard_normal(1200)
+    line = [FitParameter("a", "-", False, -1e6, 1e6, 1.0, "")]
+
+    def evaluate(scaled: np.ndarray) -> Fitted:
+        there = ~bad if scaled[0] > 0.4 else np.ones(1200, dtype=bool)
+        residual, jacobian = np.where(there, data - slope * scaled[0], 0.0), np.where(there, -slope, 0.0)[:, None]
+        nothing, labels = cast(Any, None), [(0, "gauge", np.linspace(0.0, 1.0, 1200))]
+        return Fitted(line, scaled, nothing, residual, jacobian, labels, [], nothing, 1, True, "", sight=there)
+
+    found = Search(evaluate, line, None).run(np.array([start]), 200, 0.5)
+    plain = float(slope[~bad] @ data[~bad] / (slope[~bad] @ slope[~bad]))
+    whole = float(slope @ data / (slope @ slope))
+    assert plain < 0.4 < whole
+    assert plain - 0.1 < found.scaled[0] < whole + 0.1, "with some counted on the way and others not"
+
+
+def test_outcomes_are_compared_over_what_both_have_in_sight() -> None:
+    nothing, residual = cast(Any, None), np.arange(1.0, 5.0)
+    one, other = (
+        Fitted([], np.zeros(0), nothing, scale * residual, np.zeros((4, 0)), [], [], nothing, 1, True, "", sight=there)
+        for scale, there in ((1.0, np.array([True, True, False, True])), (2.0, np.array([True, True, True, False])))
+    )
+    assert one.beside(other) == (5.0, 20.0) and (one.samples, other.samples) == (3, 3)
+    assert one.misfit == pytest.approx(one.chi2 / 3.0)

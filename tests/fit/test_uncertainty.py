@@ -10,7 +10,7 @@ import pytest
 
 from sysid.fit.fitted import Fitted
 from sysid.fit.parameters import FitParameter
-from sysid.fit.uncertainty import UNDETERMINED_SHARE, WIDEST, _names, interval, uncertainty
+from sysid.fit.uncertainty import UNDETERMINED_SHARE, WIDEST, interval, names_undetermined, uncertainty
 
 N = 50
 
@@ -71,18 +71,16 @@ def test_a_channel_without_samples_is_left_out() -> None:
     assert np.isfinite(uncertainty(fit).sd).all()
 
 
-@pytest.mark.parametrize(
-    ("sentence", "named"),
-    [
-        ("The data do not determine gel.nu: any value", True),
-        ("only gel.nu, card.E_pa together", True),
-        ("The data do not determine gel.nu[press]: any value", False),
-        ("The data do not determine soft.gel.nu: any value", False),
-        ("The data do not determine gel.nu_2: any value", False),
-    ],
-)
-def test_a_name_is_not_found_in_a_longer_one(sentence: str, named: bool) -> None:
-    assert _names(sentence, "gel.nu") == named
+def test_names_of_what_is_not_determined_may_hold_anything() -> None:
+    """Those of bags are in them, and one may go on where another ends."""
+    slope = np.linspace(1.0, 2.0, N)
+    fit = fitted(1e7 * np.column_stack([slope, -slope, np.zeros(N), 1.0 - slope**2]))
+    names = ["gel.nu[press (2)]", "gel.nu", "big_gel.nu[a and b]", "gel.nu[a: b]"]
+    fit = replace(fit, parameters=[replace(p, name=n) for p, n in zip(fit.parameters, names, strict=True)])
+    found = uncertainty(fit).findings
+    assert {frozenset(f.undetermined) for f in found} == {frozenset(names[:2]), frozenset(names[2:3])}
+    assert names_undetermined(found) == set(names[:3])
+    assert all(name in f.sentence for f in found for name in f.undetermined)
 
 
 def torn(strength: float) -> Fitted:
@@ -108,3 +106,22 @@ def test_the_interval_in_words_is_that_of_the_table() -> None:
     low, high = interval(fit.parameters[0], 10.0, known.sd[0])
     assert known.inflation[0] > 1.5
     assert known.sentences[0].startswith(f"The data do not determine p0: {low:.3g} to {high:.3g} Pa fit about as well.")
+
+
+@pytest.mark.parametrize("misfit", [1.0, 27.0])
+def test_what_was_known_before_is_not_widened_by_a_misfit(misfit: float) -> None:
+    """Data that say nothing of a parameter leave what was known of it, those that say something are worth less: the
+    tempered posterior."""
+    known, sd = 0.05, 0.02
+    slope = np.zeros((N, 2))
+    slope[:, 0] = 1.0 / sd / np.sqrt(N)
+    fit = fitted(np.vstack([slope, np.eye(2) / known]), np.sqrt(misfit))
+    residual = np.concatenate([np.sqrt(misfit) * np.ones(N), np.zeros(2)])
+    residual[1:N:2] *= -1.0
+    labels = [(0, "gauge", np.linspace(0.0, 1.0, N)), (-1, "prior", np.zeros(2))]
+    parameters = [replace(p, known_sd=known) for p in fit.parameters]
+    fit = replace(fit, parameters=parameters, residual=residual, labels=labels)
+    found = uncertainty(fit)
+    reduced = N * misfit / (N - 2)
+    assert found.reduced_chi2 == pytest.approx(reduced)
+    assert found.sd == pytest.approx([(1.0 / (reduced * sd**2) + known**-2) ** -0.5, known], rel=1e-6)

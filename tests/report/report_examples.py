@@ -108,6 +108,7 @@ def make_fit(**changes: object) -> FitResult:
             "gel.E_pa and gel.nu are traded off against each other (correlation -0.985): if one is really higher, "
             "the other goes down.",
         ],
+        "undetermined": {"gel.nu"},
         "errors": make_errors(RUNS, before=17.3, after=1.02),
         "misfit": 1.07,
         "reduced_chi2": 1.08,
