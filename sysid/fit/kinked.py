@@ -17,9 +17,8 @@ known, so the model is the mean over what was seen,
 whose last term keeps the step short along what the pieces disagree about, and along that alone. Those points take part
 that are within the trust region and at which J(x) is wrong; while steps do what it says there are none, and the model
 is that of Gauss-Newton. As the region shrinks points drop out of it, so that nothing that x itself promises is missed.
-Where rollouts jump no derivative tells, and a search that ends there has not converged. By one kink between x and x_k
-the sum of squares rises by no more than by J(x) on all of the way and by J(x_k) from where it is least on it; where it
-rises by more, it jumps.
+Where rollouts jump no derivative tells: residuals then change by more than any theta_i within 0 and 1 makes of it. A
+search that ends there has not converged if the derivatives promise much beyond.
 """
 
 from __future__ import annotations
@@ -54,11 +53,15 @@ MOST_NEAR = 6
 MOST_KEPT = 12
 """Points that are kept, the newest."""
 
+SERIOUS = 8.0
+"""Promised fall within radius 1, in tolerances, from which a jump before it matters: with a tolerance of half of what
+chance makes of the sum of squares, where a 95 % interval of one parameter ends."""
+
 SMALLEST = 1e-7
 """Radius at which the search ends."""
 
 AT_MINIMUM = "no step promises more than chance makes of chi-square"
-AT_KINK = "it stands at a kink, beyond which derivatives do not tell what is better"
+AT_KINK = "it stands at a kink or a small jump, beyond which derivatives do not tell what is better"
 AT_JUMP = "it stands at a jump of the readings, over which derivatives do not lead: start from elsewhere ('--starts 5')"
 LOST = "what promises more cannot be simulated, or hides what was seen"
 USED_UP = "the evaluations allowed were used up"
@@ -122,7 +125,7 @@ def minimise(
         if promised <= tolerance:
             return End(best, not (cut and lost), LOST if cut and lost else AT_KINK if cut else AT_MINIMUM, radius)
         if radius < SMALLEST:
-            return _edge(best, near[-1:], tolerance, radius)
+            return _edge(best, near[-1:], bounds, tolerance, radius)
         if not go_on():
             return End(best, False, USED_UP, radius)
         there = look(best.x + step)
@@ -133,7 +136,7 @@ def minimise(
             continue
         share = (best.square - there.square) / promised
         if share < 0.0 and float(np.sum((best.jacobian @ step) ** 2)) < STILL * tolerance:
-            return _edge(best, [there], tolerance, radius)
+            return _edge(best, [there], bounds, tolerance, radius)
         if share < POOR:
             # The first time the model has something to learn.
             radius = (ONCE if refused == 1 else AGAIN) * length
@@ -148,22 +151,22 @@ def minimise(
             return End(best, True, AT_MINIMUM, radius)
 
 
-def _edge(best: Point, refused: list[Point], tolerance: float, radius: float) -> End:
-    """The end at the best point though derivatives promise more: beside a kink, or beside a jump."""
-    if any(_jump(best, p) > tolerance for p in refused):
+def _edge(
+    best: Point, refused: list[Point], bounds: tuple[np.ndarray, np.ndarray], tolerance: float, radius: float
+) -> End:
+    """The end at the best point though derivatives promise more: beside a kink, or beside a jump that hides much."""
+    hidden = _step(best, [], 1.0, bounds)[1]
+    if hidden > SERIOUS * tolerance and any(_jump(best, p) > tolerance for p in refused):
         return End(best, False, AT_JUMP, radius)
     return End(best, True, AT_KINK, radius)
 
 
 def _jump(best: Point, point: Point) -> float:
-    """By how much more the sum of squares rises to a point than a kink on the way can make it."""
-    away = point.x - best.x
-    said = best.residual + best.jacobian @ away
-    slope = point.jacobian @ away
-    back = np.clip(point.residual @ slope / max(float(slope @ slope), 1e-300), 0.0, 1.0)
-    least = point.residual - back * slope
-    by_kink = max(0.0, float(said @ said) - best.square) + point.square - float(least @ least)
-    return point.square - best.square - by_kink
+    """By how much less the sum of squares at a point would be without what no kink in each residual explains."""
+    bent, missed = _apart(best, point)
+    jumps = missed - np.clip(missed, np.minimum(bent, 0.0), np.maximum(bent, 0.0))
+    smooth = point.residual - jumps
+    return point.square - float(smooth @ smooth)
 
 
 def _within(point: Point, best: Point, reach: float) -> bool:
@@ -179,12 +182,17 @@ def _other(point: Point, best: Point, tolerance: float) -> bool:
 
 def _on_the_way(best: Point, point: Point) -> np.ndarray:
     """Mean derivatives between the best point and another, J_k of the model."""
-    away = point.x - best.x
-    turn = point.jacobian - best.jacobian
-    bent = turn @ away
-    missed = point.residual - best.residual - best.jacobian @ away
+    bent, missed = _apart(best, point)
     theta = np.clip(np.divide(missed, bent, out=np.full_like(bent, 0.5), where=bent != 0.0), 0.0, 1.0)
-    return np.asarray(best.jacobian + theta[:, None] * turn)
+    return np.asarray(best.jacobian + theta[:, None] * (point.jacobian - best.jacobian))
+
+
+def _apart(best: Point, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    """What the derivatives at a point say otherwise than those at the best of the way between ``(n,)``, and what the
+    latter miss at its end ``(n,)``."""
+    away = point.x - best.x
+    bent = (point.jacobian - best.jacobian) @ away
+    return bent, point.residual - best.residual - best.jacobian @ away
 
 
 def _step(
