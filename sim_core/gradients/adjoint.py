@@ -25,7 +25,6 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.energies.linearised import Linearised, cross, skew, times_back
 from sim_core.energies.term import StepContext
-from sim_core.errors import ConfigError
 from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, motions, slopes
 from sim_core.gradients.elements import Alongs, OwnNumbers
@@ -87,9 +86,11 @@ def simulate_adjoint(
 
 
 class Backward:
-    """Goes through a tape backwards, for as many losses as there are."""
+    """Goes through a tape backwards, for as many losses as there are. Raises ``ConfigError`` if the scene was changed
+    since it was recorded."""
 
     def __init__(self, tape: Tape, along: Sequence[Direction], fields: Sequence[str] = ()) -> None:
+        tape.check_scene()
         self._tape, self._scene, self._along = tape, tape.scene, list(along)
         self._observer = tape.observer
         keys, self._slopes = slopes(self._scene, along)
@@ -117,11 +118,7 @@ class Backward:
     def gradient(self, value: float, by_readings: Mapping[str, np.ndarray]) -> Gradient:
         """Gradient of the loss with these derivatives by the readings."""
         tape, scene = self._tape, self._scene
-        if tape.system is not scene.system:
-            raise ConfigError(
-                "A body of the scene was given another shape at rest since the rollout was recorded.",
-                "Record it again, or take its gradient before.",
-            )
+        tape.check_scene()
         count = len(tape.trace.times)
         self._by_readings = {
             c: np.where(np.isnan(tape.trace.outputs[c]), 0.0, given) for c, given in by_readings.items()

@@ -18,9 +18,11 @@ import math
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
+from sim_core.errors import ConfigError
 from sim_core.gradients.made import Made, size_of_state
 from sim_core.gradients.settling import linearised, with_inertia
 from sim_core.gradients.step import LinearStep
@@ -119,7 +121,8 @@ def backwards(intervals: Sequence[Interval]) -> Iterator[Made]:
 
 class Tape:
     """A rollout of a ``system`` as recorded. ``trace``: its readings; ``segments``: first time of each; ``kept_bytes``,
-    ``most_bytes``: what is kept of its steps, and the most that there was of them at a time."""
+    ``most_bytes``: what is kept of its steps, and the most that there was of them at a time. It is gone through as long
+    as the scene is what it was then (:meth:`check_scene`)."""
 
     def __init__(
         self,
@@ -134,6 +137,7 @@ class Tape:
         """Make the rollout. ``memory_mb``: bound on the steps that are kept; ``factors``: let their factorisations be
         kept too, which pays from six to ten losses on. Raises ``ConvergenceError``."""
         self.scene, self.system = scene, scene.system
+        self._set_to = _set_to(scene)
         self._times = np.asarray(times, dtype=float)
         tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
         self._frames = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
@@ -181,6 +185,15 @@ class Tape:
         outputs = {c: np.stack([r[c] for r in readings]) for c in readings[0]}
         self.observer = observer = simulation.observer
         self.trace = Trace(self._times, outputs, observer.kinds, observer.ids, tuple(reports))
+
+    def check_scene(self) -> None:
+        """Raise ``ConfigError`` if the scene is another one than that of the rollout."""
+        for what, now in _set_to(self.scene).items():
+            if now != self._set_to[what]:
+                raise ConfigError(
+                    f"The scene was given {what} since the rollout was recorded.",
+                    "Record it again, or take its gradient before.",
+                )
 
     def _keep_way(self) -> None:
         """Linearise the way to the first equilibrium, and keep that if there is room."""
@@ -255,3 +268,15 @@ class Tape:
         if linearising:
             simulation.sense()
         return simulation.interval, report
+
+
+def _set_to(scene: Scene) -> dict[str, Any]:
+    """What a rollout depends on that can be changed in a scene, by the words for a change of it."""
+    system = scene.system
+    return {
+        "another shape at rest": system,
+        "another rig": scene.rig,
+        "other fields": scene.fields.changes,
+        "other loads": system.loads.tobytes(),
+        "other gravity": system.gravity.tobytes(),
+    }

@@ -102,6 +102,8 @@ class Fields:
         self._shares: dict[str, np.ndarray] = {}
         self._shifts: dict[str, np.ndarray] = {}  # beside the rig's number
         self._creases: dict[str, np.ndarray] = {}  # rest angles beside those of the shape
+        self.changes = 0
+        """How often values were set since the scene was built; arrays that are handed out are copies."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -154,21 +156,21 @@ class Fields:
             raise ConfigError(f"The field {full} has values that are not above zero.", "Correct them.")
         if key == REST:
             self._reshape(body, given)
-            return
-        if key == REST_ANGLE:
+        elif key == REST_ANGLE:
             if np.abs(given).max(initial=0.0) >= np.pi:
                 raise ConfigError(f"The field {full} has angles of pi and more.", "Fold an edge by less than pi.")
             bending = self.bending(body)
             self._creases[body] = given - bending.built_angles
             bending.set_rest_angles(given)
-            return
-        number = self._number(body, key)
-        _check_values(full, np.atleast_1d(given))
-        if key in SHIFTED:
-            self._shifts[full] = np.broadcast_to(given - number, shape).copy()
         else:
-            self._shares[full] = np.broadcast_to(given / number, shape).copy()
-        self._spread(body)
+            number = self._number(body, key)
+            _check_values(full, np.atleast_1d(given))
+            if key in SHIFTED:
+                self._shifts[full] = np.broadcast_to(given - number, shape).copy()
+            else:
+                self._shares[full] = np.broadcast_to(given / number, shape).copy()
+            self._spread(body)
+        self.changes += 1
 
     def check(self, rig: Rig) -> None:
         """Refuse a rig of the same geometry whose numbers would shift a field out of its bounds."""
@@ -217,6 +219,7 @@ class Fields:
 
     def reset(self) -> None:
         """Back to the rig's numbers, and to its shapes at rest."""
+        self.changes += 1
         changed = self._changed()
         self._shares.clear()
         self._shifts.clear()

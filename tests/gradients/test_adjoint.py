@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from test_linearised import ball, damped, forming
 from test_tangent import PRESS, RUB
 
-from sim_core.errors import ConvergenceError
+from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.gradients import Backward, Tape, directions, simulate_adjoint, simulate_tangent
-from sim_core.rigs import list_parameters, parse_rig
+from sim_core.rigs import list_parameters, parse_rig, with_parameters
 from sim_core.rigs.displaced import OFFSETS
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
@@ -221,6 +221,71 @@ def test_steps_that_were_kept_are_foreseen_in_the_order_in_which_they_are_gone_t
     del tape._kept[segments[-3]]
     assert [id(m) for m in tape.kept_before(segments[-1])] == [id(m) for m in last]
     assert not list(tape.kept_before(segments[0]))
+
+
+def other_rig(scene):
+    scene.use(with_parameters(scene.rig, {"card.E_pa": 3e9}))
+
+
+def other_fields(scene):
+    scene.fields["card.E_pa"] *= 2.0
+
+
+def other_angles(scene):
+    scene.fields["card.rest_angle_rad"] += 1e-3
+
+
+def other_loads(scene):
+    scene.system.loads[:, 2] -= 1e-6
+
+
+def other_gravity(scene):
+    scene.system.gravity = np.zeros(3)
+
+
+@pytest.mark.parametrize("memory_mb", [1000.0, 0.0])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (other_rig, "another rig"),
+        (other_fields, "other fields"),
+        (other_angles, "other fields"),
+        (lambda scene: scene.fields.reset(), "other fields"),
+        (other_loads, "other loads"),
+        (other_gravity, "other gravity"),
+    ],
+)
+def test_a_tape_of_a_scene_that_was_changed_is_refused(change, words, memory_mb, small_rig, visit):
+    """Its steps are those of the scene as it was, and all else would be of the scene as it is."""
+    rig, poses, times = small(PRESS)(small_rig, visit)
+    scene = build_scene(rig)
+    tape = Tape(scene, poses, times[:4], memory_mb=memory_mb)
+    along, given = directions(rig, ["card.thickness_m"]), weights(tape.trace)
+    backward = Backward(tape, along)
+    backward.gradient(0.0, given)
+    change(scene)
+    for again in (lambda: backward.gradient(0.0, given), lambda: Backward(tape, along)):
+        with pytest.raises(ConfigError, match=f"given {words} since the rollout was recorded"):
+            again()
+    fresh = Tape(scene, poses, times[:4])
+    Backward(fresh, along).gradient(0.0, weights(fresh.trace))
+
+
+def test_a_tape_is_of_use_as_long_as_the_scene_is_the_same(small_rig, visit):
+    """With a rig of the same numbers, after fields were read, what was read was changed, or values were refused."""
+    rig, poses, times = small(PRESS)(small_rig, visit)
+    scene = build_scene(rig)
+    tape = Tape(scene, poses, times[:4])
+    along, given = directions(rig, ["card.thickness_m"]), weights(tape.trace)
+    expected = Backward(tape, along).gradient(0.0, given).parameters
+    other_rig(scene)
+    scene.use(with_parameters(rig, {"card.E_pa": 2e9}))
+    read = scene.fields["card.E_pa"]
+    read *= 2.0
+    for values in (-1.0, np.ones(3)):
+        with pytest.raises(ConfigError):
+            scene.fields["card.E_pa"] = values
+    assert Backward(tape, along).gradient(0.0, given).parameters == pytest.approx(expected, rel=1e-9)
 
 
 def test_what_is_kept_changes_nothing_but_round_off(small_rig, visit):
