@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from difflib import get_close_matches
@@ -24,6 +25,14 @@ WIDTH = 150
 
 FIELD = "fields."
 """Before the name of a single field."""
+
+UNJUDGED = {
+    "no effect": "without effect",
+    "negligible": "of negligible effect",
+    "unresolved": "hidden by round-off",
+    "jumps": "beside a jump",
+}
+"""Verdicts of rows that are not judged, in words."""
 
 
 def check_gradients(
@@ -165,7 +174,7 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         for row in rows
         if row.verdict == "jumps"
     ]
-    judged = [r for r in rows if r.verdict in ("agrees", "differs", "one side")]
+    judged = [r for r in rows if r.verdict not in UNJUDGED]
     names = {r.parameter for r in judged}.union(idle)
     lines += [
         f"{name} is judged in no channel: its effects are negligible beside those of others, or hidden."
@@ -177,11 +186,22 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         lines.append(
             f"{sum(r.verdict == 'agrees' for r in judged)} of {len(judged)} judged rows agree; the largest error is "
             f"{worst_of_all.best:.1e} ({worst_of_all.parameter}, {worst_of_all.channel}), that of the adjoint beside "
-            f"forward sensitivities {max((r.adjoint for r in judged if r.adjoint is not None), default=0.0):.0e}."
+            f"forward sensitivities {max((r.adjoint for r in judged if r.adjoint is not None), default=0.0):.0e}. "
+            f"{_unjudged(rows)}"
         )
     else:
-        lines.append("Nothing could be judged: let the motion go on for longer, or name other parameters.")
+        lines.append(
+            f"{_unjudged(rows)} Nothing could be judged: let the motion go on for longer, or name other parameters."
+        )
     return "\n".join(lines)
+
+
+def _unjudged(rows: Sequence[Row]) -> str:
+    """How many rows were not judged, and why."""
+    counts = Counter(row.verdict for row in rows)
+    parts = [f"{counts[verdict]} {why}" for verdict, why in UNJUDGED.items() if counts[verdict]]
+    total = sum(counts[verdict] for verdict in UNJUDGED)
+    return f"Not judged: {total} of {len(rows)} rows" + (f" ({', '.join(parts)})." if parts else ".")
 
 
 def _named(row: Row) -> str:

@@ -94,12 +94,13 @@ def verdict(
     if _constant(steps, np.where(within, np.nan, errors)):
         return "differs"
     widest = int(np.argmin(np.where(_short_of_a_jump(steps, errors), hidden, np.inf)))
-    near = within[int(np.argmin(errors))] if alone else within.any()
+    near, smallest = within[int(np.argmin(errors))], within[np.argsort(steps)[:3]]
     if sound and (within[widest] or (best <= 10.0 * bound and near)):
         return "unresolved"
-    if not sound or not jumps(steps, errors, bound):
+    grown_by_round_off = best <= LOST and not near and smallest[:2].all()
+    if not sound or grown_by_round_off or not jumps(steps, errors, bound):
         return "differs"
-    return "unresolved" if alone and within[np.argsort(steps)[:3]].any() else "jumps"
+    return "unresolved" if alone and smallest.any() else "jumps"
 
 
 def _constant(steps: Sequence[float], errors: np.ndarray) -> bool:

@@ -16,6 +16,7 @@ from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
 from sysid.gradients import check_gradients, compare, differences
+from sysid.gradients.check import _as_text
 from sysid.streams import predicted, predicted_back
 
 EXPERIMENT = Experiment.model_validate(
@@ -278,6 +279,37 @@ def test_an_error_that_stays_is_not_explained_by_round_off_at_the_smallest_step(
     """Six times the bound at three steps, far above round-off, which hides the derivative at 1e-7 alone."""
     errors, hidden = [1e-3, 7e-5, 6e-5, 6e-5, 7e-5, 1.6e-4], np.array([0.0, 0.0, 0.0, 1e-6, 2e-5, 2e-4])
     assert differences.verdict(differences.STEPS, errors, hidden, 1e-5) == "differs"
+
+
+ONCE_OFF = [0.30, 3.9e-3, 9.3e-4, 9.0e-4, 1.2e-3, 4e-3]
+"""Errors of a derivative that is off by 9e-4, which round-off hides at the smallest steps."""
+
+
+@pytest.mark.parametrize("alone", [False, True])
+@pytest.mark.parametrize("errors", [ONCE_OFF, [0.30, 3.9e-3, 6e-4, 5e-4, 1.1e-3, 1.1e-2]])
+def test_an_error_at_the_best_step_is_not_explained_by_round_off_at_smaller_ones(errors, alone):
+    """Nor is what grows there by no more than round-off a jump."""
+    for at_best, said in ((6e-5, "differs"), (1e-3, "unresolved")):
+        hidden = at_best * 2e-5 / np.array(differences.STEPS)
+        assert differences.verdict(differences.STEPS, errors, hidden, 1e-4, alone=alone) == said
+    assert differences.verdict(differences.STEPS, errors, hidden, 1e-3, alone=alone) == "agrees"
+
+
+def test_rows_that_are_not_judged_are_counted_by_their_reasons():
+    known = dict.fromkeys(("value", "effect", "best", "best_step", "adjoint", "bound"), 1e-3)
+    said = ["agrees", *["no effect"] * 2, "negligible", *["unresolved"] * 3, "jumps"]
+    rows = [
+        differences.Row(parameter=f"p{k}", channel="wrench", unit="N", errors=(1e-3,), plateau=(), verdict=v, **known)
+        for k, v in enumerate(said)
+    ]
+    closing = _as_text(rows, (1e-3,)).splitlines()[-1]
+    assert closing.startswith("1 of 1 judged rows agree")
+    assert closing.endswith(
+        "Not judged: 7 of 8 rows (2 without effect, 1 of negligible effect, 3 hidden by round-off, 1 beside a jump)."
+    )
+    nothing = _as_text(rows[1:3], (1e-3,)).splitlines()[-1]
+    assert nothing.startswith("Not judged: 2 of 2 rows (2 without effect). Nothing could be judged")
+    assert _as_text(rows[:1], (1e-3,)).endswith("Not judged: 0 of 1 rows.")
 
 
 def test_a_single_field_is_checked_by_its_name(small_rig):
