@@ -172,6 +172,12 @@ class Solver(Strict):
     inertia: Flag = True
     integrator: Literal["implicit_euler", "bdf2"] = "implicit_euler"
 
+    @property
+    def order(self) -> int:
+        """Power of the time step that its error is proportional to, of smooth motions. An equilibrium looks back on
+        no step before, whatever the integrator."""
+        return 2 if self.inertia and self.integrator == "bdf2" else 1
+
 
 class Rig(Strict):
     """Everything that stands on the table, what moves it and what looks at it."""

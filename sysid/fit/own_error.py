@@ -48,6 +48,9 @@ SLOPES_REACH = 0.25
 LOUD = 10.0
 """Error of mesh and time step over noise from which a result says that it rests on that error."""
 
+MESH_ORDER = 2
+"""Power of the size of cells that the error of the mesh is proportional to."""
+
 Minimise = Callable[[Problem, np.ndarray], Fitted]
 """A search for the minimum of a problem from given scaled values."""
 
@@ -72,8 +75,9 @@ def discretisation(
 
     ``rig``: one for all runs, or one for each; ``plain``: its predictions as it is, where they are at hand.
 
-    The true error is about 4/3 (mesh, order two) and twice (step, order one) of these differences; the
-    directions are scaled accordingly. Raises ``ThinshellError`` where a refined simulation fails.
+    The true error is about 2^p / (2^p - 1) of these differences, with the order p of the mesh
+    (:data:`MESH_ORDER`) and of the rig's integrator; the directions are scaled accordingly. Raises
+    ``ThinshellError`` where a refined simulation fails.
     """
     rigs = rig if isinstance(rig, Sequence) else [rig] * len(runs)
     pairs = list(zip(rigs, runs, strict=True))
@@ -81,7 +85,7 @@ def discretisation(
     fine = [engine.submit(there, run, 2) for there, run in pairs]
     short = [engine.submit(there, run, 1, 0.5 * there.solver.dt_s) for there, run in pairs]
     base = plain or [_outcome(f, run, "as it is") for f, run in zip(pending, runs, strict=True)]
-    return _directions(runs, base, fine, short)
+    return _directions(rigs, runs, base, fine, short)
 
 
 def discretisation_with_slopes(
@@ -100,25 +104,26 @@ def discretisation_with_slopes(
     fine = [engine.submit_with_derivatives(rig, run, *at, 2) for run in runs]
     short = [engine.submit_with_derivatives(rig, run, *at, 1, 0.5 * rig.solver.dt_s) for run in runs]
     reach = np.array([SLOPES_REACH * p.prior_sd for p in parameters])
-    return [replace(d, at=scaled, reach=reach) for d in _directions(runs, plain, fine, short)]
+    return [replace(d, at=scaled, reach=reach) for d in _directions([rig] * len(runs), runs, plain, fine, short)]
 
 
 def _directions(
+    rigs: Sequence[Rig],
     runs: Sequence[Run],
     base: Sequence[Prediction],
     fine: Sequence[Future[Prediction]],
     short: Sequence[Future[Prediction]],
 ) -> list[Direction]:
     found = []
-    for label, how, factor, pending in (
-        ("mesh", "on a finer mesh", 4.0 / 3.0, fine),
-        ("time step", "with half the time step", 2.0, short),
+    for label, how, orders, pending in (
+        ("mesh", "on a finer mesh", [MESH_ORDER] * len(rigs), fine),
+        ("time step", "with half the time step", [rig.solver.order for rig in rigs], short),
     ):
         refined = [_outcome(f, run, how) for f, run in zip(pending, runs, strict=True)]
-        pairs = list(zip(refined, base, strict=True))
-        shapes = tuple(_difference(r.values, b.values, factor) for r, b in pairs)
-        slopes = tuple(_difference(r.derivatives, b.derivatives, factor) for r, b in pairs if r.derivatives)
-        sight = tuple({c: np.isfinite(v - b.values[c]) for c, v in r.values.items()} for r, b in pairs)
+        three = list(zip(refined, base, orders, strict=True))
+        shapes = tuple(_error(r.values, b.values, p) for r, b, p in three)
+        slopes = tuple(_error(r.derivatives, b.derivatives, p) for r, b, p in three if r.derivatives)
+        sight = tuple({c: np.isfinite(v - b.values[c]) for c, v in r.values.items()} for r, b, _ in three)
         found.append(Direction(label, shapes, slopes=slopes, sight=sight))
     return found
 
@@ -135,8 +140,10 @@ def _outcome(future: Future[Prediction], run: Run, how: str) -> Prediction:
         ) from error
 
 
-def _difference(refined: dict[str, np.ndarray], base: dict[str, np.ndarray], factor: float) -> dict[str, np.ndarray]:
-    """0 where either is out of sight, or not a number."""
+def _error(refined: dict[str, np.ndarray], base: dict[str, np.ndarray], order: int) -> dict[str, np.ndarray]:
+    """Extrapolated from what halving the size of a method of some order changes; 0 where either is out of sight, or not
+    a number."""
+    factor = 2.0**order / (2.0**order - 1.0)
     found = {c: factor * (values - base[c]) for c, values in refined.items()}
     return {c: np.where(np.isfinite(d), d, 0.0) for c, d in found.items()}
 

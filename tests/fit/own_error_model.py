@@ -76,6 +76,7 @@ class Vector:
 
     class Solver:
         dt_s = 0.01
+        order = 1
 
     solver = Solver()
 

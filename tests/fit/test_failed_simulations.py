@@ -37,6 +37,7 @@ class Stub:
 
     class Solver:
         dt_s = 0.01
+        order = 1
 
     solver = Solver()
 

@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 from own_error_model import NOISE, PARAMETERS, SIGMA, TRUTH, Linear, T, Vector, coarse, fit, measured, run_of
 
-from sim_core.simulate import Trace
+from sim_core.rigs import parse_rig
+from sim_core.rigs.schema import Solver
+from sim_core.scene import build_scene
+from sim_core.simulate import Simulation, Trace
 from sysid.fit import own_error
 from sysid.fit.directions import Direction
 from sysid.fit.engine import Prediction
@@ -29,6 +32,55 @@ def test_parameters_and_error_settle_together(vectors: None) -> None:
     assert np.all(np.abs(fitted.scaled - TRUTH) < 3.0 * known.sd)
     at_truth = problem.corrected(fitted, 0, problem.runs[0].measured[0])
     assert np.sqrt(np.mean((at_truth - problem.runs[0].measured[0].values) ** 2)) < 1.3 * SIGMA
+
+
+class Polynomial(Linear):
+    """An engine whose readings are off by the step to the power of the integrator's order."""
+
+    def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        future: Future[Prediction] = Future()
+        off = 7.0 * (dt or rig.solver.dt_s) ** (2 if rig.solver.integrator == "bdf2" else 1)
+        future.set_result(Prediction({"gauge": coarse(TRUTH) + off}, {}, cast(Trace, None)))
+        return future
+
+
+def test_the_error_of_the_time_step_is_extrapolated_by_the_order_of_each_rigs_integrator(small_rig: Any) -> None:
+    """So that what is found beside the readings is what they are with no step at all."""
+    dt = 0.02
+    rigs = [small_rig(solver={"dt_s": dt, "integrator": name}) for name in ("implicit_euler", "bdf2")]
+    runs = [run_of(coarse(TRUTH))] * 2
+    _, step = own_error.discretisation(cast(PooledEngine, Polynomial()), rigs, runs)
+    for shape, off in zip(step.shapes, (7.0 * dt, 7.0 * dt**2), strict=True):
+        np.testing.assert_allclose(shape["gauge"], -off, rtol=1e-9)
+
+
+def hanging(integrator: str, steps: int) -> np.ndarray:
+    """Where the nodes of a bar are that swings from a hinge for 0.2 s."""
+    bar = {
+        "type": "affine",
+        "shape": {"type": "box", "size_m": [0.1, 0.01, 0.01]},
+        "pose": {"position_m": [0.05, 0.0, 0.0]},
+        "material": {"density_kg_m3": 7800.0},
+    }
+    hinge = {"type": "hinge", "body": "bar", "to": "world", "at_m": [-0.05, 0.0, 0.0], "axis": [0.0, 1.0, 0.0]}
+    dt = 0.2 / steps
+    rig = parse_rig(
+        {"name": "bar", "solver": {"dt_s": dt, "integrator": integrator}, "bodies": {"bar": bar}, "joints": [hinge]},
+        "bar",
+    )
+    simulation = Simulation(build_scene(rig), settle=False)
+    for _ in range(steps):
+        simulation.step({}, dt)
+    return np.array(simulation.state.x)
+
+
+@pytest.mark.parametrize(("integrator", "order"), [("implicit_euler", 1), ("bdf2", 2)])
+def test_the_order_is_that_of_rollouts(integrator: str, order: int) -> None:
+    ends = [hanging(integrator, steps) for steps in (40, 80, 160)]
+    changes = [np.linalg.norm(ends[k + 1] - ends[k]) for k in range(2)]
+    assert np.log2(changes[0] / changes[1]) == pytest.approx(order, abs=0.2)
+    assert Solver(integrator=cast(Any, integrator)).order == order
+    assert Solver(integrator=cast(Any, integrator), inertia=False).order == 1
 
 
 def test_slopes_save_rounds(vectors: None, monkeypatch: pytest.MonkeyPatch) -> None:
