@@ -18,14 +18,15 @@ def predicted(trace: Trace, rig: Rig, channel: str, stamps: np.ndarray, since: f
     kind = trace.kinds[channel]
     out = interpolate(trace.times, trace.outputs[channel], stamps - total_delay(rig, channel, kind))
     for effect, given in active_effects(rig):
-        out = effect.amend_output(rig, channel, kind, stamps + since, out, given)
+        out = out + effect.added_to_output(rig, channel, kind, stamps + since, given)
     return out
 
 
 def predicted_derivatives(
     trace: Trace, derivatives: np.ndarray, rig: Rig, channel: str, stamps: np.ndarray
 ) -> np.ndarray:
-    """Derivatives ``(n_times, ..., p)`` of a channel carried to the stamps: ``(k, ..., p)``."""
+    """Derivatives ``(n_times, ..., p)`` of a channel carried to the stamps: ``(k, ..., p)``. Effects of sensors can
+    only add to readings, so that nothing but the delay is in between."""
     return interpolate(trace.times, derivatives, stamps - total_delay(rig, channel, trace.kinds[channel]))
 
 

@@ -133,7 +133,7 @@ class Physics:
         def amend(channel: Channel, stamp: float, values: Floats) -> Floats:
             one, stamps = values[None], np.array([stamp])
             for effect, given in effects:
-                one = effect.amend_output(rig, channel.name, channel.kind, stamps, one, given)
+                one = one + effect.added_to_output(rig, channel.name, channel.kind, stamps, given)
             return np.asarray(one[0])
 
         channels = {

@@ -68,17 +68,14 @@ class Effect:
         """Terms that the effect adds to the scene."""
         return []
 
-    def amend_output(
-        self,
-        rig: Rig,
-        channel: str,
-        kind: str,
-        times: np.ndarray,
-        values: np.ndarray,
-        given: Mapping[str, float],
-    ) -> np.ndarray:
-        """Change what a sensor reports. ``kind``: 'wrench', 'markers' or 'tracks'; ``values``: ``(n, ...)``."""
-        return values
+    def added_to_output(
+        self, rig: Rig, channel: str, kind: str, times: np.ndarray, given: Mapping[str, float]
+    ) -> np.ndarray | float:
+        """What a sensor reports beside the truth at times ``(n,)`` [s], ``(n, ...)`` as its readings. ``kind``:
+        'wrench', 'markers' or 'tracks'. It does not see the readings, of which derivatives therefore pass a sensor as
+        they are (:func:`sysid.streams.predicted_derivatives`, ``predicted_back``); a law with a gain, a bound or a
+        memory of them would need its slope there."""
+        return 0.0
 
     def delay(self, rig: Rig, channel: str, kind: str, given: Mapping[str, float]) -> float:
         """Delay [s] that the effect adds to the stamps of a channel."""

@@ -34,19 +34,13 @@ class WrenchOffset(Effect):
     def applies(self, rig: Rig) -> bool:
         return any(isinstance(s, WrenchSensor) for s in rig.sensors.values())
 
-    def amend_output(
-        self,
-        rig: Rig,
-        channel: str,
-        kind: str,
-        times: np.ndarray,
-        values: np.ndarray,
-        given: Mapping[str, float],
-    ) -> np.ndarray:
+    def added_to_output(
+        self, rig: Rig, channel: str, kind: str, times: np.ndarray, given: Mapping[str, float]
+    ) -> np.ndarray | float:
         if kind != "wrench":
-            return values
-        out: np.ndarray = values.copy()
+            return 0.0
+        added = np.zeros((len(times), 6))
         bias = np.array([given[f"bias_{a}_n"] for a in "xyz"])
         drift = np.array([given[f"drift_{a}_n_per_s"] for a in "xyz"])
-        out[:, :3] += bias + drift * times[:, None]
-        return out
+        added[:, :3] = bias + drift * times[:, None]
+        return added

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from sim_core.rigs import list_parameters, parse_rig
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, simulate, step_times
 from sysid.mismatch.candidates import starting_values
-from sysid.streams import predicted, total_delay
+from sysid.streams import predicted, predicted_back, predicted_derivatives, total_delay
 
 TYPICAL = {
     "gel_relaxation": {"share": 0.3, "tau_s": 0.2},
@@ -155,6 +157,30 @@ def test_sensor_effects_change_readings_exactly(small_rig, visit):
     expected[:, :3] += 0.1 + 0.05 * late[:, None]
     assert np.allclose(reading, expected, atol=1e-15)
     assert total_delay(rig, "side", "tracks") == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_derivatives_pass_the_sensors_of_every_effect_as_readings_do(effect, small_rig):
+    """Of changes of any size, forwards and backwards, whatever the readings are."""
+    rig, rng = small_rig(effects={effect.name: TYPICAL[effect.name]}), np.random.default_rng(3)
+    times, stamps = np.linspace(0.0, 0.5, 11), rng.uniform(0.0, 0.5, 7)
+    blank = simulate(build_scene(small_rig()), {}, np.array([0.0, 0.02]))
+    shapes = {channel: (len(times), *readings.shape[1:]) for channel, readings in blank.outputs.items()}
+    assert {blank.kinds[channel] for channel in shapes} == {"wrench", "markers", "tracks"}
+    for size in (1e-3, 1.0, 1e3):
+        for channel, shape in shapes.items():
+            outputs, change = size * rng.standard_normal(shape), size * rng.standard_normal(shape)
+            before, after = (
+                predicted(replace(blank, times=times, outputs={channel: given}), rig, channel, stamps)
+                for given in (outputs, outputs + change)
+            )
+            trace = replace(blank, times=times, outputs={channel: outputs})
+            moved = predicted_derivatives(trace, change[..., None], rig, channel, stamps)[..., 0]
+            assert np.abs(moved).max() > 0.1 * size
+            np.testing.assert_allclose(after - before, moved, rtol=0.0, atol=1e-9 * (1.0 + size))
+            weights = rng.standard_normal(before.shape)
+            by_readings, _ = predicted_back(trace, rig, channel, stamps, weights)
+            assert np.vdot(by_readings, change) == pytest.approx(np.vdot(weights, after - before), rel=1e-6)
 
 
 def test_names_and_values_are_checked(small_rig):
