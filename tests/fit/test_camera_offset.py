@@ -57,7 +57,7 @@ def test_derivatives_by_where_a_camera_stands_match_differences(small_rig: Any, 
     assert passed, text
 
 
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("told", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_fit_allows_for_a_camera_that_was_not_measured_exactly(
     workers: PooledEngine, tmp_path: Path, told: bool
 ) -> None:

@@ -69,6 +69,7 @@ def test_truth_comes_back_within_a_narrow_interval(recorded, start):
     assert fitted.bodies["gel"].material.E_pa == pytest.approx(TRUTH["gel.E_pa"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_truth_comes_back_from_a_finer_simulation(recorded_finer):
     """The coarse mesh is off by far more than the noise, and the intervals know it."""
     rig, run, _ = recorded_finer

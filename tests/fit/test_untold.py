@@ -57,6 +57,7 @@ def fitted(rig: Rig, run: Run, nuisance: tuple[str, ...], intervals: Intervals =
     return fit_runs(with_parameters(rig, START), [run], list(TRUTH), options)
 
 
+@pytest.mark.slow
 def test_what_nobody_told_does_not_fool_a_fit(small_rig: Any, dirty: Run, tmp_path: Path) -> None:
     result, rig = fitted(small_rig(), dirty, ("time", "bias", "camera"))
     assert result.converged and result.reduced_chi2 < 1.1
