@@ -10,7 +10,7 @@ by the median of their size, so that jumps do not count (differences: Gasser, Sr
 channels of simulated presses and rubs that have no rest and move fast, that adds 6 % on average and 16 % at most;
 second differences, in which a steady acceleration shows, see 9 % too much. Columns of a kind (forces,
 torques, markers) share one level and one colour. Readings that come in steps have at least the noise of their rounding,
-step / sqrt(12).
+step / sqrt(12) (:mod:`sysid.fit.rounding`).
 
 A recording shows how much neighbouring samples scatter, but not what was smoothed, interpolated or rounded
 away before it was written: a much larger noise that the rig declares takes its place. So it does where every reading
@@ -28,6 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.fit.rounding import common_step
 from sysid.fit.runs import UNITS, Measured, Run
 
 MIN_REST_SAMPLES = 15
@@ -48,9 +49,6 @@ CREEP_WINDOW_S = 1.0
 
 FLOOR_SHARE = 1e-5
 """Noise is not taken to be below this share of a column group's range (noise-free simulations)."""
-
-COARSEST_SHARE = 0.2
-"""Readings with fewer distinct values than this share of their number come in steps."""
 
 LONGEST_EXACT = 400
 """Samples of a stretch up to which it matters what a line takes away from coloured noise."""
@@ -326,7 +324,7 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
             source = "quiet stretches"
         else:
             level, colour = (float(np.median(jumps)) if jumps else 0.0), 0.0
-        rounding = min((_step(m.values[:, group]) for _, m in found), default=0.0) / np.sqrt(12.0)
+        rounding = common_step(column for _, m in found for column in m.values[:, group].T) / np.sqrt(12.0)
         sigma[group] = max(level, rounding, FLOOR_SHARE * extent, 1e-12)
         rho[group] = min(colour, MOST_COLOURED) if colour > WHITE else 0.0
     return ChannelNoise(sigma, rho, source)
@@ -345,14 +343,6 @@ def _quantile(values: list[float], weights: list[int], share: float) -> float:
     weight = np.asarray(weights, dtype=float)[order]
     middle = (np.cumsum(weight) - 0.5 * weight) / weight.sum()
     return float(np.interp(share, middle, np.asarray(values)[order]))
-
-
-def _step(values: np.ndarray) -> float:
-    """Step of readings that repeat a few values over and over (0 where they do not)."""
-    finite = np.unique(values[np.isfinite(values)])
-    if len(finite) < 2 or len(finite) > COARSEST_SHARE * np.isfinite(values).sum():
-        return 0.0
-    return float(np.min(np.diff(finite)))
 
 
 class _Stretch(NamedTuple):
