@@ -15,8 +15,10 @@ least squares (Lawson & Hanson 1974, ch. 23):
     r^T S_l r = sum_b v_b tr((I - H) S_l (I - H) R_b),
 
 and beside the bias of each column, where that is taken out. Matrices that depend on the distance of samples alone are
-taken to go on beyond the ends of a recording, so that all products with J come from its cross-correlations. What the
-simulator's own error takes up is left out: noise that it resembles is underrated.
+taken to go on beyond the ends of a recording, so that all products with J come from its cross-correlations; what S_l
+misses of samples that are missing is taken for the same share everywhere. Lags are lags in time: messages that were
+lost are samples that are missing. What the simulator's own error takes up is left out: noise that it resembles is
+underrated.
 
 The scores J^T r then have the covariance J^T C J instead of J^T J. Only intervals know of it, and only where it
 widens them. Estimates, and the misfit that tells whether something is missing, stay those of the noise assumed: what a
@@ -33,6 +35,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from sysid.fit.noise import FROM_DIFFERENCES, MIN_REST_SAMPLES, ChannelNoise
+from sysid.fit.pace import paced
 
 SHORTEST, LONGER = 1.5, 3.0
 """Shortest correlation length [samples], and the largest ratio of one to the next."""
@@ -53,26 +56,36 @@ believed."""
 
 @dataclass(frozen=True)
 class Samples:
-    """Which samples of a channel the rows of a residual are, one by one ``(n, m)``, the groups of columns that share a
-    colour, and whether the bias of each column is taken out."""
+    """Which samples of a channel the rows of a residual are, one by one ``(n, m)``, their times [s] ``(n,)``, the
+    groups of columns that share a colour, and whether the bias of each column is taken out."""
 
     there: np.ndarray
+    t: np.ndarray
     groups: tuple[np.ndarray, ...]
     tared: bool = False
 
     def of_rows(self, residual: np.ndarray, jacobian: np.ndarray, sight: np.ndarray | None = None) -> list[Part]:
-        """Each group of the channel; ``residual`` ``(rows,)``, ``jacobian`` ``(rows, p)``; ``sight`` ``(rows,)``: which
-        of them are predicted in sight."""
-        r, j = np.zeros(self.there.shape), np.zeros((*self.there.shape, jacobian.shape[1]))
-        r[self.there], j[self.there] = residual, jacobian
-        there = self.there.copy()
-        there[self.there] = True if sight is None else sight
+        """Each group of the channel, with a sample that is not there for each that is missing in time; ``residual``
+        ``(rows,)``, ``jacobian`` ``(rows, p)``; ``sight`` ``(rows,)``: which of them are predicted in sight."""
+        count = _counted(self.t)
+        rows, columns = np.nonzero(self.there)
+        shape, at = (count[-1] + 1, self.there.shape[1]), (count[rows], columns)
+        there, r, j = np.zeros(shape, dtype=bool), np.zeros(shape), np.zeros((*shape, jacobian.shape[1]))
+        there[at], r[at], j[at] = True if sight is None else sight, residual, jacobian
         return [Part(there[:, g], r[:, g], j[:, g], self.tared) for g in self.groups]
 
 
+def _counted(t: np.ndarray) -> np.ndarray:
+    """Numbers of the samples at the times ``t`` [s] ``(n,)`` in a row that has those that are missing as well. Long
+    pauses count for less, so that the row is at most twice as long as without."""
+    steps = np.maximum(np.rint(np.diff(paced(t))), 1.0)
+    gaps = max(int(np.count_nonzero(steps > 1.0)), 1)
+    return np.concatenate([[0], np.cumsum(np.minimum(steps, 1 + len(t) // gaps))]).astype(int)
+
+
 class Part(NamedTuple):
-    """One quantity in one run: which samples are ``there`` ``(n, m)``, their residuals ``(n, m)`` and derivatives
-    ``(n, m, p)``, 0 elsewhere; ``tared``: the mean of each column is taken out."""
+    """One quantity in one run, sample by sample at even times: which are ``there`` ``(n, m)``, their residuals
+    ``(n, m)`` and derivatives ``(n, m, p)``, 0 elsewhere; ``tared``: the mean of each column is taken out."""
 
     there: np.ndarray
     residual: np.ndarray
@@ -105,10 +118,11 @@ def _excess(parts: Sequence[Part], number: int, inverse: np.ndarray) -> np.ndarr
     spreads = np.tensordot(twice * np.power.outer(rhos, distance), beside, axes=1)
     taken = np.tensordot(beside, inverse, axes=2)
     apart = np.abs(np.subtract.outer(lags, distance)), np.add.outer(lags, distance)
+    met = pairs / np.maximum([sum(_within_reach(p.there, k) for p in parts) for k in lags], 1.0)
     by_lag = np.column_stack(
         [
             pairs * np.power(rho, lags)
-            - (np.power(rho, apart[0]) + np.power(rho, apart[1])) @ (twice * taken)
+            - met * ((np.power(rho, apart[0]) + np.power(rho, apart[1])) @ (twice * taken))
             + np.tensordot(inverse @ beside[lags] @ inverse, spread, axes=2)
             - _tared(parts, rho, lags)
             for rho, spread in zip(rhos, spreads, strict=True)
@@ -141,15 +155,23 @@ def _beside(parts: Sequence[Part], longest: int) -> np.ndarray:
     return np.asarray(0.5 * (found + found.transpose(0, 2, 1)))
 
 
+def _within_reach(there: np.ndarray, lag: int) -> float:
+    """Number of samples that others, half before and half after them, would be so far from if none were missing."""
+    return 0.5 * float(_from(there, lag).sum() + _until(there, lag).sum())
+
+
 def _tared(parts: Sequence[Part], rho: float, lags: np.ndarray) -> np.ndarray:
-    """What the bias of each column takes up, ``(l,)``: tr(P S_l R) with P the mean of its n samples, (n - l) / n times
-    the mean of the rows of R."""
+    """What the bias of each column takes up, ``(l,)``: tr(P S_l R) with P the mean of its n samples, the number of
+    pairs that are l apart, over n, times the mean of the rows of R."""
     found = np.zeros(len(lags))
-    for part in parts:
-        for n in part.there.sum(axis=0) if part.tared else ():
-            distance = np.arange(1, max(int(n), 1))
-            row = 1.0 + 2.0 * float(np.sum((1.0 - distance / max(n, 1)) * rho**distance))
-            found += np.maximum(n - lags, 0) / max(n, 1) * row
+    for part in (part for part in parts if part.tared):
+        size = len(part.there)
+        wave = np.fft.rfft(part.there.astype(float), 2 * size, axis=0)
+        pairs = np.rint(np.fft.irfft(np.abs(wave) ** 2, 2 * size, axis=0)[:size])
+        pairs = pairs[:, pairs[0] > 0]
+        distance = np.arange(size)
+        row = np.where(distance > 0, 2.0, 1.0) * rho**distance @ pairs / pairs[0]
+        found[lags < size] += pairs[lags[lags < size]] / pairs[0] @ row
     return found
 
 

@@ -73,7 +73,7 @@ def _restless(rig: Rig, run: Run) -> Iterator[str]:
                 continue
             scatter = float(np.sqrt(np.nanmean((values - np.nanmean(values, axis=0)) ** 2)))
             noise = float(np.median(declared[group])) * RESTLESS
-            noise = noise or max([*by_differences(values), 0.0]) * RESTLESS_UNDECLARED
+            noise = noise or max([*by_differences(values, m.t), 0.0]) * RESTLESS_UNDECLARED
             if scatter > noise > 0.0:
                 yield (
                     f"No end effector moves in {run.name}, and yet the {quantity} of {m.channel} changes by more than "
@@ -89,7 +89,7 @@ def _apart(runs: Sequence[Run]) -> Iterator[str]:
     for run in runs:
         for m in run.measured:
             for quantity, group in quantities(m):
-                found = by_differences(_seen(run, m, group))
+                found = by_differences(*_seen(run, m, group))
                 if found and found[0] > 0.0:
                     unit = UNITS[m.kind][1 if quantity == "torque" else 0]
                     levels.setdefault((m.channel, quantity, unit), []).append((found[0], run.name))
@@ -102,8 +102,9 @@ def _apart(runs: Sequence[Run]) -> Iterator[str]:
             )
 
 
-def _seen(run: Run, measured: Measured, group: np.ndarray) -> np.ndarray:
-    """Readings of a group of columns in the longest rest, or all, empty where there are too few."""
+def _seen(run: Run, measured: Measured, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Readings of a group of columns in the longest rest, or all, empty where there are too few, and their times."""
     rest = max(quiet(run, measured.t), key=len, default=np.arange(len(measured.t)))
-    values = measured.values[np.ix_(rest, group)]
-    return np.asarray(values if np.isfinite(values).sum() >= ENOUGH else values[:0])
+    if np.isfinite(measured.values[np.ix_(rest, group)]).sum() < ENOUGH:
+        rest = rest[:0]
+    return measured.values[np.ix_(rest, group)], measured.t[rest]

@@ -25,14 +25,15 @@ from sysid.fit.whitening import Whitening
 
 
 class Elimination:
-    """The map for a ``basis`` in measured units, of whose samples those that are ``good`` ``(n, m)`` count.
+    """The map for a ``basis`` in measured units, of whose samples at the times ``t`` [s] ``(n,)`` those that are
+    ``good`` ``(n, m)`` count.
 
     ``times`` [s]: where the rows of coefficients belong.
     """
 
-    def __init__(self, basis: Basis, noise: ChannelNoise, good: np.ndarray) -> None:
+    def __init__(self, basis: Basis, noise: ChannelNoise, good: np.ndarray, t: np.ndarray) -> None:
         self._basis, self._good = basis, good
-        self._whiten = Whitening(noise, good, basis.weights(noise))
+        self._whiten = Whitening(noise, good, t, basis.weights(noise))
         self._slopes = self._whiten(basis.slopes)
         own = np.concatenate([p.instants for p in basis.own])
         self.times = np.concatenate([np.tile(own, good.shape[1]), *(p.instants for p in basis.common)])

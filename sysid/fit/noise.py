@@ -28,6 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.fit.pace import NEXT, paced
 from sysid.fit.rounding import common_step
 from sysid.fit.runs import UNITS, Measured, Run
 
@@ -71,9 +72,9 @@ FROM_DIFFERENCES = "third differences"
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """``sigma``: standard deviation of each column ``(m,)``; ``rho``: lag-one correlation of each column at the
-    channel's rate ``(m,)``, or one for all, 0 where white; ``source``: how they were found, in words; ``estimated``:
-    what recordings show, where a declared noise took its place ``(m,)``."""
+    """``sigma``: standard deviation of each column ``(m,)``; ``rho``: correlation of each column over the usual
+    interval of its samples, 0 (white) to less than 1 ``(m,)``, or one for all; ``source``: how they were found, in
+    words; ``estimated``: what recordings show, where a declared noise took its place ``(m,)``."""
 
     sigma: np.ndarray
     rho: np.ndarray
@@ -307,9 +308,10 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
             if not values.size:
                 continue
             extent = max(extent, float(np.nanmax(np.nanmax(values, axis=0) - np.nanmin(values, axis=0))))
-            jumps += by_differences(values)
+            jumps += by_differences(values, measured.t)
+            at = paced(measured.t)
             for stretch in quiet(run, measured.t):
-                scatter = _scatter(values[stretch])
+                scatter = _scatter(values[stretch], at[stretch])
                 if scatter is not None:
                     (first if stretch[0] == 0 else rest).append(scatter)
         if first:
@@ -330,10 +332,14 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
     return ChannelNoise(sigma, rho, source)
 
 
-def by_differences(values: np.ndarray) -> list[float]:
-    """Standard deviation of white noise that has the third differences of ``values`` ``(n, m)``; empty without any."""
+def by_differences(values: np.ndarray, t: np.ndarray) -> list[float]:
+    """Standard deviation of white noise that has the third differences of ``values`` ``(n, m)`` at the times ``t`` [s]
+    ``(n,)``; empty without any. Where samples are missing between neighbours, as long as there are others, their
+    differences are left out: they are motion."""
     third = np.diff(values, n=3, axis=0)
-    third = third[np.isfinite(third)]
+    there, gap = np.isfinite(third), np.diff(paced(t)) >= NEXT
+    whole = there & ~(gap[:-2] | gap[1:-1] | gap[2:])[:, None]
+    third = third[whole if whole.any() else there]
     return [1.4826 * float(np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0)] if len(third) else []
 
 
@@ -353,36 +359,37 @@ class _Stretch(NamedTuple):
     size: int
 
 
-def _scatter(values: np.ndarray) -> _Stretch | None:
+def _scatter(values: np.ndarray, at: np.ndarray) -> _Stretch | None:
     """Noise of a quiet stretch, after removing a line from each column, by the readings that are there; None where no
-    column has enough of them."""
+    column has enough of them. ``at`` ``(n,)``: their times (:func:`sysid.fit.pace.paced`)."""
     values = values[:, np.isfinite(values).sum(axis=0) >= MIN_REST_SAMPLES]
     good = np.isfinite(values)
     if not good.any():
         return None
-    n = len(values)
-    base = np.column_stack([np.ones(n), np.linspace(-1.0, 1.0, n)])
+    base = np.column_stack([np.ones(len(at)), 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0])
     residual = np.zeros(values.shape)
     for there in np.unique(good, axis=1).T:
         alike = (good == there[:, None]).all(axis=0)
         seen, line = values[np.ix_(there, alike)], base[there]
         residual[np.ix_(there, alike)] = seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0]
-    size, pairs = int(good.sum()), int((good[1:] & good[:-1]).sum())
+    near = (np.diff(at) < NEXT)[:, None]
+    size, pairs = int(good.sum()), int((near & good[1:] & good[:-1]).sum())
     variance = np.sum(residual**2) / (size - 2 * values.shape[1])
     if variance <= 0.0 or pairs <= 2 * values.shape[1]:
         return _Stretch(float(np.sqrt(variance)), 0.0, size)
-    product = np.sum(residual[1:] * residual[:-1]) / (pairs - 2 * values.shape[1])
+    product = np.sum(near * residual[1:] * residual[:-1]) / (pairs - 2 * values.shape[1])
     # Removing a line biases the correlation down by about 2 (1 + rho) / n.
     rho = product / variance
     rho = min(float(rho + 2.0 * (1.0 + rho) * values.shape[1] / size), MOST_COLOURED)
-    return _Stretch(float(np.sqrt(variance / _share_left(n, max(rho, 0.0), base))), rho, size)
+    return _Stretch(float(np.sqrt(variance / _share_left(at, max(rho, 0.0), base))), rho, size)
 
 
-def _share_left(n: int, rho: float, base: np.ndarray) -> float:
-    """Share of the variance of noise with lag-one correlation ``rho`` that is left beside the columns of
-    ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
+def _share_left(at: np.ndarray, rho: float, base: np.ndarray) -> float:
+    """Share of the variance of noise with lag-one correlation ``rho``, at the times ``at`` ``(n,)`` in usual intervals,
+    that is left beside the columns of ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
+    n = len(at)
     if rho == 0.0 or n > LONGEST_EXACT:
         return 1.0
-    correlation = rho ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    correlation = rho ** np.abs(np.subtract.outer(at, at))
     q = np.linalg.qr(base)[0]
     return float((n - np.sum(q * (correlation @ q))) / (n - 2))

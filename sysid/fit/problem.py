@@ -86,7 +86,7 @@ class Problem:
         self._known: Fitted | None = None
         self._compared = {
             (i, m.channel): Samples(
-                np.isfinite(m.values), tuple(column_groups(m)), tared=self.bias and bias_sd(m) is not None
+                np.isfinite(m.values), m.t, tuple(column_groups(m)), tared=self.bias and bias_sd(m) is not None
             )
             for i, run in enumerate(self.runs)
             for m in run.measured
@@ -138,13 +138,13 @@ class Problem:
         key = (index, measured.channel)
         known = self._eliminations.get(key)
         if known is None or not known.suits(good):
-            known = Elimination(self.basis(index, measured), self.noise[measured.channel], good)
+            known = Elimination(self.basis(index, measured), self.noise[measured.channel], good, measured.t)
             self._eliminations[key] = known
         return known
 
     def whiten(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
         """Values ``(n, m, ...)`` in units of the noise and of what of the own error follows no shape."""
-        white = whiten(values, self.noise[measured.channel])
+        white = whiten(values, self.noise[measured.channel], measured.t)
         if not self.eliminates:
             return white
         weight = self._weights_of(index, measured)

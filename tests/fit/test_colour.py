@@ -12,7 +12,7 @@ from scipy.signal import butter, lfilter
 
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.simulate import Trace
-from sysid.fit.colour import Part, coloured_scores, unheard
+from sysid.fit.colour import Part, Samples, coloured_scores, unheard
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, estimate_noise
@@ -146,6 +146,53 @@ def test_the_covariance_of_the_scores_is_that_of_autoregressive_noise() -> None:
     middle, low, high = np.quantile(ratios, [0.5, 0.1, 0.9], axis=0)
     np.testing.assert_allclose(middle, 1.0, atol=0.15)
     assert np.all(low > 0.9) and np.all(high < 1.5)
+
+
+def test_lags_are_lags_in_time() -> None:
+    """Rows of messages, some of which are lost, have the places that they would have among all; a pause counts for no
+    more than all messages that there are."""
+    rng = np.random.default_rng(9)
+    n, m, p = 60, 4, 2
+    lost = np.isin(np.arange(n), [3, 20, 21, 22, 40])
+    t = (np.arange(n) + rng.uniform(-0.2, 0.2, n)) / RATE
+    good = rng.uniform(size=(n, m)) > 0.1
+    groups = (np.array([0, 1]), np.array([2, 3]))
+    residual, jacobian = rng.standard_normal((n, m)), rng.standard_normal((n, m, p))
+    sight = rng.uniform(size=(n, m)) > 0.1
+    there = good & ~lost[:, None]
+    found = Samples(good[~lost], t[~lost], groups).of_rows(residual[there], jacobian[there], sight[there])
+    for part, g in zip(found, groups, strict=True):
+        np.testing.assert_array_equal(part.there, (there & sight)[:, g])
+        np.testing.assert_array_equal(part.residual, np.where(there, residual, 0.0)[:, g])
+        np.testing.assert_array_equal(part.jacobian, np.where(there[:, :, None], jacobian, 0.0)[:, g])
+    t[30:] += 1e6
+    (part,) = Samples(np.ones((n, 1), dtype=bool), t, (np.array([0]),)).of_rows(np.ones(n), np.ones((n, p)))
+    np.testing.assert_array_equal(np.flatnonzero(part.there), [*range(30), *range(30 + n, n + n)])
+
+
+def test_what_is_lost_in_bursts_hides_no_colour(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 150 recordings of twice as many samples, every other four of which are lost, without a rest: 95 % intervals
+    hold in 90 to 98 %."""
+    rng = np.random.default_rng(10)
+    rows = np.flatnonzero(np.arange(2 * N) % 8 < 4)
+    t = rows / (2.0 * RATE)
+    slopes = np.stack([np.interp(t, T, column) for column in SLOPES.reshape(N, -1).T], axis=1).reshape(N, 6, 2)
+    monkeypatch.setattr("sysid.fit.problem.rig_at", lambda rig, parameters, scaled: rig)
+    inside = np.zeros(2)
+    for _ in range(150):
+        values = slopes @ TRUTH + 0.15 * coloured(rng, 0.95, 2 * N)[rows]
+        gauge = Measured("gauge", "wrench", t, values, tuple("abcdef"))
+        run = Run("run", "", (), {"hand": MOVING}, (gauge,), t[-1])
+        problem = Problem([run], {"gauge": estimate_noise([run], "gauge")}, cast(Any, None))
+
+        def at(scaled: np.ndarray, problem: Problem = problem) -> Fitted:
+            there = Prediction({"gauge": slopes @ scaled}, {"gauge": slopes}, cast(Trace, None))
+            return problem.compare([there], cast(Any, None), PARAMETERS, scaled)
+
+        first = at(np.zeros(2))
+        fitted = at(np.linalg.lstsq(first.jacobian, -first.residual, rcond=None)[0])
+        inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
+    assert np.all((inside >= 0.90 * 150) & (inside <= 0.98 * 150)), inside
 
 
 def test_runs_of_a_quantity_share_a_colour_and_quantities_do_not(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,8 @@ from sysid.fit.noise import ChannelNoise
 from sysid.fit.whitening import whiten
 
 N, M, OWN, COMMON = 40, 3, 4, 5
+T = np.cumsum(np.random.default_rng(9).choice([0.01, 0.01, 0.012, 0.2], N))
+"""Times [s] with pauses between them."""
 
 
 def basis(rng: np.random.Generator, bias: float, common: int = COMMON) -> Basis:
@@ -46,13 +48,13 @@ def dense(found: Basis) -> np.ndarray:
 def test_rows_and_coefficients_are_those_of_the_whole_problem(bias: float, common: int, rho: float) -> None:
     rng = np.random.default_rng(3)
     here, good = basis(rng, bias, common), rng.uniform(size=(N, M)) > 0.2
-    noise = ChannelNoise(rng.uniform(0.5, 2.0, M), np.array([rho, 0.0, -0.5 * rho]), "test")
+    noise = ChannelNoise(rng.uniform(0.5, 2.0, M), np.array([rho, 0.0, 0.5 * rho]), "test")
     vectors = rng.standard_normal((N, M, 2)) + 3.0 * bias
-    eliminate = Elimination(here, noise, good)
+    eliminate = Elimination(here, noise, good, T)
     rows, sizes = eliminate(vectors)
     # Missing samples are NaN, so that those after them are whitened without them.
     root = np.where(good[:, :, None], dense(here), np.nan)
-    root = (whiten(root, noise) * here.weights(noise)[:, :, None])[good]
+    root = (whiten(root, noise, T) * here.weights(noise)[:, :, None])[good]
     whole = np.vstack([root, np.eye(root.shape[1])])
     right = np.vstack([vectors[good], np.zeros((root.shape[1], 2))])
     coefficients = np.linalg.lstsq(whole, right, rcond=None)[0]
@@ -66,7 +68,7 @@ def test_rows_and_coefficients_are_those_of_the_whole_problem(bias: float, commo
 def test_which_samples_count_is_remembered() -> None:
     good = np.ones((N, M), dtype=bool)
     unit = ChannelNoise(np.ones(M), np.zeros(M), "test")
-    eliminate = Elimination(basis(np.random.default_rng(3), 1.0), unit, good.copy())
+    eliminate = Elimination(basis(np.random.default_rng(3), 1.0), unit, good.copy(), T)
     assert eliminate.suits(good)
     good[3, 1] = False
     assert not eliminate.suits(good)
@@ -82,7 +84,7 @@ def test_memory_does_not_grow_with_samples_times_coefficients() -> None:
     here = Basis(zero, np.zeros((n, m, 0)), np.zeros(0), np.zeros(0), (part,), (few,), zero, zero, zero)
     vectors = rng.standard_normal((n, m, 3))
     tracemalloc.start()
-    Elimination(here, ChannelNoise(np.ones(m), np.full(m, 0.5), "test"), zero == 0.0)(vectors)
+    Elimination(here, ChannelNoise(np.ones(m), np.full(m, 0.5), "test"), zero == 0.0, np.arange(n) / 100.0)(vectors)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 0.5 * 8 * n * m * count, f"{peak / 1e6:.0f} MB"

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.noise import FROM_DIFFERENCES, ChannelNoise, estimate_noise, moving, quiet, standing_still
+from sysid.fit.noise import (
+    FROM_DIFFERENCES,
+    ChannelNoise,
+    by_differences,
+    estimate_noise,
+    moving,
+    quiet,
+    standing_still,
+)
 from sysid.fit.runs import Measured, Run
 from sysid.fit.whitening import whiten
 
@@ -121,6 +129,41 @@ def test_lost_readings_do_not_hide_a_rest(lost: float) -> None:
     np.testing.assert_allclose(found.rho, 0.8, atol=0.04)
 
 
+@pytest.mark.parametrize("missing", ["messages", "readings"])
+@pytest.mark.parametrize("n", [400, 900])
+def test_lost_messages_do_not_make_noise_whiter(n: int, missing: str) -> None:
+    """Of a rest, three readings and then two that are lost, over and over: two of three neighbours are next to each
+    other, the others three intervals apart."""
+    rng = np.random.default_rng(7)
+    there = np.arange(n) % 5 < 3
+    t = np.arange(n) / RATE
+    still = PoseTrajectory(t, np.zeros((n, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)))
+    found = []
+    for _ in range(8):
+        values = coloured(rng, n, 0.8, 0.1)
+        if missing == "messages":
+            gauge = Measured("gauge", "wrench", t[there], values[there], tuple("abcdef"))
+        else:
+            gauge = Measured("gauge", "wrench", t, np.where(there[:, None], values, np.nan), tuple("abcdef"))
+        found.append(estimate_noise([Run("run", "", (), {"hand": still}, (gauge,), float(t[-1]))], "gauge"))
+    assert {f.source for f in found} == {"rest at the start"}
+    np.testing.assert_allclose(np.mean([f.sigma for f in found]), 0.1, rtol=0.03)
+    np.testing.assert_allclose(np.mean([f.rho for f in found]), 0.8, atol=0.02)
+
+
+def test_what_is_done_while_messages_are_lost_is_no_noise() -> None:
+    """Of a press at 1 N/s in steps of 1 ms, six messages in a row and then 0.1 s of nothing, over and over: of the
+    third differences half are across a pause."""
+    rng = np.random.default_rng(8)
+    t = np.flatnonzero(np.arange(20000) % 106 < 6) / 1000.0
+    force = t[:, None] + 0.01 * rng.standard_normal((len(t), 6))
+    (found,) = by_differences(force, t)
+    assert found == pytest.approx(0.01, rel=0.05)
+    (scattered,) = by_differences(force[::3], t[::3])
+    assert scattered > 0.01, "where nothing is next to three others, all that there is counts"
+    assert by_differences(force[:3], t[:3]) == []
+
+
 @pytest.mark.parametrize("coloured_group", [0, 1], ids=["forces", "torques"])
 def test_forces_and_torques_have_colours_of_their_own(coloured_group: int) -> None:
     rng = np.random.default_rng(5)
@@ -155,7 +198,7 @@ def test_each_column_is_whitened_by_its_own_colour() -> None:
     rng = np.random.default_rng(7)
     rho = np.array([0.0, 0.5, 0.95, 0.0, 0.9, 0.2])
     values = np.column_stack([coloured(rng, 4000, r, 0.05)[:, 0] for r in rho])
-    white = whiten(values, ChannelNoise(np.full(6, 0.05), rho, "test"))
+    white = whiten(values, ChannelNoise(np.full(6, 0.05), rho, "test"), np.arange(4000) / RATE)
     assert np.std(white, axis=0) == pytest.approx(1.0, abs=0.05)
     np.testing.assert_allclose([np.corrcoef(w[1:], w[:-1])[0, 1] for w in white.T], 0.0, atol=0.06)
 

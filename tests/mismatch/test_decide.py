@@ -140,7 +140,7 @@ def test_whitening_makes_coloured_noise_white():
     noise = np.zeros((20000, 1))
     for k in range(1, len(noise)):
         noise[k] = rho * noise[k - 1] + sigma * np.sqrt(1 - rho**2) * rng.standard_normal(1)
-    white = whiten(noise, ChannelNoise(np.array([sigma]), rho, "test"))
+    white = whiten(noise, ChannelNoise(np.array([sigma]), rho, "test"), np.arange(len(noise)) / 100.0)
     assert np.std(white) == pytest.approx(1.0, abs=0.02)
     assert np.mean(white[1:] * white[:-1]) == pytest.approx(0.0, abs=0.03)
 

@@ -70,7 +70,7 @@ class Sight:
             for m in run.measured:
                 keys = kinds(m.kind, by_channel[m.channel].shape[1])
                 sd, rho = (np.array([getattr(self._levels[k], name) for k in keys]) for name in ("sd", "rho"))
-                parts.append(whiten(by_channel[m.channel], ChannelNoise(sd, rho, "")).ravel())
+                parts.append(whiten(by_channel[m.channel], ChannelNoise(sd, rho, ""), m.t).ravel())
         return np.asarray(np.nan_to_num(np.concatenate(parts)))
 
     def _by_stream(self, change: np.ndarray) -> list[np.ndarray]:
