@@ -375,9 +375,11 @@ def _scatter(values: np.ndarray, at: np.ndarray) -> _Stretch | None:
     near = (np.diff(at) < NEXT)[:, None]
     size, pairs = int(good.sum()), int((near & good[1:] & good[:-1]).sum())
     variance = np.sum(residual**2) / (size - 2 * values.shape[1])
+    # Of readings in a row the line takes up two pairs; of others in proportion.
+    taken = 2 * values.shape[1] * pairs / (size - values.shape[1])
     if variance <= 0.0 or pairs <= 2 * values.shape[1]:
         return _Stretch(float(np.sqrt(variance)), 0.0, size)
-    product = np.sum(near * residual[1:] * residual[:-1]) / (pairs - 2 * values.shape[1])
+    product = np.sum(near * residual[1:] * residual[:-1]) / (pairs - taken)
     # Removing a line biases the correlation down by about 2 (1 + rho) / n.
     rho = product / variance
     rho = min(float(rho + 2.0 * (1.0 + rho) * values.shape[1] / size), MOST_COLOURED)
