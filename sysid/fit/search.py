@@ -151,8 +151,9 @@ class Search:
         return weighed
 
     def _whole(self, fitted: Fitted) -> np.ndarray:
-        """The residual ``(n,)`` with what is out of sight as it was missed at the best point that had it in sight, if
-        none had, as the rest is on average: that nothing is gained by hiding a reading, nor lost by seeing it."""
+        """The residual ``(n,)`` with what is out of sight as it was missed at the best point that had it in sight, so
+        that nothing is gained by hiding a reading. What none had in sight counts as the rest does on average: nothing
+        is lost by seeing it, unless it is missed by more."""
         if fitted.sight is None or fitted.sight.all():
             return fitted.residual
         unknown = self._last_seen

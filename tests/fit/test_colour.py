@@ -92,6 +92,20 @@ def test_noise_of_more_than_one_colour_widens_intervals_as_it_should(
     assert np.all(np.mean(np.abs(off) < 1.96 * white, axis=0) < 0.70)
 
 
+def test_what_is_predicted_out_of_sight_has_no_colour(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every second reading: the intervals are those of a recording that does not have them."""
+    values = SLOPES @ TRUTH + 0.15 * coloured(np.random.default_rng(7), 0.9)
+    hidden = np.arange(N)[:, None] % 2 == 0
+    noise = estimate_noise([run_of(values)], "gauge")
+    lacking = solved(run_of(np.where(hidden, np.nan, values)), noise, monkeypatch)
+    problem = Problem([run_of(values)], {"gauge": noise}, cast(Any, None))
+    seen = {"gauge": np.where(hidden, np.nan, SLOPES @ lacking.scaled)}
+    there = Prediction(seen, {"gauge": SLOPES}, cast(Trace, None))
+    blind = problem.compare([there], cast(Any, None), PARAMETERS, lacking.scaled)
+    assert blind.samples == lacking.samples
+    assert uncertainty(blind).sd == pytest.approx(uncertainty(lacking).sd, rel=1e-9)
+
+
 def inverse_of(fitted: Fitted) -> np.ndarray:
     return np.asarray(np.linalg.inv(fitted.jacobian.T @ fitted.jacobian))
 

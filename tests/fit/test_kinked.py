@@ -152,3 +152,13 @@ def test_beside_a_kink_it_has(start: list[float]) -> None:
     end = Counted(sharp, 200).minimise(start, tolerance=1e-6)
     assert end.converged and end.message in (AT_KINK, AT_MINIMUM)
     np.testing.assert_allclose(end.best.x, [1.5, 0.0], atol=1e-4)
+
+
+def test_a_jump_before_little_is_as_good_as_a_kink() -> None:
+    """Derivatives promise less beyond than decides on an interval."""
+
+    def stepped(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([10.0 * (x[0] - 1.0) + 9.0 * (x[0] > 0.5), x[1]]), np.diag([10.0, 1.0])
+
+    end = Counted(stepped, 200).minimise([0.6, 1.0], tolerance=3.0)
+    assert end.converged and end.message == AT_KINK

@@ -106,6 +106,10 @@ def test_eliminating_biases_is_least_squares_with_a_column_for_each(stubs: None,
     )
     assert whole.chi2 == pytest.approx(least, rel=1e-6)
     assert whole.samples == found.samples == 6 * len(T)
+    (there,) = found.predictions
+    hidden = np.where(np.arange(len(T))[:, None] < 10, np.nan, there.values["gauge"])
+    blind = problem.compare([replace(there, values={"gauge": hidden})], cast(Any, None), ASKED, found.scaled)
+    assert with_explicit_bias(problem, blind).samples == blind.samples == 6 * (len(T) - 10)
 
 
 def test_a_bias_pulls_parameters_away_unless_it_is_allowed_for(stubs: None) -> None:

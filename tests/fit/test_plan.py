@@ -134,8 +134,9 @@ def test_a_strip_at_rest_tells_one_number():
     assert {p.name for p in found.parameters} == {n for n in names if any(n in s for s in found.sentences)}
     combined = [s for s in found.sentences if "only in combination" in s]
     assert len(combined) == 2  # three numbers, one of which is known
-    alone = plan_experiments(rig, [tilt], names[:1]).outlooks[0].parameters[0]
-    assert alone.determined and alone.sd < 0.02
+    once, _, both = plan_experiments(rig, [tilt, tilt], names[:1]).outlooks
+    assert once.parameters[0].determined and once.parameters[0].sd < 0.02
+    assert both.experiments == ("tilt", "tilt (2)")
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -31,11 +32,13 @@ class Gauge:
     """Reads (s - 12)^2 sin + tilt (s - 12) cos, s = log(E): minima of the misfit at 11 and at 13 for data of either,
     equally deep without a tilt."""
 
-    def __init__(self, tilt: float, broken_from: float = np.inf) -> None:
-        self.tilt, self.broken_from = tilt, broken_from
+    def __init__(self, tilt: float, broken_from: float = np.inf, hidden_from: float = np.inf) -> None:
+        self.tilt, self.broken_from, self.hidden_from = tilt, broken_from, hidden_from
 
     def read(self, s: float) -> np.ndarray:
-        return np.asarray((s - MIDDLE) ** 2 * LOUD + self.tilt * (s - MIDDLE) * SOFT)[:, None]
+        """Every twelfth reading is out of sight from ``hidden_from`` on."""
+        read = (s - MIDDLE) ** 2 * LOUD + self.tilt * (s - MIDDLE) * SOFT
+        return np.where((s >= self.hidden_from) & (np.arange(len(T)) % 12 == 0), np.nan, read)[:, None]
 
     def slope(self, s: float) -> np.ndarray:
         return np.asarray(2.0 * (s - MIDDLE) * LOUD + self.tilt * SOFT)[:, None, None]
@@ -109,6 +112,20 @@ def test_starts_are_those_of_many_draws_that_fit_best_and_can_be_simulated(small
     assert far == np.inf
     expected = problem(gauge).evaluate(small_rig(), parameters, best_of_16[0]).chi2
     assert misfits[0] == pytest.approx(expected)
+
+
+def test_a_start_is_no_better_for_what_it_hides(small_rig: Any) -> None:
+    """Of two that miss every reading by the same the one counts as much as the other, and of two outcomes as well."""
+    gauge = Gauge(0.0, hidden_from=12.0)
+    _, parameters = searches(small_rig())
+    places = [np.array([MIDDLE - 0.5]), np.array([MIDDLE + 0.5])]
+    seen, hiding = problem(gauge).glance(small_rig(), parameters, places)
+    assert hiding == pytest.approx(seen, rel=0.05)
+    whole, part = (problem(gauge).evaluate(small_rig(), parameters, at) for at in places)
+    assert part.chi2 < 0.95 * whole.chi2
+    better = replace(part, residual=1.02 * part.residual)
+    assert "2 ended equally well" not in starts._said(places, [whole, better], 0)[0]
+    assert starts._said(places, [better, whole], 0)[0].startswith("Of searches from 2 starts 1 ended")
 
 
 def test_of_searches_that_end_equally_well_the_rigs_is_kept(small_rig: Any) -> None:
