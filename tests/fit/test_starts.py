@@ -133,6 +133,12 @@ def test_of_searches_that_end_equally_well_the_rigs_is_kept(small_rig: Any) -> N
     assert several(problem(Gauge(0.0)), np.array([12.8])).scaled[0] == pytest.approx(13.0, abs=0.01)
 
 
+def test_a_search_that_ends_as_well_but_for_what_it_hides_does_not_take_its_place(small_rig: Any) -> None:
+    several, _ = searches(small_rig(), starts=5)
+    assert several(problem(Gauge(0.0, hidden_from=12.5)), np.array([11.2])).scaled[0] == pytest.approx(11.0, abs=0.01)
+    assert "5 ended equally well" in several.ends[0]
+
+
 def test_values_that_fit_as_well_are_told(small_rig: Any) -> None:
     several, _ = searches(small_rig(), starts=4)
     several(problem(Gauge(0.0)), np.array([12.8]))
