@@ -65,11 +65,13 @@ def worker_pool(workers: int, start: Callable[[], None] | None = None) -> Iterat
     """Processes that are started afresh, and call ``start`` once. Where the block is left by an error they end at once,
     whatever they are doing. Raises ``WorkerError`` if one of them has ended before.
 
-    A script does its work under ``if __name__ == "__main__"``: each process imports it.
+    Linear algebra has one thread within the block, here too: threads that wait for work take the cores from the
+    workers. A script does its work under ``if __name__ == "__main__"``: each process imports it.
     """
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin, (start,))
     try:
-        yield pool
+        with threadpool_limits(1):
+            yield pool
     except BaseException as error:
         _give_up(pool)
         if isinstance(error, BrokenProcessPool):

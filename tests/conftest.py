@@ -8,9 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from sim_core.rigs import Rig, parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Where files run side by side one thread of linear algebra each: more would wait for each other."""
+    if hasattr(config, "workerinput"):
+        threadpool_limits(1)
+
 
 SMALL: dict[str, Any] = {
     "name": "small",

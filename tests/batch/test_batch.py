@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from sim_core.batch import Rollout, simulate_batch, worker_pool
 from sim_core.errors import ConvergenceError
@@ -40,10 +40,12 @@ def test_an_empty_batch_starts_no_process():
 
 
 def test_workers_leave_the_other_cores_to_each_other():
-    """One thread of linear algebra each, also beside a library that would take as many as there are cores."""
-    with worker_pool(1) as pool:
-        threads = pool.submit(_threads).result()
-    assert threads and set(threads) == {1}
+    """One thread of linear algebra each, and one beside them, where a library would take as many as there are cores."""
+    with threadpool_limits(2):
+        with worker_pool(1) as pool:
+            threads = [*pool.submit(_threads).result(), *_threads()]
+        assert threads and set(threads) == {1}
+        assert set(_threads()) == {2}
 
 
 def _threads() -> list[int]:
