@@ -24,7 +24,7 @@ class Fitted:
     residual is 0 ``(n,)``, None if there is none; ``began``: chi-square where the search began, infinite
     without one; ``elsewhere``: the simulator's own error that it was found beside is that of another place, and is to
     be measured again before anything is made of the misfit; ``still``: the jacobian beside an own error that would not
-    change with the parameters, None where it does not."""
+    change with the parameters, None where it does not; ``interrupted``: by Ctrl-C."""
 
     parameters: list[FitParameter]
     scaled: np.ndarray
@@ -44,11 +44,12 @@ class Fitted:
     began: float = np.inf
     elsewhere: bool = False
     still: np.ndarray | None = None
+    interrupted: bool = False
 
-    @property
-    def interrupted(self) -> bool:
-        """The search was stopped by Ctrl-C."""
-        return self.message.startswith("interrupted")
+    def interrupt(self) -> None:
+        """Ctrl-C was pressed: the search ends here."""
+        self.interrupted, self.converged = True, False
+        self.message = "interrupted; the best values so far are kept"
 
     @property
     def cut_short(self) -> bool:

@@ -198,7 +198,7 @@ def fit_beside_own_error(
             else:
                 found = discretisation(engine, each(scaled), runs, fitted.predictions)
         except KeyboardInterrupt:
-            fitted.message, fitted.converged = "interrupted; the best values so far are kept", False
+            fitted.interrupt()
             return problem, _counted(fitted, evaluations)
         except ThinshellError as error:
             raise Unmeasured(error, problem, _counted(fitted, evaluations)) from error

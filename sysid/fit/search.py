@@ -67,7 +67,7 @@ class Search:
         keeps the best so far."""
         low, high = np.array([p.scaled_bounds for p in self._parameters]).T
         scale = np.array([min(p.prior_sd, 1.0) for p in self._parameters])
-        message, converged, radius = "", True, 1.0
+        message, converged, radius, halted, interrupted = "", True, 1.0, False, False
         try:
             self._look(np.clip(start, low, high))
             while True:
@@ -92,7 +92,8 @@ class Search:
                     radius=radius,
                 )
                 message, converged, radius = end.message, end.converged, max(end.radius, FRESH)
-                if self._halted():
+                halted = self._halted()
+                if halted:
                     message, converged = HALTED, False
                     break
                 if chance(self.best) > SHARPER * self._weight:
@@ -103,10 +104,12 @@ class Search:
         except KeyboardInterrupt:
             if self._best is None:
                 raise
-            message, converged = "interrupted; the best values so far are kept", False
+            interrupted = True
         found = self.best
         found.evaluations, found.converged, found.message = self._evaluations, converged, message
-        found.began, found.elsewhere = self._course[0], message == HALTED
+        found.began, found.elsewhere = self._course[0], halted
+        if interrupted:
+            found.interrupt()
         return found
 
     def _halted(self) -> bool:

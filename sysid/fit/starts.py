@@ -193,7 +193,7 @@ class Searches:
             self._evaluations(best)
             return None
         if found.interrupted:
-            best.message, best.converged = found.message, False
+            best.interrupt()
         return found
 
     def _from_elsewhere(self, problem: Problem, at: np.ndarray, first: Fitted) -> Fitted:
@@ -238,7 +238,7 @@ class Searches:
         try:
             misfits = problem.glance(self._rig, self._parameters, points)
         except KeyboardInterrupt:
-            best.message, best.converged = "interrupted; the best values so far are kept", False
+            best.interrupt()
             return []
         return [points[k] for k in np.argsort(misfits, kind="stable")]
 
