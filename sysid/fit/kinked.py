@@ -53,6 +53,9 @@ MOST_NEAR = 6
 MOST_KEPT = 12
 """Points that are kept, the newest."""
 
+MOST_FINE = 3
+"""Steps within the tolerance that are taken, since they are not short, before the search ends."""
+
 SERIOUS = 8.0
 """Promised fall within radius 1, in tolerances, from which a jump before it matters: with a tolerance of half of what
 chance makes of the sum of squares, where a 95 % interval of one parameter ends."""
@@ -101,15 +104,17 @@ def minimise(
     *,
     tolerance: float,
     go_on: Callable[[], bool],
+    short: Callable[[np.ndarray], bool] = lambda step: True,
     radius: float = 1.0,
 ) -> End:
     """The least sum of squares that is found from ``begin`` within ``bounds`` ``((p,), (p,))``.
 
     ``look``: the point at a place, None where there is none; unknowns should be of order 1. ``tolerance``: fall of the
-    sum of squares below which the search ends; ``go_on``: false when no more evaluations are to be made; ``radius``: of
-    the trust region at first, in the largest component.
+    sum of squares below which the search ends where the step ``(p,)`` from the best point looked at is ``short`` too;
+    ``go_on``: false when no more evaluations are to be made; ``radius``: of the trust region at first, in the largest
+    component.
     """
-    best, refused, doubtful, lost = begin, 0, False, False
+    best, refused, fine, doubtful, lost = begin, 0, 0, False, False
     near: list[Point] = []
     while True:
         beside = [p for p in near if _within(p, best, REACH * radius) and _other(p, best, tolerance)][-MOST_NEAR:]
@@ -122,13 +127,16 @@ def minimise(
         if promised <= tolerance and cut and not doubtful:
             radius *= 2.0
             continue
-        if promised <= tolerance:
+        small = promised <= tolerance
+        if small and (cut or not go_on() or short(step)):
             return End(best, not (cut and lost), LOST if cut and lost else AT_KINK if cut else AT_MINIMUM, radius)
         if radius < SMALLEST:
             return _edge(best, near[-1:], bounds, tolerance, radius)
         if not go_on():
             return End(best, False, USED_UP, radius)
         there = look(best.x + step)
+        if small and (there is None or there.square >= best.square):
+            return End(best, True, AT_MINIMUM, radius)
         refused += 1
         doubtful = lost = there is None
         if there is None:
@@ -144,10 +152,11 @@ def minimise(
             radius = max(radius, 2.0 * length)
         better = there.square < best.square
         refused, doubtful = (0, share < POOR) if better else (refused, True)
-        small = share >= POOR and best.square - there.square <= tolerance and not cut
+        little = share >= POOR and best.square - there.square <= tolerance and not cut
+        fine += little
         near = [*near, best if better else there][-MOST_KEPT:]
         best = there if better else best
-        if small:
+        if little and fine == MOST_FINE:
             return End(best, True, AT_MINIMUM, radius)
 
 

@@ -194,8 +194,13 @@ class Profiler:
         return found
 
     def _point(self, fitted: Fitted, k: int | None) -> _Point:
-        """A point with parameter ``k`` (None: none) fixed."""
+        """A point with parameter ``k`` (None: none) fixed. Only what the fit has in sight counts, and what is out of
+        sight at the point as the fit misses it: nothing is gained or lost by hiding a reading."""
         r, j = fitted.residual.copy(), fitted.jacobian.copy()
+        if fitted.sight is not None:
+            r = np.where(fitted.sight, r, self._fitted.residual)
+        if self._fitted.sight is not None:
+            r, j = r * self._fitted.sight, j * self._fitted.sight[:, None]
         if fitted.pulls:
             r[-fitted.pulls :] *= self._weight
             j[-fitted.pulls :] *= self._weight

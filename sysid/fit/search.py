@@ -1,6 +1,8 @@
 """The search for the parameters that fit best: trust region, bounds, analytic derivatives, in stages.
 
-A stage ends when chi-square improves by less than chance makes of it, kappa = :func:`chance`. While the
+A stage ends when chi-square improves by less than chance makes of it, kappa = :func:`chance`, and no parameter is asked
+to go on by more than a small share of its standard deviation: kappa is a mean over all of them, and one of which the
+misfit says nothing is known better than that. While the
 model is wrong its misfit has structure, kappa is large, and chi-square counts the same evidence kappa
 times; the prior, where there is one, is then weighed up as much, so that parameters do not run to where no
 material is to cover what the model lacks (a tempered posterior, Gruenwald & van Ommen 2017). As the fit
@@ -17,7 +19,7 @@ from sim_core.errors import ThinshellError
 from sysid.fit.fitted import Fitted
 from sysid.fit.kinked import USED_UP, Point, minimise
 from sysid.fit.parameters import FitParameter
-from sysid.fit.uncertainty import chance
+from sysid.fit.uncertainty import chance, uncertainty
 
 HALTED = "it came on slowly beside an error of mesh and time step that was measured elsewhere"
 
@@ -30,6 +32,10 @@ FRESH = 0.1
 IN_SIGHT = 0.9
 """Least share of the readings that were in sight anywhere that a point must have in sight, since those of it that are
 not say nothing of it."""
+
+
+SHORT = 0.2
+"""Step that is too short to be taken, in standard deviations of each parameter that is asked for."""
 
 
 class Search:
@@ -89,6 +95,7 @@ class Search:
                     ((low - begin) / scale, (high - begin) / scale),
                     tolerance=tolerance * self._weight,
                     go_on=lambda: self._evaluations < max_evaluations and not self._halted(),
+                    short=lambda step: self._short(scale * step),
                     radius=radius,
                 )
                 message, converged, radius = end.message, end.converged, max(end.radius, FRESH)
@@ -111,6 +118,11 @@ class Search:
         if interrupted:
             found.interrupt()
         return found
+
+    def _short(self, step: np.ndarray) -> bool:
+        """Whether a step from the best point ``(p,)`` moves what was asked for by little of what it is known by."""
+        asked = np.array([not p.nuisance for p in self._parameters])
+        return bool(np.all(np.abs(step)[asked] <= SHORT * uncertainty(self.best).sd[asked]))
 
     def _halted(self) -> bool:
         return self._halt is not None and self._halt(self._course)

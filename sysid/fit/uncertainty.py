@@ -96,23 +96,31 @@ def _reduced(fitted: Fitted) -> float:
     return fitted.chi2 / max(fitted.samples - len(fitted.parameters), 1)
 
 
-def _tempered(fitted: Fitted) -> np.ndarray:
+def _tempered(fitted: Fitted, worth: float) -> np.ndarray:
     """The jacobian with what the recordings tell, not what was known before, worth as much less as the model misses
-    them by more than their noise: (J^T J / chi2_red + P)^-1 is the covariance of the tempered posterior."""
+    them by more than their noise: (J^T J / worth + P)^-1 is the covariance of the tempered posterior."""
     rows: np.ndarray = fitted.jacobian.copy()
-    rows[: len(rows) - fitted.pulls] /= np.sqrt(max(1.0, _reduced(fitted)))
+    rows[: len(rows) - fitted.pulls] /= np.sqrt(worth)
     return rows
 
 
 def _spread(fitted: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Standard deviations ``(p,)`` by the jacobian of a fit, by how much they exceed what the noise says ``(p,)``, and
-    correlation ``(p, p)``."""
+    correlation ``(p, p)``.
+
+    The search weighs recordings by 1 / kappa beside what was known before (:mod:`sysid.fit.search`). Its estimate has
+    the covariance A (J^T S J / kappa^2 + P) A, where A = (J^T J / kappa + P)^-1 and J^T S J is that of the scores.
+    """
     prior = np.array([q.prior_sd for q in fitted.parameters])
-    inverse = inverse_information(fitted.jacobian, prior)
-    plain = inverse_information(_tempered(fitted), prior)
+    reduced = max(1.0, _reduced(fitted))
+    kappa = max(chance(fitted), reduced) if fitted.has_prior else 1.0
+    inverse = inverse_information(_tempered(fitted, kappa), prior)
+    plain = inverse_information(_tempered(fitted, reduced), prior)
+    told, known = np.split(fitted.jacobian, [len(fitted.jacobian) - fitted.pulls])
     scores = _scores(fitted, fitted.residual)
-    sandwich = inverse @ (scores.T @ scores) @ inverse
-    coloured = inverse + inverse @ coloured_scores(fitted.parts, inverse) @ inverse
+    sandwich = inverse @ (scores.T @ scores / kappa**2 + known.T @ known) @ inverse
+    colour = told.T @ told + coloured_scores(fitted.parts, inverse / kappa)
+    coloured = inverse @ (colour / kappa**2 + known.T @ known) @ inverse
     variance = np.max([np.diag(v) for v in (plain, sandwich, coloured)], axis=0)
     sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)), WIDEST * prior)
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
@@ -143,7 +151,7 @@ def _scores(fitted: Fitted, residual: np.ndarray) -> np.ndarray:
     """J^T r of each block of neighbouring samples ``(blocks, p)``."""
     out = [np.zeros((0, len(fitted.parameters)))]
     at = 0
-    for _, _, times in fitted.labels:
+    for _, _, times in fitted.labels[: -1 if fitted.has_prior else None]:
         rows = slice(at, at + len(times))
         at += len(times)
         if not len(times):
@@ -179,7 +187,7 @@ def _information(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _undetermined(fitted: Fitted, sd: np.ndarray) -> list[Finding]:
     """One for each direction that is not determined. ``sd``: of each parameter ``(p,)``."""
-    parameters, values, vectors = marginal(replace(fitted, jacobian=_tempered(fitted)))
+    parameters, values, vectors = marginal(replace(fitted, jacobian=_tempered(fitted, max(1.0, _reduced(fitted)))))
     at = {p.name: (x, spread) for p, x, spread in zip(fitted.parameters, fitted.scaled, sd, strict=True)}
     out = []
     for value, vector in zip(values, vectors.T, strict=True):

@@ -162,3 +162,21 @@ def test_a_jump_before_little_is_as_good_as_a_kink() -> None:
 
     end = Counted(stepped, 200).minimise([0.6, 1.0], tolerance=3.0)
     assert end.converged and end.message == AT_KINK
+
+
+def test_steps_within_the_tolerance_are_taken_until_they_are_short() -> None:
+    """A few, and none that makes it worse."""
+    for longest, most in ((1e-3, 10), (0.0, 5)):
+        problem = Counted(curved, 50)
+        first = problem.look(np.array([0.9, 0.8]))
+        assert first is not None
+        steps: list[float] = []
+
+        def short(step: np.ndarray, steps: list[float] = steps, longest: float = longest) -> bool:
+            steps.append(float(np.max(np.abs(step))))
+            return steps[-1] <= longest
+
+        end = minimise(problem.look, first, WIDE, tolerance=1.0, go_on=lambda: True, short=short)
+        assert end.converged and end.message == AT_MINIMUM
+        assert problem.done <= most
+        assert steps[0] > 0.05 and np.max(np.abs(end.best.x - 1.0)) < 0.01

@@ -248,6 +248,35 @@ def test_only_what_says_as_much_takes_the_place_of_not_determined(broken_from: f
     assert profiles[0].sentence in said and (before in said) != replaced
 
 
+class Hiding(Curve):
+    """Where ``a`` is above ``hidden_from`` some readings are out of sight, which tell little of it."""
+
+    hidden_from = 0.004
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        (found,) = super().predict_all(rig, runs, parameters, scaled)
+        if scaled[0] > self.hidden_from:
+            found.values["c"][np.abs(T - 1.05) < 0.15] = np.nan
+        return [found]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_nothing_is_gained_by_hiding_readings_where_intervals_end(side: float) -> None:
+    """Whether they go out of sight on the way from the fit or come into sight."""
+    problem, fitted = fitted_to(linear, (0.0, 1.0))
+    plain = Profiler(problem, fitted).profiles()
+    hiding = Hiding(linear)
+    hiding.hidden_from = fitted.scaled[0] + side * 1.5 * uncertainty(fitted).sd[0]
+    problem = Problem(problem.runs, problem.noise, cast(Engine, hiding))
+    there = problem.fit(cast(Any, None), fitted.parameters, start=fitted.scaled, tolerance=1e-9)
+    assert there.sight is not None and there.sight.all() == (side > 0.0)
+    profiler = Profiler(problem, there)
+    assert profiler.check() == [] and profiler.better is None
+    if side > 0.0:
+        for profile, before, sd in zip(Profiler(problem, there).profiles(), plain, uncertainty(there).sd, strict=True):
+            np.testing.assert_allclose(profile.ci95, before.ci95, atol=0.3 * sd)
+
+
 def test_the_number_of_evaluations_is_bounded() -> None:
     problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0)
     engine = cast(Curve, problem.engine)

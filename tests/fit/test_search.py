@@ -48,8 +48,28 @@ def test_a_right_model_is_fitted_as_least_squares_does(start: tuple[float, float
     found = search(data, start)
     assert found.converged
     assert chance(found) < 2.5
-    best = solved(data, 1.0)
-    assert found.chi2 - problem(data)(best).chi2 < 2.5
+    sd = np.sqrt(np.diag(np.linalg.inv(BASIS.T @ BASIS + np.eye(2))))
+    np.testing.assert_array_less(np.abs(found.scaled - solved(data, 1.0)), 0.25 * sd)
+
+
+@pytest.mark.parametrize("off", [1.0, 5.0, 20.0])
+def test_what_a_misfit_says_nothing_of_is_fitted_as_well_as_it_is_known(off: float) -> None:
+    """Two gauges, of which one is missed by ten times its noise; the other one's parameter is off by so many standard
+    deviations. Chance makes more of all of chi-square than that parameter can make of it."""
+    wave, other = np.sin(3.0 * T), np.cos(9.0 * T)
+    missed, right = NOISE + 10.0 * np.sin(7.0 * T), RNG.normal(size=len(T))
+    slopes = np.block([[-wave[:, None], np.zeros((len(T), 1))], [np.zeros((len(T), 1)), -other[:, None]]])
+
+    def evaluate(scaled: np.ndarray) -> Fitted:
+        residual = np.concatenate([missed, right]) + slopes @ scaled
+        labels, nothing = [(0, "missed", T), (0, "right", T)], cast(Any, None)
+        return Fitted(PARAMETERS, scaled, nothing, residual, slopes, labels, [], nothing, 1, True, "")
+
+    best = np.array([wave @ missed / (wave @ wave), other @ right / (other @ other)])
+    sd = 1.0 / np.linalg.norm(other)
+    found = Search(evaluate, PARAMETERS, None).run(best + [0.0, off * sd], 60, 0.5)
+    assert found.converged and 0.5 * chance(found) > off**2
+    assert abs(found.scaled[1] - best[1]) < 0.25 * sd
 
 
 def test_chance_of_white_noise_is_about_one() -> None:

@@ -125,3 +125,22 @@ def test_what_was_known_before_is_not_widened_by_a_misfit(misfit: float) -> None
     reduced = N * misfit / (N - 2)
     assert found.reduced_chi2 == pytest.approx(reduced)
     assert found.sd == pytest.approx([(1.0 / (reduced * sd**2) + known**-2) ** -0.5, known], rel=1e-6)
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 3.0, 10.0])
+@pytest.mark.parametrize("strength", [0.3, 1.0, 10.0])
+def test_what_was_known_before_is_not_widened_by_a_misfit_with_structure(strength: float, amplitude: float) -> None:
+    """The search weighs it up beside recordings in which neighbours miss alike: what those say may be worth nothing,
+    but takes nothing from what was known."""
+    known, t = 0.05, np.linspace(0.0, 1.0, 1000)
+    wave = np.sin(3.0 * t)
+    slope = strength / known * wave / np.linalg.norm(wave)
+    residual = np.random.default_rng(1).standard_normal(len(t)) + amplitude * np.sin(7.0 * t + 0.3)
+    residual -= wave * (wave @ residual) / (wave @ wave)
+    parameter = replace(fitted(np.ones((2, 1))).parameters[0], prior_sd=known, known_sd=known)
+    fit = replace(
+        fitted(np.ones((2, 1))), parameters=[parameter], residual=np.append(residual, 0.0),
+        jacobian=np.append(slope, 1.0 / known)[:, None],
+        labels=[(0, "gauge", t), (-1, "prior", np.zeros(1))],
+    )  # fmt: skip
+    assert uncertainty(fit).sd[0] < 1.1 * known
