@@ -29,6 +29,7 @@ from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, motions, slopes
 from sim_core.gradients.elements import Alongs, OwnNumbers
 from sim_core.gradients.fields import FieldSums
+from sim_core.gradients.losses import Loss, in_sight
 from sim_core.gradients.made import Made
 from sim_core.gradients.mounts import carried_contacts, carried_freely
 from sim_core.gradients.pictures import Pictures
@@ -42,11 +43,6 @@ from sim_core.simulate import Trace, midway
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State
 from sim_core.solve.stiffness import AHEAD
-
-Loss = Callable[[Trace], tuple[float, Mapping[str, np.ndarray]]]
-"""Value of a loss and its derivatives by the readings, by channel in the shape of ``trace.outputs`` (a channel may be
-left out; readings out of sight, NaN, count as zero). Readings are those at the instants of the steps, before delays of
-streams and effects of sensors: :func:`sysid.streams.predicted_back` takes a loss on streams back to them."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +74,8 @@ def simulate_adjoint(
 ) -> Gradient:
     """Make the rollout, and the gradient of ``loss`` by the parameters ``along``, the ``fields`` and all else.
 
-    ``memory_mb``: bound on the steps that are kept; those of longer rollouts are made twice.
+    ``memory_mb``: bound on the steps that are kept; those of longer rollouts are made twice. Raises ``ConfigError``
+    where the derivatives that the loss tells are not one for each reading of a channel.
     """
     tape = Tape(scene, poses, times, settings, memory_mb, on_step)
     value, by_readings = loss(tape.trace)
@@ -116,13 +113,15 @@ class Backward:
         return self._tape.trace
 
     def gradient(self, value: float, by_readings: Mapping[str, np.ndarray]) -> Gradient:
-        """Gradient of the loss with these derivatives by the readings."""
+        """Gradient of the loss with these derivatives by the readings, by channel in the shape of ``trace.outputs``.
+
+        Raises ``ConfigError`` where they are of no channel of the trace, of another shape, or not finite where the
+        reading is in sight, and where the scene was changed since it was recorded.
+        """
         tape, scene = self._tape, self._scene
         tape.check_scene()
         count = len(tape.trace.times)
-        self._by_readings = {
-            c: np.where(np.isnan(tape.trace.outputs[c]), 0.0, given) for c, given in by_readings.items()
-        }
+        self._by_readings = in_sight(tape.trace, by_readings)
         self._numbers = np.zeros(len(self._slopes))
         self._pictures.clear()
         self._fields.clear()

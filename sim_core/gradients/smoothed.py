@@ -33,8 +33,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_core.errors import ConfigError, ConvergenceError
-from sim_core.gradients.adjoint import Loss, simulate_adjoint
+from sim_core.gradients.adjoint import simulate_adjoint
 from sim_core.gradients.directions import directions
+from sim_core.gradients.losses import Loss
 from sim_core.rigs import Rig, resolve_name, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene

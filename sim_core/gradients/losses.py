@@ -1,0 +1,50 @@
+"""Losses on the readings of a rollout, and what they must tell for a gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from sim_core.errors import ConfigError
+from sim_core.simulate import Trace
+
+Loss = Callable[[Trace], tuple[float, Mapping[str, np.ndarray]]]
+"""Value of a loss and its derivatives by the readings, by channel in the shape of ``trace.outputs`` (a channel may be
+left out; readings out of sight, NaN, count as zero). Readings are those at the instants of the steps, before delays of
+streams and effects of sensors: :func:`sysid.streams.predicted_back` takes a loss on streams back to them."""
+
+
+def in_sight(trace: Trace, by_readings: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Derivatives of a loss by the readings of ``trace``, by channel in the shape of its outputs: zero where these are
+    out of sight, NaN.
+
+    Raises ``ConfigError`` where a channel is none of the trace's, where the shape is not that of its readings, and
+    where the derivative by a reading in sight is not a number.
+    """
+    found = {}
+    for channel, given in by_readings.items():
+        if channel not in trace.outputs:
+            raise ConfigError(
+                f"The loss has derivatives by the channel {channel!r}, which the rollout does not have.",
+                f"Name those that it has: {', '.join(trace.outputs)}.",
+            )
+        readings, weights = trace.outputs[channel], np.asarray(given, dtype=float)
+        if weights.shape != readings.shape:
+            raise ConfigError(
+                f"The loss has derivatives by the channel {channel!r} of shape {weights.shape}, not {readings.shape} "
+                "as its readings.",
+                "Give one for each reading at each instant: np.zeros_like(trace.outputs[channel]), filled where the "
+                "loss depends on it.",
+            )
+        hidden = np.isnan(readings)
+        broken = np.argwhere(~hidden & ~np.isfinite(weights))
+        if len(broken):
+            first = tuple(int(k) for k in broken[0])
+            raise ConfigError(
+                f"The loss has {len(broken)} derivatives by readings of the channel {channel!r} in sight that are not "
+                f"finite, the first at {first}: {weights[first]:g}.",
+                "Readings out of sight are NaN: leave them out of sums over others, or use np.where.",
+            )
+        found[channel] = np.where(hidden, 0.0, weights)
+    return found

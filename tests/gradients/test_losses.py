@@ -1,0 +1,62 @@
+"""What a loss tells of its derivatives by the readings is checked before it is taken for them."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import pytest
+from test_tangent import PRESS
+
+from sim_core.errors import ConfigError
+from sim_core.gradients import Backward, Tape, directions, simulate_adjoint
+from sim_core.gradients.losses import in_sight
+from sim_core.scene import build_scene
+from sim_core.simulate import Trace, step_times
+
+
+def trace_of(readings: np.ndarray) -> Trace:
+    return Trace(np.arange(len(readings)), {"load": readings, "camera": readings[:, :1]}, {}, {}, ())
+
+
+READINGS = np.arange(12.0).reshape(4, 3)
+HIDDEN = np.where(READINGS == 7.0, np.nan, READINGS)
+
+WRONG = {
+    "the last instant alone": ({"load": READINGS[-1]}, r"'load' of shape \(3,\), not \(4, 3\).*zeros_like"),
+    "one number": ({"camera": np.float64(2.0)}, r"'camera' of shape \(\), not \(4, 1\)"),
+    "one component": ({"load": READINGS[:, :1]}, r"'load' of shape \(4, 1\), not \(4, 3\)"),
+    "another channel": ({"laod": READINGS}, "'laod', which the rollout does not have.*load, camera"),
+    "no numbers": ({"load": np.nan * READINGS}, r"12 derivatives .* 'load' .* the first at \(0, 0\): nan"),
+    "one infinite": ({"load": np.where(READINGS == 4.0, np.inf, 0.0)}, r"1 derivatives .* the first at \(1, 1\): inf"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_derivatives_that_are_not_one_for_each_reading_are_refused(case):
+    given, words = WRONG[case]
+    with pytest.raises(ConfigError, match=words):
+        in_sight(trace_of(READINGS), given)
+
+
+def test_what_is_out_of_sight_counts_as_zero_whatever_its_derivative():
+    """As that of the square of a reading that is NaN."""
+    found = in_sight(trace_of(HIDDEN), {"load": cast(np.ndarray, (2.0 * HIDDEN).tolist())})
+    np.testing.assert_array_equal(found["load"], np.where(READINGS == 7.0, 0.0, 2.0 * READINGS))
+    with pytest.raises(ConfigError, match=r"1 derivatives .* \(2, 2\): nan"):
+        in_sight(trace_of(HIDDEN), {"load": np.where(READINGS == 8.0, np.nan, 2.0 * HIDDEN)})
+
+
+def test_a_loss_on_the_last_instant_is_not_spread_over_all(small_rig, visit):
+    rig, times = small_rig(), step_times(0.0, 0.06, 0.02)
+    scene, along = build_scene(rig), directions(rig, ["gravity.z"])
+
+    def last(trace: Trace) -> tuple[float, dict[str, np.ndarray]]:
+        channel, readings = next(iter(trace.outputs.items()))
+        return float(np.sum(readings[-1] ** 2)), {channel: 2.0 * readings[-1]}
+
+    with pytest.raises(ConfigError, match="as its readings"):
+        simulate_adjoint(scene, visit(*PRESS), times, last, along)
+    tape = Tape(scene, visit(*PRESS), times)
+    with pytest.raises(ConfigError, match="as its readings"):
+        Backward(tape, along).gradient(*last(tape.trace))
