@@ -75,13 +75,18 @@ def worker_pool(workers: int, start: Callable[[], None] | None = None) -> Iterat
     except BaseException as error:
         _give_up(pool)
         if isinstance(error, BrokenProcessPool):
-            raise WorkerError(
-                "A process that simulates has ended before its work was done.",
-                "Usually the machine ran out of memory, which its kernel log says: do less at once, or use coarser "
-                'cells. A script of your own must do its work under if __name__ == "__main__".',
-            ) from error
+            raise worker_ended() from error
         raise
     pool.shutdown()
+
+
+def worker_ended() -> WorkerError:
+    """The error for a process of a pool that has ended: within the pool's block it is ``BrokenProcessPool``."""
+    return WorkerError(
+        "A process that simulates has ended before its work was done.",
+        "Usually the machine ran out of memory, which its kernel log says: do less at once, or use coarser "
+        'cells. A script of your own must do its work under if __name__ == "__main__".',
+    )
 
 
 def _begin(start: Callable[[], None] | None) -> None:

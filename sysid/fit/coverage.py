@@ -20,6 +20,7 @@ import os
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -31,6 +32,7 @@ from sim_core.batch import worker_pool
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, WrenchSensor
 from sim_core.rigs.motion import Experiment
+from sysid.fit.ended import why
 from sysid.fit.engine import Engine
 from sysid.fit.fit import fit_runs
 from sysid.fit.nuisance import BIAS_SD, KINDS, nuisance_parameters
@@ -68,8 +70,8 @@ class Outcome:
 @dataclass(frozen=True)
 class Coverage:
     """``cases``: how many ended; ``failed``: what of them could not be run, by their number; ``stopped``: numbers of
-    those that had not ended when it was interrupted; ``colour``: correlation of the noise of forces from sample to
-    sample."""
+    those that had not ended when it was interrupted or a process ended, of which ``lost`` tells, '' if none did;
+    ``colour``: correlation of the noise of forces from sample to sample."""
 
     rig: str
     cases: int
@@ -79,6 +81,7 @@ class Coverage:
     failed: dict[int, str]
     stopped: tuple[int, ...] = ()
     colour: float = 0.0
+    lost: str = ""
 
     def to_json(self) -> str:
         """All figures."""
@@ -135,7 +138,11 @@ class Coverage:
             lines.append(f"Noise of wrenches is correlated by {self.colour:g} from sample to sample.")
         lines += [f"Case {case} failed: {why}" for case, why in self.failed.items()]
         if self.stopped:
-            lines.append(f"Interrupted: cases {', '.join(map(str, self.stopped))} had not ended, and are in no row.")
+            numbers = ", ".join(map(str, self.stopped))
+            lines.append(
+                f"{'Stopped' if self.lost else 'Interrupted'}: cases {numbers} had not ended, and are in no row. "
+                f"{self.lost}".rstrip()
+            )
         return lines
 
     @staticmethod
@@ -178,11 +185,13 @@ def measure_coverage(
 ) -> Coverage:
     """Run the numbered ``cases``. ``spread``: factor either way within which values are drawn about the rig's
     (:func:`draw`); ``refine``: how much finer the truth is simulated; ``colour``: correlation rho of the noise of
-    forces from sample to sample. Ctrl-C keeps the cases that have ended."""
+    forces from sample to sample. Ctrl-C, a worker process that ends and a case that fails keep the cases that have
+    ended. Where none has an outcome the error is raised, unless it is one of input, data or numerics."""
     parameters = fit_parameters(rig, names)
     outcomes: list[Outcome] = []
     failed: dict[int, str] = {}
-    left = set(cases)
+    left, lost = set(cases), ""
+    defect: Exception | None = None
     workers = min(os.cpu_count() or 1, max(1, len(cases)))
     try:
         with worker_pool(workers) as pool:
@@ -196,19 +205,27 @@ def measure_coverage(
                 case = pending[future]
                 try:
                     outcomes += future.result()
-                except ThinshellError as error:
-                    failed[case] = str(error)
+                except BrokenProcessPool as error:  # all that had not ended say so
+                    defect, lost = error, why(error)
+                    continue
+                except Exception as error:
+                    failed[case] = why(error)
+                    defect = defect if isinstance(error, ThinshellError) else error
                 left.remove(case)
                 if on_progress is not None:
                     inside = sum(o.inside for o in outcomes)
                     on_progress(1.0 - len(left) / len(cases), f"case {case}, {inside} of {len(outcomes)} inside")
+            if defect is not None and not outcomes:
+                raise defect
     except KeyboardInterrupt:
         if not outcomes:
             raise
     outcomes.sort(key=lambda o: o.case)
     ended = len(cases) - len(left)
-    lost, stopped = dict(sorted(failed.items())), tuple(sorted(left))
-    return Coverage(rig.name, ended, refine, seed, tuple(outcomes), lost, stopped, colour)
+    stopped = tuple(sorted(left))
+    return Coverage(
+        rig.name, ended, refine, seed, tuple(outcomes), dict(sorted(failed.items())), stopped, colour, lost
+    )  # fmt: skip
 
 
 def draw(rig: Rig, parameters: Sequence[FitParameter], spread: float, rng: np.random.Generator) -> np.ndarray:

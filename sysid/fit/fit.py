@@ -15,9 +15,10 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.colour import unheard
 from sysid.fit.doubts import doubts
+from sysid.fit.ended import ENDS_EARLY, stop, why
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
-from sysid.fit.held_out import scored
+from sysid.fit.held_out import all_scored
 from sysid.fit.kinked import AT_KINK
 from sysid.fit.leftover import unexplained
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups, overruled
@@ -123,11 +124,12 @@ def _fit_runs(
     bias = bool(asked) and has_bias(runs, asked, options.kinds)
     parameters = [*asked, *beside]
     started = time.monotonic()
+    as_given = [engine.submit(rig, run) for run in runs]
     first = start_of(rig, parameters)
     search = Searches(rig, parameters, options, evaluations)
     found = _searched(engine, rig, runs, parameters, first, held_out, options, search, bias, on_progress)
     look, problem, fitted = found.look, found.problem, found.fitted
-    before = problem.evaluate(rig, [], np.zeros(0))
+    before = problem.compare([future.result() for future in as_given], rig, [], np.zeros(0))
     nuisances = nuisances_of(problem, fitted)
     own = own_sizes(problem)
     errors = rms_errors(problem, before, fitted, held_out=False, own=own)
@@ -148,17 +150,20 @@ def _fit_runs(
     notes += (
         search.ends + unheard(problem.noise) + overruled(runs, problem.noise) + out_of_sight(problem, before, fitted)
     )
-    moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
+    moved = []
+    try:
+        moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
+    except KeyboardInterrupt as error:
+        notes.append(f"Whether windows begin at rest was not looked at: {why(error)}")
     if moved:
         sentences = ["What was fitted to a window that does not begin at rest means nothing.", *moved, *sentences]
-    notes += [f"{run.name}: {note}" for run in held_out for note in not_from_rest(fitted.rig, run)]
     if held_out and any(p.bag for p in asked):
         notes.append("Held-out recordings are predicted with the mean of the values that each bag has for itself.")
     if held_out and on_progress is not None:
         on_progress(0.98, "held-out recordings")
     final = as_usual(fitted.rig, nuisances)
-    scores = [scored(engine, rig, final, run, problem.noise, bias, own) for run in held_out]
-    notes += [note for score in scores for note in score.notes]
+    scores, said = all_scored(engine, fitted.rig, rig, final, held_out, problem.noise, bias, own)
+    notes += said
     if options.robust:
         followed = [(score.run, score.prediction) for score in scores if score.prediction is not None]
         seen, predictions = [*runs, *(r for r, _ in followed)], [*fitted.predictions, *(p for _, p in followed)]
@@ -228,14 +233,19 @@ def _searched(
             look, problem, fitted = _fit_beside_mistakes(
                 engine, rig, parameters, look, at, runs=runs, robust=options.robust, bias=bias, search=search
             )
-        except ThinshellError as error:
+        except ENDS_EARLY as error:
             if at is first:
                 raise
-            fitted.message, fitted.converged = f"a better fit cannot be searched from. {error}", False
+            stop(fitted, error, "a better fit that is known was not searched from")
             break
         estimates, correlation, findings, reduced = estimates_of(fitted, first)
         findings += [Finding(sentence) for sentence in blamed(problem, fitted, sorted(options.kinds))]
-        profiles, findings, better = _profiled(problem, fitted, findings, options.intervals, on_progress)
+        profiles: list[Profile] = []
+        better = None
+        try:
+            profiles, findings, better = _profiled(problem, fitted, findings, options.intervals, on_progress)
+        except ENDS_EARLY as error:
+            findings.append(Finding(f"Intervals were not looked at along the likelihood: {why(error)}"))
         if better is None:
             break
         if not left:
@@ -267,7 +277,9 @@ def _fit_beside_mistakes(
     bias: bool,
     search: Searches,
 ) -> tuple[_Look, Problem, Fitted]:
-    """A fit from scaled values ``(p,)``, repeated while other readings of ``runs`` turn out to be mistakes."""
+    """A fit from scaled values ``(p,)``, repeated while other readings of ``runs`` turn out to be mistakes; the last
+    that has ended where another one cannot be made."""
+    ended: tuple[_Look, Problem, Fitted] | None = None
     for left in reversed(range(LOOKS)):
         noise = channel_noise(rig, look.runs, look.held_out)
         try:
@@ -276,6 +288,13 @@ def _fit_beside_mistakes(
             )
         except Unmeasured as error:
             problem, fitted, left = error.beside, error.fitted, 0
+        except ENDS_EARLY as error:
+            if ended is None:
+                raise
+            look, problem, fitted = ended
+            stop(fitted, error, "it was not repeated without the readings that are mistakes beside it")
+            break
+        ended = look, problem, fitted
         if not robust or not left or fitted.cut_short:
             break
         again, told = without_outliers(runs, fitted.predictions, noise)

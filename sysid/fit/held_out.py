@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
+from sysid.fit.ended import why
 from sysid.fit.engine import Prediction
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.pool import AnyEngine
 from sysid.fit.problem import Problem
 from sysid.fit.result import ChannelError, Series, out_of_sight, plot_series, rms_errors
 from sysid.fit.runs import Run
+from sysid.fit.windows import not_from_rest
 
 
 @dataclass(frozen=True)
@@ -49,3 +51,32 @@ def scored(
         run, then.predictions[0], rms_errors(check, there, then, held_out=True, own=own),
         out_of_sight(check, there, then), plot_series(check, there, then, held_out=True, raw=[run]),
     )  # fmt: skip
+
+
+def all_scored(
+    engine: AnyEngine,
+    fitted: Rig,
+    before: Rig,
+    after: Rig,
+    runs: Sequence[Run],
+    noise: dict[str, ChannelNoise],
+    bias: bool,
+    own: Mapping[tuple[str, str], float],
+) -> tuple[list[Score], list[str]]:
+    """Scores of ``runs`` (:func:`scored`), and notes on them: on windows that do not begin at rest by the rig
+    ``fitted``, and on what was not predicted, since Ctrl-C was pressed or something failed."""
+    scores: list[Score] = []
+    notes: list[str] = []
+    missed: dict[str, list[str]] = {}
+    for k, run in enumerate(runs):
+        try:
+            notes += [f"{run.name}: {note}" for note in not_from_rest(fitted, run)]
+            scores.append(scored(engine, before, after, run, noise, bias, own))
+        except KeyboardInterrupt as error:
+            missed[why(error)] = [other.name for other in runs[k:]]
+            break
+        except Exception as error:  # the fit that is finished is worth more
+            missed.setdefault(why(error), []).append(run.name)
+    notes += [note for score in scores for note in score.notes]
+    notes += [f"Held-out recordings {', '.join(names)} were not predicted: {text}" for text, names in missed.items()]
+    return scores, notes

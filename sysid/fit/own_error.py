@@ -19,13 +19,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 
 import numpy as np
 
+from sim_core.batch import worker_ended
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.directions import Direction
+from sysid.fit.ended import ENDS_EARLY, stop
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, quantities
@@ -61,7 +64,7 @@ class Unmeasured(ThinshellError):
 
     def __init__(self, cause: ThinshellError, beside: Problem, fitted: Fitted) -> None:
         super().__init__(cause.problem, cause.remedy)
-        fitted.message, fitted.converged = f"it stands where its own error is not known. {cause}", False
+        stop(fitted, cause, "it stands where its own error is not known")
         self.beside, self.fitted = beside, fitted
 
 
@@ -168,8 +171,9 @@ def fit_beside_own_error(
 
     A search that came so far that the error is another one (``Fitted.elsewhere``) is followed by another round.
     ``Fitted.converged`` is false, and its message says so, when the rounds ended before both settled.
-    Ctrl-C, and a limit to the evaluations of ``search``, keep the best so far, beside the error last measured.
-    Raises :class:`Unmeasured` where the error cannot be measured where a search has ended.
+    Once a search has ended, Ctrl-C, a later search that fails, and a limit to the evaluations of ``search`` keep the
+    best so far, beside the error last measured. Raises :class:`Unmeasured` where the error cannot be measured where a
+    search has ended.
     """
     scaled = start_of(rig, parameters) if start is None else np.asarray(start, dtype=float)
     look = search or (lambda problem, at: problem.fit(rig, parameters, start=at))
@@ -180,8 +184,15 @@ def fit_beside_own_error(
     directions = discretisation(engine, each(scaled), runs, plain)
     problem = Problem(runs, noise, engine, directions, prior, bias)
     evaluations, with_slopes = 0, False
+    known: Fitted | None = None
     for left in reversed(range(rounds)):
-        fitted = look(problem, scaled)
+        try:
+            fitted = look(problem, scaled)
+        except ENDS_EARLY as error:
+            if known is None:
+                raise
+            stop(known, error, "it was not searched on beside the error of mesh and time step where it stands")
+            return problem, _counted(known, evaluations)
         evaluations += fitted.evaluations
         moved = np.abs(fitted.scaled - scaled)
         scaled = fitted.scaled
@@ -200,11 +211,14 @@ def fit_beside_own_error(
         except KeyboardInterrupt:
             fitted.interrupt()
             return problem, _counted(fitted, evaluations)
+        except BrokenProcessPool as error:
+            raise Unmeasured(worker_ended(), problem, _counted(fitted, evaluations)) from error
         except ThinshellError as error:
             raise Unmeasured(error, problem, _counted(fitted, evaluations)) from error
         directions = [now.following(then, scaled) for now, then in zip(found, directions, strict=True)]
         problem = Problem(runs, noise, engine, directions, prior, bias)
-        problem.keep(problem.compare(fitted.predictions, rig, parameters, scaled))
+        known = problem.compare(fitted.predictions, rig, parameters, scaled)
+        problem.keep(known)
     if fitted.converged or fitted.elsewhere:
         fitted.message = (
             f"the error of mesh and time step still changed with the parameters after {rounds} rounds; a finer "

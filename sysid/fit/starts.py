@@ -186,9 +186,13 @@ class Searches:
         return self._evaluations.left > 0 and not fitted.interrupted
 
     def _tried(self, problem: Problem, at: np.ndarray, best: Fitted) -> Fitted | None:
-        """A search from elsewhere; None where that cannot be simulated, which costs an evaluation all the same."""
+        """A search from elsewhere; None where that cannot be simulated, which costs an evaluation all the same, and
+        where Ctrl-C is pressed before it has found anything, which ``best`` then says."""
         try:
             found = self._search(problem, at)
+        except KeyboardInterrupt:
+            best.interrupt()
+            return None
         except ThinshellError:
             self._evaluations(best)
             return None
@@ -201,11 +205,11 @@ class Searches:
         ended where the fit is better by more than chance."""
         self._found, self._begun, best = [first], [at], first
         for start in self._drawn(problem, at, first):
-            if not self._may_go_on(self._found[-1]):
+            if not self._may_go_on(best):
                 break
             other = self._tried(problem, start, best)
             if other is None:
-                self._failed += 1
+                self._failed += not best.interrupted
                 continue
             self._found.append(other)
             self._begun.append(start)

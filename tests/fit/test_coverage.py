@@ -6,12 +6,14 @@ import json
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from inspect import signature
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from sim_core.errors import ConvergenceError
 from sysid.cli import coverage as command_line
 from sysid.fit import coverage
 from sysid.fit.coverage import Coverage, Outcome, coloured, draw, measure_coverage, wilson
@@ -165,6 +167,44 @@ def test_an_interruption_keeps_the_cases_that_have_ended(small_rig, monkeypatch,
     found = measured()
     assert [o.case for o in found.outcomes] == [4, 5] and (found.cases, found.stopped) == (2, (6, 7))
     assert "Interrupted: cases 6, 7 had not ended, and are in no row." in found.table()
+
+
+@pytest.fixture
+def threads(monkeypatch):
+    """Cases end one after the other, in threads; those of ``ends`` with an error."""
+    ends = {}
+
+    def case(rig, experiments, parameters, number, *drawn):
+        if number in ends:
+            raise ends[number]
+        return [outcome(number, 0.5)]
+
+    monkeypatch.setattr(coverage, "as_completed", list)
+    monkeypatch.setattr(coverage, "worker_pool", ThreadPoolExecutor)
+    monkeypatch.setattr(coverage, "_case", case)
+    return ends
+
+
+def test_a_process_that_ends_leaves_the_cases_that_have_ended(small_rig, threads):
+    """Whichever are told of first: all that had not ended fail at once, and none of them is counted as outside."""
+    threads |= dict.fromkeys((4, 6), BrokenProcessPool("abruptly"))
+    found = measure_coverage(small_rig(), [], ["gel.E_pa"], cases=range(4, 8))
+    assert [o.case for o in found.outcomes] == [5, 7]
+    assert (found.cases, found.failed, found.stopped) == (2, {}, (4, 6))
+    assert "Stopped: cases 4, 6 had not ended, and are in no row. A process that simulates" in found.table()
+    threads |= dict.fromkeys(range(4, 8), BrokenProcessPool("abruptly"))
+    with pytest.raises(BrokenProcessPool):
+        measure_coverage(small_rig(), [], ["gel.E_pa"], cases=range(4, 8))
+
+
+def test_a_case_that_fails_leaves_the_others(small_rig, threads):
+    threads |= {4: ValueError("no shape"), 5: ConvergenceError("no equilibrium")}
+    found = measure_coverage(small_rig(), [], ["gel.E_pa"], cases=range(4, 7))
+    assert [o.case for o in found.outcomes] == [6] and found.stopped == ()
+    assert found.failed == {4: "ValueError: no shape", 5: "no equilibrium"}
+    with pytest.raises(ValueError, match="no shape"):
+        measure_coverage(small_rig(), [], ["gel.E_pa"], cases=[4, 5])
+    assert measure_coverage(small_rig(), [], ["gel.E_pa"], cases=[5]).failed == {5: "no equilibrium"}
 
 
 def test_a_table_in_which_all_failed():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from typing import Any, cast
 
@@ -245,6 +246,28 @@ def test_ctrl_c_keeps_the_best(vectors: None) -> None:
     _, fitted = fit(engine, run, search=search)
     assert fitted.interrupted and not fitted.converged
     assert np.all(np.isfinite(fitted.scaled)) and np.abs(fitted.scaled).max() > 0.1
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), BrokenProcessPool("abruptly")], ids=["ctrl-c", "worker"])
+def test_a_later_search_that_fails_keeps_what_was_found(error: BaseException, vectors: None) -> None:
+    """Where it stands, beside the error measured there."""
+    found = []
+
+    def search(problem: Problem, at: np.ndarray) -> Any:
+        if found:
+            raise error
+        found.append(problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS, start=at))
+        return found[0]
+
+    engine, run = Linear(), run_of(measured(np.random.default_rng(0)))
+    problem, fitted = fit(engine, run, search=search)
+    assert engine.refined == 2 and not fitted.converged and "was not searched on" in fitted.message
+    assert fitted.interrupted == isinstance(error, KeyboardInterrupt)
+    np.testing.assert_array_equal(fitted.scaled, found[0].scaled)
+    there = problem.evaluate(cast(Any, Vector(np.zeros(2))), PARAMETERS, fitted.scaled)
+    assert fitted.chi2 == pytest.approx(there.chi2) and fitted.evaluations == found[0].evaluations
+    with pytest.raises(type(error)):
+        fit(engine, run, search=search)
 
 
 def _interrupted(engine: Linear) -> Any:

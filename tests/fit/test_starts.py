@@ -252,8 +252,9 @@ def test_evaluations_that_are_used_up_leave_no_draws_of_other_starts(
     assert drawn
 
 
+@pytest.mark.parametrize("later", [1, 2], ids=["its first evaluation", "its second"])
 def test_an_interruption_of_a_later_search_keeps_the_best_and_ends_the_fit(
-    small_rig: Any, monkeypatch: pytest.MonkeyPatch
+    later: int, small_rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain, calls = Gauge.predict_all, []
 
@@ -267,12 +268,13 @@ def test_an_interruption_of_a_later_search_keeps_the_best_and_ends_the_fit(
     monkeypatch.setattr(Gauge, "predict_all", pressed)
     alone, _ = searches(small_rig())
     best = alone(problem(Gauge(0.05)), np.array([11.2]))
-    stop = 2 * len(calls) + 2
+    stop = 2 * len(calls) + later
     several, _ = searches(small_rig(), starts=4)
     found = several(problem(Gauge(0.05)), np.array([11.2]))
     assert len(calls) == stop, "nothing is searched any more"
     assert found.interrupted and not found.converged
     assert found.scaled[0] == best.scaled[0]
+    assert not any("could not be simulated" in sentence for sentence in several.ends)
 
 
 @pytest.mark.parametrize(
