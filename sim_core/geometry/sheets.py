@@ -240,11 +240,7 @@ def locate(mesh: SheetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     the first point that is off the sheet.
     """
     points = np.asarray(points, dtype=float)[:, :2]
-    corner = mesh.nodes[mesh.triangles][:, :, :2]
-    edges = np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], axis=-1)
-    inverse = np.linalg.inv(edges)
-    local = np.einsum("mij,kmj->kmi", inverse, points[:, None, :] - corner[None, :, 0])
-    weights = np.concatenate([1.0 - local.sum(axis=-1, keepdims=True), local], axis=-1)
+    weights = weights_in(mesh.nodes[mesh.triangles], points[:, None, :])
     triangle = np.argmax(weights.min(axis=-1), axis=1)
     chosen = weights[np.arange(len(points)), triangle]
     off = np.flatnonzero(chosen.min(axis=1) < -1e-6)
@@ -254,3 +250,12 @@ def locate(mesh: SheetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]
             "Give local rest coordinates within the sheet's outline (origin at its centre).",
         )
     return triangle, chosen
+
+
+def weights_in(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Barycentric weights ``(..., m, 3)`` of points [m] ``(..., m, 2)`` in flat triangles with ``corners`` [m]
+    ``(m, 3, 2)`` or ``(m, 3, 3)``, of which the first two coordinates count; outside of them some are negative."""
+    flat = corners[:, :, :2]
+    edges = np.stack([flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]], axis=-1)
+    local = np.einsum("mij,...mj->...mi", np.linalg.inv(edges), points - flat[:, 0])
+    return np.concatenate([1.0 - local.sum(axis=-1, keepdims=True), local], axis=-1)

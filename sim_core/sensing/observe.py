@@ -23,6 +23,7 @@ from sim_core.rigs import (
     Pose,
     Rig,
     Rigid,
+    Sight,
     WrenchSensor,
     marker_positions,
     seen_points,
@@ -114,10 +115,12 @@ class Observer:
                 self._tracked[name] = [self._locate(sensor.body, local)]
                 self.ids[name] = ids
         bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
+        self._elsewhere: dict[tuple[str, tuple[Sight, ...]], list[_Tracked]] = {}
         for name, camera in rig.cameras.items():
             self.kinds[name] = "tracks"
             seen = seen_points(camera.sees, bodies)
             self._tracked[name] = [self._locate(body, local) for body, local, _ in seen]
+            self._elsewhere[name, camera.sees] = self._tracked[name]
             self.ids[name] = track_ids(camera, bodies)
         self._place()
 
@@ -140,6 +143,24 @@ class Observer:
                 element, weights = solids.locate(built.layout, local, ON_FLAT)
             nodes = built.layout.tets[element]
         return _Tracked(nodes + int(built.nodes[0]), weights)
+
+    def _tracked_by(self, name: str, camera: Camera) -> list[_Tracked]:
+        """What a camera sees that may have its points elsewhere than that of the scene's rig: those of sheets in the
+        same triangles, so that readings are smooth in where they are."""
+        key = (name, camera.sees)
+        if key not in self._elsewhere:
+            found = []
+            for sight, tracked in zip(camera.sees, self._tracked[name], strict=True):
+                body, spec = self._scene.bodies[sight.body], self._scene.rig.bodies[sight.body]
+                assert not isinstance(spec, Rigid)
+                local, _ = marker_positions(sight.points, spec)
+                if isinstance(body.layout, sheets.SheetMesh) and len(local) == len(tracked.nodes):
+                    corners = body.layout.nodes[tracked.nodes - int(body.nodes[0])]
+                    found.append(_Tracked(tracked.nodes, sheets.weights_in(corners, local[:, :2])))
+                else:
+                    found.append(self._locate(sight.body, local))
+            self._elsewhere[key] = found
+        return self._elsewhere[key]
 
     def _place(self) -> None:
         """Constant placements: of every observer in its carrier, and of every body in its mount."""
@@ -168,7 +189,8 @@ class Observer:
     def read(self, rig: Rig, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
         """Readings at the positions that the scene's system holds.
 
-        ``rig``: same geometry as the scene's (cameras may differ); ``frames``: of the mounts now.
+        ``rig``: same geometry as the scene's (cameras and where their points are may differ); ``frames``: of the mounts
+        now.
         Wrench: force [N] and torque [N m] on the sensor, ``(6,)``; markers [m] ``(n, 3)`` in the
         sensor's frame; tracks [px] ``(n, 2)``.
         """
@@ -194,14 +216,15 @@ class Observer:
 
     def see(self, rig: Rig, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
         """The part of :meth:`read` that cameras see, for which positions suffice."""
-        return {name: taken(rig.cameras[name], p[None])[0] for name, p in self.before_cameras(frames).items()}
+        return {name: taken(rig.cameras[name], p[None])[0] for name, p in self.before_cameras(frames, rig).items()}
 
-    def before_cameras(self, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
-        """What each camera is to see, in the frame of its mount [m], ``(n, 3)``."""
+    def before_cameras(self, frames: Mapping[str, Frame], rig: Rig | None = None) -> dict[str, np.ndarray]:
+        """What each camera, of the scene's rig or another one, is to see, in the frame of its mount [m], ``(n, 3)``."""
         x, out = self._scene.system.x, {}
         for name, camera in self._scene.rig.cameras.items():
             origin, rotation = frames[camera.mount]
-            points = np.vstack([t.positions(x) for t in self._tracked[name]])
+            seen = self._tracked[name] if rig is None else self._tracked_by(name, rig.cameras[name])
+            points = np.vstack([t.positions(x) for t in seen])
             out[name] = (points - origin) @ rotation.as_matrix()
         return out
 

@@ -16,6 +16,7 @@ from sim_core.scene import Scene, build_scene
 from sim_core.simulate import Trace, simulate
 from sysid.fit.extent import rollout_times, too_late
 from sysid.fit.parameters import FitParameter, acting_in, rig_at
+from sysid.fit.placement import placed, placed_along
 from sysid.fit.runs import Run
 from sysid.streams import predicted, predicted_derivatives, stream_derivatives
 
@@ -53,8 +54,9 @@ class Engine:
 
     def predict(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Prediction:
         """Predict one run."""
-        rig = run.seen_by(rig)
         scene = self.scene(rig, refine)
+        rig = placed(scene, run.firsts)
+        scene.use(rig)
         trace = simulate(scene, run.poses, rollout_times([rig], run, dt or rig.solver.dt_s))
         return Prediction(_at_stamps(trace, rig, run), {}, trace)
 
@@ -98,10 +100,11 @@ class Engine:
             for c, d in found.derivatives.items():
                 wide[c][..., own] = d
             return replace(found, derivatives=wide)
-        rig = run.seen_by(rig)
-        here = rig_at(rig, parameters, scaled)
-        along = [_direction(rig, parameters, scaled, k) for k in range(len(parameters))]
-        scene = self.scene(here, refine)
+        scene = self.scene(rig_at(rig, parameters, scaled), refine)
+        here = placed(scene, run.firsts)
+        scene.use(here)
+        along = [_direction(here, parameters, scaled, k) for k in range(len(parameters))]
+        along = placed_along(scene, run.firsts, along)
         times = rollout_times([here, *(end for d in along for end in (d.low, d.high))], run, dt or here.solver.dt_s)
         trace, raw = simulate_tangent(scene, run.poses, times, along)
         values = _at_stamps(trace, here, run)
@@ -153,6 +156,10 @@ def _geometry(rig: Rig) -> object:
     for contact in data["contacts"]:
         contact.pop("friction")
         contact.pop("stiffness_pa_per_m")
+    for camera in data["cameras"].values():
+        for sight in camera["sees"]:
+            if sight["points"]["placed"] == "first_frame":
+                sight["points"].pop("positions_m")
     active = tuple(
         (name, tuple(sorted((k, v == 0.0) for k, v in given.items()))) for name, given in rig.effects.items()
     )

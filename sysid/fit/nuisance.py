@@ -13,6 +13,9 @@ rig, as wide as such things are off in a laboratory, so that data which do not t
   wide as the rig says (``offset_sd_m``, ``offset_sd_deg``); what it says is known exactly is not fitted.
   With it an evaluation takes 1.1 to 1.3 times as long, and without it half a millimetre passes for stiffness.
 
+A camera that places the markers on their sheet in its first frame has them too: the places follow what is wrong
+(:mod:`sysid.fit.placement`), but how markers move and forces change does not.
+
 What is asked for by name is no nuisance. How well the rest is known the rig may say itself (``latency_sd_s``,
 ``scale_sd``, ``centre_sd_px``); what it says is known exactly is not fitted.
 """
@@ -83,7 +86,7 @@ def nuisance_parameters(
         if "camera" in kinds and channel in rig.cameras:
             for name, sd, tied in _intrinsics(channel, rig.cameras[channel]):
                 add(name, sd, tied)
-    if "pose" in kinds and not any(_places_markers(rig.cameras[c]) for c in measured if c in rig.cameras):
+    if "pose" in kinds:
         for effector in acting(rig, measured):
             known = rig.end_effectors[effector]
             for key, sd in zip(OFFSETS, (*known.offset_sd_m, *known.offset_sd_deg), strict=True):
@@ -91,20 +94,9 @@ def nuisance_parameters(
     return found
 
 
-def _places_markers(camera: Camera) -> bool:
-    """Whether the first frame of a recording places the markers on their sheet: errors of the camera and of the poses
-    then are in the places already."""
-    return any(sight.points.placed == "first_frame" for sight in camera.sees)
-
-
 def _intrinsics(name: str, camera: Camera) -> list[tuple[str, float, tuple[str, ...]]]:
-    """What may be off of a camera, how far, and what changes in proportion.
-
-    Where the camera itself places the markers on their sheet, there is nothing; where it counts from one of them, its
-    centre has no part in the readings.
-    """
-    if _places_markers(camera):
-        return []
+    """What may be off of a camera, how far, and what changes in proportion. Where it counts from one of the markers,
+    its centre has no part in the readings."""
     found: list[tuple[str, float, tuple[str, ...]]]
     if isinstance(camera, OrthographicCamera):
         found = [(f"{name}.scale_m_per_px", camera.scale_sd, ())]

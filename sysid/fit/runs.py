@@ -15,13 +15,13 @@ from sim_core.rigs import (
     OrthographicCamera,
     Rig,
     Rigid,
-    Sight,
     WrenchSensor,
     marker_positions,
     track_ids,
 )
 from sim_core.rigs.observers import WRENCH_COMPONENTS
 from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene import build_scene
 from sysid.likeness import check_topics, differences, numbers_apart
 from sysid.parts import Part, given_again, part_of
 from sysid.recording import Recording, read_recording
@@ -63,13 +63,24 @@ class Change:
 
 
 @dataclass(frozen=True)
+class FirstFrame:
+    """What tells where markers are on their sheet: ``pixels`` ``(n, 2)`` of all points of a camera in the first frame
+    that shows any, as measured, NaN where missing; its stamp ``t`` [s] since the start of the recording, a window
+    or not, and the ``poses`` of the end effectors about then, in the same time."""
+
+    t: float
+    pixels: np.ndarray
+    poses: Mapping[str, PoseTrajectory]
+
+
+@dataclass(frozen=True)
 class Run:
     """One recording, ready to be compared.
 
-    ``end`` [s]: time of its last measurement. ``sights``: what a camera sees in this recording, where the
-    rig leaves the places of markers to it (``placed: first_frame``). ``since`` [s]: for a window of a recording, the
-    time at which it begins; times of the run, poses before included, count from there; ``until``: its end, if it has
-    one; ``changes``: until then, by channel. ``unlike``: in what it differs from recordings of the rig, in words.
+    ``end`` [s]: time of its last measurement. ``firsts``: the first frame of each camera to which the rig leaves the
+    places of markers (``placed: first_frame``, :mod:`sysid.fit.placement`). ``since`` [s]: for a window of a recording,
+    the time at which it begins; times of the run, poses before included, count from there; ``until``: its end, if it
+    has one; ``changes``: until then, by channel. ``unlike``: in what it differs from recordings of the rig, in words.
     ``doubts``: those of the ``notes`` on how it was read that may change a result. ``counted``: notes that count
     samples, which :func:`sysid.fit.windows.window_of` tells for the window, or for the whole.
     """
@@ -81,7 +92,7 @@ class Run:
     measured: tuple[Measured, ...]
     end: float
     notes: tuple[str, ...] = field(default=())
-    sights: Mapping[str, tuple[Sight, ...]] = field(default_factory=dict)
+    firsts: Mapping[str, FirstFrame] = field(default_factory=dict)
     since: float = 0.0
     until: float | None = None
     changes: Mapping[str, Change] = field(default_factory=dict)
@@ -92,16 +103,6 @@ class Run:
     def has(self, channel: str) -> bool:
         """Whether it has readings of a channel."""
         return any(m.channel == channel for m in self.measured)
-
-    def seen_by(self, rig: Rig) -> Rig:
-        """The rig with the markers where they are in this recording."""
-        if not self.sights:
-            return rig
-        cameras = {
-            name: camera.model_copy(update={"sees": self.sights.get(name, camera.sees)})
-            for name, camera in rig.cameras.items()
-        }
-        return rig.model_copy(update={"cameras": cameras})
 
 
 def load_runs(
@@ -188,7 +189,7 @@ def load_run(rig: Rig, path: Path) -> Run:
 def read_run(rig: Rig, path: Path) -> Run:
     """Read a bag and line it up with a rig; what counts samples is left to be told of the window that is used. Raises
     ``RecordingError`` when nothing can be compared."""
-    from sysid.fit.placement import placed_sights
+    from sysid.fit.placement import first_frames, placed
 
     topics = open_bag(Path(path), Notes()).topics
     check_topics(rig, path, topics)
@@ -215,7 +216,9 @@ def read_run(rig: Rig, path: Path) -> Run:
             f"{path}: nothing was measured while the poses of the end effectors were recorded.",
             "Record poses and sensors together, with one clock.",
         )
-    sights, missed = placed_sights(rig, poses, measured)
+    firsts, missed = first_frames(rig, poses, measured)
+    if firsts:
+        placed(build_scene(rig), firsts)  # every marker is seen on its sheet
     said = [note for note in recording.notes if not note.thing]
     return Run(
         name=Path(path).name,
@@ -232,7 +235,7 @@ def read_run(rig: Rig, path: Path) -> Run:
             *blanked,
             *missed,
         ),
-        sights=sights,
+        firsts=firsts,
         unlike=unlike,
         doubts=tuple(told_once([note for note in said if note.severity == "warning"])),
         counted=tuple(note for note in recording.notes if note.thing),

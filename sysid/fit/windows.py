@@ -20,6 +20,7 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
 from sysid.fit.noise import channel_noise, moving
+from sysid.fit.placement import placed
 from sysid.fit.runs import Change, Measured, Run
 from sysid.likeness import span_of
 from sysid.parts import Part
@@ -60,7 +61,7 @@ def window_of(rig: Rig, run: Run, part: Part) -> Run:
     poses = {n: PoseTrajectory(p.times - part.begin, p.positions, p.quaternions) for n, p in run.poses.items()}
     changes: dict[str, Change] = {}
     if part.begin > 0.0:
-        if not build_scene(run.seen_by(rig)).all_held:
+        if not build_scene(rig).all_held:
             raise ConfigError(
                 f"The rig {rig.name} has bodies that lie free, and where they are when a window begins is not "
                 "recorded.",
@@ -135,8 +136,9 @@ def not_from_rest(rig: Rig, run: Run) -> list[str]:
     """A note for each channel whose readings where a window begins are not those of rest, by a rig that was fitted."""
     if not run.changes:
         return []
-    rig = run.seen_by(rig)
     scene = build_scene(rig)
+    rig = placed(scene, run.firsts)
+    scene.use(rig)
     at_first = {n: PoseTrajectory(p.times + run.since, p.positions, p.quaternions) for n, p in run.poses.items()}
     ends: list[Mapping[str, np.ndarray]] = []
     for poses, since in ((at_first, 0.0), (run.poses, run.since)):

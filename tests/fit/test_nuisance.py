@@ -245,18 +245,19 @@ def test_offsets_are_as_uncertain_as_the_rig_says(small_rig: Any) -> None:
             small_rig(end_effectors={"finger": finger | {"offset_sd_m": [1e-3, 5e-4, wrong]}})
 
 
-def test_a_camera_that_places_the_markers_has_no_nuisance_but_its_clock() -> None:
+@pytest.mark.parametrize("places", ["rig", "first_frame"])
+def test_a_camera_that_places_the_markers_has_the_nuisances_of_any(places: str) -> None:
     rig = load_rig("knit_acrylic_garter_x")
     run = Run("pull", "", (), {}, (Measured("video", "tracks", T, np.zeros((len(T), 10)), ()),), 2.0)
     asked = fit_parameters(rig, ["knit.E_pa"])
-    assert [p.name for p in nuisance_parameters(rig, [run], asked, KINDS)] == ["video.latency_s"]
     (sight,) = (video := rig.cameras["video"]).sees
-    fixed = sight.model_copy(update={"points": sight.points.model_copy(update={"placed": "rig"})})
+    seen = sight.model_copy(update={"points": sight.points.model_copy(update={"placed": places})})
+    offsets = [f"puller.{key}" for key in OFFSETS]
     for origin, expected in ((video.origin_id, ["scale_m_per_px"]), (None, ["scale_m_per_px", "cx_px", "cy_px"])):
-        camera = video.model_copy(update={"sees": (fixed,), "origin_id": origin})
+        camera = video.model_copy(update={"sees": (seen,), "origin_id": origin})
         there = rig.model_copy(update={"cameras": {"video": camera}})
-        found = nuisance_parameters(there, [run], asked, ("camera",))
-        assert [p.name for p in found] == [f"video.{e}" for e in expected]
+        found = [p.name for p in nuisance_parameters(there, [run], asked, KINDS)]
+        assert found == ["video.latency_s", *(f"video.{e}" for e in expected), *offsets]
 
 
 def test_the_width_of_a_bias_follows_large_readings() -> None:

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from sim_core.rigs import load_rig
+from sim_core.scene import build_scene
 from sysid.fit import fit_runs
 from sysid.fit.engine import Engine
+from sysid.fit.placement import placed
 from sysid.fit.runs import Measured, Run, load_run
 
 SHARED = Path(os.environ.get("THINSHELL_SHARED", Path(__file__).resolve().parents[3] / "shared"))
@@ -62,9 +64,8 @@ def test_rigs_agree_with_the_recordings(sheet: str) -> None:
     rig = load_rig(f"knit_{sheet}")
     run = load_run(rig, DATA / f"{sheet}_pull1")
     # The rig was written from the first frame of this pull: the pins are where it says.
-    given, found = (
-        np.array(c.sees[0].points.positions_m) for c in (rig.cameras["video"], run.seen_by(rig).cameras["video"])
-    )
+    seen_by = placed(build_scene(rig), run.firsts)
+    given, found = (np.array(r.cameras["video"].sees[0].points.positions_m) for r in (rig, seen_by))
     np.testing.assert_allclose(found, given, atol=3e-4)
     start = run.poses["puller"].positions[0]
     np.testing.assert_allclose(start, rig.end_effectors["puller"].start.position_m, atol=1e-5)
