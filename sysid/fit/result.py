@@ -259,10 +259,14 @@ def out_of_sight(problem: Problem, before: Fitted, after: Fitted) -> list[str]:
                 continue
             hidden = np.mean(np.isnan(after.predictions[i].values[m.channel][there]))
             if hidden:
-                notes.append(
-                    f"{run.name}: {m.channel}: {100 * hidden:.2g} % of the readings are of points that the fitted rig "
-                    "has out of sight, and are not compared. Check the pose and the intrinsics of the camera."
+                why = (
+                    "of points that the fitted rig has out of sight, and are not compared. Check the pose and the "
+                    "intrinsics of the camera."
+                    if m.kind == "tracks"
+                    else "of instants before or after the poses that were recorded, by the latency that was fitted, "
+                    "and are not compared."
                 )
+                notes.append(f"{run.name}: {m.channel}: {100 * hidden:.2g} % of the readings are {why}")
     return notes
 
 

@@ -71,7 +71,14 @@ class Readings:
 def run_of(name: str, *channels: str) -> Run:
     rng = np.random.default_rng(3)
     measured = tuple(
-        Measured(c, "markers", T, column(TRUTH) + 0.01 * rng.standard_normal((len(T), 1)), ("u",)) for c in channels
+        Measured(
+            c,
+            "tracks" if c == "side" else "markers",
+            T,
+            column(TRUTH) + 0.01 * rng.standard_normal((len(T), 1)),
+            ("u",),
+        )
+        for c in channels
     )
     return Run(name, name, (), {}, measured, 1.0)
 
@@ -133,6 +140,9 @@ def test_readings_that_are_predicted_out_of_sight_are_not_counted_but_told(small
     assert blind.estimates[0].sd == pytest.approx(alone.estimates[0].sd)
     (note,) = blind.notes
     assert note.startswith("press: side: 50 % of the readings are of points that the fitted rig has out of sight")
+    pressed = run_of("press", "markers")
+    (late,) = result_of(Readings(hidden="markers", begins=half), small_rig(), [pressed], []).notes
+    assert late.startswith("press: markers: 50 % of the readings are of instants before or after the poses")
 
 
 class Walled(Readings):
