@@ -29,7 +29,7 @@ from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, motions, slopes
 from sim_core.gradients.elements import Alongs, OwnNumbers
 from sim_core.gradients.fields import FieldSums
-from sim_core.gradients.losses import Loss, in_sight
+from sim_core.gradients.losses import Loss, in_sight, one_number
 from sim_core.gradients.made import Made
 from sim_core.gradients.mounts import carried_contacts, carried_freely
 from sim_core.gradients.pictures import Pictures
@@ -75,11 +75,11 @@ def simulate_adjoint(
     """Make the rollout, and the gradient of ``loss`` by the parameters ``along``, the ``fields`` and all else.
 
     ``memory_mb``: bound on the steps that are kept; those of longer rollouts are made twice. Raises ``ConfigError``
-    where the derivatives that the loss tells are not one for each reading of a channel.
+    where the loss is not a number, or its derivatives are not one for each reading of a channel.
     """
     tape = Tape(scene, poses, times, settings, memory_mb, on_step)
     value, by_readings = loss(tape.trace)
-    return Backward(tape, along, fields).gradient(value, by_readings)
+    return Backward(tape, along, fields).gradient(one_number(value), by_readings)
 
 
 class Backward:

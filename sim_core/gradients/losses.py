@@ -48,3 +48,15 @@ def in_sight(trace: Trace, by_readings: Mapping[str, np.ndarray]) -> dict[str, n
             )
         found[channel] = np.where(hidden, 0.0, weights)
     return found
+
+
+def one_number(value: float) -> float:
+    """The value of a loss. Raises ``ConfigError`` where it is not one finite real number."""
+    given = np.asarray(value)
+    if given.shape != () or given.dtype.kind not in "fiub" or not np.isfinite(given):
+        told = f"of shape {given.shape}" if given.shape else f"{value!r}"
+        raise ConfigError(
+            f"The value of the loss is {told}, not one finite real number.",
+            "Sum over readings, those that are out of sight (NaN) left out: float(np.nansum(...)).",
+        )
+    return float(given)

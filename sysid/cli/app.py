@@ -84,6 +84,9 @@ app.command("soak")(soak.soak)
 app.command("doctor")(doctor.doctor_command)
 
 
+INTERRUPTED = 130
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     given = sys.argv[1:] if arguments is None else arguments
@@ -93,6 +96,9 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         code = typer.main.get_command(app).main(plain or ["--help"], "thinshell", standalone_mode=False)
         sys.stdout.flush()
+        if code == INTERRUPTED:
+            # Typer turns Ctrl-C into this code.
+            raise KeyboardInterrupt
         return code if isinstance(code, int) else 0
     except (BrokenPipeError, SystemExit):
         # The reader has gone, as with `| head` (typer turns a broken pipe into SystemExit). Keep the
@@ -101,7 +107,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 141
     except KeyboardInterrupt:
         print("thinshell: interrupted.", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     except Exception as error:
         if debug:
             traceback.print_exc()

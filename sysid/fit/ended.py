@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 
 from sim_core.batch import worker_ended
 from sim_core.errors import ThinshellError
@@ -28,3 +32,17 @@ def stop(fitted: Fitted, error: BaseException, left: str) -> None:
         fitted.message += f"; {left}"
     else:
         fitted.converged, fitted.message = False, f"{left}. {why(error)}"
+
+
+@contextmanager
+def to_the_end() -> Iterator[None]:
+    """Ctrl-C does nothing within the block, in which what was found is put together: seconds in which all of it would
+    be lost."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)

@@ -15,7 +15,7 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.colour import unheard
 from sysid.fit.doubts import doubts
-from sysid.fit.ended import ENDS_EARLY, stop, why
+from sysid.fit.ended import ENDS_EARLY, stop, to_the_end, why
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.held_out import all_scored
@@ -129,27 +129,33 @@ def _fit_runs(
     search = Searches(rig, parameters, options, evaluations)
     found = _searched(engine, rig, runs, parameters, first, held_out, options, search, bias, on_progress)
     look, problem, fitted = found.look, found.problem, found.fitted
-    before = problem.compare([future.result() for future in as_given], rig, [], np.zeros(0))
-    nuisances = nuisances_of(problem, fitted)
-    own = own_sizes(problem)
-    errors = rms_errors(problem, before, fitted, held_out=False, own=own)
-    series = plot_series(problem, before, fitted, held_out=False, raw=runs)
-    sentences, left = [f.sentence for f in found.findings], unexplained(problem, fitted)
-    open_ended = names_undetermined(found.findings)
-    told = {run.unlike for run in runs if left}
-    notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes if note not in told]
-    notes += bounds_cut(rig, list(dict.fromkeys(p.target for p in asked)), options.bounds)
-    notes += [
-        f"What was known of {p.name} before: {p.physical(at):g} +- {p.known_sd * (p.physical(at) if p.log else 1.0):g} "
-        f"{p.unit}".rstrip()
-        for p, at in zip(parameters, first, strict=True)
-        if p.known_sd is not None
-    ]
-    if fitted.converged and fitted.message == AT_KINK:
-        notes.append(f"The search ended since {AT_KINK}; standard deviations are those of the side on which it stands.")
-    notes += (
-        search.ends + unheard(problem.noise) + overruled(runs, problem.noise) + out_of_sight(problem, before, fitted)
-    )
+    with to_the_end():
+        before = problem.compare([future.result() for future in as_given], rig, [], np.zeros(0))
+        nuisances = nuisances_of(problem, fitted)
+        own = own_sizes(problem)
+        errors = rms_errors(problem, before, fitted, held_out=False, own=own)
+        series = plot_series(problem, before, fitted, held_out=False, raw=runs)
+        sentences, left = [f.sentence for f in found.findings], unexplained(problem, fitted)
+        open_ended = names_undetermined(found.findings)
+        told = {run.unlike for run in runs if left}
+        notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes if note not in told]
+        notes += bounds_cut(rig, list(dict.fromkeys(p.target for p in asked)), options.bounds)
+        notes += [
+            f"What was known of {p.name} before: {p.physical(at):g} +- "
+            f"{p.known_sd * (p.physical(at) if p.log else 1.0):g} {p.unit}".rstrip()
+            for p, at in zip(parameters, first, strict=True)
+            if p.known_sd is not None
+        ]
+        if fitted.converged and fitted.message == AT_KINK:
+            notes.append(
+                f"The search ended since {AT_KINK}; standard deviations are those of the side on which it stands."
+            )
+        notes += (
+            search.ends
+            + unheard(problem.noise)
+            + overruled(runs, problem.noise)
+            + out_of_sight(problem, before, fitted)
+        )
     moved = []
     try:
         moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
@@ -164,36 +170,37 @@ def _fit_runs(
     final = as_usual(fitted.rig, nuisances)
     scores, said = all_scored(engine, fitted.rig, rig, final, held_out, problem.noise, bias, own)
     notes += said
-    if options.robust:
-        followed = [(score.run, score.prediction) for score in scores if score.prediction is not None]
-        seen, predictions = [*runs, *(r for r, _ in followed)], [*fitted.predictions, *(p for _, p in followed)]
-        mistakes = [o for r, p in followed for o in without_outliers([r], [p], problem.noise)[1]]
-        notes += [o.sentence for o in look.outliers] + [o.sentence_of_score for o in mistakes]
-        notes += not_looked_for(seen, predictions, problem.noise)
-    result = FitResult(
-        rig=rig.name,
-        estimates=found.estimates,
-        correlation=found.correlation,
-        identifiability=sentences,
-        errors=errors + [error for score in scores for error in score.errors],
-        misfit=fitted.misfit,
-        reduced_chi2=found.reduced_chi2,
-        converged=fitted.converged,
-        message=fitted.message,
-        evaluations=evaluations.done,
-        seconds=time.monotonic() - started,
-        noise={c: _shown([*runs, *held_out], c, n) for c, n in problem.noise.items()},
-        notes=notes,
-        provenance=provenance(rig, list(runs), list(held_out), options.seed, options.told()),
-        series=series + [one for score in scores for one in score.series],
-        nuisances=nuisances,
-        remarks=remarks(rig, nuisances, trusted=not left and not open_ended),
-        profiles=found.profiles,
-        outliers=look.outliers,
-        unexplained=left,
-        cautions=doubts(rig, runs) + loud(problem) + doubtful(problem),
-        undetermined=open_ended | {p.name for p in found.profiles if p.undetermined},
-    )
+    with to_the_end():
+        if options.robust:
+            followed = [(score.run, score.prediction) for score in scores if score.prediction is not None]
+            seen, predictions = [*runs, *(r for r, _ in followed)], [*fitted.predictions, *(p for _, p in followed)]
+            mistakes = [o for r, p in followed for o in without_outliers([r], [p], problem.noise)[1]]
+            notes += [o.sentence for o in look.outliers] + [o.sentence_of_score for o in mistakes]
+            notes += not_looked_for(seen, predictions, problem.noise)
+        result = FitResult(
+            rig=rig.name,
+            estimates=found.estimates,
+            correlation=found.correlation,
+            identifiability=sentences,
+            errors=errors + [error for score in scores for error in score.errors],
+            misfit=fitted.misfit,
+            reduced_chi2=found.reduced_chi2,
+            converged=fitted.converged,
+            message=fitted.message,
+            evaluations=evaluations.done,
+            seconds=time.monotonic() - started,
+            noise={c: _shown([*runs, *held_out], c, n) for c, n in problem.noise.items()},
+            notes=notes,
+            provenance=provenance(rig, list(runs), list(held_out), options.seed, options.told()),
+            series=series + [one for score in scores for one in score.series],
+            nuisances=nuisances,
+            remarks=remarks(rig, nuisances, trusted=not left and not open_ended),
+            profiles=found.profiles,
+            outliers=look.outliers,
+            unexplained=left,
+            cautions=doubts(rig, runs) + loud(problem) + doubtful(problem),
+            undetermined=open_ended | {p.name for p in found.profiles if p.undetermined},
+        )
     return result, final
 
 
@@ -386,7 +393,8 @@ def fit_bags(
     with whole_folder(out) as folder:
         runs, kept = load_runs(rig, bags, held_out, on_warning)
         result, fitted = fit_runs(rig, runs, names, options, held_out=kept, on_progress=on_progress, on_step=on_step)
-        result.write(folder / "fit.json")
-        (folder / "fitted_rig.yaml").write_text(rig_to_yaml(fitted))
-        report = write_fit_report(result, folder / "report.html")
+        with to_the_end():
+            result.write(folder / "fit.json")
+            (folder / "fitted_rig.yaml").write_text(rig_to_yaml(fitted))
+            report = write_fit_report(result, folder / "report.html")
     return f"{result.table()}\n\nReport: {out / report.name}"

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import os
+import signal
+import time
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -491,3 +495,23 @@ def test_the_misfit_of_a_result_is_that_of_its_last_step(small_rig: Any) -> None
     white = (run.measured[0].values - column(result.estimates[0].value)) / 0.01
     assert result.misfit == pytest.approx(float(np.mean(white**2)), rel=1e-6)
     assert result.misfit < result.reduced_chi2
+
+
+@pytest.mark.parametrize("part", ["sysid.fit.fit.rms_errors", "sysid.fit.fit.remarks"])
+def test_ctrl_c_does_not_take_what_is_being_put_together(
+    part: str, small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A signal, as the keyboard sends it; afterwards it ends things again."""
+    module, name = part.rsplit(".", 1)
+    given = getattr(importlib.import_module(module), name)
+
+    def pressed(*arguments: Any, **more: Any) -> Any:
+        os.kill(os.getpid(), signal.SIGINT)
+        return given(*arguments, **more)
+
+    monkeypatch.setattr(part, pressed)
+    result = result_of(Readings(), small_rig(), [run_of("press", "markers")], [])
+    assert result.converged and result.estimates[0].value == pytest.approx(TRUTH, rel=0.05)
+    with pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1.0)

@@ -10,7 +10,7 @@ from test_tangent import PRESS
 
 from sim_core.errors import ConfigError
 from sim_core.gradients import Backward, Tape, directions, simulate_adjoint
-from sim_core.gradients.losses import in_sight
+from sim_core.gradients.losses import in_sight, one_number
 from sim_core.scene import build_scene
 from sim_core.simulate import Trace, step_times
 
@@ -45,6 +45,13 @@ def test_what_is_out_of_sight_counts_as_zero_whatever_its_derivative():
     np.testing.assert_array_equal(found["load"], np.where(READINGS == 7.0, 0.0, 2.0 * READINGS))
     with pytest.raises(ConfigError, match=r"1 derivatives .* \(2, 2\): nan"):
         in_sight(trace_of(HIDDEN), {"load": np.where(READINGS == 8.0, np.nan, 2.0 * HIDDEN)})
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, READINGS**2, 2j, "2", None])
+def test_a_loss_is_one_number(value):
+    with pytest.raises(ConfigError, match="not one finite real number"):
+        one_number(value)
+    assert one_number(np.float32(2.0)) == 2.0 and one_number(3) == 3.0
 
 
 def test_a_loss_on_the_last_instant_is_not_spread_over_all(small_rig, visit):
