@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from own_error_model import Vector
 
+from sysid.fit import fit
+from sysid.fit.noise import ChannelNoise
 from sysid.fit.pool import PooledEngine
 
 
@@ -28,3 +30,15 @@ def vectors(monkeypatch: pytest.MonkeyPatch) -> None:
     for module, name in (("sysid.fit.problem", "rig_at"), ("sysid.fit.own_error", "rig_in")):
         monkeypatch.setattr(f"{module}.{name}", rig_at)
         monkeypatch.setattr(f"{module}.start_of", lambda rig, parameters: rig.x)
+
+
+@pytest.fixture
+def declared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The noise of all channels is told, and nothing of the machine is in results."""
+    noise = ChannelNoise(np.array([0.01]), 0.0, "test")
+    monkeypatch.setattr(
+        fit,
+        "channel_noise",
+        lambda rig, runs, held_out=(): {m.channel: noise for r in (*runs, *held_out) for m in r.measured},
+    )
+    monkeypatch.setattr(fit, "provenance", lambda *given: {})
