@@ -189,7 +189,10 @@ def test_ctrl_c_does_not_take_what_is_being_put_together(
     monkeypatch.setattr(part, pressed)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
     try:
-        result = result_of(Readings(), small_rig(), [run_of("press", "markers")], [])
+        try:
+            result = result_of(Readings(), small_rig(), [run_of("press", "markers")], [])
+        except KeyboardInterrupt:
+            pytest.fail("the fit is lost")
         assert result.converged and result.estimates[0].value == pytest.approx(TRUTH, rel=0.05)
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)

@@ -180,3 +180,13 @@ def test_steps_within_the_tolerance_are_taken_until_they_are_short() -> None:
         assert end.converged and end.message == AT_MINIMUM
         assert problem.done <= most
         assert steps[0] > 0.05 and np.max(np.abs(end.best.x - 1.0)) < 0.01
+
+
+def test_a_step_within_the_tolerance_that_makes_it_worse_is_the_end() -> None:
+    """What lies beyond it is no more than the tolerance, and is not looked for."""
+    problem = Counted(sharp, 50)
+    first = problem.look(np.array([1.4, 0.0]))
+    assert first is not None
+    end = minimise(problem.look, first, WIDE, tolerance=100.0, go_on=lambda: True, short=lambda step: False)
+    assert end.converged and end.message == AT_MINIMUM and problem.done == 2
+    assert end.best is first

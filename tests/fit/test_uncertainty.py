@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from sysid.fit.colour import Samples
 from sysid.fit.fitted import Fitted
 from sysid.fit.parameters import FitParameter
 from sysid.fit.uncertainty import UNDETERMINED_SHARE, WIDEST, interval, names_undetermined, uncertainty
@@ -127,20 +128,35 @@ def test_what_was_known_before_is_not_widened_by_a_misfit(misfit: float) -> None
     assert found.sd == pytest.approx([(1.0 / (reduced * sd**2) + known**-2) ** -0.5, known], rel=1e-6)
 
 
+def waving(amplitude: float, strength: float, known: float | None) -> Fitted:
+    """A fit that misses by noise and a wave of ``amplitude``, which is as good as it gets. Its readings tell of a
+    parameter to 1 / ``strength``; it was ``known`` before so well."""
+    t = np.linspace(0.0, 1.0, 1000)
+    wave = np.sin(3.0 * t)
+    residual = np.random.default_rng(1).standard_normal(len(t)) + amplitude * np.sin(7.0 * t + 0.3)
+    residual -= wave * (wave @ residual) / (wave @ wave)
+    jacobian, labels = strength * wave / np.linalg.norm(wave), [(0, "gauge", t)]
+    fit = fitted(np.ones((2, 1)))
+    if known is not None:
+        residual, jacobian = np.append(residual, 0.0), np.append(jacobian, 1.0 / known)
+        labels.append((-1, "prior", np.zeros(1)))
+    parameter = replace(fit.parameters[0], prior_sd=known or 1.0, known_sd=known)
+    return replace(fit, parameters=[parameter], residual=residual, jacobian=jacobian[:, None], labels=labels)
+
+
 @pytest.mark.parametrize("amplitude", [0.0, 3.0, 10.0])
 @pytest.mark.parametrize("strength", [0.3, 1.0, 10.0])
 def test_what_was_known_before_is_not_widened_by_a_misfit_with_structure(strength: float, amplitude: float) -> None:
     """The search weighs it up beside recordings in which neighbours miss alike: what those say may be worth nothing,
     but takes nothing from what was known."""
-    known, t = 0.05, np.linspace(0.0, 1.0, 1000)
-    wave = np.sin(3.0 * t)
-    slope = strength / known * wave / np.linalg.norm(wave)
-    residual = np.random.default_rng(1).standard_normal(len(t)) + amplitude * np.sin(7.0 * t + 0.3)
-    residual -= wave * (wave @ residual) / (wave @ wave)
-    parameter = replace(fitted(np.ones((2, 1))).parameters[0], prior_sd=known, known_sd=known)
-    fit = replace(
-        fitted(np.ones((2, 1))), parameters=[parameter], residual=np.append(residual, 0.0),
-        jacobian=np.append(slope, 1.0 / known)[:, None],
-        labels=[(0, "gauge", t), (-1, "prior", np.zeros(1))],
-    )  # fmt: skip
-    assert uncertainty(fit).sd[0] < 1.1 * known
+    known = 0.05
+    assert uncertainty(waving(amplitude, strength / known, known)).sd[0] < 1.1 * known
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 3.0, 10.0])
+def test_what_was_known_hardly_before_changes_nothing(amplitude: float) -> None:
+    """However much it is weighed up beside a misfit with structure, of which the colour is seen."""
+    samples = Samples(np.ones((1000, 1), dtype=bool), np.linspace(0.0, 1.0, 1000), (np.array([0]),))
+    fits = [replace(waving(amplitude, 1e4, known), compared={(0, "gauge"): samples}) for known in (1.0, None)]
+    hardly, never = (uncertainty(fit).sd[0] for fit in fits)
+    assert hardly == pytest.approx(never, rel=1e-3)

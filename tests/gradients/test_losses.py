@@ -62,6 +62,8 @@ def test_a_loss_on_the_last_instant_is_not_spread_over_all(small_rig, visit):
         channel, readings = next(iter(trace.outputs.items()))
         return float(np.sum(readings[-1] ** 2)), {channel: 2.0 * readings[-1]}
 
+    with pytest.raises(ConfigError, match="not one finite real number"):
+        simulate_adjoint(scene, visit(*PRESS), times, lambda trace: (np.nan, {}), along)
     with pytest.raises(ConfigError, match="as its readings"):
         simulate_adjoint(scene, visit(*PRESS), times, last, along)
     tape = Tape(scene, visit(*PRESS), times)
