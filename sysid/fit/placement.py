@@ -83,8 +83,7 @@ def placed(scene: Scene, firsts: FirstFrames) -> Rig:
         sights = list(rig.cameras[name].sees)
         for index, sight, rows, pixels in _seen(rig, name, first):
             positions = np.array(sight.points.positions_m)
-            for row, pixel in zip(rows, pixels, strict=True):
-                corners, weights, _ = _under(simulation, name, sight, row, pixel)
+            for row, (corners, weights, _) in zip(rows, _under(simulation, name, sight, rows, pixels), strict=True):
                 positions[row] = weights @ corners
             sights[index] = _with_positions(sight, positions)
         cameras[name] = rig.cameras[name].model_copy(update={"sees": tuple(sights)})
@@ -101,9 +100,9 @@ def placed_along(scene: Scene, firsts: FirstFrames, along: Sequence[Direction]) 
         simulation.reset(_frames(scene.rig, name, first))
         at_once = np.nan_to_num(simulation.derivatives[name])
         by_pixel = {
-            (index, row): _under(simulation, name, sight, row, pixel)[2]
+            (index, row): slope
             for index, sight, rows, pixels in _seen(scene.rig, name, first)
-            for row, pixel in zip(rows, pixels, strict=True)
+            for row, (_, _, slope) in zip(rows, _under(simulation, name, sight, rows, pixels), strict=True)
         }
         counts = [sight.points.count for sight in scene.rig.cameras[name].sees]
         start = np.cumsum([0, *counts])
@@ -151,10 +150,10 @@ def _seen(rig: Rig, name: str, first: FirstFrame) -> list[tuple[int, Sight, np.n
 
 
 def _under(
-    simulation: Simulation, name: str, sight: Sight, row: int, pixel: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The triangle of a sheet that is seen at a pixel: its corners on the sheet [m] ``(3, 3)``, the weights of the
-    place on them ``(3,)``, and the derivative of the place by the pixel [m/px] ``(3, 2)``."""
+    simulation: Simulation, name: str, sight: Sight, rows: np.ndarray, pixels: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """The triangle of a sheet that is seen at each of ``pixels`` ``(k, 2)``: its corners on the sheet [m] ``(3, 3)``,
+    the weights of the place on them ``(3,)``, and the derivative of the place by the pixel [m/px] ``(3, 2)``."""
     scene = simulation.scene
     body, lens = scene.bodies[sight.body], scene.rig.cameras[name]
     assert isinstance(body.layout, sheets.SheetMesh)
@@ -162,19 +161,22 @@ def _under(
     origin, rotation = lens.truly(*world_pose(lens.pose, frames[lens.mount]))
     picture = project(lens, rotation.inv().apply(scene.system.x[body.nodes] - origin))
     flat = sheets.SheetMesh(np.column_stack([picture, np.zeros(len(picture))]), body.layout.triangles)
-    try:
-        triangle, weights = sheets.locate(flat, pixel[None])
-    except ConfigError:
-        low, high = np.nanmin(picture, axis=0), np.nanmax(picture, axis=0)
-        marker = row if sight.points.ids is None else sight.points.ids[row]
-        raise RecordingError(
-            f"{name}: marker {marker} is first seen at {pixel.round(1).tolist()} px, but {sight.body} "
-            f"reaches from {low.round(1).tolist()} to {high.round(1).tolist()} px there.",
-            "Correct the size or the pose of the sheet, or the scale and the origin of the camera.",
-        ) from None
-    corners = body.layout.triangles[triangle[0]]
-    local, shown = body.layout.nodes[corners], picture[corners]
-    return local, weights[0], (local[1:] - local[0]).T @ np.linalg.inv((shown[1:] - shown[0]).T)
+    found = []
+    for row, pixel in zip(rows, pixels, strict=True):
+        try:
+            triangle, weights = sheets.locate(flat, pixel[None])
+        except ConfigError:
+            low, high = np.nanmin(picture, axis=0), np.nanmax(picture, axis=0)
+            marker = row if sight.points.ids is None else sight.points.ids[row]
+            raise RecordingError(
+                f"{name}: marker {marker} is first seen at {pixel.round(1).tolist()} px, but {sight.body} "
+                f"reaches from {low.round(1).tolist()} to {high.round(1).tolist()} px there.",
+                "Correct the size or the pose of the sheet, or the scale and the origin of the camera.",
+            ) from None
+        corners = body.layout.triangles[triangle[0]]
+        local, shown = body.layout.nodes[corners], picture[corners]
+        found.append((local, weights[0], (local[1:] - local[0]).T @ np.linalg.inv((shown[1:] - shown[0]).T)))
+    return found
 
 
 def _later(simulation: Simulation, name: str, first: FirstFrame, direction: Direction) -> np.ndarray:
