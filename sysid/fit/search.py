@@ -1,12 +1,11 @@
 """The search for the parameters that fit best: trust region, bounds, analytic derivatives, in stages.
 
-A stage ends when chi-square improves by less than chance makes of it, kappa = :func:`chance`, and no parameter is asked
-to go on by more than a small share of its standard deviation: kappa is a mean over all of them, and one of which the
-misfit says nothing is known better than that. While the
-model is wrong its misfit has structure, kappa is large, and chi-square counts the same evidence kappa
-times; the prior, where there is one, is then weighed up as much, so that parameters do not run to where no
-material is to cover what the model lacks (a tempered posterior, Gruenwald & van Ommen 2017). As the fit
-improves kappa falls, and the next stage goes on with what it is then, down to 1.
+A stage ends when chi-square improves by less than chance makes of it, kappa = :func:`chance`, and no parameter is
+asked to go on by more than a small share of its standard deviation: kappa is a mean over all of them, and one of
+which the misfit says nothing is known better than that. While the model is wrong its misfit has structure, kappa is
+large, and chi-square counts the same evidence kappa times; the prior, where there is one, is then weighed up as much,
+so that parameters do not run to where no material is to cover what the model lacks (a tempered posterior, Gruenwald &
+van Ommen 2017). As the fit improves kappa falls, and the next stage goes on with what it is then, down to 1.
 """
 
 from __future__ import annotations
