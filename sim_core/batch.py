@@ -62,8 +62,8 @@ def simulate_batch(
 
 @contextmanager
 def worker_pool(workers: int, start: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
-    """Processes that are started afresh, and call ``start`` once. Where the block is left by an error they end at once,
-    whatever they are doing. Raises ``WorkerError`` if one of them has ended before.
+    """Processes that are started afresh, and call ``start`` once. When the block is left they end at once, whatever
+    they are doing. Raises ``WorkerError`` if one of them has ended before.
 
     Linear algebra has one thread within the block, here too: threads that wait for work take the cores from the
     workers. A script does its work under ``if __name__ == "__main__"``: each process imports it.
@@ -72,12 +72,10 @@ def worker_pool(workers: int, start: Callable[[], None] | None = None) -> Iterat
     try:
         with threadpool_limits(1):
             yield pool
-    except BaseException as error:
+    except BrokenProcessPool as error:
+        raise worker_ended() from error
+    finally:
         _give_up(pool)
-        if isinstance(error, BrokenProcessPool):
-            raise worker_ended() from error
-        raise
-    pool.shutdown()
 
 
 def worker_ended() -> WorkerError:

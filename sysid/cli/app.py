@@ -1,7 +1,7 @@
 """Entry point of ``thinshell``: collects the subcommands and turns errors into one paragraph.
 
-Exit codes: 0 done; 1 a defect of the program, or a soak that found one; 2 input or data that cannot be used; 130
-interrupted.
+Exit codes: 0 done; 1 a defect of the program, or a soak that found one; 2 input or data that cannot be used; 3 a fit
+that did not converge; 130 interrupted.
 """
 
 from __future__ import annotations

@@ -21,8 +21,13 @@ from sysid.cli.options import (
     parse_nuisance,
     parse_pairs,
 )
-from sysid.cli.progress import progress, warn
+from sysid.cli.progress import interrupts_told, progress, warn
 from sysid.parts import check_parts
+
+NOT_CONVERGED = 3
+"""Exit code."""
+
+KEPT = "Interrupted: what was found so far is put together."
 
 
 def fit(
@@ -62,11 +67,13 @@ def fit(
 ) -> None:
     """Estimate parameters of a rig, their uncertainty, and how well held-out recordings are predicted.
 
+    Exit code 3: the fit did not converge. Ctrl-C keeps what was found so far.
+
     Example: thinshell fit card_press run1 run2 --params card.E,gel.E --held-out run3 --out fit
     """
     from sim_core.rigs import load_rig, resolve_name
     from sysid import rig_topics
-    from sysid.fit import FitOptions, fit_bags
+    from sysid.fit import REPORT, FitOptions, fit_bags
     from sysid.fit.parameters import asked_for
 
     chosen = rig_topics.without(load_rig(rig), without or [])
@@ -87,8 +94,8 @@ def fit(
     )  # fmt: skip
     check_parts(bags, held_out or [])
     check_new(out, "folder")
-    with progress("fit") as report:
-        summary = fit_bags(
+    with interrupts_told(KEPT) as pressed, progress("fit") as report:
+        result = fit_bags(
             chosen,
             bags,
             names,
@@ -98,4 +105,8 @@ def fit(
             on_progress=report,
             on_warning=warn,
         )
-    print(summary)
+    print(f"{result.table()}\n\nReport: {out / REPORT}")
+    if pressed.is_set():
+        raise KeyboardInterrupt
+    if not result.converged:
+        raise typer.Exit(NOT_CONVERGED)

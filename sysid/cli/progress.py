@@ -1,17 +1,24 @@
-"""Progress on the terminal: a bar where someone is looking, one line at once and every ten percent elsewhere.
+"""Progress on the terminal: a bar where someone is looking, elsewhere a line at once, every ten percent, and after each
+minute of silence.
 
 Both estimate the time that is left from the share that is done.
 """
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from threading import Event
+from types import FrameType
 
 ProgressCallback = Callable[[float, str], None]
 """Called with the share of the work that is done (0 to 1) and a word on what is being done."""
+
+SILENCE_S = 60.0
+"""A line comes after so long without one."""
 
 
 def warn(text: str) -> None:
@@ -49,16 +56,37 @@ def _bar(title: str) -> Iterator[ProgressCallback]:
 
 
 def _lines(title: str) -> ProgressCallback:
-    started = time.monotonic()
+    started = heard = time.monotonic()
     last = -1
 
     def report(share: float, text: str) -> None:
-        nonlocal last
-        tenth = int(10 * share)
-        if tenth > last:
-            last = tenth
-            spent = time.monotonic() - started
+        nonlocal last, heard
+        tenth, now = int(10 * share), time.monotonic()
+        if tenth > last or now - heard > SILENCE_S:
+            last, heard = max(tenth, last), now
+            spent = now - started
             left = f", about {spent * (1.0 / share - 1.0):.0f} s left" if tenth and share < 1.0 else ""
-            print(f"{title}: {10 * tenth} % after {spent:.0f} s{left}: {text}".removesuffix(": "), file=sys.stderr)
+            print(f"{title}: {100 * share:.0f} % after {spent:.0f} s{left}: {text}".removesuffix(": "), file=sys.stderr)
 
     return report
+
+
+@contextmanager
+def interrupts_told(words: str) -> Iterator[Event]:
+    """Ctrl-C within the block is answered with ``words`` on stderr and sets the event, before it does anything."""
+    pressed = Event()
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.default_int_handler:
+        yield pressed
+        return
+
+    def told(number: int, frame: FrameType | None) -> None:
+        pressed.set()
+        print(f"\n{words}", file=sys.stderr, flush=True)
+        signal.default_int_handler(number, frame)
+
+    signal.signal(signal.SIGINT, told)
+    try:
+        yield pressed
+    finally:
+        signal.signal(signal.SIGINT, before)

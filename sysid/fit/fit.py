@@ -52,6 +52,9 @@ USUAL_OPTIONS = FitOptions()
 ENDS = 3
 """Times that a fit is looked at where its intervals end; where it is better there it is searched for on from there."""
 
+REPORT = "report.html"
+"""The report in the folder of a fit."""
+
 LOOKS = 3
 """Times that mistaken readings are looked for and the fit repeated without them."""
 
@@ -129,6 +132,8 @@ def _fit_runs(
     search = Searches(rig, parameters, options, evaluations)
     found = _searched(engine, rig, runs, parameters, first, held_out, options, search, bias, on_progress)
     look, problem, fitted = found.look, found.problem, found.fitted
+    if fitted.interrupted and on_progress is not None:
+        on_progress(0.97, "interrupted; what was found is put together")
     with to_the_end():
         before = problem.compare([future.result() for future in as_given], rig, [], np.zeros(0))
         nuisances = nuisances_of(problem, fitted)
@@ -245,8 +250,9 @@ def _searched(
                 raise
             stop(fitted, error, "a better fit that is known was not searched from")
             break
-        estimates, correlation, findings, reduced = estimates_of(fitted, first)
-        findings += [Finding(sentence) for sentence in blamed(problem, fitted, sorted(options.kinds))]
+        with to_the_end():
+            estimates, correlation, findings, reduced = estimates_of(fitted, first)
+            findings += [Finding(sentence) for sentence in blamed(problem, fitted, sorted(options.kinds))]
         profiles: list[Profile] = []
         better = None
         try:
@@ -359,16 +365,23 @@ def _profiled(
             on_progress(searched + (0.98 - searched) * share, text)
 
     profiler = Profiler(problem, fitted, tell)
+    profiles: list[Profile] = []
     if intervals == "checked":
-        return [], findings + [Finding(sentence) for sentence in profiler.check()], profiler.better
-    profiles = profiler.profiles()
-    better = profiler.lower()
-    if better:
-        return profiles, [*findings, Finding(better)], profiler.better
-    said = [p for p in profiles if p.sentence]
-    replaced = {(p.name,) for p in said if p.limited}
-    kept = [f for f in findings if f.undetermined not in replaced]
-    return profiles, [*kept, *(Finding(p.sentence) for p in said)], None
+        findings = [*findings, *(Finding(sentence) for sentence in profiler.check())]
+    else:
+        profiles = profiler.profiles()
+        better = profiler.lower()
+        said = [] if better else [p for p in profiles if p.sentence]
+        replaced = {(p.name,) for p in said if p.limited}
+        findings = [f for f in findings if f.undetermined not in replaced]
+        findings += [Finding(better)] if better else [Finding(p.sentence) for p in said]
+    if profiler.interrupted:
+        return (
+            profiles,
+            [*findings, Finding("Not all intervals were looked at along the likelihood: interrupted.")],
+            None,
+        )
+    return profiles, findings, profiler.better
 
 
 def fit_bags(
@@ -382,7 +395,7 @@ def fit_bags(
     on_progress: Progress | None = None,
     on_step: Callable[[Step], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
-) -> str:
+) -> FitResult:
     """Fit bags (:func:`fit_runs`) and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``.
     ``on_warning``: hears which bounds are cut and what speaks against the recordings before anything is simulated."""
     from sysid.report import write_fit_report
@@ -396,5 +409,5 @@ def fit_bags(
         with to_the_end():
             result.write(folder / "fit.json")
             (folder / "fitted_rig.yaml").write_text(rig_to_yaml(fitted))
-            report = write_fit_report(result, folder / "report.html")
-    return f"{result.table()}\n\nReport: {out / report.name}"
+            write_fit_report(result, folder / REPORT)
+    return result

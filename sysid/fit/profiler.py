@@ -139,6 +139,11 @@ class Profiler:
         return found
 
     @property
+    def interrupted(self) -> bool:
+        """Ctrl-C has cut off what was asked for."""
+        return self._stop.is_set()
+
+    @property
     def better(self) -> np.ndarray | None:
         """Scaled values ``(p,)`` of a better fit that was met on the way."""
         return self._lowest.scaled if self._gained() >= self._gain else None

@@ -164,7 +164,7 @@ def test_progress_without_a_terminal_is_a_line_at_once_and_every_tenth(capsys: p
             report(step / 100, "first" if step == 1 else "")
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 11
-    assert lines[0].startswith("work: 0 % after") and lines[0].endswith("s: first")
+    assert lines[0].startswith("work: 1 % after") and lines[0].endswith("s: first")
     assert "left" in lines[1]
     assert lines[-1].startswith("work: 100 % after")
 
@@ -177,7 +177,19 @@ def test_progress_without_a_terminal_says_how_long_it_will_take(
     with progress("work") as report:
         report(0.25, "first part")
         report(1.0, "")
-    assert capsys.readouterr().err == "work: 20 % after 10 s, about 30 s left: first part\nwork: 100 % after 40 s\n"
+    assert capsys.readouterr().err == "work: 25 % after 10 s, about 30 s left: first part\nwork: 100 % after 40 s\n"
+
+
+def test_progress_without_a_terminal_is_not_silent_for_long(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = iter([0.0, 1.0, 50.0, 70.0, 100.0, 140.0])
+    monkeypatch.setattr("sysid.cli.progress.time.monotonic", lambda: next(clock))
+    with progress("work") as report:
+        for share in (0.0, 0.04, 0.05, 0.06, 0.07):
+            report(share, "on")
+    said = capsys.readouterr().err.splitlines()
+    assert said == ["work: 0 % after 1 s: on", "work: 5 % after 70 s: on", "work: 7 % after 140 s: on"]
 
 
 def test_package_xml_has_the_version_of_the_package() -> None:

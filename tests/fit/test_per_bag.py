@@ -81,7 +81,7 @@ def test_the_result_of_a_fit_of_bags_has_a_value_for_each(tmp_path: Path) -> Non
         FitOptions(per_bag=["strip.E"], nuisance=("none",), intervals="quadratic", bounds={"strip.E": (1e8, 1e20)}),
         out=tmp_path / "out",
         on_warning=warnings.append,
-    )
+    ).table()
     result = json.loads((tmp_path / "out" / "fit.json").read_text())
     (cut,) = warnings
     assert "strip.E_pa, 1e+20, is beyond its own limit, 1e+13" in cut and cut in result["notes"]

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -246,6 +249,32 @@ def test_only_what_says_as_much_takes_the_place_of_not_determined(broken_from: f
     said = [f.sentence for f in found]
     assert profiles[0].ends == ("found", "open" if replaced else "failed")
     assert profiles[0].sentence in said and (before in said) != replaced
+
+
+class Pressed(Curve):
+    """Ctrl-C is pressed once, while the first end of an interval is simulated."""
+
+    pressed = False
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        if not self.pressed:
+            self.pressed = True
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.5)
+        return super().predict_all(rig, runs, parameters, scaled)
+
+
+@pytest.mark.parametrize("intervals", ["checked", "profiled"])
+def test_ctrl_c_on_the_way_to_the_ends_is_told(intervals: Intervals) -> None:
+    problem, fitted = fitted_to(linear, (0.4, -0.3))
+    problem.engine = cast(Engine, Pressed(linear))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
+    try:
+        _, found, better = _profiled(problem, fitted, [], intervals, None)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert better is None
+    assert [f.sentence for f in found] == ["Not all intervals were looked at along the likelihood: interrupted."]
 
 
 class Hiding(Curve):
