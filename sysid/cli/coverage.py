@@ -22,8 +22,8 @@ def coverage(
         int,
         whole_number(
             "--refine",
-            "How much finer, in mesh and step, the truth is simulated than the fit. Fits learn their own error by "
-            "halving both, so with 2 the truth differs from their model by just what they have learnt",
+            "How much finer, in mesh and step, the truth is simulated than the fit. Fits learn their discretisation "
+            "error by halving both, so with 2 the truth differs from their model by just what they have learnt",
             1,
             8,
         ),

@@ -17,7 +17,7 @@ least squares (Lawson & Hanson 1974, ch. 23):
 and beside the bias of each column, where that is taken out. Matrices that depend on the distance of samples alone are
 taken to go on beyond the ends of a recording, so that all products with J come from its cross-correlations; what S_l
 misses of samples that are missing is taken for the same share everywhere. Lags are lags in time: messages that were
-lost are samples that are missing. What the simulator's own error takes up is left out: noise that it resembles is
+lost are samples that are missing. What the discretisation error takes up is left out: noise that it resembles is
 underrated.
 
 The scores J^T r then have the covariance J^T C J instead of J^T J. Only intervals know of it, and only where it

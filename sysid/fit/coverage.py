@@ -6,8 +6,9 @@ biases of wrenches, cameras that are off) drawn from the priors that a fit has o
 is inside the interval that the curvature at the best fit gives, without the look along the likelihood that ``thinshell
 fit`` takes as well. Cases are numbered, so that any of them can be run again by itself; one process a core.
 
-A fit learns the error of its mesh and time step by halving them (:mod:`sysid.fit.own_error`). A truth of half the mesh
-and half the step differs from the fit's model by just what it has learnt, so the usual truth is three times finer.
+A fit learns the error of its mesh and time step by halving them (:mod:`sysid.fit.discretisation_error`). A truth of
+half the mesh and half the step differs from the fit's model by just what it has learnt, so the usual truth is three
+times finer.
 
 The noise of forces and torques may be coloured, as that of a sensor with a filter: n_k = rho n_{k-1} + sqrt(1 - rho^2)
 w_k, with w white and rho from sample to sample; its standard deviation stays what the rig declares.
@@ -45,7 +46,7 @@ Progress = Callable[[float, str], None]
 
 USUAL_REFINE = 3
 """How much finer the truth is than the fit, in cells in each direction and in steps: no 2, with which fits learn their
-own error."""
+discretisation error."""
 
 
 @dataclass(frozen=True)

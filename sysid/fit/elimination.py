@@ -9,7 +9,7 @@ which is Woodbury's identity. With M = (I + O O^T)^-1 = I - O (I + O^T O)^-1 O^T
 
     c = (I + C^T M C)^-1 C^T M v,    o = (I + O^T O)^-1 O^T (v - C c).
 
-O and C are products of shapes and few functions of time, whitened (:class:`sysid.fit.directions.Changes`). They are
+O and C are products of shapes and few functions of time, whitened (:class:`sysid.fit.error_shapes.Changes`). They are
 never formed but for one column at a time: 254 columns of 2000 samples would make a gigabyte of them.
 """
 
@@ -19,7 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sysid.fit.directions import Basis, Changes, Sizes, added, told
+from sysid.fit.error_shapes import Basis, Changes, Sizes, added, told
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.whitening import Whitening
 

@@ -14,6 +14,13 @@ import numpy as np
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.colour import unheard
+from sysid.fit.discretisation_error import (
+    Unmeasured,
+    doubtful,
+    error_sizes,
+    fit_beside_discretisation,
+    loud,
+)
 from sysid.fit.doubts import doubts
 from sysid.fit.ended import ENDS_EARLY, stop, to_the_end, why
 from sysid.fit.engine import Prediction
@@ -25,7 +32,6 @@ from sysid.fit.noise import ChannelNoise, channel_noise, column_groups, overrule
 from sysid.fit.nuisance import has_bias, nuisance_parameters
 from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
-from sysid.fit.own_error import Unmeasured, doubtful, fit_beside_own_error, loud, own_sizes
 from sysid.fit.parameters import FitParameter, asked_for, bounds_cut, rig_at, start_of
 from sysid.fit.pool import AnyEngine, PooledEngine
 from sysid.fit.problem import Problem
@@ -137,7 +143,7 @@ def _fit_runs(
     with to_the_end():
         before = problem.compare([future.result() for future in as_given], rig, [], np.zeros(0))
         nuisances = nuisances_of(problem, fitted)
-        own = own_sizes(problem)
+        own = error_sizes(problem)
         errors = rms_errors(problem, before, fitted, held_out=False, own=own)
         series = plot_series(problem, before, fitted, held_out=False, raw=runs)
         sentences, left = [f.sentence for f in found.findings], unexplained(problem, fitted)
@@ -296,7 +302,7 @@ def _fit_beside_mistakes(
     for left in reversed(range(LOOKS)):
         noise = channel_noise(rig, look.runs, look.held_out)
         try:
-            problem, fitted = fit_beside_own_error(
+            problem, fitted = fit_beside_discretisation(
                 engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
             )
         except Unmeasured as error:

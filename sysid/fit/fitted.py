@@ -8,23 +8,23 @@ import numpy as np
 
 from sim_core.rigs import Rig
 from sysid.fit.colour import Part, Samples
-from sysid.fit.directions import Sizes
 from sysid.fit.engine import Prediction
+from sysid.fit.error_shapes import Sizes
 from sysid.fit.parameters import FitParameter
 
 
 @dataclass
 class Fitted:
-    """Outcome of one minimisation. ``scaled``: best values; ``residual`` and ``jacobian``: whitened,
-    ``(n,)`` and ``(n, p)``, nuisance sizes eliminated; ``labels``: run, channel and times of the residuals;
-    ``predictions``: by run; ``centre``: the rig to whose values priors pull; ``sizes``: most probable
-    coefficients of the simulator's own error by run and channel (:mod:`sysid.fit.directions`); ``limited``: the
-    evaluations allowed for all searches together are used up; ``compared``: samples of each channel that are
-    compared (:mod:`sysid.fit.colour`); ``sight``: which rows are no reading that is predicted out of sight, whose
-    residual is 0 ``(n,)``, None if there is none; ``began``: chi-square where the search began, infinite
-    without one; ``elsewhere``: the simulator's own error that it was found beside is that of another place, and is to
-    be measured again before anything is made of the misfit; ``still``: the jacobian beside an own error that would not
-    change with the parameters, None where it does not; ``interrupted``: by Ctrl-C."""
+    """Outcome of one minimisation. ``scaled``: best values; ``residual`` and ``jacobian``: whitened, ``(n,)`` and ``(n,
+    p)``, nuisance sizes eliminated; ``labels``: run, channel and times of the residuals; ``predictions``: by run;
+    ``centre``: the rig to whose values priors pull; ``sizes``: most probable coefficients of the discretisation error
+    by run and channel (:mod:`sysid.fit.error_shapes`); ``limited``: the evaluations allowed for all searches together
+    are used up; ``compared``: samples of each channel that are compared (:mod:`sysid.fit.colour`); ``sight``: which
+    rows are no reading that is predicted out of sight, whose residual is 0 ``(n,)``, None if there is none; ``began``:
+    chi-square where the search began, infinite without one; ``elsewhere``: the discretisation error that it was found
+    beside is that of another place, and is to be measured again before anything is made of the misfit; ``still``: the
+    jacobian beside a discretisation error that would not change with the parameters, None where it does not;
+    ``interrupted``: by Ctrl-C."""
 
     parameters: list[FitParameter]
     scaled: np.ndarray
@@ -99,7 +99,7 @@ class Fitted:
         for index, channel, times in self.labels:
             samples = self.compared.get((index, channel))
             if samples is not None:
-                # The rows of a channel are its samples, then the sizes of the simulator's own error.
+                # The rows of a channel are its samples, then the sizes of the discretisation error.
                 rows = slice(at, at + int(samples.there.sum()))
                 sight = None if self.sight is None else self.sight[rows]
                 for k, part in enumerate(samples.of_rows(self.residual[rows], self.jacobian[rows], sight)):

@@ -40,7 +40,8 @@ def scored(
     own: Mapping[tuple[str, str], float],
 ) -> Score:
     """Scores of ``run`` by the rig ``before`` and ``after`` a fit. ``bias``: either has the best bias of each wrench;
-    ``own``: error of mesh and time step by channel and quantity (:func:`sysid.fit.own_error.own_sizes`)."""
+    ``own``: error of mesh and time step by channel and quantity
+    (:func:`sysid.fit.discretisation_error.error_sizes`)."""
     check = Problem([run], noise, engine, bias=bias)
     try:
         there = check.evaluate(before, [], np.zeros(0))

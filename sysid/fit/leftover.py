@@ -2,8 +2,8 @@
 
 One wrench among a thousand markers may be missed by far while the misfit of all readings together is that of noise, so
 each quantity of each channel of each run is judged by itself: the mean square of its whitened residual, 1 where noise
-alone is left. The simulator's own error is allowed for as far as it is believed
-(:func:`sysid.fit.directions.believed`).
+alone is left. The discretisation error is allowed for as far as it is believed
+(:func:`sysid.fit.error_shapes.believed`).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class LeftOver:
 
 
 def left_over(problem: Problem, fitted: Fitted) -> list[LeftOver]:
-    """All quantities, the simulator's own error and biases allowed for."""
+    """All quantities, the discretisation error and biases allowed for."""
     found = []
     few: dict[tuple[str, str], list[np.ndarray]] = {}
     for i, run in enumerate(problem.runs):
@@ -83,7 +83,7 @@ def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
         for (channel, quantity), found in most.items()
     ]
     said = f"The rig does not explain the recordings: what it leaves is {', '.join(parts)}."
-    if problem.directions:
+    if problem.error_shapes:
         said += " Twice the error of mesh and time step that one refinement shows is allowed for."
     if fitted.parameters:
         said += (

@@ -5,8 +5,8 @@ rig, as wide as such things are off in a laboratory, so that data which do not t
 
 - ``time``: the latency of each measured stream, in each recording by itself, since clocks are set anew between them
   (windows of one recording share it);
-- ``bias``: a constant in each component of each wrench sensor and run, eliminated as the simulator's own error is
-  (:mod:`sysid.fit.directions`);
+- ``bias``: a constant in each component of each wrench sensor and run, eliminated as the discretisation error is
+  (:mod:`sysid.fit.error_shapes`);
 - ``camera``: the focal length (fx and fy together; the scale of an orthographic camera) and the principal point;
   where the camera stands, if the rig says that this is not known exactly (``offset_sd_m``, ``offset_sd_deg``);
 - ``pose``: a constant offset of each end effector against its poses, three shifts and three turns in its own frame, as

@@ -1,7 +1,7 @@
 """What experiments can determine, before they are made: the function behind ``thinshell plan``.
 
 Each experiment is simulated with the values of the rig and seen through its sensors (rates, latencies, markers out
-of sight), with the noise that the rig declares and the simulator's own error as a nuisance, as a fit would see it.
+of sight), with the noise that the rig declares and the discretisation error as a nuisance, as a fit would see it.
 What a fit would then know follows from the Fisher information of the readings (:mod:`sysid.fit.uncertainty`),
 which holds near those values.
 """
@@ -20,10 +20,10 @@ import numpy as np
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
+from sysid.fit.discretisation_error import discretisation
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import as_declared, undeclared
 from sysid.fit.nuisance import KINDS, checked_kinds, has_bias, nuisance_parameters
-from sysid.fit.own_error import discretisation
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
@@ -137,7 +137,7 @@ def plan_experiments(
     predicted = _Count(say, PREDICTIONS * len(runs))
     with PooledEngine(os.cpu_count(), predicted) as engine:
         pending = [engine.submit_with_derivatives(rig, run, parameters, start) for run in runs]
-        directions = discretisation(engine, rig, runs)
+        error_shapes = discretisation(engine, rig, runs)
         predictions = [p.result() for p in pending]
         outlooks = []
         groups = [[k] for k in range(len(runs))] + ([list(range(len(runs)))] if len(runs) > 1 else [])
@@ -145,7 +145,7 @@ def plan_experiments(
         judged = _Readings(say, (2 if bias else 1) * sum(_readings(runs[k]) for group in groups for k in group))
         for group in groups:
             judged.begin(" and ".join(runs[k].name for k in group))
-            own = [replace(d, shapes=tuple(d.shapes[k] for k in group)) for d in directions]
+            own = [replace(d, shapes=tuple(d.shapes[k] for k in group)) for d in error_shapes]
             problem = Problem([runs[k] for k in group], noise, engine, own, bias=bias, on_channel=judged)
             fitted = problem.compare([predictions[k] for k in group], rig, parameters, start)
             fitted.residual[:] = 0.0

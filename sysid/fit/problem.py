@@ -11,9 +11,9 @@ import numpy as np
 from sim_core.errors import ConvergenceError, ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.colour import Samples
-from sysid.fit.directions import Basis, Direction, Sizes, basis_of, believed
 from sysid.fit.elimination import Elimination
 from sysid.fit.engine import Prediction
+from sysid.fit.error_shapes import Basis, ErrorShape, Sizes, basis_of, believed
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, column_groups
 from sysid.fit.nuisance import bias_sd
@@ -44,8 +44,8 @@ def _check_numbers(run: Run, measured: Measured, prediction: Prediction, names: 
 
 class Assembled(NamedTuple):
     """Whitened ``residual`` ``(n,)`` and ``jacobian`` ``(n, p)``, ``labels`` (run, channel, times of the samples), most
-    probable ``sizes`` of directions, which rows are no reading that is predicted out of ``sight`` ``(n,)``, and the
-    jacobian beside an own error that would be ``still`` ``(n, p)``, None where it is."""
+    probable ``sizes`` of error shapes, which rows are no reading that is predicted out of ``sight`` ``(n,)``, and the
+    jacobian beside a discretisation error that would be ``still`` ``(n, p)``, None where it is."""
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -68,7 +68,7 @@ class Problem:
         runs: Sequence[Run],
         noise: dict[str, ChannelNoise],
         engine: AnyEngine,
-        directions: Sequence[Direction] = (),
+        error_shapes: Sequence[ErrorShape] = (),
         prior: bool = False,
         bias: bool = False,
         on_channel: Callable[[Measured], None] | None = None,
@@ -76,7 +76,7 @@ class Problem:
         self.runs = list(runs)
         self.noise = noise
         self.engine = engine
-        self.directions = list(directions)
+        self.error_shapes = list(error_shapes)
         self.prior = prior
         self.bias = bias
         self.on_channel = on_channel
@@ -95,12 +95,12 @@ class Problem:
     @property
     def eliminates(self) -> bool:
         """Something is eliminated from the residuals."""
-        return bool(self.directions) or self.bias
+        return bool(self.error_shapes) or self.bias
 
     def basis(self, index: int, measured: Measured) -> Basis:
-        """The simulator's own error, and the bias, in one channel of run number ``index``."""
+        """The discretisation error, and the bias, in one channel of run number ``index``."""
         sd = bias_sd(measured) if self.bias else None
-        return basis_of(self.directions, index, self.runs[index], measured, sd)
+        return basis_of(self.error_shapes, index, self.runs[index], measured, sd)
 
     def bias_of(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
         """Most probable bias of each column of a channel, measured units ``(m,)``."""
@@ -116,7 +116,7 @@ class Problem:
 
     def tared(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
         """As :meth:`read`, with the bias that is best where all that the rig misses is noise, measured units
-        ``(n, m)``: beside an own error part of that passes for a bias."""
+        ``(n, m)``: beside a discretisation error part of that passes for a bias."""
         prediction = fitted.predictions[index].values[measured.channel]
         sd = bias_sd(measured) if self.bias else None
         if sd is None:
@@ -143,7 +143,7 @@ class Problem:
         return known
 
     def whiten(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
-        """Values ``(n, m, ...)`` in units of the noise and of what of the own error follows no shape."""
+        """Values ``(n, m, ...)`` in units of the noise and of what of the discretisation error follows no shape."""
         white = whiten(values, self.noise[measured.channel], measured.t)
         if not self.eliminates:
             return white
@@ -151,10 +151,10 @@ class Problem:
         return np.asarray(white * weight.reshape(*weight.shape, *(1,) * (white.ndim - 2)))
 
     def judged(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
-        """As :meth:`whiten`, of values ``(n, m)``; NaN where what is left cannot be judged, since the own error changes
-        unforeseen."""
+        """As :meth:`whiten`, of values ``(n, m)``; NaN where what is left cannot be judged, since the discretisation
+        error changes unforeseen."""
         white = self.whiten(index, measured, values)
-        if not self.directions:
+        if not self.error_shapes:
             return white
         key = (index, measured.channel)
         if key not in self._doubtful:
@@ -162,7 +162,7 @@ class Problem:
         return np.where(self._doubtful[key], np.nan, white)
 
     def corrected(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
-        """Prediction of a channel with the most probable own error added, measured units ``(n, m)``."""
+        """Prediction of a channel with the most probable discretisation error added, measured units ``(n, m)``."""
         prediction = fitted.predictions[index].values[measured.channel]
         if not self.eliminates:
             return prediction
@@ -170,10 +170,10 @@ class Problem:
         return np.asarray(prediction + error)
 
     def explained(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
-        """As :meth:`corrected`, with no more own error than is believed (:func:`sysid.fit.directions.believed`): what
-        the model accounts for, measured units ``(n, m)``."""
+        """As :meth:`corrected`, with no more discretisation error than is believed
+        (:func:`sysid.fit.error_shapes.believed`): what the model accounts for, measured units ``(n, m)``."""
         read = self.read(fitted, index, measured)
-        if not self.directions:
+        if not self.error_shapes:
             return read
         taken = self.corrected(fitted, index, measured) - read
         return np.asarray(read + believed(taken, self.basis(index, measured), measured))
@@ -183,7 +183,7 @@ class Problem:
     ) -> Assembled:
         """All samples of all runs in one least-squares problem.
 
-        The simulator's own error is eliminated channel by channel (:mod:`sysid.fit.elimination`).
+        The discretisation error is eliminated channel by channel (:mod:`sysid.fit.elimination`).
         ``names``: of the parameters that the predictions have derivatives by; ``scaled``: where the predictions stand,
         for errors that change with the parameters. Raises ``ConvergenceError`` where a prediction or a derivative is
         not a number, other than out of sight (NaN in the prediction).

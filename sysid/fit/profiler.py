@@ -11,7 +11,7 @@ a parabola (vertical scaling, Chandler & Bate 2007). The 95 % interval is where 
 limit on one side only.
 
 From each point the others follow along their linear prediction; Gauss-Newton steps within bounds go on from there
-until they promise less than :data:`WORTH` of deviance. The simulator's own error is that measured at the optimum.
+until they promise less than :data:`WORTH` of deviance. The discretisation error is that measured at the optimum.
 """
 
 from __future__ import annotations

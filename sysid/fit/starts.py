@@ -7,7 +7,7 @@ searched from. Restarts are for
 kinks, on which a search can end although the misfit falls on the other side; they stand close to the best so far.
 There are a few in all, and none any more once one of them has brought nothing.
 
-What the simulator's own error is where a fit begins says little of what it is where it ends: a slack sheet buckles in
+What the discretisation error is where a fit begins says little of what it is where it ends: a slack sheet buckles in
 one place and not in another. While a search beside it brings chi-square down by more than half there is nothing to be
 made of what it leaves. It ends when it comes on slowly, and goes on when the error has been measured where it stands.
 
@@ -127,7 +127,7 @@ class Evaluations:
     def __call__(self, best: Fitted) -> None:
         """One more has been made, after which ``best`` is the best of its search."""
         self.done += 1
-        self.tell(f"evaluation {self.done}, misfit {best.misfit:.3g} (up to 1: noise and own error)")
+        self.tell(f"evaluation {self.done}, misfit {best.misfit:.3g} (up to 1: noise and discretisation error)")
         if self._on_step is not None:
             asked = {p.name for p in best.parameters if not p.nuisance}
             self._on_step(Step(self.done, best.misfit, {n: v for n, v in best.values.items() if n in asked}))
@@ -171,14 +171,14 @@ class Searches:
 
     def _search(self, problem: Problem, at: np.ndarray) -> Fitted:
         # Searches from several starts are compared where they end.
-        halt = _comes_on_slowly if problem.directions and not self._elsewhere else None
+        halt = _comes_on_slowly if problem.error_shapes and not self._elsewhere else None
         return problem.fit(
             self._rig, self._parameters, at, self._evaluations.left, on_evaluation=self._evaluations, halt=halt
         )
 
     def _far(self, problem: Problem, fitted: Fitted) -> bool:
-        """The own error is to be measured where the fit stands before it is searched on."""
-        if not problem.directions or not self._may_go_on(fitted):
+        """The discretisation error is to be measured where the fit stands before it is searched on."""
+        if not problem.error_shapes or not self._may_go_on(fitted):
             return False
         return fitted.elsewhere or (fitted.chi2 < FAR * fitted.began and worst(problem, fitted) > GOOD_MISFIT)
 

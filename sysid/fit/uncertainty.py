@@ -66,9 +66,8 @@ class Uncertainty:
 def uncertainty(fitted: Fitted) -> Uncertainty:
     """Uncertainty of a fit in its scaled parameters.
 
-    How the own error changes with them tells nothing of a parameter, as its size is not known: the larger of the
-    deviations with and without that counts.
-    """
+    How the discretisation error changes with them tells nothing of a parameter, as its size is not known: the larger of
+    the deviations with and without that counts."""
     if not fitted.parameters:
         return Uncertainty(np.zeros(0), np.ones(0), np.zeros((0, 0)), (), _reduced(fitted))
     sd, inflation, correlation = _spread(fitted)

@@ -111,7 +111,7 @@ def with_explicit_bias(problem: Problem, fitted: Fitted) -> Fitted:
     if not biases:
         return fitted
     p, q = len(fitted.parameters), len(biases)
-    plain = Problem(problem.runs, problem.noise, problem.engine, problem.directions, problem.prior)
+    plain = Problem(problem.runs, problem.noise, problem.engine, problem.error_shapes, problem.prior)
     predictions: list[Prediction] = []
     values: list[float] = []
     for i, (run, prediction) in enumerate(zip(problem.runs, fitted.predictions, strict=True)):
@@ -274,7 +274,7 @@ def _without_bias(problem: Problem, fitted: Fitted) -> np.ndarray:
     if not problem.bias:
         return fitted.jacobian
     plain = Problem(
-        problem.runs, problem.noise, problem.engine, problem.directions, problem.prior, on_channel=problem.on_channel
+        problem.runs, problem.noise, problem.engine, problem.error_shapes, problem.prior, on_channel=problem.on_channel
     )
     data = plain.assemble(fitted.predictions, [p.name for p in fitted.parameters], fitted.scaled)[1]
     return np.vstack([data, fitted.jacobian[len(fitted.jacobian) - fitted.pulls :]])

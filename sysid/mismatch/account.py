@@ -6,10 +6,10 @@ import numpy as np
 
 from sim_core.effects import EFFECTS
 from sim_core.rigs import Rig
+from sysid.fit.discretisation_error import doubtful, loud
 from sysid.fit.doubts import doubts
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import FROM_DIFFERENCES
-from sysid.fit.own_error import doubtful, loud
 from sysid.fit.parameters import start_of
 from sysid.fit.problem import Problem
 from sysid.fit.uncertainty import uncertainty

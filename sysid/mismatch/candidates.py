@@ -104,7 +104,7 @@ def _predict(
 ) -> Start:
     """One bounded linear least-squares step from the secant."""
     shared = len(base.parameters)
-    # The simulator's own error stays that of the baseline, with its changes by the baseline's parameters.
+    # The discretisation error stays that of the baseline, with its changes by the baseline's parameters.
     beside = [replace(p, derivatives={c: _after(shared, d) for c, d in p.derivatives.items()}) for p in predictions]
     names = [p.name for p in (*base.parameters, *own)]
     there = problem.assemble(beside, names, np.concatenate([base.scaled, scaled]))

@@ -23,8 +23,8 @@ TIE_NATS = 5.0
 """Effects within this of the best are reported together."""
 
 MIN_EXPLAINED = 0.6
-"""Share of the structured misfit that an answer must explain, unless what it leaves may be the simulator's
-own error; less leaves something unknown."""
+"""Share of the structured misfit that an answer must explain, unless what it leaves may be the discretisation
+error; less leaves something unknown."""
 
 ROBUST_WIDTH = 3.0
 """Whitened residual from which held-out samples count linearly, so that a few do not decide."""
@@ -32,13 +32,12 @@ ROBUST_WIDTH = 3.0
 
 @dataclass(frozen=True)
 class Trial:
-    """One effect refitted. ``gain``: log evidence over the baseline; ``explained``: share of the baseline's
-    structured misfit; ``left``: what it leaves of it; ``held_out``: share of the robust misfit on held-out
-    data that it removes (negative: it predicts worse). ``significance``: see :func:`significance`, infinite
-    before the trial is ``finished``, fitted to the end; ``failure``: why it is no answer
-    whatever its figures; ``predicted``: the finished trial on the held-out runs; ``misfits``: those of the baseline and
-    of the finished trial on the runs given, and on what both see of those held out, beside the same own error of the
-    simulator."""
+    """One effect refitted. ``gain``: log evidence over the baseline; ``explained``: share of the baseline's structured
+    misfit; ``left``: what it leaves of it; ``held_out``: share of the robust misfit on held-out data that it removes
+    (negative: it predicts worse). ``significance``: see :func:`significance`, infinite before the trial is
+    ``finished``, fitted to the end; ``failure``: why it is no answer whatever its figures; ``predicted``: the finished
+    trial on the held-out runs; ``misfits``: those of the baseline and of the finished trial on the runs given, and on
+    what both see of those held out, beside the same discretisation error."""
 
     effect: Effect
     fitted: Fitted

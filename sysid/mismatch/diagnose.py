@@ -14,9 +14,14 @@ import yaml
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
+from sysid.fit.discretisation_error import (
+    Unmeasured,
+    discretisation,
+    error_sizes,
+    fit_beside_discretisation,
+)
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, channel_noise
-from sysid.fit.own_error import Unmeasured, discretisation, fit_beside_own_error, own_sizes
 from sysid.fit.parameters import fit_parameters
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
@@ -80,7 +85,7 @@ def diagnose_runs(
         tell(0.0, "baseline fit")
         parameters = fit_parameters(rig, open_parameters(rig))
         problem, base = _kept(
-            lambda: fit_beside_own_error(engine, runs, noise, rig, parameters, prior=True, rounds=BASELINE)
+            lambda: fit_beside_discretisation(engine, runs, noise, rig, parameters, prior=True, rounds=BASELINE)
         )
         if base.interrupted:
             raise KeyboardInterrupt
@@ -108,8 +113,8 @@ def diagnose_runs(
 
 
 def _kept(fit: Callable[[], tuple[Problem, Fitted]]) -> tuple[Problem, Fitted]:
-    """What a fit finds; where its own error cannot be measured at the end, beside the one measured last, as not
-    converged."""
+    """What a fit finds; where its discretisation error cannot be measured at the end, beside the one measured last, as
+    not converged."""
     try:
         return fit()
     except Unmeasured as error:
@@ -212,7 +217,7 @@ def _held_out(check: Problem, fitted: Fitted) -> Fitted | None:
 
 
 def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitted, trial: Trial) -> Trial:
-    """Fit an answer to the end, with the simulator's own error measured where it now stands.
+    """Fit an answer to the end, with the discretisation error measured where it now stands.
 
     The baseline is judged beside the same error, so that nothing else differs. Where that error cannot be measured, the
     one measured last is kept, and the fit has not converged; a trial that cannot be simulated there is rejected.
@@ -220,7 +225,7 @@ def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitt
     answer, there = trial.fitted, problem
     try:
         there, fitted = _kept(
-            lambda: fit_beside_own_error(
+            lambda: fit_beside_discretisation(
                 engine,
                 problem.runs,
                 problem.noise,
@@ -234,7 +239,9 @@ def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitt
         check = Problem(check.runs, problem.noise, engine, discretisation(engine, fitted.rig, check.runs))
     except ThinshellError as error:
         fitted = answer if there is problem else fitted
-        fitted = replace(fitted, converged=False, message=f"it stands where its own error is not known. {error}")
+        fitted = replace(
+            fitted, converged=False, message=f"it stands where its discretisation error is not known. {error}"
+        )
     if fitted.interrupted:
         raise KeyboardInterrupt
     try:
@@ -271,7 +278,7 @@ def _misfit(
 ) -> Misfit:
     """Misfit of a model, with the errors of the baseline beside its own; ``plain``, ``predicted``: the two on
     the held-out runs; ``misfits``: on the runs given and held out, where they are told."""
-    own = own_sizes(problem)
+    own = error_sizes(problem)
     errors = rms_errors(problem, base, fitted, held_out=False, own=own)
     if plain is not None and predicted is not None:
         errors += rms_errors(check, plain, predicted, held_out=True, own=own)

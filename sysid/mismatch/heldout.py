@@ -14,8 +14,8 @@ from sysid.mismatch.decide import held_out_gain
 def seen_by_both(check: Problem, plain: Fitted | None, amended: Fitted | None) -> tuple[Fitted, Fitted] | None:
     """Two models on what both see of the held-out runs ``check``; None where that is nothing.
 
-    A reading that one of them hides tells neither for it nor against it, also not through the own error of the
-    simulator that is fitted to it.
+    A reading that one of them hides tells neither for it nor against it, also not through the discretisation error that
+    is fitted to it.
     """
     if plain is None or amended is None:
         return None

@@ -32,7 +32,7 @@ MIN_SIGMAS = 6.0
 """Deviations above noise that the structured misfit of a quantity with few scores must have as well."""
 
 OWN_SHARE = 0.5
-"""Structured misfit below this share of the simulator's own error is not blamed on physics."""
+"""Structured misfit below this share of the discretisation error is not blamed on physics."""
 
 PARTS = 8
 """Parts of a window that are told apart."""
@@ -41,7 +41,7 @@ PARTS = 8
 @dataclass(frozen=True)
 class Part:
     """Structured misfit of one quantity of one channel in one run. ``excess``: sum of squared block scores
-    less their number; ``count``: number of scores; ``own``: the same sum for the simulator's own error."""
+    less their number; ``count``: number of scores; ``own``: the same sum for the discretisation error."""
 
     excess: float
     count: int
@@ -58,8 +58,8 @@ class Part:
         return self.per_score > MIN_PER_SCORE and self.excess > MIN_SIGMAS * np.sqrt(2.0 * self.count)
 
     @property
-    def beyond_own_error(self) -> bool:
-        """More than noise and the simulator's own error leave."""
+    def beyond_discretisation(self) -> bool:
+        """More than noise and the discretisation error leave."""
         return self.stands_out and self.excess > OWN_SHARE * self.own
 
 
@@ -75,12 +75,12 @@ class Structure:
 
     @property
     def missing(self) -> bool:
-        """Something is missing: the whole, or some quantity, is beyond noise and the simulator's own error."""
-        return self.whole.beyond_own_error or any(p.beyond_own_error for p in self.parts)
+        """Something is missing: the whole, or some quantity, is beyond noise and the discretisation error."""
+        return self.whole.beyond_discretisation or any(p.beyond_discretisation for p in self.parts)
 
     @property
     def hidden(self) -> bool:
-        """There is misfit, but none that the simulator's own error could not leave."""
+        """There is misfit, but none that the discretisation error could not leave."""
         return not self.missing and (self.whole.stands_out or any(p.stands_out for p in self.parts))
 
 
@@ -98,7 +98,7 @@ def block_scores(run: Run, measured: Measured, white: np.ndarray) -> tuple[np.nd
 
 
 def whitened(problem: Problem, fitted: Fitted, run: int, measured: Measured) -> np.ndarray:
-    """Whitened residual of one channel ``(n, m)``, as much of the simulator's own error as is believed taken out; NaN
+    """Whitened residual of one channel ``(n, m)``, as much of the discretisation error as is believed taken out; NaN
     where that changes unforeseen."""
     miss = measured.values - problem.explained(fitted, run, measured)
     return problem.judged(run, measured, miss)
@@ -107,7 +107,7 @@ def whitened(problem: Problem, fitted: Fitted, run: int, measured: Measured) -> 
 def structure(problem: Problem, fitted: Fitted) -> Structure:
     """Structured misfit of a model.
 
-    The simulator's own error enters with the sizes expected from refinement, not the fitted ones, which may
+    The discretisation error enters with the sizes expected from refinement, not the fitted ones, which may
     have taken up missing physics.
     """
     parts = []
@@ -126,7 +126,7 @@ def structure(problem: Problem, fitted: Fitted) -> Structure:
 
 def locate(problem: Problem, fitted: Fitted, answer: Fitted | None = None) -> Located:
     """Channels, time windows and phase of what the model misses; of what an ``answer`` adds to its predictions, where
-    there is one: the simulator's own error may have taken part of that up."""
+    there is one: the discretisation error may have taken part of that up."""
     shares: list[tuple[str, str, float]] = []
     windows: dict[str, tuple[tuple[float, float], ...]] = {}
     phases = {k: 0.0 for k in ("moving in contact", "holding in contact", "moving freely", "at rest without contact")}

@@ -1,6 +1,6 @@
 """The diagnosis as data: what ``diagnosis.json`` holds (schema ``thinshell.diagnosis/1``).
 
-``verdict``: ``nothing_missing`` (the rig explains the recordings down to noise and the simulator's own
+``verdict``: ``nothing_missing`` (the rig explains the recordings down to noise and the discretisation
 error), ``named`` (one effect is missing), ``one_of`` (one of several that these recordings do not tell
 apart), ``unknown`` (something is missing that no known effect explains).
 """

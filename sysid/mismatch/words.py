@@ -15,17 +15,17 @@ _SEPARATE = {
 
 
 def sentence(verdict: Verdict, located: Located, fates: dict[str, str], hidden: bool) -> str:
-    """The answer in one or two sentences. ``hidden``: the simulator's own error may hide something."""
+    """The answer in one or two sentences. ``hidden``: the discretisation error may hide something."""
     where = _where(located, "misfit" if verdict.kind in ("nothing_missing", "unknown") else "difference")
     if verdict.kind == "nothing_missing" and hidden:
         return (
             "Nothing can be said to be missing: the misfit is beyond the noise, but no larger than the "
-            f"simulator's own error could leave; it shows {where}. Refine the mesh or the time step."
+            f"simulator's discretisation error could leave; it shows {where}. Refine the mesh or the time step."
         )
     if verdict.kind == "nothing_missing":
         return (
-            "Nothing is missing: the rig explains the recordings down to their noise and the simulator's own "
-            f"error. {len(fates)} effects were looked for and not found."
+            "Nothing is missing: the rig explains the recordings down to their noise and the "
+            f"simulator's discretisation error. {len(fates)} effects were looked for and not found."
         )
     if verdict.kind == "unknown":
         tried = (
@@ -48,7 +48,7 @@ def _where(located: Located, what: str) -> str:
 def not_explained(verdict: Verdict, baseline_excess: float) -> str:
     """What remains after the answer."""
     if verdict.kind == "nothing_missing":
-        return "Nothing beyond noise and the simulator's own error."
+        return "Nothing beyond noise and the discretisation error."
     if not verdict.named:
         return f"All of the structured misfit ({baseline_excess:.4g} in squared noise units)."
     best = verdict.named[0]

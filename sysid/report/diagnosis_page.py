@@ -73,7 +73,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
         held_out_sentence=held_out_sentence(d),
         budget=budget(d),
         limits=limits(d),
-        discretisation=own_error(d),
+        discretisation=discretisation_facts(d),
         noise=[(k, significant(v), raw_number(v)) for k, v in d.noise_floor.items()],
         runs=run_views(d.series, errors, windows=windows, both=both, names=names, held_out_first=True),
         level_edges=LEVELS,
@@ -310,8 +310,8 @@ class Fact:
     meaning: str
 
 
-def own_error(d: Diagnosis) -> list[Fact]:
-    """The simulator's own error beside the baseline's misfit, both as structured energies."""
+def discretisation_facts(d: Diagnosis) -> list[Fact]:
+    """The discretisation error beside the baseline's misfit, both as structured energies."""
     energy, misfit = d.discretisation.get("structured_energy"), d.discretisation.get("structured_misfit")
     per_score = d.discretisation.get("structured_misfit_per_score")
     if energy is None or misfit is None or per_score is None:
@@ -322,7 +322,7 @@ def own_error(d: Diagnosis) -> list[Fact]:
         Fact("Error of mesh and time step", significant(energy), raw_number(energy), squares),
         Fact("Baseline's misfit beyond noise", significant(misfit), raw_number(misfit), squares),
         Fact(
-            "Misfit over own error",
+            "Misfit over discretisation error",
             times(ratio),
             raw_number(ratio),
             "far below 1: the simulator itself may be to blame; far above: something is missing",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from own_error_model import Vector
+from discretisation_model import Vector
 
 from sysid.fit import fit
 from sysid.fit.noise import ChannelNoise
@@ -22,12 +22,12 @@ def workers() -> Iterator[PooledEngine]:
 
 @pytest.fixture
 def vectors(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rigs are the parameters themselves (:mod:`own_error_model`)."""
+    """Rigs are the parameters themselves (:mod:`discretisation_model`)."""
 
     def rig_at(rig: Vector, parameters: Any, scaled: np.ndarray, bag: str = "") -> Vector:
         return Vector(scaled if len(scaled) else rig.x)
 
-    for module, name in (("sysid.fit.problem", "rig_at"), ("sysid.fit.own_error", "rig_in")):
+    for module, name in (("sysid.fit.problem", "rig_at"), ("sysid.fit.discretisation_error", "rig_in")):
         monkeypatch.setattr(f"{module}.{name}", rig_at)
         monkeypatch.setattr(f"{module}.start_of", lambda rig, parameters: rig.x)
 

@@ -7,8 +7,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from sysid.fit.directions import Basis, Changes
 from sysid.fit.elimination import Elimination
+from sysid.fit.error_shapes import Basis, Changes
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.whitening import whiten
 

@@ -71,28 +71,29 @@ WORDS = ["interrupted", "It does not converge.", "A process that simulates has e
 def test_a_fit_that_is_not_repeated_to_its_end_is_kept(
     error: BaseException, words: str, small_rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The own error is measured first of a fit without mistakes, and first of one from where an interval ends."""
+    """The discretisation error is measured first of a fit without mistakes, and first of one from where an interval
+    ends."""
     rig, run = small_rig(), run_of("press", "markers")
 
     def fitted_with(**options: Any) -> fit.FitResult:
         chosen = FitOptions(nuisance=("none",), intervals="quadratic", **options)
         return fit.fit_runs(rig, [run], ["gel.E"], chosen, engine=cast(PooledEngine, Readings()))[0]
 
-    plain = fit.fit_beside_own_error
+    plain = fit.fit_beside_discretisation
     monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
     monkeypatch.setattr(fit, "not_looked_for", lambda *given: [])
     monkeypatch.setattr(fit, "worth_another_fit", lambda *given: True)
-    monkeypatch.setattr(fit, "fit_beside_own_error", ending(error, 1, plain))
+    monkeypatch.setattr(fit, "fit_beside_discretisation", ending(error, 1, plain))
     looked = fitted_with(robust=True)
     assert "it was not repeated without the readings that are mistakes beside it" in looked.message
     monkeypatch.setattr(fit, "_profiled", lambda problem, fitted, findings, *given: ([], findings, fitted.scaled))
-    monkeypatch.setattr(fit, "fit_beside_own_error", ending(error, 1, plain))
+    monkeypatch.setattr(fit, "fit_beside_discretisation", ending(error, 1, plain))
     further = fitted_with(robust=False)
     assert "a better fit that is known was not searched from" in further.message
     for result in (looked, further):
         assert not result.converged and words in result.message
         assert result.estimates[0].value == pytest.approx(TRUTH, rel=0.01)
-    monkeypatch.setattr(fit, "fit_beside_own_error", ending(error))
+    monkeypatch.setattr(fit, "fit_beside_discretisation", ending(error))
     with pytest.raises(type(error)):
         fitted_with(robust=True)
 
@@ -163,12 +164,12 @@ class Gone(Readings):
         return super().predict_all(*given)
 
 
-def test_a_fit_is_kept_whose_workers_end_where_its_own_error_is_measured_again(small_rig: Any) -> None:
+def test_a_fit_is_kept_whose_workers_end_where_its_discretisation_error_is_measured_again(small_rig: Any) -> None:
     """Nothing that follows needs them, but for the held-out recording."""
     rig = with_parameters(small_rig(), {"gel.E_pa": 3.0 * TRUTH})
     result = result_of(Gone(), rig, [run_of("press", "markers")], [run_of("deep", "markers")])
     assert result.estimates[0].value == pytest.approx(TRUTH, rel=0.01)
-    assert not result.converged and "its own error is not known. A process that simulates" in result.message
+    assert not result.converged and "its discretisation error is not known. A process that simulates" in result.message
     assert [(e.run, e.held_out) for e in result.errors] == [("press", False)]
     assert result.errors[0].before > 10.0 * result.errors[0].after
     assert any(note.startswith("Held-out recordings deep were not predicted: A process") for note in result.notes)

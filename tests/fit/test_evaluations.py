@@ -83,7 +83,8 @@ def test_a_fit_makes_no_more_evaluations_than_it_may(small_rig: Any, monkeypatch
 
 
 def test_a_rig_that_is_only_compared_is_evaluated_once(small_rig: Any) -> None:
-    """Though its misfit is large, there is nothing to search and no other place to measure its own error at."""
+    """Though its misfit is large, there is nothing to search and no other place to measure its discretisation error
+    at."""
     steps: list[Step] = []
     result, _ = fit.fit_runs(
         small_rig(), [run_of("press", "markers")], [], FitOptions(robust=False), engine=cast(PooledEngine, Readings()),

@@ -10,12 +10,12 @@ import pytest
 
 from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
-from sysid.fit import own_error
+from sysid.fit import discretisation_error
+from sysid.fit.discretisation_error import Unmeasured, discretisation, fit_beside_discretisation
 from sysid.fit.engine import Prediction
 from sysid.fit.fit import _fit_beside_mistakes, _Look
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
-from sysid.fit.own_error import Unmeasured, discretisation, fit_beside_own_error
 from sysid.fit.parameters import FitParameter
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
@@ -138,18 +138,18 @@ class BrittleBelow(Exponential):
         return self.submit(Stub(float(scaled[0])), run, refine, dt)
 
 
-def test_what_was_found_where_the_own_error_cannot_be_measured_is_kept(
+def test_what_was_found_where_the_discretisation_error_cannot_be_measured_is_kept(
     stubs: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(own_error, "rig_in", lambda rig, parameters, scaled, bag: Stub(float(scaled[0])))
+    monkeypatch.setattr(discretisation_error, "rig_in", lambda rig, parameters, scaled, bag: Stub(float(scaled[0])))
     noise = {"gauge": ChannelNoise(np.array([0.01]), 0.0, "test")}
     with pytest.raises(Unmeasured, match=r"finer mesh: The step does not converge\. Shorten") as caught:
-        fit_beside_own_error(
+        fit_beside_discretisation(
             cast(PooledEngine, BrittleBelow(np.inf)), [run_of()], noise, cast(Any, Stub()), [X], start=np.zeros(1)
         )
     found = caught.value.fitted
     assert found.scaled[0] == pytest.approx(TRUTH, abs=0.01)
-    assert not found.converged and "own error is not known" in found.message
+    assert not found.converged and "discretisation error is not known" in found.message
     assert caught.value.beside.evaluate(cast(Any, Stub()), [X], found.scaled).chi2 == pytest.approx(found.chi2)
 
 
@@ -161,7 +161,7 @@ def test_a_fit_goes_on_with_what_was_found(monkeypatch: pytest.MonkeyPatch) -> N
     def broken(*given: Any, **more: Any) -> None:
         raise Unmeasured(ConvergenceError("The step does not converge.", "Shorten it."), beside, found)
 
-    monkeypatch.setattr("sysid.fit.fit.fit_beside_own_error", broken)
+    monkeypatch.setattr("sysid.fit.fit.fit_beside_discretisation", broken)
     monkeypatch.setattr("sysid.fit.fit.channel_noise", lambda rig, runs, held_out: {})
     look = _Look([], [], [], None)
     kept, problem, fitted = _fit_beside_mistakes(

@@ -12,8 +12,8 @@ import pytest
 from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions
-from sysid.fit.directions import ROUGH, Direction
 from sysid.fit.engine import Prediction
+from sysid.fit.error_shapes import ROUGH, ErrorShape
 from sysid.fit.fitted import Fitted
 from sysid.fit.leftover import left_over, unexplained, worst
 from sysid.fit.noise import ChannelNoise
@@ -124,27 +124,27 @@ def wrench(forces: float, torques: float, samples: int = 300) -> tuple[Problem, 
     )
 
 
-def beside_own_error(times: float, rig: Any) -> tuple[Problem, Fitted]:
+def beside_discretisation_error(times: float, rig: Any) -> tuple[Problem, Fitted]:
     """Readings that miss by so many times what one refinement shows, the same all the time."""
     shape = np.full((len(T), 1), OWN)
     data = times * shape + SIGMA * np.random.default_rng(3).standard_normal(shape.shape)
     run = Run("press", "press", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
     noise = {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}
-    beside = Problem([run], noise, cast(PooledEngine, None), [Direction("mesh", ({"gauge": shape},))])
+    beside = Problem([run], noise, cast(PooledEngine, None), [ErrorShape("mesh", ({"gauge": shape},))])
     given = [Prediction({"gauge": np.zeros_like(shape)}, {}, cast(Trace, None))]
     return beside, beside.compare(given, rig, [], np.zeros(0))
 
 
 @pytest.mark.parametrize("times", [1.0, 1.9])
-def test_what_may_be_the_own_error_is_not_spoken_of(small_rig: Any, times: float) -> None:
-    beside, fitted = beside_own_error(times, small_rig())
+def test_what_may_be_the_discretisation_error_is_not_spoken_of(small_rig: Any, times: float) -> None:
+    beside, fitted = beside_discretisation_error(times, small_rig())
     assert worst(beside, fitted) < 1.0 and unexplained(beside, fitted) == []
     assert not structure(beside, fitted).missing
 
 
-def test_no_more_than_twice_of_what_a_refinement_shows_is_taken_for_the_own_error(small_rig: Any) -> None:
+def test_no_more_than_twice_of_what_a_refinement_shows_is_taken_for_the_discretisation_error(small_rig: Any) -> None:
     """The coefficients take up all of it, and what is more than twice is left, over the noise and the rough part."""
-    beside, fitted = beside_own_error(4.0, small_rig())
+    beside, fitted = beside_discretisation_error(4.0, small_rig())
     taken = beside.corrected(fitted, 0, beside.runs[0].measured[0])
     assert taken == pytest.approx(4.0 * OWN * np.ones_like(taken), rel=0.05)
     left = 2.0 * OWN / np.hypot(SIGMA, ROUGH * OWN)

@@ -12,8 +12,8 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import load_rig, parse_rig, with_parameters
 from sim_core.rigs.displaced import OFFSETS
 from sim_core.simulate import Trace
-from sysid.fit.directions import Direction
 from sysid.fit.engine import Engine, Prediction
+from sysid.fit.error_shapes import ErrorShape
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.nuisance import (
     BIAS_SD,
@@ -65,21 +65,23 @@ def run_of(bias: np.ndarray, slopes: np.ndarray = SLOPES) -> Run:
     return Run("press", "", (), {}, (Measured("gauge", "wrench", T, values, LABELS),), 2.0)
 
 
-def problem_of(run: Run, directions: list[Direction] | None = None, bias: bool = True) -> Problem:
-    return Problem([run], NOISE, cast(Engine, Linear()), directions or [], bias=bias)
+def problem_of(run: Run, error_shapes: list[ErrorShape] | None = None, bias: bool = True) -> Problem:
+    return Problem([run], NOISE, cast(Engine, Linear()), error_shapes or [], bias=bias)
 
 
-DIRECTION = Direction("mesh", ({"gauge": 0.05 * np.outer(np.cos(5 * T), RNG.normal(size=6))},))
+MESH = ErrorShape("mesh", ({"gauge": 0.05 * np.outer(np.cos(5 * T), RNG.normal(size=6))},))
 
 
-@pytest.mark.parametrize("directions", [[], [DIRECTION]])
-def test_eliminating_biases_is_least_squares_with_a_column_for_each(stubs: None, directions: list[Direction]) -> None:
+@pytest.mark.parametrize("error_shapes", [[], [MESH]])
+def test_eliminating_biases_is_least_squares_with_a_column_for_each(
+    stubs: None, error_shapes: list[ErrorShape]
+) -> None:
     """Values, chi-square, covariance and biases, by the normal equations of all unknowns at once."""
     run = run_of(BIAS)
-    problem = problem_of(run, directions)
+    problem = problem_of(run, error_shapes)
     found = problem.fit(cast(Any, None), ASKED, start=np.zeros(2), tolerance=1e-9)
 
-    plain = problem_of(run, directions, bias=False)
+    plain = problem_of(run, error_shapes, bias=False)
     (measured,) = run.measured
     sd = bias_sd(measured)
     assert sd is not None

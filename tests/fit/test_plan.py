@@ -12,8 +12,8 @@ import pytest
 from sim_core.errors import ConfigError
 from sim_core.rigs import load_rig, parse_rig
 from sim_core.rigs.motion import Experiment
+from sysid.fit.discretisation_error import discretisation
 from sysid.fit.noise import channel_noise, undeclared
-from sysid.fit.own_error import discretisation
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.plan import PREDICTED, plan_experiments
 from sysid.fit.pool import PooledEngine

@@ -109,13 +109,13 @@ def test_no_fit_is_repeated_where_the_model_is_far_off(
     bent = np.zeros((FRAMES, 33, 2))
     bent[:, :, 1] = 20.0 * np.sin(np.linspace(0.0, np.pi, 33)) + 40.0 * np.linspace(0.0, 1.0, FRAMES)[:, None]
     fits = []
-    once = fit.fit_beside_own_error
+    once = fit.fit_beside_discretisation
 
     def counted(*given: Any, **named: Any) -> Any:
         fits.append(given)
         return once(*given, **named)
 
-    monkeypatch.setattr(fit, "fit_beside_own_error", counted)
+    monkeypatch.setattr(fit, "fit_beside_discretisation", counted)
     run = pulled(RIG, TRUTH, tmp_path / "bag", jumps=blurred() + bent)
     result = fit_runs(RIG, [run], ["strip.E"], replace(PLAIN, max_evaluations=3), engine=workers)[0]
     assert len(fits) == 1 and result.outliers == []

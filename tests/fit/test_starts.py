@@ -12,8 +12,8 @@ import pytest
 from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, starts
-from sysid.fit.directions import Direction
 from sysid.fit.engine import Prediction
+from sysid.fit.error_shapes import ErrorShape
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.parameters import FitParameter, fit_parameters
@@ -95,7 +95,7 @@ def test_progress_tells_the_misfit_beside_what_the_noise_alone_makes(small_rig: 
     )  # fmt: skip
     told: list[str] = []
     Evaluations(FitOptions(), lambda share, text: told.append(text))(fitted)
-    assert told == ["evaluation 1, misfit 9 (up to 1: noise and own error)"]
+    assert told == ["evaluation 1, misfit 9 (up to 1: noise and discretisation error)"]
 
 
 def test_starts_are_those_of_many_draws_that_fit_best_and_can_be_simulated(small_rig: Any) -> None:
@@ -177,13 +177,13 @@ def test_a_restart_that_brings_nothing_is_the_last(small_rig: Any, monkeypatch: 
     assert len(fits) == 3
 
 
-def with_own_error(wrong: Problem) -> Problem:
+def with_discretisation_error(wrong: Problem) -> Problem:
     """The same beside an error of mesh and time step that is none."""
-    none = Direction("mesh", ({"gauge": np.zeros((len(T), 1))},))
+    none = ErrorShape("mesh", ({"gauge": np.zeros((len(T), 1))},))
     return Problem(wrong.runs, wrong.noise, wrong.engine, [none])
 
 
-def test_what_is_left_far_from_where_the_own_error_was_measured_is_not_searched_on(
+def test_what_is_left_far_from_where_the_discretisation_error_was_measured_is_not_searched_on(
     small_rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = 0
@@ -196,7 +196,7 @@ def test_what_is_left_far_from_where_the_own_error_was_measured_is_not_searched_
 
     monkeypatch.setattr(Problem, "fit", counted)
     search, _ = searches(small_rig())
-    wrong = with_own_error(problem(Gauge(0.05), off=0.2))
+    wrong = with_discretisation_error(problem(Gauge(0.05), off=0.2))
     first = search(wrong, np.array([11.6]))
     assert first.elsewhere and first.misfit > starts.GOOD_MISFIT and first.chi2 < 0.5 * first.began
     assert calls == 1
@@ -204,7 +204,7 @@ def test_what_is_left_far_from_where_the_own_error_was_measured_is_not_searched_
     assert not again.elsewhere
     assert calls == 3, "and a restart, now that it stands where the error was measured"
     right, _ = searches(small_rig())
-    assert not right(with_own_error(problem(Gauge(0.05))), np.array([11.6])).elsewhere
+    assert not right(with_discretisation_error(problem(Gauge(0.05))), np.array([11.6])).elsewhere
 
 
 @pytest.mark.parametrize("chosen", [1, 3])
@@ -214,7 +214,7 @@ def test_searches_that_are_compared_are_not_halted(
     """A search that is halted wants the error measured again, wherever it ended."""
     monkeypatch.setattr(starts, "_comes_on_slowly", lambda course: len(course) > 1)
     search, _ = searches(small_rig(), starts=chosen)
-    found = search(with_own_error(problem(Gauge(0.05))), np.array([11.6]))
+    found = search(with_discretisation_error(problem(Gauge(0.05))), np.array([11.6]))
     assert found.elsewhere == (chosen == 1)
     assert found.converged == (chosen > 1)
 

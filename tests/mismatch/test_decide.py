@@ -54,7 +54,7 @@ LOUD = structure(5.0, 5000.0, 1000.0)
         ([trial("air_drag", 400.0, explained=0.9, left=LOUD)], LOUD, "named"),
         ([trial("air_drag", 40.0), trial("stream_delay", 38.0)], LOUD, "one_of"),
         ([trial("air_drag", 40.0), trial("stream_delay", 20.0)], LOUD, "named"),
-        # Structure that the simulator's own error could leave is not blamed on physics.
+        # Structure that the discretisation error could leave is not blamed on physics.
         ([], structure(5.0, 5000.0, 20000.0), "nothing_missing"),
         ([trial("air_drag", 400.0, explained=0.4, left=structure(2.0, 3000.0, 7000.0))], LOUD, "named"),
     ],

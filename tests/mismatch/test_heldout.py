@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sim_core.simulate import Trace
-from sysid.fit.directions import Direction
 from sysid.fit.engine import Prediction
+from sysid.fit.error_shapes import ErrorShape
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.pool import PooledEngine
@@ -27,13 +27,14 @@ BAD = slice(180, 216)
 
 @pytest.fixture
 def check(monkeypatch: pytest.MonkeyPatch) -> Problem:
-    """Readings of which some are off by 15 standard deviations, with an own error that may take part of that up."""
+    """Readings of which some are off by 15 standard deviations, with a discretisation error that may take part of that
+    up."""
     monkeypatch.setattr("sysid.fit.problem.rig_at", lambda rig, *_: rig)
     values = CLEAN + SIGMA * np.random.default_rng(1).standard_normal(CLEAN.shape)
     values[BAD] += 15.0 * SIGMA
     run = Run("run", "", (), {}, (Measured("gauge", "markers", T, values, ("u", "v")),), 1.0)
     noise = {"gauge": ChannelNoise(np.full(2, SIGMA), 0.3, "test")}
-    return Problem([run], noise, cast(PooledEngine, None), [Direction("mesh", ({"gauge": OWN},))])
+    return Problem([run], noise, cast(PooledEngine, None), [ErrorShape("mesh", ({"gauge": OWN},))])
 
 
 def model(check: Problem, values: np.ndarray) -> Fitted:

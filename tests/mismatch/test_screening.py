@@ -1,4 +1,4 @@
-"""Effects are screened beside an own error that changes with the baseline's parameters."""
+"""Effects are screened beside a discretisation error that changes with the baseline's parameters."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 
 from sim_core.effects import EFFECTS
 from sim_core.simulate import Trace
-from sysid.fit.directions import Direction
 from sysid.fit.engine import Prediction
+from sysid.fit.error_shapes import ErrorShape
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.parameters import fit_parameters, start_of
 from sysid.fit.problem import Problem
@@ -38,22 +38,22 @@ class Linear:
         return found
 
 
-def test_the_own_error_is_that_of_the_baseline(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The own error has slopes and was measured a little beside: what an effect promises is the chi-square of what is
-    missing, no more."""
+def test_the_discretisation_error_is_that_of_the_baseline(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The discretisation error has slopes and was measured a little beside: what an effect promises is the chi-square
+    of what is missing, no more."""
     rig = small_rig()
     (effect,) = (e for e in EFFECTS if e.name == "gel_relaxation")
     monkeypatch.setattr(candidates, "EFFECTS", (effect,))
     parameters = fit_parameters(rig, ["gel.E"])
     at = start_of(rig, parameters)
     slopes = np.full((len(T), 1, 1), 0.3)
-    direction = Direction("mesh", ({"gauge": OWN},), slopes=({"gauge": slopes},), at=at + 0.2)
-    error = direction.mean * (OWN + slopes[:, :, 0] * (at - direction.at))
+    known = ErrorShape("mesh", ({"gauge": OWN},), slopes=({"gauge": slopes},), at=at + 0.2)
+    error = known.mean * (OWN + slopes[:, :, 0] * (at - known.at))
     noise = SIGMA * np.random.default_rng(1).standard_normal(OWN.shape)
     data = at[0] * MATERIAL + AMOUNT * LAW + error + noise
     run = Run("press", "press", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
     engine = cast(Any, Linear())
-    beside = Problem([run], {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, engine, [direction], prior=True)
+    beside = Problem([run], {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, engine, [known], prior=True)
     base = beside.evaluate(rig, parameters, at)
     starts, failed = screen(engine, beside, base)
     assert not failed and len(starts) > 1

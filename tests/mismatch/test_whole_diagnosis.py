@@ -137,10 +137,10 @@ def test_a_law_that_is_missing_is_named_where_it_acts(diagnose: Callable[..., Di
 
 
 @pytest.mark.parametrize("own", [0.1, 0.15])
-def test_an_answer_is_not_judged_by_an_own_error_that_it_makes_smaller(
+def test_an_answer_is_not_judged_by_a_discretisation_error_that_it_makes_smaller(
     diagnose: Callable[..., Diagnosis], own: float
 ) -> None:
-    """Beside a smaller own error the same held-out readings weigh more, for the baseline as well."""
+    """Beside a smaller discretisation error the same held-out readings weigh more, for the baseline as well."""
 
     def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
         weak = 0.15 if run.name == "other" else 1.0
@@ -167,7 +167,7 @@ def test_an_effect_that_hides_readings_explains_nothing(diagnose: Callable[..., 
     assert "out of sight" in found.tried["gel_relaxation"]
 
 
-def test_an_own_error_that_cannot_be_measured_leaves_the_answer_and_is_said(
+def test_a_discretisation_error_that_cannot_be_measured_leaves_the_answer_and_is_said(
     diagnose: Callable[..., Diagnosis],
 ) -> None:
     def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
@@ -178,10 +178,10 @@ def test_an_own_error_that_cannot_be_measured_leaves_the_answer_and_is_said(
     found = diagnose(law)
     assert found.verdict == "named", found.tried
     (said,) = (note for note in found.notes if "did not converge" in note)
-    assert "The fit with" in said and "own error is not known" in said
+    assert "The fit with" in said and "discretisation error is not known" in said
 
 
-def test_the_baseline_goes_on_beside_the_own_error_measured_last(diagnose: Callable[..., Diagnosis]) -> None:
+def test_the_baseline_goes_on_beside_the_discretisation_error_measured_last(diagnose: Callable[..., Diagnosis]) -> None:
     def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
         if fine and stiffness(rig) > 0.1 and run.name == "press":
             raise ConvergenceError("The fine mesh does not converge.", "Use another.")
@@ -211,10 +211,10 @@ def test_only_what_the_rig_may_lack_is_counted(diagnose: Callable[..., Diagnosis
     assert f"{len(found.tried)} effects were looked for" in found.sentence
 
 
-def test_readings_on_which_the_own_error_is_not_known_are_said(
+def test_readings_on_which_the_discretisation_error_is_not_known_are_said(
     diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is said of them is what a fit says (tests/fit/test_own_error.py)."""
+    """What is said of them is what a fit says (tests/fit/test_discretisation_error.py)."""
     monkeypatch.setattr("sysid.mismatch.account.doubtful", lambda problem: ["It counts little for a while."])
     monkeypatch.setattr("sysid.mismatch.account.doubts", lambda rig, runs: [f"{run.name} has a fault." for run in runs])
     notes = diagnose(lambda rig, run, fine: read(rig)).notes

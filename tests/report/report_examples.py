@@ -247,7 +247,7 @@ def make_diagnosis(verdict: str, **changes: object) -> Diagnosis:
     if verdict == "nothing_missing":
         values |= {
             "sentence": "Nothing is missing: the rig explains the recordings down to their noise and the simulator's "
-            "own error.",
+            "discretisation error.",
             "effects": (),
             "alternatives": (
                 gel_relaxation(0.04, "it improves the fit by less than its two parameters cost."),

@@ -205,10 +205,10 @@ def test_each_verdict_says_what_it_must(verdicts: dict[str, Page]) -> None:
     assert "Next experiment" in words["unknown"]
 
 
-def test_the_simulators_own_error_is_told_in_plain_numbers(verdicts: dict[str, Page]) -> None:
-    words = verdicts["named"].words.split("The simulator's own error")[-1].split("Noise floor")[0]
+def test_the_discretisation_error_is_told_in_plain_numbers(verdicts: dict[str, Page]) -> None:
+    words = verdicts["named"].words.split("The discretisation error")[-1].split("Noise floor")[0]
     assert "Error of mesh and time step 412 squared noise units" in words
-    assert f"Misfit over own error 17.8{TIMES}" in words
+    assert f"Misfit over discretisation error 17.8{TIMES}" in words
     assert "Baseline's misfit per score 13.7 mean square; 1 = noise" in words
     assert "%" not in words
 
@@ -248,7 +248,7 @@ def test_the_examples_have_the_keys_of_real_diagnoses(tmp_path: Path) -> None:
     assert list(real.discretisation) == list(example.discretisation)
     assert set(real.upper_limits) <= set(example.upper_limits) and real.upper_limits
     words = diagnosis_page(tmp_path, real).words
-    assert "Misfit over own error" in words
+    assert "Misfit over discretisation error" in words
     assert "each of the 8 effects" in words and "promised no better fit" in words
 
 
@@ -376,7 +376,7 @@ def test_what_intervals_rest_on_is_said_first(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("after", "said"), [(1.1, False), (2.4, True)])
-def test_what_only_the_own_error_explains_is_no_noise(tmp_path: Path, after: float, said: bool) -> None:
+def test_what_only_the_discretisation_error_explains_is_no_noise(tmp_path: Path, after: float, said: bool) -> None:
     errors = [replace(e, after=after * e.noise) for e in make_fit().errors if not e.held_out]
     page = fit_page(tmp_path, make_fit(errors=errors, unexplained=[], series=[]))
     assert "down to their noise" in page.words

@@ -1,4 +1,4 @@
-"""The simulator's own error in units of the noise."""
+"""The discretisation error in units of the noise."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.directions import ROUGH, Direction, Sizes
 from sysid.fit.engine import Engine
+from sysid.fit.error_shapes import ROUGH, ErrorShape, Sizes
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
 from sysid.fit.problem import Problem
@@ -28,8 +28,8 @@ def test_what_is_not_measured_does_not_count() -> None:
     run = Run("pull", "", (), {}, (gauge,), 1.0)
     # Nothing is known of the noise of the other components, and the simulator moves there too.
     noise = ChannelNoise(np.array([0.1, 0.1, 0.1, 1e-12, 1e-12, 1e-12]), 0.0, "test")
-    direction = Direction("mesh", ({"gauge": np.full((n, 6), 0.05)},), mean=1.0)
-    problem = Problem([run], {"gauge": noise}, cast(Engine, None), [direction])
+    known = ErrorShape("mesh", ({"gauge": np.full((n, 6), 0.05)},), mean=1.0)
+    problem = Problem([run], {"gauge": noise}, cast(Engine, None), [known])
     # Every block of about ten samples, each half a standard deviation off: (10 * 0.5)^2 / 10, with that
     # deviation widened by what follows no shape.
     widened = 1.0 + (ROUGH * 0.5) ** 2

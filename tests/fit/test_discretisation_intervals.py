@@ -1,21 +1,21 @@
-"""What a known own error makes of residuals, and of what is known of parameters beside it."""
+"""What a known discretisation error makes of residuals, and of what is known of parameters beside it."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any, cast
 
+import discretisation_model
 import numpy as np
-import own_error_model
 import pytest
-from own_error_model import NOISE, PARAMETERS, SIGMA, TRUTH, Linear, T, Vector, coarse, fit, measured, own, run_of
+from discretisation_model import NOISE, PARAMETERS, SIGMA, TRUTH, Linear, T, Vector, coarse, fit, measured, own, run_of
 
 from sim_core.simulate import Trace
-from sysid.fit.directions import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, Direction, basis_of
+from sysid.fit.discretisation_error import loud
 from sysid.fit.engine import Prediction
+from sysid.fit.error_shapes import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, ErrorShape, basis_of
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise
-from sysid.fit.own_error import loud
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
 from sysid.fit.runs import Measured, Run
@@ -26,7 +26,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(vectors: None) -> None:
     """Errors drawn from the very prior, 300 recordings: 95 % intervals hold in 91 to 98 % of them."""
     rng = np.random.default_rng(5)
     shape = own(TRUTH)
-    direction = Direction("mesh", ({"gauge": shape},))
+    known = ErrorShape("mesh", ({"gauge": shape},))
     knots = [(np.linspace(0.0, 1.0, count), strength) for count, strength in LEVELS]
     hats = [a * np.clip(1.0 - np.abs(T[:, None] - k) * (len(k) - 1), 0.0, None) for k, a in knots]
     fine = hats[-1] > 0.0
@@ -44,7 +44,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(vectors: None) -> None:
         size = 0.5 + RIGHT_SD * (drifts[0][:, None] + np.column_stack(drifts[1:]))
         others = RIGHT_SD * (about * np.column_stack([drift(PATTERN_LEVELS) for _ in range(2)])) @ turned.T
         values = coarse(TRUTH) + size * shape + others + SIGMA * rng.standard_normal((len(T), 2))
-        problem = Problem([run_of(values)], NOISE, cast(PooledEngine, Linear()), [direction])
+        problem = Problem([run_of(values)], NOISE, cast(PooledEngine, Linear()), [known])
         fitted = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS)
         inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
     assert np.all((inside > 0.91 * 300) & (inside < 0.98 * 300)), inside
@@ -55,12 +55,12 @@ def test_an_error_without_the_shape_is_allowed_for(vectors: None, rho: float) ->
     """Where the known error passes through zero, the true one is there all the same: it weighs samples down."""
     rng = np.random.default_rng(8)
     shape, rms = np.column_stack([np.sin(60 * T), np.cos(60 * T)]), 0.5**0.5
-    direction = Direction("mesh", ({"gauge": shape},))
+    known = ErrorShape("mesh", ({"gauge": shape},))
     inside = np.zeros(2)
     for _ in range(100):
         values = coarse(TRUTH) + 0.5 * shape + rms * ROUGH * rng.standard_normal((len(T), 2))
         noise = {"gauge": ChannelNoise(NOISE["gauge"].sigma, rho, "test")}
-        problem = Problem([run_of(values)], noise, cast(PooledEngine, Linear()), [direction])
+        problem = Problem([run_of(values)], noise, cast(PooledEngine, Linear()), [known])
         fitted = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS)
         assert fitted.misfit < 1.5
         inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
@@ -68,16 +68,16 @@ def test_an_error_without_the_shape_is_allowed_for(vectors: None, rho: float) ->
 
 
 def beside_a_fast_error(n: int, errors: np.ndarray | float, amplitude: float = 1.0) -> Fitted:
-    """The two parameters at the truth, by ``n`` samples of eight columns beside an own error of a given ``amplitude``
-    that oscillates faster than its size drifts, in each column otherwise; the readings are off by ``errors``
-    ``(n, 8)``."""
+    """The two parameters at the truth, by ``n`` samples of eight columns beside a discretisation error of a given
+    ``amplitude`` that oscillates faster than its size drifts, in each column otherwise; the readings are off by
+    ``errors`` ``(n, 8)``."""
     t, j = np.linspace(0.0, 1.0, n)[:, None], np.arange(8)
     slopes = np.stack([np.cos(0.7 * j * t + j), np.sin(1.1 * j * t + 1.0)], axis=-1)
     shape = amplitude * np.sin((250.0 + 20.0 * j) * t)
     values = slopes @ TRUTH + 0.5 * shape + errors
     run = Run("run", "", (), {}, (Measured("gauge", "markers", t[:, 0], values, tuple("abcdefgh")),), 1.0)
     noise = {"gauge": ChannelNoise(np.full(8, SIGMA), np.zeros(8), "test")}
-    problem = Problem([run], noise, cast(PooledEngine, None), [Direction("mesh", ({"gauge": shape},))])
+    problem = Problem([run], noise, cast(PooledEngine, None), [ErrorShape("mesh", ({"gauge": shape},))])
     there = Prediction({"gauge": slopes @ TRUTH}, {"gauge": slopes}, cast(Trace, None))
     return problem.compare([there], cast(Any, Vector(np.zeros(2))), PARAMETERS, TRUTH)
 
@@ -94,7 +94,7 @@ def test_an_error_without_the_shape_may_stay_for_a_while(vectors: None) -> None:
     assert np.std(scores, axis=0) == pytest.approx(np.ones(2), abs=0.3)
 
 
-def test_intervals_beside_an_own_error_do_not_shrink_with_the_rate(vectors: None) -> None:
+def test_intervals_beside_a_discretisation_error_do_not_shrink_with_the_rate(vectors: None) -> None:
     few, many = beside_a_fast_error(1200, 0.0), beside_a_fast_error(4800, 0.0)
     alone = [uncertainty(beside_a_fast_error(n, 0.0, 1e-9)).sd for n in (1200, 4800)]
     assert alone[1] == pytest.approx(0.5 * alone[0], rel=0.01), "by noise alone they do"
@@ -105,7 +105,7 @@ def test_where_error_and_readings_change_alike_less_is_known(vectors: None) -> N
     """An error of -c/2 that changes with the parameters as the readings c do takes a quarter of the derivatives, in the
     mean of its sizes."""
     problem, fitted = fit(Linear(lambda x: -0.5 * coarse(x)), run_of(coarse(TRUTH)))
-    blind = [replace(d, slopes=(), at=None) for d in problem.directions]
+    blind = [replace(d, slopes=(), at=None) for d in problem.error_shapes]
     plain = Problem(problem.runs, NOISE, problem.engine, blind).compare(
         fitted.predictions, cast(Any, Vector(np.zeros(2))), PARAMETERS, fitted.scaled
     )
@@ -118,7 +118,7 @@ def test_what_only_the_error_depends_on_is_not_determined(
     vectors: None, monkeypatch: pytest.MonkeyPatch, share: float
 ) -> None:
     """Readings depend on the first parameter, the error on the second, and nobody knows how much of it there is."""
-    for module in (own_error_model.__name__, __name__):
+    for module in (discretisation_model.__name__, __name__):
         monkeypatch.setattr(f"{module}.coarse", lambda x: x[0] * np.column_stack([T, np.cos(2.0 * T)]))
 
     def ripple(x: np.ndarray) -> np.ndarray:
@@ -135,13 +135,11 @@ def test_what_only_the_error_depends_on_is_not_determined(
 
 def test_slopes_are_believed_near_where_they_were_measured() -> None:
     shape, slopes = np.ones((len(T), 2)), np.full((len(T), 2, 2), 3.0)
-    direction = Direction(
-        "mesh", ({"gauge": shape},), slopes=({"gauge": slopes},), at=TRUTH, reach=np.array([0.1, 0.2])
-    )
-    basis = basis_of([direction], 0, run_of(shape), run_of(shape).measured[0])
+    known = ErrorShape("mesh", ({"gauge": shape},), slopes=({"gauge": slopes},), at=TRUTH, reach=np.array([0.1, 0.2]))
+    basis = basis_of([known], 0, run_of(shape), run_of(shape).measured[0])
     near, far = TRUTH + [0.05, -0.1], TRUTH + [0.05, -9.0]
-    assert basis.mean_error(near)[0, 0] == pytest.approx(direction.mean * (1.0 + 3.0 * (0.05 - 0.1)))
-    assert basis.mean_error(far)[0, 0] == pytest.approx(direction.mean * (1.0 + 3.0 * (0.05 - 0.2)))
+    assert basis.mean_error(near)[0, 0] == pytest.approx(known.mean * (1.0 + 3.0 * (0.05 - 0.1)))
+    assert basis.mean_error(far)[0, 0] == pytest.approx(known.mean * (1.0 + 3.0 * (0.05 - 0.2)))
     assert basis.follows(near).tolist() == [1.0, 1.0] and basis.follows(far).tolist() == [1.0, 0.0]
 
 
@@ -157,7 +155,7 @@ def test_readings_after_a_gap_are_whitened_like_the_error_in_them(vectors: None)
     values[rng.uniform(size=len(t)) < 0.1] = np.nan
     run = Run("run", "", (), {}, (Measured("gauge", "markers", t, values, ("u", "v")),), 1.0)
     noise = {"gauge": ChannelNoise(NOISE["gauge"].sigma, rho, "test")}
-    problem = Problem([run], noise, cast(PooledEngine, None), [Direction("mesh", ({"gauge": shape},), sd=1e-6)])
+    problem = Problem([run], noise, cast(PooledEngine, None), [ErrorShape("mesh", ({"gauge": shape},), sd=1e-6)])
     nothing = Prediction({"gauge": np.zeros((len(t), 2))}, {}, cast(Trace, None))
     residual = problem.assemble([nothing], [])[0]
     weight = problem.basis(0, run.measured[0]).weights(noise["gauge"])
@@ -171,7 +169,7 @@ def test_what_was_not_measured_does_not_weigh_down_what_was(vectors: None) -> No
     shape = np.tile([100.0, 0.0, 0.1, 0.0, 0.0, 0.0], (len(T), 1))
     run = Run("run", "", (), {}, (Measured("cell", "wrench", T, values, tuple("abcdef")),), 1.0)
     noise = {"cell": ChannelNoise(np.ones(6), np.zeros(6), "test")}
-    problem = Problem([run], noise, cast(PooledEngine, None), [Direction("mesh", ({"cell": shape},))])
+    problem = Problem([run], noise, cast(PooledEngine, None), [ErrorShape("mesh", ({"cell": shape},))])
     rough = problem.basis(0, run.measured[0]).rough[:, 2]
     assert rough == pytest.approx(ROUGH * 0.1, rel=1e-12)
 
@@ -179,8 +177,8 @@ def test_what_was_not_measured_does_not_weigh_down_what_was(vectors: None) -> No
 def test_derivatives_are_those_of_the_residual(vectors: None) -> None:
     rng = np.random.default_rng(1)
     slopes = ({"gauge": rng.standard_normal((len(T), 2, 2))},)
-    direction = Direction("mesh", ({"gauge": own(TRUTH)},), slopes=slopes, at=np.array([0.2, 0.1]))
-    problem = Problem([run_of(measured(rng))], NOISE, cast(PooledEngine, Linear()), [direction], prior=True)
+    known = ErrorShape("mesh", ({"gauge": own(TRUTH)},), slopes=slopes, at=np.array([0.2, 0.1]))
+    problem = Problem([run_of(measured(rng))], NOISE, cast(PooledEngine, Linear()), [known], prior=True)
     rig = cast(Any, Vector(np.zeros(2)))
     here = problem.evaluate(rig, PARAMETERS, TRUTH)
     for k in range(2):
@@ -191,8 +189,8 @@ def test_derivatives_are_those_of_the_residual(vectors: None) -> None:
 
 def test_an_error_far_above_the_noise_is_said() -> None:
     def problem(size: float) -> Problem:
-        direction = Direction("mesh", ({"gauge": np.full((len(T), 2), size)},))
-        return Problem([run_of(coarse(TRUTH))], NOISE, cast(PooledEngine, Linear()), [direction])
+        known = ErrorShape("mesh", ({"gauge": np.full((len(T), 2), size)},))
+        return Problem([run_of(coarse(TRUTH))], NOISE, cast(PooledEngine, Linear()), [known])
 
     assert loud(problem(9.0 * SIGMA)) == []
     (said,) = loud(problem(40.0 * SIGMA))
@@ -203,7 +201,7 @@ def test_a_reading_that_a_refinement_does_not_move_may_be_off_for_long() -> None
     """Beside one that it moves by 1: by a quarter of their largest rms, and the same all through a run."""
     shape = np.column_stack([np.ones(len(T)), np.zeros(len(T))])
     run = run_of(np.zeros((len(T), 2)))
-    basis = basis_of([Direction("mesh", ({"gauge": shape},))], 0, run, run.measured[0])
+    basis = basis_of([ErrorShape("mesh", ({"gauge": shape},))], 0, run, run.measured[0])
     lasting = [p.shape[:, 1:] * p.functions[:, :1] for p in basis.own if len(p.instants)]
     assert np.hypot.reduce(lasting) == pytest.approx(np.full((len(T), 1), ROUGH * 0.5**0.5))
 
@@ -212,20 +210,21 @@ def test_each_column_may_have_its_own_multiple_of_the_error(vectors: None) -> No
     """With its sign: half as much again all through a run takes one coefficient, also where the error changes sign."""
     shape = 100.0 * SIGMA * np.column_stack([np.sin(15 * T), np.cos(11 * T)])
     problem = Problem(
-        [run_of(shape * [1.0, 0.5])], NOISE, cast(PooledEngine, None), [Direction("mesh", ({"gauge": shape},))]
+        [run_of(shape * [1.0, 0.5])], NOISE, cast(PooledEngine, None), [ErrorShape("mesh", ({"gauge": shape},))]
     )
     nothing = Prediction({"gauge": np.zeros(shape.shape)}, {}, cast(Trace, None))
     assert problem.compare([nothing], cast(Any, Vector(TRUTH)), [], np.zeros(0)).chi2 < 1.0
 
 
 def test_errors_of_a_rig_that_is_right_are_the_noise(vectors: None) -> None:
-    """Beside an own error of ten times the noise, which is not in the readings, of a wrench that was not tared."""
+    """Beside a discretisation error of ten times the noise, which is not in the readings, of a wrench that was not
+    tared."""
     rng, bias = np.random.default_rng(3), np.array([0.3, -0.2, 0.0, 0.0, 0.0, 0.0])
     noise = {"cell": ChannelNoise(np.full(6, SIGMA), np.zeros(6), "test")}
     values = bias + SIGMA * rng.standard_normal((len(T), 6))
     run = Run("run", "", (), {}, (Measured("cell", "wrench", T, values, tuple("abcdef")),), 1.0)
-    direction = Direction("mesh", ({"cell": np.full((len(T), 6), 10.0 * SIGMA)},))
-    problem = Problem([run], noise, cast(PooledEngine, None), [direction], bias=True)
+    known = ErrorShape("mesh", ({"cell": np.full((len(T), 6), 10.0 * SIGMA)},))
+    problem = Problem([run], noise, cast(PooledEngine, None), [known], bias=True)
     nothing = Prediction({"cell": np.zeros((len(T), 6))}, {}, cast(Trace, None))
     fitted = problem.compare([nothing], cast(Any, Vector(TRUTH)), [], np.zeros(0))
     left = values - problem.tared(fitted, 0, run.measured[0])

@@ -1,4 +1,4 @@
-"""The simulator's own error as known shapes of uncertain size, which fits carry as nuisance parameters.
+"""The discretisation error as known shapes of uncertain size, which fits carry as nuisance parameters.
 
 A refinement of the mesh (or of the time step) shows the shape d(t) of the discretisation error of every
 reading, but only estimates its size, and the estimate need not be equally good all the time: while a body
@@ -62,12 +62,12 @@ ROUGH = 0.25
 is new with every sample."""
 
 BELIEVED = 2.0
-"""Own error that is allowed for where what is left is judged, in units of the largest error thereabouts: one refinement
-tells its size to within a factor of two."""
+"""Discretisation error that is allowed for where what is left is judged, in units of the largest error thereabouts: one
+refinement tells its size to within a factor of two."""
 
 
 @dataclass(frozen=True)
-class Direction:
+class ErrorShape:
     """A known shape of error for each run and channel, with an uncertain size that may drift.
 
     ``shapes[run index][channel]``: ``(n, m)`` in measured units, as measured at the scaled parameters
@@ -87,7 +87,7 @@ class Direction:
     sight: tuple[dict[str, np.ndarray], ...] = ()
     unforeseen: tuple[dict[str, np.ndarray], ...] = ()
 
-    def following(self, before: Direction, scaled: np.ndarray) -> Direction:
+    def following(self, before: ErrorShape, scaled: np.ndarray) -> ErrorShape:
         """This direction, measured at ``scaled`` ``(p,)`` after another one ``before``, with what that did not foresee;
         beyond its reach nothing was foreseen, and what was known stays."""
         known = before.unforeseen
@@ -199,7 +199,7 @@ def told(parts: Sequence[Changes], values: np.ndarray, shared: bool) -> np.ndarr
 
 
 def basis_of(
-    directions: list[Direction], index: int, run: Run, measured: Measured, bias: np.ndarray | None = None
+    directions: list[ErrorShape], index: int, run: Run, measured: Measured, bias: np.ndarray | None = None
 ) -> Basis:
     """The basis of one channel of run number ``index``.
 
@@ -247,8 +247,8 @@ def basis_of(
 
 
 def believed(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:
-    """Of what the most probable coefficients take for the own error of a channel ``(n, m)``, without a bias, as much
-    as may be: in no quantity more than :data:`BELIEVED` times the largest thereabouts, rms over the columns.
+    """Of what the most probable coefficients take for the discretisation error of a channel ``(n, m)``, without a bias,
+    as much as may be: in no quantity more than :data:`BELIEVED` times the largest thereabouts, rms over the columns.
 
     Thousands of samples can afford any coefficient, and missing physics that happens to have a shape of the error
     would be taken for it.

@@ -1,4 +1,4 @@
-"""How the simulator's own error changes with the parameters: of a real rollout, against differences."""
+"""How the discretisation error changes with the parameters: of a real rollout, against differences."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
+from sysid.fit.discretisation_error import discretisation, discretisation_with_slopes
 from sysid.fit.engine import Engine
-from sysid.fit.own_error import discretisation, discretisation_with_slopes
 from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.fit.runs import Run, load_run
 from sysid.simulate import simulate_to_bag
@@ -38,7 +38,7 @@ def pressed(small_rig: Callable[..., Rig], tmp_path_factory: pytest.TempPathFact
     return rig, load_run(rig, bag)
 
 
-def test_slopes_of_the_own_error_are_its_differences(pressed: tuple[Rig, Run]) -> None:
+def test_slopes_of_the_discretisation_error_are_its_differences(pressed: tuple[Rig, Run]) -> None:
     rig, run = pressed
     parameters: list[FitParameter] = fit_parameters(rig, NAMES)
     engine, at = Engine(), start_of(rig, parameters)
@@ -51,19 +51,19 @@ def test_slopes_of_the_own_error_are_its_differences(pressed: tuple[Rig, Run]) -
     plain = engine.predict_all(rig, [run], parameters, at)
     found = discretisation_with_slopes(engine, rig, [run], plain, parameters, at)
     values = measured(at)
-    for direction, value in zip(found, values, strict=True):
-        assert direction.label == value.label and np.array_equal(direction.at, at)
-        for channel, shape in direction.shapes[0].items():
+    for known, value in zip(found, values, strict=True):
+        assert known.label == value.label and np.array_equal(known.at, at)
+        for channel, shape in known.shapes[0].items():
             np.testing.assert_allclose(shape, value.shapes[0][channel], rtol=1e-9, atol=1e-12)
     for k in range(len(parameters)):
         errors: dict[tuple[str, str], list[float]] = {}
         for step in (share * width[k] for share in STEPS):
             ahead, behind = (measured(at + side * step * np.eye(len(parameters))[k]) for side in (1.0, -1.0))
-            for direction, high, low in zip(found, ahead, behind, strict=True):
-                for channel, slopes in direction.slopes[0].items():
+            for known, high, low in zip(found, ahead, behind, strict=True):
+                for channel, slopes in known.slopes[0].items():
                     difference = (high.shapes[0][channel] - low.shapes[0][channel]) / (2.0 * step)
                     largest = np.nanmax(np.abs(difference))
                     assert largest > 0.0
                     error = np.max(np.abs(slopes[:, :, k] - difference)) / largest
-                    errors.setdefault((direction.label, channel), []).append(error)
+                    errors.setdefault((known.label, channel), []).append(error)
         assert max(min(e) for e in errors.values()) < 1e-2, (NAMES[k], errors)

@@ -1,4 +1,4 @@
-"""Fits beside the simulator's own error, which is measured by refinement where the fit stands.
+"""Fits beside the discretisation error, which is measured by refinement where the fit stands.
 
 The error of mesh and time step depends on the parameters, and the best parameters on what is taken for
 error, so both are found in turns: measure at theta_k, fit, measure at theta_{k+1}. Such turns creep where
@@ -9,7 +9,7 @@ refined simulations are therefore differentiated as well, and the fit uses
 
 within :data:`SLOPES_REACH` of where they were measured. What the next measurement shows beside that is unforeseen: the
 refined simulation snaps over a moment earlier or later than before. Readings are weighed down by it there
-(:meth:`sysid.fit.directions.Direction.following`), or turns would go on from one side to the other. Far from the
+(:meth:`sysid.fit.error_shapes.ErrorShape.following`), or turns would go on from one side to the other. Far from the
 solution, where a search is to be followed by another one anyway, derivatives say little of where that will lead. They
 lead a search, but intervals learn nothing from them (:func:`sysid.fit.uncertainty.uncertainty`): how large the error
 is, is not known.
@@ -27,9 +27,9 @@ import numpy as np
 from sim_core.batch import worker_ended
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
-from sysid.fit.directions import Direction
 from sysid.fit.ended import ENDS_EARLY, stop
 from sysid.fit.engine import Prediction
+from sysid.fit.error_shapes import ErrorShape
 from sysid.fit.fitted import Fitted
 from sysid.fit.noise import ChannelNoise, quantities
 from sysid.fit.parameters import FitParameter, rig_in, start_of
@@ -46,7 +46,7 @@ NEAR = 1.0
 its slopes were measured."""
 
 SLOPES_REACH = 0.25
-"""How far derivatives of the own error are believed, in plausible ranges of a parameter."""
+"""How far derivatives of the discretisation error are believed, in plausible ranges of a parameter."""
 
 LOUD = 10.0
 """Error of mesh and time step over noise from which a result says that it rests on that error."""
@@ -64,7 +64,7 @@ class Unmeasured(ThinshellError):
 
     def __init__(self, cause: ThinshellError, beside: Problem, fitted: Fitted) -> None:
         super().__init__(cause.problem, cause.remedy)
-        stop(fitted, cause, "it stands where its own error is not known")
+        stop(fitted, cause, "it stands where its discretisation error is not known")
         self.beside, self.fitted = beside, fitted
 
 
@@ -73,13 +73,13 @@ def discretisation(
     rig: Rig | Sequence[Rig],
     runs: Sequence[Run],
     plain: Sequence[Prediction] | None = None,
-) -> list[Direction]:
+) -> list[ErrorShape]:
     """How the predictions change when the mesh, and when the time step, is refined once.
 
     ``rig``: one for all runs, or one for each; ``plain``: its predictions as it is, where they are at hand.
 
     The true error is about 2^p / (2^p - 1) of these differences, with the order p of the mesh
-    (:data:`MESH_ORDER`) and of the rig's integrator; the directions are scaled accordingly. Raises
+    (:data:`MESH_ORDER`) and of the rig's integrator; the shapes are scaled accordingly. Raises
     ``ThinshellError`` where a refined simulation fails.
     """
     rigs = rig if isinstance(rig, Sequence) else [rig] * len(runs)
@@ -88,7 +88,7 @@ def discretisation(
     fine = [engine.submit(there, run, 2) for there, run in pairs]
     short = [engine.submit(there, run, 1, 0.5 * there.solver.dt_s) for there, run in pairs]
     base = plain or [_outcome(f, run, "as it is") for f, run in zip(pending, runs, strict=True)]
-    return _directions(rigs, runs, base, fine, short)
+    return _error_shapes(rigs, runs, base, fine, short)
 
 
 def discretisation_with_slopes(
@@ -98,7 +98,7 @@ def discretisation_with_slopes(
     plain: Sequence[Prediction],
     parameters: Sequence[FitParameter],
     scaled: np.ndarray,
-) -> list[Direction]:
+) -> list[ErrorShape]:
     """The same at scaled values ``(p,)`` of ``parameters``, with its derivatives by them; ``plain``: with derivatives.
 
     Raises ``ThinshellError`` where a refined simulation fails.
@@ -107,16 +107,16 @@ def discretisation_with_slopes(
     fine = [engine.submit_with_derivatives(rig, run, *at, 2) for run in runs]
     short = [engine.submit_with_derivatives(rig, run, *at, 1, 0.5 * rig.solver.dt_s) for run in runs]
     reach = np.array([SLOPES_REACH * p.prior_sd for p in parameters])
-    return [replace(d, at=scaled, reach=reach) for d in _directions([rig] * len(runs), runs, plain, fine, short)]
+    return [replace(d, at=scaled, reach=reach) for d in _error_shapes([rig] * len(runs), runs, plain, fine, short)]
 
 
-def _directions(
+def _error_shapes(
     rigs: Sequence[Rig],
     runs: Sequence[Run],
     base: Sequence[Prediction],
     fine: Sequence[Future[Prediction]],
     short: Sequence[Future[Prediction]],
-) -> list[Direction]:
+) -> list[ErrorShape]:
     found = []
     for label, how, orders, pending in (
         ("mesh", "on a finer mesh", [MESH_ORDER] * len(rigs), fine),
@@ -127,7 +127,7 @@ def _directions(
         shapes = tuple(_error(r.values, b.values, p) for r, b, p in three)
         slopes = tuple(_error(r.derivatives, b.derivatives, p) for r, b, p in three if r.derivatives)
         sight = tuple({c: np.isfinite(v - b.values[c]) for c, v in r.values.items()} for r, b, _ in three)
-        found.append(Direction(label, shapes, slopes=slopes, sight=sight))
+        found.append(ErrorShape(label, shapes, slopes=slopes, sight=sight))
     return found
 
 
@@ -151,7 +151,7 @@ def _error(refined: dict[str, np.ndarray], base: dict[str, np.ndarray], order: i
     return {c: np.where(np.isfinite(d), d, 0.0) for c, d in found.items()}
 
 
-def fit_beside_own_error(
+def fit_beside_discretisation(
     engine: AnyEngine,
     runs: Sequence[Run],
     noise: dict[str, ChannelNoise],
@@ -165,7 +165,7 @@ def fit_beside_own_error(
     rounds: int = MOST_ROUNDS,
     search: Minimise | None = None,
 ) -> tuple[Problem, Fitted]:
-    """Fit ``parameters`` of ``rig``; the problem holds the own error measured at the solution.
+    """Fit ``parameters`` of ``rig``; the problem holds the discretisation error measured at the solution.
 
     ``plain``: the predictions where the fit starts, where they are at hand.
 
@@ -181,8 +181,8 @@ def fit_beside_own_error(
     def each(at: np.ndarray) -> list[Rig]:
         return [rig_in(rig, parameters, at, run.name) for run in runs]
 
-    directions = discretisation(engine, each(scaled), runs, plain)
-    problem = Problem(runs, noise, engine, directions, prior, bias)
+    error_shapes = discretisation(engine, each(scaled), runs, plain)
+    problem = Problem(runs, noise, engine, error_shapes, prior, bias)
     evaluations, with_slopes = 0, False
     known: Fitted | None = None
     for left in reversed(range(rounds)):
@@ -215,8 +215,8 @@ def fit_beside_own_error(
             raise Unmeasured(worker_ended(), problem, _counted(fitted, evaluations)) from error
         except ThinshellError as error:
             raise Unmeasured(error, problem, _counted(fitted, evaluations)) from error
-        directions = [now.following(then, scaled) for now, then in zip(found, directions, strict=True)]
-        problem = Problem(runs, noise, engine, directions, prior, bias)
+        error_shapes = [now.following(then, scaled) for now, then in zip(found, error_shapes, strict=True)]
+        problem = Problem(runs, noise, engine, error_shapes, prior, bias)
         known = problem.compare(fitted.predictions, rig, parameters, scaled)
         problem.keep(known)
     if fitted.converged or fitted.elsewhere:
@@ -239,7 +239,7 @@ def loud(problem: Problem) -> list[str]:
     ]
 
 
-def own_sizes(problem: Problem) -> dict[tuple[str, str], float]:
+def error_sizes(problem: Problem) -> dict[tuple[str, str], float]:
     """Root mean square of the error of mesh and time step by channel and quantity, measured units: the largest of all
     runs."""
     return {key: max(sizes) for key, (sizes, _) in _sizes(problem).items()}
@@ -251,7 +251,7 @@ def _sizes(problem: Problem) -> dict[tuple[str, str], tuple[list[float], list[fl
     for i, run in enumerate(problem.runs):
         for m in run.measured:
             noise = problem.noise[m.channel].sigma
-            whole = np.sum([d.shapes[i].get(m.channel, 0.0 * m.values) for d in problem.directions], axis=0)
+            whole = np.sum([d.shapes[i].get(m.channel, 0.0 * m.values) for d in problem.error_shapes], axis=0)
             seen = np.where(np.isfinite(m.values), whole, np.nan)
             for quantity, group in quantities(m):
                 if np.isfinite(seen[:, group]).any():
@@ -262,7 +262,7 @@ def _sizes(problem: Problem) -> dict[tuple[str, str], tuple[list[float], list[fl
 
 
 def doubtful(problem: Problem) -> list[str]:
-    """A sentence for each quantity of a run that counts little where its own error changes unforeseen."""
+    """A sentence for each quantity of a run that counts little where its discretisation error changes unforeseen."""
     said = []
     for i, run in enumerate(problem.runs):
         for m in run.measured:

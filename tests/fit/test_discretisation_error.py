@@ -1,4 +1,4 @@
-"""Rounds of measuring the simulator's own error and fitting beside it: on a model with a known answer."""
+"""Rounds of measuring the discretisation error and fitting beside it: on a model with a known answer."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from own_error_model import NOISE, PARAMETERS, SIGMA, TRUTH, Linear, T, Vector, coarse, fit, measured, run_of
+from discretisation_model import NOISE, PARAMETERS, SIGMA, TRUTH, Linear, T, Vector, coarse, fit, measured, run_of
 
 from sim_core.rigs import parse_rig
 from sim_core.rigs.schema import Solver
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, Trace
-from sysid.fit import own_error
-from sysid.fit.directions import Direction
+from sysid.fit import discretisation_error
 from sysid.fit.engine import Prediction
+from sysid.fit.error_shapes import ErrorShape
 from sysid.fit.leftover import left_over
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
@@ -50,7 +50,7 @@ def test_the_error_of_the_time_step_is_extrapolated_by_the_order_of_each_rigs_in
     dt = 0.02
     rigs = [small_rig(solver={"dt_s": dt, "integrator": name}) for name in ("implicit_euler", "bdf2")]
     runs = [run_of(coarse(TRUTH))] * 2
-    _, step = own_error.discretisation(cast(PooledEngine, Polynomial()), rigs, runs)
+    _, step = discretisation_error.discretisation(cast(PooledEngine, Polynomial()), rigs, runs)
     for shape, off in zip(step.shapes, (7.0 * dt, 7.0 * dt**2), strict=True):
         np.testing.assert_allclose(shape["gauge"], -off, rtol=1e-9)
 
@@ -89,9 +89,11 @@ def test_slopes_save_rounds(vectors: None, monkeypatch: pytest.MonkeyPatch) -> N
     run = run_of(measured(np.random.default_rng(0)))
     quick = Linear()
     fit(quick, run, rounds=40)
-    blind = own_error.discretisation_with_slopes
+    blind = discretisation_error.discretisation_with_slopes
     monkeypatch.setattr(
-        own_error, "discretisation_with_slopes", lambda *given: [replace(d, slopes=()) for d in blind(*given)]
+        discretisation_error,
+        "discretisation_with_slopes",
+        lambda *given: [replace(d, slopes=()) for d in blind(*given)],
     )
     slow = Linear()
     fit(slow, run, rounds=40)
@@ -145,10 +147,12 @@ def test_an_error_that_snaps_over_does_not_keep_the_rounds_going(vectors: None) 
 def test_what_slopes_foresee_is_not_unforeseen() -> None:
     """Within their reach; the largest of what was missed is kept."""
     at, slopes = np.array([1.0]), np.full((4, 2, 1), 3.0)
-    before = Direction("mesh", ({"gauge": np.ones((4, 2))},), slopes=({"gauge": slopes},), at=at, reach=np.array([0.5]))
+    before = ErrorShape(
+        "mesh", ({"gauge": np.ones((4, 2))},), slopes=({"gauge": slopes},), at=at, reach=np.array([0.5])
+    )
     jump = np.zeros((4, 2))
     jump[2] = 0.7, -0.2
-    after = Direction("mesh", ({"gauge": np.ones((4, 2)) + 3.0 * 0.1 + jump},), slopes=before.slopes, at=at + 0.1)
+    after = ErrorShape("mesh", ({"gauge": np.ones((4, 2)) + 3.0 * 0.1 + jump},), slopes=before.slopes, at=at + 0.1)
     near = after.following(before, at + 0.1)
     np.testing.assert_allclose(near.unforeseen[0]["gauge"], np.abs(jump), atol=1e-12)
     calm = replace(after, shapes=({"gauge": after.shapes[0]["gauge"] + 3.0 * 0.1},))
@@ -167,10 +171,10 @@ def test_where_the_error_changes_unforeseen_nothing_is_judged_and_that_is_said(v
     shape = 0.1 * np.column_stack([np.sin(9 * T), np.cos(7 * T)])
     found = {}
     for name, unforeseen in (("calm", ()), ("snapping", ({"gauge": 80.0 * SIGMA * np.abs(WINDOW)},))):
-        direction = Direction("mesh", ({"gauge": shape},), unforeseen=unforeseen)
-        problem = Problem([run], NOISE, cast(PooledEngine, None), [direction])
+        known = ErrorShape("mesh", ({"gauge": shape},), unforeseen=unforeseen)
+        problem = Problem([run], NOISE, cast(PooledEngine, None), [known])
         judged = problem.judged(0, run.measured[0], run.measured[0].values - coarse(TRUTH))
-        found[name] = np.isfinite(judged), own_error.doubtful(problem)
+        found[name] = np.isfinite(judged), discretisation_error.doubtful(problem)
         prediction = Prediction({"gauge": coarse(TRUTH)}, {}, cast(Trace, None))
         fitted = problem.compare([prediction], cast(Any, Vector(TRUTH)), [], np.zeros(0))
         (left,) = left_over(problem, fitted)

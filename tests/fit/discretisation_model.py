@@ -9,9 +9,9 @@ from typing import Any, cast
 import numpy as np
 
 from sim_core.simulate import Trace
+from sysid.fit.discretisation_error import fit_beside_discretisation
 from sysid.fit.engine import Prediction
 from sysid.fit.noise import ChannelNoise
-from sysid.fit.own_error import fit_beside_own_error
 from sysid.fit.parameters import FitParameter
 from sysid.fit.pool import PooledEngine
 from sysid.fit.runs import Measured, Run
@@ -89,6 +89,6 @@ def measured(rng: np.random.Generator, share: float = 0.5) -> np.ndarray:
 
 
 def fit(engine: Linear, run: Run, parameters: Sequence[FitParameter] = PARAMETERS, **settings: Any) -> Any:
-    return fit_beside_own_error(
+    return fit_beside_discretisation(
         cast(PooledEngine, engine), [run], NOISE, cast(Any, Vector(np.zeros(2))), parameters, **settings
     )
