@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from sim_core.energies.linearised import Linearised, cross, skew, times_back
 from sim_core.energies.term import StepContext
 from sim_core.gradients.columns import Columns
-from sim_core.gradients.directions import Direction, motions, slopes
+from sim_core.gradients.directions import Direction, checked, motions, slopes
 from sim_core.gradients.elements import Alongs, OwnNumbers
 from sim_core.gradients.fields import FieldSums
 from sim_core.gradients.losses import Loss, in_sight, one_number
@@ -75,8 +75,10 @@ def simulate_adjoint(
     """Make the rollout, and the gradient of ``loss`` by the parameters ``along``, the ``fields`` and all else.
 
     ``memory_mb``: bound on the steps that are kept; those of longer rollouts are made twice. Raises ``ConfigError``
-    where the loss is not a number, or its derivatives are not one for each reading of a channel.
+    where ``along`` has something else than directions, where the loss is not a number, or its derivatives are not one
+    for each reading of a channel.
     """
+    along = checked(along)
     tape = Tape(scene, poses, times, settings, memory_mb, on_step)
     value, by_readings = loss(tape.trace)
     return Backward(tape, along, fields).gradient(one_number(value), by_readings)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, list_parameters, resolve_name, with_parameters
 from sim_core.scene.offset import offset_motion
 from sim_core.scene.scene import Scene, Values
@@ -52,6 +53,17 @@ def directions(rig: Rig, names: Sequence[str]) -> list[Direction]:
         rigs = [with_parameters(rig, {parameter.name: v}) for v in (low, high)]
         found.append(Direction(parameter.name, rigs[0], rigs[1], high - low))
     return found
+
+
+def checked(along: Sequence[Direction]) -> list[Direction]:
+    """The same. Raises ``ConfigError`` where one is something else, a name for one."""
+    for given in along:
+        if not isinstance(given, Direction):
+            raise ConfigError(
+                f"{given!r} is not a direction to differentiate along.",
+                "Make directions of parameters from their names: directions(rig, names).",
+            )
+    return list(along)
 
 
 def numbers(values: Values) -> dict[Key, float]:

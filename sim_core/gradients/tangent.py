@@ -18,7 +18,7 @@ import numpy as np
 
 from sim_core.energies.linearised import skew
 from sim_core.gradients.columns import Columns
-from sim_core.gradients.directions import Direction, motions, slopes
+from sim_core.gradients.directions import Direction, checked, motions, slopes
 from sim_core.gradients.mounts import (
     Motions,
     carried_along,
@@ -218,8 +218,9 @@ def simulate_tangent(
     on_step: Callable[[int, int], None] | None = None,
     settings: NewtonSettings | None = None,
 ) -> tuple[Trace, dict[str, np.ndarray]]:
-    """Trace of a rollout and the derivatives of every channel, ``(n_times, ..., n_parameters)``."""
-    simulation = TangentSimulation(scene, along, settings)
+    """Trace of a rollout and the derivatives of every channel, ``(n_times, ..., n_parameters)``. Raises ``ConfigError``
+    where ``along`` has something else than directions."""
+    simulation = TangentSimulation(scene, checked(along), settings)
     stacked: list[dict[str, np.ndarray]] = []
 
     def record(done: int, total: int) -> None:

@@ -9,7 +9,7 @@ import pytest
 from test_tangent import PRESS
 
 from sim_core.errors import ConfigError
-from sim_core.gradients import Backward, Tape, directions, simulate_adjoint
+from sim_core.gradients import Backward, Tape, directions, simulate_adjoint, simulate_tangent
 from sim_core.gradients.losses import in_sight, one_number
 from sim_core.scene import build_scene
 from sim_core.simulate import Trace, step_times
@@ -69,3 +69,13 @@ def test_a_loss_on_the_last_instant_is_not_spread_over_all(small_rig, visit):
     tape = Tape(scene, visit(*PRESS), times)
     with pytest.raises(ConfigError, match="as its readings"):
         Backward(tape, along).gradient(*last(tape.trace))
+
+
+def test_names_are_no_directions(small_rig, visit):
+    """Said before the rollout."""
+    scene, names = build_scene(small_rig()), ["gel.E_pa"]
+    words = r"'gel.E_pa' is not a direction.*directions\(rig, names\)"
+    with pytest.raises(ConfigError, match=words):
+        simulate_adjoint(scene, visit(*PRESS), step_times(0.0, 0.06, 0.02), lambda trace: pytest.fail("late"), names)
+    with pytest.raises(ConfigError, match=words):
+        simulate_tangent(scene, visit(*PRESS), step_times(0.0, 0.06, 0.02), names)
