@@ -87,6 +87,14 @@ def test_a_derivative_that_is_wrong_both_ways_is_named(small_rig, monkeypatch, e
     assert judged == {"differs"}, [(r["channel"], r["verdict"], r["errors"]) for r in rows]
 
 
+def test_a_parameter_that_is_taken_for_one_without_effect_is_named(small_rig, monkeypatch):
+    """Whether it has one is seen in rollouts, not asked of what is checked."""
+    for module in (tangent, adjoint):
+        monkeypatch.setattr(module, "slopes", lambda scene, along: ([], np.zeros((0, len(along)))))
+    _, rows = check(small_rig(), ["card.E"], steps=(1e-3,))
+    assert {r["verdict"] for r in rows} == {"differs"}
+
+
 def test_losses_on_streams_have_derivatives_by_delays_and_drifts(small_rig):
     """And by what acts on the rollout: against differences of whole rollouts."""
     offsets = {f"{kind}_{axis}_{unit}": 0.01 for axis in "xyz" for kind, unit in (("bias", "n"), ("drift", "n_per_s"))}
