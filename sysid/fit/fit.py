@@ -353,8 +353,9 @@ def _profiled(
     """Profiles, where they are wanted, what is then known of the parameters in words, and scaled values ``(p,)`` at
     which the fit was met to be better.
 
-    Where a profile says how far the data limit a parameter on both sides, that takes the place of the finding that
-    they do not determine it. Around values that are not the best fit intervals mean nothing, and little is said.
+    Where a profile says how far the data limit a parameter on both sides, that takes the place of the finding that they
+    do not determine it, unless what was known before may limit it. Around values that are not the best fit intervals
+    mean nothing, and little is said.
     """
     if intervals == "quadratic" or fitted.cut_short or not fitted.parameters:
         return [], findings, None
@@ -378,7 +379,8 @@ def _profiled(
         profiles = profiler.profiles()
         better = profiler.lower()
         said = [] if better else [p for p in profiles if p.sentence]
-        replaced = {(p.name,) for p in said if p.limited}
+        known = {q.name for q in fitted.parameters if q.known_sd is not None}
+        replaced = {(p.name,) for p in said if p.limited and p.name not in known}
         findings = [f for f in findings if f.undetermined not in replaced]
         findings += [Finding(better)] if better else [Finding(p.sentence) for p in said]
     if profiler.interrupted:

@@ -251,6 +251,19 @@ def test_only_what_says_as_much_takes_the_place_of_not_determined(broken_from: f
     assert profiles[0].sentence in said and (before in said) != replaced
 
 
+def test_what_was_known_before_does_not_take_the_place_of_not_determined() -> None:
+    """Both ends of the profile are found then, whatever the data say."""
+    problem, plain = fitted_to(cubic, (0.25, 0.3))
+    first, other = plain.parameters
+    finding = Finding("The data do not determine it: its interval is what was known before.", (first.name,))
+    for known_sd, kept in ((None, False), (10.0, True)):
+        given = [replace(first, known_sd=known_sd), other]
+        fitted = problem.fit(cast(Any, None), given, start=plain.scaled, tolerance=1e-9)
+        profiles, found, _ = _profiled(problem, fitted, [finding], "profiled", None)
+        assert profiles[0].ends == ("found", "found") and "not a parabola" in profiles[0].sentence
+        assert (finding in found) == kept
+
+
 class Pressed(Curve):
     """Ctrl-C is pressed once, while the first end of an interval is simulated."""
 
