@@ -32,6 +32,7 @@ from sysid.cli import (
     track,
     validate,
 )
+from sysid.cli.progress import interrupts_remembered
 
 OWN_PACKAGES = {"sim_core", "sysid", "thinshell_ros"}
 REPORT = "Please report it on the project's issue tracker with the command and the output of --debug."
@@ -94,7 +95,8 @@ def main(arguments: list[str] | None = None) -> int:
     debug = "--debug" in given[:cut]
     plain = [word for index, word in enumerate(given) if word != "--debug" or index > cut]
     try:
-        code = typer.main.get_command(app).main(plain or ["--help"], "thinshell", standalone_mode=False)
+        with interrupts_remembered():
+            code = typer.main.get_command(app).main(plain or ["--help"], "thinshell", standalone_mode=False)
         sys.stdout.flush()
         if code == INTERRUPTED:
             # Typer turns Ctrl-C into this code.

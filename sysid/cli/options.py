@@ -93,11 +93,11 @@ def parse_pairs(words: Sequence[str], option: str, sign: str) -> dict[str, tuple
     return pairs
 
 
-def parse_names(text: str, option: str) -> list[str]:
+def parse_names(text: str, option: str, example: str = "card.E,gel.E") -> list[str]:
     """Names from a comma-separated list."""
     names = [name.strip() for name in text.split(",")]
     if not all(names):
-        raise ConfigError(f"{option} {text!r} holds an empty name.", f"Write for example {option} card.E,gel.E.")
+        raise ConfigError(f"{option} {text!r} holds an empty name.", f"Write for example {option} {example}.")
     return names
 
 
@@ -105,7 +105,7 @@ def parse_nuisance(text: str) -> list[str]:
     """Kinds of nuisances from a comma-separated list."""
     from sysid.fit.nuisance import checked_kinds
 
-    return sorted(checked_kinds(parse_names(text, "--nuisance"))) or ["none"]
+    return sorted(checked_kinds(parse_names(text, "--nuisance", "time,bias"))) or ["none"]
 
 
 def check_bag(path: Path) -> None:

@@ -11,11 +11,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from threading import Event
+from threading import Event, current_thread, main_thread
 from types import FrameType
 
 ProgressCallback = Callable[[float, str], None]
 """Called with the share of the work that is done (0 to 1) and a word on what is being done."""
+
+_pressed = Event()
+"""Ctrl-C was pressed while :func:`interrupts_remembered`."""
 
 SILENCE_S = 60.0
 """A line comes after so long without one."""
@@ -28,7 +31,9 @@ def warn(text: str) -> None:
 
 @contextmanager
 def progress(title: str) -> Iterator[ProgressCallback]:
-    """Show progress on stderr while the block runs."""
+    """Show progress on stderr while the block runs. Raises ``KeyboardInterrupt`` for one that was swallowed before."""
+    if _pressed.is_set():
+        raise KeyboardInterrupt
     if sys.stderr.isatty():
         with _bar(title) as report:
             yield report
@@ -72,21 +77,37 @@ def _lines(title: str) -> ProgressCallback:
 
 
 @contextmanager
+def interrupts_remembered() -> Iterator[None]:
+    """What swallows Ctrl-C in the block, as decorators of kernels do in imports, delays it until :func:`progress`."""
+    _pressed.clear()
+    with _answered(lambda: None, _pressed):
+        yield
+
+
+@contextmanager
 def interrupts_told(words: str) -> Iterator[Event]:
     """Ctrl-C within the block is answered with ``words`` on stderr and sets the event, before it does anything."""
     pressed = Event()
-    before = signal.getsignal(signal.SIGINT)
-    if before is not signal.default_int_handler:
+    with _answered(lambda: print(f"\n{words}", file=sys.stderr, flush=True), pressed):
         yield pressed
+
+
+@contextmanager
+def _answered(say: Callable[[], None], pressed: Event) -> Iterator[None]:
+    """Ctrl-C within the block sets the event and calls ``say`` before it does what it did; where it did nothing, or in
+    a thread, it does nothing here."""
+    before = signal.getsignal(signal.SIGINT)
+    if not callable(before) or current_thread() is not main_thread():
+        yield
         return
 
-    def told(number: int, frame: FrameType | None) -> None:
+    def answered(number: int, frame: FrameType | None) -> None:
         pressed.set()
-        print(f"\n{words}", file=sys.stderr, flush=True)
-        signal.default_int_handler(number, frame)
+        say()
+        before(number, frame)
 
-    signal.signal(signal.SIGINT, told)
+    signal.signal(signal.SIGINT, answered)
     try:
-        yield pressed
+        yield
     finally:
         signal.signal(signal.SIGINT, before)

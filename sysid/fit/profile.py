@@ -13,10 +13,19 @@ BELIEVED = (1.5, 2.5)
 """Roots of the deviance at the ends of a quadratic interval that is believed: 23 % off at the most."""
 
 
+STOPPED = {
+    "failed": "nothing could be simulated beyond {}",
+    "unfinished": "the points allowed ended at {}",
+    "interrupted": "Ctrl-C ended it at {}",
+}
+"""Why an end was not found, by the kind of the :class:`End`."""
+
+
 @dataclass(frozen=True)
 class End:
     """One end of an interval, in the fitted scale. ``kind``: 'found'; 'open', the deviance stays below its limit as far
-    as ``at``; 'failed', nothing could be simulated beyond ``at``; 'unfinished', the points allowed ended at ``at``."""
+    as ``at``; 'failed', nothing could be simulated beyond ``at``; 'unfinished', the points allowed ended at ``at``;
+    'interrupted', by Ctrl-C, at ``at``."""
 
     at: float
     kind: str
@@ -62,11 +71,7 @@ def in_words(
     low, high = (f"{v:.3g}{unit}" for v in ci95)
     if ends == ("open", "open"):
         return f"The data do not determine {name}: anything from {low} to {high} fits as well."
-    stopped = [
-        f"nothing could be simulated beyond {v}" if kind == "failed" else f"the points allowed ended at {v}"
-        for v, kind in zip((low, high), ends, strict=True)
-        if kind in ("failed", "unfinished")
-    ]
+    stopped = [STOPPED[kind].format(v) for v, kind in zip((low, high), ends, strict=True) if kind in STOPPED]
     if "open" in ends:
         side, other, most = ("lower", "an upper", low) if ends[0] == "open" else ("upper", "a lower", high)
         if stopped:

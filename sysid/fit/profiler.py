@@ -19,7 +19,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -174,14 +174,17 @@ class Profiler:
         self._expected = each * len(jobs)
         workers = (os.cpu_count() or 1) if isinstance(self._problem.engine, PooledEngine) else 1
         with ThreadPoolExecutor(min(workers, max(1, len(jobs)))) as threads:
-            futures = [threads.submit(do, job) for job in jobs]
+            futures: list[Future[Found]] = []
             try:
+                for job in jobs:
+                    futures.append(threads.submit(do, job))
                 return [f.result() for f in futures]
             except KeyboardInterrupt:
                 self._stop.set()
                 for f in futures:
                     f.cancel()
-        return [f.result() if f.done() and not f.cancelled() else None for f in futures]
+        found = [f.result() if f.done() and not f.cancelled() else None for f in futures]
+        return found + [None] * (len(jobs) - len(found))
 
     def _evaluate(self, scaled: np.ndarray) -> Fitted | None:
         """The problem at these values, None where they cannot be simulated."""
@@ -328,7 +331,7 @@ class Profiler:
                 x = _between(inside, beyond)
         found.sort(key=lambda f: side * f[0])
         if beyond is None:
-            return found, End(inside[0], "unfinished")
+            return found, End(inside[0], "interrupted" if self._stop.is_set() else "unfinished")
         if not np.isfinite(beyond[1]):
             return found, End(inside[0], "failed")
         return found, End(_crossing(found, inside, beyond), "found")

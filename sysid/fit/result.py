@@ -141,7 +141,8 @@ class FitResult:
         lines += [f"{'parameter':<34}{'value':>13}  {'95 % interval':<27}unit"]
         for e in self.estimates:
             low, high = e.ci95
-            mark = "  (not determined)" if e.name in undetermined else "  (at its bound)" if e.at_bound else ""
+            marks = [*["not determined"] * (e.name in undetermined), *["at its bound"] * e.at_bound]
+            mark = f"  ({', '.join(marks)})" if marks else ""
             lines.append(f"{e.name:<34}{e.value:>13.5g}  {f'{low:.5g} .. {high:.5g}':<27}{e.unit}{mark}")
         lines += ["", *self._profile_table(), *self._nuisance_table()]
         runs = [c.run + (" (held out)" if c.held_out else "") for c in self.errors]

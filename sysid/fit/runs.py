@@ -81,9 +81,9 @@ class Run:
     places of markers (``placed: first_frame``, :mod:`sysid.fit.placement`). ``since`` [s]: for a window of a recording,
     the time at which it begins; times of the run, poses before included, count from there; ``until``: its end, if it
     has one; ``changes``: until then, by channel. ``unlike``: in what it differs from recordings of the rig, in words.
-    ``doubts``: those of the ``notes`` on how it was read that may change a result. ``counted``: notes that count
-    samples, which :func:`sysid.fit.windows.window_of` tells for the window, or for the whole.
-    """
+    ``doubts``: those of the ``notes`` on how it was read that may change a result; ``lacking``: those on topics of the
+    rig that it does not have. ``counted``: notes that count samples, which :func:`sysid.fit.windows.window_of` tells
+    for the window, or for the whole."""
 
     name: str
     path: str
@@ -98,6 +98,7 @@ class Run:
     changes: Mapping[str, Change] = field(default_factory=dict)
     unlike: str = ""
     doubts: tuple[str, ...] = ()
+    lacking: tuple[str, ...] = ()
     counted: tuple[Note, ...] = ()
 
     def has(self, channel: str) -> bool:
@@ -120,7 +121,7 @@ def load_runs(
     whole = {path: read_run(rig, path) for path in dict.fromkeys(part.path for part in parts)}
     if on_warning is not None:
         for name, run in zip(distinct_names(list(whole)), whole.values(), strict=True):
-            for text in (*filter(None, [run.unlike]), *run.doubts):
+            for text in (*filter(None, [run.unlike]), *run.doubts, *run.lacking):
                 on_warning(f"{name}: {text}")
     named = zip(parts, distinct_names(paths), strict=True)
     runs = []
@@ -220,6 +221,7 @@ def read_run(rig: Rig, path: Path) -> Run:
     if firsts:
         placed(build_scene(rig), firsts)  # every marker is seen on its sheet
     said = [note for note in recording.notes if not note.thing]
+    lacking = tuple(f"{topic}: named by the rig, not in this recording" for topic in missing)
     return Run(
         name=Path(path).name,
         path=str(path),
@@ -229,7 +231,7 @@ def read_run(rig: Rig, path: Path) -> Run:
         end=float(max(m.t[-1] for m in measured)),
         notes=(
             *told_once(said),
-            *(f"{topic}: named by the rig, not in this recording" for topic in missing),
+            *lacking,
             *(text for text, of_another in different if not of_another),
             *([unlike] if unlike else []),
             *blanked,
@@ -238,6 +240,7 @@ def read_run(rig: Rig, path: Path) -> Run:
         firsts=firsts,
         unlike=unlike,
         doubts=tuple(told_once([note for note in said if note.severity == "warning"])),
+        lacking=lacking,
         counted=tuple(note for note in recording.notes if note.thing),
     )
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
+import time
 import xml.etree.ElementTree as ET
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -18,7 +21,7 @@ from sim_core.rigs import config_folder
 from sim_core.rigs.load import names_in
 from sysid.cli import app, prove
 from sysid.cli.doctor import _ros_traps
-from sysid.cli.progress import progress
+from sysid.cli.progress import interrupts_remembered, progress
 
 THINSHELL = [sys.executable, "-m", "sysid"]
 PRESS_POST = config_folder().parent / "bags" / "press_post"
@@ -190,6 +193,21 @@ def test_progress_without_a_terminal_is_not_silent_for_long(
             report(share, "on")
     said = capsys.readouterr().err.splitlines()
     assert said == ["work: 0 % after 1 s: on", "work: 5 % after 70 s: on", "work: 7 % after 140 s: on"]
+
+
+def test_ctrl_c_that_something_swallows_ends_the_command_before_its_work() -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
+    try:
+        with interrupts_remembered():
+            with suppress(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(1.0)
+            with pytest.raises(KeyboardInterrupt), progress("work"):
+                pytest.fail("the work has begun")
+        with interrupts_remembered(), progress("work"):
+            pass
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_package_xml_has_the_version_of_the_package() -> None:

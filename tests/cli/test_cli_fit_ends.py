@@ -42,8 +42,6 @@ def test_the_exit_code_says_whether_the_fit_converged_and_ctrl_c_was_pressed(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(signal, "getsignal", lambda _: signal.default_int_handler)  # a background shell ignores it
-
     def fitted(*given: Any, **more: Any) -> Ended:
         if pressed:
             with suppress(KeyboardInterrupt):
@@ -54,7 +52,11 @@ def test_the_exit_code_says_whether_the_fit_converged_and_ctrl_c_was_pressed(
     monkeypatch.setattr("sysid.fit.fit_bags", fitted)
     (tmp_path / "run.mcap").touch()
     out = tmp_path / "out"
-    assert main([*FIT, str(tmp_path / "run.mcap"), "--out", str(out)]) == code
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
+    try:
+        assert main([*FIT, str(tmp_path / "run.mcap"), "--out", str(out)]) == code
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert capsys.readouterr().out == f"the table\n\nReport: {out / 'report.html'}\n"
 
 

@@ -227,7 +227,12 @@ def test_only_an_end_that_was_found_is_a_limit() -> None:
     def said(*ends: str) -> str:
         return in_words(mu, (0.35, 3.0), cast(tuple[str, str], ends), (0.1, 0.9))
 
-    for stop, why in (("failed", "nothing could be simulated beyond"), ("unfinished", "the points allowed ended at")):
+    whys = {
+        "failed": "nothing could be simulated beyond",
+        "unfinished": "the points allowed ended at",
+        "interrupted": "Ctrl-C ended it at",
+    }
+    for stop, why in whys.items():
         for sentence, at, side in ((said(stop, "open"), "0.35", "upper"), (said("open", stop), "3", "lower")):
             assert "is at least" not in sentence and "is at most" not in sentence and "slip" not in sentence
             assert f"no {side} limit to {mu.name}" in sentence and sentence.endswith(f"{why} {at}.")
