@@ -14,6 +14,7 @@ import numpy as np
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.colour import unheard
+from sysid.fit.contradiction import contradictions
 from sysid.fit.discretisation_error import (
     Unmeasured,
     doubtful,
@@ -209,6 +210,7 @@ def _fit_runs(
             profiles=found.profiles,
             outliers=look.outliers,
             unexplained=left,
+            contradicted=found.contradicted,
             cautions=doubts(rig, runs) + loud(problem) + doubtful(problem),
             undetermined=open_ended | {p.name for p in found.profiles if p.undetermined},
         )
@@ -227,6 +229,7 @@ class _Found:
     findings: list[Finding]
     reduced_chi2: float
     profiles: list[Profile]
+    contradicted: list[str]
 
 
 def _searched(
@@ -258,6 +261,8 @@ def _searched(
             break
         with to_the_end():
             estimates, correlation, findings, reduced = estimates_of(fitted, first)
+            against = contradictions(fitted)
+            findings = [found for found in findings if found.undetermined not in {(name,) for name in against}]
             findings += [Finding(sentence) for sentence in blamed(problem, fitted, sorted(options.kinds))]
         profiles: list[Profile] = []
         better = None
@@ -271,7 +276,8 @@ def _searched(
             fitted.message, fitted.converged = f"after {ENDS} searches a better fit is known than it ended at", False
             break
         at, look = better, replace(look, plain=None)
-    return _Found(look, problem, fitted, estimates, correlation, findings, reduced, profiles)
+    told = list(against.values())
+    return _Found(look, problem, fitted, estimates, correlation, findings, reduced, profiles, told)
 
 
 @dataclass(frozen=True)

@@ -94,10 +94,11 @@ class FitResult:
     """Everything that a fit found. ``misfit``: mean squared whitened residual (:attr:`sysid.fit.fitted.Fitted.misfit`);
     ``reduced_chi2``: the same sum over degrees of freedom; ``evaluations``: of all searches; ``nuisances``: what was
     estimated beside what was asked for; ``profiles``: deviance against each parameter, where that was asked for
-    (:mod:`sysid.fit.profiler`); ``outliers``: readings that were left out (:mod:`sysid.fit.outliers`);
-    ``unexplained``: in which quantities more than noise is left, in words (:mod:`sysid.fit.leftover`);
-    ``cautions``: where values and intervals rest on the error of mesh and time step, in words; ``undetermined``: names
-    of the parameters that the data do not determine, or of which they only give a limit."""
+    (:mod:`sysid.fit.profiler`); ``outliers``: readings that were left out (:mod:`sysid.fit.outliers`); ``unexplained``:
+    in which quantities more than noise is left, in words (:mod:`sysid.fit.leftover`); ``contradicted``: what was known
+    before and the recordings contradict (:mod:`sysid.fit.contradiction`); ``cautions``: where values and intervals rest
+    on the error of mesh and time step, in words; ``undetermined``: names of the parameters that the data do not
+    determine, or of which they only give a limit."""
 
     rig: str
     estimates: list[Estimate]
@@ -119,6 +120,7 @@ class FitResult:
     profiles: list[Profile] = field(default_factory=list)
     outliers: list[Outliers] = field(default_factory=list)
     unexplained: list[str] = field(default_factory=list)
+    contradicted: list[str] = field(default_factory=list)
     cautions: list[str] = field(default_factory=list)
     undetermined: set[str] = field(default_factory=set)
 
@@ -135,7 +137,7 @@ class FitResult:
     def table(self) -> str:
         """Parameters and errors as text, below whether they are to be trusted."""
         lines = [] if self.converged else [not_converged(self.message), ""]
-        for sentence in [*self.unexplained, *self.cautions]:
+        for sentence in [*self.contradicted, *self.unexplained, *self.cautions]:
             lines += [sentence, ""]
         undetermined = self.undetermined
         lines += [f"{'parameter':<34}{'value':>13}  {'95 % interval':<27}unit"]

@@ -112,7 +112,7 @@ def explains(result: FitResult) -> str:
 
 def overall_level(result: FitResult) -> str:
     """The colour of the headline."""
-    if not result.converged:
+    if not result.converged or result.contradicted:
         return "bad"
     held_out = level(over_noise([e for e in result.errors if e.held_out], after=True, own=True))
     worst = {"bad": 2, "fair": 1}
@@ -125,6 +125,8 @@ def headline(result: FitResult) -> str:
         return "The fit did not converge: take its values as a start, not as a result."
     if not result.estimates:
         return "Nothing was fitted: the rig as it is, against the recordings."
+    if result.contradicted:
+        return "The recordings contradict what was known before, and the fit lies between the two."
     found = explains(result)
     held_out = [e for e in result.errors if e.held_out]
     there = level(over_noise(held_out, after=True, own=True))
@@ -185,7 +187,7 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
             "Intervals are widened by the misfit, but a law that is missing can still pull values away from "
             "the truth; 'thinshell diagnose' looks for one."
         )
-    return [*out, *result.unexplained, *result.cautions]
+    return [*out, *result.contradicted, *result.unexplained, *result.cautions]
 
 
 def _went(start: float, end: float) -> str:

@@ -369,6 +369,14 @@ def test_more_than_noise_in_one_quantity_is_said_first_however_good_the_rest(tmp
     assert left in first and "leaves more than their noise" in first
 
 
+def test_what_was_known_and_is_contradicted_is_said_first_however_good_the_rest(tmp_path: Path) -> None:
+    said = "The recordings contradict what was known of card.E_pa before, 1e+09 +- 1e+07 Pa."
+    fit = make_fit(contradicted=[said], series=[])
+    first = fit_page(tmp_path, fit).words.split("Reduced chi-square")[0]
+    assert said in first and "contradict what was known before" in first and "explains the recordings" not in first
+    assert fit.table().index(said) < fit.table().index("95 % interval")
+
+
 def test_what_intervals_rest_on_is_said_first(tmp_path: Path) -> None:
     fit = make_fit(cautions=["The error of mesh and time step may be 28 times the noise."], series=[])
     assert fit.cautions[0] in fit_page(tmp_path, fit).words.split("Reduced chi-square")[0]

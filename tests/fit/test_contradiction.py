@@ -1,0 +1,59 @@
+"""What was known of a parameter before against what recordings ask for."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from discretisation_model import NOISE, PARAMETERS, SIGMA, TRUTH, Linear, T, Vector, coarse, run_of
+
+from sysid.fit.contradiction import LIMIT, contradictions
+from sysid.fit.fitted import Fitted
+from sysid.fit.pool import PooledEngine
+from sysid.fit.problem import Problem
+
+pytestmark = pytest.mark.usefixtures("vectors")
+
+
+def fitted_beside(known: float, sd: float, rng: np.random.Generator, nuisance: bool = False) -> Fitted:
+    """The linear model, fitted beside a = ``known`` +- ``sd``."""
+    values = coarse(TRUTH) + SIGMA * rng.standard_normal((len(T), 2))
+    problem = Problem([run_of(values)], NOISE, cast(PooledEngine, Linear()))
+    first = replace(PARAMETERS[0], known_sd=sd, nuisance=nuisance)
+    rig = cast(Any, Vector(np.array([known, 0.0])))
+    return problem.fit(rig, [first, PARAMETERS[1]], tolerance=1e-9)
+
+
+def deviations(fitted: Fitted) -> float:
+    """Those that are told of a."""
+    return float(re.search(r"value, ([\d.e+]+) standard", contradictions(fitted)["a"])[1])  # type: ignore[index]
+
+
+@pytest.mark.parametrize("sd", [0.001, 0.01, 0.1])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_they_are_told_with_the_deviations_between_them(sd: float, side: float) -> None:
+    """Of a linear model, from the normal equations; however little the fit leaves the prior."""
+    slopes = np.stack([coarse(e).ravel() for e in np.eye(2)], axis=-1) / SIGMA
+    own = np.sqrt(np.linalg.inv(slopes.T @ slopes)[0, 0])
+    off = 20.0 * np.hypot(own, sd)
+    fitted = fitted_beside(TRUTH[0] + side * off, sd, np.random.default_rng(1))
+    # The data's own value misses the truth by chance, and what scatters is judged by its blocks, too.
+    assert deviations(fitted) == pytest.approx(20.0, rel=0.15)
+    (words,) = contradictions(fitted).values()
+    assert f"before, {TRUTH[0] + side * off:g} +- {sd:g} -: without it they ask" in words
+    assert f"ask for a {'smaller' if side > 0.0 else 'larger'} value" in words
+
+
+def test_what_is_right_is_contradicted_as_seldom_as_chance_has_it() -> None:
+    rng = np.random.default_rng(0)
+    told = [bool(contradictions(fitted_beside(rng.normal(TRUTH[0], 0.01), 0.01, rng))) for _ in range(200)]
+    assert sum(told) <= 3  # 0.3 % are expected beyond LIMIT
+    assert LIMIT == 3.0
+
+
+def test_nuisances_are_told_elsewhere() -> None:
+    fitted = fitted_beside(TRUTH[0] + 1.0, 0.01, np.random.default_rng(1), nuisance=True)
+    assert contradictions(fitted) == {}
