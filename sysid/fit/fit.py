@@ -29,6 +29,7 @@ from sysid.fit.fitted import Fitted
 from sysid.fit.held_out import all_scored
 from sysid.fit.kinked import AT_KINK
 from sysid.fit.leftover import unexplained
+from sysid.fit.nearest import nearest
 from sysid.fit.noise import ChannelNoise, channel_noise, column_groups, overruled
 from sysid.fit.nuisance import has_bias, nuisance_parameters
 from sysid.fit.options import FitOptions, Intervals
@@ -58,6 +59,9 @@ USUAL_OPTIONS = FitOptions()
 
 ENDS = 3
 """Times that a fit is looked at where its intervals end; where it is better there it is searched for on from there."""
+
+NEAREST = "Of all values that fit as well, those are given that are nearest to the rig's."
+"""Said where some parameter is not determined."""
 
 REPORT = "report.html"
 """The report in the folder of a fit."""
@@ -137,7 +141,7 @@ def _fit_runs(
     as_given = [engine.submit(rig, run) for run in runs]
     first = start_of(rig, parameters)
     search = Searches(rig, parameters, options, evaluations)
-    found = _searched(engine, rig, runs, parameters, first, held_out, options, search, bias, on_progress)
+    found = _searched(engine, rig, runs, parameters, first, held_out, options, search, evaluations, bias, on_progress)
     look, problem, fitted = found.look, found.problem, found.fitted
     if fitted.interrupted and on_progress is not None:
         on_progress(0.97, "interrupted; what was found is put together")
@@ -241,6 +245,7 @@ def _searched(
     held_out: Sequence[Run],
     options: FitOptions,
     search: Searches,
+    evaluations: Evaluations,
     bias: bool,
     on_progress: Progress | None,
 ) -> _Found:
@@ -259,10 +264,16 @@ def _searched(
                 raise
             stop(fitted, error, "a better fit that is known was not searched from")
             break
+        ended = fitted
+        try:
+            fitted = nearest(problem, ended, first, evaluations)
+        except ENDS_EARLY as error:
+            stop(fitted, error, "values that fit as well and are nearer to the rig's were not looked for")
         with to_the_end():
             estimates, correlation, findings, reduced = estimates_of(fitted, first)
             against = contradictions(fitted)
             findings = [found for found in findings if found.undetermined not in {(name,) for name in against}]
+            findings += [Finding(NEAREST)] if fitted is not ended else []
             findings += [Finding(sentence) for sentence in blamed(problem, fitted, sorted(options.kinds))]
         profiles: list[Profile] = []
         better = None
