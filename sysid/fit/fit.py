@@ -47,7 +47,7 @@ from sysid.fit.result import (
     plot_series,
     rms_errors,
 )
-from sysid.fit.runs import Run, check_apart, load_runs
+from sysid.fit.runs import Run, check_apart, load_runs, of_recording
 from sysid.fit.starts import SEARCHED, Evaluations, Progress, Searches, Step
 from sysid.fit.uncertainty import Finding, names_undetermined
 from sysid.fit.untold import as_usual, blamed, nuisances_of, remarks
@@ -154,7 +154,7 @@ def _fit_runs(
         sentences, left = [f.sentence for f in found.findings], unexplained(problem, fitted)
         open_ended = names_undetermined(found.findings)
         told = {run.unlike for run in runs if left}
-        notes = [f"{run.name}: {note}" for run in [*runs, *held_out] for note in run.notes if note not in told]
+        notes = [of_recording(run.name, note) for run in [*runs, *held_out] for note in run.notes if note not in told]
         notes += bounds_cut(rig, list(dict.fromkeys(p.target for p in asked)), options.bounds)
         notes += [
             f"What was known of {p.name} before: {p.physical(at):g} +- "

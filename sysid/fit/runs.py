@@ -122,14 +122,14 @@ def load_runs(
     if on_warning is not None:
         for name, run in zip(distinct_names(list(whole)), whole.values(), strict=True):
             for text in (*filter(None, [run.unlike]), *run.doubts, *run.lacking):
-                on_warning(f"{name}: {text}")
+                on_warning(of_recording(name, text))
     named = zip(parts, distinct_names(paths), strict=True)
     runs = []
     for part, name in named:
         run = replace(window_of(rig, whole[part.path], part), name=name)
         if on_warning is not None:
             for text in run.doubts[len(whole[part.path].doubts) :]:
-                on_warning(f"{name}: {text}")
+                on_warning(of_recording(name, text))
         if run.end <= 0.0:
             raise RecordingError(
                 f"{run.name} has readings of its first instant only, so there is nothing to simulate.",
@@ -138,6 +138,11 @@ def load_runs(
         runs.append(run)
         whole[part.path] = replace(whole[part.path], notes=(), doubts=())  # told once
     return runs[: len(bags)], runs[len(bags) :]
+
+
+def of_recording(name: str, text: str) -> str:
+    """A remark on a recording, which is named once."""
+    return text if text.startswith(f"{name}: ") else f"{name}: {text}"
 
 
 def check_apart(runs: Sequence[Run], held_out: Sequence[Run] = ()) -> None:

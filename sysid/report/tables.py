@@ -249,9 +249,18 @@ def provenance_of(data: dict[str, Any]) -> Provenance:
     facts = []
     for key, value in data.items():
         if key not in ("bags", "rig", "versions") and value is not None and value != "":
-            facts.append((key.replace("_", " "), value if isinstance(value, str) else repr(value)))
+            facts.append((key.replace("_", " "), _plain(value)))
     versions = [(str(k), str(v)) for k, v in (data.get("versions") or {}).items()]
     return Provenance(bags, str(data.get("rig") or ""), versions, facts)
+
+
+def _plain(value: Any) -> str:
+    """A value of the provenance in words; what was not chosen is left out."""
+    if isinstance(value, dict):
+        return "; ".join(f"{k.replace('_', ' ')}: {_plain(v)}" for k, v in value.items() if v not in (None, [], {}, ""))
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_plain(v) for v in value)
+    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)
 
 
 def bag_notes(data: dict[str, Any]) -> list[str]:
