@@ -10,7 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Event, current_thread, main_thread
 from types import FrameType
 
@@ -79,9 +79,11 @@ def _lines(title: str) -> ProgressCallback:
 @contextmanager
 def interrupts_remembered() -> Iterator[None]:
     """What swallows Ctrl-C in the block, as decorators of kernels do in imports, delays it until :func:`progress`."""
-    _pressed.clear()
-    with _answered(lambda: None, _pressed):
-        yield
+    try:
+        with _answered(lambda: None, _pressed):
+            yield
+    finally:
+        _pressed.clear()
 
 
 @contextmanager
@@ -103,7 +105,8 @@ def _answered(say: Callable[[], None], pressed: Event) -> Iterator[None]:
 
     def answered(number: int, frame: FrameType | None) -> None:
         pressed.set()
-        say()
+        with suppress(OSError, RuntimeError):  # nobody reads it any more, or it is being written to
+            say()
         before(number, frame)
 
     signal.signal(signal.SIGINT, answered)

@@ -1,19 +1,22 @@
 """Where recordings contradict what was known of a parameter before.
 
-The fit lies between both. A linear step from there, without what was known of parameter k, leads to the value x_k that
-the recordings ask for beside all other priors. If recordings and prior are right, the difference of x_k from the
-prior's mean has the variance s_k^2 + t_k^2, with the standard deviation s_k of x_k (:mod:`sysid.fit.uncertainty`, by
-what the step leaves) and t_k of what was known (a check of the prior against the data: Box 1980; Evans & Moshonov
-2006)."""
+The fit lies between both. A linear step within bounds from there, without what was known of parameter k, leads to the
+value x_k that the recordings ask for beside all other priors, which weigh as much as in the search
+(:mod:`sysid.fit.search`). If recordings and prior are right, the difference of x_k from the prior's mean has the
+variance s_k^2 + t_k^2, with the standard deviation s_k of x_k (:mod:`sysid.fit.uncertainty`, by what the step leaves)
+and t_k of what was known (a check of the prior against the data: Box 1980; Evans & Moshonov 2006). A value so far off
+that the rig is not linear on the way there may go unnoticed: it leaves a misfit, which is told.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from sysid.fit.fitted import Fitted
-from sysid.fit.uncertainty import inverse_information, uncertainty
+from sysid.fit.uncertainty import WIDEST, chance, uncertainty
 
 LIMIT = 3.0
 """Standard deviations of the difference from which both contradict each other."""
@@ -28,7 +31,7 @@ def contradictions(fitted: Fitted) -> dict[str, str]:
             continue
         row = first + int(np.flatnonzero(fitted.jacobian[first:, k])[0])
         known = float(fitted.scaled[k] - p.known_sd * fitted.residual[row])
-        step, alone = _without(fitted, row)
+        step, alone = _without(fitted, k, row)
         away = float(fitted.scaled[k] + step[k]) - known
         count = abs(away) / np.hypot(uncertainty(alone).sd[k], p.known_sd)
         if count > LIMIT:
@@ -42,19 +45,30 @@ def contradictions(fitted: Fitted) -> dict[str, str]:
     return found
 
 
-def _without(fitted: Fitted, row: int) -> tuple[np.ndarray, Fitted]:
-    """The linear step ``(p,)`` to the least squares without one row of the prior, and the outcome there."""
+def _without(fitted: Fitted, k: int, row: int) -> tuple[np.ndarray, Fitted]:
+    """The step ``(p,)`` to the least squares without one ``row`` of the prior, that of parameter ``k``, and the outcome
+    there. Others that end at a bound stay there."""
     kept = np.arange(len(fitted.residual)) != row
     residual, jacobian = fitted.residual[kept], fitted.jacobian[kept]
+    weight = np.ones(len(residual))
+    weight[len(weight) - fitted.pulls + 1 :] = np.sqrt(chance(fitted))
+    low, high = (bound - fitted.scaled for bound in np.array([p.scaled_bounds for p in fitted.parameters]).T)
+    low, high = np.minimum(low, -1e-12), np.maximum(high, 1e-12)
+    low[k], high[k] = -np.inf, np.inf
     prior = np.array([p.prior_sd for p in fitted.parameters])
-    step = -inverse_information(jacobian, prior) @ (jacobian.T @ residual)
+    upper: np.ndarray = np.linalg.qr(np.column_stack([jacobian, residual]) * weight[:, None])[1]
+    ridge = np.diag(1.0 / (WIDEST * prior))  # what nothing tells stays where it is
+    matrix = np.vstack([upper[:, :-1], ridge])
+    end = lsq_linear(matrix, -np.concatenate([upper[:, -1], np.zeros(len(prior))]), bounds=(low, high))
+    moved: np.ndarray = jacobian.copy()
+    moved[: len(moved) - fitted.pulls + 1, end.active_mask != 0] = 0.0
     run, channel, times = fitted.labels[-1]
     there = replace(
         fitted,
-        residual=residual + jacobian @ step,
-        jacobian=jacobian,
+        residual=residual + jacobian @ end.x,
+        jacobian=moved,
         labels=[*fitted.labels[:-1], (run, channel, times[1:])],
         sight=None if fitted.sight is None else fitted.sight[kept],
         still=None if fitted.still is None else fitted.still[kept],
     )
-    return step, there
+    return end.x, there

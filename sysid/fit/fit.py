@@ -266,12 +266,12 @@ def _searched(
             break
         ended = fitted
         try:
-            fitted = nearest(problem, ended, first, evaluations)
+            fitted = nearest(problem, ended, first, evaluations.left, evaluations)
         except ENDS_EARLY as error:
             stop(fitted, error, "values that fit as well and are nearer to the rig's were not looked for")
         with to_the_end():
             estimates, correlation, findings, reduced = estimates_of(fitted, first)
-            against = contradictions(fitted)
+            against = contradictions(fitted) if fitted.converged else {}
             findings = [found for found in findings if found.undetermined not in {(name,) for name in against}]
             findings += [Finding(NEAREST)] if fitted is not ended else []
             findings += [Finding(sentence) for sentence in blamed(problem, fitted, sorted(options.kinds))]

@@ -114,7 +114,7 @@ class Evaluations:
 
     def limit(self, fitted: Fitted) -> Fitted:
         """The outcome of a search, which says so if none are left."""
-        if self.left == 0 and fitted.parameters and not fitted.interrupted:
+        if self.left <= 0 and fitted.parameters and not fitted.interrupted:
             fitted.limited, fitted.converged = True, False
             fitted.message = f"the evaluations allowed, {self._most}, are used up; the best values so far are kept"
         return fitted

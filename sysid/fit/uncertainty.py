@@ -34,6 +34,9 @@ WIDEST = 10.0
 ADDS_NOTHING = 0.95
 """Standard deviation, over that of what was known before, from which recordings add nothing."""
 
+FAR_OFF = 4.0
+"""Reduced chi-square from which a rig misses recordings by so much that what was known decides alone."""
+
 TOGETHER = 0.97
 """Correlation from which two parameters are reported as known only in combination."""
 
@@ -223,6 +226,17 @@ def _not_told(parameter: FitParameter, why: str) -> Finding:
     return Finding(f"The data do not determine {name}: {why}. {remedy}", (name,))
 
 
+def _no_more_than_known(parameter: FitParameter, reduced: float) -> Finding:
+    """Recordings that a rig misses by far count for nothing beside what was known: nobody knows what they would say."""
+    if reduced <= FAR_OFF:
+        return _not_told(parameter, "its interval is what was known of it before")
+    sentence = (
+        f"What was known of {parameter.name} before alone decides on it, since the rig misses the recordings by "
+        f"{np.sqrt(reduced):.2g} times their noise. Fit without that to see what they ask for."
+    )
+    return Finding(sentence, (parameter.name,))
+
+
 def _wide(fitted: Fitted, sd: np.ndarray, said: set[str]) -> list[Finding]:
     """One for each parameter whose interval is too wide to determine it, unless it was named before: the noise
     alone would not leave it so wide, but what the rig does not explain, or a prior that says little, does."""
@@ -231,7 +245,7 @@ def _wide(fitted: Fitted, sd: np.ndarray, said: set[str]) -> list[Finding]:
         if p.nuisance or p.name in said:
             continue
         if p.known_sd is not None and spread > ADDS_NOTHING * p.known_sd:
-            out.append(_not_told(p, "its interval is what was known of it before"))
+            out.append(_no_more_than_known(p, _reduced(fitted)))
             continue
         low, high = p.scaled_bounds
         if scaled - 1.96 * spread <= low and scaled + 1.96 * spread >= high:

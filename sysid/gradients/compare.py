@@ -113,7 +113,7 @@ class Comparison:
     ) -> Iterator[Row]:
         parameter = self._known[direction.name]
         value, size = self._size(parameter)
-        # Delays and effects of sensors leave the rollout as it is, which the first one shows.
+        # Delays and effects of sensors leave the rollout as it is, which the first ones show.
         moves: bool | None = None
         sweep = []
         for step in steps:
@@ -124,8 +124,8 @@ class Comparison:
                 rolled = self.trace
                 if moves is not False:
                     rolled = simulate(build_scene(there), self._poses, self._times, settings=TIGHT)
-                    moves = moves or _unlike(rolled, self.trace)
                 ends.append((away, there, rolled))
+            moves = any(_unlike(rolled, self.trace) for _, _, rolled in ends) if moves is None else moves
             sweep.append(ends)
         for channel, derivatives in found.items():
             for part, columns in parts_of(self.trace.kinds[channel]):
