@@ -278,7 +278,8 @@ def _searched(
         profiles: list[Profile] = []
         better = None
         try:
-            profiles, findings, better = _profiled(problem, fitted, findings, options.intervals, on_progress)
+            given_up = max(0.0, fitted.chi2 - ended.chi2)
+            profiles, findings, better = _profiled(problem, fitted, findings, options.intervals, on_progress, given_up)
         except ENDS_EARLY as error:
             findings.append(Finding(f"Intervals were not looked at along the likelihood: {why(error)}"))
         if better is None:
@@ -365,10 +366,15 @@ def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequ
 
 
 def _profiled(
-    problem: Problem, fitted: Fitted, findings: list[Finding], intervals: Intervals, on_progress: Progress | None
+    problem: Problem,
+    fitted: Fitted,
+    findings: list[Finding],
+    intervals: Intervals,
+    on_progress: Progress | None,
+    given_up: float = 0.0,
 ) -> tuple[list[Profile], list[Finding], np.ndarray | None]:
     """Profiles, where they are wanted, what is then known of the parameters in words, and scaled values ``(p,)`` at
-    which the fit was met to be better.
+    which the fit was met to be better than by the chi-square that was ``given_up`` knowingly.
 
     Where a profile says how far the data limit a parameter on both sides, that takes the place of the finding that they
     do not determine it, unless what was known before may limit it. Around values that are not the best fit intervals
@@ -388,7 +394,7 @@ def _profiled(
         if on_progress is not None:
             on_progress(searched + (0.98 - searched) * share, text)
 
-    profiler = Profiler(problem, fitted, tell)
+    profiler = Profiler(problem, fitted, tell, given_up)
     profiles: list[Profile] = []
     if intervals == "checked":
         findings = [*findings, *(Finding(sentence) for sentence in profiler.check())]

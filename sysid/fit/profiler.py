@@ -72,9 +72,12 @@ class _Point:
 
 
 class Profiler:
-    """Profiles of a fit, both sides of all parameters side by side where the engine has workers."""
+    """Profiles of a fit, both sides of all parameters side by side where the engine has workers. ``given_up``:
+    chi-square by which the fit is known to be worse than another, which is no better fit then."""
 
-    def __init__(self, problem: Problem, fitted: Fitted, on_progress: Progress | None = None) -> None:
+    def __init__(
+        self, problem: Problem, fitted: Fitted, on_progress: Progress | None = None, given_up: float = 0.0
+    ) -> None:
         self._problem, self._fitted = problem, fitted
         self._parameters = fitted.parameters
         self._low, self._high = np.array([p.scaled_bounds for p in self._parameters]).T
@@ -85,7 +88,7 @@ class Profiler:
         self._sd = known.sd
         misfit = max(1.0, known.reduced_chi2)
         # A fall of chi-square that is neither misfit nor chance, nor what a search leaves that ends at its tolerance.
-        self._gain = LIMIT**2 * max(misfit, by_chance)
+        self._gain = LIMIT**2 * max(misfit, by_chance) + given_up
         self._on_progress = on_progress
         self._stop = threading.Event()
         self._lock = threading.Lock()

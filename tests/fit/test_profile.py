@@ -375,6 +375,8 @@ def test_a_better_fit_at_the_ends_is_no_narrow_interval(intervals: Intervals) ->
     _, (early,), better = _profiled(problem, there, [], intervals, None)
     assert early.sentence.startswith("The search had ended too early: chi-square is lower by")
     assert better is not None and problem.evaluate(cast(Any, None), there.parameters, better).chi2 < there.chi2
+    gain = there.chi2 - problem.evaluate(cast(Any, None), there.parameters, better).chi2
+    assert _profiled(problem, there, [], intervals, None, gain)[2] is None
     there.converged = False
     _, found, better = _profiled(problem, there, [], intervals, None)
     silent = [f.sentence for f in found]
