@@ -18,6 +18,7 @@ import pytest
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import load_experiment
 from sysid.cli.app import main
+from sysid.cli.progress import interrupts_told
 from sysid.simulate import simulate_to_bag
 
 FIT = ("fit", "strip_coarse", "--params", "strip.E,strip.nu", "--nuisance", "none")
@@ -88,3 +89,24 @@ def test_a_fit_that_is_interrupted_twice_keeps_what_it_found(tmp_path: Path) -> 
     assert "The fit did not converge: interrupted" in table and "strip.E_pa" in table
     result = json.loads((out / "fit.json").read_text())
     assert not result["converged"] and (out / "report.html").is_file()
+
+
+def test_ctrl_c_is_not_lost_where_it_cannot_be_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The reader of stderr has gone with it."""
+
+    class Gone:
+        def write(self, text: str) -> int:
+            raise BrokenPipeError
+
+        def flush(self) -> None:
+            raise BrokenPipeError
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
+    try:
+        with pytest.raises(KeyboardInterrupt), interrupts_told("Interrupted.") as pressed:
+            monkeypatch.setattr(sys, "stderr", Gone())
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1.0)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert pressed.is_set()

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 import sysid.fit.runs
-from sysid.fit.runs import Run, distinct_names, load_runs
+from sim_core.rigs import config_folder, load_rig
+from sysid.fit.runs import Run, distinct_names, load_runs, of_recording
 
 
 @pytest.mark.parametrize(
@@ -56,3 +57,16 @@ def test_what_speaks_against_recordings_is_heard_once_each(
     heard: list[str] = []
     load_runs(small_rig(), [Path("a@0:1"), Path("a@2:3"), Path("c")], [Path("b")], heard.append)
     assert heard == ["a: of another rig.", "b: gap", "b: stuck"]
+
+
+def test_what_a_recording_lacks_is_told_first_and_its_name_once() -> None:
+    rig = load_rig("card_press")
+    more = rig.sensors["wrench_gel"].model_copy(update={"topic": "arm/wrench"})
+    heard: list[str] = []
+    load_runs(
+        rig.model_copy(update={"sensors": {**rig.sensors, "arm": more}}),
+        [config_folder().parent / "bags" / "press_post"],
+        on_warning=heard.append,
+    )
+    assert "press_post: arm/wrench: named by the rig, not in this recording" in heard
+    assert of_recording("run", "run: cut short") == "run: cut short" and of_recording("run", "late") == "run: late"

@@ -294,3 +294,12 @@ def test_an_interruption_of_a_later_search_keeps_the_best_and_ends_the_fit(
 def test_choices_that_mean_nothing_are_refused(chosen: dict[str, Any]) -> None:
     with pytest.raises(ConfigError):
         FitOptions(**chosen)
+
+
+def test_more_evaluations_than_are_allowed_are_a_limit_too() -> None:
+    evaluations = Evaluations(FitOptions(max_evaluations=2))
+    fitted = search(problem(Gauge(0.05)), np.array([11.6]))
+    fitted.limited = fitted.interrupted = False
+    for _ in range(3):
+        evaluations(fitted)
+    assert evaluations.left < 0 and evaluations.limit(fitted).limited

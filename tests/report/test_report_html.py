@@ -44,7 +44,7 @@ from sysid.mismatch.result import VERDICTS, Diagnosis, Located, Misfit, NamedPar
 from sysid.report import write_diagnosis_report, write_fit_report
 from sysid.report.fit_page import overall_level
 from sysid.report.numbers import TIMES
-from sysid.report.tables import nuisance_rows
+from sysid.report.tables import nuisance_rows, provenance_of
 
 NAN = float("nan")
 VOID = {"meta", "link", "br", "img", "input", "hr", "rect", "path", "use", "source"}
@@ -491,3 +491,10 @@ def test_what_is_held_out_is_judged_beside_the_error_of_mesh_and_step(
     fit = make_fit(errors=errors, unexplained=[], reduced_chi2=1.0, series=[])
     assert overall_level(fit) == level
     assert says in fit_page(tmp_path, fit).words
+
+
+def test_options_and_marks_are_in_plain_words() -> None:
+    told = dict(provenance_of({"options": {"starts": 1, "robust": True, "priors": {}, "max_evaluations": None}}).facts)
+    assert told == {"options": "starts: 1; robust: yes"}
+    rows = make_fit(undetermined={"gel.nu"}).table().splitlines()
+    assert next(r for r in rows if r.startswith("gel.nu")).endswith("(not determined, at its bound)")
