@@ -63,10 +63,7 @@ def test_what_a_recording_lacks_is_told_first_and_its_name_once() -> None:
     rig = load_rig("card_press")
     more = rig.sensors["wrench_gel"].model_copy(update={"topic": "arm/wrench"})
     heard: list[str] = []
-    load_runs(
-        rig.model_copy(update={"sensors": {**rig.sensors, "arm": more}}),
-        [config_folder().parent / "bags" / "press_post"],
-        on_warning=heard.append,
-    )
+    with_arm = rig.model_copy(update={"sensors": {**rig.sensors, "arm": more}})
+    load_runs(with_arm, [config_folder().parent / "bags" / "press_post"], on_warning=heard.append)
     assert "press_post: arm/wrench: named by the rig, not in this recording" in heard
     assert of_recording("run", "run: cut short") == "run: cut short" and of_recording("run", "late") == "run: late"

@@ -296,10 +296,10 @@ def test_choices_that_mean_nothing_are_refused(chosen: dict[str, Any]) -> None:
         FitOptions(**chosen)
 
 
-def test_more_evaluations_than_are_allowed_are_a_limit_too() -> None:
+def test_more_evaluations_than_are_allowed_are_a_limit_too(small_rig: Any) -> None:
     evaluations = Evaluations(FitOptions(max_evaluations=2))
-    fitted = search(problem(Gauge(0.05)), np.array([11.6]))
-    fitted.limited = fitted.interrupted = False
+    parameters = fit_parameters(small_rig(), ["gel.E"])
+    fitted = problem(Gauge(0.05)).evaluate(small_rig(), parameters, np.array([11.6]))
     for _ in range(3):
         evaluations(fitted)
     assert evaluations.left < 0 and evaluations.limit(fitted).limited
