@@ -11,12 +11,12 @@ import pytest
 from discretisation_model import NOISE, PARAMETERS, SIGMA, TRUTH, Linear, T, Vector, coarse, run_of
 
 from sim_core.simulate import Trace
-from sysid.fit.contradiction import contradictions
+from sysid.fit.contradiction import _without, contradictions
 from sysid.fit.engine import Prediction
 from sysid.fit.fitted import Fitted
 from sysid.fit.pool import PooledEngine
 from sysid.fit.problem import Problem
-from sysid.fit.uncertainty import uncertainty
+from sysid.fit.uncertainty import chance, uncertainty
 
 pytestmark = pytest.mark.usefixtures("vectors")
 
@@ -89,3 +89,19 @@ def test_recordings_that_are_missed_by_far_are_not_said_to_determine_nothing() -
     fitted = problem.fit(cast(Any, Vector(TRUTH)), given, tolerance=1e-9)
     (found,) = uncertainty(fitted).findings
     assert found.undetermined == ("a",) and "times their noise. Fit without that" in found.sentence
+
+
+def test_other_priors_weigh_in_the_step_as_in_the_search() -> None:
+    """The misfit goes on from sample to sample; what was known of b is that much heavier, and holds it."""
+    rng = np.random.default_rng(2)
+    values = coarse(TRUTH) + 20.0 * SIGMA * np.cumsum(rng.standard_normal((len(T), 2)), axis=0) / 10.0
+    problem = Problem([run_of(values)], NOISE, cast(PooledEngine, Linear()))
+    given = [replace(PARAMETERS[0], known_sd=0.1), replace(PARAMETERS[1], known_sd=0.1)]
+    fitted = problem.fit(cast(Any, Vector(TRUTH)), given, tolerance=1e-9)
+    step, _ = _without(fitted, 0, len(fitted.residual) - 2)
+    kappa = chance(fitted)
+    slopes = np.stack([coarse(e).ravel() for e in np.eye(2)], axis=-1) / SIGMA
+    prior = np.diag([0.0, kappa / 0.1**2])
+    right = slopes.T @ (values.ravel() / SIGMA) + prior @ TRUTH
+    assert kappa > 10.0
+    np.testing.assert_allclose(fitted.scaled + step, np.linalg.solve(slopes.T @ slopes + prior, right), rtol=1e-3)

@@ -200,3 +200,16 @@ def test_ctrl_c_does_not_take_what_is_being_put_together(
             time.sleep(1.0)
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("allowed", [1, 30])
+def test_what_was_known_is_not_contradicted_by_a_fit_that_has_not_ended(
+    allowed: int, small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fit, "contradictions", lambda fitted: {"gel.E_pa": "They contradict each other."})
+    rig = with_parameters(small_rig(), {"gel.E_pa": 1.5 * TRUTH})
+    options = FitOptions(nuisance=("none",), intervals="quadratic", robust=False, max_evaluations=allowed)
+    result = fit.fit_runs(rig, [run_of("press", "markers")], ["gel.E"], options, engine=cast(PooledEngine, Readings()))[
+        0
+    ]
+    assert bool(result.contradicted) == result.converged == (allowed == 30)
