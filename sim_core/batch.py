@@ -11,11 +11,12 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -25,6 +26,9 @@ from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import Trace, simulate
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,19 @@ def simulate_batch(
     return traces
 
 
+class _Pool(ProcessPoolExecutor):
+    """Says that it is broken also where a process ends while another is being started, which then finds the pool's
+    pipes closed."""
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        try:
+            return super().submit(fn, *args, **kwargs)
+        except OSError as error:
+            if not self._broken:
+                raise
+            raise BrokenProcessPool(self._broken) from error
+
+
 @contextmanager
 def worker_pool(workers: int, start: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
     """Processes that are started afresh, and call ``start`` once. When the block is left they end at once, whatever
@@ -68,7 +85,7 @@ def worker_pool(workers: int, start: Callable[[], None] | None = None) -> Iterat
     Linear algebra has one thread within the block, here too: threads that wait for work take the cores from the
     workers. A script does its work under ``if __name__ == "__main__"``: each process imports it.
     """
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin, (start,))
+    pool = _Pool(workers, multiprocessing.get_context("spawn"), _begin, (start,))
     try:
         with threadpool_limits(1):
             yield pool

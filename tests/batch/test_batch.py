@@ -1,9 +1,12 @@
+import os
+import time
+
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from sim_core.batch import Rollout, simulate_batch, worker_pool
-from sim_core.errors import ConvergenceError
+from sim_core.errors import ConvergenceError, WorkerError
 from sim_core.rigs import with_parameters
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate, step_times
@@ -46,6 +49,22 @@ def test_workers_leave_the_other_cores_to_each_other():
             threads = [*pool.submit(_threads).result(), *_threads()]
         assert threads and set(threads) == {1}
         assert set(_threads()) == {2}
+
+
+def test_a_process_that_ends_while_another_is_being_started_is_told_as_one_that_ended():
+    with pytest.raises(WorkerError, match="ended before its work was done"), worker_pool(2) as pool:
+        pool.submit(time.sleep, 60.0)
+        start, reader = pool._adjust_process_count, pool._call_queue._reader
+
+        def start_late():
+            next(iter(pool._processes.values())).kill()
+            until = time.monotonic() + 60.0
+            while not reader.closed and time.monotonic() < until:
+                time.sleep(0.01)
+            start()
+
+        pool._adjust_process_count = start_late
+        pool.submit(os.getpid)
 
 
 def _threads() -> list[int]:
