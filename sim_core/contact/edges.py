@@ -249,9 +249,7 @@ class EdgeContact:
         count = self._count[0]
         if not self._look():
             return self.initial_internals()
-        move = (self._x - self._x_start)[self._ends[:count]]
-        relative = np.einsum("skij,skj->si", self._frame[:count].reshape(-1, 4, 3, 3), move)
-        slip = self._anchor[:count] + relative
+        slip = self._anchor[:count] + self._past(self._x - self._x_start)
         anchor, speed = slide(slip, self._lag.direction[:count], self._limit[:count], self._spring[:count], step.dt)
         load = self._load[:count].copy()
         touching = load > 0.0
@@ -261,6 +259,19 @@ class EdgeContact:
             "load": load,
             "slip_speed": np.where(touching, speed, 0.0),
         }
+
+    def _past(self, move: np.ndarray) -> np.ndarray:
+        """How far the edges of pairs go past each other, for a move of all nodes [m] ``(n, 3)``."""
+        count = self._count[0]
+        frames = self._frame[:count].reshape(-1, 4, 3, 3)
+        return np.asarray(np.einsum("skij,skj->si", frames, move[self._ends[:count]]))
+
+    def carried(self, internals: Internals, move: np.ndarray) -> Internals:
+        """Internal variables with the springs of friction stretched by a move of the start."""
+        known, anchor = np.rint(internals["pair"]).astype(np.int64), internals["anchor"].copy()
+        _, old, new = np.intersect1d(known, self._keys, assume_unique=True, return_indices=True)
+        anchor[old] += np.where(internals["load"][old, None] > 0.0, self._past(move)[new], 0.0)
+        return {**internals, "anchor": anchor}
 
     @staticmethod
     def aligned(internals: Internals, like: Internals) -> Internals:

@@ -342,6 +342,12 @@ class RigidContact:
             "slip_speed": np.where(touching, speed, 0.0),
         }
 
+    def carried(self, internals: Internals, move: np.ndarray) -> Internals:
+        """Internal variables with the springs of friction stretched by a move of the start."""
+        past = np.einsum("nk,nkj->nj", self._weights, move[self._nodes]) @ internals["rotation"]
+        touching = internals["load"] > 0.0
+        return {**internals, "anchor": internals["anchor"] + np.where(touching[:, None], past, 0.0)}
+
     def initial_internals(self) -> Internals:
         count = len(self._areas)
         return {

@@ -264,20 +264,27 @@ class SurfaceContact:
         """Carry elastic slip, load and slip speed; zero where nothing touches."""
         if not self._look():
             return self.initial_internals()
-        nodes = self._triangles[self._lag.triangles[:, 0]]
-        move = self._x - self._x_start
-        below = np.einsum("skij,skj->si", self._frame.reshape(-1, 3, 3, 3), move[nodes])
         stiffness = self._c[STIFFNESS] * self._areas
         normal = self._lag.directions[:, :3]
-        anchor, speed = slide(
-            self._anchor + self._samples.positions(move) - below, normal, self._limit, stiffness, step.dt
-        )
+        slip = self._anchor + self._past(self._x - self._x_start)
+        anchor, speed = slide(slip, normal, self._limit, stiffness, step.dt)
         touching = self._load > 0.0
         return {
             "anchor": np.where(touching[:, None], anchor, 0.0),
             "load": self._load.copy(),
             "slip_speed": np.where(touching, speed, 0.0),
         }
+
+    def _past(self, move: np.ndarray) -> np.ndarray:
+        """How far samples go past the triangles that they are over, for a move of all nodes [m] ``(n, 3)``."""
+        nodes = self._triangles[self._lag.triangles[:, 0]]
+        below = np.einsum("skij,skj->si", self._frame.reshape(-1, 3, 3, 3), move[nodes])
+        return np.asarray(self._samples.positions(move) - below)
+
+    def carried(self, internals: Internals, move: np.ndarray) -> Internals:
+        """Internal variables with the springs of friction stretched by a move of the start."""
+        touching = internals["load"] > 0.0
+        return {**internals, "anchor": internals["anchor"] + np.where(touching[:, None], self._past(move), 0.0)}
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised:
         """Derivatives by the start of the step and the memory."""

@@ -190,6 +190,12 @@ class GuardedTerm(Term, Protocol):
         the share ``keep`` of what it was, while rigid bodies turn from one share of the step to another."""
         ...
 
+    def carried(self, internals: Internals, move: np.ndarray) -> Internals:
+        """Internal variables at the start of the step that was begun last, if it began with all nodes moved by
+        ``move`` [m] ``(n, 3)`` and the springs of friction stretched by that: where the step ends they hold as before.
+        """
+        ...
+
     def contacts(self) -> tuple[int, float]:
         """Number of loaded points and smallest gap [m] at the last gradient."""
         ...

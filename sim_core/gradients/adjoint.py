@@ -23,8 +23,8 @@ from itertools import chain, islice
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim_core.energies.linearised import Linearised, cross, skew, times_back
-from sim_core.energies.term import StepContext
+from sim_core.energies.linearised import Linearised, cross, skew, times_back, unflatten
+from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.columns import Columns
 from sim_core.gradients.directions import Direction, checked, motions, slopes
 from sim_core.gradients.elements import Alongs, OwnNumbers
@@ -48,13 +48,16 @@ from sim_core.solve.stiffness import AHEAD
 @dataclass(frozen=True)
 class Gradient:
     """``value`` of the loss and its derivatives: ``parameters`` by name; ``poses``: by end effector ``(n_times, 6)``
-    [1/m, 1/rad]; ``start_x`` [1/m] and ``start_v`` [s/m]: of the state that the first step starts from, ``(n, 3)``."""
+    [1/m, 1/rad]; ``start_x`` [1/m] and ``start_v`` [s/m]: of the state that the first step starts from, ``(n, 3)``;
+    ``start_memory``: of its internal variables (plastic curvature [m], elastic slip of friction [1/m], memory of
+    stress), by term and name."""
 
     value: float
     parameters: dict[str, float]
     poses: dict[str, np.ndarray]
     start_x: np.ndarray
     start_v: np.ndarray
+    start_memory: dict[str, Internals]
     trace: Trace
     fields: dict[str, np.ndarray]
     """By name, one value an element or hinge, or a vector a node (:class:`sim_core.scene.fields.Fields`)."""
@@ -165,6 +168,7 @@ class Backward:
             {m: np.stack([p.of(m) for p in poses]) for m in self._movable},
             state.x,
             state.v,
+            {name: unflatten(state.memory[name], internals) for name, internals in tape.start.internals.items()},
             tape.trace,
             self._fields.gradients(),
         )

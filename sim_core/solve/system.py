@@ -244,6 +244,12 @@ class System:
             self.embed(towards)
         self._begin(step, internals, towards)
 
+    def carried(self, internals: dict[str, Internals], move: np.ndarray) -> dict[str, Internals]:
+        """Internal variables at the start of the step that was begun last, if it began with all nodes moved by ``move``
+        [m] ``(n, 3)`` and the springs of friction stretched by that: where the step ends they hold as before."""
+        moved = {term.name: term.carried(internals[term.name], move) for term in self._guarded}
+        return {**internals, **moved}
+
     @property
     def touchable(self) -> bool:
         """Whether there is any contact."""

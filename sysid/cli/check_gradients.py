@@ -22,8 +22,8 @@ def check_gradients(
         typer.Option(
             "--params",
             metavar="A,B",
-            help="Parameters, as 'thinshell params' lists them, and 'poses' at every step, 'start' (positions and "
-            "velocities) and 'fields' over elements and nodes, or 'fields.gel.E' alone; default: all of these.",
+            help="Parameters, as 'thinshell params' lists them, and 'poses' at every step, 'start' (positions, "
+            "velocities, memory) and 'fields' over elements and nodes, or 'fields.gel.E' alone; default: all of these.",
         ),
     ] = None,
     settings: Annotated[

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sim_core.energies.term import Internals
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.gradients import Backward, Tape
 from sim_core.gradients.adjoint import Gradient
@@ -22,6 +23,9 @@ from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, Trace, run, step_times
+from sim_core.solve.integrator import step_context
+from sim_core.solve.step import State
+from sim_core.solve.system import System
 from sysid.fit.noise import declared_noise
 from sysid.gradients.differences import (
     NEGLIGIBLE,
@@ -52,6 +56,9 @@ NODE_M, SPEED_M_S = 1e-4, 1e-2
 RATIO, ANGLE_RAD, DAMPING = 0.1, 0.1, {"mass_damping_per_s": 1.0, "stiffness_damping_s": 1e-3}
 """Of Poisson's ratio, of a rest angle and of a damping that is zero; of other fields as much as their values."""
 
+MEMORY = {"plastic_curvature": 1.0, "Q": 10.0}
+"""Of internal variables [1/m, Pa] at the start."""
+
 MIDDLE, EDGE = (1.0, -1.0), (1.0, 2.0)
 """Shares of a step at which differences look: to both sides, or where a damping is zero to one."""
 
@@ -65,6 +72,40 @@ class _Way:
     rolled: Callable[[float], Trace]
     along: Callable[[Gradient], float]
     ends: tuple[float, float] = MIDDLE
+
+
+@dataclass(frozen=True)
+class _Change:
+    """A change of the state that the first step starts from: of positions, by which springs of friction stretch, and
+    velocities ``(n, 3)``, and of some internal variables by term and name."""
+
+    places: np.ndarray
+    speeds: np.ndarray
+    memory: dict[str, Internals]
+
+    def of(self, state: State, system: System, dt: float, share: float) -> State:
+        """A state so many times the change away."""
+        internals = _stretched(system, state, dt, share * self.places)
+        for name, change in self.memory.items():
+            known = internals[name]
+            internals[name] = {**known, **{what: known[what] + share * a for what, a in change.items()}}
+        x, v = state.x + share * self.places, state.v + share * self.speeds
+        return replace(state, x=x, v=v, internals=internals)
+
+    def along(self, found: Gradient, stretch: dict[str, np.ndarray]) -> float:
+        """Derivative along the change. ``stretch``: of the springs of friction, by term."""
+        total = np.vdot(found.start_x, self.places) + np.vdot(found.start_v, self.speeds)
+        total += sum(np.vdot(found.start_memory[name]["anchor"], a) for name, a in stretch.items())
+        for name, change in self.memory.items():
+            total += sum(np.vdot(found.start_memory[name][what], a) for what, a in change.items())
+        return float(total)
+
+
+def _stretched(system: System, state: State, dt: float, move: np.ndarray) -> dict[str, Internals]:
+    """Internal variables with the springs of friction stretched by a move ``(n, 3)`` of the start: else what lies on a
+    table would slip when it begins nanometres away, closer than differences can look."""
+    system.begin_step(step_context(state.x, state.v, dt), state.internals)
+    return system.carried(state.internals, move)
 
 
 class Beyond:
@@ -89,13 +130,14 @@ class Beyond:
 
     def amount_of_work(self, steps: Sequence[float]) -> int:
         """Number of times that ``on_work`` is called at most."""
-        ways = len(self._poses) + 2 + len(self._fields)
+        ways = len(self._poses) + 3 + len(self._fields)
         return 1 + 2 * ways * len(steps)
 
     def rows(self, steps: Sequence[float]) -> Iterator[Row]:
         """Compare everything, one direction after the other."""
         self._on_work("adjoint")
         tape = Tape(self._scene, self._poses, self._times, TIGHT, factors=True)
+        self._start = tape.start
         self._backward = Backward(tape, [], self._fields)
         self._known: dict[tuple[str, str, bytes], list[tuple[np.ndarray, Gradient]]] = {}
         for way in self._ways():
@@ -135,20 +177,7 @@ class Beyond:
 
                 yield _Way(f"poses of {mount}", partial(self._moved, mount, move), of_poses)
         if "start" in self._kinds:
-            system = self._scene.system
-            drawn = system.spread(rng.standard_normal(system.n_unknowns))
-            places, speeds = NODE_M * drawn, SPEED_M_S * drawn
-            yield _Way(
-                "positions at the start",
-                partial(self._begun, places, np.zeros_like(places)),
-                lambda found: float(np.vdot(found.start_x, places)),
-            )
-            if self._rig.solver.inertia:
-                yield _Way(
-                    "velocities at the start",
-                    partial(self._begun, np.zeros_like(speeds), speeds),
-                    lambda found: float(np.vdot(found.start_v, speeds)),
-                )
+            yield from self._ways_from_the_start(rng)
         for name in self._fields:
             value = self._scene.fields[name]
             along = rng.standard_normal(value.shape) * _size(name, value)
@@ -160,6 +189,31 @@ class Beyond:
 
             ends = EDGE if zero else MIDDLE
             yield _Way(f"field {name}", partial(self._varied, name, value, along), of_field, ends)
+
+    def _ways_from_the_start(self, rng: np.random.Generator) -> Iterator[_Way]:
+        """By the state that the first step starts from."""
+        system, start = self._other.system, self._start
+        drawn = system.spread(rng.standard_normal(system.n_unknowns))
+        none = np.zeros_like(drawn)
+        remembered = {
+            name: {what: size * rng.standard_normal(internals[what].shape)}
+            for what, size in MEMORY.items()
+            for name, internals in start.internals.items()
+            if what in internals
+        }
+        ways = [("positions", _Change(NODE_M * drawn, none, {}))]
+        if self._rig.solver.inertia:
+            ways.append(("velocities", _Change(none, SPEED_M_S * drawn, {})))
+        if remembered:
+            ways.append(("memory", _Change(none, none, remembered)))
+        for what, change in ways:
+            stretched = _stretched(system, start, self._rig.solver.dt_s, change.places)
+            stretch = {
+                name: stretched[name]["anchor"] - known["anchor"]
+                for name, known in start.internals.items()
+                if "anchor" in known
+            }
+            yield _Way(f"{what} at the start", partial(self._begun, change), partial(change.along, stretch=stretch))
 
     def _moved(self, mount: str, move: np.ndarray, share: float) -> Trace:
         """The rollout with the true poses of an end effector moved in their own frames, ``move`` ``(n_times, 6)``."""
@@ -174,13 +228,12 @@ class Beyond:
         there = PoseTrajectory(self._times, places - back.apply(offset[:3]), back.as_quat())
         return self._rolled({**self._poses, mount: there})
 
-    def _begun(self, places: np.ndarray, speeds: np.ndarray, share: float) -> Trace:
-        """The rollout from a state whose nodes, ``(n, 3)``, were put elsewhere."""
+    def _begun(self, change: _Change, share: float) -> Trace:
+        """The rollout from another state."""
         simulation = Simulation(self._other, TIGHT)
 
         def put() -> None:
-            state = simulation.state
-            simulation.state = replace(state, x=state.x + share * places, v=state.v + share * speeds)
+            simulation.state = change.of(simulation.state, self._other.system, self._rig.solver.dt_s, share)
 
         return run(simulation, self._poses, self._times, on_reset=put)
 

@@ -188,6 +188,36 @@ def test_start_state_against_differences_of_rollouts(small_rig, visit):
         assert min(errors) < 1e-5 * np.abs(by * move).sum(), name
 
 
+def test_memory_at_the_start_against_differences_of_rollouts(small_rig, visit):
+    """Plastic curvature, what has accumulated of it, and the memory of stress."""
+    rig, poses, times = small(PRESS, 0.3)(small_rig, visit, effects=EFFECTS)
+    scene = build_scene(rig)
+    tracks = {n: p.sample(times) for n, p in poses.items()}
+    frames = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
+    simulation = Simulation(scene, TIGHT)
+    given = weights(Tape(scene, poses, times, TIGHT).trace)
+    later = {c: np.concatenate([np.zeros_like(w[:1]), w[1:]]) for c, w in given.items()}
+    found = simulate_adjoint(scene, poses, times, lambda trace: (0.0, later), [], settings=TIGHT).start_memory
+    rng = np.random.default_rng(4)
+    moves = {"plastic_curvature": ("card.bending", 0.01), "accumulated_curvature": ("card.bending", 0.01)}
+    for name, (term, size) in {**moves, "Q": ("gel.elastic", 10.0)}.items():
+        move, errors = size * rng.standard_normal(found[term][name].shape), []
+        for h in (1e-2, 1e-3):
+            ends = []
+            for s in (h, -h):
+                simulation.reset(frames[0])
+                state = simulation.state
+                known = state.internals[term]
+                other = {**state.internals, term: {**known, name: known[name] + s * move}}
+                simulation.state, total = replace(state, internals=other), 0.0
+                for k in range(1, len(times)):
+                    simulation.step(frames[k], times[k] - times[k - 1])
+                    total += sum(np.nansum(r * given[c][k]) for c, r in simulation.read().items())
+                ends.append(total)
+            errors.append(abs((ends[0] - ends[1]) / (2.0 * h) - np.vdot(found[term][name], move)))
+        assert 0.0 < min(errors) < 1e-5 * np.abs(found[term][name] * move).sum(), name
+
+
 def test_steps_made_again_have_the_same_bits(small_rig, visit):
     """And the same gradient but for round-off: how entries are ordered in a factorisation depends on what is kept."""
     rig, poses, times = small(PRESS)(small_rig, visit, effects=EFFECTS)

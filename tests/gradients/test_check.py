@@ -14,7 +14,7 @@ from sim_core.gradients.directions import RELATIVE_STEP
 from sim_core.rigs import list_parameters, parse_rig, with_parameters
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.scene import build_scene
-from sim_core.simulate import simulate
+from sim_core.simulate import Simulation, simulate
 from sysid.gradients import check_gradients, compare, differences
 from sysid.gradients.check import _as_text
 from sysid.streams import predicted, predicted_back
@@ -172,6 +172,24 @@ def test_poses_start_and_fields_are_checked_too(small_rig):
     assert {"poses of finger", "positions at the start", "velocities at the start"} <= judged
     assert {f"field {name}" for name in build_scene(rig).fields.names} <= judged
     assert all(r["adjoint"] is None and r["value"] is None for r in rows)
+
+
+def test_a_start_that_friction_holds_within_nanometres_is_checked(small_rig):
+    """A card that lies on a post has settled there: a step of a nanometre away, all of it would slip."""
+    rig = small_rig(effects={"bending_plasticity": {"yield_curvature_per_m": 0.5, "hardening_ratio": 0.3}})
+    post = rig.bodies["post"]
+    below = post.pose.model_copy(update={"position_m": (0.04, 0.0, 0.0297)})
+    bodies = {**rig.bodies, "post": post.model_copy(update={"pose": below})}
+    laid = {"between": ["card", "post"], "friction": 0.3}
+    rig = parse_rig({**rig.model_dump(mode="json", exclude_none=True), "contacts": [laid]}, "laid").model_copy(
+        update={"bodies": bodies}
+    )
+    simulation = Simulation(build_scene(rig))
+    held = simulation.state.internals["contact.card-post"]
+    assert 0.0 < np.abs(held["anchor"]).max() < 1e-8 and held["load"].max() > 1e-5
+    passed, rows = check(rig, ["start"], steps=(1e-2, 1e-3, 1e-4, 1e-6))
+    agree = {r["parameter"] for r in rows if r["verdict"] == "agrees"}
+    assert passed and agree == {f"{what} at the start" for what in ("positions", "velocities", "memory")}
 
 
 def test_poses_are_moved_where_they_truly_are(small_rig):

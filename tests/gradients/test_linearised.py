@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from step_differences import differences, last_step
+from step_differences import differences, last_step, respond
 
 from sim_core.energies.linearised import flatten, times
 from sim_core.gradients.columns import Columns
@@ -133,6 +133,33 @@ def parts(internals):
     """Where each internal variable is in the flattened vector."""
     ends = np.cumsum([0, *(a.size for a in internals.values())])
     return [slice(a, b) for a, b in pairwise(ends)]
+
+
+@pytest.mark.parametrize(
+    ("scene", "names"),
+    [
+        (forming, ("contact.gel-card.0", "contact.gel-card.edges", "contact.card-table")),
+        (ball, ("contact.card-ball",)),
+    ],
+    ids=["forming", "ball"],
+)
+def test_friction_holds_as_before_where_its_springs_are_stretched_by_a_move_of_the_start(scene, names):
+    """Micrometres, where all of it would slip within nanometres; the body under a point may have turned."""
+    simulation, before, step = last_step(*scene())
+    rng = np.random.default_rng(3)
+    for name in names:
+        term = next(t for t in simulation.scene.system.terms if t.name == name)
+        internals = before.internals[name]
+        move = 1e-6 * rng.standard_normal(step.x_start.shape)
+        carried = term.carried(internals, move)
+        (force, memory), (slid, _), (held, kept) = (
+            respond(simulation, term, step, given, step.x_start + away, simulation.scene.system.x, None)
+            for given, away in ((internals, 0.0 * move), (internals, move), (carried, move))
+        )
+        lost = np.abs(slid - force).max()
+        assert lost > 1e-5 and np.abs(held - force).max() < 0.02 * lost, name
+        anchor = parts(internals)[list(internals).index("anchor")]
+        assert np.abs(kept - memory)[anchor].max() < 0.02 * np.abs(memory[anchor]).max(), name
 
 
 def test_distance_without_gap_and_stiffness_of_every_contact():
