@@ -65,8 +65,8 @@ def simulate_batch(
 
 
 class _Pool(ProcessPoolExecutor):
-    """Says that it is broken also where a process ends while another is being started, which then finds the pool's
-    pipes closed."""
+    """Says that it is broken also where a process ends while another is being started, which before Python 3.12 finds
+    the pool's pipes closed."""
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         try:

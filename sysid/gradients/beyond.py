@@ -66,12 +66,13 @@ MIDDLE, EDGE = (1.0, -1.0), (1.0, 2.0)
 @dataclass(frozen=True)
 class _Way:
     """A direction. ``rolled``: the rollout so many times its length along it; ``along``: the gradient's part; ``ends``:
-    :data:`MIDDLE` or :data:`EDGE`."""
+    :data:`MIDDLE` or :data:`EDGE`; ``switch``: why the rollout may be at a jump of the derivative, in words."""
 
     name: str
     rolled: Callable[[float], Trace]
     along: Callable[[Gradient], float]
     ends: tuple[float, float] = MIDDLE
+    switch: str = ""
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,8 @@ class _Change:
 def _stretched(system: System, state: State, dt: float, move: np.ndarray) -> dict[str, Internals]:
     """Internal variables with the springs of friction stretched by a move ``(n, 3)`` of the start: else what lies on a
     table would slip when it begins nanometres away, closer than differences can look."""
+    if not move.any():
+        return state.internals
     system.begin_step(step_context(state.x, state.v, dt), state.internals)
     return system.carried(state.internals, move)
 
@@ -137,7 +140,7 @@ class Beyond:
         """Compare everything, one direction after the other."""
         self._on_work("adjoint")
         tape = Tape(self._scene, self._poses, self._times, TIGHT, factors=True)
-        self._start = tape.start
+        self._start, self._mounts = tape.start, tape.mounts
         self._backward = Backward(tape, [], self._fields)
         self._known: dict[tuple[str, str, bytes], list[tuple[np.ndarray, Gradient]]] = {}
         for way in self._ways():
@@ -193,6 +196,7 @@ class Beyond:
     def _ways_from_the_start(self, rng: np.random.Generator) -> Iterator[_Way]:
         """By the state that the first step starts from."""
         system, start = self._other.system, self._start
+        system.set_targets(self._other.targets(self._mounts))
         drawn = system.spread(rng.standard_normal(system.n_unknowns))
         none = np.zeros_like(drawn)
         remembered = {
@@ -213,7 +217,14 @@ class Beyond:
                 for name, known in start.internals.items()
                 if "anchor" in known
             }
-            yield _Way(f"{what} at the start", partial(self._begun, change), partial(change.along, stretch=stretch))
+            name, along = f"{what} at the start", partial(change.along, stretch=stretch)
+            yield _Way(name, partial(self._begun, change), along, switch=self._at_yield())
+
+    def _at_yield(self) -> str:
+        """Whether sheets have yielded on their way to the first equilibrium, in words."""
+        accumulated = [i["accumulated_curvature"] for i in self._start.internals.values() if "plastic_curvature" in i]
+        count = sum(int(np.count_nonzero(a)) for a in accumulated)
+        return f"{count} triangles have yielded before the first step and are just at yield." if count else ""
 
     def _moved(self, mount: str, move: np.ndarray, share: float) -> Trace:
         """The rollout with the true poses of an end effector moved in their own frames, ``move`` ``(n_times, 6)``."""
@@ -290,7 +301,9 @@ class Beyond:
             said = "negligible"
         else:
             said = verdict(steps, list(errors), hidden, bound, alone=True)
-            if said == "differs":
+            if said == "differs" and way.switch:
+                said, reason = "jumps", way.switch
+            elif said == "differs":
                 reason = f"Probably {probable_cause(self._rig, self._times, sweep[best])}, or the gradient is wrong."
         return Row(
             way.name, None, f"{channel} {part}".strip(), unit_of(trace.kinds[channel], part), moved,

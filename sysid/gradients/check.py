@@ -17,7 +17,7 @@ from rich.table import Table
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, list_parameters, resolve_name
 from sim_core.rigs.motion import Experiment, compile_experiment
-from sysid.gradients.beyond import KINDS, NODE_M, RATIO, SHIFT_M, SPEED_M_S, TURN_RAD, Beyond
+from sysid.gradients.beyond import KINDS, MEMORY, NODE_M, RATIO, SHIFT_M, SPEED_M_S, TURN_RAD, Beyond
 from sysid.gradients.compare import Comparison
 from sysid.gradients.differences import STEPS, Row
 
@@ -153,9 +153,9 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         lines += [
             "Of poses, start and fields: errors of the adjoint along one random direction, and effects of a step of 1,",
             f"by {SHIFT_M:g} m, {TURN_RAD:g} rad, nodes by {NODE_M:g} m and {SPEED_M_S:g} m/s, plastic curvature by "
-            "1/m, memory of stress",
-            f"by 10 Pa, nu and angles by {RATIO:g}, others by their values (dampings of 0 by 1/s and 1e-3 s, to one "
-            "side).",
+            f"{MEMORY['plastic_curvature']:g}/m, memory of",
+            f"stress by {MEMORY['Q']:g} Pa, nu and angles by {RATIO:g}, others by their values (dampings of 0 by 1/s "
+            "and 1e-3 s, to one side).",
         ]
     lines += [f"{name} has no effect on any reading in this experiment." for name in idle]
     for row in rows:

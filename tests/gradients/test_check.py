@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+from test_linearised import laid
 
 from sim_core.errors import ConfigError
 from sim_core.gradients import Backward, Tape, adjoint, directions, tangent
@@ -176,20 +177,23 @@ def test_poses_start_and_fields_are_checked_too(small_rig):
 
 def test_a_start_that_friction_holds_within_nanometres_is_checked(small_rig):
     """A card that lies on a post has settled there: a step of a nanometre away, all of it would slip."""
-    rig = small_rig(effects={"bending_plasticity": {"yield_curvature_per_m": 0.5, "hardening_ratio": 0.3}})
-    post = rig.bodies["post"]
-    below = post.pose.model_copy(update={"position_m": (0.04, 0.0, 0.0297)})
-    bodies = {**rig.bodies, "post": post.model_copy(update={"pose": below})}
-    laid = {"between": ["card", "post"], "friction": 0.3}
-    rig = parse_rig({**rig.model_dump(mode="json", exclude_none=True), "contacts": [laid]}, "laid").model_copy(
-        update={"bodies": bodies}
-    )
+    plastic = {"bending_plasticity": {"yield_curvature_per_m": 0.5, "hardening_ratio": 0.3}}
+    rig = laid(small_rig, {"friction": 0.3}, effects=plastic)
     simulation = Simulation(build_scene(rig))
     held = simulation.state.internals["contact.card-post"]
     assert 0.0 < np.abs(held["anchor"]).max() < 1e-8 and held["load"].max() > 1e-5
     passed, rows = check(rig, ["start"], steps=(1e-2, 1e-3, 1e-4, 1e-6))
     agree = {r["parameter"] for r in rows if r["verdict"] == "agrees"}
     assert passed and agree == {f"{what} at the start" for what in ("positions", "velocities", "memory")}
+
+
+def test_a_start_that_has_yielded_is_not_judged(small_rig):
+    """What flowed under its own weight before the first step is just at yield: differences there have two sides."""
+    rig = small_rig(effects={"bending_plasticity": {"yield_curvature_per_m": 0.2, "hardening_ratio": 0.1}})
+    _, rows = check(rig, ["start"], steps=(1e-2, 1e-3, 1e-4))
+    beside = {r["parameter"] for r in rows if "have yielded before the first step" in r["reason"]}
+    assert beside and {r["verdict"] for r in rows if r["parameter"] in beside} <= {"jumps", "agrees"}
+    assert "differs" not in {r["verdict"] for r in rows}
 
 
 def test_poses_are_moved_where_they_truly_are(small_rig):
@@ -230,36 +234,42 @@ def test_a_gradient_of_what_has_no_effect_is_not_negligible(small_rig, monkeypat
     assert {r["verdict"] for r in card} == {"differs"}
 
 
+REMEMBERING = {"gel_relaxation": {"share": 0.3, "tau_s": 0.2}}
+
+
+def times(factor, given):
+    """A gradient, or several by name, so many times."""
+    return {k: times(factor, v) for k, v in given.items()} if isinstance(given, dict) else factor * given
+
+
 @pytest.mark.parametrize("factor", [1.0005, np.nan])
-@pytest.mark.parametrize("kind", ["poses", "start_x", "start_v"])
+@pytest.mark.parametrize("kind", ["poses", "start_x", "start_v", "start_memory"])
 def test_a_gradient_that_is_a_little_wrong_is_named_with_the_usual_steps(small_rig, monkeypatch, kind, factor):
     plain = Backward.gradient
 
     def wrong(self, value, by_readings):
         found = plain(self, value, by_readings)
-        given = getattr(found, kind)
-        off = {k: factor * v for k, v in given.items()} if isinstance(given, dict) else factor * given
-        return dataclasses.replace(found, **{kind: off})
+        return dataclasses.replace(found, **{kind: times(factor, getattr(found, kind))})
 
     monkeypatch.setattr(Backward, "gradient", wrong)
-    passed, text = check_gradients(small_rig(), EXPERIMENT, [kind.split("_")[0]])
+    passed, text = check_gradients(small_rig(effects=REMEMBERING), EXPERIMENT, [kind.split("_")[0]])
     assert not passed and "the error is" in text
 
 
-@pytest.mark.parametrize("kind", ["poses", "start_x", "start_v", "fields"])
+@pytest.mark.parametrize("kind", ["poses", "start_x", "start_v", "start_memory", "fields"])
 def test_a_gradient_by_no_parameter_that_is_wrong_is_named(small_rig, monkeypatch, kind):
     plain = Backward.gradient
 
     def wrong(self, value, by_readings):
         found = plain(self, value, by_readings)
-        given = getattr(found, kind)
-        off = {k: 1.001 * v for k, v in given.items()} if isinstance(given, dict) else 1.001 * given
-        return dataclasses.replace(found, **{kind: off})
+        return dataclasses.replace(found, **{kind: times(1.001, getattr(found, kind))})
 
     monkeypatch.setattr(Backward, "gradient", wrong)
     word = kind.split("_")[0]
-    passed, rows = check(small_rig(), [word], steps=(1e-2, 1e-3, 1e-4))
-    named = {"start_x": "positions", "start_v": "velocities"}.get(kind, word.removesuffix("s"))
+    passed, rows = check(small_rig(effects=REMEMBERING), [word], steps=(1e-2, 1e-3, 1e-4))
+    named = {"start_x": "positions", "start_v": "velocities", "start_memory": "memory"}.get(
+        kind, word.removesuffix("s")
+    )
     differ = {r["parameter"] for r in rows if r["verdict"] == "differs"}
     assert not passed and differ and all(name.startswith(named) for name in differ)
 
