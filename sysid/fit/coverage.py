@@ -19,8 +19,8 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
+from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -172,6 +172,23 @@ def wilson(hits: int, trials: int) -> tuple[float, float]:
     return max(0.0, float(middle - half)), min(1.0, float(middle + half))
 
 
+LOOK_S = 1.0
+"""Progress is told at least as often."""
+
+
+def as_they_end(
+    pending: Collection[Future[list[Outcome]]], meanwhile: Callable[[], None]
+) -> Iterator[Future[list[Outcome]]]:
+    """Cases as they end; ``meanwhile`` is called at the beginning, and whenever none has ended for a while."""
+    left = set(pending)
+    meanwhile()
+    while left:
+        ended, left = wait(left, timeout=LOOK_S, return_when=FIRST_COMPLETED)
+        if not ended:
+            meanwhile()
+        yield from ended
+
+
 def measure_coverage(
     rig: Rig,
     experiments: Sequence[Experiment],
@@ -194,6 +211,13 @@ def measure_coverage(
     left, lost = set(cases), ""
     defect: Exception | None = None
     workers = min(os.cpu_count() or 1, max(1, len(cases)))
+
+    def tell() -> None:
+        if on_progress is not None:
+            ended, inside = len(cases) - len(left), sum(o.inside for o in outcomes)
+            words = f"{ended} of {len(cases)} cases have ended, {inside} of {len(outcomes)} inside"
+            on_progress(ended / len(cases), words if ended else f"no case of {len(cases)} has ended yet")
+
     try:
         with worker_pool(workers) as pool:
             pending = {}
@@ -202,7 +226,7 @@ def measure_coverage(
                 truth, start = (draw(rig, parameters, spread, rng) for _ in range(2))
                 drawn = (truth, start, refine, int(rng.integers(2**31)), colour)
                 pending[pool.submit(_case, rig, experiments, parameters, case, *drawn)] = case
-            for future in as_completed(pending):
+            for future in as_they_end(pending, tell):
                 case = pending[future]
                 try:
                     outcomes += future.result()
@@ -213,9 +237,7 @@ def measure_coverage(
                     failed[case] = why(error)
                     defect = defect if isinstance(error, ThinshellError) else error
                 left.remove(case)
-                if on_progress is not None:
-                    inside = sum(o.inside for o in outcomes)
-                    on_progress(1.0 - len(left) / len(cases), f"case {case}, {inside} of {len(outcomes)} inside")
+                tell()
             if defect is not None and not outcomes:
                 raise defect
     except KeyboardInterrupt:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from inspect import signature
@@ -149,11 +150,11 @@ def test_the_table_names_what_failed_and_what_did_not_converge():
 
 @pytest.mark.parametrize("ended", [0, 2])
 def test_an_interruption_keeps_the_cases_that_have_ended(small_rig, monkeypatch, ended):
-    def some(pending):
+    def some(pending, meanwhile):
         yield from list(pending)[:ended]
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(coverage, "as_completed", some)
+    monkeypatch.setattr(coverage, "as_they_end", some)
     monkeypatch.setattr(coverage, "worker_pool", ThreadPoolExecutor)
     monkeypatch.setattr(coverage, "_case", lambda rig, experiments, parameters, case, *drawn: [outcome(case, 0.5)])
 
@@ -179,7 +180,7 @@ def threads(monkeypatch):
             raise ends[number]
         return [outcome(number, 0.5)]
 
-    monkeypatch.setattr(coverage, "as_completed", list)
+    monkeypatch.setattr(coverage, "as_they_end", lambda pending, meanwhile: list(pending))
     monkeypatch.setattr(coverage, "worker_pool", ThreadPoolExecutor)
     monkeypatch.setattr(coverage, "_case", case)
     return ends
@@ -205,6 +206,27 @@ def test_a_case_that_fails_leaves_the_others(small_rig, threads):
     with pytest.raises(ValueError, match="no shape"):
         measure_coverage(small_rig(), [], ["gel.E_pa"], cases=[4, 5])
     assert measure_coverage(small_rig(), [], ["gel.E_pa"], cases=[5]).failed == {5: "no equilibrium"}
+
+
+def test_a_long_case_is_not_waited_for_in_silence(small_rig, monkeypatch):
+    """It ends when the third word of progress has come, none of which knows of a case that has ended."""
+    told, heard = [], threading.Event()
+
+    def case(rig, experiments, parameters, number, *drawn):
+        assert heard.wait(30.0)
+        return [outcome(number, 0.5)]
+
+    def report(share, text):
+        told.append((share, text))
+        if len(told) == 3:
+            heard.set()
+
+    monkeypatch.setattr(coverage, "LOOK_S", 0.01)
+    monkeypatch.setattr(coverage, "worker_pool", ThreadPoolExecutor)
+    monkeypatch.setattr(coverage, "_case", case)
+    measure_coverage(small_rig(), [], ["gel.E_pa"], cases=range(2), on_progress=report)
+    assert told[:3] == [(0.0, "no case of 2 has ended yet")] * 3
+    assert told[-1] == (1.0, "2 of 2 cases have ended, 2 of 2 inside")
 
 
 def test_a_table_in_which_all_failed():
