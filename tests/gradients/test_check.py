@@ -74,7 +74,7 @@ def test_a_wrong_derivative_is_named(small_rig, monkeypatch):
     assert "9.9e-03" in line and "above 0.0001" in line and "Probably" in line
 
 
-@pytest.mark.parametrize("error", [1.001, np.nan])
+@pytest.mark.parametrize("error", [1.5, 1.001, np.nan])
 def test_a_derivative_that_is_wrong_both_ways_is_named(small_rig, monkeypatch, error):
     for module in (tangent, adjoint):
 
@@ -228,7 +228,7 @@ def test_a_gradient_of_what_has_no_effect_is_not_negligible(small_rig, monkeypat
         return dataclasses.replace(found, fields=off)
 
     monkeypatch.setattr(Backward, "gradient", wrong)
-    passed, rows = check(small_rig(), ["fields.card.E"])
+    passed, rows = check(small_rig(), ["fields"])
     assert not passed
     card = [r for r in rows if r["parameter"].startswith("field card") and r["channel"] != "side"]
     assert {r["verdict"] for r in card} == {"differs"}
@@ -242,8 +242,9 @@ def times(factor, given):
     return {k: times(factor, v) for k, v in given.items()} if isinstance(given, dict) else factor * given
 
 
-def spoilt(monkeypatch, kind, factor):
-    """The adjoint's gradient by one of what are no parameters, so many times."""
+@pytest.mark.parametrize("factor", [1.0005, np.nan])
+@pytest.mark.parametrize("kind", ["poses", "start_x", "start_v", "start_memory"])
+def test_a_gradient_that_is_a_little_wrong_is_named_with_the_usual_steps(small_rig, monkeypatch, kind, factor):
     plain = Backward.gradient
 
     def wrong(self, value, by_readings):
@@ -251,31 +252,26 @@ def spoilt(monkeypatch, kind, factor):
         return dataclasses.replace(found, **{kind: times(factor, getattr(found, kind))})
 
     monkeypatch.setattr(Backward, "gradient", wrong)
+    passed, text = check_gradients(small_rig(effects=REMEMBERING), EXPERIMENT, [kind.split("_")[0]])
+    assert not passed and "the error is" in text
 
 
-@pytest.mark.parametrize(
-    ("kind", "factor", "named"),
-    [
-        ("poses", 1.0005, "poses"),
-        ("poses", np.nan, "poses"),
-        ("start_x", 1.0005, "positions"),
-        ("start_v", 1.0005, "velocities"),
-        ("start_memory", 1.0005, "memory"),
-    ],
-)
-def test_a_gradient_that_is_a_little_wrong_is_named_with_the_usual_steps(small_rig, monkeypatch, kind, factor, named):
-    spoilt(monkeypatch, kind, factor)
-    rig = small_rig(effects=REMEMBERING if kind == "start_memory" else {})
-    passed, rows = check(rig, [kind.split("_")[0]], steps=differences.STEPS)
+@pytest.mark.parametrize("kind", ["poses", "start_x", "start_v", "start_memory", "fields"])
+def test_a_gradient_by_no_parameter_that_is_wrong_is_named(small_rig, monkeypatch, kind):
+    plain = Backward.gradient
+
+    def wrong(self, value, by_readings):
+        found = plain(self, value, by_readings)
+        return dataclasses.replace(found, **{kind: times(1.001, getattr(found, kind))})
+
+    monkeypatch.setattr(Backward, "gradient", wrong)
+    word = kind.split("_")[0]
+    passed, rows = check(small_rig(effects=REMEMBERING), [word], steps=(1e-2, 1e-3, 1e-4))
+    named = {"start_x": "positions", "start_v": "velocities", "start_memory": "memory"}.get(
+        kind, word.removesuffix("s")
+    )
     differ = {r["parameter"] for r in rows if r["verdict"] == "differs"}
     assert not passed and differ and all(name.startswith(named) for name in differ)
-
-
-def test_a_field_whose_gradient_is_wrong_is_named(small_rig, monkeypatch):
-    spoilt(monkeypatch, "fields", 1.001)
-    passed, rows = check(small_rig(), ["fields.gel.E", "fields.card.thickness"], steps=(1e-2, 1e-3, 1e-4))
-    differ = {r["parameter"] for r in rows if r["verdict"] == "differs"}
-    assert not passed and differ == {"field gel.E_pa", "field card.thickness_m"}
 
 
 def test_words_for_what_is_no_parameter_go_with_names(small_rig):
