@@ -12,7 +12,7 @@ JOBS ?= 2
 
 help:
 	@echo "make demo      simulate a press, record it, fit it back, and write a report"
-	@echo "make test      all tests but those marked slow (10 to 30 minutes on 2 cores)"
+	@echo "make test      all tests but those marked slow (11 to 40 minutes on 2 cores, as busy as they are)"
 	@echo "make test-all  those too"
 	@echo "make lint      style and types"
 	@echo "make format    put the code into the style that lint asks for"

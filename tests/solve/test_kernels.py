@@ -1,0 +1,26 @@
+"""What Taichi says of a kernel that is wrong, with the places that :mod:`sim_core.kernels` gives it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import taichi as ti
+
+from sim_core.kernels import F1, BoundKernel
+
+
+@ti.kernel
+def wrong(a: F1):
+    for i in range(3):
+        a[i] = nowhere_defined  # noqa: F821
+
+
+def test_a_kernel_that_is_wrong_is_told_with_file_line_and_text():
+    with pytest.raises(ti.TaichiNameError) as told:
+        BoundKernel(wrong, np.zeros(3))
+    line = next(
+        k for k, text in enumerate(Path(__file__).read_text().splitlines(), 1) if "a[i] = nowhere_defined" in text
+    )
+    said = str(told.value)
+    assert f'File "{__file__}", line {line}, in wrong:\na[i] = nowhere_defined' in said
+    assert "is not defined" in said
