@@ -16,7 +16,7 @@ from sim_core.rigs.motion import load_experiment
 from sysid.cli.progress import progress
 from sysid.fit import fit_runs
 from sysid.fit.result import Estimate
-from sysid.fit.runs import load_run
+from sysid.model.load import load_run
 from sysid.report import write_fit_report
 from sysid.simulate import simulate_to_bag
 

@@ -15,8 +15,8 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import Scene, build_scene
 from sim_core.sensing.observe import Observer
 from sim_core.simulate import Trace, simulate, step_times
+from sysid.model.sensor_streams import predicted, total_delay
 from sysid.recording import RecordingWriter
-from sysid.streams import predicted, total_delay
 
 START_NS = 1_000_000_000
 """Stamp of the first message; zero stamps mean 'no stamp'."""

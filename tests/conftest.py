@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fit_fixtures import declared, vectors, workers
 from threadpoolctl import threadpool_limits
 
 from sim_core.rigs import Rig, parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
+
+__all__ = ["declared", "vectors", "workers"]
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -19,8 +19,8 @@ from typing import Any
 
 from sim_core.errors import ThinshellError
 from sysid.fit import fit_bags
-from sysid.fit.starts import Step
-from sysid.folder import unfinished
+from sysid.fit.multistart import Step
+from sysid.io.atomic_folder import unfinished
 from thinshell_ros.fit_request import FitRequest
 
 TIDIED = "ignore:resource_tracker"

@@ -12,8 +12,8 @@ from typing import Any
 from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import Rig, resolve_name, with_parameters
 from sysid.fit.options import FitOptions
-from sysid.fit.parameters import asked_for
-from sysid.parts import check_parts, part_of
+from sysid.model.parameters import asked_for
+from sysid.observations.selection import check_parts, part_of
 from sysid.recording.bag import open_bag
 from sysid.recording.notes import Notes
 

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from sysid.fit.multistart import Step
 from sysid.fit.result import not_converged
-from sysid.fit.starts import Step
 from thinshell_ros.fit_process import Event, Failed, Share, Succeeded, Warned
 from thinshell_ros.fit_request import FitRequest
 from thinshell_ros.health import Level, Report
@@ -65,7 +65,7 @@ class FitState:
 
     def report(self, elapsed_s: float) -> Report:
         """The state after some time [s] since the start, until the end. ``loss``: mean squared whitened residual
-        (:attr:`sysid.fit.fitted.Fitted.misfit`), of the best values so far, and of the result."""
+        (:attr:`sysid.solve.optimum.Fitted.misfit`), of the best values so far, and of the result."""
         left = elapsed_s * (1.0 / self.share - 1.0) if self.state == "running" and self.share > 0.0 else math.nan
         loss = self.result["loss"] if self.result else self.step.misfit if self.step else math.nan
         values = {

@@ -122,7 +122,7 @@ class Physics:
         from sim_core.effects import active_effects
         from sim_core.scene.scene import build_scene
         from sim_core.simulate import Simulation
-        from sysid.streams import total_delay
+        from sysid.model.sensor_streams import total_delay
 
         rig = settings.rig
         self._settings = settings

@@ -7,7 +7,7 @@ slip [N/m]. ``count[0]``: number of pairs.
 
 import taichi as ti
 
-from sim_core.contact.advancement import segments_way
+from sim_core.contact.continuous_collision import segments_way
 from sim_core.contact.law import (
     GUARD,
     OFFSET,

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sim_core.contact.candidates import Candidates
+from sim_core.contact.broad_phase import Candidates
 from sim_core.contact.edge_kernels import (
     add_energy,
     add_gradient,
@@ -30,13 +30,13 @@ from sim_core.contact.edge_kernels import (
     measure,
     sides,
 )
-from sim_core.contact.framed_derivatives import AtRest, Loads, Pairs, exerted, framed_derivatives, memory_places
-from sim_core.contact.framed_kernels import Frames
+from sim_core.contact.friction_derivatives import potential_of, pressure_and_slope
 from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
+from sim_core.contact.local_frame_derivatives import AtRest, Loads, Pairs, exerted, framed_derivatives, memory_places
+from sim_core.contact.local_frame_kernels import Frames
 from sim_core.contact.measures import Measures, SharedAreas, SquaredLengths
 from sim_core.contact.pair_distance import PairDistance
 from sim_core.contact.primitives import Primitives
-from sim_core.contact.rubbing import potential_of, pressure_and_slope
 from sim_core.contact.segments import PARALLEL
 from sim_core.energies.linearised import Linearised, cross, places
 from sim_core.energies.term import Buffers, Internals, StepContext

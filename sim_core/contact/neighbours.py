@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
-from sim_core.contact.approach import Approach
+from sim_core.contact.closing_distance import Approach
 from sim_core.contact.primitives import Primitives
 
 Distance = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]

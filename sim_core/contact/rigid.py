@@ -9,7 +9,8 @@ sample position p = sum_i w_i x_i, body origin c, rotation R and the shape's sig
 where y_n is the body point under the sample at the start of the step, T the projector on the tangent
 plane there and e_n the elastic slip carried over from the last step, in the body frame. Laws:
 :mod:`sim_core.contact.law`. What lies between the samples (a box's corner under the middle of a triangle) is
-left to :class:`SurfaceContact` and :class:`EdgeContact` with the shape's core (:mod:`sim_core.contact.cores`).
+left to :class:`SurfaceContact` and :class:`EdgeContact` with the shape's core
+(:mod:`sim_core.contact.inner_primitives`).
 """
 
 from collections.abc import Mapping
@@ -18,7 +19,7 @@ import numpy as np
 import taichi as ti
 from scipy.spatial.transform import Rotation
 
-from sim_core.contact.advancement import point_shape_way
+from sim_core.contact.continuous_collision import point_shape_way
 from sim_core.contact.law import (
     OFFSET,
     RANGE,

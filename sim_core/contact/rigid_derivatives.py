@@ -4,8 +4,8 @@ With p the sample, c the body's node, R its rotation now and R_n at the start, y
 
     w = R (anchor - y_n) + p - c,    m = R n(y_n),
 
-friction follows from :mod:`sim_core.contact.rubbing`; a turn of the body changes R by R [omega]x. The tangent plane
-changes with y_n where the shape is curved, dn = phi'' dy.
+friction follows from :mod:`sim_core.contact.friction_derivatives`; a turn of the body changes R by R [omega]x. The
+tangent plane changes with y_n where the shape is curved, dn = phi'' dy.
 """
 
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import taichi as ti
 
+from sim_core.contact.friction_derivatives import limit_derivatives, limits_by_numbers, pressure_and_slope, rubbing
 from sim_core.contact.law import OFFSET, RANGE, STIFFNESS
-from sim_core.contact.rubbing import limit_derivatives, limits_by_numbers, pressure_and_slope, rubbing
 from sim_core.contact.shapes import signed_distance
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, cross, gathered, placed, places, skew
 from sim_core.energies.term import Internals

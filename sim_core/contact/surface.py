@@ -29,9 +29,8 @@ from collections.abc import Mapping
 import numpy as np
 import scipy.sparse as sp
 
-from sim_core.contact.candidates import Candidates
-from sim_core.contact.framed_derivatives import AtRest, Loads, Pairs, exerted, framed_derivatives, memory_places
-from sim_core.contact.framed_kernels import Frames
+from sim_core.contact.broad_phase import Candidates
+from sim_core.contact.friction_derivatives import pressure_and_slope
 from sim_core.contact.law import (
     BLEND,
     OFFSET,
@@ -43,10 +42,11 @@ from sim_core.contact.law import (
     set_law,
     slide,
 )
+from sim_core.contact.local_frame_derivatives import AtRest, Loads, Pairs, exerted, framed_derivatives, memory_places
+from sim_core.contact.local_frame_kernels import Frames
 from sim_core.contact.measures import Measures
 from sim_core.contact.pair_distance import PairDistance
 from sim_core.contact.primitives import Primitives
-from sim_core.contact.rubbing import pressure_and_slope
 from sim_core.contact.samples import Samples
 from sim_core.contact.surface_geometry import distances, frames, free_way, sides
 from sim_core.contact.surface_kernels import FAR, MOST, add_energy, add_gradient, add_hessian, measure

@@ -6,8 +6,8 @@ A sample ``s`` has the nodes ``own[s, :used[s]]`` with ``weights[s]`` and the ca
 
 import taichi as ti
 
-from sim_core.contact.advancement import point_triangle_way
 from sim_core.contact.closest import closest_point
+from sim_core.contact.continuous_collision import point_triangle_way
 from sim_core.contact.law import OFFSET
 from sim_core.kernels import F1, F2, I1, I2, row, vec3
 

@@ -73,8 +73,8 @@ class Effect:
     ) -> np.ndarray | float:
         """What a sensor reports beside the truth at times ``(n,)`` [s], ``(n, ...)`` as its readings. ``kind``:
         'wrench', 'markers' or 'tracks'. It does not see the readings, of which derivatives therefore pass a sensor as
-        they are (:func:`sysid.streams.predicted_derivatives`, ``predicted_back``); a law with a gain, a bound or a
-        memory of them would need its slope there."""
+        they are (:func:`sysid.model.sensor_streams.predicted_derivatives`, ``predicted_back``); a law with a gain, a
+        bound or a memory of them would need its slope there."""
         return 0.0
 
     def delay(self, rig: Rig, channel: str, kind: str, given: Mapping[str, float]) -> float:

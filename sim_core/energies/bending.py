@@ -26,7 +26,7 @@ from sim_core.energies.curvature import Stencils, curvature_operator
 from sim_core.energies.linearised import Blocks, ByNumber, Linearised, axes_of, gathered, placed, places
 from sim_core.energies.membrane import material_frames
 from sim_core.energies.plastic_flow import PlasticFlow
-from sim_core.energies.sheet_along import Flowing, SheetAlong
+from sim_core.energies.sheet_vjp import Flowing, SheetAlong
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.geometry.sheets import SheetMesh, find_hinges
 from sim_core.kernels import BoundKernel

@@ -22,7 +22,7 @@ import numpy as np
 import taichi as ti
 
 from sim_core.energies.linearised import Blocks, Linearised, axes_of, placed
-from sim_core.energies.sheet_along import SheetAlong
+from sim_core.energies.sheet_vjp import SheetAlong
 from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext
 from sim_core.kernels import F1, F2, F3, I1, I2, BoundKernel, row, times3, vec3
 from sim_core.materials.elastic import applied, plane_stress, plane_stress_by_nu, poisson_ratios

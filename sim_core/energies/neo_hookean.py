@@ -42,7 +42,6 @@ import numpy as np
 
 from sim_core.energies import neo_hookean_kernels as kernels
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, placed
-from sim_core.energies.neo_hookean_along import Changes, NeoHookeanAlong, Remembered
 from sim_core.energies.neo_hookean_kernels import BULK_SHARE, SHARE
 from sim_core.energies.neo_hookean_memory import (
     pressure_blocks,
@@ -52,6 +51,7 @@ from sim_core.energies.neo_hookean_memory import (
 )
 from sim_core.energies.neo_hookean_moduli import BULK, MU, OWN, moduli
 from sim_core.energies.neo_hookean_rest import GelStep, as_tensors, by_rest
+from sim_core.energies.neo_hookean_vjp import Changes, NeoHookeanAlong, Remembered
 from sim_core.energies.term import Buffers, Internals, StepContext
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.geometry import tet10

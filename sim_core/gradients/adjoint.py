@@ -8,7 +8,7 @@ through in their parts. Steps are recorded on a :class:`sim_core.gradients.tape.
 
 Poses are differentiated by small motions of a mount in its own true frame at every time: translation [m] and turn
 [rad], p + R rho and R exp(phi); an offset of an end effector is the sum over time. At the start they take the first
-equilibrium along, with the way to it where it depends on that (:mod:`sim_core.gradients.settling`).
+equilibrium along, with the way to it where it depends on that (:mod:`sim_core.gradients.initial_equilibrium`).
 
 Where the true derivative jumps it is that of the branch that the rollout took, as in
 :mod:`sim_core.gradients.tangent`: both are the same derivative, and agree to round-off.
@@ -25,24 +25,24 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.energies.linearised import Linearised, cross, skew, times_back, unflatten
 from sim_core.energies.term import Internals, StepContext
-from sim_core.gradients.columns import Columns
+from sim_core.gradients.boundary_motion import carried_contacts, carried_freely
+from sim_core.gradients.camera_gradients import Pictures
 from sim_core.gradients.directions import Direction, checked, motions, slopes
 from sim_core.gradients.elements import Alongs, OwnNumbers
 from sim_core.gradients.fields import FieldSums
 from sim_core.gradients.losses import Loss, in_sight, one_number
-from sim_core.gradients.made import Made
-from sim_core.gradients.mounts import carried_contacts, carried_freely
-from sim_core.gradients.pictures import Pictures
+from sim_core.gradients.parameter_jacobian import Columns
 from sim_core.gradients.step import LinearStep, Pulled, Weights, linearised_terms, no_memory, passed_on_by
+from sim_core.gradients.step_record import Made
 from sim_core.gradients.tape import MEMORY_MB, Tape, backwards
 from sim_core.rigs import Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Sensed
 from sim_core.simulate import Trace, midway
+from sim_core.solve.hessian_store import AHEAD
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State
-from sim_core.solve.stiffness import AHEAD
 
 
 @dataclass(frozen=True)

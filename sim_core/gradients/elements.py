@@ -3,7 +3,8 @@
 They are products with the weights of a step (:class:`sim_core.gradients.step.Pulled`): of forces along ``exerted``
 ``(n, 3)``, and of the term's new internal variables, flattened, with ``kept``. :mod:`sim_core.gradients.fields` says
 what they are. A number of the whole body has the sum over its elements, each times its share of the number where it has
-one, so it costs a kernel and no step of a difference. Anisotropy is stepped (:mod:`sim_core.gradients.columns`).
+one, so it costs a kernel and no step of a difference. Anisotropy is stepped
+(:mod:`sim_core.gradients.parameter_jacobian`).
 """
 
 from __future__ import annotations

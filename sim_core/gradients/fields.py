@@ -32,8 +32,8 @@ from typing import Any
 import numpy as np
 
 from sim_core.energies.linearised import Linearised
-from sim_core.gradients.columns import borne_by_mass, damped_by_mass
 from sim_core.gradients.elements import Alongs
+from sim_core.gradients.parameter_jacobian import borne_by_mass, damped_by_mass
 from sim_core.gradients.rest_shape import RestSums
 from sim_core.gradients.step import Weights
 from sim_core.scene.fields import FLOW, MASS, MASS_DAMPING, POWERS, REST, REST_ANGLE

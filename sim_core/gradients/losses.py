@@ -12,7 +12,8 @@ from sim_core.simulate import Trace
 Loss = Callable[[Trace], tuple[float, Mapping[str, np.ndarray]]]
 """Value of a loss and its derivatives by the readings, by channel in the shape of ``trace.outputs`` (a channel may be
 left out; readings out of sight, NaN, count as zero). Readings are those at the instants of the steps, before delays of
-streams and effects of sensors: :func:`sysid.streams.predicted_back` takes a loss on streams back to them."""
+streams and effects of sensors: :func:`sysid.model.sensor_streams.predicted_back` takes a loss on streams back to
+them."""
 
 
 def in_sight(trace: Trace, by_readings: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -23,7 +23,7 @@ from sim_core.energies.term import Internals, StepContext
 from sim_core.geometry import tet10
 from sim_core.geometry.sheets import SheetMesh, area_slopes
 from sim_core.geometry.solids import TetMesh
-from sim_core.gradients.columns import borne_by_mass
+from sim_core.gradients.parameter_jacobian import borne_by_mass
 from sim_core.gradients.step import Pulled, Weights
 from sim_core.scene.assembly import BuiltBody, grain
 from sim_core.scene.fields import MASS

@@ -7,10 +7,10 @@ With the positions x' of all nodes, of which the unknowns make R(x'; s, theta) =
                 thetabar = dR/dtheta^T lambda + dG/dtheta^T xibar'
 
 s = (x, v, the state before for BDF2, internal variables xi), H the true Hessian at the solution, factorised once; dm:
-motion of what follows the mounts (:mod:`sim_core.gradients.mounts`), of which the inverse takes the unknowns' rows.
-dR/ds and dG/ds come from the terms (:meth:`sim_core.energies.term.RememberingTerm.linearise`), inertia is linear, and
-dR/dtheta, dG/dtheta are columns (:mod:`sim_core.gradients.columns`). Readings depend on x' and on the forces of the
-terms on the nodes, so a weight w on these forces joins lambda.
+motion of what follows the mounts (:mod:`sim_core.gradients.boundary_motion`), of which the inverse takes the unknowns'
+rows. dR/ds and dG/ds come from the terms (:meth:`sim_core.energies.term.RememberingTerm.linearise`), inertia is linear,
+and dR/dtheta, dG/dtheta are columns (:mod:`sim_core.gradients.parameter_jacobian`). Readings depend on x' and on the
+forces of the terms on the nodes, so a weight w on these forces joins lambda.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ import numpy as np
 
 from sim_core.energies.linearised import Linearised, size_of, times, times_back
 from sim_core.energies.term import StepContext
-from sim_core.gradients.columns import Column
-from sim_core.gradients.mounts import Driven
+from sim_core.gradients.boundary_motion import Driven
+from sim_core.gradients.parameter_jacobian import Column
 from sim_core.scene.scene import Scene
+from sim_core.solve.hessian_store import Keeper
 from sim_core.solve.integrator import Past, step_context
 from sim_core.solve.step import State
-from sim_core.solve.stiffness import Keeper
 from sim_core.solve.system import System
 
 

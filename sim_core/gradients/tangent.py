@@ -3,7 +3,7 @@
 Each step is linearised where it ended (:mod:`sim_core.gradients.step`) and carries the derivative of the state along
 every parameter: one factorisation a step, one back-substitution a parameter. The derivatives are those of the
 discrete rollout, exact but for round-off and for the slopes of the parameters themselves. Offsets of end effectors
-move what follows them, in every step and at the start (:mod:`sim_core.gradients.mounts`).
+move what follows them, in every step and at the start (:mod:`sim_core.gradients.boundary_motion`).
 
 Where the true derivative jumps (a contact made or lost within the step, the onset of yield, a point that has just
 begun to press) it is that of the branch that the rollout took. A number of zero (friction, a share) is differentiated
@@ -17,9 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from sim_core.energies.linearised import skew
-from sim_core.gradients.columns import Columns
-from sim_core.gradients.directions import Direction, checked, motions, slopes
-from sim_core.gradients.mounts import (
+from sim_core.gradients.boundary_motion import (
     Motions,
     carried_along,
     carried_contacts,
@@ -27,15 +25,17 @@ from sim_core.gradients.mounts import (
     driven,
     midway_motion,
 )
-from sim_core.gradients.settling import linearised
+from sim_core.gradients.directions import Direction, checked, motions, slopes
+from sim_core.gradients.initial_equilibrium import linearised
+from sim_core.gradients.parameter_jacobian import Columns
 from sim_core.gradients.step import LinearStep, Motion, Outcome, no_memory
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.simulate import Simulation, Trace, run
+from sim_core.solve.hessian_store import Keeper
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State, StepReport
-from sim_core.solve.stiffness import Keeper
 
 
 class TangentSimulation(Simulation):

@@ -23,15 +23,15 @@ from typing import Any
 import numpy as np
 
 from sim_core.errors import ConfigError
-from sim_core.gradients.made import Made, size_of_state
-from sim_core.gradients.settling import linearised, with_inertia
+from sim_core.gradients.initial_equilibrium import linearised, with_inertia
 from sim_core.gradients.step import LinearStep
+from sim_core.gradients.step_record import Made, size_of_state
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Sensed, frame_of
 from sim_core.simulate import Simulation, Trace
+from sim_core.solve.hessian_store import Keeper
 from sim_core.solve.step import NewtonSettings, State, StepReport
-from sim_core.solve.stiffness import Keeper
 
 MEMORY_MB = 1024.0
 """Bound on what the steps that are kept may take, where none is given."""

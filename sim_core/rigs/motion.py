@@ -34,9 +34,9 @@ from sim_core.rigs.fields import (
 )
 from sim_core.rigs.load import find_config
 from sim_core.rigs.moves import Move, Rest, Step
+from sim_core.rigs.random_motion import REST, Wander, spans_within, wander
 from sim_core.rigs.schema import EndEffector, Rig
 from sim_core.rigs.trajectory import PoseTrajectory, Profile, minimum_jerk
-from sim_core.rigs.wander import REST, Wander, spans_within, wander
 from sim_core.rigs.yamlfile import read_mapping, validate
 
 Duration = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=3600.0)]

@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sim_core.rigs.bodies import WORLD
-from sim_core.rigs.displaced import Displaced, ShiftSds, TurnSds
 from sim_core.rigs.fields import (
     Cells2,
     Count,
@@ -25,6 +24,7 @@ from sim_core.rigs.fields import (
     of_length,
     trouble,
 )
+from sim_core.rigs.pose_offset import Displaced, ShiftSds, TurnSds
 
 Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e4)]
 Latency = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10.0, le=10.0)]

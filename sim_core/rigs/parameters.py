@@ -17,8 +17,8 @@ from typing import Any, get_args
 import annotated_types
 
 from sim_core.errors import ConfigError
-from sim_core.rigs.displaced import OFFSETS
 from sim_core.rigs.fields import Strict, split_unit, unit_of
+from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.rigs.schema import Rig
 from sim_core.rigs.yamlfile import validate
 

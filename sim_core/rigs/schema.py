@@ -13,7 +13,6 @@ from pydantic import Field, model_validator
 
 from sim_core.rigs.bodies import WORLD, Body
 from sim_core.rigs.check import check_references
-from sim_core.rigs.displaced import Displaced, ShiftSds, TurnSds
 from sim_core.rigs.fields import (
     Direction,
     Flag,
@@ -32,6 +31,7 @@ from sim_core.rigs.fields import (
     trouble,
 )
 from sim_core.rigs.observers import Camera, Sensor
+from sim_core.rigs.pose_offset import Displaced, ShiftSds, TurnSds
 
 Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=5.0)]
 Stiffness = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]

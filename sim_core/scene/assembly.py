@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
-from sim_core.contact.cores import cores
+from sim_core.contact.inner_primitives import cores
 from sim_core.contact.samples import Samples, face_samples, face_triangles, sheet_samples
 from sim_core.contact.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE
 from sim_core.energies.bending import Bending
@@ -35,8 +35,8 @@ class BuiltBody:
     is; ``rest``: the same in the world at the start [m]; ``drawn``: as ``rest``, by the rig alone, whatever shape was
     given since. ``mesh``: by which areas, volumes and masses are measured. ``unit_mass``: csr over the body's nodes,
     per unit density (a sheet: per unit density and thickness); None for rigid bodies, whose nodes are the origin and
-    the points of their cores (:mod:`sim_core.contact.cores`). The last four nodes of an affine body are its control
-    nodes (:mod:`sim_core.scene.joints`).
+    the points of their cores (:mod:`sim_core.contact.inner_primitives`). The last four nodes of an affine body are its
+    control nodes (:mod:`sim_core.scene.joints`).
     """
 
     name: str

@@ -1,5 +1,5 @@
 """Where end effectors really are: a constant offset in their own frame against the poses that are told
-(:class:`sim_core.rigs.displaced.Displaced`).
+(:class:`sim_core.rigs.pose_offset.Displaced`).
 
 A mount that was measured wrongly, a tool that is clamped askew, and a calibration of the hand that is off are of this
 form.

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim_core.contact.cores import cores
-from sim_core.contact.crossing import cross
 from sim_core.contact.edges import EDGE_RANGE, EdgeContact
+from sim_core.contact.inner_primitives import cores
+from sim_core.contact.intersection_check import cross
 from sim_core.contact.rigid import RigidContact
 from sim_core.contact.samples import Samples, edge_shares, triangle_edges
 from sim_core.contact.surface import SurfaceContact

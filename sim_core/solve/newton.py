@@ -2,10 +2,10 @@
 
 A step with inertia begins where the velocities lead and answers linearly what the prescribed motion does
 beyond that; a static one begins at the last equilibrium and answers all of the prescribed motion. What the fast
-Newton (:mod:`sim_core.solve.fast`) finds is accepted if the last tangent was the true Hessian, positive definite,
-and the energy is not above that of the start. Otherwise, with inertia, it tries again from where the step starts,
-and then the search goes on from the lower energy: a static system creeps to its next equilibrium (proximal
-point: each small problem is solved by the fast Newton), and the slow Newton (true Hessian where definite,
+Newton (:mod:`sim_core.solve.mixed_integration_point_newton`) finds is accepted if the last tangent was the true
+Hessian, positive definite, and the energy is not above that of the start. Otherwise, with inertia, it tries again from
+where the step starts, and then the search goes on from the lower energy: a static system creeps to its next equilibrium
+(proximal point: each small problem is solved by the fast Newton), and the slow Newton (true Hessian where definite,
 projected elsewhere, backtracking on the energy) has the last word.
 """
 
@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from sim_core.errors import ConvergenceError
-from sim_core.solve.fast import FastNewton
+from sim_core.solve.line_search import shorten
+from sim_core.solve.mixed_integration_point_newton import FastNewton
 from sim_core.solve.report import ROUND_OFF, NewtonSettings, Result, StepReport, converged, report
-from sim_core.solve.shorten import shorten
 from sim_core.solve.system import System
 from sim_core.solve.tangent import newton_direction
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from sim_core.energies.term import Internals
 from sim_core.errors import ConvergenceError
-from sim_core.solve import guarded, newton
+from sim_core.solve import contact_newton as guarded
+from sim_core.solve import newton
 from sim_core.solve.integrator import Past, step_context
 from sim_core.solve.report import NewtonSettings, Result, StepReport
 from sim_core.solve.system import System

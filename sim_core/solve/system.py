@@ -3,7 +3,7 @@
 All nodes of all bodies are in one array. Components that are prescribed (clamps, driven bodies) are
 not unknowns, the others are numbered; nodes that give way together share three unknowns, and embedded nodes
 (:mod:`sim_core.solve.embedding`) have none of their own. The Hessian has
-a place for every entry of every term (:mod:`sim_core.solve.pattern`), so that assembly is addition in
+a place for every entry of every term (:mod:`sim_core.solve.sparsity`), so that assembly is addition in
 place. Terms whose coupled nodes change (contact between deformable bodies) renew their part of it.
 """
 
@@ -20,9 +20,9 @@ from sim_core.energies.term import Buffers, DynamicTerm, GuardedTerm, Internals,
 from sim_core.kernels import BoundKernel
 from sim_core.solve.embedding import Embedding
 from sim_core.solve.factor import Factor, factorise
+from sim_core.solve.hessian_vector import nodal_product
 from sim_core.solve.inertia import inertia_energy, inertia_gradient
-from sim_core.solve.pattern import Pattern
-from sim_core.solve.product import nodal_product
+from sim_core.solve.sparsity import Pattern
 from sim_core.solve.unknowns import Compliant, Unknowns
 
 

@@ -11,7 +11,7 @@ from sysid.cli.options import (
     library,
 )
 from sysid.cli.progress import progress, warn
-from sysid.parts import check_parts
+from sysid.observations.selection import check_parts
 
 
 def diagnose(
@@ -29,7 +29,7 @@ def diagnose(
     chosen = load_rig(rig)
     check_parts(bags, held_out or [])
     check_new(out, "folder")
-    find = library("sysid.mismatch", "diagnose_bags")
+    find = library("sysid.diagnosis", "diagnose_bags")
     with progress("diagnose") as report:
         summary = find(chosen, bags, held_out=held_out or [], out=out, on_progress=report, on_warning=warn)
     print(summary)

@@ -22,7 +22,7 @@ from sysid.cli.options import (
     parse_pairs,
 )
 from sysid.cli.progress import interrupts_told, progress, warn
-from sysid.parts import check_parts
+from sysid.observations.selection import check_parts
 
 NOT_CONVERGED = 3
 """Exit code."""
@@ -72,9 +72,9 @@ def fit(
     Example: thinshell fit card_press run1 run2 --params card.E,gel.E --held-out run3 --out fit
     """
     from sim_core.rigs import load_rig, resolve_name
-    from sysid import rig_topics
     from sysid.fit import REPORT, FitOptions, fit_bags
-    from sysid.fit.parameters import asked_for
+    from sysid.model.parameters import asked_for
+    from sysid.observations import rig_topics
 
     chosen = rig_topics.without(load_rig(rig), without or [])
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]

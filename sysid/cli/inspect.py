@@ -29,12 +29,12 @@ def inspect(
     """
     from sim_core.rigs import load_rig
     from sim_core.rigs.trajectory import PoseTrajectory
-    from sysid.fit.noise import standing_still
-    from sysid.likeness import check_topics, places_of_topics
+    from sysid.noise.estimate import standing_still
+    from sysid.observations.rig_match import check_topics, places_of_topics
+    from sysid.observations.rig_topics import topics_of
     from sysid.recording import read_recording
     from sysid.recording.bag import open_bag
     from sysid.recording.notes import Notes
-    from sysid.rig_topics import topics_of
 
     chosen = load_rig(rig) if rig is not None else None
     check_bag(bag)

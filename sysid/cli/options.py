@@ -12,8 +12,8 @@ import typer
 
 from sim_core.errors import ConfigError, RecordingError, ThinshellError
 from sysid.cli.bounds import whole_number
-from sysid.folder import UNFINISHED
-from sysid.parts import part_of
+from sysid.io.atomic_folder import UNFINISHED
+from sysid.observations.selection import part_of
 
 RigArgument = Annotated[
     str, typer.Argument(metavar="RIG", help="Rig or overlay: a name from 'thinshell rigs' or a YAML file.")
@@ -103,7 +103,7 @@ def parse_names(text: str, option: str, example: str = "card.E,gel.E") -> list[s
 
 def parse_nuisance(text: str) -> list[str]:
     """Kinds of nuisances from a comma-separated list."""
-    from sysid.fit.nuisance import checked_kinds
+    from sysid.model.nuisance_parameters import checked_kinds
 
     return sorted(checked_kinds(parse_names(text, "--nuisance", "time,bias"))) or ["none"]
 

@@ -37,7 +37,7 @@ def plan(
     """
     from sim_core.rigs import load_rig, resolve_name, with_parameters
     from sim_core.rigs.motion import compile_experiment, load_experiment
-    from sysid import rig_topics
+    from sysid.observations import rig_topics
 
     chosen = with_parameters(rig_topics.without(load_rig(rig), without or []), parse_settings(settings or []))
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
@@ -45,7 +45,7 @@ def plan(
     planned = [load_experiment(name) for name in experiments]
     for experiment in planned:
         compile_experiment(experiment, chosen)
-    from sysid.fit.plan import plan_experiments
+    from sysid.design.experiment_design import plan_experiments
 
     with progress("plan") as report:
         found = plan_experiments(chosen, planned, names, report, kinds)

@@ -28,9 +28,9 @@ def track(
     Example: thinshell track run1 --out run1_tracked
     """
     from sim_core.rigs import load_rig
+    from sysid.observations.rig_topics import topics_of
     from sysid.recording.bag import open_bag
     from sysid.recording.notes import Notes
-    from sysid.rig_topics import topics_of
 
     chosen = load_rig(rig) if rig is not None else None
     check_bag(bag)

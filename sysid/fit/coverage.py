@@ -6,8 +6,8 @@ biases of wrenches, cameras that are off) drawn from the priors that a fit has o
 is inside the interval that the curvature at the best fit gives, without the look along the likelihood that ``thinshell
 fit`` takes as well. Cases are numbered, so that any of them can be run again by itself; one process a core.
 
-A fit learns the error of its mesh and time step by halving them (:mod:`sysid.fit.discretisation_error`). A truth of
-half the mesh and half the step differs from the fit's model by just what it has learnt, so the usual truth is three
+A fit learns the error of its mesh and time step by halving them (:mod:`sysid.fit.discretisation_refinement`). A truth
+of half the mesh and half the step differs from the fit's model by just what it has learnt, so the usual truth is three
 times finer.
 
 The noise of forces and torques may be coloured, as that of a sensor with a filter: n_k = rho n_{k-1} + sqrt(1 - rho^2)
@@ -33,14 +33,14 @@ from sim_core.batch import worker_pool
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, WrenchSensor
 from sim_core.rigs.motion import Experiment
-from sysid.fit.ended import why
-from sysid.fit.engine import Engine
 from sysid.fit.fit import fit_runs
-from sysid.fit.nuisance import BIAS_SD, KINDS, nuisance_parameters
 from sysid.fit.options import FitOptions
-from sysid.fit.parameters import FitParameter, fit_parameters, rig_at, start_of
-from sysid.fit.runs import Measured, Run, load_runs
+from sysid.model.load import Measured, Run, load_runs
+from sysid.model.nuisance_parameters import BIAS_SD, KINDS, nuisance_parameters
+from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
+from sysid.model.predictor import Engine
 from sysid.simulate import Noise, WhiteNoise, simulate_to_bag
+from sysid.solve.interruption import why
 
 Progress = Callable[[float, str], None]
 

@@ -13,32 +13,16 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, rig_to_yaml
-from sysid.fit.colour import unheard
-from sysid.fit.contradiction import contradictions
-from sysid.fit.discretisation_error import (
+from sysid.fit.discretisation_refinement import (
     Unmeasured,
     doubtful,
     error_sizes,
     fit_beside_discretisation,
     loud,
 )
-from sysid.fit.doubts import doubts
-from sysid.fit.ended import ENDS_EARLY, stop, to_the_end, why
-from sysid.fit.engine import Prediction
-from sysid.fit.fitted import Fitted
-from sysid.fit.held_out import all_scored
-from sysid.fit.kinked import AT_KINK
-from sysid.fit.leftover import unexplained
-from sysid.fit.nearest import nearest
-from sysid.fit.noise import ChannelNoise, channel_noise, column_groups, overruled
-from sysid.fit.nuisance import has_bias, nuisance_parameters
+from sysid.fit.minimum_norm import nearest
+from sysid.fit.multistart import SEARCHED, Evaluations, Progress, Searches, Step
 from sysid.fit.options import FitOptions, Intervals
-from sysid.fit.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
-from sysid.fit.parameters import FitParameter, asked_for, bounds_cut, rig_at, start_of
-from sysid.fit.pool import AnyEngine, PooledEngine
-from sysid.fit.problem import Problem
-from sysid.fit.profile import Profile
-from sysid.fit.profiler import Profiler
 from sysid.fit.result import (
     Estimate,
     FitResult,
@@ -47,13 +31,29 @@ from sysid.fit.result import (
     plot_series,
     rms_errors,
 )
-from sysid.fit.runs import Run, check_apart, load_runs, of_recording
-from sysid.fit.starts import SEARCHED, Evaluations, Progress, Searches, Step
-from sysid.fit.uncertainty import Finding, names_undetermined
-from sysid.fit.untold import as_usual, blamed, nuisances_of, remarks
-from sysid.fit.windows import not_from_rest
-from sysid.folder import whole_folder
-from sysid.provenance import provenance
+from sysid.fit.validation import all_scored
+from sysid.io.atomic_folder import whole_folder
+from sysid.model.load import Run, check_apart, load_runs, of_recording
+from sysid.model.nuisance_parameters import has_bias, nuisance_parameters
+from sysid.model.parallel_predictor import AnyEngine, PooledEngine
+from sysid.model.parameters import FitParameter, asked_for, bounds_cut, rig_at, start_of
+from sysid.model.predictor import Prediction
+from sysid.model.provenance import provenance
+from sysid.model.windows import not_from_rest
+from sysid.noise.autocorrelation import unheard
+from sysid.noise.data_quality import doubts
+from sysid.noise.estimate import ChannelNoise, channel_noise, column_groups, overruled
+from sysid.solve.covariance import Finding, names_undetermined
+from sysid.solve.interruption import ENDS_EARLY, stop, to_the_end, why
+from sysid.solve.nonsmooth_trust_region import AT_KINK
+from sysid.solve.optimum import Fitted
+from sysid.solve.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
+from sysid.solve.residuals import Problem
+from sysid.uncertainty.goodness_of_fit import unexplained
+from sysid.uncertainty.nuisance_estimates import as_usual, blamed, nuisances_of, remarks
+from sysid.uncertainty.prior_data_conflict import contradictions
+from sysid.uncertainty.profile_likelihood import Profile
+from sysid.uncertainty.profiler import Profiler
 
 USUAL_OPTIONS = FitOptions()
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
 from sim_core.errors import ConfigError
-from sysid.fit.nuisance import KINDS, checked_kinds
+from sysid.model.nuisance_parameters import KINDS, checked_kinds
 
 Intervals = Literal["quadratic", "checked", "profiled"]
 """Intervals from the covariance alone; with a simulation at each end that tells whether they hold; or those of the
-profile likelihood beside them (:mod:`sysid.fit.profiler`)."""
+profile likelihood beside them (:mod:`sysid.uncertainty.profiler`)."""
 
 
 @dataclass(frozen=True)
@@ -20,16 +20,16 @@ class FitOptions:
     """Choices of a fit, checked. Raises ``ConfigError``.
 
     ``nuisance``: kinds of nuisances that are estimated beside what is asked for
-    (:func:`sysid.fit.nuisance.checked_kinds`);
+    (:func:`sysid.model.nuisance_parameters.checked_kinds`);
     ``per_bag``: parameters that each run has a value of its own of, named ``friction[run]``;
     ``bounds``: lowest and highest value of parameters by name, in their own units, within those that a fit has anyway;
     ``priors``: what is known of parameters before, by name: value and standard deviation in their own units, to which
     they are pulled;
-    ``starts``: searches from different values, of which the rig's are the first (:mod:`sysid.fit.starts`);
+    ``starts``: searches from different values, of which the rig's are the first (:mod:`sysid.fit.multistart`);
     ``max_evaluations``: of all searches together, after which nothing is searched or looked into any more and the
     result says that it did not converge;
     ``intervals``: how far those of the parameters are looked into;
-    ``robust``: leave out readings that are mistakes (:mod:`sysid.fit.outliers`);
+    ``robust``: leave out readings that are mistakes (:mod:`sysid.solve.outliers`);
     ``seed``: of everything random.
     """
 

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from sysid.fit.fitted import Fitted
-from sysid.fit.noise import REPLACED_FROM, declared_noise, quantities
-from sysid.fit.outliers import Outliers
-from sysid.fit.problem import Problem
-from sysid.fit.profile import Profile
-from sysid.fit.runs import UNITS, Measured, Run
-from sysid.fit.uncertainty import Finding, interval, uncertainty
-from sysid.fit.untold import Nuisance
+from sysid.model.load import UNITS, Measured, Run
+from sysid.noise.estimate import REPLACED_FROM, declared_noise, quantities
+from sysid.solve.covariance import Finding, interval, uncertainty
+from sysid.solve.optimum import Fitted
+from sysid.solve.outliers import Outliers
+from sysid.solve.residuals import Problem
+from sysid.uncertainty.nuisance_estimates import Nuisance
+from sysid.uncertainty.profile_likelihood import Profile
 
 NOISE_USED = (
     "noise: what the fit used, estimated from the recordings; declared: what the rig says, which is used where it is "
@@ -91,12 +91,13 @@ def not_converged(message: str) -> str:
 
 @dataclass
 class FitResult:
-    """Everything that a fit found. ``misfit``: mean squared whitened residual (:attr:`sysid.fit.fitted.Fitted.misfit`);
-    ``reduced_chi2``: the same sum over degrees of freedom; ``evaluations``: of all searches; ``nuisances``: what was
-    estimated beside what was asked for; ``profiles``: deviance against each parameter, where that was asked for
-    (:mod:`sysid.fit.profiler`); ``outliers``: readings that were left out (:mod:`sysid.fit.outliers`); ``unexplained``:
-    in which quantities more than noise is left, in words (:mod:`sysid.fit.leftover`); ``contradicted``: what was known
-    before and the recordings contradict (:mod:`sysid.fit.contradiction`); ``cautions``: where values and intervals rest
+    """Everything that a fit found. ``misfit``: mean squared whitened residual
+    (:attr:`sysid.solve.optimum.Fitted.misfit`); ``reduced_chi2``: the same sum over degrees of freedom;
+    ``evaluations``: of all searches; ``nuisances``: what was estimated beside what was asked for; ``profiles``:
+    deviance against each parameter, where that was asked for (:mod:`sysid.uncertainty.profiler`); ``outliers``:
+    readings that were left out (:mod:`sysid.solve.outliers`); ``unexplained``: in which quantities more than noise is
+    left, in words (:mod:`sysid.uncertainty.goodness_of_fit`); ``contradicted``: what was known before and the
+    recordings contradict (:mod:`sysid.uncertainty.prior_data_conflict`); ``cautions``: where values and intervals rest
     on the error of mesh and time step, in words; ``undetermined``: names of the parameters that the data do not
     determine, or of which they only give a limit."""
 
@@ -213,7 +214,7 @@ def rms_errors(
     problem: Problem, before: Fitted, after: Fitted, held_out: bool, own: Mapping[tuple[str, str], float]
 ) -> list[ChannelError]:
     """Root-mean-square errors by run, channel and quantity, over the samples that both models have in sight. ``own``:
-    of mesh and time step, by channel and quantity (:func:`sysid.fit.discretisation_error.error_sizes`).
+    of mesh and time step, by channel and quantity (:func:`sysid.fit.discretisation_refinement.error_sizes`).
 
     A bias is of the recording, not of the rig: either model has the best one where the problem allows it.
 

@@ -26,7 +26,6 @@ from sim_core.simulate import Simulation, Trace, run, step_times
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import State
 from sim_core.solve.system import System
-from sysid.fit.noise import declared_noise
 from sysid.gradients.differences import (
     NEGLIGIBLE,
     ROUND_OFF,
@@ -41,6 +40,7 @@ from sysid.gradients.differences import (
     unit_of,
     verdict,
 )
+from sysid.noise.estimate import declared_noise
 
 KINDS = ("poses", "start", "fields")
 

@@ -16,7 +16,6 @@ from sim_core.rigs import Parameter, Rig, list_parameters, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import Trace, simulate, step_times
-from sysid.fit.noise import declared_noise
 from sysid.gradients.differences import (
     NEGLIGIBLE,
     ROUND_OFF,
@@ -35,7 +34,8 @@ from sysid.gradients.differences import (
     unit_of,
     verdict,
 )
-from sysid.streams import predicted, predicted_back, predicted_derivatives, stream_derivatives, total_delay
+from sysid.model.sensor_streams import predicted, predicted_back, predicted_derivatives, stream_derivatives, total_delay
+from sysid.noise.estimate import declared_noise
 
 _End = tuple[float, Rig, Trace]
 """How far a parameter was taken from its value, the rig there, and its rollout."""

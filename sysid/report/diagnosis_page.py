@@ -23,8 +23,8 @@ from sysid.report.tables import (
 )
 
 if TYPE_CHECKING:
+    from sysid.diagnosis.result import Candidate, Diagnosis
     from sysid.fit.result import ChannelError
-    from sysid.mismatch.result import Candidate, Diagnosis
 
 KINDS = {
     "nothing_missing": ("Nothing is missing", "good"),

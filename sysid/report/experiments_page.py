@@ -11,8 +11,8 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import EndEffector, Rig, load_rig, resolve_name
 from sim_core.rigs.load import names_in
 from sim_core.rigs.motion import Experiment, load_experiment
-from sysid.fit.plan import Outlook, plan_experiments
-from sysid.folder import whole_file, whole_folder
+from sysid.design.experiment_design import Outlook, plan_experiments
+from sysid.io.atomic_folder import whole_file, whole_folder
 from sysid.report.motion_picture import draw_experiment
 
 Progress = Callable[[float, str], None]

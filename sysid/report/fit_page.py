@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sysid.fit.noise import REPLACED_FROM
 from sysid.fit.result import LOOK_FIRST
+from sysid.noise.estimate import REPLACED_FROM
 from sysid.report.numbers import MISSING, seconds, significant, times, with_unit
 from sysid.report.page import embedded_json, write_page
 from sysid.report.panels import run_views, showcase

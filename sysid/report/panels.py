@@ -15,8 +15,8 @@ from sysid.report.svg import AFTER, BAND, BEFORE, INK, LINE, MEASURED, RC, WINDO
 from sysid.report.tables import level, over_noise
 
 if TYPE_CHECKING:
+    from sysid.diagnosis.result import LocatedChannel
     from sysid.fit.result import ChannelError, Series
-    from sysid.mismatch.result import LocatedChannel
 
 Windows = Mapping[str, Sequence[tuple[float, float]]]
 

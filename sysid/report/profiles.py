@@ -13,7 +13,7 @@ from sysid.report.numbers import scale_for, significant
 from sysid.report.svg import AFTER, BEFORE, LINE, MEASURED, RC, inline_svg
 
 if TYPE_CHECKING:
-    from sysid.fit.profile import Profile
+    from sysid.uncertainty.profile_likelihood import Profile
 
 LIMIT = 3.841459
 """95 % quantile of chi-square with one degree of freedom."""

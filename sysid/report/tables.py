@@ -23,9 +23,9 @@ from sysid.report.numbers import (
 )
 
 if TYPE_CHECKING:
+    from sysid.diagnosis.result import NamedParameter
     from sysid.fit.result import ChannelError, Estimate
-    from sysid.fit.untold import Nuisance
-    from sysid.mismatch.result import NamedParameter
+    from sysid.uncertainty.nuisance_estimates import Nuisance
 
 
 @dataclass(frozen=True)

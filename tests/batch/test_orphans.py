@@ -10,12 +10,12 @@ import time
 import pytest
 
 from sim_core.errors import WorkerError
-from sysid.fit.pool import PooledEngine
+from sysid.model.parallel_predictor import PooledEngine
 
 PARENT = textwrap.dedent(
     """
     import os, sys, time
-    from sysid.fit.pool import PooledEngine
+    from sysid.model.parallel_predictor import PooledEngine
 
     if __name__ == "__main__":
         with PooledEngine(1) as engine:

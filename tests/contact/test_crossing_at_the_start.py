@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_core.contact.crossing import cross
+from sim_core.contact.intersection_check import cross
 from sim_core.contact.samples import triangle_edges
 from sim_core.geometry.sheets import rectangle
 

@@ -13,8 +13,8 @@ from sim_core.materials.elastic import plane_stress
 from sim_core.rigs import list_parameters, parse_rig
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, simulate, step_times
-from sysid.mismatch.candidates import starting_values
-from sysid.streams import predicted, predicted_back, predicted_derivatives, total_delay
+from sysid.diagnosis.hypotheses import starting_values
+from sysid.model.sensor_streams import predicted, predicted_back, predicted_derivatives, total_delay
 
 TYPICAL = {
     "gel_relaxation": {"share": 0.3, "tau_s": 0.2},

@@ -17,15 +17,15 @@ import pytest
 
 from sim_core.rigs import Rig, parse_rig
 from sim_core.rigs.motion import Experiment
-from sysid.fit.engine import Engine, Prediction
-from sysid.fit.fitted import Fitted
-from sysid.fit.noise import ChannelNoise
-from sysid.fit.parameters import fit_parameters, start_of
-from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Problem
-from sysid.fit.runs import Run, load_run
-from sysid.fit.uncertainty import uncertainty
+from sysid.model.load import Run, load_run
+from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parameters import fit_parameters, start_of
+from sysid.model.predictor import Engine, Prediction
+from sysid.noise.estimate import ChannelNoise
 from sysid.simulate import simulate_to_bag
+from sysid.solve.covariance import uncertainty
+from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
 
 NU, BALL, SIDE, GAP = 0.45, 0.04, 0.048, 1e-4
 FORCE_SD = 0.02

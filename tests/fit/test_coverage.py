@@ -18,8 +18,8 @@ from sim_core.errors import ConvergenceError
 from sysid.cli import coverage as command_line
 from sysid.fit import coverage
 from sysid.fit.coverage import Coverage, Outcome, coloured, draw, measure_coverage, wilson
-from sysid.fit.parameters import fit_parameters
 from sysid.fit.result import Estimate
+from sysid.model.parameters import fit_parameters
 
 
 def test_interval_of_a_share():

@@ -11,15 +11,15 @@ import pytest
 from discretisation_model import NOISE, PARAMETERS, SIGMA, TRUTH, Linear, T, Vector, coarse, fit, measured, own, run_of
 
 from sim_core.simulate import Trace
-from sysid.fit.discretisation_error import loud
-from sysid.fit.engine import Prediction
-from sysid.fit.error_shapes import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, ErrorShape, basis_of
-from sysid.fit.fitted import Fitted
-from sysid.fit.noise import ChannelNoise
-from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Problem
-from sysid.fit.runs import Measured, Run
-from sysid.fit.uncertainty import uncertainty
+from sysid.fit.discretisation_refinement import loud
+from sysid.model.load import Measured, Run
+from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.predictor import Prediction
+from sysid.noise.estimate import ChannelNoise
+from sysid.solve.covariance import uncertainty
+from sysid.solve.discretisation_basis import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, ErrorShape, basis_of
+from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say(vectors: None) -> None:

@@ -10,16 +10,16 @@ import pytest
 
 from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
-from sysid.fit import discretisation_error
-from sysid.fit.discretisation_error import Unmeasured, discretisation, fit_beside_discretisation
-from sysid.fit.engine import Prediction
+from sysid.fit import discretisation_refinement as discretisation_error
+from sysid.fit.discretisation_refinement import Unmeasured, discretisation, fit_beside_discretisation
 from sysid.fit.fit import _fit_beside_mistakes, _Look
-from sysid.fit.fitted import Fitted
-from sysid.fit.noise import ChannelNoise
-from sysid.fit.parameters import FitParameter
-from sysid.fit.pool import PooledEngine
-from sysid.fit.problem import Problem
-from sysid.fit.runs import Measured, Run
+from sysid.model.load import Measured, Run
+from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parameters import FitParameter
+from sysid.model.predictor import Prediction
+from sysid.noise.estimate import ChannelNoise
+from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
 
 T = np.linspace(0.0, 1.0, 40)
 X = FitParameter("x", "-", False, -50.0, 50.0, 5.0, "")
@@ -63,7 +63,7 @@ class Exponential:
 
 @pytest.fixture
 def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid.fit.problem.rig_at", lambda rig, parameters, scaled: rig)
+    monkeypatch.setattr("sysid.solve.residuals.rig_at", lambda rig, parameters, scaled: rig)
 
 
 def test_a_failure_is_worse_than_a_start_with_a_large_misfit(stubs: None) -> None:
@@ -98,7 +98,7 @@ def test_a_search_does_not_go_to_where_nothing_is_seen(stubs: None, monkeypatch:
     fitted = problem.fit(cast(Any, Stub()), [X], start=np.array([-3.0]), max_evaluations=60)
     assert engine.failed > 0
     assert fitted.converged and fitted.scaled[0] == pytest.approx(TRUTH, abs=1e-3)
-    monkeypatch.setattr("sysid.fit.problem.rig_in", lambda rig, parameters, scaled, bag: Stub(float(scaled[0])))
+    monkeypatch.setattr("sysid.solve.residuals.rig_in", lambda rig, parameters, scaled, bag: Stub(float(scaled[0])))
     near, far, hidden = problem.glance(cast(Any, Stub()), [X], [np.array([x]) for x in (1.9, 1.0, 3.0)])
     assert near < far < hidden == np.inf
 

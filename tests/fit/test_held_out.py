@@ -10,7 +10,7 @@ from strip import START, TRUTH, pulled, strip_rig
 
 from sim_core.rigs import with_parameters
 from sysid.fit import FitOptions, fit_runs
-from sysid.fit.pool import PooledEngine
+from sysid.model.parallel_predictor import PooledEngine
 
 RIG = strip_rig()
 

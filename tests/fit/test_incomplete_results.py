@@ -12,7 +12,7 @@ import pytest
 from readings import TRUTH, Readings, T, result_of, run_of
 
 from sysid.fit import fit
-from sysid.fit.noise import channel_noise
+from sysid.noise.estimate import channel_noise
 from sysid.report import write_fit_report
 
 pytestmark = pytest.mark.usefixtures("declared")

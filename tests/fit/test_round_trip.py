@@ -6,37 +6,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings_of_the_small_rig import MOTION, STARTS, TRUTH
 
 from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import config_folder, load_rig, with_parameters
 from sim_core.rigs.motion import Experiment
 from sysid.fit import FitOptions, fit_runs
-from sysid.fit.engine import Engine
-from sysid.fit.parameters import fit_parameters
-from sysid.fit.runs import load_run, load_runs
+from sysid.model.load import load_run, load_runs
+from sysid.model.parameters import fit_parameters
+from sysid.model.predictor import Engine
 from sysid.simulate import simulate_to_bag
 
-TRUTH = {"card.E_pa": 2.6e9, "gel.E_pa": 1.3e5, "contacts.gel-post.friction": 0.5}
-STARTS = (
-    {"card.E_pa": 1.8e9, "gel.E_pa": 0.9e5, "contacts.gel-post.friction": 0.35},
-    {"card.E_pa": 3.8e9, "gel.E_pa": 1.8e5, "contacts.gel-post.friction": 0.7},
-    {"card.E_pa": 2.0e9, "gel.E_pa": 2.0e5, "contacts.gel-post.friction": 0.3},
-)
 PLACED = FitOptions(nuisance=("time", "bias", "camera"))
-"""Poses are what is told here; tests of offsets against them are in test_pose_offset.py."""
+"""Poses are what is told here; tests of offsets against them are in test_fit_pose_offset.py."""
 
 DECLARED = {"wrench force": 1e-3, "wrench torque": 1e-5, "markers ": 5e-6, "side ": 0.1}
 """Noise that the small rig declares."""
-
-MOTION = [
-    {"type": "wait", "duration_s": 0.4},
-    {"type": "waypoints", "speed_m_s": 0.1, "hold_s": 0.1,
-     "poses": [{"position_m": [0.0, 0.0, -0.012]}, {"position_m": [0.0, 0.0, 0.0]},
-               {"position_m": [0.055, 0.0, 0.0]}]},
-    {"type": "waypoints", "speed_m_s": 0.02, "hold_s": 0.1,
-     "poses": [{"position_m": [0.055, 0.0, -0.0008]}, {"position_m": [0.059, 0.0, -0.0008]},
-               {"position_m": [0.055, 0.0, 0.0]}]},
-]  # fmt: skip
 
 
 def record(rig, folder, refine):

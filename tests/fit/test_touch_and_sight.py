@@ -14,11 +14,11 @@ import pytest
 from sim_core.rigs import Rig, load_rig, parse_rig, with_parameters
 from sim_core.rigs.motion import Experiment
 from sysid.cli.app import main
+from sysid.design.experiment_design import Expected, plan_experiments
 from sysid.fit import FitOptions, fit_runs
-from sysid.fit.nuisance import KINDS
-from sysid.fit.plan import Expected, plan_experiments
-from sysid.fit.runs import load_run
-from sysid.rig_topics import without
+from sysid.model.load import load_run
+from sysid.model.nuisance_parameters import KINDS
+from sysid.observations.rig_topics import without
 from sysid.simulate import simulate_to_bag
 
 GEL = ["gel.E_pa", "gel.nu", "contacts.gel-card.friction"]

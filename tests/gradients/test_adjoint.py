@@ -13,7 +13,7 @@ from test_tangent import PRESS, RUB
 from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.gradients import Backward, Tape, directions, simulate_adjoint, simulate_tangent
 from sim_core.rigs import list_parameters, parse_rig, with_parameters
-from sim_core.rigs.displaced import OFFSETS
+from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, frame_of, simulate, step_times

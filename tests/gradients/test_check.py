@@ -18,7 +18,7 @@ from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, simulate
 from sysid.gradients import check_gradients, compare, differences
 from sysid.gradients.check import _as_text
-from sysid.streams import predicted, predicted_back
+from sysid.model.sensor_streams import predicted, predicted_back
 
 EXPERIMENT = Experiment.model_validate(
     {

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from step_differences import differences, last_step, respond
 
 from sim_core.energies.linearised import flatten, times
-from sim_core.gradients.columns import Columns
+from sim_core.gradients.parameter_jacobian import Columns
 from sim_core.rigs import load_rig, parse_rig, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 

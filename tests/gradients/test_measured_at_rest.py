@@ -14,7 +14,7 @@ from sim_core.energies.linearised import flatten, times_back
 from sim_core.energies.membrane import material_frames
 from sim_core.errors import ConfigError
 from sim_core.geometry.sheets import SheetMesh, find_hinges, rectangle
-from sim_core.gradients.columns import moment_on_body
+from sim_core.gradients.parameter_jacobian import moment_on_body
 from sim_core.rigs import parse_rig
 from sim_core.scene import build_scene
 from sim_core.solve.integrator import step_context

@@ -11,7 +11,7 @@ from test_tangent import RUB
 from sim_core.errors import ConvergenceError
 from sim_core.gradients import Backward, Tape, directions, simulate_tangent
 from sim_core.rigs import with_parameters
-from sim_core.rigs.displaced import OFFSETS
+from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.scene.offset import offset_motion, with_offsets

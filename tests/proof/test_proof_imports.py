@@ -60,7 +60,7 @@ def test_graph_sees_imports(graph: dict[str, set[str]]) -> None:
     assert GENERATOR in graph["sysid.proof"]
 
 
-@pytest.mark.parametrize("part", ["sim_core", "sysid.mismatch", "sysid.fit"])
+@pytest.mark.parametrize("part", ["sim_core", "sysid.diagnosis", "sysid.fit"])
 def test_diagnosis_does_not_reach_the_proof(graph: dict[str, set[str]], part: str) -> None:
     starts = {name for name in graph if name == part or name.startswith(part + ".")}
     assert starts
@@ -80,6 +80,6 @@ def test_running_and_scoring_do_not_reach_the_generator(graph: dict[str, set[str
 
 def test_no_name_of_the_proof_in_strings_of_the_diagnosis() -> None:
     """No import by name either."""
-    for folder in ("sim_core", "sysid/mismatch", "sysid/fit"):
+    for folder in ("sim_core", "sysid/diagnosis", "sysid/fit"):
         for path in (ROOT / folder).rglob("*.py"):
             assert "sysid.proof" not in path.read_text(), path

@@ -12,9 +12,9 @@ import pytest
 from sim_core.rigs import load_rig
 from sim_core.scene import build_scene
 from sysid.fit import fit_runs
-from sysid.fit.engine import Engine
-from sysid.fit.placement import placed
-from sysid.fit.runs import Measured, Run, load_run
+from sysid.model.load import Measured, Run, load_run
+from sysid.model.marker_registration import placed
+from sysid.model.predictor import Engine
 
 SHARED = Path(os.environ.get("THINSHELL_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 DATA = SHARED / "data" / "knit_fabric_stretch"

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sim_core.rigs import Rig, load_rig, with_parameters
-from sysid.fit.engine import Engine
-from sysid.fit.runs import load_run
+from sysid.model.load import load_run
+from sysid.model.predictor import Engine
 from sysid.recording import Recording, read_recording
 from sysid.vision import track_recording, write_tracked_recording
 from sysid.vision.presses import Presses, pins_of, read_presses, write_presses

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid.fit.result import ChannelError, Estimate, FitResult, Series
-from sysid.mismatch.result import (
+from sysid.diagnosis.result import (
     Candidate,
     Diagnosis,
     Located,
@@ -13,6 +12,7 @@ from sysid.mismatch.result import (
     Misfit,
     NamedParameter,
 )
+from sysid.fit.result import ChannelError, Estimate, FitResult, Series
 
 NOISE = {("wrench_gel", "force"): 2e-3, ("wrench_gel", "torque"): 1e-5, ("gel_markers", ""): 1e-5, ("outside", ""): 0.1}
 UNIT = {("wrench_gel", "force"): "N", ("wrench_gel", "torque"): "N m", ("gel_markers", ""): "m", ("outside", ""): "px"}

@@ -15,8 +15,8 @@ from sim_core.errors import ConvergenceError
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sysid.cli.app import main
-from sysid.fit.parameters import fit_parameters
-from sysid.fit.plan import Expected, Outlook, Plan, plan_experiments
+from sysid.design.experiment_design import Expected, Outlook, Plan, plan_experiments
+from sysid.model.parameters import fit_parameters
 from sysid.report import experiments_page
 from sysid.report.experiments_page import HEAD, _section, by_rig, identifying, parameters_of
 from sysid.report.motion_picture import draw_experiment, telling_instants

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from report_examples import RUNS, make_diagnosis, make_errors, make_fit, make_series
 
-from sysid.mismatch.result import VERDICTS
+from sysid.diagnosis.result import VERDICTS
 from sysid.report import write_diagnosis_report, write_fit_report
 
 webdriver = pytest.importorskip("selenium.webdriver")

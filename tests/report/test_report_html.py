@@ -28,23 +28,23 @@ from report_examples import (
 from sim_core.effects import EFFECTS
 from sim_core.rigs import load_rig
 from sim_core.simulate import Trace
-from sysid.fit.engine import Engine, Prediction
-from sysid.fit.fitted import Fitted
-from sysid.fit.noise import ChannelNoise
-from sysid.fit.parameters import fit_parameters
-from sysid.fit.problem import Problem
+from sysid.diagnosis.diagnose import _collect
+from sysid.diagnosis.hypotheses import with_effect
+from sysid.diagnosis.model_selection import Trial, Verdict
+from sysid.diagnosis.residual_analysis import structure
+from sysid.diagnosis.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
 from sysid.fit.result import Estimate, FitResult
-from sysid.fit.runs import Measured, Run
-from sysid.fit.untold import Nuisance
-from sysid.mismatch.candidates import with_effect
-from sysid.mismatch.decide import Trial, Verdict
-from sysid.mismatch.diagnose import _collect
-from sysid.mismatch.locate import structure
-from sysid.mismatch.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
+from sysid.model.load import Measured, Run
+from sysid.model.parameters import fit_parameters
+from sysid.model.predictor import Engine, Prediction
+from sysid.noise.estimate import ChannelNoise
 from sysid.report import write_diagnosis_report, write_fit_report
 from sysid.report.fit_page import overall_level
 from sysid.report.numbers import TIMES
 from sysid.report.tables import nuisance_rows, provenance_of
+from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
+from sysid.uncertainty.nuisance_estimates import Nuisance
 
 NAN = float("nan")
 VOID = {"meta", "link", "br", "img", "input", "hr", "rect", "path", "use", "source"}

@@ -9,7 +9,7 @@ from ros_live import RIG
 
 from sim_core.rigs import load_rig, with_parameters
 from sysid.fit import fit_runs
-from sysid.fit.runs import load_run
+from sysid.model.load import load_run
 
 pytestmark = pytest.mark.ros
 

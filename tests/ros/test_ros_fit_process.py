@@ -13,8 +13,8 @@ import pytest
 from test_ros_fit_request import request_of
 
 from sim_core.rigs import load_rig
-from sysid.fit.starts import Step
-from sysid.folder import unfinished, whole_folder
+from sysid.fit.multistart import Step
+from sysid.io.atomic_folder import unfinished, whole_folder
 from thinshell_ros import fit_process
 from thinshell_ros.fit_process import Event, Failed, FitProcess, Succeeded
 from thinshell_ros.fit_request import FitRequest

@@ -10,7 +10,7 @@ pytest.importorskip("rclpy", reason="thinshell_ros needs the ROS message package
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, list_parameters, load_rig
-from sysid.fit.starts import Step
+from sysid.fit.multistart import Step
 from thinshell_ros.fit_process import Failed, Share, Succeeded
 from thinshell_ros.fit_request import FitRequest, fit_request, topic_names, with_topics
 from thinshell_ros.fit_state import FitState

@@ -9,8 +9,8 @@ import pytest
 from ros_live import RIG, Client, NodeProcess
 
 from sim_core.rigs import load_rig
+from sysid.observations.rig_topics import topics_of
 from sysid.recording import read_recording
-from sysid.rig_topics import topics_of
 
 pytestmark = pytest.mark.ros
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_core.bench.soak import RISE, step_energies, tolerance_of, total_energy
+from sim_core.bench.stress_test import RISE, step_energies, tolerance_of, total_energy
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, frame_of

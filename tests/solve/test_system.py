@@ -4,7 +4,7 @@ import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 from sheet_systems import DENSITY, FILM, both_ends, film, left, nothing
 
-import sim_core.solve.pattern as pattern_module
+import sim_core.solve.sparsity as pattern_module
 from sim_core.rigs import parse_rig
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation

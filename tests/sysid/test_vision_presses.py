@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import Rig, load_rig
-from sysid.fit.runs import load_run
+from sysid.model.load import load_run
 from sysid.recording import RecordingWriter, read_recording
 from sysid.vision.presses import (
     DOWN_S,

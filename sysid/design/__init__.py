@@ -1,0 +1,1 @@
+"""Design of experiments: which motion determines which parameter."""

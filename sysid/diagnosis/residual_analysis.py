@@ -1,0 +1,185 @@
+"""Where and when a model misses the recordings: which channel, which windows, which phase of the motion.
+
+Structured misfit: the whitened residuals of each column are summed over blocks of time. For a model that
+is right these sums, over the root of their length, are independent standard normal numbers; what a
+missing law leaves behind is smooth in time and adds up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.diagnosis.result import Located, LocatedChannel
+from sysid.model.load import Measured, Run
+from sysid.noise.estimate import column_groups, moving, quantities
+from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
+
+BLOCKS = 24
+"""Blocks of time that a run is cut into."""
+
+WINDOW_SIGMAS = 5.0
+"""A block belongs to a mismatch window when its energy exceeds the noise's by this many deviations."""
+
+
+MIN_PER_SCORE = 1.6
+"""Structured misfit per score (1 = noise) above which something is missing even without a name."""
+
+MIN_SIGMAS = 6.0
+"""Deviations above noise that the structured misfit of a quantity with few scores must have as well."""
+
+OWN_SHARE = 0.5
+"""Structured misfit below this share of the discretisation error is not blamed on physics."""
+
+PARTS = 8
+"""Parts of a window that are told apart."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Structured misfit of one quantity of one channel in one run. ``excess``: sum of squared block scores
+    less their number; ``count``: number of scores; ``own``: the same sum for the discretisation error."""
+
+    excess: float
+    count: int
+    own: float
+
+    @property
+    def per_score(self) -> float:
+        """Mean squared score (1 = noise)."""
+        return 1.0 + self.excess / max(self.count, 1)
+
+    @property
+    def stands_out(self) -> bool:
+        """More than noise leaves: squared scores have mean 1 and standard deviation sqrt(2)."""
+        return self.per_score > MIN_PER_SCORE and self.excess > MIN_SIGMAS * np.sqrt(2.0 * self.count)
+
+    @property
+    def beyond_discretisation(self) -> bool:
+        """More than noise and the discretisation error leave."""
+        return self.stands_out and self.excess > OWN_SHARE * self.own
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Structured misfit by quantity (see :class:`Part`), so that a loud one is not drowned by quiet ones."""
+
+    parts: tuple[Part, ...]
+
+    @property
+    def whole(self) -> Part:
+        return Part(sum(p.excess for p in self.parts), sum(p.count for p in self.parts), sum(p.own for p in self.parts))
+
+    @property
+    def missing(self) -> bool:
+        """Something is missing: the whole, or some quantity, is beyond noise and the discretisation error."""
+        return self.whole.beyond_discretisation or any(p.beyond_discretisation for p in self.parts)
+
+    @property
+    def hidden(self) -> bool:
+        """There is misfit, but none that the discretisation error could not leave."""
+        return not self.missing and (self.whole.stands_out or any(p.stands_out for p in self.parts))
+
+
+def block_scores(run: Run, measured: Measured, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scores ``(blocks, columns)``, NaN where a block is empty, and the edges of the blocks [s]."""
+    edges = np.linspace(0.0, run.end + 1e-9, BLOCKS + 1)
+    block = np.clip(np.searchsorted(edges, measured.t, side="right") - 1, 0, BLOCKS - 1)
+    total = np.zeros((BLOCKS, white.shape[1]))
+    count = np.zeros_like(total)
+    good = np.isfinite(white)
+    np.add.at(total, block, np.where(good, white, 0.0))
+    np.add.at(count, block, good.astype(float))
+    with np.errstate(invalid="ignore"):
+        return np.where(count > 0, total / np.sqrt(np.maximum(count, 1.0)), np.nan), edges
+
+
+def whitened(problem: Problem, fitted: Fitted, run: int, measured: Measured) -> np.ndarray:
+    """Whitened residual of one channel ``(n, m)``, as much of the discretisation error as is believed taken out; NaN
+    where that changes unforeseen."""
+    miss = measured.values - problem.explained(fitted, run, measured)
+    return problem.judged(run, measured, miss)
+
+
+def structure(problem: Problem, fitted: Fitted) -> Structure:
+    """Structured misfit of a model.
+
+    The discretisation error enters with the sizes expected from refinement, not the fitted ones, which may
+    have taken up missing physics.
+    """
+    parts = []
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            scores, _ = block_scores(run, m, whitened(problem, fitted, i, m))
+            # What is not measured has no noise to compare with.
+            shift = np.where(np.isfinite(m.values), problem.basis(i, m).expected, np.nan)
+            own, _ = block_scores(run, m, problem.judged(i, m, shift))
+            for group in column_groups(m):
+                good = np.isfinite(scores[:, group])
+                excess = float(np.sum(scores[:, group][good] ** 2 - 1.0))
+                parts.append(Part(excess, int(good.sum()), float(np.nansum(own[:, group] ** 2))))
+    return Structure(tuple(parts))
+
+
+def locate(problem: Problem, fitted: Fitted, answer: Fitted | None = None) -> Located:
+    """Channels, time windows and phase of what the model misses; of what an ``answer`` adds to its predictions, where
+    there is one: the discretisation error may have taken part of that up."""
+    shares: list[tuple[str, str, float]] = []
+    windows: dict[str, tuple[tuple[float, float], ...]] = {}
+    phases = {k: 0.0 for k in ("moving in contact", "holding in contact", "moving freely", "at rest without contact")}
+    for i, run in enumerate(problem.runs):
+        energy = np.zeros(BLOCKS)
+        columns = np.zeros(BLOCKS)
+        for m in run.measured:
+            if answer is None:
+                white, chance = whitened(problem, fitted, i, m), 1.0
+            else:
+                added = answer.predictions[i].values[m.channel] - fitted.predictions[i].values[m.channel]
+                white, chance = problem.whiten(i, m, np.where(np.isfinite(m.values), added, np.nan)), 0.0
+            scores, edges = block_scores(run, m, white)
+            for name, group in quantities(m):
+                part = scores[:, group]
+                shares.append((m.channel, name, float(np.nansum(part**2 - chance))))
+            energy += np.nansum(np.where(np.isfinite(scores), scores**2 - chance, 0.0), axis=1)
+            columns += np.isfinite(scores).sum(axis=1)
+        hot = energy > WINDOW_SIGMAS * np.sqrt(2.0 * np.maximum(columns, 1.0))
+        strong = hot & (energy > 0.05 * max(float(energy.max(initial=0.0)), 1e-30))
+        windows[run.name] = _intervals(strong, edges)
+        for b in np.flatnonzero(strong):
+            phases[_phase(run, fitted, i, edges[b], edges[b + 1])] += float(energy[b])
+    totals: dict[tuple[str, str], float] = {}
+    for channel, name, share in shares:
+        totals[(channel, name)] = totals.get((channel, name), 0.0) + max(share, 0.0)
+    whole = sum(totals.values()) or 1.0
+    channels = sorted((LocatedChannel(c, q, e / whole) for (c, q), e in totals.items()), key=lambda c: -c.share)
+    phase = max(phases, key=lambda k: phases[k]) if any(phases.values()) else "nowhere in particular"
+    return Located(tuple(channels), windows, phase)
+
+
+def _intervals(hot: np.ndarray, edges: np.ndarray) -> tuple[tuple[float, float], ...]:
+    change = np.flatnonzero(np.diff(np.concatenate([[0], hot.astype(int), [0]])))
+    return tuple((float(edges[a]), float(edges[b])) for a, b in zip(change[::2], change[1::2], strict=True))
+
+
+def _phase(run: Run, fitted: Fitted, index: int, start: float, end: float) -> str:
+    """What was going on in a window: the motion from the poses, contact from the simulation."""
+    trace = fitted.predictions[index].trace
+    inside = (trace.times[1:] > start) & (trace.times[1:] <= end)
+    touching = any(r.contacts > 0 for r, k in zip(trace.reports, inside, strict=True) if k)
+    busy = any(_moves(trajectory, start, end) for trajectory in run.poses.values())
+    if touching:
+        return "moving in contact" if busy else "holding in contact"
+    return "moving freely" if busy else "at rest without contact"
+
+
+def _moves(trajectory: PoseTrajectory, start: float, end: float) -> bool:
+    """Whether an end effector moves or turns for at least half of a window."""
+    if len(trajectory.times) < 2:
+        return False
+    instants = np.linspace(start, end, PARTS, endpoint=False) + 0.5 * (end - start) / PARTS
+    spans = np.array(moving(trajectory)).reshape(-1, 2)
+    inside = (instants[:, None] >= spans[:, 0]) & (instants[:, None] <= spans[:, 1])
+    return bool(np.mean(inside.any(axis=1)) >= 0.5)

@@ -1,0 +1,47 @@
+"""How two models compare on recordings that neither was fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sysid.diagnosis.model_selection import held_out_gain
+from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
+
+
+def seen_by_both(check: Problem, plain: Fitted | None, amended: Fitted | None) -> tuple[Fitted, Fitted] | None:
+    """Two models on what both see of the held-out runs ``check``; None where that is nothing.
+
+    A reading that one of them hides tells neither for it nor against it, also not through the discretisation error that
+    is fitted to it.
+    """
+    if plain is None or amended is None:
+        return None
+    pair = (plain.predictions, amended.predictions)
+    sight = [
+        {c: np.isfinite(v) & np.isfinite(there.values[c]) for c, v in here.values.items()}
+        for here, there in zip(*pair, strict=True)
+    ]
+    found = []
+    for model, predictions in zip((plain, amended), pair, strict=True):
+        both = list(zip(predictions, sight, strict=True))
+        if all(np.array_equal(s[c], np.isfinite(v)) for p, s in both for c, v in p.values.items()):
+            found.append(model)
+        else:
+            common = [replace(p, values={c: np.where(s[c], v, np.nan) for c, v in p.values.items()}) for p, s in both]
+            found.append(check.compare(common, model.rig, [], np.zeros(0)))
+    return (found[0], found[1]) if found[0].samples else None
+
+
+def gain_of(both: tuple[Fitted, Fitted] | None) -> float | None:
+    """Share of the robust misfit on held-out runs that an amendment removes (:func:`seen_by_both`); None where nothing
+    is to be seen."""
+    return None if both is None else held_out_gain(both[0].residual, both[1].residual)
+
+
+def of_readings(fitted: Fitted) -> float:
+    """Misfit without what priors add."""
+    readings = fitted.residual[: len(fitted.residual) - fitted.pulls]
+    return float(readings @ readings) / max(fitted.samples, 1)

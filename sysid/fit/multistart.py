@@ -1,0 +1,324 @@
+"""From where a fit is searched for: from the rig's values, from others if that is asked for, and again from near the
+best while it is not good.
+
+Where contacts stick and slide the misfit has several minima. Starts beside the rig's own are chosen once by the data:
+the parameters that are asked for are drawn on a Latin hypercube over their plausible range, and those that fit best are
+searched from. Restarts are for
+kinks, on which a search can end although the misfit falls on the other side; they stand close to the best so far.
+There are a few in all, and none any more once one of them has brought nothing.
+
+What the discretisation error is where a fit begins says little of what it is where it ends: a slack sheet buckles in
+one place and not in another. While a search beside it brings chi-square down by more than half there is nothing to be
+made of what it leaves. It ends when it comes on slowly, and goes on when the error has been measured where it stands.
+
+Where an end effector really is decides whether a sheet between two of them hangs or is taut, and which way it buckles.
+A fit that leaves more than noise in any quantity is therefore tried again from other offsets of the end effectors, if
+those are unknown: drawn from what was known of them before, and searched from where they fit best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm, qmc
+
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig
+from sysid.fit.options import FitOptions, Intervals
+from sysid.model.parameters import FitParameter
+from sysid.solve.covariance import chance, uncertainty
+from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
+from sysid.uncertainty.goodness_of_fit import GOOD_MISFIT, worst
+from sysid.uncertainty.nuisance_estimates import kind_of
+
+Progress = Callable[[float, str], None]
+
+MOST_RESTARTS = 4
+"""In a whole fit."""
+
+RESTART_WIDTH = 0.05
+"""Restarts start this far (standard deviations, in units of the fitted scale) from the best so far."""
+
+START_WIDTH = 0.7
+"""Standard deviation of starts about the rig's values in units of the plausible width: e^1.4 either way for a
+modulus, 0.35 for friction."""
+
+GLANCES = 4
+"""Draws, without derivatives, for each start beside the rig's own."""
+
+OFFSETS_DRAWN = 32
+"""Draws, without derivatives, of the offsets of all end effectors."""
+
+MOST_OFFSETS = 3
+"""Searches from other offsets, of which each must bring something for the next to be made."""
+
+BETTER = 0.98
+"""A search from elsewhere has brought something if it leaves less than this share of chi-square."""
+
+FAR = 0.5
+"""A search that leaves less than this share of the chi-square where it began is far from there."""
+
+PATIENCE, SLOW = 3, 0.8
+"""It comes on slowly while so many evaluations leave more than this share of chi-square."""
+
+SAME_CHI2 = 4.0
+"""Two searches have ended equally well if their chi-squares differ by less than this, in units of what chance makes
+of it."""
+
+SAME_PLACE = 4.0
+"""They have ended in one place if no parameter that is asked for differs by this many standard deviations."""
+
+TYPICAL_EVALUATIONS = 10
+"""Evaluations that a search usually takes; the progress bar is scaled with it."""
+
+SEARCHED: dict[Intervals, float] = {"quadratic": 0.95, "checked": 0.8, "profiled": 0.5}
+"""Share of the time of a fit, about, that its search takes, by what is done about intervals afterwards."""
+
+EVALUATIONS_OF_A_SEARCH = 30
+"""Evaluations after which one search ends, converged or not."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a fit knows while it runs. ``evaluations``: all until now; ``misfit``: mean squared whitened residual of
+    the best ``values`` (of the parameters that are asked for) of the search that is on."""
+
+    evaluations: int
+    misfit: float
+    values: dict[str, float]
+
+
+class Evaluations:
+    """Counts the evaluations of a fit, at most those that the options allow, and tells of each."""
+
+    def __init__(
+        self,
+        options: FitOptions,
+        on_progress: Progress | None = None,
+        on_step: Callable[[Step], None] | None = None,
+    ) -> None:
+        self._most = options.max_evaluations
+        self._typical = TYPICAL_EVALUATIONS * options.starts
+        self._searched = SEARCHED[options.intervals]
+        self._on_progress = on_progress
+        self._on_step = on_step
+        self.done = 0
+
+    @property
+    def left(self) -> int:
+        """Evaluations that the next search may make."""
+        return EVALUATIONS_OF_A_SEARCH if self._most is None else min(self._most - self.done, EVALUATIONS_OF_A_SEARCH)
+
+    def limit(self, fitted: Fitted) -> Fitted:
+        """The outcome of a search, which says so if none are left."""
+        if self.left <= 0 and fitted.parameters and not fitted.interrupted:
+            fitted.limited, fitted.converged = True, False
+            fitted.message = f"the evaluations allowed, {self._most}, are used up; the best values so far are kept"
+        return fitted
+
+    def tell(self, text: str) -> None:
+        """Say what is going on, with how much is done, about."""
+        if self._on_progress is not None:
+            self._on_progress(self._searched * (1.0 - np.exp(-self.done / self._typical)), text)
+
+    def __call__(self, best: Fitted) -> None:
+        """One more has been made, after which ``best`` is the best of its search."""
+        self.done += 1
+        self.tell(f"evaluation {self.done}, misfit {best.misfit:.3g} (up to 1: noise and discretisation error)")
+        if self._on_step is not None:
+            asked = {p.name for p in best.parameters if not p.nuisance}
+            self._on_step(Step(self.done, best.misfit, {n: v for n, v in best.values.items() if n in asked}))
+
+
+class Searches:
+    """The searches of one fit of ``parameters`` of ``rig``, which may be several in turns, each of one problem."""
+
+    def __init__(
+        self, rig: Rig, parameters: Sequence[FitParameter], options: FitOptions, evaluations: Evaluations
+    ) -> None:
+        self._rig = rig
+        self._parameters = list(parameters)
+        self._evaluations = evaluations
+        self._rng = np.random.default_rng(options.seed)
+        self._elsewhere = options.starts - 1 if self._parameters else 0
+        self._restarts = MOST_RESTARTS if self._parameters else 0
+        self._offsets = [k for k, p in enumerate(self._parameters) if kind_of(rig, p.target) == "pose"]
+        self._known = np.array([p.known_sd or p.prior_sd for p in self._parameters])
+        self._moved: list[str] = []
+        self._found: list[Fitted] = []
+        self._begun: list[np.ndarray] = []
+        self._failed = 0
+
+    def __call__(self, problem: Problem, at: np.ndarray) -> Fitted:
+        """The best that is found from scaled values ``(p,)``. Raises ``ThinshellError`` if they cannot be simulated."""
+        fitted = self._search(problem, at)
+        if self._elsewhere and self._may_go_on(fitted):
+            fitted = self._from_elsewhere(problem, at, fitted)
+        self._elsewhere = 0
+        if self._far(problem, fitted):
+            fitted.elsewhere = True
+            return self._evaluations.limit(fitted)
+        if self._offsets and self._may_go_on(fitted) and worst(problem, fitted) > GOOD_MISFIT:
+            fitted = self._from_other_offsets(problem, at, fitted)
+            self._offsets = []
+            if self._far(problem, fitted):
+                fitted.elsewhere = True
+                return self._evaluations.limit(fitted)
+        return self._evaluations.limit(self._again_from_near(problem, fitted))
+
+    def _search(self, problem: Problem, at: np.ndarray) -> Fitted:
+        # Searches from several starts are compared where they end.
+        halt = _comes_on_slowly if problem.error_shapes and not self._elsewhere else None
+        return problem.fit(
+            self._rig, self._parameters, at, self._evaluations.left, on_evaluation=self._evaluations, halt=halt
+        )
+
+    def _far(self, problem: Problem, fitted: Fitted) -> bool:
+        """The discretisation error is to be measured where the fit stands before it is searched on."""
+        if not problem.error_shapes or not self._may_go_on(fitted):
+            return False
+        return fitted.elsewhere or (fitted.chi2 < FAR * fitted.began and worst(problem, fitted) > GOOD_MISFIT)
+
+    def _may_go_on(self, fitted: Fitted) -> bool:
+        return self._evaluations.left > 0 and not fitted.interrupted
+
+    def _tried(self, problem: Problem, at: np.ndarray, best: Fitted) -> Fitted | None:
+        """A search from elsewhere; None where that cannot be simulated, which costs an evaluation all the same, and
+        where Ctrl-C is pressed before it has found anything, which ``best`` then says."""
+        try:
+            found = self._search(problem, at)
+        except KeyboardInterrupt:
+            best.interrupt()
+            return None
+        except ThinshellError:
+            self._evaluations(best)
+            return None
+        if found.interrupted:
+            best.interrupt()
+        return found
+
+    def _from_elsewhere(self, problem: Problem, at: np.ndarray, first: Fitted) -> Fitted:
+        """The best of searches from the starts that were asked for beside the rig's, which is kept unless another has
+        ended where the fit is better by more than chance."""
+        self._found, self._begun, best = [first], [at], first
+        for start in self._drawn(problem, at, first):
+            if not self._may_go_on(best):
+                break
+            other = self._tried(problem, start, best)
+            if other is None:
+                self._failed += not best.interrupted
+                continue
+            self._found.append(other)
+            self._begun.append(start)
+            mine, others = best.beside(other)
+            if mine - others > SAME_CHI2 * chance(best):
+                best = other
+        return best
+
+    @property
+    def ends(self) -> list[str]:
+        """In words, where searches from several starts have ended, if there were several."""
+        return [*(_said(self._begun, self._found, self._failed) if self._found else []), *self._moved]
+
+    def _drawn(self, problem: Problem, at: np.ndarray, best: Fitted) -> list[np.ndarray]:
+        """Starts: those that fit best of a Latin hypercube in the parameters that are asked for."""
+        asked = [k for k, p in enumerate(self._parameters) if not p.nuisance]
+        return self._glanced(problem, at, asked, START_WIDTH, GLANCES * self._elsewhere, best)[: self._elsewhere]
+
+    def _glanced(
+        self, problem: Problem, about: np.ndarray, which: Sequence[int], width: float, count: int, best: Fitted
+    ) -> list[np.ndarray]:
+        """Draws of a Latin hypercube in some of the parameters ``about`` scaled values, ``width`` times as wide as
+        what was known of them, those that fit best first. None where Ctrl-C is pressed, which ``best`` then says."""
+        share = qmc.LatinHypercube(len(which), rng=self._rng).random(count)
+        drawn = np.tile(about, (count, 1))
+        drawn[:, which] += width * self._known[which] * norm.ppf(share)
+        low, high = np.array([p.scaled_bounds for p in self._parameters]).T
+        points = list(np.clip(drawn, low, high))
+        self._evaluations.tell(f"comparing {count} other starts")
+        try:
+            misfits = problem.glance(self._rig, self._parameters, points)
+        except KeyboardInterrupt:
+            best.interrupt()
+            return []
+        return [points[k] for k in np.argsort(misfits, kind="stable")]
+
+    def _from_other_offsets(self, problem: Problem, at: np.ndarray, fitted: Fitted) -> Fitted:
+        """The best of searches from other offsets of the end effectors, while they bring anything: in all readings
+        together, or where most is left."""
+        before, first = worst(problem, fitted), fitted
+        for start in self._glanced(problem, at, self._offsets, 1.0, OFFSETS_DRAWN, fitted)[:MOST_OFFSETS]:
+            if not self._may_go_on(fitted):
+                break
+            again = self._tried(problem, start, fitted)
+            if again is None:
+                break
+            known, new = fitted.beside(again)
+            if new >= known:
+                break
+            left, now = worst(problem, fitted), worst(problem, again)
+            better = new < BETTER * known or now < BETTER * left
+            fitted = again
+            if not better:
+                break
+        if fitted is not first:
+            self._moved = [
+                f"A search left up to {before:.4g} times the noise's misfit in one quantity, and searches from other "
+                f"offsets of the end effectors {worst(problem, fitted):.4g}."
+            ]
+        return fitted
+
+    def _again_from_near(self, problem: Problem, fitted: Fitted) -> Fitted:
+        """The best of restarts, while they bring anything and the misfit stays above noise."""
+        width = np.array([min(p.prior_sd, 1.0) for p in self._parameters])
+        while self._restarts and self._may_go_on(fitted) and fitted.misfit >= GOOD_MISFIT:
+            near = fitted.scaled + RESTART_WIDTH * width * self._rng.standard_normal(len(width))
+            again = self._tried(problem, near, fitted)
+            known, new = (1.0, np.inf) if again is None else fitted.beside(again)
+            self._restarts = self._restarts - 1 if again is None or new < BETTER * known else 0
+            fitted = again if again is not None and new < known else fitted
+        return fitted
+
+
+def _comes_on_slowly(course: Sequence[float]) -> bool:
+    """Far from where the search began, and no better for some time. ``course``: chi-square after each evaluation.
+
+    Noise alone is no reason to stay: an error that was measured where it is larger takes what the parameters leave.
+    """
+    return len(course) > PATIENCE and course[-1] < FAR * course[0] and course[-1] > SLOW * course[-1 - PATIENCE]
+
+
+def _said(begun: Sequence[np.ndarray], found: Sequence[Fitted], failed: int) -> list[str]:
+    """Compares searches among themselves: what is taken for error of the simulator changes afterwards."""
+    best = found[0]
+    for other in found[1:]:
+        mine, others = best.beside(other)
+        best = other if others < mine else best
+    asked = np.array([not p.nuisance for p in best.parameters])
+    sd = np.where(asked, uncertainty(best).sd, np.inf)
+    beyond = [np.subtract(*f.beside(best)) for f in found]
+    as_good = [f for f, more in zip(found, beyond, strict=True) if more <= SAME_CHI2 * chance(best)]
+    apart = [f for f in as_good if np.any(np.abs(f.scaled - best.scaled) > SAME_PLACE * sd)]
+    sentences = [f"Of searches from {len(found) + failed} starts {len(as_good)} ended equally well."]
+    if failed:
+        sentences.append(f"{failed} could not be simulated where they start.")
+    if apart:
+        sentences.append(
+            f"They ended in different places, so the data do not determine one set of values: {_place(best)}; "
+            f"{_place(apart[0])}."
+        )
+    ways = [
+        f"Search {k} began at {_place(f, at)} and ended at {_place(f)} with {f.misfit:.4g} times the noise's misfit."
+        for k, (at, f) in enumerate(zip(begun, found, strict=True), 1)
+    ]
+    return [" ".join(sentences), *ways]
+
+
+def _place(fitted: Fitted, scaled: np.ndarray | None = None) -> str:
+    """Values of what is asked for, of the fit or at scaled values."""
+    at = fitted.scaled if scaled is None else scaled
+    named = [(p, p.physical(s)) for p, s in zip(fitted.parameters, at, strict=True) if not p.nuisance]
+    return ", ".join(f"{p.name} {value:.4g}{f' {p.unit}' if p.unit else ''}" for p, value in named)

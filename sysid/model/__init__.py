@@ -1,0 +1,1 @@
+"""The forward model of a fit: recordings, parameters, nuisance parameters and predictions."""

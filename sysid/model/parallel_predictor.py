@@ -1,0 +1,90 @@
+"""An engine whose predictions run in worker processes, one a core."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import ExitStack
+from types import TracebackType
+
+import numpy as np
+
+from sim_core.batch import worker_pool
+from sim_core.rigs import Rig
+from sysid.model.load import Run
+from sysid.model.parameters import FitParameter
+from sysid.model.predictor import Engine, Prediction
+
+_ENGINE: list[Engine] = []
+
+
+def _start() -> None:
+    """Each worker keeps its scenes."""
+    _ENGINE.append(Engine())
+
+
+def _predict(rig: Rig, run: Run, refine: int, dt: float | None) -> Prediction:
+    return _ENGINE[0].predict(rig, run, refine, dt)
+
+
+def _predict_with_derivatives(
+    rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray, refine: int, dt: float | None
+) -> Prediction:
+    return _ENGINE[0].predict_with_derivatives(rig, run, parameters, scaled, refine, dt)
+
+
+class PooledEngine:
+    """As :class:`sysid.model.predictor.Engine`, in ``workers`` processes. Use as a context manager.
+
+    ``on_done``: called in a thread of the pool after each prediction, made or failed.
+    """
+
+    def __init__(self, workers: int | None = None, on_done: Callable[[], None] | None = None) -> None:
+        self._workers = workers or os.cpu_count() or 1
+        self._on_done = on_done
+
+    def __enter__(self) -> PooledEngine:
+        self._open = ExitStack()
+        self._pool = self._open.enter_context(worker_pool(self._workers, _start))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.__exit__(kind, error, trace)
+
+    def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        """Start a prediction without derivatives."""
+        return self._told(self._pool.submit(_predict, rig, run, refine, dt))
+
+    def submit_with_derivatives(
+        self,
+        rig: Rig,
+        run: Run,
+        parameters: Sequence[FitParameter],
+        scaled: np.ndarray,
+        refine: int = 1,
+        dt: float | None = None,
+    ) -> Future[Prediction]:
+        """Start a prediction with derivatives."""
+        at = (list(parameters), np.array(scaled))
+        return self._told(self._pool.submit(_predict_with_derivatives, rig, run, *at, refine, dt))
+
+    def predict_all(
+        self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
+    ) -> list[Prediction]:
+        """Predictions with derivatives of several runs, side by side."""
+        futures = [self.submit_with_derivatives(rig, run, parameters, scaled) for run in runs]
+        return [future.result() for future in futures]
+
+    def _told(self, future: Future[Prediction]) -> Future[Prediction]:
+        """The same future, which tells when it is done."""
+        on_done = self._on_done
+        if on_done is not None:
+            future.add_done_callback(lambda _: on_done())
+        return future
+
+
+AnyEngine = Engine | PooledEngine
+"""In this process, or in several."""

@@ -1,0 +1,170 @@
+"""Predictions for runs and their derivatives, with scenes kept from one evaluation to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim_core.errors import ThinshellError
+from sim_core.gradients import Direction, simulate_tangent
+from sim_core.rigs import Rig
+from sim_core.rigs.pose_offset import OFFSETS
+from sim_core.scene import Scene, build_scene
+from sim_core.simulate import Trace, simulate
+from sysid.model.load import Run
+from sysid.model.marker_registration import placed, placed_along
+from sysid.model.parameters import FitParameter, acting_in, rig_at
+from sysid.model.sensor_streams import predicted, predicted_derivatives, stream_derivatives
+from sysid.model.time_span import rollout_times, too_late
+
+STEP = 1e-5
+"""Half width, in the fitted scale, of the differences that tell what a parameter changes in the rig."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predictions of one run at its measured stamps, by channel: ``(n, m)`` and, if asked for, their
+    derivatives in the fitted scale ``(n, m, p)``; NaN: out of sight, or later than the motion is known
+    (:mod:`sysid.model.time_span`). ``trace``: the rollout itself."""
+
+    values: dict[str, np.ndarray]
+    derivatives: dict[str, np.ndarray]
+    trace: Trace
+
+
+class Engine:
+    """Evaluates rigs on runs in this process."""
+
+    def __init__(self) -> None:
+        self._scenes: dict[object, Scene] = {}
+
+    def scene(self, rig: Rig, refine: int = 1) -> Scene:
+        """A scene for the rig, reused when the same bodies and effects were built before."""
+        key = (_geometry(rig), refine)
+        if key not in self._scenes:
+            if len(self._scenes) >= 12:
+                self._scenes.pop(next(iter(self._scenes)))
+            self._scenes[key] = build_scene(rig, refine)
+        scene = self._scenes[key]
+        scene.use(rig)
+        return scene
+
+    def predict(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Prediction:
+        """Predict one run."""
+        scene = self.scene(rig, refine)
+        rig = placed(scene, run.firsts)
+        scene.use(rig)
+        trace = simulate(scene, run.poses, rollout_times([rig], run, dt or rig.solver.dt_s))
+        return Prediction(_at_stamps(trace, rig, run), {}, trace)
+
+    def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        """A prediction without derivatives, made at once."""
+        return _made(lambda: self.predict(rig, run, refine, dt))
+
+    def submit_with_derivatives(
+        self,
+        rig: Rig,
+        run: Run,
+        parameters: Sequence[FitParameter],
+        scaled: np.ndarray,
+        refine: int = 1,
+        dt: float | None = None,
+    ) -> Future[Prediction]:
+        """A prediction with derivatives, made at once."""
+        return _made(lambda: self.predict_with_derivatives(rig, run, parameters, scaled, refine, dt))
+
+    def predict_all(
+        self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
+    ) -> list[Prediction]:
+        """Predictions with derivatives of several runs."""
+        return [self.predict_with_derivatives(rig, run, parameters, scaled) for run in runs]
+
+    def predict_with_derivatives(
+        self,
+        rig: Rig,
+        run: Run,
+        parameters: Sequence[FitParameter],
+        scaled: np.ndarray,
+        refine: int = 1,
+        dt: float | None = None,
+    ) -> Prediction:
+        """Predict one run at ``scaled`` values of the parameters, with derivatives, which are zero by those that other
+        runs have for themselves."""
+        own = acting_in(parameters, run.name)
+        if len(own) < len(parameters):
+            found = self.predict_with_derivatives(rig, run, [parameters[k] for k in own], scaled[own], refine, dt)
+            wide = {c: np.zeros((*d.shape[:-1], len(parameters))) for c, d in found.derivatives.items()}
+            for c, d in found.derivatives.items():
+                wide[c][..., own] = d
+            return replace(found, derivatives=wide)
+        scene = self.scene(rig_at(rig, parameters, scaled), refine)
+        here = placed(scene, run.firsts)
+        scene.use(here)
+        along = [_direction(here, parameters, scaled, k) for k in range(len(parameters))]
+        along = placed_along(scene, run.firsts, along)
+        times = rollout_times([here, *(end for d in along for end in (d.low, d.high))], run, dt or here.solver.dt_s)
+        trace, raw = simulate_tangent(scene, run.poses, times, along)
+        values = _at_stamps(trace, here, run)
+        derivatives = {}
+        for m in run.measured:
+            mechanical = predicted_derivatives(trace, raw[m.channel], here, m.channel, m.t)
+            readings = values[m.channel].reshape(mechanical.shape[:-1])
+            total = mechanical + stream_derivatives(trace, along, m.channel, m.t, run.since, readings)
+            derivatives[m.channel] = total.reshape(*values[m.channel].shape, len(along))
+        return Prediction(values, derivatives, trace)
+
+
+def _made(prediction: Callable[[], Prediction]) -> Future[Prediction]:
+    future: Future[Prediction] = Future()
+    try:
+        future.set_result(prediction())
+    except ThinshellError as error:
+        future.set_exception(error)
+    return future
+
+
+def _direction(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray, k: int) -> Direction:
+    """Parameter number ``k`` as a direction in the fitted scale, within its bounds."""
+    bounds = parameters[k].scaled_bounds
+    ends = [float(np.clip(scaled[k] + s, *bounds)) for s in (-STEP, STEP)]
+    rigs = [rig_at(rig, parameters, np.where(np.arange(len(scaled)) == k, end, scaled)) for end in ends]
+    return Direction(parameters[k].name, rigs[0], rigs[1], ends[1] - ends[0])
+
+
+def _at_stamps(trace: Trace, rig: Rig, run: Run) -> dict[str, np.ndarray]:
+    """Readings by channel ``(n, m)``; NaN where they show motion that is not known."""
+    found = {}
+    for m in run.measured:
+        values = predicted(trace, rig, m.channel, m.t, run.since).reshape(len(m.t), -1)
+        found[m.channel] = np.where(too_late(rig, run, m)[:, None], np.nan, values)
+    return found
+
+
+def _geometry(rig: Rig) -> object:
+    """Everything of a rig that a scene is built from and that a change of values does not reach."""
+    data = rig.model_dump()
+    for body in data["bodies"].values():
+        material = body.pop("material", None)
+        if material is not None and "thickness_m" in material:
+            body["thickness_m"] = material["thickness_m"]
+    for effector in data["end_effectors"].values():
+        for key in OFFSETS:
+            effector.pop(key)
+    for contact in data["contacts"]:
+        contact.pop("friction")
+        contact.pop("stiffness_pa_per_m")
+    for camera in data["cameras"].values():
+        for sight in camera["sees"]:
+            if sight["points"]["placed"] == "first_frame":
+                sight["points"].pop("positions_m")
+    active = tuple(
+        (name, tuple(sorted((k, v == 0.0) for k, v in given.items()))) for name, given in rig.effects.items()
+    )
+    return repr((data["bodies"], data["clamps"], data["end_effectors"], data["contacts"], active,
+                 data["sensors"].keys(), data["cameras"].keys(), data["solver"]["inertia"],
+                 data["solver"]["integrator"],
+                 [s.get("points") for s in data["sensors"].values()],
+                 [c["sees"] for c in data["cameras"].values()]))  # fmt: skip

@@ -1,0 +1,1 @@
+"""Noise of recorded channels: level, autocorrelation, quantisation, and data quality."""

@@ -1,0 +1,397 @@
+"""The noise of each channel, from the recording itself.
+
+Where the robot stands still and nothing moves, the scatter about the mean of a column is its noise; the
+lag-one correlation there tells coloured from white. Without such a stretch the third differences do
+
+    var(x_{k+3} - 3 x_{k+2} + 3 x_{k+1} - x_k) = 20 sigma^2    for white noise,
+
+by the median of their size, so that jumps do not count (differences: Gasser, Sroka & Jennen-Steinmetz, Biometrika
+73, 1986). They cannot see colour, and what the readings themselves do within four samples counts as noise. In the
+channels of simulated presses and rubs that have no rest and move fast, that adds 6 % on average and 16 % at most;
+second differences, in which a steady acceleration shows, see 9 % too much. Columns of a kind (forces,
+torques, markers) share one level and one colour. Readings that come in steps have at least the noise of their rounding,
+step / sqrt(12) (:mod:`sysid.noise.quantisation`).
+
+A recording shows how much neighbouring samples scatter, but not what was smoothed, interpolated or rounded
+away before it was written: a much larger noise that the rig declares takes its place. So it does where every reading
+is far from all others in time (single images at rest).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
+from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.model.load import UNITS, Measured, Run
+from sysid.noise.quantisation import common_step
+from sysid.noise.sampling_interval import NEXT, paced
+
+MIN_REST_SAMPLES = 15
+"""Samples that a quiet stretch must have to be used."""
+
+REST_MARGIN_S = 0.15
+"""Time after the end of a motion that is not counted as quiet."""
+
+STILL_WINDOW_S = 0.1
+"""Time over which noisy poses are averaged to see whether they move."""
+
+STILL_WITHIN = np.repeat([1e-5, 1e-4], 3)
+"""Shift [m] and turn [rad] in that time from which something moves (0.1 mm/s, 1 mrad/s), and in a whole stretch from
+which it creeps: less than arms repeat (20 to 100 um), and on a pad of 1 N/mm about the noise of a force sensor."""
+
+CREEP_WINDOW_S = 1.0
+"""Time in which what is slower may get as far as that."""
+
+FLOOR_SHARE = 1e-5
+"""Noise is not taken to be below this share of a column group's range (noise-free simulations)."""
+
+LONGEST_EXACT = 400
+"""Samples of a stretch up to which it matters what a line takes away from coloured noise."""
+
+WHITE, MOST_COLOURED = 0.1, 0.98
+"""Correlation up to which noise counts as white, and the largest that is believed."""
+
+NEIGHBOURS = 10.0
+"""Readings farther apart than this many sampling intervals of their sensor are states of their own: their differences
+are motion, not noise, and the noise is the declared one."""
+
+REPLACED_FROM = 2.0
+"""A declared noise of this many times the estimated one takes the place of the latter altogether."""
+
+
+DECLARED = "declared by the rig"
+FROM_DIFFERENCES = "third differences"
+"""How a noise was found, where it is not from a rest."""
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """``sigma``: standard deviation of each column ``(m,)``; ``rho``: correlation of each column over the usual
+    interval of its samples, 0 (white) to less than 1 ``(m,)``, or one for all; ``source``: how they were found, in
+    words; ``estimated``: what recordings show, where a declared noise took its place ``(m,)``."""
+
+    sigma: np.ndarray
+    rho: np.ndarray
+    source: str
+    estimated: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rho", np.broadcast_to(np.asarray(self.rho, dtype=float), self.sigma.shape))
+
+
+def column_groups(measured: Measured) -> list[np.ndarray]:
+    """Columns that share a unit: forces and torques apart, else all."""
+    if measured.kind == "wrench":
+        return [np.arange(3), np.arange(3, 6)]
+    return [np.arange(measured.values.shape[1])]
+
+
+def quantities(measured: Measured) -> list[tuple[str, np.ndarray]]:
+    """Columns that share a unit, with what they are."""
+    names = ("force", "torque") if measured.kind == "wrench" else ("position",)
+    return list(zip(names, column_groups(measured), strict=True))
+
+
+def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:
+    """Stretches of sample indices in which every end effector stands still: none moves (:func:`moving`) or creeps
+    (:func:`creeping`)."""
+    still = np.ones(len(t), dtype=bool)
+    for trajectory in run.poses.values():
+        spans = np.array(moving(trajectory)).reshape(-1, 2)
+        begun = np.bincount(np.searchsorted(t, spans[:, 0]), minlength=len(t) + 1)
+        over = np.bincount(np.searchsorted(t, spans[:, 1] + REST_MARGIN_S, side="right"), minlength=len(t) + 1)
+        still &= np.cumsum(begun - over)[:-1] == 0
+    for trajectory in run.poses.values():
+        path, noise = _path(trajectory)
+        for stretch in _stretches(still):
+            still[stretch] &= ~creeping(trajectory.times, path, noise, t[stretch])
+    return [stretch for stretch in _stretches(still) if len(stretch) >= MIN_REST_SAMPLES]
+
+
+def _stretches(mask: np.ndarray) -> list[np.ndarray]:
+    """Indices in a row at which ``mask`` holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _path(trajectory: PoseTrajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [m] and turns [rad] against the first pose ``(n, 6)``, and the noise of each."""
+    rotation = Rotation.from_quat(trajectory.quaternions)
+    path = np.column_stack([trajectory.positions, (rotation * rotation[0].inv()).as_rotvec()])
+    second = np.diff(path, n=2, axis=0)
+    return path, 1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0) if len(second) else np.zeros(6)
+
+
+def creeping(stamps: np.ndarray, path: np.ndarray, noise: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """At which of the times ``t`` ``(n,)`` of a stretch without motion an end effector creeps: it gets farther than
+    :data:`STILL_WITHIN` in the :data:`CREEP_WINDOW_S` about them, or in all that is left of the stretch.
+    ``stamps`` ``(k,)``, ``path`` ``(k, 6)``, ``noise`` ``(6,)``: its poses (:func:`_path`).
+
+    However slow a press is, what it does to readings is no noise. Noisy poses are averaged over
+    :data:`STILL_WINDOW_S`; ranges of up to 8 of the deviations that are left are no creep.
+    """
+    about = slice(max(int(np.searchsorted(stamps, t[0])) - 1, 0), int(np.searchsorted(stamps, t[-1], side="right")) + 1)
+    stamps, path = stamps[about], path[about]
+    times = np.unique(np.concatenate([t[:1], stamps[(stamps > t[0]) & (stamps < t[-1])], t[-1:]]))
+    place = np.column_stack([np.interp(times, stamps, column) for column in path.T])
+    total = np.concatenate([np.zeros((1, 6)), np.cumsum(place, axis=0)])
+    first, last = _within(times, STILL_WINDOW_S)
+    place = (total[last] - total[first]) / (last - first)[:, None]
+    limit = STILL_WITHIN + 8.0 * noise / np.sqrt(np.min(last - first))
+    first, last = _within(times, CREEP_WINDOW_S)
+    creeps = (np.abs(place[last - 1] - place[first]) > limit).any(axis=1)
+    for stretch in _stretches(~creeps):
+        creeps[stretch] = (np.ptp(place[stretch], axis=0) > limit).any()
+    return np.asarray(np.interp(t, times, creeps.astype(float)) > 0.0)
+
+
+def _within(times: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
+    """The first, and one past the last, of the times in the window about each."""
+    return np.searchsorted(times, times - 0.5 * window), np.searchsorted(times, times + 0.5 * window, side="right")
+
+
+def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
+    """Spans of time [s] in which an end effector moves, faster than 0.1 mm/s or 1 mrad/s.
+
+    A measured pose has noise, which looks like speed between neighbouring samples. Where it does, the means
+    of :data:`STILL_WINDOW_S` before and after an instant are compared instead. A single pose is that of one that
+    stands still.
+    """
+    t = trajectory.times
+    if len(t) < 2:
+        return []
+    path, noise = _path(trajectory)
+    limit = STILL_WITHIN / STILL_WINDOW_S
+    pause = float(np.median(np.diff(t)))
+    if np.all(noise < limit * pause):
+        busy = (np.abs(np.diff(path, axis=0)) > limit * np.diff(t)[:, None]).any(axis=1)
+        return [(float(t[k]), float(t[k + 1])) for k in np.flatnonzero(busy)]
+    total = np.concatenate([np.zeros((1, 6)), np.cumsum(path, axis=0)])
+    first, last = np.searchsorted(t, t - STILL_WINDOW_S), np.searchsorted(t, t + STILL_WINDOW_S, side="right")
+    here = np.arange(len(t))
+    before = (total[here + 1] - total[first]) / (here + 1 - first)[:, None]
+    after = (total[last] - total[here]) / (last - here)[:, None]
+    fewest = np.minimum(here + 1 - first, last - here)[:, None]
+    change = np.abs(after - before)
+    busy = (change > STILL_WITHIN + 4.0 * noise * np.sqrt(2.0 / fewest)).any(axis=1)
+    return [(float(t[k]) - pause, float(t[k]) + pause) for k in np.flatnonzero(busy)]
+
+
+def standing_still(trajectory: PoseTrajectory, least_s: float) -> list[tuple[float, float]]:
+    """Spans of time [s] of at least ``least_s`` in which an end effector stands still."""
+    t = trajectory.times
+    spans, since = [], float(t[0])
+    for begin, end in [*moving(trajectory), (float(t[-1]), float(t[-1]))]:
+        if begin - since >= least_s:
+            spans.append((since, begin))
+        since = max(since, end)
+    return spans
+
+
+def channel_noise(rig: Rig, runs: Sequence[Run], held_out: Sequence[Run] = ()) -> dict[str, ChannelNoise]:
+    """Noise of every channel that the runs have: estimated, or declared where that is much larger.
+
+    ``held_out``: runs that are not fitted. They tell the noise only of channels that no other has.
+    """
+    found = channel_noise(rig, held_out) if held_out else {}
+    for channel in sorted({m.channel for run in runs for m in run.measured}):
+        declared = declared_noise(rig, channel)
+        if declared.all() and _far_apart(rig, runs, channel):
+            found[channel] = as_declared(rig, next(m for run in runs for m in run.measured if m.channel == channel))
+        else:
+            found[channel] = unless_larger(estimate_noise(list(runs), channel), declared)
+    return found
+
+
+def _far_apart(rig: Rig, runs: Sequence[Run], channel: str) -> bool:
+    """Whether no reading of a channel has a neighbour within :data:`NEIGHBOURS` of its sampling intervals."""
+    rate = (rig.sensors.get(channel) or rig.cameras[channel]).rate_hz
+    pauses = [np.diff(m.t) for run in runs for m in run.measured if m.channel == channel]
+    return all((pause > NEIGHBOURS / rate).all() for pause in pauses)
+
+
+def declared_noise(rig: Rig, channel: str) -> np.ndarray:
+    """Standard deviation that a rig declares for a channel in its units: six components, or one number."""
+    levels = list(_declared(rig, channel).values())
+    return np.repeat(levels, 3) if len(levels) == 2 else np.array(levels)
+
+
+def _declared(rig: Rig, channel: str) -> dict[str, float]:
+    """The same by the keys of the rig."""
+    if channel in rig.cameras:
+        return {"position_px": rig.cameras[channel].noise.position_px}
+    sensor = rig.sensors[channel]
+    if isinstance(sensor, WrenchSensor):
+        return {"force_n": sensor.noise.force_n, "torque_nm": sensor.noise.torque_nm}
+    assert isinstance(sensor, MarkerSensor)
+    return {"position_m": sensor.noise.position_m}
+
+
+def as_declared(rig: Rig, measured: Measured) -> ChannelNoise:
+    """The noise that a rig declares for each column of a channel, white; 1 where it declares none, which it need not
+    for components that are not measured."""
+    columns = measured.values.shape[1:]
+    sigma = np.broadcast_to(declared_noise(rig, measured.channel), columns)
+    return ChannelNoise(np.where(sigma > 0.0, sigma, 1.0), np.zeros(columns), DECLARED)
+
+
+def undeclared(rig: Rig) -> list[str]:
+    """Sensors and cameras of a rig, with what they measure, for which it declares no noise."""
+    return [
+        f"{channel} ({quantity})"
+        for channel in (*rig.sensors, *rig.cameras)
+        for quantity, sigma in _declared(rig, channel).items()
+        if sigma == 0.0 and _measures(rig, channel, quantity)
+    ]
+
+
+def _measures(rig: Rig, channel: str, quantity: str) -> bool:
+    """Whether a channel measures a quantity: a gauge of forces has no torques."""
+    sensor = rig.sensors.get(channel)
+    if not isinstance(sensor, WrenchSensor):
+        return True
+    return any(component.startswith(quantity.split("_")[0]) for component in sensor.measures)
+
+
+def unless_larger(noise: ChannelNoise, declared: np.ndarray) -> ChannelNoise:
+    """The estimated noise, unless the declared one is much larger.
+
+    A declared noise that is much larger than the estimate replaces it, and is white in those columns: the estimate was
+    then found in a scatter (of interpolated or smoothed samples) that is not the noise.
+    """
+    floor = np.broadcast_to(declared, noise.sigma.shape)
+    larger = floor > REPLACED_FROM * noise.sigma
+    if larger.any():
+        sigma = np.maximum(noise.sigma, floor)
+        return ChannelNoise(sigma, np.where(larger, 0.0, noise.rho), DECLARED, noise.sigma)
+    return noise
+
+
+def overruled(runs: Sequence[Run], noise: Mapping[str, ChannelNoise]) -> list[str]:
+    """A sentence for each quantity whose declared noise took the place of the estimated one, if that tells anything."""
+    said: dict[tuple[str, str], str] = {}
+    for m in (m for run in runs for m in run.measured):
+        found = noise[m.channel]
+        if found.estimated is None or len(m.t) < MIN_REST_SAMPLES:
+            continue
+        for unit, (quantity, group) in zip(UNITS[m.kind], quantities(m), strict=False):
+            seen = group[np.isfinite(m.values[:, group]).any(axis=0)]
+            declared, shown = (np.median(sigma[seen]) if len(seen) else 0.0 for sigma in (found.sigma, found.estimated))
+            if declared > REPLACED_FROM * shown > 1e-9 * declared:
+                said[(m.channel, quantity)] = (
+                    f"The noise of the {quantity} of {m.channel} is {declared:.3g} {unit}, as the rig declares; "
+                    f"recordings show {shown:.2g} {unit}. Unless they were smoothed or interpolated, correct the rig."
+                )
+    return list(said.values())
+
+
+def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
+    """Noise of one channel over all runs that have it."""
+    found = [(r, m) for r in runs for m in r.measured if m.channel == channel]
+    columns = found[0][1].values.shape[1]
+    sigma, rho = np.zeros(columns), np.zeros(columns)
+    source = FROM_DIFFERENCES
+    for group in column_groups(found[0][1]):
+        first: list[_Stretch] = []
+        rest: list[_Stretch] = []
+        jumps: list[float] = []
+        extent = 0.0
+        for run, measured in found:
+            values = measured.values[:, group]
+            values = values[:, np.isfinite(values).any(axis=0)]
+            if not values.size:
+                continue
+            extent = max(extent, float(np.nanmax(np.nanmax(values, axis=0) - np.nanmin(values, axis=0))))
+            jumps += by_differences(values, measured.t)
+            at = paced(measured.t)
+            for stretch in quiet(run, measured.t):
+                scatter = _scatter(values[stretch], at[stretch])
+                if scatter is not None:
+                    (first if stretch[0] == 0 else rest).append(scatter)
+        if first:
+            size = [s.size for s in first]
+            level = float(np.sqrt(np.average([s.level**2 for s in first], weights=size)))
+            colour = float(np.average([s.rho for s in first], weights=size))
+            source = "rest at the start"
+        elif rest:
+            # Slow decay within a stretch adds to its scatter and to its colour: the quieter half is the noise.
+            level = _quantile([s.level for s in rest], [s.size for s in rest], 0.25)
+            colour = _quantile([s.rho for s in rest], [s.size for s in rest], 0.5)
+            source = "quiet stretches"
+        else:
+            level, colour = (float(np.median(jumps)) if jumps else 0.0), 0.0
+        rounding = common_step(column for _, m in found for column in m.values[:, group].T) / np.sqrt(12.0)
+        sigma[group] = max(level, rounding, FLOOR_SHARE * extent, 1e-12)
+        rho[group] = min(colour, MOST_COLOURED) if colour > WHITE else 0.0
+    return ChannelNoise(sigma, rho, source)
+
+
+def by_differences(values: np.ndarray, t: np.ndarray) -> list[float]:
+    """Standard deviation of white noise that has the third differences of ``values`` ``(n, m)`` at the times ``t`` [s]
+    ``(n,)``; empty without any. Where samples are missing between neighbours, as long as there are others, their
+    differences are left out: they are motion."""
+    third = np.diff(values, n=3, axis=0)
+    there, gap = np.isfinite(third), np.diff(paced(t)) >= NEXT
+    whole = there & ~(gap[:-2] | gap[1:-1] | gap[2:])[:, None]
+    third = third[whole if whole.any() else there]
+    return [1.4826 * float(np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0)] if len(third) else []
+
+
+def _quantile(values: list[float], weights: list[int], share: float) -> float:
+    """Value below which this share of the weight is, on a straight line between the middles of the weights."""
+    order = np.argsort(values, kind="stable")
+    weight = np.asarray(weights, dtype=float)[order]
+    middle = (np.cumsum(weight) - 0.5 * weight) / weight.sum()
+    return float(np.interp(share, middle, np.asarray(values)[order]))
+
+
+class _Stretch(NamedTuple):
+    """Noise of a quiet stretch: standard deviation, lag-one correlation, number of readings."""
+
+    level: float
+    rho: float
+    size: int
+
+
+def _scatter(values: np.ndarray, at: np.ndarray) -> _Stretch | None:
+    """Noise of a quiet stretch, after removing a line from each column, by the readings that are there; None where no
+    column has enough of them. ``at`` ``(n,)``: their times (:func:`sysid.noise.sampling_interval.paced`)."""
+    values = values[:, np.isfinite(values).sum(axis=0) >= MIN_REST_SAMPLES]
+    good = np.isfinite(values)
+    if not good.any():
+        return None
+    base = np.column_stack([np.ones(len(at)), 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0])
+    residual = np.zeros(values.shape)
+    for there in np.unique(good, axis=1).T:
+        alike = (good == there[:, None]).all(axis=0)
+        seen, line = values[np.ix_(there, alike)], base[there]
+        residual[np.ix_(there, alike)] = seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0]
+    near = (np.diff(at) < NEXT)[:, None]
+    size, pairs = int(good.sum()), int((near & good[1:] & good[:-1]).sum())
+    variance = np.sum(residual**2) / (size - 2 * values.shape[1])
+    # Of readings in a row the line takes up two pairs; of others in proportion.
+    taken = 2 * values.shape[1] * pairs / (size - values.shape[1])
+    if variance <= 0.0 or pairs <= 2 * values.shape[1]:
+        return _Stretch(float(np.sqrt(variance)), 0.0, size)
+    product = np.sum(near * residual[1:] * residual[:-1]) / (pairs - taken)
+    # Removing a line biases the correlation down by about 2 (1 + rho) / n.
+    rho = product / variance
+    rho = min(float(rho + 2.0 * (1.0 + rho) * values.shape[1] / size), MOST_COLOURED)
+    return _Stretch(float(np.sqrt(variance / _share_left(at, max(rho, 0.0), base))), rho, size)
+
+
+def _share_left(at: np.ndarray, rho: float, base: np.ndarray) -> float:
+    """Share of the variance of noise with lag-one correlation ``rho``, at the times ``at`` ``(n,)`` in usual intervals,
+    that is left beside the columns of ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
+    n = len(at)
+    if rho == 0.0 or n > LONGEST_EXACT:
+        return 1.0
+    correlation = rho ** np.abs(np.subtract.outer(at, at))
+    q = np.linalg.qr(base)[0]
+    return float((n - np.sum(q * (correlation @ q))) / (n - 2))

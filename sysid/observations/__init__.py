@@ -1,0 +1,1 @@
+"""Readings of recordings and how they are matched to a rig."""

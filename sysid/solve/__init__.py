@@ -1,0 +1,1 @@
+"""Estimation: residuals, Gauss-Newton, trust region, variable projection, outliers, covariance."""

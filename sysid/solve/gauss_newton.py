@@ -1,0 +1,180 @@
+"""The search for the parameters that fit best: trust region, bounds, analytic derivatives, in stages.
+
+A stage ends when chi-square improves by less than chance makes of it, kappa = :func:`chance`, and no parameter is
+asked to go on by more than a small share of its standard deviation: kappa is a mean over all of them, and one of
+which the misfit says nothing is known better than that. While the model is wrong its misfit has structure, kappa is
+large, and chi-square counts the same evidence kappa times; the prior, where there is one, is then weighed up as much,
+so that parameters do not run to where no material is to cover what the model lacks (a tempered posterior, Gruenwald &
+van Ommen 2017). As the fit improves kappa falls, and the next stage goes on with what it is then, down to 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from sim_core.errors import ThinshellError
+from sysid.model.parameters import FitParameter
+from sysid.solve.covariance import chance, uncertainty
+from sysid.solve.nonsmooth_trust_region import USED_UP, Point, minimise
+from sysid.solve.optimum import Fitted
+
+HALTED = "it came on slowly beside an error of mesh and time step that was measured elsewhere"
+
+SHARPER = 0.5
+"""A search that ends where chance makes less than this of what was thought before goes on from there."""
+
+FRESH = 0.1
+"""Least radius, in plausible widths, with which a search goes on after another one."""
+
+IN_SIGHT = 0.9
+"""Least share of the readings that were in sight anywhere that a point must have in sight, since those of it that are
+not say nothing of it."""
+
+
+SHORT = 0.2
+"""Step that is too short to be taken, in standard deviations of each parameter that is asked for."""
+
+
+class Search:
+    """One minimisation. ``evaluate``: the problem at scaled values ``(p,)``; ``parameters``: at least one;
+    ``on_evaluation``: told after each evaluation, also one that failed, what is best so far. ``halt``: whether to end
+    the search before its time, given the best chi-square after each evaluation."""
+
+    def __init__(
+        self,
+        evaluate: Callable[[np.ndarray], Fitted],
+        parameters: Sequence[FitParameter],
+        on_evaluation: Callable[[Fitted], None] | None,
+        halt: Callable[[Sequence[float]], bool] | None = None,
+    ) -> None:
+        self._evaluate = evaluate
+        self._parameters = parameters
+        self._on_evaluation = on_evaluation
+        self._best: Fitted | None = None
+        self._last: Fitted | None = None
+        self._halt = halt
+        self._course: list[float] = []
+        self._evaluations = 0
+        self._seen = 0
+        self._last_seen: np.ndarray | None = None
+        self._weight = 1.0
+
+    @property
+    def best(self) -> Fitted:
+        if self._best is None:
+            raise ValueError("nothing has been evaluated")
+        return self._best
+
+    def run(self, start: np.ndarray, max_evaluations: int, tolerance: float) -> Fitted:
+        """Search from scaled values ``(p,)``. Raises ``ThinshellError`` if they cannot be simulated; Ctrl-C
+        keeps the best so far."""
+        low, high = np.array([p.scaled_bounds for p in self._parameters]).T
+        scale = np.array([min(p.prior_sd, 1.0) for p in self._parameters])
+        message, converged, radius, halted, interrupted = "", True, 1.0, False, False
+        try:
+            self._look(np.clip(start, low, high))
+            while True:
+                self._weight = chance(self.best)
+                begin = self.best.scaled
+
+                def point(z: np.ndarray, begin: np.ndarray = begin) -> Point | None:
+                    """The problem where z is, whose unit is the scale; z begins at 0."""
+                    here = self._look(np.clip(begin + scale * z, low, high))
+                    if here is None:
+                        return None
+                    return Point(z, self._weigh(here, self._whole(here)), self._weigh(here, here.jacobian * scale))
+
+                first = point(np.zeros(len(scale)))
+                assert first is not None
+                end = minimise(
+                    point,
+                    first,
+                    ((low - begin) / scale, (high - begin) / scale),
+                    tolerance=tolerance * self._weight,
+                    go_on=lambda: self._evaluations < max_evaluations and not self._halted(),
+                    short=lambda step: self._short(scale * step),
+                    radius=radius,
+                )
+                message, converged, radius = end.message, end.converged, max(end.radius, FRESH)
+                halted = self._halted()
+                if halted:
+                    message, converged = HALTED, False
+                    break
+                if chance(self.best) > SHARPER * self._weight:
+                    break
+                if self._evaluations >= max_evaluations:
+                    message, converged = USED_UP, False
+                    break
+        except KeyboardInterrupt:
+            if self._best is None:
+                raise
+            interrupted = True
+        found = self.best
+        found.evaluations, found.converged, found.message = self._evaluations, converged, message
+        found.began, found.elsewhere = self._course[0], halted
+        if interrupted:
+            found.interrupt()
+        return found
+
+    def _short(self, step: np.ndarray) -> bool:
+        """Whether a step from the best point ``(p,)`` moves what was asked for by little of what it is known by."""
+        asked = np.array([not p.nuisance for p in self._parameters])
+        return bool(np.all(np.abs(step)[asked] <= SHORT * uncertainty(self.best).sd[asked]))
+
+    def _halted(self) -> bool:
+        return self._halt is not None and self._halt(self._course)
+
+    def _look(self, scaled: np.ndarray) -> Fitted | None:
+        """The problem at these values; None where they cannot be simulated, or hide what is in sight at the best."""
+        for known in (self._last, self._best):
+            if known is not None and np.array_equal(known.scaled, scaled):
+                return known
+        try:
+            here = self._evaluate(scaled.copy())
+        except ThinshellError:
+            if self._best is None:
+                raise
+            self._tell(1)
+            return None
+        self._seen = max(self._seen, here.samples)
+        if self._best is not None and here.samples < IN_SIGHT * self._seen:
+            self._tell(here.evaluations)
+            return None
+        self._last = here
+        if self._best is None or self._weighted(here) < self._weighted(self._best):
+            self._last_seen = self._whole(here)
+            self._best = here
+        self._tell(here.evaluations)
+        return here
+
+    def _tell(self, evaluations: int) -> None:
+        """A look has been taken, which has cost an evaluation or none."""
+        self._evaluations += evaluations
+        self._course.append(self.best.chi2)
+        if evaluations and self._on_evaluation is not None:
+            self._on_evaluation(self.best)
+
+    def _weigh(self, fitted: Fitted, rows: np.ndarray) -> np.ndarray:
+        """Rows of the residual or the jacobian with the prior's weighed up."""
+        if not fitted.has_prior or self._weight == 1.0:
+            return rows
+        weighed: np.ndarray = rows.copy()
+        weighed[-fitted.pulls :] *= np.sqrt(self._weight)
+        return weighed
+
+    def _whole(self, fitted: Fitted) -> np.ndarray:
+        """The residual ``(n,)`` with what is out of sight as it was missed at the best point that had it in sight, so
+        that nothing is gained by hiding a reading. What none had in sight counts as the rest does on average: nothing
+        is lost by seeing it, unless it is missed by more."""
+        if fitted.sight is None or fitted.sight.all():
+            return fitted.residual
+        unknown = self._last_seen
+        if unknown is None:
+            unknown = np.full(len(fitted.residual), np.sqrt(fitted.misfit))
+        return np.where(fitted.sight, fitted.residual, unknown)
+
+    def _weighted(self, fitted: Fitted) -> float:
+        residual = self._weigh(fitted, self._whole(fitted))
+        return float(residual @ residual)

@@ -1,0 +1,48 @@
+"""What ends a part of a fit before its time, and leaves what was found before."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+
+from sim_core.batch import worker_ended
+from sim_core.errors import ThinshellError
+from sysid.solve.optimum import Fitted
+
+ENDS_EARLY = (KeyboardInterrupt, ThinshellError, BrokenProcessPool)
+"""Ctrl-C, what cannot be simulated, and a worker process that has ended."""
+
+
+def why(error: BaseException) -> str:
+    """The error in words."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted."
+    if isinstance(error, BrokenProcessPool):
+        return str(worker_ended())
+    return str(error) if isinstance(error, ThinshellError) else f"{type(error).__name__}: {error}"
+
+
+def stop(fitted: Fitted, error: BaseException, left: str) -> None:
+    """Let a fit stand at what was found, as not converged. ``left``: what was not done for the error, in words."""
+    if isinstance(error, KeyboardInterrupt):
+        fitted.interrupt()
+        fitted.message += f"; {left}"
+    else:
+        fitted.converged, fitted.message = False, f"{left}. {why(error)}"
+
+
+@contextmanager
+def to_the_end() -> Iterator[None]:
+    """Ctrl-C does nothing within the block, in which what was found is put together: seconds in which all of it would
+    be lost."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)

@@ -1,0 +1,1 @@
+"""How far estimates can be believed: profile likelihood, conflicts with priors, goodness of fit."""

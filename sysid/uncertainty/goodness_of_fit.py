@@ -1,0 +1,95 @@
+"""What a fit leaves unexplained, quantity by quantity.
+
+One wrench among a thousand markers may be missed by far while the misfit of all readings together is that of noise, so
+each quantity of each channel of each run is judged by itself: the mean square of its whitened residual, 1 where noise
+alone is left. The discretisation error is allowed for as far as it is believed
+(:func:`sysid.solve.discretisation_basis.believed`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid.noise.estimate import quantities
+from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
+
+GOOD_MISFIT = 1.5
+"""Mean square of a whitened residual up to which noise, whose size is estimated from a rest, may have left it."""
+
+CHANCE = 4.0
+"""Where readings are few: standard deviations by which the mean square of white noise may be above 1."""
+
+FEWEST = 20
+"""Readings of a run from which one of its quantities is judged by itself; fewer are judged with those of other runs."""
+
+
+@dataclass(frozen=True)
+class LeftOver:
+    """Mean square of the whitened residual of one ``quantity`` of a ``channel`` in a ``run``; empty: in all that have
+    few readings of it. ``samples``: number of readings."""
+
+    run: str
+    channel: str
+    quantity: str
+    misfit: float
+    samples: int
+
+    @property
+    def excess(self) -> float:
+        """The misfit in units of what noise may leave, times :data:`GOOD_MISFIT`."""
+        return GOOD_MISFIT * self.misfit / max(GOOD_MISFIT, 1.0 + CHANCE * float(np.sqrt(2.0 / self.samples)))
+
+
+def left_over(problem: Problem, fitted: Fitted) -> list[LeftOver]:
+    """All quantities, the discretisation error and biases allowed for."""
+    found = []
+    few: dict[tuple[str, str], list[np.ndarray]] = {}
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            white = problem.judged(i, m, m.values - problem.explained(fitted, i, m))
+            for quantity, group in quantities(m):
+                seen = white[:, group][np.isfinite(white[:, group])]
+                if len(seen) >= FEWEST:
+                    found.append(LeftOver(run.name, m.channel, quantity, float(np.mean(seen**2)), len(seen)))
+                elif len(seen):
+                    few.setdefault((m.channel, quantity), []).append(seen)
+    for (channel, quantity), parts in few.items():
+        seen = np.concatenate(parts)
+        found.append(LeftOver("", channel, quantity, float(np.mean(seen**2)), len(seen)))
+    return found
+
+
+def worst(problem: Problem, fitted: Fitted) -> float:
+    """The largest :attr:`LeftOver.excess` of any quantity; 0 without readings."""
+    return max((found.excess for found in left_over(problem, fitted)), default=0.0)
+
+
+def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
+    """Sentences, if more than noise is left in any quantity: in which, and what that means for the values. Also whether
+    the recordings may be of another rig."""
+    most: dict[tuple[str, str], LeftOver] = {}
+    for found in left_over(problem, fitted):
+        known = most.get((found.channel, found.quantity))
+        if found.excess > max(GOOD_MISFIT, known.excess if known else 0.0):
+            most[found.channel, found.quantity] = found
+    if not most:
+        return []
+    parts = [
+        f"{np.sqrt(found.misfit):.2g} times the noise in the {quantity} of {channel}"
+        + (f" ({found.run})" if found.run and len(problem.runs) > 1 else "")
+        for (channel, quantity), found in most.items()
+    ]
+    said = f"The rig does not explain the recordings: what it leaves is {', '.join(parts)}."
+    if problem.error_shapes:
+        said += " Twice the error of mesh and time step that one refinement shows is allowed for."
+    if fitted.parameters:
+        said += (
+            " Intervals are widened by the misfit, but a law that is missing, or a minimum that is not the lowest, can "
+            "pull values further away than they say: 'thinshell diagnose' looks for the one, '--starts 5' for the "
+            "other."
+        )
+    foreign = {run.path: f"{run.name}: {run.unlike}" for run in problem.runs if run.unlike}
+    return [said, *foreign.values()]

@@ -1,0 +1,182 @@
+"""Verdicts from the outcome of fits, and the whitening and noise they rest on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sim_core.effects import effect_by_name
+from sysid.diagnosis.hypotheses import log_evidence
+from sysid.diagnosis.model_selection import Trial, decide, held_out_gain, probabilities, significance
+from sysid.diagnosis.residual_analysis import Part, Structure
+from sysid.model.parameters import FitParameter
+from sysid.noise.estimate import ChannelNoise
+from sysid.noise.whitening import whiten
+from sysid.solve.optimum import Fitted
+
+
+def structure(per_score: float, excess: float, own: float) -> Structure:
+    return Structure((Part(excess, round(excess / (per_score - 1.0)), own),))
+
+
+def trial(
+    name: str, gain: float, explained: float = 0.95, held_out: float | None = 0.3, left: Structure | None = None
+) -> Trial:
+    return Trial(
+        effect_by_name(name),
+        cast(Fitted, SimpleNamespace()),
+        gain,
+        explained,
+        left or structure(1.1, 100, 1e3),
+        held_out,
+    )
+
+
+QUIET = structure(1.1, 100.0, 1000.0)
+LOUD = structure(5.0, 5000.0, 1000.0)
+
+
+@pytest.mark.parametrize(
+    ("trials", "before", "kind"),
+    [
+        ([], QUIET, "nothing_missing"),
+        ([], LOUD, "unknown"),
+        ([trial("air_drag", 3.0)], QUIET, "nothing_missing"),
+        ([trial("air_drag", 3.0)], LOUD, "unknown"),
+        ([trial("air_drag", 40.0)], QUIET, "named"),
+        ([trial("air_drag", 40.0, held_out=-0.1)], QUIET, "nothing_missing"),
+        ([trial("air_drag", 40.0, held_out=-0.1)], LOUD, "unknown"),
+        ([trial("air_drag", 400.0, explained=0.3, left=LOUD)], LOUD, "unknown"),
+        ([trial("air_drag", 400.0, explained=0.9, left=LOUD)], LOUD, "named"),
+        ([trial("air_drag", 40.0), trial("stream_delay", 38.0)], LOUD, "one_of"),
+        ([trial("air_drag", 40.0), trial("stream_delay", 20.0)], LOUD, "named"),
+        # Structure that the discretisation error could leave is not blamed on physics.
+        ([], structure(5.0, 5000.0, 20000.0), "nothing_missing"),
+        ([trial("air_drag", 400.0, explained=0.4, left=structure(2.0, 3000.0, 7000.0))], LOUD, "named"),
+    ],
+)
+def test_verdicts(trials, before, kind):
+    assert decide(trials, before).kind == kind
+
+
+def test_what_only_held_out_recordings_show_is_missing_too():
+    assert decide([], QUIET, QUIET).kind == "nothing_missing"
+    assert decide([], QUIET, LOUD).kind == "unknown"
+
+
+def test_a_loud_quantity_is_not_drowned_by_quiet_ones():
+    quiet = tuple(Part(0.0, 1500, 10.0) for _ in range(4))
+    torque = Part(16.0 * 72, 72, 10.0)
+    assert Structure((*quiet, torque)).whole.per_score < 1.3
+    assert Structure((*quiet, torque)).missing
+    assert not Structure((*quiet, Part(0.7 * 10, 10, 0.1))).missing, "ten scores say little"
+    assert Structure((*quiet, replace(torque, own=1e5))).hidden
+
+
+def test_an_amplitude_that_may_be_none_is_no_answer():
+    shaky = replace(trial("sheet_orthotropy", 95.0), significance=1.8)
+    assert decide([shaky], QUIET).kind == "nothing_missing"
+    assert "1.8 of 3 deviations" in shaky.rejected
+    assert decide([replace(shaky, significance=4.0)], QUIET).kind == "named"
+
+
+def fitted_with(columns, residual, parameters):
+    nothing, labels = cast(Any, None), [(0, "gauge", np.linspace(0.0, 1.0, len(residual)))]
+    scaled = np.zeros(len(parameters))
+    return Fitted(parameters, scaled, nothing, residual, columns, labels, [], nothing, 1, True, "")
+
+
+def test_an_improvement_is_worth_less_where_misfit_is_smooth_in_time():
+    """White misfit leaves the likelihood ratio as it is; misfit that drifts over the run deflates it."""
+    rng = np.random.default_rng(0)
+    drag = [FitParameter("effects.air_drag.drag_coefficient", "-", False, 0.0, 9.0, 1.0, "")]
+    column = np.ones((600, 1))
+    white = rng.standard_normal(600)
+    smooth = white + 2.0 * np.sin(np.linspace(0.0, 2.0 * np.pi, 600))
+    effect = effect_by_name("air_drag")
+    assert significance(effect, fitted_with(column, white, drag), 50.0) == pytest.approx(10.0, rel=0.35)
+    assert significance(effect, fitted_with(column, smooth, drag), 50.0) < 2.5
+
+
+def test_an_amplitude_known_only_as_a_ratio_is_no_reason_for_doubt():
+    """Drag and density both scale with an unknown factor; that neither is known alone says nothing of drag."""
+    rng = np.random.default_rng(0)
+    names = ("effects.air_drag.drag_coefficient", "strip.density_kg_m3")
+    both = [FitParameter(n, "-", False, 0.0, 9.0, 1.0, "") for n in names]
+    shape = rng.standard_normal(600)
+    columns = np.column_stack([shape, -shape])
+    assert significance(effect_by_name("air_drag"), fitted_with(columns, rng.standard_normal(600), both), 800.0) > 20.0
+
+
+def test_the_best_comes_first_and_probabilities_follow_the_evidence():
+    trials = [trial("air_drag", 20.0), trial("stream_delay", 23.0), trial("gel_relaxation", 2.0)]
+    verdict = decide(trials, LOUD)
+    assert [t.effect.name for t in verdict.named] == ["stream_delay", "air_drag"]
+    chances = probabilities(trials)
+    assert chances["stream_delay"] / chances["air_drag"] == pytest.approx(np.exp(3.0))
+    assert sum(chances.values()) < 1.0 + 1e-12
+
+
+def test_held_out_gain_is_not_decided_by_a_few_samples():
+    rng = np.random.default_rng(0)
+    plain = rng.standard_normal(2000) * 1.5
+    better = plain / 1.5
+    assert held_out_gain(plain, better) > 0.3
+    spiked = better.copy()
+    spiked[:2] = 30.0
+    assert held_out_gain(plain, spiked) > 0.2
+    assert held_out_gain(better, plain) < 0.0
+
+
+def test_whitening_makes_coloured_noise_white():
+    rng = np.random.default_rng(1)
+    rho, sigma = 0.7, 0.02
+    noise = np.zeros((20000, 1))
+    for k in range(1, len(noise)):
+        noise[k] = rho * noise[k - 1] + sigma * np.sqrt(1 - rho**2) * rng.standard_normal(1)
+    white = whiten(noise, ChannelNoise(np.array([sigma]), rho, "test"), np.arange(len(noise)) / 100.0)
+    assert np.std(white) == pytest.approx(1.0, abs=0.02)
+    assert np.mean(white[1:] * white[:-1]) == pytest.approx(0.0, abs=0.03)
+
+
+@pytest.mark.parametrize("temper", [1.0, 10.0])
+def test_evidence_does_not_depend_on_where_a_search_of_a_linear_model_ended(temper):
+    rng = np.random.default_rng(0)
+    parameter = FitParameter("a", "-", False, -9.0, 9.0, 0.5, "")
+    slope, miss = rng.standard_normal(50), rng.standard_normal(50)
+
+    def at(value):
+        jacobian = np.append(slope, 1.0 / parameter.prior_sd)[:, None]
+        residual = np.append(miss + slope * value, value / parameter.prior_sd)
+        return cast(Fitted, SimpleNamespace(
+            parameters=[parameter], jacobian=jacobian, residual=residual, chi2=float(residual @ residual)))  # fmt: skip
+
+    best = -(slope @ miss) / temper / (slope @ slope / temper + parameter.prior_sd**-2)
+    values = [log_evidence(at(value), temper) for value in (best, best + 0.3, 0.0)]
+    assert values == pytest.approx([values[0]] * 3, abs=1e-9)
+    data, pull = miss + slope * best, best / parameter.prior_sd
+    exact = -0.5 * (data @ data / temper + pull**2)
+    width = -0.5 * np.log((slope @ slope / temper + parameter.prior_sd**-2) * parameter.prior_sd**2)
+    assert values[0] == pytest.approx(exact + width, abs=1e-9)
+
+
+@pytest.mark.parametrize("temper", [1.0, 10.0, 1000.0])
+def test_a_parameter_that_the_data_do_not_touch_is_no_evidence(temper):
+    rng = np.random.default_rng(0)
+    known = FitParameter("a", "-", False, -9.0, 9.0, 0.5, "")
+    idle = FitParameter("b", "-", False, -9.0, 9.0, 3.0, "")
+    slope, miss = rng.standard_normal((50, 1)), rng.standard_normal(50)
+
+    def fitted(parameters, columns):
+        jacobian = np.vstack([columns, np.diag([1.0 / p.prior_sd for p in parameters])])
+        residual = np.concatenate([miss, np.zeros(len(parameters))])
+        return cast(Fitted, SimpleNamespace(
+            parameters=parameters, jacobian=jacobian, residual=residual, chi2=float(residual @ residual)))  # fmt: skip
+
+    alone = log_evidence(fitted([known], slope), temper)
+    beside = log_evidence(fitted([known, idle], np.hstack([slope, np.zeros((50, 1))])), temper)
+    assert beside == pytest.approx(alone, abs=1e-9)

@@ -1,0 +1,74 @@
+"""The discretisation error in units of the noise."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.diagnosis.residual_analysis import BLOCKS, _phase, structure
+from sysid.model.load import Measured, Run
+from sysid.model.predictor import Engine
+from sysid.noise.estimate import ChannelNoise
+from sysid.solve.discretisation_basis import ROUGH, ErrorShape, Sizes
+from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
+
+
+def test_what_is_not_measured_does_not_count() -> None:
+    n = 10 * BLOCKS
+    t = np.linspace(0.0, 1.0, n)
+    values = np.full((n, 6), np.nan)
+    values[:, 1] = 0.0  # a gauge along y
+    gauge = Measured("gauge", "wrench", t, values, tuple("abcdef"))
+    run = Run("pull", "", (), {}, (gauge,), 1.0)
+    # Nothing is known of the noise of the other components, and the simulator moves there too.
+    noise = ChannelNoise(np.array([0.1, 0.1, 0.1, 1e-12, 1e-12, 1e-12]), 0.0, "test")
+    known = ErrorShape("mesh", ({"gauge": np.full((n, 6), 0.05)},), mean=1.0)
+    problem = Problem([run], {"gauge": noise}, cast(Engine, None), [known])
+    # Every block of about ten samples, each half a standard deviation off: (10 * 0.5)^2 / 10, with that
+    # deviation widened by what follows no shape.
+    widened = 1.0 + (ROUGH * 0.5) ** 2
+    basis = problem.basis(0, gauge)
+    shared, own = (sum(len(p.instants) for p in parts) for parts in (basis.common, basis.own))
+    none = Sizes(np.zeros(shared), np.zeros((6, own)))
+    prediction = SimpleNamespace(values={"gauge": np.zeros((n, 6))})
+    fitted = SimpleNamespace(scaled=np.zeros(0), sizes={(0, "gauge"): none}, predictions=[prediction])
+    forces, torques = structure(problem, cast(Fitted, fitted)).parts
+    assert forces.own == pytest.approx(0.25 * n / widened, rel=0.01)
+    assert forces.count == BLOCKS
+    assert (torques.own, torques.count) == (0.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "turn_rad_s", "touching", "words"),
+    [
+        (0.0, 0.0, True, "holding in contact"),
+        (5e-5, 5e-4, True, "holding in contact"),
+        (2e-4, 0.0, True, "moving in contact"),  # 40 um in the window
+        (0.0, 5e-3, True, "moving in contact"),
+        (0.0, 5e-3, False, "moving freely"),
+        (0.0, 0.0, False, "at rest without contact"),
+    ],
+)
+def test_slow_motion_and_rotation_are_motion(speed_m_s: float, turn_rad_s: float, touching: bool, words: str) -> None:
+    t = np.linspace(0.0, 1.0, 11)
+    positions = np.outer(t * speed_m_s, [1.0, 0.0, 0.0])
+    turns = Rotation.from_rotvec(np.outer(t * turn_rad_s, [0.0, 0.0, 1.0])).as_quat()
+    run = Run("slow", "", (), {"hand": PoseTrajectory.from_samples(t, positions, turns)}, (), 1.0)
+    reports = [SimpleNamespace(contacts=int(touching))] * 10
+    fitted = SimpleNamespace(predictions=[SimpleNamespace(trace=SimpleNamespace(times=t, reports=reports))])
+    assert _phase(run, cast(Any, fitted), 0, 0.4, 0.6) == words
+
+
+def test_the_end_of_a_motion_in_a_hold_is_a_hold() -> None:
+    t = np.array([0.0, 0.42, 0.6])
+    positions = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.01, 0.0, 0.0]])
+    run = Run("press", "", (), {"hand": PoseTrajectory.from_samples(t, positions, np.eye(4)[[3, 3, 3]])}, (), 1.0)
+    reports = [SimpleNamespace(contacts=1)] * 2
+    fitted = SimpleNamespace(predictions=[SimpleNamespace(trace=SimpleNamespace(times=t, reports=reports))])
+    assert _phase(run, cast(Any, fitted), 0, 0.4, 0.6) == "holding in contact"

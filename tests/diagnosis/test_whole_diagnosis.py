@@ -1,0 +1,224 @@
+"""The whole of a diagnosis, on readings that are sums of known shapes instead of simulations."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from concurrent.futures import Future
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim_core.effects import EFFECTS
+from sim_core.errors import ConvergenceError
+from sim_core.rigs import Rig, parse_rig
+from sysid.diagnosis import diagnose as diagnosing
+from sysid.diagnosis import hypotheses as candidates
+from sysid.diagnosis.result import Diagnosis
+from sysid.model.load import Measured, Run
+from sysid.model.parameters import rig_at
+from sysid.model.predictor import Prediction
+from sysid.noise.estimate import ChannelNoise
+
+T, SIGMA, SHARE = np.linspace(0.0, 1.0, 200), 0.01, 0.3
+MATERIAL, LAW, RIPPLE = (f[:, None] for f in (np.sin(6.0 * T), np.cos(6.0 * T), np.sin(20.0 * T)))
+LAW = np.where(T[:, None] > 0.5, LAW, 0.0)
+TRACE = SimpleNamespace(times=np.array([0.0, 1.0]), reports=[SimpleNamespace(contacts=0)])
+
+Law = Callable[[Rig, Run, bool], np.ndarray]
+"""Readings of a rig in a run, on a refined mesh or not."""
+
+
+def strength(rig: Rig) -> float:
+    return float(rig.effects.get("gel_relaxation", {}).get("share", 0.0))
+
+
+def stiffness(rig: Rig) -> float:
+    return float(np.log(rig.bodies["gel"].material.E_pa / 1e5))  # type: ignore[union-attr]
+
+
+def read(rig: Rig) -> np.ndarray:
+    return np.asarray(MATERIAL * (1.0 + stiffness(rig)) + strength(rig) * LAW)
+
+
+class Sums:
+    """An engine of a law, with derivatives by differences."""
+
+    law: Law
+
+    def __init__(self, *_: Any) -> None:
+        pass
+
+    def __enter__(self) -> Sums:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        pass
+
+    def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        return self._told(rig, run, [], np.zeros(0), refine)
+
+    def submit_with_derivatives(
+        self, rig: Rig, run: Run, parameters: Any, scaled: np.ndarray, refine: int = 1, dt: float | None = None
+    ) -> Future[Prediction]:
+        return self._told(rig, run, parameters, scaled, refine)
+
+    def predict_all(self, rig: Rig, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        return [self._told(rig, run, parameters, scaled, 1).result() for run in runs]
+
+    def _told(self, rig: Rig, run: Run, parameters: Any, scaled: np.ndarray, refine: int) -> Future[Prediction]:
+        future: Future[Prediction] = Future()
+
+        def at(values: np.ndarray) -> np.ndarray:
+            return type(self).law(rig_at(rig, parameters, values) if len(parameters) else rig, run, refine > 1)
+
+        try:
+            values = at(scaled)
+            steps = 1e-5 * np.eye(len(parameters))
+            slopes = [(at(scaled + step) - at(scaled - step)) / 2e-5 for step in steps]
+        except ConvergenceError as error:
+            future.set_exception(error)
+            return future
+        derivatives = {"markers": np.stack(slopes, axis=2)} if slopes else {}
+        future.set_result(Prediction({"markers": values}, derivatives, TRACE))  # type: ignore[arg-type]
+        return future
+
+
+def gel_rig(small: dict[str, Any]) -> Rig:
+    """The gel and its markers alone."""
+    data = copy.deepcopy(small)
+    data["bodies"].pop("card")
+    data["sensors"].pop("wrench")
+    data.pop("cameras")
+    return parse_rig({**data, "clamps": [], "contacts": data["contacts"][1:]}, "gel")
+
+
+def recording(name: str, values: np.ndarray, seed: int) -> Run:
+    data = values + SIGMA * np.random.default_rng(seed).standard_normal(values.shape)
+    return Run(name, name, (name,), {}, (Measured("markers", "markers", T, data, ("u",)),), 1.0)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Diagnosis]:
+    from tests.conftest import SMALL
+
+    def told(law: Law, *, concealed: float = SHARE, held: float = SHARE, rig: Rig | None = None) -> Diagnosis:
+        monkeypatch.setattr(Sums, "law", staticmethod(law), raising=False)
+        monkeypatch.setattr(diagnosing, "PooledEngine", Sums)
+        monkeypatch.setattr(candidates, "EFFECTS", tuple(e for e in EFFECTS if e.name == "gel_relaxation"))
+        noise = {"markers": ChannelNoise(np.array([SIGMA]), 0.0, "declared by the rig")}
+        monkeypatch.setattr(diagnosing, "channel_noise", lambda *_: noise)
+        monkeypatch.setattr(diagnosing, "provenance", lambda *_: {})
+        runs = [recording("press", 1.2 * MATERIAL + concealed * LAW, 1)]
+        others = [recording("other", 1.2 * MATERIAL + held * LAW, 2)]
+        found, _ = diagnosing.diagnose_runs(rig or gel_rig(SMALL), runs, others)
+        return found
+
+    return told
+
+
+def test_a_law_that_is_missing_is_named_where_it_acts(diagnose: Callable[..., Diagnosis]) -> None:
+    """It acts in the second half of the run, wherever noise is left; where it is not, nothing is named."""
+
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        return read(rig) + (0.02 * RIPPLE if fine else 0.0)
+
+    found = diagnose(law)
+    assert found.verdict == "named" and found.effects[0].name == "gel_relaxation"
+    (share,) = (p for p in found.effects[0].parameters if p.name.endswith("share"))
+    assert share.ci95[0] < SHARE < share.ci95[1]
+    windows = found.located.windows["press"]
+    assert windows[0][0] == pytest.approx(0.5, abs=0.05) and windows[-1][1] == pytest.approx(1.0, abs=0.05)
+    assert "100 % of the difference" in found.sentence
+    assert found.amended is not None and found.amended.held_out < found.baseline.held_out
+    assert diagnose(law, concealed=0.0, held=0.0).verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize("own", [0.1, 0.15])
+def test_an_answer_is_not_judged_by_a_discretisation_error_that_it_makes_smaller(
+    diagnose: Callable[..., Diagnosis], own: float
+) -> None:
+    """Beside a smaller discretisation error the same held-out readings weigh more, for the baseline as well."""
+
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        weak = 0.15 if run.name == "other" else 1.0
+        values = MATERIAL * (1.0 + stiffness(rig)) + weak * strength(rig) * LAW
+        return values + ((own * (1.0 - strength(rig) / SHARE) + 0.02) * RIPPLE if fine else 0.0)
+
+    found = diagnose(law, held=0.15 * SHARE)
+    assert found.verdict == "named", found.tried
+    assert found.effects[0].held_out_gain is not None and found.effects[0].held_out_gain > 0.0
+    # The misfits that are reported are those that were compared.
+    assert found.amended is not None and found.amended.held_out is not None and found.baseline.held_out is not None
+    assert found.amended.held_out < found.baseline.held_out
+
+
+def test_an_effect_that_hides_readings_explains_nothing(diagnose: Callable[..., Diagnosis]) -> None:
+    """The last fifth of the readings is off, and out of sight with the effect."""
+
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        values = MATERIAL * (1.0 + stiffness(rig)) + (0.001 * RIPPLE if fine else 0.0)
+        return np.where((T[:, None] > 0.8) & (strength(rig) > 0.0), np.nan, values)
+
+    found = diagnose(law)
+    assert found.verdict == "unknown"
+    assert "out of sight" in found.tried["gel_relaxation"]
+
+
+def test_a_discretisation_error_that_cannot_be_measured_leaves_the_answer_and_is_said(
+    diagnose: Callable[..., Diagnosis],
+) -> None:
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        if fine and strength(rig) > 0.25 and run.name == "press":
+            raise ConvergenceError("The fine mesh does not converge.", "Use another.")
+        return read(rig) + (0.02 * RIPPLE if fine else 0.0)
+
+    found = diagnose(law)
+    assert found.verdict == "named", found.tried
+    (said,) = (note for note in found.notes if "did not converge" in note)
+    assert "The fit with" in said and "discretisation error is not known" in said
+
+
+def test_the_baseline_goes_on_beside_the_discretisation_error_measured_last(diagnose: Callable[..., Diagnosis]) -> None:
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        if fine and stiffness(rig) > 0.1 and run.name == "press":
+            raise ConvergenceError("The fine mesh does not converge.", "Use another.")
+        return read(rig) + (0.02 * RIPPLE if fine else 0.0)
+
+    found = diagnose(law, concealed=0.0, held=0.0)
+    assert found.verdict == "nothing_missing"
+    assert any("The baseline fit did not converge" in note for note in found.notes)
+
+
+def test_held_out_recordings_of_which_nothing_is_in_sight_decide_nothing(diagnose: Callable[..., Diagnosis]) -> None:
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        values = read(rig) + (0.02 * RIPPLE if fine else 0.0)
+        return np.full_like(values, np.nan) if run.name == "other" else values
+
+    found = diagnose(law)
+    assert found.verdict == "named" and found.effects[0].held_out_gain is None
+
+
+def test_only_what_the_rig_may_lack_is_counted(diagnose: Callable[..., Diagnosis]) -> None:
+    """There is no sheet, and relaxation is in the rig."""
+    from tests.conftest import SMALL
+
+    rig = gel_rig(SMALL).model_copy(update={"effects": {"gel_relaxation": {"share": 0.1, "tau_s": 0.2}}})
+    found = diagnose(lambda rig, run, fine: read(rig), concealed=0.1, held=0.1, rig=rig)
+    assert "gel_relaxation" not in found.tried and "bending_plasticity" not in found.tried
+    assert f"{len(found.tried)} effects were looked for" in found.sentence
+
+
+def test_readings_on_which_the_discretisation_error_is_not_known_are_said(
+    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is said of them is what a fit says (tests/fit/test_discretisation_refinement.py)."""
+    monkeypatch.setattr("sysid.diagnosis.report_notes.doubtful", lambda problem: ["It counts little for a while."])
+    monkeypatch.setattr(
+        "sysid.diagnosis.report_notes.doubts", lambda rig, runs: [f"{run.name} has a fault." for run in runs]
+    )
+    notes = diagnose(lambda rig, run, fine: read(rig)).notes
+    assert "It counts little for a while." in notes
+    assert any(said.endswith("has a fault.") for said in notes)

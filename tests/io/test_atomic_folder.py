@@ -1,0 +1,128 @@
+"""Results that are there whole or not at all."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sim_core.errors import ConfigError, RecordingError
+from sim_core.rigs import load_rig
+from sysid.diagnosis import diagnose_bags
+from sysid.fit import fit_bags
+from sysid.io.atomic_folder import unfinished, whole_file, whole_folder
+
+
+def test_a_folder_appears_when_all_is_written(tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "fit"
+    with whole_folder(out) as folder:
+        (folder / "a").write_text("1")
+        assert not out.exists()
+        assert folder == unfinished(out)
+    assert [p.name for p in tmp_path.rglob("*")] == ["deep", "fit", "a"]
+
+
+@pytest.mark.parametrize("place", ["fit", "deep/deeper/fit", "."])
+def test_an_error_leaves_nothing(tmp_path: Path, place: str) -> None:
+    with pytest.raises(KeyboardInterrupt), whole_folder(tmp_path / place) as folder:
+        (folder / "a").write_text("1")
+        raise KeyboardInterrupt
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("killed", [True, False])
+def test_a_folder_that_exists_keeps_what_it_has_and_what_a_killed_process_left_is_gone(
+    tmp_path: Path, killed: bool
+) -> None:
+    out = tmp_path / "fit"
+    out.mkdir()
+    (out / "mine").write_text("0")
+    if killed:
+        unfinished(out).mkdir()
+        (unfinished(out) / "old").write_text("0")
+    with whole_folder(out) as folder:
+        (folder / "a").write_text("1")
+        assert not (out / "a").exists()
+    assert sorted(p.name for p in out.iterdir()) == ["a", "mine"]
+    assert [p.name for p in tmp_path.iterdir()] == ["fit"]
+
+
+def test_a_folder_may_be_a_link_to_another_file_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As seen by rename(2), which refuses to move between what lies below the link and what does not."""
+    there, out = tmp_path / "mounted", tmp_path / "fit"
+    there.mkdir()
+    out.symlink_to(there)
+    plain = os.replace
+
+    def rename(old: Any, new: Any) -> None:
+        if (there in Path(old).resolve().parents) != (there in Path(new).resolve().parents):
+            raise OSError(18, "Invalid cross-device link")
+        plain(old, new)
+
+    monkeypatch.setattr(os, "replace", rename)
+    with whole_folder(out) as folder:
+        (folder / "a").write_text("hours of work")
+    assert [p.name for p in there.iterdir()] == ["a"]
+
+
+def test_what_cannot_be_moved_is_kept_and_told(tmp_path: Path) -> None:
+    out = tmp_path / "fit"
+    with pytest.raises(ConfigError, match="finished but cannot be moved") as told, whole_folder(out) as folder:
+        (folder / "a").write_text("hours of work")
+        out.mkdir()
+        (out / "somebody").write_text("else's")
+    kept = re.search(r"is in (\S+): move it", str(told.value))
+    assert kept and (Path(kept[1]) / "a").read_text() == "hours of work"
+
+    with pytest.raises(ConfigError, match="finished but cannot be moved"), whole_folder(out) as folder:
+        (folder / "a").write_text("hours of work")
+        (out / "a").mkdir()
+    assert (out / ".unfinished" / "a").read_text() == "hours of work"
+
+
+@pytest.mark.parametrize(
+    ("whole", "place"),
+    [(whole_folder, "file"), (whole_folder, "link"), (whole_folder, "/proc/fit"), (whole_file, "/proc/page.md")],
+)
+def test_a_place_that_cannot_be_written_is_told_before_the_job(tmp_path: Path, place: str, whole: Any) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "link").symlink_to(tmp_path / "nothing")
+    with pytest.raises(ConfigError, match=r"cannot be written: .*Name another place"), whole(tmp_path / place):
+        pytest.fail("the job has started")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "link"]
+
+
+@pytest.mark.parametrize("job", [lambda **to: fit_bags(names=["card.E_pa"], **to), diagnose_bags])
+def test_fits_and_diagnoses_look_for_their_place_before_their_recordings(tmp_path: Path, job: Any) -> None:
+    with pytest.raises(ConfigError, match="cannot be written"):
+        job(rig=load_rig("card_press"), bags=[tmp_path / "no.bag"], out=Path("/dev/null/fit"))
+    with pytest.raises(RecordingError):
+        job(rig=load_rig("card_press"), bags=[tmp_path / "no.bag"], out=tmp_path / "deep" / "fit")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_appears_when_all_is_written(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    with whole_file(page) as part:
+        part.write_text("half")
+        assert not page.exists()
+        part.write_text("whole")
+    assert page.read_text() == "whole"
+    with pytest.raises(KeyboardInterrupt), whole_file(page) as part:
+        part.write_text("half")
+        raise KeyboardInterrupt
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("page.md", "whole")]
+
+
+def test_the_working_folder_may_be_named_by_its_dot(tmp_path: Path) -> None:
+    script = (
+        "from pathlib import Path\n"
+        "from sysid.io.atomic_folder import whole_folder\n"
+        "with whole_folder(Path('.')) as folder:\n"
+        "    (folder / 'a').write_text('1')\n"
+    )
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True, timeout=60)
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
