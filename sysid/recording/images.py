@@ -33,7 +33,7 @@ class ImageStream(Stream):
         camera_info: None when the camera is not calibrated.
     """
 
-    _per_sample: ClassVar[tuple[str, ...]] = ("t",)
+    _per_sample: ClassVar[tuple[str, ...]] = ("t", "arrival")
 
     msgtype: str
     source: MessageSet
@@ -45,6 +45,7 @@ class ImageStream(Stream):
             topic=self.topic,
             frame_id=self.frame_id,
             t=self.t[which],
+            arrival=None if self.arrival is None else self.arrival[which],
             msgtype=self.msgtype,
             source=self.source.take(which),
             camera_info=self.camera_info,

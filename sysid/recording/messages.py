@@ -108,6 +108,11 @@ class Series:
         seconds: Floats = (self.times_ns - t0_ns).astype(np.float64) * 1e-9
         return seconds
 
+    def arrival(self, t0_ns: int) -> Floats:
+        """Return the times of recording since ``t0_ns`` [s], shape (n,)."""
+        seconds: Floats = (self.source.log_ns - t0_ns).astype(np.float64) * 1e-9
+        return seconds
+
 
 def read_series(
     topic: str,

@@ -49,7 +49,13 @@ def wrench_stream(series: Series, declared: SensorTopic, t0_ns: int, notes: Note
         notes.warning(topic, f"forces up to {largest:.4g} N: looks like another unit than newton")
     note_gaps(topic, t, notes)
     return WrenchStream(
-        topic=topic, frame_id=series.frame_id, t=t, force=values[:, :3], torque=values[:, 3:], mask=mask
+        topic=topic,
+        frame_id=series.frame_id,
+        t=t,
+        arrival=series.arrival(t0_ns),
+        force=values[:, :3],
+        torque=values[:, 3:],
+        mask=mask,
     )
 
 
@@ -99,6 +105,7 @@ def image_stream(series: Series, msgtype: str, camera: CameraInfo | None, t0_ns:
         topic=series.topic,
         frame_id=series.frame_id,
         t=t,
+        arrival=series.arrival(t0_ns),
         msgtype=msgtype,
         source=series.source,
         camera_info=camera,
