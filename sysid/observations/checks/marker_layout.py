@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from sim_core.rigs import Rig
 from sysid.observations.checks.finding import Finding
@@ -26,6 +28,12 @@ SCALE = 1.5
 
 TURNED_DEG = 45.0
 """Turn of the layout from which axes are exchanged."""
+
+ROUNDS = 8
+"""Turns of matching and mapping."""
+
+THIN = 0.05
+"""Extent across a layout, over that along it, below which it is a line."""
 
 FITS = 0.35
 """Distance from the map, over the distance of neighbours, within which numbers are those of the rig."""
@@ -52,6 +60,20 @@ def marker_layout(recording: Recording, rig: Rig) -> Iterator[Finding]:
 
 def _compared(name: str, topic: str, unit: str, expected: np.ndarray, seen: np.ndarray) -> Iterator[Finding]:
     flat, shown = _plane(expected), seen
+    if _as_a_set(expected, seen):
+        off = _misfit(seen - expected)
+        yield Finding(
+            "marker_order",
+            topic,
+            "stops a fit",
+            f"The markers of {name} lie where the rig has them, but under other numbers: by their numbers they are "
+            f"{off:.3g} {unit} off in the first frame, as a rule.",
+            "Number them as the rig does (grids count row by row), or give `ids` in the rig.",
+            values=(off,),
+            bound=FITS,
+            part=name,
+        )
+        return
     if flat is None:
         return
     centre, axes = flat
@@ -64,19 +86,7 @@ def _compared(name: str, topic: str, unit: str, expected: np.ndarray, seen: np.n
     sizes = np.linalg.svd(linear, compute_uv=False)
     scale = float(np.sqrt(sizes[0] * sizes[1]))
     if _misfit(left) > FITS * spacing * max(scale, 1e-9):
-        if _as_a_set(local, shown, spacing):
-            yield Finding(
-                "marker_order",
-                topic,
-                "stops a fit",
-                f"The markers of {name} lie where the rig has them, but under other numbers: by their numbers they are "
-                f"{_misfit(left) / scale / spacing:.2g} distances of neighbours off in the first frame.",
-                "Number them as the rig does (grids count row by row), or give `ids` in the rig.",
-                values=(_misfit(left),),
-                bound=FITS * spacing * scale,
-                part=name,
-            )
-        return
+        return  # bent or folded: its layout tells nothing more
     known = axes.T[:, :]  # the plane as the rig has it, in what is seen
     target = linear @ axes if seen.shape[1] == expected.shape[1] == 2 else linear
     if not 1.0 / SCALE < scale < SCALE:
@@ -131,30 +141,35 @@ def _plane(points: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     centre = points.mean(axis=0)
     if points.shape[1] == 2:
         spread = np.linalg.svd(points - centre, compute_uv=False)
-        return (centre, np.eye(2)) if spread[1] > 0.05 * spread[0] else None
+        return (centre, np.eye(2)) if spread[1] > THIN * spread[0] else None
     _, spread, axes = np.linalg.svd(points - centre, full_matrices=False)
-    return (centre, axes[:2]) if spread[1] > 0.05 * spread[0] else None
+    return (centre, axes[:2]) if spread[1] > THIN * spread[0] else None
 
 
 def _misfit(left: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(left, axis=1)))
 
 
-def _as_a_set(local: np.ndarray, seen: np.ndarray, spacing: float) -> bool:
-    """Whether the points lie as those of the rig, whichever is which: upright, mirrored or turned by right angles."""
-    if seen.shape[1] != 2:
-        found = _plane(seen)
-        if found is None:
-            return False
-        seen = (seen - found[0]) @ found[1].T
-    a, b = local - local.mean(axis=0), seen - seen.mean(axis=0)
-    scale = np.sqrt((a**2).sum() / (b**2).sum())
-    b = b * scale
-    for turn in range(4):
-        c, s = np.round(np.cos(turn * np.pi / 2)), np.round(np.sin(turn * np.pi / 2))
-        for mirror in (1.0, -1.0):
-            moved = b @ np.array([[c, -s], [s, c]]) * [1.0, mirror]
-            distance, nearest = cKDTree(a).query(moved)
-            if np.median(distance) < FITS * spacing and len(set(nearest.tolist())) > 0.9 * len(a):
-                return True
-    return False
+def _as_a_set(expected: np.ndarray, seen: np.ndarray) -> bool:
+    """Whether the points ``(n, d)`` lie at the places of the rig's, but under others' numbers.
+
+    A map of second degree allows for sag and perspective. By the points' own numbers it does not fit, by those of the
+    nearest it does; which is nearest and the map are found in turns (iterated closest points, Besl & McKay 1992).
+    """
+    spacing = float(np.median(cKDTree(expected).query(expected, k=2)[0][:, 1]))
+    middle, size = expected.mean(axis=0), float(np.ptp(expected, axis=0).max())
+    local = (expected - middle) / size
+    if expected.shape[1] == 3:
+        local = local @ np.linalg.svd(local, full_matrices=False)[2][:2].T
+    u, v = local.T
+    design = np.column_stack([np.ones(len(u)), u, v, u * u, u * v, v * v])
+    if len(expected) < 2 * design.shape[1] or np.linalg.matrix_rank(design, 1e-6) < design.shape[1]:
+        return False
+    by_number = seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]
+    if _misfit(by_number) < FITS * spacing:
+        return False
+    where = expected
+    for _ in range(ROUNDS):
+        rows, order = linear_sum_assignment(cdist(where, seen))
+        where = design @ np.linalg.lstsq(design[rows], seen[order], rcond=None)[0]
+    return _misfit(seen[order] - where) < FITS * spacing

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sysid.noise.quantisation import common_step
 from sysid.observations.checks.finding import Finding, when
 from sysid.observations.checks.lost_markers import placed_markers
 from sysid.observations.checks.marker_identity import usual_spacing
@@ -19,6 +20,9 @@ FAR = 20.0
 BACK = 0.2
 """Distance of the two neighbours from each other, over the height of a spike, at most."""
 
+FAR_STEPS = 5.0
+"""Height of a spike over the step in which a sensor reads, at least."""
+
 SEEN = 0.1
 """Least height of a spike of a marker, over the distance of its neighbours."""
 
@@ -29,7 +33,7 @@ LEAST_M = 1e-3
 def spikes(recording: Recording) -> Iterator[Finding]:
     """Spikes of poses, which are left out, and of sensors, which fits find and leave out by themselves."""
     for name, pose in recording.poses.items():
-        at = np.asarray(single(pose.position, LEAST_M).any(axis=1))
+        at = np.asarray(single(pose.position, LEAST_M / FAR_STEPS).any(axis=1))
         if at.any():
             height = _height(pose.position)[at].max()
             yield Finding(
@@ -48,13 +52,13 @@ def spikes(recording: Recording) -> Iterator[Finding]:
             )
     for wrench in recording.wrenches.values():
         values = components(wrench)
-        at = single(values)
+        at = single(values, np.repeat([common_step(values[:, :3].T), common_step(values[:, 3:].T)], 3))
         for k in np.flatnonzero(at.any(axis=0)):
             height = float(_height(values)[at[:, k], k].max())
             yield _of_sensor(wrench.topic, wrench.t, at[:, k], WORDS[k], height, unit(int(k)))
     for role, _, topic, t, places in placed_markers(recording):
         flat = places.reshape(len(places), -1)
-        at = single(flat, SEEN * (usual_spacing(places) or np.inf))
+        at = single(flat, SEEN / FAR_STEPS * (usual_spacing(places) or np.inf))
         if at.any():
             height = float(_height(flat)[at].max())
             yield _of_sensor(
@@ -62,8 +66,8 @@ def spikes(recording: Recording) -> Iterator[Finding]:
             )
 
 
-def single(values: np.ndarray, least: float = 0.0) -> np.ndarray:
-    """Which readings ``(n, c)`` are spikes."""
+def single(values: np.ndarray, least: float | np.ndarray) -> np.ndarray:
+    """Which readings ``(n, c)`` are spikes, of more than ``least`` (one number, or one for each column)."""
     at = np.zeros(values.shape, dtype=bool)
     if len(values) < 10:
         return at
@@ -75,9 +79,7 @@ def single(values: np.ndarray, least: float = 0.0) -> np.ndarray:
     usual = np.maximum(usual, np.median(usual[told]) if told.any() else np.inf)
     apart = np.abs(values[2:] - values[:-2])
     with np.errstate(invalid="ignore"):
-        at[1:-1] = (inner > FAR * usual) & (usual > 0.0) & (inner > least) & (apart < BACK * inner)
-        if least:
-            at[1:-1] |= (usual == 0.0) & (inner > least) & (apart < BACK * inner)
+        at[1:-1] = (inner > FAR * usual) & (inner > FAR_STEPS * least) & (apart < BACK * inner)
     return at
 
 

@@ -29,7 +29,9 @@ def tares(recording: Recording) -> Iterator[Finding]:
             continue
         for k in _steps(values[:, measured], still):
             before, after = values[k - BESIDE : k - 1], values[k + 1 : k + 1 + BESIDE]
-            column = int(measured[np.argmax(np.abs(np.mean(before - after, axis=0)[measured]) / _scale(measured))])
+            column = int(
+                measured[np.argmax(np.abs(before.mean(axis=0) - after.mean(axis=0))[measured] / _scale(measured))]
+            )
             yield Finding(
                 "tare",
                 wrench.topic,
@@ -53,7 +55,7 @@ def _scale(components_: np.ndarray) -> np.ndarray:
 def _steps(values: np.ndarray, still: np.ndarray) -> list[int]:
     """First readings ``(k,)`` after steps to zero in ``values`` ``(n, c)``."""
     found: list[int] = []
-    for k in range(BESIDE, len(values) - BESIDE):
+    for k in range(BESIDE, len(values) - BESIDE - 1):
         if not still[k - BESIDE : k + BESIDE].all() or (found and k - found[-1] < BESIDE):
             continue
         before, after = values[k - BESIDE : k - 1], values[k + 1 : k + 1 + BESIDE]
