@@ -168,7 +168,7 @@ def _check_needed(bag: Bag, roles: Mapping[str, Mapping[str, str]], need_pose: b
     if need_pose and not (roles["current_pose"] or roles["target_pose"]):
         raise RecordingError(
             f"{bag.path} holds no pose of an end effector: no current_pose or target_pose topic was found.",
-            f"Name the topic in the rig (--rig). Topics in the recording: {listing}.",
+            f"Name the topic in the rig, in `topics` of the end effector. Topics in the recording: {listing}.",
         )
 
 
