@@ -144,7 +144,7 @@ def _column(path: Path, name: str) -> _Column:
     topic = ".".join(words[:-1]).strip().replace(".", "/")
     marker = None
     head, _, last = topic.rpartition("/")
-    if last.isdigit():
+    if re.fullmatch(r"[0-9]{1,9}", last):
         topic, marker = head, int(last)
     if not topic:
         topic = "current_pose" if component in POSE else "wrench"
