@@ -8,9 +8,10 @@ from __future__ import annotations
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from sim_core.errors import ConfigError
+from sim_core.geometry.polygons import area_of, crossing_edges, in_polygon
 from sim_core.materials.presets import preset_values
 from sim_core.rigs.fields import (
     Cells2,
@@ -148,21 +149,34 @@ class Rectangle(Strict):
 
 
 class Outline(Strict):
-    """A flat sheet of any outline, with holes; coordinates are local, the origin is where they say."""
+    """A flat sheet of any outline, with holes; coordinates are local, the origin is where they say.
+
+    A ring of corners may repeat the first one at its end, as rings of GIS and CAD files do.
+    """
 
     type: Literal["outline"]
     polygon_m: tuple[Point2, ...] = Field(min_length=3, description="corners of the outline, x and y in m")
     holes_m: tuple[Annotated[tuple[Point2, ...], Field(min_length=3)], ...] = ()
     edge_m: Length = Field(description="wanted length of the mesh edges in m")
 
+    @field_validator("polygon_m", mode="after")
+    @classmethod
+    def _open(cls, ring: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        return ring[:-1] if len(ring) > 3 and ring[0] == ring[-1] else ring
+
+    @field_validator("holes_m", mode="after")
+    @classmethod
+    def _open_holes(
+        cls, rings: tuple[tuple[tuple[float, float], ...], ...]
+    ) -> tuple[tuple[tuple[float, float], ...], ...]:
+        return tuple(ring[:-1] if len(ring) > 3 and ring[0] == ring[-1] else ring for ring in rings)
+
     @model_validator(mode="after")
     def _has_area(self) -> Outline:
         for path, polygon in [(("polygon_m",), self.polygon_m)] + [
             (("holes_m", index), hole) for index, hole in enumerate(self.holes_m)
         ]:
-            x, y = np.array(polygon).T
-            area = 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
-            if area < 1e-12:
+            if area_of(np.array(polygon)) < 1e-12:
                 raise trouble("encloses no area.", "Give the corners in order around the outline.", *path)
         extent = np.ptp(np.array(self.polygon_m), axis=0)
         if self.edge_m > extent.max():
@@ -171,6 +185,37 @@ class Outline(Strict):
                 "Choose a fraction of the outline's extent.",
                 "edge_m",
             )
+        return self
+
+    @model_validator(mode="after")
+    def _simple(self) -> Outline:
+        rings: list[tuple[tuple[str | int, ...], str, FloatArray]] = [
+            (("polygon_m",), "the outline", np.array(self.polygon_m))
+        ]
+        rings += [(("holes_m", k), f"hole {k}", np.array(hole)) for k, hole in enumerate(self.holes_m)]
+        for path, _, ring in rings:
+            doubled = np.flatnonzero((ring == np.roll(ring, -1, axis=0)).all(axis=1))
+            if len(doubled):
+                k = int(doubled[0])
+                following = (k + 1) % len(ring)
+                raise trouble(
+                    f"has corner {k} and corner {following} at the same place, {ring[k].tolist()} m.",
+                    "Leave out one of the two.",
+                    *path,
+                )
+            crossing = crossing_edges(ring, ring)
+            if crossing is not None:
+                raise trouble(
+                    f"crosses itself: the edges from corner {crossing[0]} and from corner {crossing[1]} meet.",
+                    "Give the corners in order around the outline.",
+                    *path,
+                )
+        for k, (path, _, ring) in enumerate(rings[1:], 1):
+            for other, (_, name, around) in enumerate(rings[:k]):
+                inside = bool(in_polygon(ring[:1], around)[0])
+                if crossing_edges(ring, around) is not None or inside != (other == 0):
+                    where = "is not inside of" if other == 0 else "is not apart from"
+                    raise trouble(f"{where} {name}.", "Let holes be inside of the outline and apart.", *path)
         return self
 
     def bounds(self) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim_core.errors import ConfigError
+from sim_core.geometry.polygons import in_polygon
 from sim_core.rigs.bodies import Affine, Block, Dome, Gel, Outline, Rectangle, Sheet
 from sim_core.rigs.fields import FloatArray
 from sim_core.rigs.observers import Camera, OrthographicCamera, Points, Sight
@@ -115,17 +116,7 @@ def _on_dome(points: Points, dome: Dome) -> FloatArray:
 
 
 def _inside(points: FloatArray, outline: Outline) -> np.ndarray:
-    inside = _in_polygon(points, np.array(outline.polygon_m))
+    inside = in_polygon(points, np.array(outline.polygon_m))
     for hole in outline.holes_m:
-        inside &= ~_in_polygon(points, np.array(hole))
+        inside &= ~in_polygon(points, np.array(hole))
     return inside
-
-
-def _in_polygon(points: FloatArray, polygon: FloatArray) -> np.ndarray:
-    """Crossing-number test: bool ``(n,)``."""
-    x, y = points[:, :1], points[:, 1:]
-    (x0, y0), (x1, y1) = polygon.T, np.roll(polygon, -1, axis=0).T
-    straddles = (y0 > y) != (y1 > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = x0 + (y - y0) * (x1 - x0) / (y1 - y0)
-    return np.asarray((straddles & (x < crossing)).sum(axis=1) % 2 == 1)
