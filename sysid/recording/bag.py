@@ -76,7 +76,7 @@ class MessageSet:
                     data = opened[k].payload(*place)
                     # Messages compressed one by one start with the zstd magic, which no CDR message does.
                     yield _unpacked(data) if data[:4] == ZSTD_MAGIC else data
-                except (sqlite3.DatabaseError, zstandard.ZstdError, struct.error, ValueError):
+                except (sqlite3.DatabaseError, zstandard.ZstdError, struct.error, ValueError, OverflowError):
                     yield b""  # what is damaged is no message of any type
         finally:
             for payloads in opened.values():

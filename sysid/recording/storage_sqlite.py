@@ -59,7 +59,7 @@ def index_sqlite(path: Path, shown: Path) -> FileIndex:
     try:
         listed = db.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id").fetchall()
         rows, lost = _rows(db)
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise RecordingError(
             f"{shown} is not a readable rosbag2 database: {error}.",
             "If it was cut short, recover a copy with: sqlite3 COPY.db3 .recover | sqlite3 FIXED.db3",
@@ -106,7 +106,7 @@ def _rows(db: sqlite3.Connection) -> tuple[list[tuple[int, int, int]], str]:
                 rows.append(row)
                 after, skip = row[2], 0
             break
-        except sqlite3.DatabaseError as error:
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
             fault, skip = str(error), max(1, 2 * skip)
             after = min(after + skip, _LARGEST_ID)
             if skip > LARGEST_SKIP:

@@ -20,7 +20,7 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import config_folder
 from sim_core.rigs.load import names_in
 from sysid.cli import app, prove
-from sysid.cli.doctor import _ros_traps
+from sysid.cli.doctor import _IMPORTS, _child, _ros_traps
 from sysid.cli.progress import interrupts_remembered, progress
 
 THINSHELL = [sys.executable, "-m", "sysid"]
@@ -137,6 +137,7 @@ def report() -> dict[str, Any]:
     return {**json.loads(done.stdout), "code": done.returncode}
 
 
+@pytest.mark.slow
 def test_the_doctor_finds_a_working_core(report: dict[str, Any]) -> None:
     findings = {finding["name"]: finding for finding in report["findings"]}
     assert report["works"]
@@ -144,9 +145,21 @@ def test_the_doctor_finds_a_working_core(report: dict[str, Any]) -> None:
     assert findings["Taichi"]["state"] == "ok"
     assert findings["qdldl"]["state"] == "ok"
     assert findings["Python"]["state"] == "ok"
+    assert findings["Modules"]["state"] == "ok"
+    assert findings["Fit"]["state"] == "ok"
     assert all(finding["remedy"] for finding in findings.values() if finding["state"] != "ok")
 
 
+@pytest.mark.slow
+def test_the_doctor_misses_what_a_dependency_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that is in pyproject.toml is there, and yet no command works."""
+    (tmp_path / "apsw.py").write_text("raise ModuleNotFoundError(\"No module named 'apsw'\")")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    found = _child("Modules", _IMPORTS, "imported", "install it", core=True)
+    assert (found.state, found.core) == ("missing", True) and "No module named 'apsw'" in found.detail
+
+
+@pytest.mark.slow
 @pytest.mark.ros
 def test_the_doctor_hears_itself_over_ros(report: dict[str, Any]) -> None:
     pytest.importorskip("rclpy")
