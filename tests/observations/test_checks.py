@@ -99,6 +99,17 @@ def test_what_makes_a_fit_meaningless_stops_it_unless_told_to_go_on(tmp_path: Pa
     assert any("two sources" in text for text in run.doubts)
 
 
+def test_a_sensor_does_not_read_more_than_it_can() -> None:
+    rig = load_rig(RIG)
+    gauge = rig.sensors["wrench_gel"]
+    largest = float(np.abs(read(SOUND, rig).wrenches["wrench_gel"].force).max())
+    for range_n, told in ((0.5 * largest, True), (1.01 * largest, False)):
+        limited = rig.model_copy(
+            update={"sensors": {**rig.sensors, "wrench_gel": gauge.model_copy(update={"range_n": range_n})}}
+        )
+        assert [f.name for f in findings(SOUND, limited)] == (["sensor_range"] if told else [])
+
+
 def test_inspect_prints_what_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = press()
     FAULTS["picture_size"][0](recording)

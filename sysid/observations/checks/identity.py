@@ -15,7 +15,11 @@ from sysid.recording import Recording
 def frames(recording: Recording, rig: Rig) -> Iterator[Finding]:
     """Frames other than those of the rig. A frame that is empty is said when the recording is read."""
     streams = [
-        *((n, e.base_frame, recording.poses.get(n)) for n, e in rig.end_effectors.items()),
+        *(
+            (n, e.base_frame, recording.poses.get(n))
+            for n, e in rig.end_effectors.items()
+            if "base_frame" in e.model_fields_set
+        ),
         *((n, s.frame_id, recording.wrenches.get(n) or recording.markers.get(n)) for n, s in rig.sensors.items()),
         *((n, c.frame_id, recording.tracks.get(n)) for n, c in rig.cameras.items()),
     ]

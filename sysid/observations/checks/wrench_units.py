@@ -27,6 +27,9 @@ LOUD = 8.0
 ARMS = 2.0
 """Lever arm of the wrench, over the size of the rig, from which torques and forces are not of one unit of length."""
 
+BEYOND = 1.05
+"""Readings over the range of a sensor that it cannot have: ranges are rounded."""
+
 SIGNAL = 10.0
 """Forces over their noise from which a lever arm is looked at."""
 
@@ -37,6 +40,7 @@ def wrench_units(recording: Recording, rig: Rig) -> Iterator[Finding]:
         sensor = rig.sensors[name]
         assert isinstance(sensor, WrenchSensor)
         yield from _force_unit(name, wrench, sensor)
+        yield from _range(name, wrench, sensor)
         yield from _lever(name, wrench, sensor, rig)
 
 
@@ -64,6 +68,29 @@ def _force_unit(name: str, wrench: WrenchStream, sensor: WrenchSensor) -> Iterat
         bound=LOUD * declared,
         part=name,
     )
+
+
+def _range(name: str, wrench: WrenchStream, sensor: WrenchSensor) -> Iterator[Finding]:
+    for quantity, unit, values, largest in (
+        ("force", "N", wrench.force, sensor.range_n),
+        ("torque", "N m", wrench.torque, sensor.range_nm),
+    ):
+        if largest is None or not np.isfinite(values).any():
+            continue
+        over = np.nan_to_num(np.abs(values)) > BEYOND * largest
+        if over.any():
+            yield Finding(
+                "sensor_range",
+                wrench.topic,
+                "warning",
+                f"{name} reads a {quantity} of {float(np.nanmax(np.abs(values))):.4g} {unit} in "
+                f"{int(over.any(axis=1).sum())} readings, more than the {largest:g} {unit} that it can by the rig.",
+                "Look at the unit of the recording, or correct the range in the rig.",
+                times=tuple(wrench.t[over.any(axis=1)]),
+                values=(float(np.nanmax(np.abs(values))),),
+                bound=largest,
+                part=name,
+            )
 
 
 def _lever(name: str, wrench: WrenchStream, sensor: WrenchSensor, rig: Rig) -> Iterator[Finding]:
