@@ -15,6 +15,7 @@ from sim_core.rigs.bodies import WORLD, Body
 from sim_core.rigs.check import check_references
 from sim_core.rigs.fields import (
     Direction,
+    EffectKey,
     Flag,
     FloatArray,
     FrameId,
@@ -193,7 +194,7 @@ class Rig(Strict):
     contacts: tuple[Contact, ...] = ()
     sensors: dict[Name, Sensor] = Field(default={})
     cameras: dict[Name, Camera] = Field(default={})
-    effects: dict[Name, dict[Text, Real]] = Field(default={})
+    effects: dict[EffectKey, dict[Text, Real]] = Field(default={})
     recording_clock: Literal["header", "log"] = "header"
 
     @model_validator(mode="after")

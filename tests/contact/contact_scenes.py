@@ -77,13 +77,15 @@ class Two:
         return internals
 
 
-def on_rigid(shape, nodes, triangles, law=LAW, rotation=None):
+def on_rigid(shape, nodes, triangles, law=LAW, rotation=None, effects=()):
     """Contact of the nodes of a triangle mesh with a rigid shape at the origin (the last node)."""
     mesh = SheetMesh(np.asarray(nodes, dtype=float), np.asarray(triangles, dtype=np.int32))
     every = np.vstack([mesh.nodes, np.zeros(3)])
     samples = sheet_samples(mesh, 0, 0.0)
     turn = np.eye(3) if rotation is None else np.array(rotation)
     term = RigidContact("rigid", samples, len(mesh.nodes), np.asarray(shape, dtype=float), turn)
+    for effect in effects:
+        term.laws.add(effect.name, effect)
     term.configure(law)
     prescribed = np.zeros((len(every), 3), dtype=bool)
     prescribed[-1] = True

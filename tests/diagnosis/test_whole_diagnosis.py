@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim_core.effects import EFFECTS
+from sim_core.effects import effect_by_name
 from sim_core.errors import ConvergenceError
 from sim_core.rigs import Rig, parse_rig
 from sysid.diagnosis import diagnose as diagnosing
@@ -107,7 +107,7 @@ def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., D
     def told(law: Law, *, concealed: float = SHARE, held: float = SHARE, rig: Rig | None = None) -> Diagnosis:
         monkeypatch.setattr(Sums, "law", staticmethod(law), raising=False)
         monkeypatch.setattr(diagnosing, "PooledEngine", Sums)
-        monkeypatch.setattr(candidates, "EFFECTS", tuple(e for e in EFFECTS if e.name == "gel_relaxation"))
+        monkeypatch.setattr(candidates, "all_effects", lambda: {"gel_relaxation": effect_by_name("gel_relaxation")})
         noise = {"markers": ChannelNoise(np.array([SIGMA]), 0.0, "declared by the rig")}
         monkeypatch.setattr(diagnosing, "channel_noise", lambda *_: noise)
         monkeypatch.setattr(diagnosing, "provenance", lambda *_: {})
