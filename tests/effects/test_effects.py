@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from effect_examples import TYPICAL
 
 from sim_core.effects import active_effects, all_effects, effect_by_name
 from sim_core.errors import ConfigError
@@ -16,23 +17,6 @@ from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, simulate, step_times
 from sysid.diagnosis.hypotheses import starting_values
 from sysid.model.sensor_streams import predicted, predicted_back, predicted_derivatives, total_delay
-
-TYPICAL = {
-    "gel_relaxation": {"share": 0.3, "tau_s": 0.2},
-    "sheet_orthotropy": {"modulus_ratio": 2.0, "grain_angle_rad": 0.4},
-    "bending_plasticity": {"yield_curvature_per_m": 1.0, "hardening_ratio": 0.2},
-    "air_drag": {"drag_coefficient": 1.0},
-    "static_friction": {"excess": 0.5},
-    "end_effector_compliance": {"compliance_m_per_n": 2e-4},
-    "wrench_offset": {
-        **{name.format(a): 0.1 for name in ("bias_{}_n", "torque_bias_{}_nm") for a in "xyz"},
-        **{name.format(a): 0.05 for name in ("drift_{}_n_per_s", "torque_drift_{}_nm_per_s") for a in "xyz"},
-    },
-    "stream_delay": {"wrench_s": 0.03, "vision_s": 0.05},
-    "camera_distortion": {"k1": 0.1, "k2": -0.05},
-    "command_lag": {"delay_s": 0.015, "tau_s": 0.03},
-    "contact_adhesion": {"work_j_m2": 0.5, "range_m": 2e-4},
-}
 
 MOTION = (
     [0.0, 0.1, 0.25, 0.4, 0.5, 0.6, 0.7, 0.8],
