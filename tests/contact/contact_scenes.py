@@ -31,7 +31,9 @@ def sheet_terms(name, mesh, nodes, offset):
 class Two:
     """Two sheets one above the other, of different meshes; ``contact`` has both orders of the pair, and the edges."""
 
-    def __init__(self, gap, law=LAW, cells=((6, 4), (5, 3)), shift=(0.0013, 0.0007), margin=5e-3, elastic=True):
+    def __init__(
+        self, gap, law=LAW, cells=((6, 4), (5, 3)), shift=(0.0013, 0.0007), margin=5e-3, elastic=True, effects=()
+    ):
         lower = rectangle(0.04, 0.03, cells[0], "irregular")
         upper = rectangle(0.03, 0.02, cells[1], "crossed")
         top = upper.nodes + [*shift, SHEET["thickness_m"] + gap]
@@ -50,6 +52,8 @@ class Two:
             EdgeContact("edges", *edges[0], *edges[1], self.nodes, thickness, margin),
         ]
         for term in self.contact:
+            for effect in effects:
+                term.laws.add(effect.name, effect)
             term.configure(law)
         terms = list(self.contact)
         if elastic:

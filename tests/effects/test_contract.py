@@ -10,11 +10,13 @@ import pytest
 from effect_examples import TYPICAL
 
 from sim_core.effects import Effect, EffectParameter, all_effects, effect_by_name
-from sim_core.effects.hooks import BodyForce, NormalLaw, ReadingMap
+from sim_core.effects.hooks import BodyForce, ClockMap, NormalLaw, ReadingMap
 from sim_core.effects.registry import checked
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
+from sim_core.scene import build_scene
+from sim_core.simulate import simulate, step_times
 from sysid.gradients import check_gradients
 
 RUB = [
@@ -97,7 +99,13 @@ def _incomplete() -> Iterator[tuple[type[Effect], str]]:
     }
 
     def made(base: type[Effect], *methods: str, **changes: Any) -> type[Effect]:
-        body = {**words, "parameters": (AMOUNT,), "name": "unfinished", **changes, **{m: lambda self, *given: None for m in methods}}
+        body = {
+            **words,
+            "parameters": (AMOUNT,),
+            "name": "unfinished",
+            **changes,
+            **{m: lambda self, *given: None for m in methods},
+        }
         return type("Unfinished", (base,), body)
 
     yield made(NormalLaw, "targets", "reach", "normal"), "normal_by"
@@ -150,3 +158,22 @@ def test_priors_and_starts_fit_the_recording() -> None:
     )
     assert (bias.prior_sd, drift.prior_sd) == pytest.approx((3.0, 3.0 / 200.0))
     assert np.isfinite(tau.prior_sd)
+
+
+@pytest.mark.parametrize("name", [n for n, e in all_effects().items() if e.passive])
+def test_a_passive_effect_gives_no_energy(name: str, small_rig: Callable[..., Rig], visit: Callable[..., Any]) -> None:
+    """Along a closed way of the finger, from rest in air to rest in air, it puts in at least as much as it gets back:
+    W = -sum F_k . dx_k with the forces at the ends of steps, at which the implicit step evaluates them."""
+    effect = effect_by_name(name)
+    if isinstance(effect, ReadingMap | ClockMap):
+        pytest.skip("a sensor and a clock do not act on the mechanics")
+    times = [0.0, 0.06, 0.12, 0.2, 0.26, 0.5]
+    offsets = [[0, 0, 0], [0, 0, -0.006], [0.004, 0.001, -0.007], [0.001, 0.0, -0.006], [0, 0, 0], [0, 0, 0]]
+    rig, poses = small_rig(effects={name: TYPICAL[name]}), visit(times, offsets)
+    instants = step_times(0.0, 0.5, rig.solver.dt_s)
+    trace = simulate(build_scene(rig), poses, instants)
+    force = trace.outputs["wrench"][:, :3]
+    move = np.diff(poses["finger"].sample(instants)[0], axis=0)
+    work = -(force[1:] * move).sum(axis=1)
+    assert np.abs(work).sum() > 1e-7, "the finger does no work in this motion"
+    assert work.sum() >= -1e-3 * np.abs(work).sum()
