@@ -13,6 +13,7 @@ import pkgutil
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import entry_points
+from math import isfinite
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -100,13 +101,14 @@ def effect_by_name(name: str) -> Effect:
 
 
 def active_effects(rig: Rig) -> list[Instance]:
-    """The effects that a rig names, checked. Raises ``ConfigError`` where one is unknown, acts on nothing in the rig,
-    lacks a parameter, or has a value out of bounds."""
+    """The effects that a rig names, checked; amplitudes that it leaves out are at their vanishing values. Raises
+    ``ConfigError`` where one is unknown, acts on nothing in the rig, lacks a parameter that has no such value, or has a
+    value out of bounds."""
     found: list[Instance] = []
     for key, given in rig.effects.items():
         effect = effect_by_name(key)
-        _check_values(effect, key, given)
-        found.append(Instance(key, effect, _scope(rig, effect, key), dict(given)))
+        values = _complete(effect, key, given)
+        found.append(Instance(key, effect, _scope(rig, effect, key), values))
     return found
 
 
@@ -146,7 +148,8 @@ def _scope(rig: Rig, effect: Effect, key: str) -> tuple[str, ...]:
     return (target,)
 
 
-def _check_values(effect: Effect, key: str, given: Mapping[str, float]) -> None:
+def _complete(effect: Effect, key: str, given: Mapping[str, float]) -> dict[str, float]:
+    """Values of all parameters of an effect, in their order."""
     known = {p.name: p for p in effect.parameters}
     for name, value in given.items():
         if name not in known:
@@ -157,6 +160,8 @@ def _check_values(effect: Effect, key: str, given: Mapping[str, float]) -> None:
                 f"effects.{key}.{name} is {value:g} {p.unit}, outside of {p.lower:g} to {p.upper:g}.",
                 "Choose a value within the bounds.",
             )
-    missing = sorted(set(known) - set(given))
+    absent = {name: p.vanishing for name, p in known.items() if p.vanishing is not None and isfinite(p.vanishing)}
+    missing = [name for name in known if name not in given and name not in absent]
     if missing:
         raise ConfigError(f"The effect {key} needs the parameter {missing[0]!r}.", "Add it to the rig's effects.")
+    return {name: given[name] if name in given else absent[name] for name in known}

@@ -249,7 +249,7 @@ def test_the_examples_have_the_keys_of_real_diagnoses(tmp_path: Path) -> None:
     assert set(real.upper_limits) <= set(example.upper_limits) and real.upper_limits
     words = diagnosis_page(tmp_path, real).words
     assert "Misfit over discretisation error" in words
-    assert "each of the 8 effects" in words and "promised no better fit" in words
+    assert f"each of the {len(all_effects())} effects" in words and "promised no better fit" in words
 
 
 def test_a_fit_without_anything(tmp_path: Path) -> None:
