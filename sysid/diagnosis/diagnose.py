@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -344,13 +344,15 @@ def diagnose_bags(
     out: Path,
     on_progress: Progress | None = None,
     on_warning: Callable[[str], None] | None = None,
+    despite: Collection[str] = (),
 ) -> str:
     """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``.
-    ``on_warning``: hears what speaks against the recordings before anything is simulated."""
+    ``on_warning``: hears what speaks against the recordings before anything is simulated; ``despite``: findings that do
+    not stop it (:func:`sysid.model.load.read_run`)."""
     from sysid.report import write_diagnosis_report
 
     with whole_folder(out) as folder:
-        runs, kept = load_runs(rig, bags, held_out, on_warning)
+        runs, kept = load_runs(rig, bags, held_out, on_warning, despite)
         diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
         overlay = {
             "overlay_of": "rig.yaml",

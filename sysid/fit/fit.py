@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -426,16 +426,18 @@ def fit_bags(
     on_progress: Progress | None = None,
     on_step: Callable[[Step], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
+    despite: Collection[str] = (),
 ) -> FitResult:
     """Fit bags (:func:`fit_runs`) and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``.
-    ``on_warning``: hears which bounds are cut and what speaks against the recordings before anything is simulated."""
+    ``on_warning``: hears which bounds are cut and what speaks against the recordings before anything is simulated;
+    ``despite``: findings that do not stop the fit (:func:`sysid.model.load.read_run`)."""
     from sysid.report import write_fit_report
 
     if on_warning is not None:
         for text in bounds_cut(rig, names, options.bounds):
             on_warning(text)
     with whole_folder(out) as folder:
-        runs, kept = load_runs(rig, bags, held_out, on_warning)
+        runs, kept = load_runs(rig, bags, held_out, on_warning, despite)
         result, fitted = fit_runs(rig, runs, names, options, held_out=kept, on_progress=on_progress, on_step=on_step)
         with to_the_end():
             result.write(folder / "fit.json")

@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sim_core.errors import RecordingError
-from sim_core.rigs import (
-    MarkerSensor,
-    OrthographicCamera,
-    Rig,
-    Rigid,
-    WrenchSensor,
-    marker_positions,
-    track_ids,
-)
+from sim_core.rigs import OrthographicCamera, Rig, WrenchSensor
 from sim_core.rigs.observers import WRENCH_COMPONENTS
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
-from sysid.observations.rig_match import check_topics, differences, numbers_apart
+from sysid.observations.rig_match import check_topics, marker_numbers, numbers_apart
 from sysid.observations.rig_topics import topics_of
 from sysid.observations.selection import Part, given_again, part_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
-from sysid.recording.notes import Note, Notes, told_once
+from sysid.recording.notes import Note, Notes, Severity, told_once
+
+if TYPE_CHECKING:
+    from sysid.observations.checks import Finding
 
 UNITS = {"wrench": ("N", "N m"), "markers": ("m",), "tracks": ("px",)}
 
@@ -111,14 +107,16 @@ def load_runs(
     bags: Sequence[Path],
     held_out: Sequence[Path] = (),
     on_warning: Callable[[str], None] | None = None,
+    despite: Collection[str] = (),
 ) -> tuple[list[Run], list[Run]]:
     """Read the bags, or windows of bags, to use and those held out (:func:`load_run`), under names that tell all of
-    them apart. ``on_warning``: hears what speaks against each recording, once it is read, and each window of it."""
+    them apart. ``on_warning``: hears what speaks against each recording, once it is read, and each window of it;
+    ``despite``: findings that do not stop (:func:`read_run`)."""
     from sysid.model.windows import window_of
 
     paths = [*bags, *held_out]
     parts = [part_of(path) for path in paths]
-    whole = {path: read_run(rig, path) for path in dict.fromkeys(part.path for part in parts)}
+    whole = {path: read_run(rig, path, despite) for path in dict.fromkeys(part.path for part in parts)}
     if on_warning is not None:
         for name, run in zip(distinct_names(list(whole)), whole.values(), strict=True):
             for text in (*filter(None, [run.unlike]), *run.doubts, *run.lacking):
@@ -183,24 +181,38 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     return names
 
 
-def load_run(rig: Rig, path: Path) -> Run:
+def load_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
     """Read a bag, or a window of one, and line it up with a rig: with all that there is to be told of how it was read.
-    Raises ``RecordingError`` when nothing can be compared."""
+    Raises ``RecordingError`` when nothing can be compared, or what it says cannot be (:func:`read_run`)."""
     from sysid.model.windows import window_of
 
     part = part_of(Path(path))
-    return window_of(rig, read_run(rig, part.path), part)
+    return window_of(rig, read_run(rig, part.path, despite), part)
 
 
-def read_run(rig: Rig, path: Path) -> Run:
-    """Read a bag and line it up with a rig; what counts samples is left to be told of the window that is used. Raises
-    ``RecordingError`` when nothing can be compared."""
+def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
+    """Read a bag and line it up with a rig; what is about some times only is left to be told of the window that is
+    used. Readings that :func:`sysid.observations.checks.examine` finds faulty are left out.
+
+    Raises ``RecordingError`` when nothing can be compared, and where a finding makes a fit meaningless, unless
+    ``despite`` has its name."""
     from sysid.model.marker_registration import first_frames, placed
+    from sysid.observations.checks import examine
 
     topics = open_bag(Path(path), Notes()).topics
     check_topics(rig, path, topics)
     names, missing = topics_of(rig, topics)
-    recording = read_recording(path, names)
+    recording = read_recording(path, names, need_pose=bool(rig.end_effectors))
+    findings, recording = examine(recording, rig)
+    unlike = " ".join(found.problem for found in findings if found.of_another_rig)
+    if unlike:
+        unlike += " Give the rig that it was recorded with, if that is another one."
+    for found in findings:
+        if found.severity == "stops a fit" and found.name not in despite:
+            raise RecordingError(
+                " ".join(filter(None, [f"{path}: {found.channel}: {found.problem}", unlike])),
+                f"{found.remedy} To go on all the same: --despite {found.name}.",
+            )
     poses = {}
     for name in rig.end_effectors:
         stream = recording.poses[name]
@@ -212,10 +224,6 @@ def read_run(rig: Rig, path: Path) -> Run:
             source=f"{path}: {stream.topic}",
         )
     recorded = tuple(_measured(rig, recording))
-    different = list(differences(rig, recording, _marker_numbers(rig)))
-    unlike = " ".join(text for text, of_another in different if of_another)
-    if unlike:
-        unlike += " Give the rig that it was recorded with, if that is another one."
     measured, blanked = while_posed(rig, poses, recorded)
     if not measured:
         raise RecordingError(
@@ -225,7 +233,8 @@ def read_run(rig: Rig, path: Path) -> Run:
     firsts, missed = first_frames(rig, poses, measured)
     if firsts:
         placed(build_scene(rig), firsts)  # every marker is seen on its sheet
-    said = [note for note in recording.notes if not note.thing]
+    notes = [*recording.notes, *(as_note(found) for found in findings if not found.of_another_rig)]
+    said = [note for note in notes if not note.times]
     lacking = tuple(f"{topic}: named by the rig, not in this recording" for topic in missing)
     return Run(
         name=Path(path).name,
@@ -237,7 +246,6 @@ def read_run(rig: Rig, path: Path) -> Run:
         notes=(
             *told_once(said),
             *lacking,
-            *(text for text, of_another in different if not of_another),
             *([unlike] if unlike else []),
             *blanked,
             *missed,
@@ -246,8 +254,14 @@ def read_run(rig: Rig, path: Path) -> Run:
         unlike=unlike,
         doubts=tuple(told_once([note for note in said if note.severity == "warning"])),
         lacking=lacking,
-        counted=tuple(note for note in recording.notes if note.thing),
+        counted=tuple(note for note in notes if note.times),
     )
+
+
+def as_note(found: Finding) -> Note:
+    """A finding as a remark on the recording."""
+    severity: Severity = "info" if found.severity == "note" else "warning"
+    return Note(severity, found.channel, found.text, times=found.times)
 
 
 def while_posed(
@@ -296,7 +310,7 @@ def _measured(rig: Rig, recording: Recording) -> Sequence[Measured]:
         values = np.where(measured, np.hstack([wrench.force, wrench.torque]), np.nan)
         labels = tuple(c.replace("_", " ") for c in WRENCH_COMPONENTS)
         out.append(Measured(name, "wrench", wrench.t, values, labels))
-    numbers = _marker_numbers(rig)
+    numbers = marker_numbers(rig)
     for name, markers in recording.markers.items():
         ids = numbers[name]
         values = _by_id(markers.position, markers.ids, ids, name, recording)
@@ -308,17 +322,6 @@ def _measured(rig: Rig, recording: Recording) -> Sequence[Measured]:
             values = _from_origin(values, camera)
         out.append(Measured(name, "tracks", tracks.t, values, _labels(ids, "uv")))
     return out
-
-
-def _marker_numbers(rig: Rig) -> dict[str, np.ndarray]:
-    """Numbers of the markers, in the order of the columns, by sensor or camera."""
-    bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
-    found = {
-        name: marker_positions(sensor.points, bodies[sensor.body])[1]
-        for name, sensor in rig.sensors.items()
-        if isinstance(sensor, MarkerSensor)
-    }
-    return found | {name: track_ids(camera, bodies) for name, camera in rig.cameras.items()}
 
 
 def _from_origin(values: np.ndarray, camera: OrthographicCamera) -> np.ndarray:

@@ -55,7 +55,14 @@ def pose_stream(series: Series, declared: EETopics, t0_ns: int, notes: Notes) ->
     quaternion = _unit_quaternions(topic, values[:, 3:], declared, notes)
     _note_jumps(topic, t, position, notes)
     note_gaps(topic, t, notes)
-    return PoseStream(topic=topic, frame_id=series.frame_id, t=t, position=position, quaternion=quaternion)
+    return PoseStream(
+        topic=topic,
+        frame_id=series.frame_id,
+        t=t,
+        arrival=series.arrival(t0_ns),
+        position=position,
+        quaternion=quaternion,
+    )
 
 
 def check_pair(measured: PoseStream, commanded: PoseStream, declared: EETopics, notes: Notes) -> None:

@@ -33,7 +33,7 @@ def test_a_bag_beside_its_namesake_is_told_apart(tmp_path: Path, monkeypatch: py
 
 
 def test_loaded_runs_have_these_names(small_rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sysid.model.load, "read_run", lambda rig, p: Run(p.name, str(p), (), {}, (), 1.0))
+    monkeypatch.setattr(sysid.model.load, "read_run", lambda rig, p, _: Run(p.name, str(p), (), {}, (), 1.0))
     runs, held_out = load_runs(small_rig(), [Path("a/bag")], [Path("b/bag"), Path("c")])
     assert [[r.name for r in group] for group in (runs, held_out)] == [["a/bag"], ["b/bag", "c"]]
     assert runs[0].path == "a/bag"
@@ -48,7 +48,7 @@ def test_what_speaks_against_recordings_is_heard_once_each(
     for name in against:
         (tmp_path / name).touch()
 
-    def load(rig: object, path: Path) -> Run:
+    def load(rig: object, path: Path, despite: object) -> Run:
         unlike, doubts = against[path.name]
         return Run(path.name, str(path), (), {}, (), 9.0, unlike=unlike, doubts=doubts)
 
