@@ -74,6 +74,8 @@ class Scene:
     """A rig ready to be stepped. Build with :func:`build_scene`."""
 
     def __init__(self, rig: Rig, refine: int) -> None:
+        self.given = rig
+        """The rig as it was given."""
         rig = amended(rig)
         self.rig, self._refine = rig, refine
         """The rig with the amendments of its numbers that its effects make."""
@@ -341,9 +343,9 @@ class Scene:
 
     def use(self, rig: Rig) -> None:
         """Take the numbers of a rig of the same geometry."""
-        rig = amended(rig)
+        given, rig = rig, amended(rig)
         self.fields.check(rig)
-        self.rig = rig
+        self.given, self.rig = given, rig
         self.apply(self.values(rig))
 
     def carried(self, mount: str) -> np.ndarray:
