@@ -96,6 +96,30 @@ class EffectParameter:
         return replace(self, typical=scaled or self.typical, prior_sd=width)
 
 
+NuisanceKind = Literal["time", "bias", "camera", "pose"]
+"""Groups of nuisance parameters, as users switch them on and off: clocks, offsets of wrench sensors, cameras, tools."""
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """An effect within its prior, which every fit allows for beside what it is asked for.
+
+    ``owner``: name of the channel, camera or end effector; ``parameter``: full name of the number of the rig that
+    stands for it (None: a constant for each component, which fits eliminate); ``sd``: standard deviation of its prior,
+    in the fitted scale, 0 where it is known exactly (None: by the size of what was measured); ``same_as``: the effect's
+    own parameters that describe the same thing, beside which it is left out; ``tied``: further numbers of the rig that
+    change in proportion; ``per_recording``: each recording has a value of its own.
+    """
+
+    kind: NuisanceKind
+    owner: str
+    parameter: str | None
+    sd: float | None
+    same_as: tuple[str, ...]
+    tied: tuple[str, ...] = ()
+    per_recording: bool = False
+
+
 class Effect(ABC):
     """Base of all effects. A subclass is one law: it fills the words in, says on what it acts, and implements one of
     the interfaces of :mod:`sim_core.effects.hooks`, whose values and derivatives are abstract: a class that lacks one
@@ -137,6 +161,11 @@ class Effect(ABC):
         if not self.applies(rig):
             return ()
         return ({p.name: p.fitted_to(scales).typical for p in self.parameters},)
+
+    def nuisances(self, rig: Rig) -> tuple[Nuisance, ...]:
+        """In what form every fit allows for the effect within its prior; none: it is a hypothesis alone."""
+        del rig
+        return ()
 
     def equivalents(self, values: Values) -> tuple[Values, ...]:
         """Other values of the parameters that describe the very same law."""

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim_core.effects.base import EffectParameter, RecordingScales, Values
+from sim_core.effects.base import EffectParameter, Nuisance, RecordingScales, Values
 from sim_core.effects.hooks import Channel, ClockMap
 from sim_core.rigs import Rig, WrenchSensor
 
@@ -45,6 +45,15 @@ class StreamDelay(ClockMap):
         late = [name for name, there in (("wrench_s", felt), ("vision_s", seen)) if there]
         own = [p.fitted_to(scales) for p in self.parameters]
         return tuple({p.name: p.typical if p.name == name else (0.0,) for p in own} for name in late)
+
+    def nuisances(self, rig: Rig) -> tuple[Nuisance, ...]:
+        """The latency of each stream, in each recording by itself, since clocks are set anew between them."""
+        found = []
+        for name, source in (*rig.sensors.items(), *rig.cameras.items()):
+            own = "wrench_s" if isinstance(source, WrenchSensor) else "vision_s"
+            latency, sd = f"{name}.latency_s", source.latency_sd_s
+            found.append(Nuisance("time", name, latency, sd, (own,), per_recording=True))
+        return tuple(found)
 
     def shown_at(self, channel: Channel, values: Values) -> np.ndarray:
         return np.asarray(channel.stamps - (values["wrench_s"] if channel.kind == "wrench" else values["vision_s"]))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.base import EffectParameter, Nuisance, Values
 from sim_core.effects.hooks import Additive, Channel
 from sim_core.rigs import Rig, WrenchSensor
 
@@ -62,6 +62,11 @@ class WrenchOffset(Additive):
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, s in rig.sensors.items() if isinstance(s, WrenchSensor))
+
+    def nuisances(self, rig: Rig) -> tuple[Nuisance, ...]:
+        """A constant in each component of each sensor and recording."""
+        own = tuple(p.name for p in self.parameters if "bias" in p.name)
+        return tuple(Nuisance("bias", name, None, None, own, per_recording=True) for name in self.targets(rig))
 
     def added(self, channel: Channel, values: Values) -> np.ndarray:
         names = ("bias_{}_n", "torque_bias_{}_nm"), ("drift_{}_n_per_s", "torque_drift_{}_nm_per_s")

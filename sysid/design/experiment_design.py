@@ -133,7 +133,7 @@ def plan_experiments(
             runs.append(replace(load_run(rig, bag), name=name))
     noise = {m.channel: as_declared(rig, m) for run in runs for m in run.measured}
     parameters = [*asked, *nuisance_parameters(rig, runs, asked, kinds)]
-    start, bias = start_of(rig, parameters), has_bias(runs, asked, kinds)
+    start, bias = start_of(rig, parameters), has_bias(rig, runs, asked, kinds)
     predicted = _Count(say, PREDICTIONS * len(runs))
     with PooledEngine(os.cpu_count(), predicted) as engine:
         pending = [engine.submit_with_derivatives(rig, run, parameters, start) for run in runs]

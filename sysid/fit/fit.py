@@ -135,7 +135,7 @@ def _fit_runs(
     on_progress: Progress | None,
 ) -> tuple[FitResult, Rig]:
     beside = nuisance_parameters(rig, runs, asked, options.kinds) if asked else []
-    bias = bool(asked) and has_bias(runs, asked, options.kinds)
+    bias = bool(asked) and has_bias(rig, runs, asked, options.kinds)
     parameters = [*asked, *beside]
     started = time.monotonic()
     as_given = [engine.submit(rig, run) for run in runs]

@@ -225,8 +225,8 @@ def test_every_stream_and_camera_has_its_nuisances_once(small_rig: Any) -> None:
     ]
     assert [found[f"finger.{key}"].prior_sd for key in OFFSETS] == [5e-4] * 3 + [0.5] * 3
     assert all(p.nuisance for p in found.values())
-    assert nuisance_parameters(rig, runs, asked, ()) == [] and not has_bias(runs, asked, ())
-    assert has_bias(runs, asked, KINDS)
+    assert nuisance_parameters(rig, runs, asked, ()) == [] and not has_bias(rig, runs, asked, ())
+    assert has_bias(rig, runs, asked, KINDS)
     own = fit_parameters(rig, ["side.latency_s", "side.fy_px", *(f"finger.{key}" for key in OFFSETS[1:])])
     left = [p.name for p in nuisance_parameters(rig, runs, own, KINDS)]
     assert left == ["wrench.latency_s", "markers.latency_s", "side.cx_px", "side.cy_px", "finger.offset_x_m"]

@@ -16,6 +16,9 @@ TYPICAL: dict[str, dict[str, float]] = {
     "stream_delay": {"wrench_s": 0.03, "vision_s": 0.05},
     "camera_distortion": {"k1": 0.1, "k2": -0.05},
     "command_lag": {"delay_s": 0.015, "tau_s": 0.03},
+    "tool_offset": {"x_m": 3e-4, "y_m": -2e-4, "z_m": -4e-4, "rx_deg": 0.4, "ry_deg": -0.3, "rz_deg": 0.2},
+    "camera_pose": {"x_m": 1e-3, "y_m": -2e-3, "z_m": 3e-3, "rx_deg": 0.3, "ry_deg": -0.2, "rz_deg": 0.4},
+    "camera_intrinsics": {"scale": 0.02, "cx_px": 3.0, "cy_px": -2.0},
     "gravity_direction": {"tilt_x_rad": 0.05, "tilt_y_rad": -0.1},
     "contact_adhesion": {"work_j_m2": 0.5, "range_m": 2e-4},
 }
