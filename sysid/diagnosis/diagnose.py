@@ -37,7 +37,7 @@ from sysid.fit.discretisation_refinement import (
     fit_beside_discretisation,
 )
 from sysid.fit.result import plot_series, rms_errors
-from sysid.io.atomic_folder import whole_folder
+from sysid.io.atomic_folder import whole_folder, write_results
 from sysid.model.load import Run, check_apart, load_runs
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import fit_parameters
@@ -48,6 +48,9 @@ from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
 Progress = Callable[[float, str], None]
+
+REPORT = "report.html"
+"""The report in the folder of a diagnosis."""
 
 REFITTED = 4
 """Effects that are refitted in full after the screening."""
@@ -365,10 +368,16 @@ def diagnose_bags(
             },
             "effects": {name: dict(values) for name, values in amended.effects.items()},
         }
-        diagnosis.write(folder / "diagnosis.json")
-        (folder / "rig.yaml").write_text(rig_to_yaml(rig))
-        (folder / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))
-        report = write_diagnosis_report(diagnosis, folder / "report.html")
+        write_results(
+            folder,
+            out,
+            [
+                lambda place: diagnosis.write(place / "diagnosis.json"),
+                lambda place: (place / "rig.yaml").write_text(rig_to_yaml(rig)),
+                lambda place: (place / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False)),
+                lambda place: write_diagnosis_report(diagnosis, place / REPORT),
+            ],
+        )
     lines = [diagnosis.sentence, *diagnosis.notes, ""]
     for effect in diagnosis.effects:
         for p in effect.parameters:
@@ -376,6 +385,6 @@ def diagnose_bags(
     lines += [
         f"Not explained: {diagnosis.not_explained}",
         f"Next: {diagnosis.next_experiment}",
-        f"Report: {out / report.name}",
+        f"Report: {out / REPORT}",
     ]
     return "\n".join(lines)

@@ -32,7 +32,7 @@ from sysid.fit.result import (
     rms_errors,
 )
 from sysid.fit.validation import all_scored
-from sysid.io.atomic_folder import whole_folder
+from sysid.io.atomic_folder import whole_folder, write_results
 from sysid.model.load import Run, check_apart, load_runs, of_recording
 from sysid.model.nuisance_parameters import has_bias, nuisance_parameters
 from sysid.model.parallel_predictor import AnyEngine, PooledEngine
@@ -440,7 +440,13 @@ def fit_bags(
         runs, kept = load_runs(rig, bags, held_out, on_warning, despite)
         result, fitted = fit_runs(rig, runs, names, options, held_out=kept, on_progress=on_progress, on_step=on_step)
         with to_the_end():
-            result.write(folder / "fit.json")
-            (folder / "fitted_rig.yaml").write_text(rig_to_yaml(fitted))
-            write_fit_report(result, folder / REPORT)
+            write_results(
+                folder,
+                out,
+                [
+                    lambda place: result.write(place / "fit.json"),
+                    lambda place: (place / "fitted_rig.yaml").write_text(rig_to_yaml(fitted)),
+                    lambda place: write_fit_report(result, place / REPORT),
+                ],
+            )
     return result

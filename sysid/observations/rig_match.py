@@ -11,10 +11,14 @@ import numpy as np
 from sim_core.errors import RecordingError
 from sim_core.rigs import MarkerSensor, Rig, Rigid, marker_positions, track_ids
 from sysid.recording.bag import TopicInfo
-from sysid.recording.topics import CLOUD, COMPRESSED, IMAGE, POSE, WRENCH
+from sysid.recording.topics import CLOUD, COMPRESSED, IMAGE, POSE, POSES, TF, WRENCH, WRENCHES
 
-STREAMS = {POSE, WRENCH, CLOUD, IMAGE, COMPRESSED}
-"""Types of what a rig reads; other topics say nothing about it."""
+STREAMS = {
+    **dict.fromkeys(POSES, POSE),
+    **dict.fromkeys(WRENCHES, WRENCH),
+    **{kind: kind for kind in (TF, CLOUD, IMAGE, COMPRESSED)},
+}
+"""Types of what a rig reads, and what each holds; other topics say nothing about it."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,8 @@ class _Part:
 def _hands(rig: Rig) -> list[_Part]:
     return [
         _Part(f"the pose of {n!r}", f"end_effectors.{n}.topics.current_pose", (t.current_pose, t.target_pose), POSE)
+        if t.tf is None
+        else _Part(f"the pose of {n!r}", f"end_effectors.{n}.topics.tf", ("tf",), TF)
         for n, t in ((n, e.topics) for n, e in rig.end_effectors.items())
     ]
 
@@ -63,7 +69,9 @@ def places_of_topics(rig: Rig) -> dict[str, str]:
 def check_topics(rig: Rig, path: Path, topics: Mapping[str, TopicInfo]) -> None:
     """Refuse a recording that lacks the pose of an end effector, or all that the rig measures, or in which names of the
     rig may mean several topics. Raises ``RecordingError``, which names what differs."""
-    types = {"/" + topic.strip("/"): STREAMS & set(info.msgtypes) for topic, info in topics.items()}
+    types = {
+        "/" + topic.strip("/"): {STREAMS[m] for m in info.msgtypes if m in STREAMS} for topic, info in topics.items()
+    }
     hands, senses = _hands(rig), _senses(rig)
     found = {part: part.found(types) for part in (*hands, *senses)}
     several = [part for part, same in found.items() if len(same) > 1]

@@ -17,6 +17,7 @@ from sim_core.errors import RecordingError, nearest_match
 from sysid.recording.arrays import Ints
 from sysid.recording.files import (
     SUFFIXES,
+    TABLE,
     ZSTD_MAGIC,
     index_file,
     open_payloads,
@@ -176,6 +177,9 @@ def _files_of(path: Path, notes: Notes) -> tuple[list[Path], Mapping[str, Any]]:
             "Give a rosbag2 recording: its directory, an .mcap file or a .db3 file.",
         )
     here = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_natural)
+    tables = sorted(path.glob(f"*{TABLE}"), key=_natural)
+    if tables and not here and not (path / METADATA).exists():
+        return tables, {}
     metadata = _metadata(path / METADATA, notes)
     if metadata:
         listed = [_listed_file(path, str(name)) for name in metadata["relative_file_paths"]]

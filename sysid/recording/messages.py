@@ -158,10 +158,10 @@ def read_table(topic: str, msgtype: str, source: MessageSet, content: Callable[[
         except ValueError as error:
             fault = fault or str(error)
             continue
-        stamp = message.header.stamp
         rows.append(row)
-        stamps.append(int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec))
-        frames.append(str(message.header.frame_id))
+        header = getattr(message, "header", None)
+        stamps.append(0 if header is None else int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec))
+        frames.append("" if header is None else str(header.frame_id))
         kept.append(k)
     lost = len(source) - len(kept)
     fault = fault or "is unreadable"

@@ -16,6 +16,7 @@ from sysid.recording.messages import Series, read_series
 from sysid.recording.notes import Notes, plural
 from sysid.recording.recording import FileRecord, Provenance, Recording
 from sysid.recording.streams import CameraInfo, PoseStream
+from sysid.recording.tf import tf_series, tf_topics
 from sysid.recording.topics import TopicNames, camera_info_topic, resolve, sensor_topic
 
 _CONTENT: dict[str, Callable[[Any], Any]] = {
@@ -47,12 +48,15 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
     notes = Notes()
     bag = open_bag(Path(path), notes)
     roles = _roles(names, bag, notes)
-    _check_needed(bag, roles, need_pose)
+    by_tf = {name: ee.tf for name, ee in names.ee.items() if ee.tf is not None}
+    _check_needed(bag, roles, need_pose and not by_tf)
     series = {
         (role, name): _series(role, name, topic, names, bag, notes)
         for role, found in roles.items()
         for name, topic in found.items()
     }
+    for name, (base, child) in by_tf.items():
+        series[("current_pose", name)] = tf_series(bag, base, child, names.time, notes)
     _refuse_latched_only(bag, series)
     t0_ns = min(int(one.times_ns[0]) for one in series.values())
     _note_clocks(series, t0_ns, notes)
@@ -87,6 +91,7 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
     )
     used = {topic for found in roles.values() for topic in found.values()}
     used |= {topic for topic in calibrations.values() if topic}
+    used |= set(tf_topics(bag)) if by_tf else set()
     _note_unused(bag, used, notes)
     return replace(recording, notes=notes.collected())
 
@@ -94,7 +99,7 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
 def _roles(names: TopicNames, bag: Bag, notes: Notes) -> dict[str, dict[str, str]]:
     """Return topic by name for every role but camera_info."""
     wanted: dict[str, Mapping[str, str | None]] = {
-        "current_pose": {name: ee.current_pose for name, ee in names.ee.items()},
+        "current_pose": {name: ee.current_pose for name, ee in names.ee.items() if ee.tf is None},
         "target_pose": {name: ee.target_pose for name, ee in names.ee.items()},
         "wrench": {name: sensor_topic(value).topic for name, value in names.wrench.items()},
         "markers": {name: sensor_topic(value).topic for name, value in names.markers.items()},
@@ -168,7 +173,7 @@ def _check_needed(bag: Bag, roles: Mapping[str, Mapping[str, str]], need_pose: b
     if need_pose and not (roles["current_pose"] or roles["target_pose"]):
         raise RecordingError(
             f"{bag.path} holds no pose of an end effector: no current_pose or target_pose topic was found.",
-            f"Name the topic in the rig (--rig). Topics in the recording: {listing}.",
+            f"Name the topic in the rig, in `topics` of the end effector. Topics in the recording: {listing}.",
         )
 
 

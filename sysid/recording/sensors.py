@@ -25,8 +25,9 @@ _COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant"
 
 
 def wrench_content(message: Any) -> tuple[float, ...]:
-    """Return force and torque of a WrenchStamped, shape (6,)."""
-    f, m = message.wrench.force, message.wrench.torque
+    """Return force and torque of a WrenchStamped or a Wrench, shape (6,)."""
+    wrench = getattr(message, "wrench", message)
+    f, m = wrench.force, wrench.torque
     return (f.x, f.y, f.z, m.x, m.y, m.z)
 
 

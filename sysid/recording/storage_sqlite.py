@@ -12,6 +12,10 @@ from sysid.recording.storage import ChannelEntry, FileIndex
 
 MAGIC = b"SQLite format 3\x00"
 
+MOST_FAULTS = 256
+"""Damaged pages that are passed over in one file."""
+_LARGEST_ID = 2**63 - 1
+
 LARGEST_SKIP = 1 << 22
 """Ids behind a damaged page that are passed over before it is taken for the end."""
 
@@ -93,23 +97,23 @@ def _rows(db: sqlite3.Connection) -> tuple[list[tuple[int, int, int]], str]:
 
     A damaged page ends a query. The next one begins behind the last id, farther and farther, until one can be read."""
     rows: list[tuple[int, int, int]] = []
-    fault, after, skip = "", -(2**63), 0
-    while True:
+    fault, after, skip = "", -1, 0
+    for _ in range(MOST_FAULTS):
         try:
             for row in db.execute("SELECT topic_id, timestamp, id FROM messages WHERE id > ? ORDER BY id", (after,)):
+                if not isinstance(row[2], int) or row[2] <= after:
+                    raise sqlite3.DatabaseError("its ids are not in order")
                 rows.append(row)
-                if isinstance(row[2], int):
-                    after, skip = row[2], 0
-            return rows, fault
+                after, skip = row[2], 0
+            break
         except sqlite3.DatabaseError as error:
-            if not rows and not fault:
-                after = 0
             fault, skip = str(error), max(1, 2 * skip)
-            after += skip
+            after = min(after + skip, _LARGEST_ID)
             if skip > LARGEST_SKIP:
-                if not rows:
-                    raise
-                return rows, fault
+                break
+    if fault and not rows:
+        raise sqlite3.DatabaseError(fault)
+    return rows, fault
 
 
 def _connect(path: Path) -> sqlite3.Connection:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.noise.estimate import REST_MARGIN_S, by_differences, moving
+from sysid.noise.estimate import by_differences, still_at
 from sysid.recording import Recording
 from sysid.recording.streams import WrenchStream
 
@@ -16,15 +16,11 @@ NOISE_OF_STEPS = 0.03
 def at_rest(recording: Recording, t: np.ndarray) -> np.ndarray:
     """At which of the times [s] ``(n,)`` no end effector moves; at none where there are no poses, for then nothing is
     known of motion."""
-    still = np.full(len(t), bool(recording.poses))
-    for stream in recording.poses.values():
-        if len(stream) < 2:
-            continue
-        trajectory = PoseTrajectory.from_samples(stream.t, stream.position, stream.quaternion)
-        spans = np.array(moving(trajectory)).reshape(-1, 2)
-        begun = np.bincount(np.searchsorted(t, spans[:, 0]), minlength=len(t) + 1)
-        over = np.bincount(np.searchsorted(t, spans[:, 1] + REST_MARGIN_S, side="right"), minlength=len(t) + 1)
-        still &= np.cumsum(begun - over)[:-1] == 0
+    if not recording.poses:
+        return np.zeros(len(t), dtype=bool)
+    streams = [stream for stream in recording.poses.values() if len(stream) > 1]
+    still = still_at([PoseTrajectory.from_samples(s.t, s.position, s.quaternion) for s in streams], t)
+    for stream in streams:
         still &= (t >= stream.t[0]) & (t <= stream.t[-1])
     return still
 
