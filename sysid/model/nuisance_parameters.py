@@ -31,10 +31,10 @@ from sim_core.errors import ConfigError, nearest_match
 from sim_core.rigs import OrthographicCamera, Rig
 from sim_core.rigs.observers import Camera
 from sim_core.rigs.pose_offset import OFFSETS
-from sysid.model.load import Measured, Run
 from sysid.model.parameters import FitParameter, fit_parameters
 from sysid.model.pose_influence import acting
 from sysid.noise.estimate import column_groups
+from sysid.observations.observations import Measured, Run
 from sysid.observations.selection import recording_of
 
 KINDS = ("time", "bias", "camera", "pose")
