@@ -21,11 +21,12 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
 from sysid.fit.discretisation_refinement import discretisation
-from sysid.model.load import Measured, Run, load_run
+from sysid.model.load import load_run
 from sysid.model.nuisance_parameters import KINDS, checked_kinds, has_bias, nuisance_parameters
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.noise.estimate import as_declared, undeclared
+from sysid.observations.observations import Measured, Run
 from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import UNDETERMINED_SHARE, interval, names_undetermined, uncertainty
 from sysid.solve.optimum import Fitted

@@ -32,8 +32,8 @@ from sim_core.scene.scene import Frame
 from sim_core.sensing.camera import project
 from sim_core.sensing.observe import frame_of
 from sim_core.simulate import Simulation
-from sysid.model.load import FirstFrame, Measured
 from sysid.model.sensor_streams import total_delay
+from sysid.observations.observations import FirstFrame, Measured
 
 REACH_S = 30.0
 """Poses so long before and after a first frame [s] are kept with it: no latency is longer."""

@@ -30,10 +30,10 @@ import numpy as np
 from sim_core.effects import Nuisance, all_effects, split_key
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.rigs import Rig
-from sysid.model.load import Measured, Run
 from sysid.model.parameters import FitParameter, fit_parameters
 from sysid.model.pose_influence import acting
 from sysid.noise.estimate import column_groups
+from sysid.observations.observations import Measured, Run
 from sysid.observations.selection import recording_of
 
 KINDS = ("time", "bias", "camera", "pose")

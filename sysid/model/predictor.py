@@ -15,11 +15,11 @@ from sim_core.rigs import Rig
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.scene import Scene, build_scene
 from sim_core.simulate import Trace, simulate
-from sysid.model.load import Run
 from sysid.model.marker_registration import placed, placed_along
 from sysid.model.parameters import FitParameter, acting_in, rig_at
 from sysid.model.sensor_streams import predicted, predicted_derivatives, stream_derivatives
 from sysid.model.time_span import rollout_times, too_late
+from sysid.observations.observations import Run
 
 STEP = 1e-5
 """Half width, in the fitted scale, of the differences that tell what a parameter changes in the rig."""

@@ -12,10 +12,10 @@ from sim_core.effects import effect_by_name
 from sim_core.simulate import Trace
 from sysid.diagnosis import hypotheses as candidates
 from sysid.diagnosis.hypotheses import screen
-from sysid.model.load import Measured, Run
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.residuals import Problem
 

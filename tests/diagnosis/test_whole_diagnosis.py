@@ -17,10 +17,10 @@ from sim_core.rigs import Rig, parse_rig
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis import hypotheses as candidates
 from sysid.diagnosis.result import Diagnosis
-from sysid.model.load import Measured, Run
 from sysid.model.parameters import rig_at
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 
 T, SIGMA, SHARE = np.linspace(0.0, 1.0, 200), 0.01, 0.3
 MATERIAL, LAW, RIPPLE = (f[:, None] for f in (np.sin(6.0 * T), np.cos(6.0 * T), np.sin(20.0 * T)))

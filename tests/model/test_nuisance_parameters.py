@@ -13,7 +13,6 @@ from sim_core.rigs import load_rig, parse_rig, with_parameters
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.simulate import Trace
 from sysid.fit.options import FitOptions
-from sysid.model.load import Measured, Run
 from sysid.model.nuisance_parameters import (
     BIAS_SD,
     KINDS,
@@ -26,6 +25,7 @@ from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_o
 from sysid.model.pose_influence import acting
 from sysid.model.predictor import Engine, Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.residuals import Problem

@@ -16,8 +16,9 @@ from sim_core.rigs import Rig, list_parameters, load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, Trace
-from sysid.model.load import Measured, Run, load_run
+from sysid.model.load import load_run
 from sysid.noise.estimate import estimate_noise
+from sysid.observations.observations import Measured, Run
 from sysid.proof import make_cases
 from sysid.proof.generator import bench, make
 from sysid.proof.generator.concealed import DRAWS, assign_effects, draw_amplitudes

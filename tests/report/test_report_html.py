@@ -34,10 +34,10 @@ from sysid.diagnosis.model_selection import Trial, Verdict
 from sysid.diagnosis.residual_analysis import structure
 from sysid.diagnosis.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
 from sysid.fit.result import Estimate, FitResult
-from sysid.model.load import Measured, Run
 from sysid.model.parameters import fit_parameters
 from sysid.model.predictor import Engine, Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.report import write_diagnosis_report, write_fit_report
 from sysid.report.fit_page import overall_level
 from sysid.report.numbers import TIMES
