@@ -15,7 +15,6 @@ from sim_core.geometry.polygons import area_of, crossing_edges, in_polygon
 from sim_core.materials.presets import preset_values
 from sim_core.rigs.fields import (
     Cells2,
-    Cells3,
     Coordinate,
     FloatArray,
     Length,
@@ -29,6 +28,7 @@ from sim_core.rigs.fields import (
     describe,
     trouble,
 )
+from sim_core.rigs.gel_shapes import Block, Disc, Dome
 
 WORLD = "world"
 Modulus = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0, le=1e13)]
@@ -224,52 +224,6 @@ class Outline(Strict):
         return np.array([corners.min(axis=0), corners.max(axis=0)])
 
 
-class Block(Strict):
-    """A solid cuboid of gel."""
-
-    faces: ClassVar[tuple[str, ...]] = ("bottom", "top", "x_min", "x_max", "y_min", "y_max")
-
-    type: Literal["block"]
-    size_m: Sizes = Field(description="extents along local x, y, z in m")
-    cells: Cells3 = Field(description="number of cells along x, y, z")
-
-    def bounds(self) -> FloatArray:
-        """Corners of the box around it [m], shape ``(2, 3)``."""
-        half = np.array(self.size_m) / 2
-        return np.array([-half, half])
-
-
-class Dome(Strict):
-    """A half ball of gel, apex at +z, with a concentric half-ball cavity, like a tactile fingertip.
-
-    The origin is the centre of the ball; ``base`` is the flat ring at z = 0, ``outer`` the skin,
-    ``inner`` the wall of the cavity. A marker in the cavity is the tip of a pin that stands on that wall, along the
-    radius, and moves and turns with it.
-    """
-
-    faces: ClassVar[tuple[str, ...]] = ("base", "outer", "inner")
-
-    type: Literal["dome"]
-    radius_m: Length = Field(description="outer radius in m")
-    cavity_radius_m: Length = Field(description="radius of the cavity in m")
-    cells: Cells3 = Field(description="number of cells along the cap, from cap to rim, and through the wall")
-
-    @model_validator(mode="after")
-    def _has_wall(self) -> Dome:
-        if self.cavity_radius_m >= self.radius_m:
-            raise trouble(
-                f"is {self.cavity_radius_m:g}, but must be less than radius_m ({self.radius_m:g}).",
-                "Reduce it: the difference is the thickness of the skin.",
-                "cavity_radius_m",
-            )
-        return self
-
-    def bounds(self) -> FloatArray:
-        """Corners of the box around it [m], shape ``(2, 3)``."""
-        r = self.radius_m
-        return np.array([[-r, -r, 0.0], [r, r, r]])
-
-
 class Sphere(Strict):
     """A ball."""
 
@@ -324,7 +278,7 @@ class Gel(Strict):
     """A soft solid. ``bonded`` names the face that is glued to ``mount``; without both it is free."""
 
     type: Literal["gel"]
-    shape: Annotated[Block | Dome, Field(discriminator="type")] = Field(description="block or dome")
+    shape: Annotated[Block | Disc | Dome, Field(discriminator="type")] = Field(description="block, disc or dome")
     pose: Pose = Pose()
     material: GelMaterial = Field(description="E_pa, nu, density_kg_m3, or a preset")
     bonded: Text | None = None

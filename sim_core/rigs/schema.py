@@ -8,17 +8,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from sim_core.rigs.bodies import WORLD, Body
 from sim_core.rigs.check import check_references
 from sim_core.rigs.fields import (
     Direction,
+    EffectKey,
     Flag,
-    FloatArray,
     FrameId,
-    Interval,
     Name,
     Pose,
     Position,
@@ -32,39 +30,10 @@ from sim_core.rigs.fields import (
 )
 from sim_core.rigs.observers import Camera, Sensor
 from sim_core.rigs.pose_offset import Displaced, ShiftSds, TurnSds
+from sim_core.rigs.regions import Region
 
 Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=5.0)]
 Stiffness = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]
-
-
-class Region(Strict):
-    """A box in a body's local rest coordinates; an absent axis is not bounded."""
-
-    x_m: Interval | None = None
-    y_m: Interval | None = None
-    z_m: Interval | None = None
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Region:
-        for key in ("x_m", "y_m", "z_m"):
-            interval = getattr(self, key)
-            if interval is not None and interval[0] > interval[1]:
-                raise trouble(f"is [{interval[0]:g}, {interval[1]:g}].", "Write [lower, upper].", key)
-        return self
-
-    def box(self) -> FloatArray:
-        """Lower and upper corner [m], infinite where not bounded, shape ``(2, 3)``."""
-        box = np.array([[-np.inf] * 3, [np.inf] * 3])
-        for axis, interval in enumerate((self.x_m, self.y_m, self.z_m)):
-            if interval is not None:
-                box[:, axis] = interval
-        return box
-
-    def contains(self, points: FloatArray) -> np.ndarray:
-        """Which local rest points [m] of shape ``(n, 3)`` lie inside (border included): bool ``(n,)``."""
-        lower, upper = self.box()
-        slack = 1e-9
-        return np.asarray(((points >= lower - slack) & (points <= upper + slack)).all(axis=1))
 
 
 class Clamp(Strict):
@@ -196,7 +165,7 @@ class Rig(Strict):
     contacts: tuple[Contact, ...] = ()
     sensors: dict[Name, Sensor] = Field(default={})
     cameras: dict[Name, Camera] = Field(default={})
-    effects: dict[Name, dict[Text, Real]] = Field(default={})
+    effects: dict[EffectKey, dict[Text, Real]] = Field(default={})
     recording_clock: Literal["header", "log"] = "header"
 
     @model_validator(mode="after")

@@ -16,6 +16,7 @@ from sim_core.geometry import sheets, solids
 from sim_core.rigs import (
     WORLD,
     Affine,
+    Disc,
     Dome,
     Gel,
     MarkerSensor,
@@ -140,7 +141,7 @@ class Observer:
                 feet = local * np.maximum(1.0, shape.cavity_radius_m / np.maximum(radius, 1e-300))
                 element, weights = solids.locate_pins(built.layout, local, feet, ON_CURVED)
             else:
-                element, weights = solids.locate(built.layout, local, ON_FLAT)
+                element, weights = solids.locate(built.layout, local, ON_CURVED if isinstance(shape, Disc) else ON_FLAT)
             nodes = built.layout.tets[element]
         return _Tracked(nodes + int(built.nodes[0]), weights)
 

@@ -38,11 +38,12 @@ from sysid.fit.discretisation_refinement import (
 )
 from sysid.fit.result import plot_series, rms_errors
 from sysid.io.atomic_folder import whole_folder, write_results
-from sysid.model.load import Run, check_apart, load_runs
+from sysid.model.load import load_runs
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import fit_parameters
 from sysid.model.provenance import provenance
 from sysid.noise.estimate import ChannelNoise, channel_noise
+from sysid.observations.observations import Run, check_apart
 from sysid.solve.gauss_newton import IN_SIGHT
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

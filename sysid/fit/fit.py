@@ -33,7 +33,7 @@ from sysid.fit.result import (
 )
 from sysid.fit.validation import all_scored
 from sysid.io.atomic_folder import whole_folder, write_results
-from sysid.model.load import Run, check_apart, load_runs, of_recording
+from sysid.model.load import load_runs
 from sysid.model.nuisance_parameters import has_bias, nuisance_parameters
 from sysid.model.parallel_predictor import AnyEngine, PooledEngine
 from sysid.model.parameters import FitParameter, asked_for, bounds_cut, rig_at, start_of
@@ -43,6 +43,7 @@ from sysid.model.windows import not_from_rest
 from sysid.noise.autocorrelation import unheard
 from sysid.noise.data_quality import doubts
 from sysid.noise.estimate import ChannelNoise, channel_noise, column_groups, overruled
+from sysid.observations.observations import Run, check_apart, of_recording
 from sysid.solve.covariance import Finding, names_undetermined
 from sysid.solve.interruption import ENDS_EARLY, stop, to_the_end, why
 from sysid.solve.nonsmooth_trust_region import AT_KINK
@@ -135,7 +136,7 @@ def _fit_runs(
     on_progress: Progress | None,
 ) -> tuple[FitResult, Rig]:
     beside = nuisance_parameters(rig, runs, asked, options.kinds) if asked else []
-    bias = bool(asked) and has_bias(runs, asked, options.kinds)
+    bias = bool(asked) and has_bias(rig, runs, asked, options.kinds)
     parameters = [*asked, *beside]
     started = time.monotonic()
     as_given = [engine.submit(rig, run) for run in runs]

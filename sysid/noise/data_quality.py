@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sim_core.rigs import Rig
-from sysid.model.load import UNITS, Measured, Run
 from sysid.noise.estimate import by_differences, declared_noise, moves, quantities, quiet
+from sysid.observations.observations import UNITS, Measured, Run
 from sysid.recording.notes import plural
 
 FEW = 10

@@ -28,9 +28,9 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.model.load import UNITS, Measured, Run
 from sysid.noise.quantisation import common_step
 from sysid.noise.sampling_interval import NEXT, paced
+from sysid.observations.observations import UNITS, Measured, Run
 
 MIN_REST_SAMPLES = 15
 """Samples that a quiet stretch must have to be used."""

@@ -19,12 +19,13 @@ from sim_core.rigs import Rig, load_rig, with_parameters
 from sim_core.rigs.motion import Experiment
 from sysid.diagnosis import diagnose_runs
 from sysid.fit import FitOptions, fit_bags, fit_runs
-from sysid.model.load import Run, check_apart, load_run, load_runs
+from sysid.model.load import load_run, load_runs
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.predictor import Engine
 from sysid.model.provenance import provenance
 from sysid.model.windows import not_from_rest, window_of
 from sysid.noise.data_quality import doubts
+from sysid.observations.observations import Run, check_apart
 from sysid.observations.selection import Part, check_parts, part_of
 from sysid.simulate import simulate_to_bag
 

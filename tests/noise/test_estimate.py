@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.model.load import Measured, Run
 from sysid.noise.estimate import (
     FROM_DIFFERENCES,
     ChannelNoise,
@@ -18,6 +17,7 @@ from sysid.noise.estimate import (
     standing_still,
 )
 from sysid.noise.whitening import whiten
+from sysid.observations.observations import Measured, Run
 
 RATE = 100.0
 

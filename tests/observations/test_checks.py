@@ -46,7 +46,9 @@ def test_nothing_is_said_of_the_example(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "fault"), [(name, fault) for name, faults in FAULTS.items() for fault in faults], ids=lambda v: str(v)
+    ("name", "fault"),
+    [(name, fault) for name, faults in FAULTS.items() for fault in faults],
+    ids=lambda v: getattr(v, "__name__", str(v)),
 )
 def test_the_one_thing_that_is_wrong_is_named(name: str, fault: Callable[[Press], None], tmp_path: Path) -> None:
     """By its name, and no other thing is."""

@@ -8,7 +8,8 @@ import pytest
 
 import sysid.model.load
 from sim_core.rigs import config_folder, load_rig
-from sysid.model.load import Run, distinct_names, load_runs, of_recording
+from sysid.model.load import load_runs
+from sysid.observations.observations import Run, distinct_names, of_recording
 
 
 @pytest.mark.parametrize(
@@ -53,7 +54,7 @@ def test_what_speaks_against_recordings_is_heard_once_each(
         return Run(path.name, str(path), (), {}, (), 9.0, unlike=unlike, doubts=doubts)
 
     monkeypatch.setattr(sysid.model.load, "read_run", load)
-    monkeypatch.setattr("sysid.model.windows.window_of", lambda rig, run, part: run)
+    monkeypatch.setattr("sysid.model.load.window_of", lambda rig, run, part: run)
     heard: list[str] = []
     load_runs(small_rig(), [Path("a@0:1"), Path("a@2:3"), Path("c")], [Path("b")], heard.append)
     assert heard == ["a: of another rig.", "b: gap", "b: stuck"]
