@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from sim_core.commands import driven_frames
 from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.offset import with_offsets
@@ -234,16 +235,15 @@ def run(
     """As :func:`simulate`, with a simulation at hand; it is reset first, then ``on_reset`` is called."""
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
 
-    def frames(k: int) -> dict[str, Frame]:
-        return {name: frame_of(p[k], q[k]) for name, (p, q) in tracks.items()}
-
-    simulation.reset(frames(0))
+    commanded = [{name: frame_of(p[k], q[k]) for name, (p, q) in tracks.items()} for k in range(len(times))]
+    frames = driven_frames(simulation.scene.rig, commanded, times)
+    simulation.reset(frames[0])
     if on_reset is not None:
         on_reset()
     readings = [simulation.read()]
     reports = []
     for k in range(1, len(times)):
-        reports.append(simulation.step(frames(k), float(times[k] - times[k - 1])))
+        reports.append(simulation.step(frames[k], float(times[k] - times[k - 1])))
         readings.append(simulation.read())
         if on_step is not None:
             on_step(k, len(times) - 1)

@@ -11,7 +11,7 @@ from pydantic import Field
 
 import sim_core
 from sim_core.errors import ConfigError, nearest_match
-from sim_core.rigs.fields import Name, Real, Strict, Text
+from sim_core.rigs.fields import EffectKey, Name, Real, Strict, Text
 from sim_core.rigs.parameters import with_parameters
 from sim_core.rigs.schema import Rig
 from sim_core.rigs.yamlfile import read_mapping, validate
@@ -24,7 +24,7 @@ class Overlay(Strict):
     name: Name | None = None
     description: Text | None = None
     parameters: dict[Text, Real] = Field(default={})
-    effects: dict[Name, dict[Text, Real]] = Field(default={})
+    effects: dict[EffectKey, dict[Text, Real]] = Field(default={})
 
 
 def config_folder() -> Path:

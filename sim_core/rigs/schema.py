@@ -14,6 +14,7 @@ from sim_core.rigs.bodies import WORLD, Body
 from sim_core.rigs.check import check_references
 from sim_core.rigs.fields import (
     Direction,
+    EffectKey,
     Flag,
     FrameId,
     Name,
@@ -90,12 +91,15 @@ class PoseTopics(Strict):
 
     ``length_unit`` and ``quaternion_order`` are for recordings that do not keep to m and x, y, z, w, or that look as if
     they did not: what is written is believed.
+    ``tf``: parent and child frame of the transforms ``/tf`` and ``/tf_static`` that are the measured pose, for robots
+    that publish no pose of their own.
     ``max_gap_s``: longest gap in a recorded pose stream that is bridged by a straight line; a longer one
     is an error, unless the motion is known to be slow and steady there.
     """
 
     target_pose: Topic = "target_pose"
     current_pose: Topic = "current_pose"
+    tf: Annotated[tuple[FrameId, FrameId], of_length(2)] | None = None
     length_unit: Literal["m", "mm"] | None = None
     quaternion_order: Literal["xyzw", "wxyz"] | None = None
     max_gap_s: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=3600.0)] = 1.0
@@ -161,7 +165,7 @@ class Rig(Strict):
     contacts: tuple[Contact, ...] = ()
     sensors: dict[Name, Sensor] = Field(default={})
     cameras: dict[Name, Camera] = Field(default={})
-    effects: dict[Name, dict[Text, Real]] = Field(default={})
+    effects: dict[EffectKey, dict[Text, Real]] = Field(default={})
     recording_clock: Literal["header", "log"] = "header"
 
     @model_validator(mode="after")

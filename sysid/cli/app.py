@@ -129,6 +129,9 @@ def _explain(error: Exception) -> tuple[str, int]:
         top = (error.name or "").partition(".")[0]
         if top and top not in OWN_PACKAGES:
             return f"The package {top!r} is not installed. Run 'thinshell doctor' to see what is missing.", 2
+    if isinstance(error, OSError) and error.errno is not None:
+        what = f"{error.filename}: " if error.filename else ""
+        return f"{what}{error.strerror}. Look at the place, its rights and the room there is.", 2
     return f"This is a defect of the program: {type(error).__name__}: {error}. {REPORT}", 1
 
 

@@ -9,6 +9,7 @@ import typer
 from sysid.cli.bounds import whole_number
 from sysid.cli.options import (
     BagsArgument,
+    DespiteOption,
     FolderOption,
     HeldOutOption,
     NuisanceOption,
@@ -39,6 +40,7 @@ def fit(
     seed: SeedOption = 0,
     nuisance: NuisanceOption = "all",
     without: WithoutOption = None,
+    despite: DespiteOption = None,
     per_bag: Annotated[
         str,
         typer.Option("--per-bag", metavar="A,B", help="Those of --params that each bag has a value of its own of."),
@@ -104,6 +106,7 @@ def fit(
             out=out,
             on_progress=report,
             on_warning=warn,
+            despite=despite or [],
         )
     print(f"{result.table()}\n\nReport: {out / REPORT}")
     if pressed.is_set():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -37,17 +37,21 @@ from sysid.fit.discretisation_refinement import (
     fit_beside_discretisation,
 )
 from sysid.fit.result import plot_series, rms_errors
-from sysid.io.atomic_folder import whole_folder
-from sysid.model.load import Run, check_apart, load_runs
+from sysid.io.atomic_folder import whole_folder, write_results
+from sysid.model.load import load_runs
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import fit_parameters
 from sysid.model.provenance import provenance
 from sysid.noise.estimate import ChannelNoise, channel_noise
+from sysid.observations.observations import Run, check_apart
 from sysid.solve.gauss_newton import IN_SIGHT
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
 Progress = Callable[[float, str], None]
+
+REPORT = "report.html"
+"""The report in the folder of a diagnosis."""
 
 REFITTED = 4
 """Effects that are refitted in full after the screening."""
@@ -344,13 +348,15 @@ def diagnose_bags(
     out: Path,
     on_progress: Progress | None = None,
     on_warning: Callable[[str], None] | None = None,
+    despite: Collection[str] = (),
 ) -> str:
     """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``.
-    ``on_warning``: hears what speaks against the recordings before anything is simulated."""
+    ``on_warning``: hears what speaks against the recordings before anything is simulated; ``despite``: findings that do
+    not stop it (:func:`sysid.model.load.read_run`)."""
     from sysid.report import write_diagnosis_report
 
     with whole_folder(out) as folder:
-        runs, kept = load_runs(rig, bags, held_out, on_warning)
+        runs, kept = load_runs(rig, bags, held_out, on_warning, despite)
         diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
         overlay = {
             "overlay_of": "rig.yaml",
@@ -363,10 +369,16 @@ def diagnose_bags(
             },
             "effects": {name: dict(values) for name, values in amended.effects.items()},
         }
-        diagnosis.write(folder / "diagnosis.json")
-        (folder / "rig.yaml").write_text(rig_to_yaml(rig))
-        (folder / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))
-        report = write_diagnosis_report(diagnosis, folder / "report.html")
+        write_results(
+            folder,
+            out,
+            [
+                lambda place: diagnosis.write(place / "diagnosis.json"),
+                lambda place: (place / "rig.yaml").write_text(rig_to_yaml(rig)),
+                lambda place: (place / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False)),
+                lambda place: write_diagnosis_report(diagnosis, place / REPORT),
+            ],
+        )
     lines = [diagnosis.sentence, *diagnosis.notes, ""]
     for effect in diagnosis.effects:
         for p in effect.parameters:
@@ -374,6 +386,6 @@ def diagnose_bags(
     lines += [
         f"Not explained: {diagnosis.not_explained}",
         f"Next: {diagnosis.next_experiment}",
-        f"Report: {out / report.name}",
+        f"Report: {out / REPORT}",
     ]
     return "\n".join(lines)

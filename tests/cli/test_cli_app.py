@@ -217,12 +217,13 @@ def test_package_xml_has_the_version_of_the_package() -> None:
 
 @pytest.mark.parametrize("command", [["fit", "--params", "strip.E"], ["diagnose"]])
 def test_a_recording_of_another_rig_is_said_before_anything_is_simulated(command: list[str], tmp_path: Path) -> None:
-    """Its topics serve the rig, and so it is fitted; minutes later the table says that it is of another one."""
+    """Its topics serve the rig, and yet its markers lie otherwise: what differs is named with the remedy."""
     first, *others = command
     words = [first, "strip_coarse", str(PRESS_POST), *others, "--out", str(tmp_path / "out")]
     with subprocess.Popen([*THINSHELL, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as child:
         assert child.stderr is not None
         said = child.stderr.readline()
         child.kill()
-    assert said.startswith("warning: press_post: ") and "is in the frame 'tactile_left_gel', in the rig" in said
+    assert said.startswith("thinshell: ") and "is in the frame 'tactile_left_gel', in the rig" in said
+    assert "--despite" in said
     assert "Give the rig that it was recorded with" in said
