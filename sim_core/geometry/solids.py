@@ -365,6 +365,11 @@ def quadratic(
     nodes = np.concatenate([corners, middle(corners[edges[:, 0]], corners[edges[:, 1]])])
     tets = np.concatenate([linear, len(corners) + inverse.reshape(-1, 6)], axis=1)
 
+    return surface_of(nodes, tets, sets)
+
+
+def surface_of(nodes: np.ndarray, tets: np.ndarray, sets: Callable[[np.ndarray], dict[str, np.ndarray]]) -> TetMesh:
+    """The mesh of quadratic tetrahedra ``(m, 10)`` with its surface; ``sets``: as of :func:`quadratic`."""
     faces = tets[:, tet10.FACES].reshape(-1, 6)
     _, first, count = np.unique(np.sort(faces[:, :3], axis=1), axis=0, return_index=True, return_counts=True)
     surface = faces[np.sort(first[count == 1])]

@@ -29,6 +29,7 @@ from sim_core.rigs.fields import (
     trouble,
 )
 from sim_core.rigs.gel_shapes import Block, Disc, Dome
+from sim_core.rigs.mesh_shapes import GelFile, SheetFile
 
 WORLD = "world"
 Modulus = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0, le=1e13)]
@@ -269,7 +270,9 @@ class Sheet(Strict):
     """A thin shell. Its pose is in the base frame; it lies in its local xy plane at rest."""
 
     type: Literal["sheet"]
-    shape: Annotated[Rectangle | Outline, Field(discriminator="type")] = Field(description="rectangle or outline")
+    shape: Annotated[Rectangle | Outline | SheetFile, Field(discriminator="type")] = Field(
+        description="rectangle, outline or mesh"
+    )
     pose: Pose = Pose()
     material: SheetMaterial = Field(description="E_pa, nu, thickness_m, density_kg_m3, or a preset")
 
@@ -278,7 +281,9 @@ class Gel(Strict):
     """A soft solid. ``bonded`` names the face that is glued to ``mount``; without both it is free."""
 
     type: Literal["gel"]
-    shape: Annotated[Block | Disc | Dome, Field(discriminator="type")] = Field(description="block, disc or dome")
+    shape: Annotated[Block | Disc | Dome | GelFile, Field(discriminator="type")] = Field(
+        description="block, disc, dome or mesh"
+    )
     pose: Pose = Pose()
     material: GelMaterial = Field(description="E_pa, nu, density_kg_m3, or a preset")
     bonded: Text | None = None
@@ -292,7 +297,7 @@ class Gel(Strict):
         if self.bonded is not None and self.bonded not in self.shape.faces:
             raise trouble(
                 f"is {self.bonded!r}, which is no face of a {self.shape.type}.",
-                f"Choose one of: {', '.join(self.shape.faces)}.",
+                f"Choose one of: {', '.join(self.shape.faces)}." if self.shape.faces else "Name faces by face_regions.",
                 "bonded",
             )
         return self

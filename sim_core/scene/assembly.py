@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import reduce
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,7 +21,8 @@ from sim_core.errors import ConfigError
 from sim_core.geometry import closed, sheets, solids
 from sim_core.geometry.bisection import Refinement
 from sim_core.geometry.folds import Fold, folded
-from sim_core.rigs import Affine, Block, Disc, Dome, Gel, Rectangle, Rig, Rigid, Sheet
+from sim_core.geometry.subdivision import split_tets, split_triangles
+from sim_core.rigs import Affine, Block, Disc, Dome, Gel, GelFile, Rectangle, Rig, Rigid, Sheet, SheetFile
 from sim_core.rigs.bodies import WORLD
 from sim_core.rigs.fields import Pose
 
@@ -127,6 +129,8 @@ def rest_form(spec: Sheet | Gel | Rigid | Affine, local: np.ndarray) -> np.ndarr
 def _sheet_mesh(spec: Sheet, refine: int, clamps: list[np.ndarray]) -> sheets.SheetMesh:
     """Mesh a sheet with lines of nodes along its creases and the edges of its clamps (where it is a rectangle)."""
     shape = spec.shape
+    if isinstance(shape, SheetFile):
+        return split_triangles(shape.mesh(), refine)
     if isinstance(shape, Rectangle):
         cells = (shape.cells[0] * refine, shape.cells[1] * refine)
         edges = [sorted({float(v) for box in clamps for v in box[:, axis] if np.isfinite(v)}) for axis in (0, 1)]
@@ -140,6 +144,12 @@ def _sheet_mesh(spec: Sheet, refine: int, clamps: list[np.ndarray]) -> sheets.Sh
 def gel_mesh(spec: Gel, refine: int) -> solids.TetMesh:
     """Mesh of a gel in its frame; ``refine``: factor on cells in each direction."""
     shape = spec.shape
+    if isinstance(shape, GelFile):
+        if refine & (refine - 1):
+            raise ConfigError(
+                f"A mesh of tetrahedra can be refined by 2, 4, 8, ..., not by {refine}.", "Choose one of these."
+            )
+        return reduce(lambda mesh, _: split_tets(mesh), range(refine.bit_length() - 1), shape.mesh())
     a, b, c = (count * refine for count in shape.cells)
     raised = np.zeros(3) if isinstance(shape, Dome) else np.array([0.0, 0.0, -shape.bounds()[0, 2]])
     boxes = [Refinement(region.box() + raised, region.edge_m / refine) for region in shape.refine]
@@ -196,10 +206,12 @@ def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray, loose: np.nda
 
 def grain(body: BuiltBody) -> np.ndarray:
     """Material direction 1 of the triangles of a sheet as the rig has it at rest, in the world, ``(m, 3)``: along the
-    body's x axis, and turned with the triangle where the sheet is folded. What is normal to it does not count in
-    another shape at rest."""
+    body's x axis, and turned with the triangle where the sheet is folded, though not where it comes from a mesh file.
+    What is normal to it does not count in another shape at rest."""
     assert isinstance(body.layout, sheets.SheetMesh)
     triangles = body.layout.triangles
+    if isinstance(body.spec.shape, SheetFile):
+        return np.tile(body.rotation[:, 0], (len(triangles), 1))
     flat, sides = (x[triangles[:, 1:]] - x[triangles[:, :1]] for x in (body.local, body.drawn))
     return np.asarray(np.einsum("mki,mk->mi", sides, np.linalg.inv(flat[..., :2].transpose(0, 2, 1))[..., 0]))
 

@@ -13,6 +13,7 @@ from sim_core.energies.affine import coordinates
 from sim_core.energies.linearised import Blocks, axes_of, skew
 from sim_core.energies.linearised import placed as placed_blocks
 from sim_core.geometry import sheets, solids
+from sim_core.geometry.surface_points import locate_near
 from sim_core.rigs import (
     WORLD,
     Affine,
@@ -24,6 +25,8 @@ from sim_core.rigs import (
     Pose,
     Rig,
     Rigid,
+    Sheet,
+    SheetFile,
     Sight,
     WrenchSensor,
     marker_positions,
@@ -130,7 +133,8 @@ class Observer:
         if isinstance(built.spec, Affine):
             return _Tracked(np.tile(built.control, (len(local), 1)), coordinates(built.local[-4:], local))
         if isinstance(built.layout, sheets.SheetMesh):
-            element, weights = sheets.locate(built.layout, local)
+            curved = isinstance(built.spec, Sheet) and isinstance(built.spec.shape, SheetFile)
+            element, weights = (locate_near if curved else sheets.locate)(built.layout, local)
             nodes = built.layout.triangles[element]
         else:
             assert isinstance(built.layout, solids.TetMesh)
@@ -155,7 +159,8 @@ class Observer:
                 body, spec = self._scene.bodies[sight.body], self._scene.rig.bodies[sight.body]
                 assert not isinstance(spec, Rigid)
                 local, _ = marker_positions(sight.points, spec)
-                if isinstance(body.layout, sheets.SheetMesh) and len(local) == len(tracked.nodes):
+                flat = isinstance(spec, Sheet) and not isinstance(spec.shape, SheetFile)
+                if flat and isinstance(body.layout, sheets.SheetMesh) and len(local) == len(tracked.nodes):
                     corners = body.layout.nodes[tracked.nodes - int(body.nodes[0])]
                     found.append(_Tracked(tracked.nodes, sheets.weights_in(corners, local[:, :2])))
                 else:
