@@ -159,8 +159,15 @@ def topics_report(others: Mapping[str, Sequence[str]]) -> Report:
     return Report("topics", "error", f"{words}. {remedy}", values)
 
 
-def recording_report(counts: dict[str, int], missing: list[str], refused: dict[str, str], where: str) -> Report:
-    """State of a recorder. ``missing``: expected but never published; ``refused``: reasons by topic."""
+def recording_report(
+    counts: dict[str, int],
+    missing: list[str],
+    refused: dict[str, str],
+    where: str,
+    lost: Mapping[str, int] | None = None,
+) -> Report:
+    """State of a recorder. ``missing``: expected but never published; ``refused``: reasons by topic; ``lost``: messages
+    published and not received, by topic, of those where that is known."""
     message = f"{sum(counts.values())} messages in {where}"
     faults = [f"{topic}: {reason}" for topic, reason in refused.items()]
     if missing:
@@ -168,7 +175,11 @@ def recording_report(counts: dict[str, int], missing: list[str], refused: dict[s
     silent = [topic for topic, count in counts.items() if not count]
     if silent:
         faults.append(f"no message yet on {', '.join(silent)}")
+    losses = {topic: count for topic, count in (lost or {}).items() if count}
+    if losses:
+        faults.append(f"lost: {', '.join(f'{count} of {topic}' for topic, count in losses.items())}")
     values = {topic: str(count) for topic, count in counts.items()}
+    values |= {f"lost {topic}": str(count) for topic, count in (lost or {}).items()}
     return Report("recording", "warn" if faults else "ok", "; ".join([message, *faults]), values)
 
 
