@@ -33,8 +33,10 @@ def default_name(node: str) -> str:
 
 
 def declared(node: str) -> set[str]:
-    """Names of the parameters that a node declares."""
-    names = (call.args[1] for call in calls(ast.parse(source(node)), "declare"))
+    """Names of the parameters that a node declares, in its module or in one of its own for them."""
+    apart = ROOT / "thinshell_ros" / f"{node.removesuffix('_node')}_parameters.py"
+    text = source(node) + (apart.read_text() if apart.is_file() else "")
+    names = (call.args[1] for call in calls(ast.parse(text), "declare"))
     return {str(name.value) for name in names if isinstance(name, ast.Constant)}
 
 
