@@ -88,6 +88,7 @@ def _packed(subject: Subject, coloured: dict[str, Colouring], steps: np.ndarray)
             {
                 "name": skin.body, "kind": skin.kind, "colour": colours[skin.body],
                 "words": body_words(subject.rig, skin.body), "mount": subject.layout.mount_of(skin.body),
+                "sharp": subject.rig.bodies[skin.body].shape.type in ("box", "block", "plane"),
                 "triangles": block.add(skin.triangles.astype(np.uint16)), "flags": block.add(flags),
                 "bonded": block.add(skin.bonded.astype(np.uint8)),
                 "positions": coordinates(vertices[skin.body]),
@@ -98,7 +99,8 @@ def _packed(subject: Subject, coloured: dict[str, Colouring], steps: np.ndarray)
             }
         )  # fmt: skip
     head = {
-        "title": subject.title, "what": subject.what, "description": subject.rig.description,
+        "title": subject.title, "first": "" if subject.what == "rig" else next(iter(coloured), ""),
+        "what": subject.what, "description": subject.rig.description,
         "times": [round(float(t), 5) for t in subject.times[steps]], "up": up.tolist(), "towards": towards.tolist(),
         "centre": centre.tolist(), "unit": unit, "low": low.tolist(), "high": high.tolist(), "bodies": bodies,
         "quantities": {n: {"unit": c.unit, "top": c.top, "words": c.words} for n, c in coloured.items()},
@@ -155,17 +157,18 @@ def _nullable(values: np.ndarray, digits: int) -> list[Any]:
 
 
 def _camera(subject: Subject, name: str, steps: np.ndarray, coordinates: Any) -> dict[str, Any]:
-    camera, marks = subject.rig.cameras[name], subject.tracks[name]
+    camera, marks, shift = subject.rig.cameras[name], subject.tracks[name], subject.picture_shift(name)
     poses = []
     for k in steps:
         origin, rotation = subject.layout.camera_frame(camera, subject.frames[k])
         poses.append([*origin, *rotation.as_matrix().T.ravel()])
     points = _at(marks, subject, steps)
     found = {
-        "width": camera.width_px, "height": camera.height_px, "cx": camera.cx_px, "cy": camera.cy_px,
+        "width": camera.width_px, "height": camera.height_px,
+        "cx": camera.cx_px + float(shift[0]), "cy": camera.cy_px + float(shift[1]),
         "mount": camera.mount, "poses": _rounded(poses), "points": coordinates(points),
-        "pixels": _nullable(np.stack([subject.pixels(name, k) for k in steps]), 2),
-        "measured": None if marks.measured is None else _nullable(marks.measured[steps], 2),
+        "pixels": _nullable(np.stack([subject.pixels(name, k) + shift for k in steps]), 2),
+        "measured": None if marks.measured is None else _nullable(marks.measured[steps] + shift, 2),
         "parallel": isinstance(camera, OrthographicCamera),
     }  # fmt: skip
     if isinstance(camera, OrthographicCamera):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sim_core.preflight.distance import sampled
 from sim_core.rigs import WORLD
 from sysid.show.colouring import Colouring
 from sysid.show.raster import View, look_at, render
@@ -136,11 +137,12 @@ class Board:
         text(0.012, 0.937, _cut(subject.rig.description, 150), fontsize=10, color=MUTED, va="top")
         rows = [(self.scenery.colours[s.body], s.body, body_words(subject.rig, s.body)) for s in subject.skins]
         wide = 0.012 + 0.0062 * max(len(name) for _, name, _ in rows)
+        room = 66 if len(rows) <= 4 else 62 - max(len(name) for _, name, _ in rows)
         for k, (colour, name, words) in enumerate(rows[:8]):
             x, y = 0.012 + 0.33 * (k // 4), 0.150 - 0.026 * (k % 4)
             text(x, y, "\u25a0", color=colour, fontsize=12, va="center")
             text(x + 0.013, y, name, fontsize=9, weight="bold", va="center")
-            text(x + 0.013 + wide, y, _cut(words, 66), fontsize=8.5, color=MUTED,
+            text(x + 0.013 + wide, y, _cut(words, room), fontsize=8.5, color=MUTED,
                  va="center")  # fmt: skip
         lines = [*(f"contact {c}" for c in contact_words(subject.rig)), *sensor_words(subject.rig)]
         more = [] if len(lines) <= 7 else [f"and {len(lines) - 6} more"]
@@ -196,6 +198,7 @@ class Board:
             for artist in self._artists:
                 artist.remove()
             self._artists.clear()
+            self._taken: dict[int, list[tuple[float, float, float, float]]] = {}
             subject = self.subject
             self._draw_view(self._main, self._view, step, 0.10 * self._extent, names=True)
             if self._afar is not None:
@@ -266,6 +269,8 @@ class Board:
         x, frames = subject.states.positions[step], subject.frames[step]
         for skin in subject.skins:
             vertices = skin.vertices(subject.layout, x, frames)
+            if skin.nodes is None:
+                vertices = sampled(vertices, skin.triangles, 0.05 * float(np.ptp(vertices, axis=0).max()))
             pixel, depth = view.project(vertices)
             inside = np.all((pixel > 12) & (pixel < np.array(view.size) - 12), axis=1)
             if not inside.any():
@@ -295,10 +300,11 @@ class Board:
         width, height = self._size(axes)
         scale = min(width / camera.width_px, height / camera.height_px)
         frame = subject.layout.camera_frame(camera, subject.frames[step])
-        view = camera_view(camera, frame, round(scale * camera.width_px))
+        shift = subject.picture_shift(name)
+        view = camera_view(camera, frame, round(scale * camera.width_px), shift)
         picture, _ = render(view, self.scenery.skins(step, name), rgb("#eef1f4"))
         self._show(axes, picture)
-        before, now = (scale * subject.pixels(name, k) for k in (0, step))
+        before, now = (scale * (subject.pixels(name, k) + shift) for k in (0, step))
         measured = subject.tracks[name].measured
         moved = np.linalg.norm(now - before, axis=1)
         largest = float(np.nanmax(moved)) if np.isfinite(moved).any() else 0.0
@@ -314,7 +320,9 @@ class Board:
             self._keep(axes.scatter(*now.T, s=11, c=MARKER, linewidths=0, zorder=5))
         if measured is not None:
             self._keep(
-                axes.scatter(*(scale * measured[step]).T, s=22, marker="x", c=MEASURED, linewidths=1.0, zorder=6)
+                axes.scatter(
+                    *(scale * (measured[step] + shift)).T, s=22, marker="x", c=MEASURED, linewidths=1.0, zorder=6
+                )
             )
             words += "; crosses: as measured"
         self._keep(axes.text(0.0, -0.02, words, transform=axes.transAxes, fontsize=7.5, color=MUTED, va="top"))
@@ -326,19 +334,37 @@ class Board:
         axes.set_ylim(height, 0.0)
 
     def _label(
-        self, axes: Axes, at: np.ndarray, text: str, colour: str, view: View, size: float, offset: tuple[int, int],
+        self,
+        axes: Axes,
+        at: np.ndarray,
+        text: str,
+        colour: str,
+        view: View,
+        size: float,
+        offset: tuple[int, int],
         weight: str = "normal",
-    ) -> None:  # fmt: skip
+    ) -> None:
+        """Words beside a point, moved down as far as other words of the same panel are in the way."""
         from matplotlib.patheffects import withStroke
 
         if not np.isfinite(at).all() or (at < 0).any() or (at > np.array(view.size)).any():
             return
-        right = at[0] > 0.80 * view.size[0]
+        point = self.dpi / 72.0
+        wide, high = 0.62 * size * point * len(text), 1.25 * size * point
+        right = at[0] + offset[0] * point + wide > view.size[0]
+        x = at[0] + point * (-offset[0] if right else offset[0]) - (wide if right else 0.0)
+        y = float(at[1] + point * offset[1])
+        taken = self._taken.setdefault(id(axes), [])
+        for _ in range(12):
+            if not any(x < b and x + wide > a and abs(y - c) < 0.5 * (high + h) for a, b, c, h in taken):
+                break
+            y += 0.5 * high
+        taken.append((x, x + wide, y, high))
         self._keep(
-            axes.annotate(
-                text, at, xytext=(-offset[0] if right else offset[0], -offset[1]), textcoords="offset points",
-                ha="right" if right else "left", va="center", fontsize=size, color=colour, weight=weight, zorder=9,
-                path_effects=[withStroke(linewidth=2.6, foreground="white", alpha=0.9)], annotation_clip=True,
+            axes.text(
+                x + (wide if right else 0.0), y, text, ha="right" if right else "left", va="center", fontsize=size,
+                color=colour, weight=weight, zorder=9, clip_on=True,
+                path_effects=[withStroke(linewidth=2.6, foreground="white", alpha=0.9)],
             )
         )  # fmt: skip
 

@@ -6,7 +6,7 @@ touch. What is transparent is drawn as its nearest layer over what is opaque.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -156,11 +156,10 @@ class _Layer:
         high = np.where(whole[:, None], np.ceil(np.nan_to_num(p.max(axis=1))), -1.0)
         low = np.clip(low, 0, [width, height]).astype(np.int64)
         high = np.clip(high, -1, [width - 1, height - 1]).astype(np.int64)
-        extent = high - low + 1
-        count = np.where((extent > 0).all(axis=1), extent.prod(axis=1), 0)
+        rows = np.where((high >= low).all(axis=1), high[:, 1] - low[:, 1] + 1, 0)
         a, u, v = p[:, 0], p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
         det = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-        count[~(np.abs(det) > 1e-9)] = 0
+        rows[~(np.abs(det) > 1e-9)] = 0
         det = np.where(np.abs(det) > 1e-9, det, 1.0)
         heights = np.abs(det)[:, None] / np.maximum(
             np.stack([np.linalg.norm(p[:, 2] - p[:, 1], axis=1), np.linalg.norm(v, axis=1), np.linalg.norm(u, axis=1)],
@@ -170,32 +169,23 @@ class _Layer:
         shift = 0.5 - a
         slopes = np.stack([v[:, 1], -v[:, 0], (shift * v[:, ::-1]) @ [1.0, -1.0],
                            -u[:, 1], u[:, 0], (shift * u[:, ::-1]) @ [-1.0, 1.0]], axis=1) / det[:, None]  # fmt: skip
-        order = np.flatnonzero(count)
-        ends = np.cumsum(count[order])
+        spans = _Spans(rows, slopes, low, high)
         flat = self.nearness.reshape(-1)
         first_near, rise = self._near[:, 0], self._near[:, 1:] - self._near[:, :1]
-        begin = 0
-        while begin < len(order):
-            done = ends[begin - 1] if begin else 0
-            end = max(begin + 1, int(np.searchsorted(ends, done + CHUNK, side="right")))
-            some = order[begin:end]
-            t = np.repeat(some, count[some])
-            place = np.arange(len(t)) - np.repeat(np.cumsum(count[some]) - count[some], count[some])
-            row = place // extent[t, 0]
-            x = low[t, 0] + place - row * extent[t, 0]
-            y = low[t, 1] + row
-            b1 = slopes[t, 0] * x + slopes[t, 1] * y + slopes[t, 2]
-            b2 = slopes[t, 3] * x + slopes[t, 4] * y + slopes[t, 5]
-            inside = (b1 >= 0.0) & (b2 >= 0.0) & (b1 + b2 <= 1.0)
-            t, b1, b2 = t[inside], b1[inside], b2[inside]
-            spot = y[inside] * width + x[inside]
-            near = first_near[t] + b1 * rise[t, 0] + b2 * rise[t, 1]
+        for some in spans.chunks():
+            t, count = spans.triangle[some], spans.count[some]
+            along = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+            spot = np.repeat(spans.row[some] * width + spans.begin[some], count) + along
+            b1 = np.repeat(spans.first[some, 0], count) + along * np.repeat(slopes[t, 0], count)
+            b2 = np.repeat(spans.first[some, 1], count) + along * np.repeat(slopes[t, 3], count)
+            near = np.repeat(first_near[t], count)
+            near += b1 * np.repeat(rise[t, 0], count)
+            near += b2 * np.repeat(rise[t, 1], count)
             np.maximum.at(flat, spot, near)
-            first = near >= flat[spot]
+            first = np.flatnonzero(near >= flat[spot])
             spot = spot[first]
-            self._triangle[spot] = t[first]
+            self._triangle[spot] = np.repeat(t, count)[first]
             self._weights[spot, 0], self._weights[spot, 1] = b1[first], b2[first]
-            begin = end
 
     def paint(self, picture: np.ndarray) -> None:
         """Blend the layer into an RGB picture ``(height, width, 3)``."""
@@ -216,6 +206,40 @@ class _Layer:
             colour *= (1.0 - line)[:, None]
             opacity = np.maximum(alpha[t], line)[:, None]
             spots[pixels] += opacity * (colour - spots[pixels])
+
+
+class _Spans:
+    """Rows of pixels that triangles cover. ``rows``: how many the box around each has; ``slopes`` ``(m, 6)``: of the
+    weights of its second and third corner; ``low``, ``high``: its bounding box in the picture."""
+
+    def __init__(self, rows: np.ndarray, slopes: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+        t = np.repeat(np.arange(len(rows)), rows)
+        row = low[t, 1] + np.arange(len(t)) - np.repeat(np.cumsum(rows) - rows, rows)
+        left, right = low[t, 0].astype(float), high[t, 0].astype(float)
+        # In a row each weight is s x + c, and not negative on one side of x = -c / s.
+        s1, s2 = slopes[t, 0], slopes[t, 3]
+        c1, c2 = slopes[t, 1] * row + slopes[t, 2], slopes[t, 4] * row + slopes[t, 5]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for slope, constant in ((s1, c1), (s2, c2), (-s1 - s2, 1.0 - c1 - c2)):
+                edge = -constant / slope
+                left = np.where(slope > 0.0, np.maximum(left, np.ceil(edge)), left)
+                right = np.where(slope < 0.0, np.minimum(right, np.floor(edge)), right)
+                right = np.where((slope == 0.0) & (constant < 0.0), left - 1.0, right)
+        some = np.flatnonzero(right >= left)
+        self.triangle, self.row = t[some], row[some]
+        self.begin = left[some].astype(np.int64)
+        self.count = (right[some] - left[some]).astype(np.int64) + 1
+        self.first = np.stack([c[some] + s[some] * self.begin for s, c in ((s1, c1), (s2, c2))], axis=1)
+
+    def chunks(self) -> Iterator[slice]:
+        """Spans that hold about :data:`CHUNK` pixels together, one after the other."""
+        ends = np.cumsum(self.count)
+        begin = 0
+        while begin < len(ends):
+            done = int(ends[begin - 1]) if begin else 0
+            end = max(begin + 1, int(np.searchsorted(ends, done + CHUNK, side="right")))
+            yield slice(begin, end)
+            begin = end
 
 
 def _lit(colours: np.ndarray, normals: np.ndarray, view: View, light: float) -> np.ndarray:

@@ -99,13 +99,14 @@ def _plane(corners: np.ndarray, colour: np.ndarray) -> Skin:
     return Skin(vertices, np.vstack([base + [0, 1, 2], base + [0, 2, 3]]), colours, 1.0, 0.0, 0.2)
 
 
-def camera_view(camera: Camera, frame: Frame, width: int) -> View:
-    """The view through a camera, without its distortion, on a picture so many pixels wide."""
+def camera_view(camera: Camera, frame: Frame, width: int, shift: np.ndarray | tuple[float, float] = (0.0, 0.0)) -> View:
+    """The view through a camera, without its distortion, on a picture so many pixels wide, all moved by ``shift`` [px]
+    of the camera's."""
     origin, rotation = frame
     axes = rotation.as_matrix().T
     size = (camera.width_px, camera.height_px)
     scale = width / camera.width_px
-    centre = (camera.cx_px, camera.cy_px)
+    centre = (camera.cx_px + float(shift[0]), camera.cy_px + float(shift[1]))
     if isinstance(camera, OrthographicCamera):
         focal = 1.0 / camera.scale_m_per_px
         view = View(origin - 10.0 * axes[2], axes, (focal, focal), centre, size, parallel=True)

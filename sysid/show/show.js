@@ -49,12 +49,12 @@
     in vec3 place; in vec3 normal; in float share; in float flag; uniform mat4 clip; uniform vec3 eye, ahead; uniform float parallel;
     out vec3 n, v, at; out float s; flat out float f;
     void main() { n = normal; at = place; v = parallel > 0.5 ? -ahead : eye - place; s = share; f = flag; gl_Position = clip * vec4(place, 1.0); }`, `
-    in vec3 n, v, at; in float s; flat in float f; uniform vec3 colour, key; uniform float alpha, valued, chequered, lamp; uniform sampler2D map; out vec4 o;
+    in vec3 n, v, at; in float s; flat in float f; uniform vec3 colour, key; uniform float alpha, valued, chequered, lamp, sharp; uniform sampler2D map; out vec4 o;
     void main() {
       vec3 flatNormal = normalize(cross(dFdx(at), dFdy(at))), look = normalize(v), m = normalize(n);
       if (dot(flatNormal, look) < 0.0) flatNormal = -flatNormal;
       if (dot(m, look) < 0.0 && dot(m, flatNormal) < 0.0) m = -m;
-      if (dot(m, flatNormal) < 0.77) m = flatNormal;
+      if (sharp > 0.5 || dot(m, flatNormal) < 0.77) m = flatNormal;
       vec3 c = colour;
       if (valued > 0.5) c = s > 0.9985 ? vec3(0.72, 0.75, 0.79) : texture(map, vec2(s * 1.0039, 0.5)).rgb;
       else if (f > 1.5) c = vec3(0.76, 0.255, 0.047); else if (f > 0.5) c = mix(c, vec3(0.06, 0.46, 0.43), 0.55);
@@ -95,7 +95,7 @@
   const view = {}, home = { target: middle, ahead: unit(head.towards), up: head.up, distance: extent * 1.9 };
   const reset = () => Object.assign(view, { ...home, target: [...home.target] });
   reset();
-  let step = 0, quantity = Object.keys(head.quantities)[0] ?? "", playing = false, dirty = true, loaded = -1, loadedQuantity = null;
+  let step = 0, quantity = head.first, playing = false, dirty = true, loaded = -1, loadedQuantity = null;
   $("quantity").value = quantity;
   const wanted = new Proxy({}, { get: (_, id) => $(id).checked });
 
@@ -140,7 +140,7 @@
     const paint = (b, alpha, index) => {
       gl.useProgram(surface.p);
       const valued = quantity !== "" && b.kind !== "rigid" && b.kind !== "plane";
-      gl.uniform3fv(surface.colour, b.colour); gl.uniform1f(surface.alpha, alpha); gl.uniform1f(surface.valued, valued ? 1 : 0);
+      gl.uniform3fv(surface.colour, b.colour); gl.uniform1f(surface.alpha, alpha); gl.uniform1f(surface.valued, valued ? 1 : 0); gl.uniform1f(surface.sharp, b.sharp ? 1 : 0);
       gl.uniform1f(surface.chequered, b.kind === "plane" ? extent / 8 : 0); gl.uniform1f(surface.lamp, b.kind === "plane" ? 0.3 : 1);
       for (const [slot, h, size, type, norm] of [[0, b.place, 3, gl.FLOAT, false], [1, b.normal, 3, gl.FLOAT, false], [2, b.share, 1, gl.UNSIGNED_BYTE, true], [3, b.flags, 1, gl.UNSIGNED_BYTE, false]]) {
         gl.bindBuffer(gl.ARRAY_BUFFER, h); gl.enableVertexAttribArray(slot); gl.vertexAttribPointer(slot, size, type, norm, 0, 0);
@@ -186,7 +186,7 @@
     canvas.width = w; canvas.height = h; gl.viewport(0, 0, w, h);
     const soft = rgb(style("--soft")); gl.clearColor(...soft, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     const { origin, axes } = posed(camera.poses, step);
-    const eye = camera.parallel ? add(origin, axes[2], -5) : origin, reach = Math.max(...bodies.map((b) => extent)) * 60;
+    const eye = camera.parallel ? add(origin, axes[2], -5) : origin, reach = extent * 60;
     drawScene(clipOf(eye, axes, camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, camera.parallel ? 0.01 : extent * 0.02, camera.parallel ? 10 : reach, camera.parallel), eye, axes, camera.parallel, camera.mount, ratio);
     const g = target.getContext("2d"); g.drawImage(canvas, 0, 0);
     const first = camera.pixels[0], now = camera.pixels[step], seen = now.filter((p) => p[0] !== null).length;
@@ -265,7 +265,7 @@
     const all = [...wrench.force, ...(wrench.measured ?? [])].flat().filter((v) => v !== null), low = Math.min(0, ...all), high = Math.max(0, ...all), span = high - low || 1, left = 46 * ratio, bottom = 20 * ratio, t1 = head.times[count - 1] || 1;
     const X = (t) => left + (w - left - 8 * ratio) * t / t1, Y = (v) => 8 * ratio + (h - bottom - 12 * ratio) * (high - v) / span;
     g.font = `${11 * ratio}px system-ui, sans-serif`; g.fillStyle = style("--muted"); g.strokeStyle = style("--line"); g.lineWidth = ratio;
-    for (const v of [low, 0, high]) { g.beginPath(); g.moveTo(left, Y(v)); g.lineTo(w, Y(v)); g.stroke(); if (v !== 0 || span < 1e-9 || true) g.fillText(`${+v.toPrecision(2)}`, 2, Y(v) + 4 * ratio); }
+    for (const v of [low, 0, high]) { g.beginPath(); g.moveTo(left, Y(v)); g.lineTo(w, Y(v)); g.stroke(); if (v === 0 || Math.abs(Y(v) - Y(0)) > 12 * ratio) g.fillText(`${+v.toPrecision(2)}`, 2, Y(v) + 4 * ratio); }
     g.fillText("0 s", left, h - 4 * ratio); const end = `${+t1.toPrecision(3)} s`; g.fillText(end, w - g.measureText(end).width - 2, h - 4 * ratio);
     const curve = (rows, k, dash) => { g.setLineDash(dash); g.beginPath(); let open = false; rows.forEach((r, i) => { if (r[k] === null) { open = false; return; } g[open ? "lineTo" : "moveTo"](X(head.times[i]), Y(r[k])); open = true; }); g.stroke(); g.setLineDash([]); };
     colours3.forEach((c, k) => { g.strokeStyle = c; g.lineWidth = 1.8 * ratio; curve(wrench.force, k, []); if (wrench.measured) curve(wrench.measured, k, [2 * ratio, 3 * ratio]); });

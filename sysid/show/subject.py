@@ -12,7 +12,7 @@ from sim_core.errors import ConfigError, ConvergenceError, ThinshellError
 from sim_core.postprocess import Layout, Surface, lay_out, surfaces
 from sim_core.postprocess.layout import within
 from sim_core.preflight import Finding, review
-from sim_core.rigs import MarkerSensor, Rig, Rigid, WrenchSensor, marker_positions, seen_points
+from sim_core.rigs import MarkerSensor, OrthographicCamera, Rig, Rigid, WrenchSensor, marker_positions, seen_points
 from sim_core.rigs.motion import compile_experiment, load_experiment
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
@@ -75,6 +75,15 @@ class Subject:
         origin, rotation = self.frames[step][device.mount]
         points = rotation.inv().apply(self.tracks[camera].positions(self.states.positions[step]) - origin)
         return np.asarray(taken(device, points[None])[0])[: len(points)]
+
+    def picture_shift(self, camera: str) -> np.ndarray:
+        """By how much the picture of a camera is moved where it is shown [px] ``(2,)``: not at all, but for one whose
+        crop is not known (positions counted from a marker), so that its points are in the middle."""
+        device = self.rig.cameras[camera]
+        if not isinstance(device, OrthographicCamera) or device.origin_id is None:
+            return np.zeros(2)
+        middle = 0.5 * np.array([device.width_px, device.height_px])
+        return np.asarray(middle - np.nanmean(self.pixels(camera, 0), axis=0))
 
     def predicted_markers(self, sensor: str, steps: np.ndarray) -> np.ndarray:
         """Readings of a marker sensor [m] ``(k, m, 3)``, in its frame, at some of the instants."""
