@@ -73,6 +73,7 @@ def fit(
 
     Example: thinshell fit card_press run1 run2 --params card.E,gel.E --held-out run3 --out fit
     """
+    from sim_core.preflight import review
     from sim_core.rigs import load_rig, resolve_name
     from sysid.fit import REPORT, FitOptions, fit_bags
     from sysid.model.parameters import asked_for
@@ -96,6 +97,8 @@ def fit(
     )  # fmt: skip
     check_parts(bags, held_out or [])
     check_new(out, "folder")
+    for finding in review(chosen):
+        warn(finding.text)
     with interrupts_told(KEPT) as pressed, progress("fit") as report:
         result = fit_bags(
             chosen,
