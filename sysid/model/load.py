@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sysid.model.marker_registration import first_frames, placed
 from sysid.model.windows import window_of
+from sysid.observations.checks import Finding, examine
 from sysid.observations.observations import Measured, Run, distinct_names, of_recording
 from sysid.observations.rig_match import check_topics, marker_numbers, numbers_apart
 from sysid.observations.rig_topics import topics_of
@@ -23,9 +23,6 @@ from sysid.observations.selection import part_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
 from sysid.recording.notes import Note, Notes, Severity, told_once
-
-if TYPE_CHECKING:
-    from sysid.observations.checks import Finding
 
 
 def load_runs(
@@ -75,8 +72,6 @@ def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
 
     Raises ``RecordingError`` when nothing can be compared, and where a finding makes a fit meaningless, unless
     ``despite`` has its name."""
-    from sysid.observations.checks import examine
-
     topics = open_bag(Path(path), Notes()).topics
     check_topics(rig, path, topics)
     names, missing = topics_of(rig, topics)
