@@ -22,10 +22,10 @@ def effects(
 
     Example: thinshell effects gel_relaxation
     """
-    from sim_core.effects import EFFECTS, effect_by_name
+    from sim_core.effects import all_effects, effect_by_name
     from sim_core.rigs import load_rig
 
-    chosen = [effect_by_name(name)] if name is not None else list(EFFECTS)
+    chosen = [effect_by_name(name)] if name is not None else list(all_effects().values())
     if rig is not None:
         loaded = load_rig(rig)
         chosen = [e for e in chosen if e.applies(loaded)]
@@ -54,6 +54,13 @@ def _described(effect: Any) -> dict[str, Any]:
         "title": effect.title,
         "slot": effect.slot,
         "words": effect.words,
+        "signature": effect.signature,
+        "source": effect.source,
+        "follows": effect.follows,
+        "passive": effect.passive,
+        "needs": effect.needs,
+        "twins": list(effect.twins),
+        "separated_by": effect.separated_by,
         "parameters": [
             {"name": p.name, "unit": p.unit, "lower": finite(p.lower), "upper": finite(p.upper),
              "vanishes_at": None if p.vanishing is None else str(p.vanishing), "words": p.words}

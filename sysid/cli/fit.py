@@ -75,9 +75,11 @@ def fit(
     """
     from sim_core.preflight import review
     from sim_core.rigs import load_rig, resolve_name
-    from sysid.fit import REPORT, FitOptions, fit_bags
+    from sysid.fit import FitOptions
     from sysid.model.parameters import asked_for
     from sysid.observations import rig_topics
+    from sysid.report import REPORT
+    from sysid.workflow import fit_bags
 
     chosen = rig_topics.without(load_rig(rig), without or [])
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
