@@ -71,11 +71,19 @@ def _described(effect: Any) -> dict[str, Any]:
 
 def _in_full(effect: dict[str, Any]) -> str:
     lines = [f"{effect['name']}: {effect['title']} (acts on: {effect['slot']})", "", effect["words"], ""]
-    lines += ["parameters"]
+    lines += [f"Left out of a model: {effect['signature']}"] if effect["signature"] else []
+    if effect["twins"]:
+        lines.append(f"Easily mistaken for {', '.join(effect['twins'])}. To tell them apart: {effect['separated_by']}")
+    elif effect["separated_by"]:
+        lines.append(f"To make sure of it: {effect['separated_by']}")
+    lines += [f"Source: {effect['source']}"] if effect["source"] else []
+    passive = "it can only take up energy" if effect["passive"] else "it may give energy"
+    lines += [f"It needs {effect['needs']}, follows the {effect['follows']}, and {passive}.", "", "parameters"]
     for p in effect["parameters"]:
         vanishes = f"; does nothing at {p['vanishes_at']}" if p["vanishes_at"] is not None else ""
         lines.append(f"  {p['name']} [{p['unit']}]  {p['lower']:g} to {p['upper']:g}{vanishes}")
         lines.append(f"      {p['words']}")
     first = ", ".join(f"{p['name']}: ..." for p in effect["parameters"])
-    lines += ["", "in a rig file", f"  effects: {{{effect['name']}: {{{first}}}}}"]
+    lines += ["", "in a rig file (on one target alone: NAME@TARGET, several of a kind: NAME@TARGET#LABEL)"]
+    lines += [f"  effects: {{{effect['name']}: {{{first}}}}}"]
     return "\n".join(lines)

@@ -1,7 +1,10 @@
 """Results that are there whole or not at all."""
 
+import errno
 import os
 import re
+import resource
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +14,7 @@ import pytest
 
 from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import load_rig
-from sysid.io.atomic_folder import unfinished, whole_file, whole_folder
+from sysid.io.atomic_folder import unfinished, whole_file, whole_folder, write_results
 from sysid.workflow import diagnose_bags, fit_bags
 
 
@@ -125,3 +128,35 @@ def test_the_working_folder_may_be_named_by_its_dot(tmp_path: Path) -> None:
     )
     subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True, timeout=60)
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
+def test_results_without_room_are_kept_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(elsewhere))
+
+    def write(folder: Path) -> None:
+        if folder.parent != elsewhere:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        (folder / "fit.json").write_text("{}")
+
+    with pytest.raises(ConfigError, match=r"cannot be written to .*out: No space left on device\. They are kept in"):
+        with whole_folder(tmp_path / "out") as folder:
+            write_results(folder, tmp_path / "out", [write])
+    (kept,) = elsewhere.glob("*/fit.json")
+    assert kept.read_text() == "{}" and not (tmp_path / "out").exists()
+
+
+def test_room_is_tried_before_the_job(tmp_path: Path) -> None:
+    """The job is not begun where a file may not become as large as results."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, before[1]))
+    try:
+        with pytest.raises(ConfigError, match="out cannot be written: File too large"):
+            with whole_folder(tmp_path / "out"):
+                pytest.fail("the job was begun")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert list(tmp_path.iterdir()) == []
