@@ -115,9 +115,7 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
     rclpy.init()
     node, heard = rclpy.create_node("bench", namespace="/bench"), Heard()
 
-    def take(message: Any, information: dict[str, Any]) -> None:
-        heard.take(message, information)
-
+    take: Any = heard.take  # rclpy looks how many arguments it has, its types know of one
     node.create_subscription(PointCloud2, "markers", take, QoSProfile(depth=100))
     publisher = node.create_publisher(PoseStamped, "target_pose", 1)
 
@@ -141,7 +139,7 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
             spin(time.monotonic() + COMMAND_S)
         levels.append(heard.level)
     physics = _physics(pid)
-    heard.latencies.clear(), heard.ages.clear(), heard.numbers.clear()
+    heard.latencies, heard.ages, heard.numbers = [], [], []
     memory = [_rss_mb(pid) + _rss_mb(physics)]
     begin, due, changed, deep, stopped = time.monotonic(), time.monotonic(), 0.0, 1, None
     while (now := time.monotonic()) - begin < seconds:
@@ -159,9 +157,9 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
             command(DEPTHS_M[deep])
         due = max(due + COMMAND_S, now)
         spin(due)
-        memory.append(_rss_mb(pid) + _rss_mb(physics)) if len(heard.ages) % 500 == 0 else None
     lost = int(np.diff(heard.numbers).sum()) - (len(heard.numbers) - 1)
     tail = [age for at, age in heard.ages if at > time.monotonic() - TAIL_S]
+    memory.append(_rss_mb(pid) + _rss_mb(physics))
     p50, p99 = np.percentile(heard.latencies, [50, 99]) * 1e3
     print(f"command to markers: p50 {p50:.1f} ms, p99 {p99:.1f} ms of {len(heard.latencies)} changes")
     print(f"markers: {len(heard.numbers)} received in {seconds:g} s, {lost} lost")
