@@ -92,7 +92,12 @@ def strain(layout: Layout, surface: Surface, x: np.ndarray) -> np.ndarray:
         assert isinstance(body.mesh, SheetMesh)
         elements = body.mesh.triangles
         rest, moved = (p[elements[:, 1:]] - p[elements[:, :1]] for p in (body.mesh.nodes, now))
-        gradient = np.einsum("mjk,mki->mij", np.linalg.inv(rest[..., :2]), moved)[:, None]
+        # In axes of its own plane a triangle at rest has the edges (a, 0) and (b, c).
+        a = np.linalg.norm(rest[:, 0], axis=1)
+        b = (rest[:, 0] * rest[:, 1]).sum(axis=1) / a
+        c = np.linalg.norm(np.cross(rest[:, 0], rest[:, 1]), axis=1) / a
+        plane = np.stack([np.stack([a, np.zeros_like(a)], axis=-1), np.stack([b, c], axis=-1)], axis=1)
+        gradient = np.einsum("mjk,mki->mij", np.linalg.inv(plane), moved)[:, None]
         gradient = np.repeat(gradient, 3, axis=1)
     green = 0.5 * (np.swapaxes(gradient, -1, -2) @ gradient - np.eye(gradient.shape[-1]))
     largest = np.abs(np.linalg.eigvalsh(green)).max(axis=-1)

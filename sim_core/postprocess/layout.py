@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim_core.rigs import WORLD, Affine, Rig, Rigid, Sheet
+from sim_core.effects import amended
+from sim_core.rigs import WORLD, Affine, Rig, Sheet
 from sim_core.rigs.observers import Camera
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.assembly import BuiltBody, build_body, world_pose
@@ -78,7 +79,8 @@ def within(frame: Frame, placed: Frame) -> Frame:
 
 
 def lay_out(rig: Rig) -> Layout:
-    """Mesh all bodies of a rig where they stand at the start."""
+    """Mesh all bodies of a rig where they stand at the start, its effects on poses and sizes included."""
+    rig = amended(rig)
     told: dict[str, Frame] = {WORLD: (np.zeros(3), Rotation.identity())}
     told.update({n: (e.start.position(), e.start.rotation()) for n, e in rig.end_effectors.items()})
     start = with_offsets(rig, told)
@@ -89,8 +91,3 @@ def lay_out(rig: Rig) -> Layout:
         bodies[name] = build_body(rig, name, carrier, count, 1)
         count += len(bodies[name].nodes)
     return Layout(rig, bodies, start)
-
-
-def is_rigid(layout: Layout, body: str) -> bool:
-    """Whether a body of the rig is a rigid one, which has no nodes on its surface."""
-    return isinstance(layout.rig.bodies[body], Rigid)

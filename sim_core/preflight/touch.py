@@ -72,7 +72,8 @@ def _knowable(layout: Layout, body: str) -> bool:
     if isinstance(spec, Affine):
         still = not any((*spec.velocity_m_s, *spec.angular_velocity_deg_s)) and not layout.rig.joints
         return still and not any(layout.rig.gravity_m_s2)
-    mounts = {h.mount for h in held_nodes(layout.rig, layout.bodies[body]).values()}
+    holders = held_nodes(layout.rig, layout.bodies[body])
+    mounts = {h.mount for label, h in holders.items() if not label.endswith("_cut")}
     if isinstance(spec, Sheet):
         return mounts == {WORLD}  # carried by one that moves, it goes elsewhere than its pose says
     return bool(mounts)

@@ -36,7 +36,7 @@ def held_vertices(subject: Subject) -> dict[str, np.ndarray]:
         inside = np.zeros(len(body.nodes), dtype=bool)
         try:
             for label, holder in held_nodes(subject.rig, body).items():
-                if not label.endswith(".bond"):
+                if not label.endswith((".bond", "_cut")):
                     inside |= holder.inside
         except ThinshellError:  # a clamp that holds nothing is told elsewhere
             pass

@@ -27,6 +27,8 @@ def body_words(rig: Rig, name: str) -> str:
         size = _millimetres(*shape.size_m)
     elif shape.type == "cylinder":
         size = f"radius {_millimetres(shape.radius_m)}, length {_millimetres(shape.length_m)}"
+    elif shape.type == "disc":
+        size = f"radius {_millimetres(shape.radius_m)}, height {_millimetres(shape.height_m)}"
     elif shape.type in ("dome", "sphere"):
         size = f"radius {_millimetres(shape.radius_m)}"
     else:

@@ -177,11 +177,11 @@ def test_a_slip_of_the_pen_is_answered(
 
 
 def test_effects_are_listed_and_told_in_full(capsys: pytest.CaptureFixture[str]) -> None:
-    from sim_core.effects import EFFECTS
+    from sim_core.effects import all_effects
 
     assert main(["effects"]) == 0
     listed = capsys.readouterr().out
-    assert all(effect.name in listed and effect.title in listed for effect in EFFECTS)
+    assert all(effect.name in listed and effect.title in listed for effect in all_effects().values())
     assert main(["effects", "air_drag", "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)
     assert found["name"] == "air_drag" and found["parameters"][0]["name"] == "drag_coefficient"
