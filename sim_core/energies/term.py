@@ -26,6 +26,35 @@ Internals = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
+class Quantity:
+    """A number that a term is configured with, and differentiates itself.
+
+    ``power``: of the value that an element has of it in the element's energy, if it is a factor there; else 0.
+    ``closed``: what the term knows :class:`Along` weights has the derivative by it; a number that is a factor of all
+    that the term does needs none. ``shares``: what the elements have is their share of it, which the term was told.
+    """
+
+    name: str
+    unit: str
+    power: int = 0
+    closed: bool = True
+    shares: bool = False
+
+
+class Along(Protocol):
+    """What a term knows along the weights of forces and of new internal variables at the end of a step."""
+
+    def work(self) -> np.ndarray:
+        """Work of the forces dE/dx of each element ``(m,)``: a factor f of its energy has the derivative work / f."""
+        ...
+
+    def by(self, quantity: str) -> np.ndarray:
+        """Derivatives by the values that the elements have of a number of the term ``(m,)``; by one that all of the
+        body has, as much as a number."""
+        ...
+
+
+@dataclass(frozen=True)
 class PairTable:
     """Where the Hessian blocks of node pairs are, for terms whose pairs change.
 
@@ -153,6 +182,18 @@ class RememberingTerm(Term, Protocol):
         ...
 
 
+@runtime_checkable
+class Declaring(Protocol):
+    """A term that declares its numbers, and what its elements may have of them."""
+
+    quantities: tuple[Quantity, ...]
+
+    def along(self, vectors: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> Along:
+        """What forces along nodal ``vectors`` ``(n, 3)``, and new internal variables with the weights ``kept``,
+        flattened, know of these numbers at the end of a step from ``internals``."""
+        ...
+
+
 class DynamicTerm(Term, Protocol):
     """A term whose coupled nodes change: contact between deformable bodies.
 
@@ -175,6 +216,24 @@ class DynamicTerm(Term, Protocol):
 
     def outran(self) -> bool:
         """True when the step has moved further than partners were looked for."""
+        ...
+
+
+@runtime_checkable
+class ByRestAngles(Protocol):
+    """A term that knows the rest angles of a sheet's hinges."""
+
+    name: str
+
+    def begin_step(self, step: StepContext, internals: Internals) -> None:
+        """As of any term."""
+        ...
+
+    def by_rest_angles(
+        self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals
+    ) -> np.ndarray:
+        """Derivative by the rest angles ``(n_hinges,)`` of the work of the forces along nodal vectors ``(n, 3)``, and
+        of the product of the new internal variables, flattened, with ``kept``."""
         ...
 
 
