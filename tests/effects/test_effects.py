@@ -63,6 +63,7 @@ def test_starting_values_are_the_typical_ones(small_rig):
         "gel_relaxation": 3, "sheet_orthotropy": 4, "bending_plasticity": 5, "air_drag": 1, "static_friction": 4,
         "end_effector_compliance": 2, "wrench_offset": 1, "stream_delay": 2,
         "camera_distortion": 2, "command_lag": 2, "contact_adhesion": 2, "gravity_direction": 1,
+        "viscoelastic_sheet": 3,
     }  # fmt: skip
     assert starts["stream_delay"] == [{"wrench_s": 0.01, "vision_s": 0.0}, {"wrench_s": 0.0, "vision_s": 0.01}]
     for effect in all_effects().values():

@@ -17,5 +17,6 @@ TYPICAL: dict[str, dict[str, float]] = {
     "camera_distortion": {"k1": 0.1, "k2": -0.05},
     "command_lag": {"delay_s": 0.015, "tau_s": 0.03},
     "gravity_direction": {"tilt_x_rad": 0.05, "tilt_y_rad": -0.1},
+    "viscoelastic_sheet": {"share": 0.5, "tau_s": 0.1},
     "contact_adhesion": {"work_j_m2": 0.5, "range_m": 2e-4},
 }
