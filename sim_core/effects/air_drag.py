@@ -75,6 +75,7 @@ class _Drag(Memoryless):
     """Term of one sheet."""
 
     mirrored = False
+    measured_at_rest = True
 
     def __init__(self, name: str, triangles: np.ndarray, areas: np.ndarray) -> None:
         self.name = name

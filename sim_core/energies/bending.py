@@ -44,6 +44,7 @@ class Bending:
     """
 
     mirrored = True
+    measured_at_rest = True
     quantities: tuple[Quantity, ...] = (
         Quantity("E_pa", "Pa", power=1, closed=False),
         Quantity("thickness_m", "m", power=3, closed=False),

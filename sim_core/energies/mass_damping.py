@@ -54,6 +54,7 @@ class MassDamping(Memoryless):
     ``density`` in the unit that goes with the mass."""
 
     mirrored = True
+    measured_at_rest = False
     quantities: tuple[Quantity, ...] = (Quantity("mass_damping_per_s", "1/s"), Quantity("density", "kg/m^3"))
 
     def __init__(self, name: str, unit_mass: sp.csr_matrix, offset: int, loose: np.ndarray) -> None:

@@ -175,6 +175,7 @@ class Membrane(Memoryless):
     each triangle)."""
 
     mirrored = True
+    measured_at_rest = True
     quantities: tuple[Quantity, ...] = (
         Quantity("E_pa", "Pa", power=1, closed=False),
         Quantity("thickness_m", "m", power=1, closed=False),

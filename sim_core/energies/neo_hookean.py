@@ -69,6 +69,7 @@ class NeoHookean:
     """
 
     mirrored = False
+    measured_at_rest = True
     quantities: tuple[Quantity, ...] = (
         Quantity("E_pa", "Pa", power=1),
         Quantity("nu", "-"),

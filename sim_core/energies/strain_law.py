@@ -115,7 +115,7 @@ class StrainLaws:
     ``<key>.<parameter>`` of each law."""
 
     mirrored = True
-    knows_rest_shape = True
+    measured_at_rest = True
 
     def __init__(self, name: str, measure: StrainMeasure) -> None:
         self.name, self.measure = name, measure

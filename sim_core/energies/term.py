@@ -116,6 +116,8 @@ class Term(Protocol):
     mirrored: bool
     """Entries below the diagonal are folded onto their mirror image (the term lists each pair once)
     instead of being dropped (the term lists both partners)."""
+    measured_at_rest: bool
+    """Whether its forces depend on the shape at rest, beyond masses: then it has a derivative by it."""
 
     def blocks(self) -> np.ndarray:
         """Node pairs coupled by the Hessian, in storage order: int32, shape ``(n_blocks, 2)``.
@@ -173,7 +175,8 @@ class Memoryless:
         return {}
 
 
-class RememberingTerm(Term, Protocol):
+@runtime_checkable
+class RememberingTerm(Protocol):
     """A term whose force depends on more than the positions at the end of the step, or that remembers them."""
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
@@ -194,6 +197,7 @@ class Declaring(Protocol):
         ...
 
 
+@runtime_checkable
 class DynamicTerm(Term, Protocol):
     """A term whose coupled nodes change: contact between deformable bodies.
 
@@ -246,6 +250,7 @@ class ByAreas(Term, Protocol):
         ...
 
 
+@runtime_checkable
 class GuardedTerm(Term, Protocol):
     """A term whose surfaces never cross: every kind of contact."""
 
@@ -267,3 +272,86 @@ class GuardedTerm(Term, Protocol):
     def contacts(self) -> tuple[int, float]:
         """Number of loaded points and smallest gap [m] at the last gradient."""
         ...
+
+
+@runtime_checkable
+class TurningTerm(Protocol):
+    """A term of a rigid body that turns within a step."""
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns in this step."""
+        ...
+
+    def turn(self, share: float) -> None:
+        """Turn it to where it is after ``share`` of the step."""
+        ...
+
+
+@runtime_checkable
+class StraighteningTerm(Protocol):
+    """A term of bodies that turn along curved paths."""
+
+    def straighten(self, start: np.ndarray, free: np.ndarray) -> None:
+        """Let bodies turn where the straight move from ``start`` [m] ``(n, 3)`` stretched them; ``free``: bool
+        ``(n, 3)``."""
+        ...
+
+
+@runtime_checkable
+class ForeseeingTerm(Protocol):
+    """A term whose Hessian can have the stress that a move makes to first order."""
+
+    def foresee(self, move: np.ndarray | None) -> None:
+        """Take the stress of ``move`` [m] ``(n, 3)``, at whose end the Hessian is taken (None: the true one)."""
+        ...
+
+
+@runtime_checkable
+class AligningTerm(Protocol):
+    """A term whose internal variables are those of pairs that come and go."""
+
+    def aligned(self, internals: Internals, like: Internals) -> Internals:
+        """Internal variables in the order of others."""
+        ...
+
+
+_CAPABILITIES = (RememberingTerm, DynamicTerm, ByAreas, ByRestAngles, GuardedTerm, TurningTerm, Declaring)
+
+_REST_DERIVATIVES = ("by_rest", "by_areas", "rest_weights", "measures")
+
+
+def check_term(term: Term) -> None:
+    """Raise ``TypeError`` where the class of a term lacks a derivative that what it does asks for, or a part of what it
+    began to declare. Called for every term when a system is built."""
+    kind = type(term)
+
+    def has(name: str) -> bool:
+        return getattr(term, name, None) is not None
+
+    for name in ("begin_step", "initial_internals"):
+        if getattr(kind, name, None) is not getattr(Memoryless, name) and not has("linearise"):
+            what = "depends on the start of its step" if name == "begin_step" else "keeps internal variables"
+            raise TypeError(
+                f"The term {term.name} ({kind.__name__}) {what} ({name}) and has no method linearise: gradients would "
+                "lack that. Write linearise, which returns None where neither forces nor memory depend on it."
+            )
+    if not has("measured_at_rest"):
+        raise TypeError(
+            f"The term {term.name} ({kind.__name__}) does not say whether its forces depend on the shape at rest: set "
+            "measured_at_rest."
+        )
+    if term.measured_at_rest and not any(has(name) for name in _REST_DERIVATIVES):
+        raise TypeError(
+            f"The term {term.name} ({kind.__name__}) is measured at rest and has no derivative by the shape at rest: "
+            f"write one of {', '.join(_REST_DERIVATIVES)}."
+        )
+    common = {*vars(Term), *Term.__annotations__}
+    for capability in _CAPABILITIES:
+        names = [n for n in (*vars(capability), *capability.__annotations__) if n not in common and n[0] != "_"]
+        lacking = [n for n in names if not has(n)]
+        if 0 < len(lacking) < len(names):
+            raise TypeError(
+                f"The term {term.name} ({kind.__name__}) has a part of {capability.__name__} and lacks "
+                f"{', '.join(lacking)}."
+            )
