@@ -60,6 +60,7 @@ class EdgeContact:
     """
 
     mirrored = True
+    measured_at_rest = True
 
     def __init__(
         self,

@@ -240,6 +240,7 @@ class RigidContact:
     """
 
     mirrored = True
+    measured_at_rest = True
 
     def __init__(self, name: str, samples: Samples, body_node: int, shape: np.ndarray, rotation: np.ndarray) -> None:
         self.name = name

@@ -71,6 +71,7 @@ class SurfaceContact:
     """
 
     mirrored = True
+    measured_at_rest = True
 
     def __init__(
         self,

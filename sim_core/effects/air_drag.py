@@ -75,6 +75,7 @@ class _Drag(Memoryless):
     """Term of one sheet."""
 
     mirrored = False
+    measured_at_rest = True
 
     def __init__(self, name: str, triangles: np.ndarray, areas: np.ndarray) -> None:
         self.name = name
@@ -153,6 +154,7 @@ class AirDrag(BodyForce):
     parameters = (
         EffectParameter("drag_coefficient", "-", 0.0, 20.0, (1.0,), 0.0, False, 1.0, "C_D on the sheet's area"),
     )
+    example = {"drag_coefficient": 1.0}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet)) if rig.solver.inertia else ()

@@ -146,6 +146,8 @@ class Effect(ABC):
     separated_by: ClassVar[str] = ""
     """The experiment that tells it from its twins, in one sentence."""
     parameters: ClassVar[tuple[EffectParameter, ...]] = ()
+    example: ClassVar[Values] = {}
+    """Values of all parameters at which it shows in a quick press of a card, for tests and demonstrations."""
 
     @abstractmethod
     def targets(self, rig: Rig) -> tuple[str, ...]:

@@ -41,6 +41,7 @@ class CameraDistortion(Pointwise):
         EffectParameter("k1", "-", -1.0, 1.0, (0.02, -0.02), 0.0, False, 0.05, "share of the radius at r = 1"),
         EffectParameter("k2", "-", -1.0, 1.0, (0.0,), 0.0, False, 0.05, "share of the radius at r = 1, fourth power"),
     )
+    example = {"k1": 0.1, "k2": -0.05}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(rig.cameras)

@@ -29,6 +29,7 @@ class CameraIntrinsics(RigMap):
         EffectParameter("cx_px", "px", -1e3, 1e3, (2.0,), 0.0, False, 5.0, "shift of the principal point in u"),
         EffectParameter("cy_px", "px", -1e3, 1e3, (2.0,), 0.0, False, 5.0, "shift of the principal point in v"),
     )
+    example = {"scale": 0.02, "cx_px": 3.0, "cy_px": -2.0}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(rig.cameras)

@@ -31,6 +31,7 @@ class CameraPose(RigMap):
         *(EffectParameter(f"{a}_m", "m", -0.1, 0.1, (1e-3,), 0.0, False, 3e-3, f"shift along {a}") for a in "xyz"),
         *(EffectParameter(f"r{a}_deg", "deg", -45.0, 45.0, (0.3,), 0.0, False, 1.0, f"turn about {a}") for a in "xyz"),
     )
+    example = {"x_m": 0.001, "y_m": -0.002, "z_m": 0.003, "rx_deg": 0.3, "ry_deg": -0.2, "rz_deg": 0.4}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(rig.cameras)

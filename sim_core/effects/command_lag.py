@@ -60,6 +60,7 @@ class CommandLag(CommandMap[Past]):
             "tau_s", "s", 0.0, 5.0, (0.05,), 0.0, False, 0.1, "time constant of the arm", "sampling_s", (2.0, 8.0)
         ),
     )
+    example = {"delay_s": 0.015, "tau_s": 0.03}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(rig.end_effectors)

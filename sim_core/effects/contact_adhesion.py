@@ -43,6 +43,7 @@ class ContactAdhesion(NormalLaw):
         EffectParameter("work_j_m2", "J/m^2", 0.0, 10.0, (0.05, 0.5), 0.0, False, 0.2, "work of adhesion"),
         EffectParameter("range_m", "m", 1e-6, 1e-2, (1e-4,), None, True, 1.0, "distance over which surfaces attract"),
     )
+    example = {"work_j_m2": 0.5, "range_m": 0.0002}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(c.name for c in rig.contacts)

@@ -36,6 +36,7 @@ class EndEffectorCompliance(MechanicsMap):
     parameters = (
         EffectParameter("compliance_m_per_n", "m/N", 1e-8, 0.1, (1e-4, 2e-3), 0.0, True, 2.5, "displacement per force"),
     )
+    example = {"compliance_m_per_n": 0.0002}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(rig.end_effectors)

@@ -42,6 +42,7 @@ class GelRelaxation(MechanicsMap):
             (0.01, 0.05, 0.25),
         ),
     )  # fmt: skip
+    example = {"share": 0.3, "tau_s": 0.2}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))

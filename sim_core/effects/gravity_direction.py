@@ -32,6 +32,7 @@ class GravityDirection(RigMap):
     parameters = tuple(
         EffectParameter(f"tilt_{a}_rad", "rad", -0.5, 0.5, (0.03,), 0.0, False, 0.03, f"tilt about {a}") for a in "xy"
     )
+    example = {"tilt_x_rad": 0.05, "tilt_y_rad": -0.1}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         heavy = any(body.type != "rigid" for body in rig.bodies.values())

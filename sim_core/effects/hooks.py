@@ -8,6 +8,7 @@ abstract: an effect that lacks a derivative cannot be made, and the registry say
 | :class:`RigMap` | numbers of the rig: tool pose, gravity, density, intrinsics | all that reads them |
 | :class:`MechanicsMap` | numbers of terms that a rig has no key for | :meth:`sim_core.scene.scene.Scene.values` |
 | :class:`BodyForce` | terms of the incremental potential | :class:`sim_core.scene.scene.Scene` |
+| :class:`MaterialLaw` | stress by strain of a sheet, with memory | :mod:`sim_core.energies.strain_law` |
 | :class:`NormalLaw` | contact pressure against the gap | contact terms |
 | :class:`FrictionLaw` | the bound of friction | contact terms |
 | :class:`CommandMap` | poses to poses, with memory | :mod:`sim_core.commands` |
@@ -20,7 +21,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -69,6 +70,63 @@ class BodyForce(Effect):
     @abstractmethod
     def numbers(self, values: Values) -> Mapping[str, float]:
         """What each of them is configured with, by name."""
+
+
+@dataclass(frozen=True)
+class Strained:
+    """n elements in one step, from its start to its end, as a material law sees them; or changes of all that.
+
+    ``strain``, ``before``: generalised strains at the end and at the start ``(n, k)``, in the material axes: Green
+    strains 11, 22, twice 12 of a membrane [-], curvatures likewise [1/m]. ``stiffness``: of the law that is amended,
+    D [N/m] or [N m] ``(n, k, k)``, whose stress is D times strain. ``state``: internal variables at the start, ``(n,
+    ...)`` each. ``dt`` [s].
+    """
+
+    strain: Array
+    before: Array
+    stiffness: Array
+    state: Mapping[str, Array]
+    dt: float
+
+
+@dataclass(frozen=True)
+class Response:
+    """What a material law adds in a step, per unit of area: ``energy`` of the incremental potential ``(n,)``, its
+    derivatives ``stress`` ``(n, k)`` and ``tangent`` ``(n, k, k)`` by the strain at the end, and the new ``state``."""
+
+    energy: Array
+    stress: Array
+    tangent: Array
+    state: Mapping[str, Array]
+
+
+Part = Literal["membrane", "bending"]
+"""What of a sheet a material law amends."""
+
+
+class MaterialLaw(Effect):
+    """An amendment of the constitutive law of a body, with internal state in every element.
+
+    It is a function of generalised strains; the term that hosts it (:mod:`sim_core.energies.strain_law`) does the rest:
+    nodal forces, Hessian, and all derivatives by positions, shapes at rest, fields and numbers. Several laws of one
+    body add up.
+    """
+
+    parts: ClassVar[tuple[Part, ...]] = ()
+    """What it amends of each of its targets."""
+
+    @abstractmethod
+    def state(self) -> Mapping[str, tuple[int, ...]]:
+        """Internal variables of one element by name, with their shapes; zero in a virgin body."""
+
+    @abstractmethod
+    def respond(self, at: Strained, values: Values) -> Response:
+        """What it adds at the end of a step; of the baseline where the effect vanishes: nothing."""
+
+    @abstractmethod
+    def push(self, at: Strained, change: Strained, values: Values, by: Values) -> tuple[Array, Mapping[str, Array]]:
+        """Changes of stress ``(..., n, k)`` and of the new state ``(..., n, ...)`` along changes of all inputs and of
+        the parameters, ``by``. Changes may have further first axes; no one asks for a change of ``dt``."""
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,11 @@ def checked(kind: type[Effect]) -> Effect:
     for field in ("title", "words", "slot", "needs", "parameters"):
         if not getattr(kind, field):
             raise ConfigError(f"The effect {kind.name} has no {field}.", "Fill it in; see sim_core/effects/base.py.")
+    if set(kind.example) != {p.name for p in kind.parameters}:
+        raise ConfigError(
+            f"The example of the effect {kind.name} does not give each of its parameters a value.",
+            "Write one value for each parameter, at which the effect shows.",
+        )
     if not any(p.vanishing is not None for p in kind.parameters):
         raise ConfigError(
             f"No parameter of the effect {kind.name} has a value at which the effect vanishes.",

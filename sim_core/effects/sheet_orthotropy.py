@@ -37,6 +37,7 @@ class SheetOrthotropy(MechanicsMap):
         EffectParameter("modulus_ratio", "-", 0.05, 20.0, (2.0, 0.5), 1.0, True, 0.7, "E_1 over E_2"),
         EffectParameter("grain_angle_rad", "rad", -1.6, 1.6, (0.0, 0.6), None, False, 0.8, "direction 1 against x"),
     )
+    example = {"modulus_ratio": 2.0, "grain_angle_rad": 0.4}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))

@@ -38,6 +38,7 @@ class StaticFriction(FrictionLaw):
             "excess", "-", 0.0, 5.0, (0.1, 0.2, 0.4, 0.8), 0.0, False, 0.5, "static over kinetic friction, less one"
         ),
     )
+    example = {"excess": 0.5}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(c.name for c in rig.contacts if c.friction > 0.0)

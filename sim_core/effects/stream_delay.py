@@ -34,6 +34,7 @@ class StreamDelay(ClockMap):
         EffectParameter("wrench_s", "s", -2.0, 2.0, (0.01,), 0.0, False, 0.05, "delay of the force readings"),
         EffectParameter("vision_s", "s", -2.0, 2.0, (0.01,), 0.0, False, 0.05, "delay of markers and tracks"),
     )
+    example = {"wrench_s": 0.03, "vision_s": 0.05}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return (*rig.sensors, *rig.cameras)

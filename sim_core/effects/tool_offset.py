@@ -34,6 +34,7 @@ class ToolOffset(RigMap):
         *(EffectParameter(f"{a}_m", "m", -0.1, 0.1, (5e-4,), 0.0, False, 1e-3, f"shift along {a}") for a in "xyz"),
         *(EffectParameter(f"r{a}_deg", "deg", -45.0, 45.0, (0.5,), 0.0, False, 1.0, f"turn about {a}") for a in "xyz"),
     )
+    example = {"x_m": 0.0003, "y_m": -0.0002, "z_m": -0.0004, "rx_deg": 0.4, "ry_deg": -0.3, "rz_deg": 0.2}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(rig.end_effectors)

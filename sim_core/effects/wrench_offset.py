@@ -59,6 +59,10 @@ class WrenchOffset(Additive):
         *_six(("bias_{}_n", "N"), ("torque_bias_{}_nm", "N m"), "constant offset", False),
         *_six(("drift_{}_n_per_s", "N/s"), ("torque_drift_{}_nm_per_s", "N m/s"), "drift", True),
     )
+    example = {
+        **{name.format(a): 0.1 for name in ("bias_{}_n", "torque_bias_{}_nm") for a in "xyz"},
+        **{name.format(a): 0.05 for name in ("drift_{}_n_per_s", "torque_drift_{}_nm_per_s") for a in "xyz"},
+    }
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, s in rig.sensors.items() if isinstance(s, WrenchSensor))

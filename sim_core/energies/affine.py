@@ -102,6 +102,7 @@ class AffineShape(Memoryless):
     of all nodes at rest [m]; ``volumes``: [m^3] ``(n,)``."""
 
     mirrored = True
+    measured_at_rest = False
 
     def __init__(self, name: str, control: np.ndarray, rest: np.ndarray, volumes: np.ndarray) -> None:
         self.name = name

@@ -27,10 +27,10 @@ from sim_core.energies.linearised import Blocks, ByNumber, Linearised, axes_of, 
 from sim_core.energies.membrane import material_frames
 from sim_core.energies.plastic_flow import PlasticFlow
 from sim_core.energies.sheet_vjp import Flowing, SheetAlong
-from sim_core.energies.term import Buffers, Internals, StepContext
+from sim_core.energies.term import Buffers, Internals, Quantity, StepContext
 from sim_core.geometry.sheets import SheetMesh, find_hinges
 from sim_core.kernels import BoundKernel
-from sim_core.materials.elastic import applied, plane_stress, plane_stress_by_nu, poisson_ratios
+from sim_core.materials.elastic import applied, plane_stress, plane_stress_by, plane_stress_by_nu, poisson_ratios
 
 _SIDE_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
@@ -44,6 +44,15 @@ class Bending:
     """
 
     mirrored = True
+    measured_at_rest = True
+    quantities: tuple[Quantity, ...] = (
+        Quantity("E_pa", "Pa", power=1, closed=False),
+        Quantity("thickness_m", "m", power=3, closed=False),
+        Quantity("nu", "-"),
+        Quantity("stiffness_damping_s", "s"),
+        Quantity("yield_curvature_per_m", "1/m", shares=True),
+        Quantity("hardening_ratio", "-", shares=True),
+    )
 
     def __init__(
         self,
@@ -62,7 +71,7 @@ class Bending:
         self._kappa = curvature_operator(mesh.nodes, mesh.triangles, self.hinges, frames, mesh.areas, self.rigid)
         self._hinge = np.ascontiguousarray(self.hinges.nodes + node_offset, dtype=np.int32)
         self._whole_areas = mesh.areas
-        self._areas = self._whole_areas.copy()
+        self._areas: np.ndarray = self._whole_areas.copy()
         self._stencils = Stencils(self._kappa, self._hinge)
         n_hinges = len(self._hinge)
         self._deviation, self._moment = np.zeros(n_hinges), np.zeros(n_hinges)
@@ -166,6 +175,42 @@ class Bending:
         """D [N m] of plane stress stiffness [Pa], ``(m, 3, 3)``."""
         return np.asarray(self._given["thickness_m"] ** 3 / 12.0 * stiffness)
 
+    @property
+    def hinge_nodes(self) -> np.ndarray:
+        """Nodes of the hinges among all, int32 ``(n_hinges, 4)``."""
+        return self._hinge
+
+    @property
+    def operator(self) -> sp.csr_matrix:
+        """From changes of the angles to curvatures, ``(3 m, n_hinges)``."""
+        return self._kappa
+
+    @property
+    def stencils(self) -> Stencils:
+        """Hinges and nodes around each triangle."""
+        return self._stencils
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Areas of the triangles [m^2] ``(m,)``, times the factors of their stiffness; changed in place."""
+        return self._areas
+
+    @property
+    def whole_areas(self) -> np.ndarray:
+        """Areas of the triangles [m^2] ``(m,)``."""
+        return self._whole_areas
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """D of the triangles [N m] ``(m, 3, 3)``; changed in place."""
+        return self._d
+
+    def stiffness_by(self, quantity: str) -> np.ndarray:
+        """Derivative of :attr:`stiffness` by one number of the term ``(m, 3, 3)``."""
+        if quantity == "thickness_m":
+            return np.asarray(3.0 / self._given["thickness_m"] * self._d)
+        return self._rigidity(plane_stress_by(self._given, quantity, self._nu))
+
     def _stiffness_by_nu(self) -> np.ndarray:
         """Derivative of D by Poisson's ratio of each triangle, ``(m, 3, 3)``."""
         if self._slope is None:
@@ -179,7 +224,7 @@ class Bending:
             self._onset[:] = self._onset_of(internals)
         self._rate[:] = self._damping / step.tau
         if self._damped or internals:  # beside flow, also for the derivative by a damping of zero
-            self._base[:] = step.base(self._curvatures_at)
+            self._base[:] = step.base(self.curvatures_at)
 
     def _measure_angles(self) -> None:
         """Bring the angles up to date with the positions."""
@@ -234,8 +279,8 @@ class Bending:
             stiffness=self._d,
             slope=self._stiffness_by_nu,
             strain=self.curvatures(),
-            straining=self._curving(vectors),
-            base=lambda: step.base(self._curvatures_at),
+            straining=self.curving(vectors),
+            base=lambda: step.base(self.curvatures_at),
             damping=self._damping,
             tau=step.tau,
             flowing=Flowing(self._flow(internals), internals, kept) if internals else None,
@@ -249,14 +294,17 @@ class Bending:
             moment += self._rate[:, None] * applied(self._d, curvatures - self._base)
         return moment
 
-    def by_rest_angles(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
+    def by_rest_angles(
+        self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals
+    ) -> np.ndarray:
         """Derivative by the rest angles ``(n_hinges,)`` of the work of the forces along nodal vectors ``(n, 3)`` and of
         the product of the new internal variables, flattened, with ``kept``. Rates of bending do not depend on them."""
+        del step
         return np.asarray(-(self._kappa.T @ self._by_curvatures(along, kept, internals).ravel()))
 
     def _by_curvatures(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
         """As :meth:`by_rest_angles`, by the curvatures ``(m, 3)`` [1/m] of the triangles, at given rates."""
-        moment = self._areas[:, None] * applied(self._d, self._curving(along))
+        moment = self._areas[:, None] * applied(self._d, self.curving(along))
         if internals:
             place, flow = places(internals), self._flow(internals)
             turned = kept[place["plastic_curvature"]] - moment
@@ -272,11 +320,11 @@ class Bending:
         triangle, hinge = pairs
         by_curvature = self._by_curvatures(along, kept, internals)
         moment = self._moments_of(internals)
-        curving, turning = self._curving(along), self._turning(along)
+        curving, turning = self.curving(along), self.turning(along)
         out = by_curvature[triangle] * self._deviation[hinge, None]
         out += (self._areas[:, None] * moment)[triangle] * turning[hinge, None]
         if self._damped:
-            since = self._deviation - step.base(self._deviations_at)
+            since = self._deviation - step.base(self.deviations_at)
             out += ((self._rate * self._areas)[:, None] * applied(self._d, curving))[triangle] * since[hinge, None]
         by_area = self._areas / self._whole_areas * (moment * curving).sum(axis=1)
         return out, by_area, np.asarray(-(self._kappa.T @ by_curvature.ravel()))
@@ -289,11 +337,11 @@ class Bending:
         np.add.at(out, self._hinge, (weights[:, None] * self._g).reshape(-1, 4, 3))
         return out
 
-    def _curving(self, along: np.ndarray) -> np.ndarray:
+    def curving(self, along: np.ndarray) -> np.ndarray:
         """Change of the curvatures along nodal vectors ``(n, 3)``, ``(m, 3)``."""
-        return np.asarray(self._kappa @ self._turning(along)).reshape(-1, 3)
+        return np.asarray(self._kappa @ self.turning(along)).reshape(-1, 3)
 
-    def _turning(self, along: np.ndarray) -> np.ndarray:
+    def turning(self, along: np.ndarray) -> np.ndarray:
         """Change of the angles along nodal vectors ``(n, 3)``, ``(n_hinges,)``."""
         self._gradients()
         moves = np.take(along, self._hinge, axis=0).reshape(-1, 12)
@@ -305,18 +353,18 @@ class Bending:
         del after
         if not internals and not self._damped:
             return None
-        curvatures = self._by_positions()
+        curvatures = self.by_positions()
         start = past = None
         if self._damped:
             viscous = (curvatures.T @ self._by_area(-self._rate[:, None, None] * self._d)).tocsr()
-            start = (step.weights[0] * viscous @ self._by_positions(step.x_start)).tocoo()
+            start = (step.weights[0] * viscous @ self.by_positions(step.x_start)).tocoo()
             if step.x_past is not None:
-                past = (step.weights[1] * viscous @ self._by_positions(step.x_past)).tocoo()
+                past = (step.weights[1] * viscous @ self.by_positions(step.x_past)).tocoo()
         if not internals:
             return Linearised(force_start=start, force_past=past)
         return self._with_flow(step, internals, curvatures, start, past)
 
-    def _by_positions(self, x: np.ndarray | None = None) -> sp.csr_matrix:
+    def by_positions(self, x: np.ndarray | None = None) -> sp.csr_matrix:
         """Derivative of all curvatures by all positions, ``(3 m, 3 n)``, at ``x`` (None: at those at hand)."""
         if x is None:
             self._gradients()
@@ -409,11 +457,11 @@ class Bending:
         self._measure_angles()
         return np.asarray(self._kappa @ self._deviation).reshape(-1, 3)
 
-    def _curvatures_at(self, x: np.ndarray) -> np.ndarray:
+    def curvatures_at(self, x: np.ndarray) -> np.ndarray:
         """As :meth:`curvatures`, at other positions [m] ``(n, 3)``."""
-        return np.asarray(self._kappa @ self._deviations_at(x)).reshape(-1, 3)
+        return np.asarray(self._kappa @ self.deviations_at(x)).reshape(-1, 3)
 
-    def _deviations_at(self, x: np.ndarray) -> np.ndarray:
+    def deviations_at(self, x: np.ndarray) -> np.ndarray:
         """Deviations of the angles from rest [rad] ``(n_hinges,)`` at other positions [m] ``(n, 3)``."""
         self._elsewhere[:] = x
         self._angles_there()

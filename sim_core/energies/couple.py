@@ -23,6 +23,7 @@ class Couple(Memoryless):
     ``shares``: part of the moment on each line ``(k,)``. Parameter: ``moment_nm`` [N m]."""
 
     mirrored = False
+    measured_at_rest = False
 
     def __init__(self, name: str, lines: np.ndarray, axis: np.ndarray, shares: np.ndarray) -> None:
         self.name = name
@@ -50,6 +51,10 @@ class Couple(Memoryless):
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         del internals
         self._start = self._lines(step.x_start)
+
+    def linearise(self, step: StepContext, internals: Internals, after: Internals) -> None:
+        """Nothing: where turns are counted from is a constant of the energy."""
+        del step, internals, after
 
     def add_energy(self) -> None:
         """Turns are counted from the start of the step, so that a line may turn on and on; where they are counted from

@@ -23,6 +23,7 @@ class Guide(Memoryless):
     zero; ``size_m``: of the body that is guided. The stiffness [N/m] is that of a cube of this size, 8 kappa size."""
 
     mirrored = True
+    measured_at_rest = False
 
     def __init__(self, name: str, nodes: np.ndarray, apart: np.ndarray, along: np.ndarray, size_m: float) -> None:
         self.name = name

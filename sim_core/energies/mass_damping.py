@@ -18,25 +18,34 @@ import numpy as np
 import scipy.sparse as sp
 
 from sim_core.energies.linearised import Linearised
-from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext
+from sim_core.energies.term import Buffers, Internals, Memoryless, Quantity, StepContext
 
 
 @dataclass(frozen=True)
 class MassDampingAlong:
-    """``work`` of M v' along nodal vectors, and what is ``beside`` it of the elements' own alpha, per density."""
+    """Work ``along`` nodal vectors of M v', and what is ``beside`` it of the elements' own alpha, per density."""
 
-    work: float
+    along: float
     beside: float
     alpha: float
     density: float
 
+    def work(self) -> np.ndarray:
+        """Work of the forces dE/dx of the whole body."""
+        return np.array([self.density * self.by_density()])
+
+    def by(self, quantity: str) -> np.ndarray:
+        """Derivative by a number of the whole body."""
+        ways = {"mass_damping_per_s": self.by_mass_damping, "density": self.by_density}
+        return np.array([ways[quantity]()])
+
     def by_mass_damping(self) -> float:
         """Derivative of the work of the forces by alpha."""
-        return self.density * self.work
+        return self.density * self.along
 
     def by_density(self) -> float:
         """Derivative of the work of the forces by the density."""
-        return self.alpha * self.work + self.beside
+        return self.alpha * self.along + self.beside
 
 
 class MassDamping(Memoryless):
@@ -45,6 +54,8 @@ class MassDamping(Memoryless):
     ``density`` in the unit that goes with the mass."""
 
     mirrored = True
+    measured_at_rest = False
+    quantities: tuple[Quantity, ...] = (Quantity("mass_damping_per_s", "1/s"), Quantity("density", "kg/m^3"))
 
     def __init__(self, name: str, unit_mass: sp.csr_matrix, offset: int, loose: np.ndarray) -> None:
         self.name = name

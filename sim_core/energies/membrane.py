@@ -23,12 +23,12 @@ import taichi as ti
 
 from sim_core.energies.linearised import Blocks, Linearised, axes_of, placed
 from sim_core.energies.sheet_vjp import SheetAlong
-from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext
+from sim_core.energies.term import Buffers, Internals, Memoryless, Quantity, StepContext
 from sim_core.kernels import F1, F2, F3, I1, I2, BoundKernel, row, times3, vec3
-from sim_core.materials.elastic import applied, plane_stress, plane_stress_by_nu, poisson_ratios
+from sim_core.materials.elastic import applied, plane_stress, plane_stress_by, plane_stress_by_nu, poisson_ratios
 
-# Upper blocks of the 3 x 3 node blocks, in storage order.
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""Upper blocks of the 3 x 3 node blocks, in storage order."""
 
 
 @ti.func
@@ -175,6 +175,13 @@ class Membrane(Memoryless):
     each triangle)."""
 
     mirrored = True
+    measured_at_rest = True
+    quantities: tuple[Quantity, ...] = (
+        Quantity("E_pa", "Pa", power=1, closed=False),
+        Quantity("thickness_m", "m", power=1, closed=False),
+        Quantity("nu", "-"),
+        Quantity("stiffness_damping_s", "s"),
+    )
 
     def __init__(self, name: str, nodes: np.ndarray, triangles: np.ndarray, axis: np.ndarray) -> None:
         self.name = name
@@ -185,9 +192,9 @@ class Membrane(Memoryless):
             axis=-1,
         )
         dm = np.einsum("mij,mik->mjk", frames, edges)
-        self._dm_inverse = np.ascontiguousarray(np.linalg.inv(dm))
-        self._whole_area = 0.5 * np.linalg.det(dm)
-        self._area = self._whole_area.copy()
+        self._dm_inverse: np.ndarray = np.ascontiguousarray(np.linalg.inv(dm))
+        self._whole_area: np.ndarray = 0.5 * np.linalg.det(dm)
+        self._area: np.ndarray = self._whole_area.copy()
         count = len(triangles)
         self._elastic, self._c = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
         self._before, self._strains = np.zeros((count, 3)), np.zeros((count, 3))
@@ -199,7 +206,7 @@ class Membrane(Memoryless):
         self._exact, self._foreseen = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32)
 
     def blocks(self) -> np.ndarray:
-        pairs = np.asarray(_PAIRS)
+        pairs = np.asarray(PAIRS)
         return self._triangles[:, pairs].reshape(-1, 2)
 
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
@@ -253,7 +260,7 @@ class Membrane(Memoryless):
             slope=self._stiffness_by_nu,
             strain=self._strains.copy(),
             straining=self._straining.copy(),
-            base=lambda: step.base(self._strains_at),
+            base=lambda: step.base(self.strains_at),
             damping=self._damping,
             tau=step.tau,
         )
@@ -266,23 +273,23 @@ class Membrane(Memoryless):
         times = [(self._x, 1.0 + rate), (step.x_start, -now * rate)]
         if step.x_past is not None:
             times.append((step.x_past, -before * rate))
-        dm, (f, sides), (v, moved) = self._dm_inverse, self._slopes(self._x), self._slopes(along)
+        dm, (f, sides), (v, moved) = self._dm_inverse, self.slopes(self._x), self.slopes(along)
         sheared = f.transpose(0, 2, 1) @ v
-        strain, virtual = np.zeros((len(dm), 3)), _as_strain(sheared)
-        held = _as_stress(applied(self._elastic, virtual))
+        strain, virtual = np.zeros((len(dm), 3)), as_strain(sheared)
+        held = as_stress(applied(self._elastic, virtual))
         out = np.zeros_like(dm)
         for x, weight in times:
             if weight.any():
-                there, across = self._slopes(x)
+                there, across = self.slopes(x)
                 metric = there.transpose(0, 2, 1) @ there
-                strain += weight[:, None] * _as_strain(0.5 * (metric - np.eye(2)))
+                strain += weight[:, None] * as_strain(0.5 * (metric - np.eye(2)))
                 out += weight[:, None, None] * across.transpose(0, 2, 1) @ there @ held
-        stress = _as_stress(applied(self._elastic, strain))
+        stress = as_stress(applied(self._elastic, strain))
         out += sides.transpose(0, 2, 1) @ v @ stress + moved.transpose(0, 2, 1) @ f @ stress
         work = np.einsum("mij,mij->m", stress, sheared)
         return self._area[:, None, None] * out, self._area / self._whole_area * work
 
-    def _slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of nodal vectors by the material coordinates, and differences along two sides, ``(m, 3, 2)``."""
         sides = (x[self._triangles[:, 1:]] - x[self._triangles[:, :1]]).transpose(0, 2, 1)
         return sides @ self._dm_inverse, sides
@@ -296,6 +303,33 @@ class Membrane(Memoryless):
         self._c[:] = self._elastic
         self._before[:], self._constant = 0.0, 0.0
 
+    @property
+    def triangles(self) -> np.ndarray:
+        """Nodes of the triangles among all, int32 ``(m, 3)``."""
+        return self._triangles
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Areas of the triangles [m^2] ``(m,)``, times the factors of their stiffness; changed in place."""
+        return self._area
+
+    @property
+    def whole_areas(self) -> np.ndarray:
+        """Areas of the triangles [m^2] ``(m,)``."""
+        return self._whole_area
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """h C of the triangles [N/m] ``(m, 3, 3)``, without damping; changed in place."""
+        return self._elastic
+
+    def stiffness_by(self, quantity: str) -> np.ndarray:
+        """Derivative of :attr:`stiffness` by one number of the term ``(m, 3, 3)``."""
+        thickness = self._given["thickness_m"]
+        if quantity == "thickness_m":
+            return np.asarray(self._elastic / thickness)
+        return np.asarray(thickness * plane_stress_by(self._given, quantity, self._nu))
+
     def _stiffness_by_nu(self) -> np.ndarray:
         """Derivative of h C by Poisson's ratio of each triangle, ``(m, 3, 3)``."""
         if self._slope is None:
@@ -308,7 +342,7 @@ class Membrane(Memoryless):
             return
         rate = self._damping / step.tau
         self._c[:] = (1.0 + rate)[:, None, None] * self._elastic
-        base = step.base(self._strains_at)
+        base = step.base(self.strains_at)
         self._before[:] = (rate / (1.0 + rate))[:, None] * base
         self._constant = 0.5 * float(np.einsum("t,ti,tij,tj->", self._area, base, self._elastic, self._before))
 
@@ -321,26 +355,29 @@ class Membrane(Memoryless):
         del internals, after
         if not self._damped:
             return None
-        pull = (-self._damping / step.tau * self._area)[:, None, None] * self._by_positions(self._x).transpose(0, 2, 1)
+        pull = (-self._damping / step.tau * self._area)[:, None, None] * self.by_positions(self._x).transpose(0, 2, 1)
         pull, axes, shape = pull @ self._elastic, axes_of(self._triangles), (self._x.size,) * 2
 
         def by(x: np.ndarray, weight: float) -> Blocks:
-            return placed((weight * pull @ self._by_positions(x), axes, axes), shape=shape)
+            return placed((weight * pull @ self.by_positions(x), axes, axes), shape=shape)
 
         now, before = step.weights
         past = None if step.x_past is None else by(step.x_past, before)
         return Linearised(force_start=by(step.x_start, now), force_past=past)
 
-    def _strains_at(self, x: np.ndarray) -> np.ndarray:
+    def strains_at(self, x: np.ndarray) -> np.ndarray:
         """Green strains at positions ``x`` [m], ``(m, 3)``."""
         self._elsewhere[:] = x
         self._strains_there()
         return np.array(self._strains)
 
-    def _by_positions(self, x: np.ndarray) -> np.ndarray:
+    def hats(self) -> np.ndarray:
+        """Gradients of the hat functions of the corners in the material axes [1/m] ``(m, 3, 2)``."""
+        return np.asarray(np.concatenate([-self._dm_inverse.sum(axis=1, keepdims=True), self._dm_inverse], axis=1))
+
+    def by_positions(self, x: np.ndarray) -> np.ndarray:
         """Derivatives of the strains of the triangles by their corners at ``x``, ``(m, 3, 9)``."""
-        inverse = self._dm_inverse
-        shape = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)  # (m, 3 corners, 2)
+        shape = self.hats()
         f = np.einsum("taj,tai->tij", shape, x[self._triangles])
         first = np.einsum("ti,ta->tai", f[:, :, 0], shape[:, :, 0])
         second = np.einsum("ti,ta->tai", f[:, :, 1], shape[:, :, 1])
@@ -350,12 +387,12 @@ class Membrane(Memoryless):
         return np.asarray(np.stack([first, second, sheared], axis=1).reshape(len(f), 3, 9))
 
 
-def _as_strain(tensor: np.ndarray) -> np.ndarray:
+def as_strain(tensor: np.ndarray) -> np.ndarray:
     """Components 11, 22, twice 12 of the symmetric part of tensors ``(m, 2, 2)``."""
     return np.stack([tensor[:, 0, 0], tensor[:, 1, 1], tensor[:, 0, 1] + tensor[:, 1, 0]], axis=-1)
 
 
-def _as_stress(components: np.ndarray) -> np.ndarray:
+def as_stress(components: np.ndarray) -> np.ndarray:
     """Symmetric tensors ``(m, 2, 2)`` from components 11, 22, 12."""
     return np.asarray(components[:, [[0, 2], [2, 1]]])
 

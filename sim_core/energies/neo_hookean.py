@@ -52,7 +52,7 @@ from sim_core.energies.neo_hookean_memory import (
 from sim_core.energies.neo_hookean_moduli import BULK, MU, OWN, moduli
 from sim_core.energies.neo_hookean_rest import GelStep, as_tensors, by_rest
 from sim_core.energies.neo_hookean_vjp import Changes, NeoHookeanAlong, Remembered
-from sim_core.energies.term import Buffers, Internals, StepContext
+from sim_core.energies.term import Buffers, Internals, Quantity, StepContext
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.geometry import tet10
 from sim_core.kernels import BoundKernel
@@ -69,6 +69,14 @@ class NeoHookean:
     """
 
     mirrored = False
+    measured_at_rest = True
+    quantities: tuple[Quantity, ...] = (
+        Quantity("E_pa", "Pa", power=1),
+        Quantity("nu", "-"),
+        Quantity("stiffness_damping_s", "s"),
+        Quantity("relaxation_g", "-", shares=True),
+        Quantity("relaxation_tau_s", "s", shares=True),
+    )
 
     def __init__(self, name: str, tets: np.ndarray, rest: np.ndarray) -> None:
         """Take the elements ``(m, 10)`` in nodes of the whole scene and their rest positions [m].

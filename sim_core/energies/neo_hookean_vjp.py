@@ -88,6 +88,11 @@ class NeoHookeanAlong:
         products = self.virtual[:, : history.shape[1]] * history
         return np.asarray(products.sum(axis=1).reshape(-1, 4).sum(axis=1))
 
+    def by(self, quantity: str) -> np.ndarray:
+        """Derivative by a number, element by element."""
+        ways = {"E_pa": self.by_modulus, "nu": self.by_nu, "stiffness_damping_s": self.by_damping}
+        return ways[quantity]() if quantity in ways else self.by_relaxation(quantity)
+
     def by_nu(self) -> np.ndarray:
         """Derivative by Poisson's ratio of the work, and of the product of the new internal variables with their
         weights."""

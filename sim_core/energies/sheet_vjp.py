@@ -78,6 +78,16 @@ class SheetAlong:
         """Work of the forces dE/dx."""
         return np.asarray((self._stress * self._lasting).sum(axis=1))
 
+    def by(self, quantity: str) -> np.ndarray:
+        """Derivative by a number, triangle by triangle."""
+        ways = {
+            "nu": self.by_nu,
+            "stiffness_damping_s": self.by_damping,
+            "yield_curvature_per_m": self.by_yield,
+            "hardening_ratio": self.by_hardening,
+        }
+        return ways[quantity]()
+
     def by_nu(self) -> np.ndarray:
         """Derivative by Poisson's ratio of the work, and of the product of the new internal variables with their
         weights: by D, in the flow too."""

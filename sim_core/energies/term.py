@@ -26,6 +26,35 @@ Internals = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
+class Quantity:
+    """A number that a term is configured with, and differentiates itself.
+
+    ``power``: of the value that an element has of it in the element's energy, if it is a factor there; else 0.
+    ``closed``: what the term knows :class:`Along` weights has the derivative by it; a number that is a factor of all
+    that the term does needs none. ``shares``: what the elements have is their share of it, which the term was told.
+    """
+
+    name: str
+    unit: str
+    power: int = 0
+    closed: bool = True
+    shares: bool = False
+
+
+class Along(Protocol):
+    """What a term knows along the weights of forces and of new internal variables at the end of a step."""
+
+    def work(self) -> np.ndarray:
+        """Work of the forces dE/dx of each element ``(m,)``: a factor f of its energy has the derivative work / f."""
+        ...
+
+    def by(self, quantity: str) -> np.ndarray:
+        """Derivatives by the values that the elements have of a number of the term ``(m,)``; by one that all of the
+        body has, as much as a number."""
+        ...
+
+
+@dataclass(frozen=True)
 class PairTable:
     """Where the Hessian blocks of node pairs are, for terms whose pairs change.
 
@@ -87,6 +116,8 @@ class Term(Protocol):
     mirrored: bool
     """Entries below the diagonal are folded onto their mirror image (the term lists each pair once)
     instead of being dropped (the term lists both partners)."""
+    measured_at_rest: bool
+    """Whether its forces depend on the shape at rest, beyond masses: then it has a derivative by it."""
 
     def blocks(self) -> np.ndarray:
         """Node pairs coupled by the Hessian, in storage order: int32, shape ``(n_blocks, 2)``.
@@ -144,7 +175,8 @@ class Memoryless:
         return {}
 
 
-class RememberingTerm(Term, Protocol):
+@runtime_checkable
+class RememberingTerm(Protocol):
     """A term whose force depends on more than the positions at the end of the step, or that remembers them."""
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised | None:
@@ -153,6 +185,19 @@ class RememberingTerm(Term, Protocol):
         ...
 
 
+@runtime_checkable
+class Declaring(Protocol):
+    """A term that declares its numbers, and what its elements may have of them."""
+
+    quantities: tuple[Quantity, ...]
+
+    def along(self, vectors: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> Along:
+        """What forces along nodal ``vectors`` ``(n, 3)``, and new internal variables with the weights ``kept``,
+        flattened, know of these numbers at the end of a step from ``internals``."""
+        ...
+
+
+@runtime_checkable
 class DynamicTerm(Term, Protocol):
     """A term whose coupled nodes change: contact between deformable bodies.
 
@@ -179,6 +224,24 @@ class DynamicTerm(Term, Protocol):
 
 
 @runtime_checkable
+class ByRestAngles(Protocol):
+    """A term that knows the rest angles of a sheet's hinges."""
+
+    name: str
+
+    def begin_step(self, step: StepContext, internals: Internals) -> None:
+        """As of any term."""
+        ...
+
+    def by_rest_angles(
+        self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals
+    ) -> np.ndarray:
+        """Derivative by the rest angles ``(n_hinges,)`` of the work of the forces along nodal vectors ``(n, 3)``, and
+        of the product of the new internal variables, flattened, with ``kept``."""
+        ...
+
+
+@runtime_checkable
 class ByAreas(Term, Protocol):
     """A term on the triangles of a sheet, in their order, that knows the shape at rest by their areas alone."""
 
@@ -187,6 +250,7 @@ class ByAreas(Term, Protocol):
         ...
 
 
+@runtime_checkable
 class GuardedTerm(Term, Protocol):
     """A term whose surfaces never cross: every kind of contact."""
 
@@ -208,3 +272,86 @@ class GuardedTerm(Term, Protocol):
     def contacts(self) -> tuple[int, float]:
         """Number of loaded points and smallest gap [m] at the last gradient."""
         ...
+
+
+@runtime_checkable
+class TurningTerm(Protocol):
+    """A term of a rigid body that turns within a step."""
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns in this step."""
+        ...
+
+    def turn(self, share: float) -> None:
+        """Turn it to where it is after ``share`` of the step."""
+        ...
+
+
+@runtime_checkable
+class StraighteningTerm(Protocol):
+    """A term of bodies that turn along curved paths."""
+
+    def straighten(self, start: np.ndarray, free: np.ndarray) -> None:
+        """Let bodies turn where the straight move from ``start`` [m] ``(n, 3)`` stretched them; ``free``: bool
+        ``(n, 3)``."""
+        ...
+
+
+@runtime_checkable
+class ForeseeingTerm(Protocol):
+    """A term whose Hessian can have the stress that a move makes to first order."""
+
+    def foresee(self, move: np.ndarray | None) -> None:
+        """Take the stress of ``move`` [m] ``(n, 3)``, at whose end the Hessian is taken (None: the true one)."""
+        ...
+
+
+@runtime_checkable
+class AligningTerm(Protocol):
+    """A term whose internal variables are those of pairs that come and go."""
+
+    def aligned(self, internals: Internals, like: Internals) -> Internals:
+        """Internal variables in the order of others."""
+        ...
+
+
+_CAPABILITIES = (RememberingTerm, DynamicTerm, ByAreas, ByRestAngles, GuardedTerm, TurningTerm, Declaring)
+
+_REST_DERIVATIVES = ("by_rest", "by_areas", "rest_weights", "measures")
+
+
+def check_term(term: Term) -> None:
+    """Raise ``TypeError`` where the class of a term lacks a derivative that what it does asks for, or a part of what it
+    began to declare. Called for every term when a system is built."""
+    kind = type(term)
+
+    def has(name: str) -> bool:
+        return getattr(term, name, None) is not None
+
+    for name in ("begin_step", "initial_internals"):
+        if getattr(kind, name, None) is not getattr(Memoryless, name) and not has("linearise"):
+            what = "depends on the start of its step" if name == "begin_step" else "keeps internal variables"
+            raise TypeError(
+                f"The term {term.name} ({kind.__name__}) {what} ({name}) and has no method linearise: gradients would "
+                "lack that. Write linearise, which returns None where neither forces nor memory depend on it."
+            )
+    if not has("measured_at_rest"):
+        raise TypeError(
+            f"The term {term.name} ({kind.__name__}) does not say whether its forces depend on the shape at rest: set "
+            "measured_at_rest."
+        )
+    if term.measured_at_rest and not any(has(name) for name in _REST_DERIVATIVES):
+        raise TypeError(
+            f"The term {term.name} ({kind.__name__}) is measured at rest and has no derivative by the shape at rest: "
+            f"write one of {', '.join(_REST_DERIVATIVES)}."
+        )
+    common = {*vars(Term), *Term.__annotations__}
+    for capability in _CAPABILITIES:
+        names = [n for n in (*vars(capability), *capability.__annotations__) if n not in common and n[0] != "_"]
+        lacking = [n for n in names if not has(n)]
+        if 0 < len(lacking) < len(names):
+            raise TypeError(
+                f"The term {term.name} ({kind.__name__}) has a part of {capability.__name__} and lacks "
+                f"{', '.join(lacking)}."
+            )

@@ -14,14 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from sim_core.energies.mass_damping import MassDamping
-from sim_core.energies.term import Internals, StepContext
+from sim_core.energies.term import Along, Declaring, Internals, StepContext
 from sim_core.gradients.directions import Key
 from sim_core.gradients.step import Pulled
-from sim_core.scene.fields import FLOW, HARDENING, MASS_DAMPING, NU, POWERS, RELAXATION, STIFFNESS_DAMPING, YIELD
 from sim_core.scene.scene import Scene, Values
-
-YOUNG, DENSITY = "E_pa", "density"
 
 
 class Alongs:
@@ -32,10 +28,10 @@ class Alongs:
     ) -> None:
         """Take a step: ``internals`` before it, and weights ``kept`` of those after it."""
         self.step, self.internals, self.pulled, self.kept = step, internals, pulled, kept
-        self._seen: dict[str, Any] = {}
+        self._seen: dict[str, Along] = {}
         self._works: dict[str, np.ndarray] = {}
 
-    def _of(self, term: Any) -> Any:
+    def _of(self, term: Any) -> Along:
         """What a term knows along the weights: derivatives by the values of its elements, or of the whole body."""
         name = term.name
         if name not in self._seen:
@@ -51,23 +47,7 @@ class Alongs:
     def by(self, term: Any, quantity: str) -> np.ndarray:
         """Derivatives by the values that the elements have of a quantity that is more than a factor of their
         energies."""
-        along = self._of(term)
-        if quantity in RELAXATION:
-            return np.asarray(along.by_relaxation(quantity))
-        if quantity not in _METHODS:
-            raise ValueError(f"{term.name} has no closed form by {quantity}")
-        return np.asarray(getattr(along, _METHODS[quantity])())
-
-
-_METHODS = {
-    YOUNG: "by_modulus",
-    NU: "by_nu",
-    STIFFNESS_DAMPING: "by_damping",
-    YIELD: "by_yield",
-    HARDENING: "by_hardening",
-    MASS_DAMPING: "by_mass_damping",
-    DENSITY: "by_density",
-}
+        return np.asarray(self._of(term).by(quantity))
 
 
 class OwnNumbers:
@@ -91,30 +71,19 @@ class OwnNumbers:
         found = np.zeros(len(self.rows))
         for name, wanted in self._by_term.items():
             term, given = self._terms[name], self._values.terms[name]
-            body, _, part = name.rpartition(".")
+            body, declared = name.rpartition(".")[0], {q.name: q for q in term.quantities}
             for place, quantity in wanted:
-                power = _power(quantity, part)
-                if power:
-                    found[place] = power * float(alongs.work(term).sum()) / given[quantity]
+                of = declared[quantity]
+                if not of.closed:
+                    found[place] = of.power * float(alongs.work(term).sum()) / given[quantity]
                     continue
                 values = alongs.by(term, quantity)
-                shared = quantity in (*FLOW, *RELAXATION)
-                found[place] = float(np.sum(values * self._scene.fields.share(body, quantity) if shared else values))
+                found[place] = float(np.sum(values * self._scene.fields.share(body, quantity) if of.shares else values))
         return found
 
 
-def _power(quantity: str, part: str) -> int:
-    """Power of a quantity in the energy of a part of a sheet; 0: it is more than a factor, as all are in gels, in which
-    the stress that relaxes knows the modulus, too."""
-    return 0 if part == "elastic" else POWERS.get(quantity, {}).get(part, 0)
-
-
 def _is_own(key: Key, terms: Mapping[str, Any]) -> bool:
-    """Whether a number is one that its term has a closed form by."""
+    """Whether a number is one that its term differentiates itself along weights."""
     kind, owner, quantity = key
-    if kind != "terms" or not hasattr(terms.get(owner), "along"):
-        return False
-    if isinstance(terms[owner], MassDamping):
-        return True
-    more = (YOUNG, NU, STIFFNESS_DAMPING, *RELAXATION, *FLOW)
-    return quantity in more or _power(quantity, owner.rpartition(".")[2]) > 0
+    term = terms.get(owner)
+    return kind == "terms" and isinstance(term, Declaring) and any(q.name == quantity for q in term.quantities)

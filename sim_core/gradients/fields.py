@@ -26,17 +26,18 @@ Rest angles enter through the curvatures of the triangles around a hinge
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from sim_core.energies.linearised import Linearised
+from sim_core.energies.term import ByRestAngles, Declaring, Quantity, Term
 from sim_core.gradients.elements import Alongs
 from sim_core.gradients.parameter_jacobian import borne_by_mass, damped_by_mass
 from sim_core.gradients.rest_shape import RestSums
 from sim_core.gradients.step import Weights
-from sim_core.scene.fields import FLOW, MASS, MASS_DAMPING, POWERS, REST, REST_ANGLE
+from sim_core.scene.fields import MASS, MASS_DAMPING, MASS_POWERS, REST, REST_ANGLE
 from sim_core.scene.scene import Scene
 
 
@@ -48,11 +49,15 @@ class FieldSums:
         self._names = list(dict.fromkeys(scene.fields.resolve(name) for name in names))
         self._values = {name: scene.fields[name] for name in self._names}
         terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
-        pairs = [name.split(".") for name in self._names]
-        self._parts = list(dict.fromkeys((b, part) for b, key in pairs for part in POWERS.get(key, ())))
-        self._others = [(body, key) for body, key in pairs if key != REST and key not in POWERS]
-        self._elastic = {body: _elastic(terms, body) for body, _ in self._others}
-        self._terms = {(b, part): terms[f"{b}.{part}"] for b, part in self._parts if f"{b}.{part}" in terms}
+        pairs = [(body, key) for body, _, key in (name.partition(".") for name in self._names)]
+        self._declared = {pair: list(_declared(scene, *pair)) for pair in pairs}
+        self._powers = {
+            (body, key): {**{t.name: q.power for t, q in found if q.power}, **_of_mass(key)}
+            for (body, key), found in self._declared.items()
+        }
+        self._parts = list(dict.fromkeys((b, part) for (b, _), powers in self._powers.items() for part in powers))
+        self._others = [(body, key) for body, key in pairs if key != REST and not self._powers[body, key]]
+        self._terms = {(b, part): terms[part] for b, part in self._parts if part in terms}
         weighed = [b for b, part in self._parts if part == MASS] + [b for b, key in self._others if key == MASS_DAMPING]
         self._masses = {b: scene.fields.mass_blocks(b) for b in weighed}
         self._numbers = scene.values(scene.rig)
@@ -89,13 +94,15 @@ class FieldSums:
         step, exerted = alongs.step, alongs.pulled.exerted
         if key == MASS_DAMPING:
             return self._by_mass(body, *damped_by_mass(self._scene.system, self._numbers.density[body], step, exerted))
-        bending: Any = self._scene.fields.bending(body) if key == REST_ANGLE or key in FLOW else None
-        if key == REST_ANGLE:
-            before = alongs.internals[bending.name]
-            bending.begin_step(step, before)
-            return bending.by_rest_angles(exerted, alongs.kept[bending.name], before)
         total: Any = 0.0
-        for term in [bending] if bending else self._elastic[body]:
+        if key == REST_ANGLE:
+            for term in self._scene.bodies[body].terms:
+                if isinstance(term, ByRestAngles):
+                    before = alongs.internals[term.name]
+                    term.begin_step(step, before)
+                    total = total + term.by_rest_angles(exerted, alongs.kept[term.name], step, before)
+            return total
+        for term, _ in self._declared[body, key]:
             total = total + alongs.by(term, key)
         return total
 
@@ -112,14 +119,21 @@ class FieldSums:
             if key == REST:
                 out[name] = shapes[body]
                 continue
-            if key in POWERS:
-                total = sum(power * self._work[body, part] for part, power in POWERS[key].items()) / values
+            if powers := self._powers[body, key]:
+                total = sum(power * self._work[body, part] for part, power in powers.items()) / values
             else:
                 total = self._by[body, key]
             out[name] = total + np.zeros(len(values))
         return out
 
 
-def _elastic(terms: Mapping[str, Any], body: str) -> list[Any]:
-    """Terms of a body that strains and curvatures store energy in."""
-    return [terms[f"{body}.{part}"] for part in ("elastic", "membrane", "bending") if f"{body}.{part}" in terms]
+def _declared(scene: Scene, body: str, key: str) -> Iterator[tuple[Term, Quantity]]:
+    """Terms of a body whose elements have values of a quantity, as they declare it."""
+    for term in scene.bodies[body].terms:
+        if isinstance(term, Declaring):
+            yield from ((term, q) for q in term.quantities if q.name == key)
+
+
+def _of_mass(key: str) -> dict[str, int]:
+    """The power of a quantity in the mass of an element, if it has any."""
+    return {MASS: MASS_POWERS[key]} if key in MASS_POWERS else {}

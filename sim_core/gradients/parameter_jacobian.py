@@ -16,7 +16,7 @@ import numpy as np
 from sim_core.contact.rigid import RigidContact
 from sim_core.energies.linearised import Linearised, flatten
 from sim_core.energies.mass_damping import MassDamping
-from sim_core.energies.term import Internals, StepContext
+from sim_core.energies.term import AligningTerm, GuardedTerm, Internals, StepContext
 from sim_core.gradients.directions import FROM_ZERO, RELATIVE_STEP, Key
 from sim_core.scene.scene import Scene, Values
 from sim_core.solve.system import System
@@ -65,7 +65,7 @@ class Columns:
 
     def need_contact(self, exact: Mapping[str, Linearised]) -> bool:
         """Whether contact has to be looked for in a step, because a number of it has to be stepped."""
-        touching = [k for k in self.keys if k[0] == "terms" and hasattr(self._terms.get(k[1]), "free_way")]
+        touching = [k for k in self.keys if k[0] == "terms" and isinstance(self._terms.get(k[1]), GuardedTerm)]
         return any(self._known(key, exact) is None for key in touching)
 
     def _known(self, key: Key, exact: Mapping[str, Linearised]) -> Column | None:
@@ -75,7 +75,7 @@ class Columns:
             return None
         numbers = exact[owner].numbers
         if quantity not in numbers:
-            idle = not numbers and hasattr(self._terms[owner], "free_way")
+            idle = not numbers and isinstance(self._terms[owner], GuardedTerm)
             return Column() if idle else None
         found = numbers[quantity]
         column = Column(force=found.force.reshape(-1, 3), memory={owner: found.memory})
@@ -146,7 +146,7 @@ class Columns:
             term.configure({**given, quantity: there})
             term.begin_step(step, internals)
             force, kept = self._scene.system.gradient_of(term), term.end_step(step, internals)
-            if hasattr(term, "aligned"):
+            if isinstance(term, AligningTerm):
                 kept = term.aligned(kept, after)
             found.append((force, flatten(kept), moment_on_body(term)))
         term.configure(given)

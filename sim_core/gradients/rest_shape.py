@@ -13,12 +13,17 @@ A rigid motion of a body's shape together with all that it touches changes nothi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
+from sim_core.energies.bending import Bending
+from sim_core.energies.bending_strain import BendingStrain
 from sim_core.energies.curvature_rest import CurvatureRest, frames_of
 from sim_core.energies.linearised import Linearised, times_back
+from sim_core.energies.membrane import Membrane
+from sim_core.energies.membrane_strain import MembraneStrain
+from sim_core.energies.neo_hookean import NeoHookean
+from sim_core.energies.strain_law import StrainLaws
 from sim_core.energies.term import ByAreas, Internals, StepContext
 from sim_core.geometry import tet10
 from sim_core.geometry.sheets import SheetMesh, area_slopes
@@ -119,12 +124,13 @@ class _Sheet:
 
     def __init__(self, scene: Scene, body: BuiltBody) -> None:
         assert isinstance(body.mesh, SheetMesh)
-        terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
         self._rest, self._nodes = scene.rest, body.nodes
         self._triangles, self._axes = body.mesh.triangles + int(body.nodes[0]), grain(body)
         self._factor = scene.fields.factor(body.name, MASS)
-        self._membrane, self._bending = (terms[f"{body.name}.{kind}"] for kind in ("membrane", "bending"))
+        self._membrane = next(t for t in body.terms if isinstance(t, Membrane))
+        self._bending = next(t for t in body.terms if isinstance(t, Bending))
         own = [t for t in scene.system.terms if t.name.startswith(f"{body.name}.")]
+        self._laws = [t for t in own if isinstance(t, StrainLaws)]
         self._by_areas = [t for t in own if isinstance(t, ByAreas)]
         hinges, rigid = self._bending.hinges, self._bending.rigid
         self._curvature = CurvatureRest(body.rest, body.mesh.triangles, hinges, self._axes, rigid)
@@ -156,9 +162,22 @@ class _Sheet:
         self._by_angle += parts[2]
         for factor, v, w in borne:
             self._by_area += factor * self._factor / 3.0 * (v[self._triangles] * w[self._triangles]).sum(axis=(1, 2))
-        for term in self._by_areas:
-            term.begin_step(step, internals[term.name])
-            self._by_area += term.by_areas(exerted)
+        for laws in self._laws:
+            weights = laws.rest_weights(exerted, memory[laws.name], step, internals[laws.name])
+            self._by_area += weights.by_area
+            measure = laws.measure
+            if isinstance(measure, MembraneStrain):
+                self._by_inverse += measure.by_rest(weights.end, measure.here)
+                self._by_inverse += measure.by_rest(weights.start, step.x_start)
+                self._by_inverse += measure.along_by_rest(weights.along, exerted)
+            elif isinstance(measure, BendingStrain):
+                self._by_operator += measure.by_operator(weights.end, measure.here, pairs)
+                self._by_operator += measure.by_operator(weights.start, step.x_start, pairs)
+                self._by_operator += measure.along_by_operator(weights.along, exerted, pairs)
+                self._by_angle += measure.by_rest_angles(weights.end + weights.start)
+        for added in self._by_areas:
+            added.begin_step(step, internals[added.name])
+            self._by_area += added.by_areas(exerted)
 
     def pass_on(self, total: np.ndarray) -> None:
         """Add the derivatives by the nodes to those of all ``(n, 3)``."""
@@ -180,10 +199,9 @@ class _Gel:
 
     def __init__(self, scene: Scene, body: BuiltBody) -> None:
         assert isinstance(body.mesh, TetMesh)
-        terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
         self._tets, self._rest = body.mesh.tets + int(body.nodes[0]), scene.rest
         self._factor = scene.fields.factor(body.name, MASS)
-        self._elastic = terms[f"{body.name}.elastic"]
+        self._elastic = next(t for t in body.terms if isinstance(t, NeoHookean))
         self.clear()
 
     def clear(self) -> None:

@@ -314,12 +314,10 @@ class LinearStep:
 def linearised_terms(system: System, step: StepContext, before: State, after: State) -> dict[str, Linearised]:
     """What the terms with memory know of themselves at the end of a step, where the system is."""
     terms = {}
-    for term in system.terms:
-        linearise: Any = getattr(term, "linearise", None)
-        if linearise is not None:
-            found = linearise(step, before.internals[term.name], after.internals[term.name])
-            if found is not None:
-                terms[term.name] = found
+    for name, term in system.remembering.items():
+        found = term.linearise(step, before.internals[name], after.internals[name])
+        if found is not None:
+            terms[name] = found
     return terms
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,7 @@ def plane_stress(parameters: Mapping[str, float], nu: np.ndarray | None = None) 
     young, ratios = parameters["E_pa"], np.asarray(parameters["nu"] if nu is None else nu)
     anisotropy = parameters.get("anisotropy_ratio", 1.0)
     root, scale = np.sqrt(anisotropy), young / (1.0 - ratios * ratios)
-    axes = np.zeros((*ratios.shape, 3, 3), dtype=scale.dtype)
+    axes = np.zeros((*ratios.shape, 3, 3), dtype=np.result_type(scale, root))
     axes[..., 0, 0], axes[..., 1, 1] = root * scale, scale / root
     axes[..., 0, 1] = axes[..., 1, 0] = ratios * scale
     axes[..., 2, 2] = young / (2.0 * (1.0 + ratios))
@@ -55,6 +56,15 @@ def plane_stress_by_nu(parameters: Mapping[str, float], nu: np.ndarray) -> np.nd
     """Derivative of :func:`plane_stress` by the ratios ``nu`` ``(...)`` [Pa] ``(..., 3, 3)``: the part of a step along
     the imaginary axis, which has no cancellation (Squire & Trapp, SIAM Review 40, 1998)."""
     return np.asarray(plane_stress(parameters, nu + 1j * _TINY).imag / _TINY)
+
+
+def plane_stress_by(parameters: Mapping[str, float], quantity: str, nu: np.ndarray) -> np.ndarray:
+    """Derivative of :func:`plane_stress` by one of its constants, with the ratios ``nu`` ``(...)``; zero by what is
+    none, ``(..., 3, 3)``."""
+    if quantity == "nu":
+        return plane_stress_by_nu(parameters, nu)
+    stepped: dict[str, Any] = {**parameters, quantity: parameters[quantity] + 1j * _TINY}
+    return np.asarray(plane_stress(stepped, nu).imag / _TINY)
 
 
 def applied(stiffness: np.ndarray, vectors: np.ndarray) -> np.ndarray:

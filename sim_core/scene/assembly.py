@@ -13,9 +13,12 @@ from sim_core.contact.inner_primitives import cores
 from sim_core.contact.samples import Samples, face_samples, face_triangles, sheet_samples
 from sim_core.contact.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE
 from sim_core.energies.bending import Bending
+from sim_core.energies.bending_strain import BendingStrain
 from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.membrane import Membrane
+from sim_core.energies.membrane_strain import MembraneStrain
 from sim_core.energies.neo_hookean import NeoHookean
+from sim_core.energies.strain_law import StrainLaws
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
 from sim_core.geometry import closed, sheets, solids
@@ -202,6 +205,12 @@ def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray, loose: np.nda
         body.terms = [NeoHookean(f"{body.name}.elastic", body.mesh.tets + int(body.nodes[0]), rest)]
     if body.unit_mass is not None:
         body.terms.append(MassDamping(f"{body.name}.mass_damping", body.unit_mass, int(body.nodes[0]), loose))
+
+
+def strain_laws(own: Membrane | Bending) -> StrainLaws:
+    """The term of the material laws that effects add to a sheet's ``own`` term."""
+    measure = MembraneStrain(own) if isinstance(own, Membrane) else BendingStrain(own)
+    return StrainLaws(f"{own.name}_laws", measure)
 
 
 def grain(body: BuiltBody) -> np.ndarray:

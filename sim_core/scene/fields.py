@@ -33,7 +33,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from sim_core.energies.bending import Bending
+from sim_core.energies.membrane import Membrane
 from sim_core.energies.neo_hookean import NeoHookean
+from sim_core.energies.term import Declaring
 from sim_core.errors import ConfigError
 from sim_core.geometry import solids
 from sim_core.geometry.sheets import SheetMesh
@@ -56,13 +58,8 @@ ROUND_OFF = 1e-12
 FLAT = 1e-9
 """Least area of a triangle at rest over the square of its longest side."""
 
-POWERS: dict[str, dict[str, int]] = {
-    "E_pa": {"elastic": 1, "membrane": 1, "bending": 1},
-    "thickness_m": {"membrane": 1, "bending": 3, MASS: 1},
-    "density_kg_m3": {MASS: 1},
-}
-"""Power of each quantity in the terms of a body and in its mass."""
-
+MASS_POWERS = {"thickness_m": 1, "density_kg_m3": 1}
+"""Power of each quantity in the mass of an element; terms declare those in their energies."""
 
 NU, YIELD, HARDENING = "nu", "yield_curvature_per_m", "hardening_ratio"
 
@@ -246,11 +243,15 @@ class Fields:
         return next(t for t in self._scene.bodies[body].terms if isinstance(t, Bending))
 
     def factor(self, body: str, part: str) -> np.ndarray:
-        """Factor of each element on the energy of a term (``elastic``, ``membrane``, ``bending``) or on the mass."""
-        out = np.ones(len(_elements(self._scene.bodies[body])))
-        for key, powers in POWERS.items():
-            if part in powers:
-                out *= self.share(body, key) ** powers[part]
+        """Factor of each element on the energy of a term, by its full name, or on the mass."""
+        built = self._scene.bodies[body]
+        powers = dict(MASS_POWERS)
+        if part != MASS:
+            term = next(t for t in built.terms if t.name == part)
+            powers = {q.name: q.power for q in term.quantities if q.power} if isinstance(term, Declaring) else {}
+        out = np.ones(len(_elements(built)))
+        for key, power in powers.items():
+            out *= self.share(body, key) ** power
         return out
 
     def mass_blocks(self, body: str) -> tuple[np.ndarray, np.ndarray]:
@@ -278,11 +279,10 @@ class Fields:
         """Hand a body's factors, differences and shares on to its terms and its mass."""
         body = self._scene.bodies[name]
         for term in body.terms:
-            part = term.name.rpartition(".")[2]
-            if part in ("elastic", "membrane", "bending"):
-                term.scale(self.factor(name, part))  # type: ignore[attr-defined]
-                term.shift_nu(self._beside(name, NU))  # type: ignore[attr-defined]
-                term.shift_damping(self._beside(name, STIFFNESS_DAMPING))  # type: ignore[attr-defined]
+            if isinstance(term, Membrane | Bending | NeoHookean):
+                term.scale(self.factor(name, term.name))
+                term.shift_nu(self._beside(name, NU))
+                term.shift_damping(self._beside(name, STIFFNESS_DAMPING))
             if isinstance(term, Bending):
                 term.scale_flow(*(self.share(name, key) for key in FLOW))
             if isinstance(term, NeoHookean):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,10 +10,13 @@ import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from sim_core.effects.base import Instance
-from sim_core.effects.hooks import BodyForce, FrictionLaw, MechanicsMap, NormalLaw
+from sim_core.effects.hooks import BodyForce, FrictionLaw, MaterialLaw, MechanicsMap, NormalLaw
 from sim_core.effects.registry import active, active_effects, amended
 from sim_core.energies.affine import AffineShape, coordinates
+from sim_core.energies.bending import Bending
 from sim_core.energies.mass_damping import MassDamping
+from sim_core.energies.membrane import Membrane
+from sim_core.energies.strain_law import StrainLaws
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
 from sim_core.rigs import WORLD, Affine, Gel, Rig, Rigid, Sheet
@@ -23,6 +26,7 @@ from sim_core.scene.assembly import (
     affine_moments,
     build_body,
     held_nodes,
+    strain_laws,
     world_pose,
 )
 from sim_core.scene.fields import Fields
@@ -42,6 +46,9 @@ CONTACT_STIFFNESS_PA_PER_M = 5e9
 
 CONTACT_RANGE_M = 3e-5
 """Gap over which contact pressure sets in, the roughness of paper and skins; 50 kPa leave 17 um of it."""
+
+PARTS: dict[str, type[Membrane | Bending]] = {"membrane": Membrane, "bending": Bending}
+"""Terms of a sheet by the part of it that a material law amends."""
 
 Frame = tuple[np.ndarray, Rotation]
 """Origin [m] ``(3,)`` and rotation of a frame in the world."""
@@ -244,14 +251,30 @@ class Scene:
     def _effect_terms(self) -> list[Term]:
         """Terms that effects add; and hand the laws that they add to contacts over to these."""
         found: list[Term] = []
+        self._laws: dict[str, dict[str, tuple[str, StrainLaws]]] = {}  # by body and part: the term that is amended
         for instance in active(self.rig, BodyForce):
             terms = instance.effect.terms(self, instance.key, instance.targets, instance.values)
             self._by_effects[instance.key] = [term.name for term in terms]
             found += terms
+        for instance in active(self.rig, MaterialLaw):
+            for laws in self._amended(instance):
+                laws.add(instance.key, instance.effect)
+        found += [laws for by_part in self._laws.values() for _, laws in by_part.values()]
         for instance in (*active(self.rig, NormalLaw), *active(self.rig, FrictionLaw)):
             for term in self._touched(instance):
                 term.laws.add(instance.key, instance.effect)
         return found
+
+    def _amended(self, instance: Instance) -> Iterator[StrainLaws]:
+        """Terms of the material laws of the bodies that an effect amends, made where there are none yet."""
+        for name in instance.targets:
+            body, hosts = self.bodies[name], self._laws.setdefault(name, {})
+            for part in instance.effect.parts:
+                if part not in hosts:
+                    own = next(t for t in body.terms if isinstance(t, PARTS[part]))
+                    hosts[part] = own.name, strain_laws(own)
+                    body.terms.append(hosts[part][1])
+                yield hosts[part][1]
 
     def _touched(self, instance: Instance) -> list[ContactTerm]:
         """Terms of the contacts that an effect acts on."""
@@ -310,6 +333,10 @@ class Scene:
             if isinstance(effect, NormalLaw | FrictionLaw):
                 for term in self._touched(instance):
                     values.terms[term.name].update({f"{instance.key}.{key}": v for key, v in given.items()})
+        by_key = {instance.key: instance.values for instance in active_effects(rig)}
+        for by_part in self._laws.values():
+            for own, laws in by_part.values():
+                values.terms[laws.name] = laws.numbers(values.terms[own], by_key)
         return values
 
     def apply(self, values: Values) -> None:

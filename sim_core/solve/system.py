@@ -11,12 +11,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, cast
 
 import numpy as np
 import scipy.sparse as sp
 
-from sim_core.energies.term import Buffers, DynamicTerm, GuardedTerm, Internals, StepContext, Term
+from sim_core.energies.term import (
+    Buffers,
+    DynamicTerm,
+    ForeseeingTerm,
+    GuardedTerm,
+    Internals,
+    RememberingTerm,
+    StepContext,
+    StraighteningTerm,
+    Term,
+    TurningTerm,
+    check_term,
+)
 from sim_core.kernels import BoundKernel
 from sim_core.solve.embedding import Embedding
 from sim_core.solve.factor import Factor, factorise
@@ -56,13 +67,18 @@ class System:
         self.inertia = inertia
         self.second_order = second_order
         self._embedding = embedding
-        self._dynamic = [cast(DynamicTerm, t) for t in self.terms if hasattr(t, "prepare")]
-        self._static = [t for t in self.terms if not hasattr(t, "prepare")]
-        self._guarded = [cast(GuardedTerm, t) for t in self.terms if hasattr(t, "free_way")]
-        self._bulk = [t for t in self.terms if not hasattr(t, "free_way")]
+        for term in self.terms:
+            check_term(term)
+        self._dynamic = [t for t in self.terms if isinstance(t, DynamicTerm)]
+        self._static = [t for t in self.terms if not isinstance(t, DynamicTerm)]
+        self._guarded = [t for t in self.terms if isinstance(t, GuardedTerm)]
+        self._bulk = [t for t in self.terms if not isinstance(t, GuardedTerm)]
+        self._foreseeing = [t for t in self.terms if isinstance(t, ForeseeingTerm)]
+        self.remembering = {t.name: t for t in self.terms if isinstance(t, RememberingTerm)}
+        """Terms whose forces depend on more than the end of a step, or that remember."""
         self._contact, self._contact_at = np.zeros_like(self.nodes), np.full_like(self.nodes, np.nan)
-        self._turning: list[Any] = [t for t in self.terms if hasattr(t, "turn")]
-        self._straightening: list[Any] = [t for t in self.terms if hasattr(t, "straighten")]
+        self._turning = [t for t in self.terms if isinstance(t, TurningTerm)]
+        self._straightening = [t for t in self.terms if isinstance(t, StraighteningTerm)]
         self._unknowns = Unknowns(prescribed, compliant, embedding)
         self._targets = np.zeros_like(self.nodes)
         self._x: np.ndarray = self.nodes.copy()
@@ -415,9 +431,8 @@ class System:
     def foresee(self, move: np.ndarray | None) -> None:
         """Let the stress part of the next Hessians be that which ``move`` [m] ``(n, 3)``, at whose end they are taken,
         has to first order, where a term can (None: the true one)."""
-        for term in self.terms:
-            if hasattr(term, "foresee"):
-                term.foresee(move)
+        for term in self._foreseeing:
+            term.foresee(move)
 
     def straighten(self, start: np.ndarray) -> bool:
         """Let stiff bodies turn where the straight move from ``start`` [m] ``(n, 3)`` to :attr:`x` stretched them,

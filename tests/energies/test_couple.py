@@ -58,7 +58,7 @@ def test_its_moment_turns_with_the_lines():
 
 
 def test_forces_and_stiffness_do_not_depend_on_where_the_step_starts():
-    """So the term has no ``linearise``: its derivative by the start of the step is zero."""
+    """So ``linearise`` has nothing: the derivative by the start of the step is zero."""
     one, found = system(), []
     end = one.nodes + 0.3 * np.random.default_rng(8).normal(size=(4, 3))
     for seed in (1, 2):

@@ -98,7 +98,7 @@ def test_foreseen_stress_is_that_of_the_linearised_strain():
     columns, h = [], 1e-7
     for k in range(move.size):
         nudge = h * np.eye(1, move.size, k).reshape(-1, 3)
-        ends = [term._strains_at(system.x + sign * nudge) for sign in (1.0, -1.0)]
+        ends = [term.strains_at(system.x + sign * nudge) for sign in (1.0, -1.0)]
         columns.append((ends[0] - ends[1]).ravel() / (2.0 * h))
     slope = np.stack(columns, axis=1).reshape(len(mesh.triangles), 3, -1)
     material = np.einsum("t,tia,tij,tjb->ab", term._area, slope, term._c, slope)

@@ -116,6 +116,29 @@ def test_card_that_is_shaken_in_thick_air_against_differences_of_rollouts():
     check(scene, poses, times, 3e-6, singles=1, steps=(1e-6, 3e-6, 3e-7))
 
 
+def test_the_name_of_a_term_is_of_no_account(monkeypatch):
+    """Of the drag's term: the gradient by the shape at rest is the same, and not that without it."""
+    from sim_core.effects import air_drag
+
+    rig, poses, times = held_or_shaken(True)
+    data, made, found = rig.model_dump(), air_drag._Drag.__init__, []
+
+    def renamed(self, name, *given):
+        made(self, "card.wind" if name.startswith("card.") else name, *given)
+
+    drag = {"air_drag": {"drag_coefficient": 20.0}}
+    for effects, rename in ((drag, False), (drag, True), ({}, False)):
+        with monkeypatch.context() as patch:
+            if rename:
+                patch.setattr(air_drag._Drag, "__init__", renamed)
+            scene = build_scene(parse_rig({**data, "effects": effects}, "thick air"))
+        tape = Tape(scene, poses, times, TIGHT)
+        given = {c: np.ones_like(r) for c, r in tape.trace.outputs.items()}
+        found.append(Backward(tape, [], ["card.rest_m"]).gradient(0.0, given).fields["card.rest_m"])
+    assert np.array_equal(found[0], found[1])
+    assert not np.allclose(found[0], found[2], rtol=1e-6)
+
+
 def test_folded_card_against_differences_of_rollouts():
     """Folded by more than a right angle: material axes turn with the triangles."""
     folds = [{"at_m": 0.01, "angle_deg": 110.0, "over_m": 0.03}]
