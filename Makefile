@@ -8,12 +8,13 @@ LOCKER := $(VENV)/.locker
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all lint format lock clean
+.PHONY: help demo test test-all test-variations lint format lock clean
 
 help:
 	@echo "make demo      simulate a press, record it, fit it back, and write a report"
 	@echo "make test      all tests but those marked slow (11 to 40 minutes on 2 cores, as busy as they are)"
 	@echo "make test-all  those too"
+	@echo "make test-variations  tests of the physics as other processors compute: other vector widths, round-off, factorisation"
 	@echo "make lint      style and types"
 	@echo "make format    put the code into the style that lint asks for"
 	@echo "make lock      resolve requirements.lock again from pyproject.toml"
@@ -27,6 +28,9 @@ test: $(READY)
 
 test-all: $(READY)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
+
+test-variations: $(READY)
+	$(BIN)/python tests/support/variations.py
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -4,7 +4,8 @@ All kernels are written for ``ti.types.ndarray`` arguments and run serially on o
 a core is the parallelism, see README), so results do not depend on the number of threads.
 
 A plain Taichi call inspects every argument and costs 100 to 300 us for the small arrays used here;
-:class:`BoundKernel` prepares the launch once for a fixed set of arrays and repeats it in about 3 us.
+:class:`BoundKernel` prepares the launch at the first call, once for a fixed set of arrays, and
+repeats it in about 3 us.
 """
 
 import ast
@@ -104,24 +105,33 @@ class BoundKernel:
 
     The arrays are read and written in place, so their contents may change between calls but the
     arrays themselves may not be replaced. All must be C-contiguous ``float64`` or ``int32``.
+
+    The kernel is compiled when it is first called. Taichi walks through its source in every process, even if
+    its machine code is in the cache, and many kernels of a scene (exact Hessians, contact of edges) are not used by
+    every run.
     """
 
     def __init__(self, kernel: Callable[..., None], *arrays: np.ndarray) -> None:
-        start()
         for array in arrays:
             if not array.flags.c_contiguous or array.dtype not in (np.float64, np.int32):
                 raise TypeError(f"kernel arrays must be contiguous float64 or int32, got {array.dtype}")
-        self._arrays = arrays
-        primal: Any = kernel._primal  # type: ignore[attr-defined]
-        runtime = impl.get_runtime()
-        self._prog = runtime.prog
-        compiled = primal.compiled_kernels[primal.ensure_compiled(*arrays)]
+        self._kernel, self._arrays = kernel, arrays
+        self._launch: Callable[[Any, Any], None] | None = None
+
+    def _prepare(self) -> None:
+        start()
+        primal: Any = self._kernel._primal  # type: ignore[attr-defined]
+        program = impl.get_runtime().prog
+        compiled = primal.compiled_kernels[primal.ensure_compiled(*self._arrays)]
         self._context = compiled.make_launch_context()
-        for index, array in enumerate(arrays):
+        for index, array in enumerate(self._arrays):
             self._context.set_arg_external_array_with_shape(
                 (index,), int(array.ctypes.data), array.nbytes, array.shape, 0
             )
-        self._compiled = self._prog.compile_kernel(self._prog.config(), self._prog.get_device_caps(), compiled)
+        self._compiled = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
+        self._launch = program.launch_kernel
 
     def __call__(self) -> None:
-        self._prog.launch_kernel(self._compiled, self._context)
+        if self._launch is None:
+            self._prepare()
+        self._launch(self._compiled, self._context)  # type: ignore[misc]

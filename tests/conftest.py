@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import variations
 from fit_fixtures import declared, vectors, workers
 from threadpoolctl import threadpool_limits
 
@@ -18,9 +19,9 @@ __all__ = ["declared", "vectors", "workers"]
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Where files run side by side one thread of linear algebra each: more would wait for each other."""
-    if hasattr(config, "workerinput"):
-        threadpool_limits(1)
+    """One thread of linear algebra a process, and the variation that :mod:`variations` asks for."""
+    threadpool_limits(1)
+    variations.vary()
 
 
 SMALL: dict[str, Any] = {
