@@ -20,7 +20,8 @@ from sysid.recording.notes import Notes
 
 @dataclass(frozen=True)
 class FitRequest:
-    """Arguments of :func:`sysid.fit.fit_bags`. ``rig``: at the values where the fit starts; ``out``: new folder."""
+    """Arguments of :func:`sysid.workflow.fit_bags`. ``rig``: at the values where the fit starts; ``out``: a folder that
+    does not exist."""
 
     rig: Rig
     bags: tuple[Path, ...]
@@ -134,9 +135,21 @@ def _paths(value: Any, name: str) -> tuple[Path, ...]:
     return tuple(Path(word).expanduser() for word in given if word)
 
 
-def _numbers(value: Sequence[float] | None, names: Sequence[str], parameter: str) -> list[float]:
+def numbers_of(value: Any, parameter: str) -> list[float]:
+    """Numbers of a parameter's value, as ``ros2 param set`` makes it of what is typed: it takes ``4.0e9`` for a word,
+    ``4`` for an integer, and ``[]`` for a list of something. Raises ``ConfigError`` for what is no list of numbers."""
+    given = [] if value is None or value == "" else [value] if isinstance(value, str | int | float) else list(value)
+    if not any(isinstance(number, bool | bytes) for number in given):
+        try:
+            return [float(number) for number in given]
+        except ValueError:
+            pass
+    raise ConfigError(f"The parameter {parameter} is {given}.", "Give a list of numbers, [4.0e9], or none, [].")
+
+
+def _numbers(value: Any, names: Sequence[str], parameter: str) -> list[float]:
     """One finite number for each name, or none at all."""
-    numbers = [] if value is None else [float(number) for number in value]
+    numbers = numbers_of(value, parameter)
     if numbers and (len(numbers) != len(names) or not all(map(math.isfinite, numbers))):
         raise ConfigError(
             f"{parameter} is {numbers}, which is not one finite number for each of {', '.join(names)}.",

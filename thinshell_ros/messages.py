@@ -100,6 +100,11 @@ def diagnostics(stamp_ns: int, node: str, hardware: str, reports: Iterable[Repor
     return DiagnosticArray(header=header(stamp_ns, ""), status=[status(node, hardware, report) for report in reports])
 
 
+def event(stamp_ns: int, node: str, hardware: str, name: str, text: str, values: Mapping[str, str]) -> DiagnosticArray:
+    """Something that happened to the readings of ``hardware`` at a stamp [ns], as one status named ``node: name``."""
+    return diagnostics(stamp_ns, node, hardware, [Report(name, "ok", text, dict(values))])
+
+
 def named_numbers(values: Mapping[str, float]) -> Float64MultiArray:
     """Numbers in their order, each with its name as the label of a dimension of one element."""
     dimensions = [MultiArrayDimension(label=name, size=1, stride=1) for name in values]

@@ -41,17 +41,20 @@ class Pose:
 class PoseGate:
     """What a commanded pose must fulfil.
 
-    ``max_jump_m`` and ``max_jump_rad``: largest distance from where the end effector is now.
+    ``max_jump_m`` and ``max_jump_rad``: largest distance from the last command that was taken, or from where the end
+    effector is: a stream of commands may go ahead of an end effector that its speed limit holds back.
     """
 
     base_frame: str
     max_jump_m: float
     max_jump_rad: float
 
-    def check(self, frame_id: str, position: Sequence[float], quaternion: Sequence[float], now: Pose) -> Pose | str:
+    def check(
+        self, frame_id: str, position: Sequence[float], quaternion: Sequence[float], now: Pose, last: Pose | None = None
+    ) -> Pose | str:
         """The pose with a normalised quaternion, or why it is rejected.
 
-        ``now``: pose of the end effector at this moment.
+        ``now``: pose of the end effector at this moment; ``last``: the last command that was taken.
         """
         if frame_id != self.base_frame:
             return f"frame_id is {frame_id!r}, expected {self.base_frame!r}"
@@ -61,13 +64,20 @@ class PoseGate:
         if abs(length - 1.0) > UNIT_TOLERANCE:
             return f"the orientation has length {length:.4g}, a quaternion x y z w has length 1"
         pose = Pose(np.array(position, dtype=np.float64), np.array(quaternion, dtype=np.float64) / length)
-        jump = float(np.linalg.norm(pose.position - now.position))
+        near = [separation(start, pose) for start in ((now,) if last is None else (now, last))]
+        if any(jump <= self.max_jump_m and turn <= self.max_jump_rad for jump, turn in near):
+            return pose
+        jump, turn = near[-1]
+        whence = "current pose" if last is None else "last target"
         if jump > self.max_jump_m:
-            return f"{jump:.4g} m away from the current pose, at most {self.max_jump_m:g} m (max_jump_m)"
-        turn = float((now.rotation().inv() * pose.rotation()).magnitude())
-        if turn > self.max_jump_rad:
-            return f"{turn:.4g} rad away from the current pose, at most {self.max_jump_rad:g} rad (max_jump_rad)"
-        return pose
+            return f"{jump:.4g} m away from the {whence}, at most {self.max_jump_m:g} m (max_jump_m)"
+        return f"{turn:.4g} rad away from the {whence}, at most {self.max_jump_rad:g} rad (max_jump_rad)"
+
+
+def separation(start: Pose, end: Pose) -> tuple[float, float]:
+    """Distance [m] and angle [rad] between two poses."""
+    turn = float((start.rotation().inv() * end.rotation()).magnitude())
+    return float(np.linalg.norm(end.position - start.position)), turn
 
 
 def towards(now: Pose, target: Pose, max_move_m: float, max_turn_rad: float) -> Pose:

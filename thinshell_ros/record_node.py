@@ -27,6 +27,7 @@ from sim_core.rigs import load_rig, rig_to_yaml
 from thinshell_ros import messages
 from thinshell_ros.bagfile import BagFile
 from thinshell_ros.health import recording_report
+from thinshell_ros.losses import Losses
 from thinshell_ros.parameters import declare, warn_of_unknown
 from thinshell_ros.runner import FinishingNode, run_and_finish
 from thinshell_ros.streams import RecordedTopic, topics_to_record
@@ -43,6 +44,8 @@ class RecordNode(FinishingNode):
         rig_name = declare(self, "rig", "", "rig whose topics are recorded: a name or a YAML file")
         named = declare(self, "topics", Parameter.Type.STRING_ARRAY, "topics to record, besides the rig's")
         uri = declare(self, "uri", "", "bag to create; empty: recording_<date>_<time> in the working folder")
+        size = declare(self, "max_size_mb", 0, "size of a file after which another begins; 0: none", bounds=(0, 10**6))
+        span = declare(self, "max_duration_s", 0.0, "length of a file, likewise; 0: none", bounds=(0.0, 1e6))
         warn_of_unknown(self)
         topics = [RecordedTopic(name) for name in named or []]
         notes = {}
@@ -58,7 +61,8 @@ class RecordNode(FinishingNode):
             self._expected[name] = topic.expected or self._expected.get(name, False)
         self._refused: dict[str, str] = {}
         self._asked: dict[str, tuple[Subscription, QoSProfile]] = {}
-        self._bag = BagFile(uri or time.strftime("recording_%Y%m%d_%H%M%S"), notes)
+        self._losses = Losses()
+        self._bag = BagFile(uri or time.strftime("recording_%Y%m%d_%H%M%S"), notes, size * 10**6, span)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.2, self._look, clock=wall)
@@ -72,6 +76,7 @@ class RecordNode(FinishingNode):
             if not offers or topic in self._refused:
                 continue
             best = _strongest([offer.qos_profile for offer in offers])
+            self._losses.publishers(topic, len(offers))
             known = self._asked.get(topic)
             if known is not None and not _exceeds(known[1], best):
                 continue
@@ -101,8 +106,13 @@ class RecordNode(FinishingNode):
         self._refused[topic] = why
         self.get_logger().error(f"Not recorded: {topic}: {why}")
 
-    def _on_message(self, topic: str, data: bytes) -> None:
-        self._bag.write(topic, time.time_ns(), data)
+    def _on_message(self, topic: str, data: bytes, information: dict[str, Any]) -> None:
+        self._losses.take(topic, information["publication_sequence_number"])
+        self._bag.write(topic, self._now_ns(), data)
+
+    def _now_ns(self) -> int:
+        """Time of reception: of the wall clock, or of /clock with use_sim_time."""
+        return int(self.get_clock().now().nanoseconds)
 
     def _missing(self) -> list[str]:
         return [
@@ -113,7 +123,8 @@ class RecordNode(FinishingNode):
 
     def _on_second(self) -> None:
         self._bag.flush()
-        report = recording_report(self._bag.counts, self._missing(), self._refused, str(self._bag.path))
+        lost, path = self._losses.counts, str(self._bag.path)
+        report = recording_report(self._bag.counts, self._missing(), self._refused, path, lost)
         name = self.get_fully_qualified_name()
         self._diagnostics.publish(messages.diagnostics(time.time_ns(), name, "", [report]))
 
@@ -125,6 +136,10 @@ class RecordNode(FinishingNode):
         if not self._bag.close():
             log.error(f"No message came: {self._bag.path} is not kept.")
             return 1
+        if lost := {topic: count for topic, count in self._losses.counts.items() if count}:
+            log.warning(
+                f"Published and not received: {', '.join(f'{topic} {count}' for topic, count in lost.items())}."
+            )
         counts = ", ".join(f"{topic} {count}" for topic, count in self._bag.counts.items())
         log.info(f"Recorded {self._bag.path}: {counts}.")
         return 0

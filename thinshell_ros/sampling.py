@@ -14,6 +14,9 @@ from thinshell_ros.streams import Channel
 
 Floats = NDArray[np.float64]
 
+COUNTED = 1000
+"""Readings over which the places of readings within steps repeat, or nearly so."""
+
 Amend = Callable[[Channel, float, Floats], Floats]
 """What a sensor makes of the values of a channel at a stamp [s]."""
 
@@ -21,19 +24,25 @@ Amend = Callable[[Channel, float, Floats], Floats]
 @dataclass(frozen=True)
 class Reading:
     """One reading of a channel. ``stamp_s``: simulated time of its stamp [s]. ``values``: pose ``(7,)``
-    as x y z [m], x y z w; wrench ``(6,)`` [N, N m]; markers ``(n, 3)`` [m]; tracks ``(n, 2)`` [px]."""
+    as x y z [m], x y z w; wrench ``(6,)`` [N, N m]; markers ``(n, 3)`` [m]; tracks ``(n, 2)`` [px].
+    ``release_s``: simulated time at which it is to be given out, evenly spaced within a channel [s]."""
 
     channel: str
     stamp_s: float
     values: Floats
+    release_s: float = 0.0
 
 
 class Sampler:
     """Turns readings at the steps into readings at the channels' rates, linear in between."""
 
-    def __init__(self, channels: Mapping[str, Channel], seed: int | None, amend: Amend | None = None) -> None:
-        """``seed``: of the noise, None for none. ``amend``: what sensors do to a reading before that."""
+    def __init__(
+        self, channels: Mapping[str, Channel], seed: int | None, amend: Amend | None = None, step_s: float = 0.0
+    ) -> None:
+        """``seed``: of the noise, None for none. ``amend``: what sensors do to a reading before that. ``step_s``: of
+        the simulation [s]."""
         self._channels = channels
+        self._hold = {name: hold_s(channel, step_s) for name, channel in channels.items()}
         self._amend = amend
         self._rng = None if seed is None else np.random.default_rng(seed)
         self._taken = dict.fromkeys(channels, 0)
@@ -70,5 +79,19 @@ class Sampler:
             if self._rng is not None:
                 values = values + channel.noise * self._rng.standard_normal(values.shape)
         self._order += 1
-        item: Any = (max(at, stamp), self._order, Reading(channel.name, stamp, values))
+        due = max(at, stamp)
+        reading = Reading(channel.name, stamp, values, due + self._hold[channel.name])
+        item: Any = (due, self._order, reading)
         heapq.heappush(self._waiting, item)
+
+
+def hold_s(channel: Channel, step_s: float) -> float:
+    """Least delay [s] with which a channel's readings can be given out evenly spaced.
+
+    A reading is known at the end of the step that it falls into, which is later by up to a step; those that are known
+    early wait as long as the one that is known last. It is 0 where all fall on the ends of steps.
+    """
+    if step_s == 0.0:
+        return 0.0
+    due = np.arange(1, COUNTED + 1) / channel.rate_hz + max(channel.latency_s, 0.0)
+    return float((np.ceil(due / step_s - 1e-6) * step_s - due).max().clip(0.0))

@@ -23,15 +23,22 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from sim_core.rigs import load_rig
-from thinshell_ros import messages, physics
-from thinshell_ros.health import CommandLog, physics_report
+from thinshell_ros import graph, messages, protocol
+from thinshell_ros.health import Announcer, CommandLog, Level, physics_report, topics_report
 from thinshell_ros.outputs import Outputs
-from thinshell_ros.parameters import declare, warn_of_unknown
+from thinshell_ros.parameters import value_of, warn_of_unknown
 from thinshell_ros.poses import Floats, Pose, PoseGate
 from thinshell_ros.qos import LATEST
 from thinshell_ros.runner import run
+from thinshell_ros.sim_parameters import SimParameters
 from thinshell_ros.streams import channels_of
-from thinshell_ros.worker import Worker
+from thinshell_ros.supervisor import Supervisor
+
+PERIOD_S = 0.005
+"""Period [s] with which readings that are due, and /clock, are published."""
+
+LOG_S = 5.0
+"""Shortest time [s] between two lines of the log of the same kind."""
 
 
 class SimNode(Node):
@@ -39,81 +46,79 @@ class SimNode(Node):
 
     def __init__(self) -> None:
         super().__init__("thinshell_sim")
-        rig_name = declare(self, "rig", "", "rig to simulate: a name or a YAML file")
-        base = declare(self, "base_frame", "", "frame of all poses; empty: the rig's")
-        rate = declare(self, "pose_rate_hz", 100.0, "rate of current_pose", bounds=(1.0, 250.0))
-        noise = declare(self, "noise", True, "add the noise that the rig states")
-        seed = declare(self, "seed", 0, "seed of the noise", bounds=(0, 2**31))
-        speed = declare(self, "max_speed_m_s", 0.5, "fastest move to a target", bounds=(1e-4, 10.0))
-        turn = declare(self, "max_turn_rate_rad_s", 3.0, "fastest turn to a target", bounds=(1e-3, 100.0))
-        jump = declare(self, "max_jump_m", 0.05, "farthest target that is taken", bounds=(1e-6, 10.0))
-        tilt = declare(self, "max_jump_rad", 0.5, "largest turn that is taken", bounds=(1e-6, 3.2))
-        give_clock = declare(self, "publish_clock", False, "publish simulated time on /clock")
+        given = SimParameters.declare(self)
         warn_of_unknown(self)
-
-        self._rig = load_rig(rig_name)
-        channels = channels_of(self._rig, rate, base)
+        self._factor, self._gives_clock = given.real_time_factor, given.publish_clock
+        self._rig = load_rig(given.rig)
+        channels = channels_of(self._rig, given.pose_rate_hz, given.base_frame)
         effectors = self._rig.end_effectors
-        self._gates = {name: PoseGate(channels[name].frame_id, jump, tilt) for name in effectors}
+        self._gates = {n: PoseGate(channels[n].frame_id, given.max_jump_m, given.max_jump_rad) for n in effectors}
         self._poses: dict[str, Pose] = {}
-        self._log = CommandLog()
-        self._status: physics.Status | None = None
-        self._waiting: dict[int, Future] = {}
-        self._outputs = Outputs(self, self._rig, channels, give_clock)
+        self._targets: dict[str, Pose] = {}
+        self._log = CommandLog(given.command_timeout_s)
+        self._announcer = Announcer()
+        self._outputs = Outputs(self, self._rig, channels, given.publish_clock, self._factor)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        for name, effector in effectors.items():
-            self.create_subscription(
-                PoseStamped,
-                effector.topics.target_pose,
-                partial(self._on_target, name),
-                LATEST,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            )
+        self._published = [c.topic for c in channels.values()]
+        self._commanded = [effector.topics.target_pose for effector in effectors.values()]
+        for name, topic in zip(effectors, self._commanded, strict=True):
+            overridable = QoSOverridingOptions.with_default_policies()
+            take = partial(self._on_target, name)
+            self.create_subscription(PoseStamped, topic, take, LATEST, qos_overriding_options=overridable)
         apart = ReentrantCallbackGroup()  # a service that waits for its answer must not hold up the timers
         self.create_service(Trigger, "~/reset", self._on_reset, callback_group=apart)
         self.create_service(Trigger, "~/zero", self._on_zero, callback_group=apart)
+        self.create_service(Trigger, "~/step", self._on_step, callback_group=apart)
         self.create_service(SetBool, "~/pause", self._on_pause, callback_group=apart)
-        self._ready = False
-        self._ended = ""
-        self._worker = Worker(
-            physics.Settings(self._rig, channels, seed if noise else None, speed, turn),
-        )
+        arrived = self.create_guard_condition(self._on_poll)
+        seed = given.seed if given.noise else None
+        limits = given.max_speed_m_s, given.max_turn_rate_rad_s
+        settings = protocol.Settings(self._rig, channels, seed, *limits, self._factor)
+        self._physics = Supervisor(settings, given.watchdog_s, arrived.trigger)
         wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(min(max(self._rig.solver.dt_s / 2.0, 0.004), 0.01), self._on_poll, clock=wall)
+        self.create_timer(PERIOD_S, self._on_poll, clock=wall)
         self.create_timer(1.0, self._on_diagnostics, clock=wall)
 
     def _on_target(self, name: str, message: PoseStamped) -> None:
-        if not self._ready:
-            self._log.reject("the scene is still being built")
+        if not self._physics.ready:
+            self._reject("the scene is still being built")
             return
         p, q = message.pose.position, message.pose.orientation
-        frame, now = message.header.frame_id, self._poses[name]
-        pose = self._gates[name].check(frame, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), now)
+        frame, near = message.header.frame_id, (self._poses[name], self._targets.get(name))
+        pose = self._gates[name].check(frame, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), *near)
         if isinstance(pose, str):
-            self._log.reject(f"{name}: {pose}")
+            self._reject(f"{name}: {pose}")
         else:
-            self._log.accept(time.monotonic())
-            self._worker.aim(physics.Target(name, pose))
+            self._targets[name] = pose
+            self._log.accept(name, time.monotonic())
+            self._physics.aim(protocol.Target(name, pose))
+
+    def _reject(self, reason: str) -> None:
+        self._log.reject(reason)
+        self.get_logger().warning(f"A target was rejected: {reason}.", throttle_duration_sec=LOG_S)
 
     def _on_poll(self) -> None:
-        for answer in self._worker.answers():
-            if isinstance(answer, physics.Batch):
-                self._outputs.publish(answer)
+        status = self._physics.status
+        for arrival, answer in self._physics.answers():
+            if isinstance(answer, protocol.Batch):
+                at_once = status is not None and status.paused
+                if (left_out := self._outputs.take(answer, arrival, at_once)) > LOG_S:
+                    self.get_logger().warning(f"The simulation keeps up again; stamps leave out {left_out:.1f} s.")
                 self._follow({r.channel: r.values for r in answer.readings})
-            elif isinstance(answer, physics.Status):
-                if answer.trouble and (self._status is None or answer.trouble != self._status.trouble):
-                    self.get_logger().error(answer.trouble)
-                self._status = answer
-            elif isinstance(answer, physics.Done):
-                if answer.rest:
-                    self._outputs.restart(answer.rest)
-                    self._follow(answer.rest)
-                self._waiting.pop(answer.number).set_result(answer)
-            else:
+            elif isinstance(answer, protocol.Status):
+                status = answer
+            elif isinstance(answer, protocol.Ready):
                 self._outputs.begin(answer)
-                self._follow(answer.rest)
-                self._ready = True
+                self._restart(answer.rest)
                 self.get_logger().info(f"Simulating {self._rig.name}.")
+            elif answer.rest:
+                self._outputs.restart(answer.rest)
+                self._restart(answer.rest)
+        self._outputs.publish(time.monotonic(), status is not None and not (status.paused or status.trouble))
+
+    def _restart(self, rest: dict[str, Floats]) -> None:
+        self._targets.clear()
+        self._follow(rest)
 
     def _follow(self, readings: dict[str, Floats]) -> None:
         """Remember where the end effectors are."""
@@ -121,48 +126,59 @@ class SimNode(Node):
             self._poses[name] = Pose.of(np.array(readings[name]))
 
     def _on_diagnostics(self) -> None:
-        ended = self._worker.end()
-        if ended and ended != self._ended:
-            self.get_logger().error(ended)
-        self._ended = ended
-        if ended:
-            for future in self._waiting.values():
-                future.set_result(physics.Done(0, False, ended))
-            self._waiting.clear()
+        physics, status, name = self._physics, self._physics.status, self.get_fully_qualified_name()
         reports = [
-            physics_report(self._status, ended, self._worker.pid),
-            self._log.report(time.monotonic()),
+            physics_report(status, physics.fault(), physics.pid, self._factor, physics.silent_s),
+            self._log.report(time.monotonic(), status, graph.most_publishers(self, self._commanded)),
+            topics_report(graph.other_publishers(self, self._published)),
         ]
-        name = self.get_fully_qualified_name()
         self._diagnostics.publish(messages.diagnostics(time.time_ns(), name, self._rig.name, reports))
+        for report in reports:
+            if physics.ready and self._announcer.is_news(report, time.monotonic()):
+                self._say(f"{report.name}: {report.message}", report.level)
+
+    def _say(self, words: str, level: Level) -> None:
+        """Log; a line of code may log with one severity only."""
+        if level == "error":
+            self.get_logger().error(words)
+        elif level == "warn":
+            self.get_logger().warning(words)
+        else:
+            self.get_logger().info(words)
 
     async def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request
-        if self._worker.end():
-            self._ready, self._status = False, None
-            self._worker.start()
-            response.success, response.message = True, "the physics process is being started again"
-            return response
-        return await self._answer(self._worker.reset, response)
-
-    async def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        return await self._answer(partial(self._worker.pause, request.data), response)
-
-    async def _answer(self, ask: Any, response: Any) -> Any:
-        """Pass a request on and wait for the answer, while the node goes on."""
-        if not self._ready or self._worker.end():
-            response.success, response.message = False, "the physics process is not ready"
-            return response
-        future: Future = Future()
-        self._waiting[ask()] = future
-        done = await future
+        done = await self._answer(self._physics.reset)
+        if not done.success and self._physics.fault():
+            done = await self._answer(self._physics.reset)  # it hangs, and is started again
         response.success, response.message = done.success, done.message
         return response
 
+    async def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        done = await self._answer(partial(self._physics.pause, request.data))
+        response.success, response.message = done.success, done.message
+        return response
+
+    async def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        del request
+        if not self._gives_clock:
+            response.success, response.message = False, "steps on demand need simulated time: set publish_clock to true"
+            return response
+        done = await self._answer(partial(self._physics.step, value_of(self, "step_duration_s")))
+        response.success, response.message = done.success, done.message
+        return response
+
+    async def _answer(self, ask: Any) -> protocol.Done:
+        """Pass a request on and wait for the answer, while the node goes on."""
+        future: Future = Future()
+        ask(future)
+        done: protocol.Done = await future
+        return done
+
     def _on_zero(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request
-        if not self._ready:
-            response.success, response.message = False, "the physics process is not ready"
+        if not self._physics.ready:
+            response.success, response.message = False, "the scene is still being built"
             return response
         missing = self._outputs.zero()
         response.success = not missing
@@ -171,8 +187,8 @@ class SimNode(Node):
 
     def destroy_node(self) -> None:
         """Stop the physics process, then the node."""
-        if hasattr(self, "_worker"):
-            self._worker.stop()
+        if hasattr(self, "_physics"):
+            self._physics.stop()
         super().destroy_node()
 
 

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from sim_core.errors import ConfigError
 from sim_core.rigs import MarkerSensor, OrthographicCamera, Rig, WrenchSensor
 
+EVENT_TOPIC = "events"
+"""Topic of what happens to the readings of a rig: tares, resets, time that stamps leave out."""
+
 Kind = Literal["pose", "wrench", "markers", "tracks"]
 
 
@@ -99,4 +102,5 @@ def topics_to_record(rig: Rig) -> list[RecordedTopic]:
         calibrated = not isinstance(camera, OrthographicCamera)
         topics.append(RecordedTopic(camera.topics.camera_info, expected=calibrated))
         topics.append(RecordedTopic(camera.topics.image, expected=False))
+    topics.append(RecordedTopic(EVENT_TOPIC, expected=False))
     return topics

@@ -12,6 +12,7 @@ import time
 from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
@@ -23,7 +24,7 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import load_rig
 from thinshell_ros import messages
 from thinshell_ros.fit_process import Event, FitProcess, Warned
-from thinshell_ros.fit_request import FitRequest, fit_request, topic_names
+from thinshell_ros.fit_request import FitRequest, fit_request, numbers_of, topic_names
 from thinshell_ros.fit_state import FitState
 from thinshell_ros.parameters import declare, value_of, warn_of_unknown
 from thinshell_ros.qos import LATCHED
@@ -34,6 +35,9 @@ VALUES = (
     "fit.seed", "fit.nuisance", "fit.prior_sd", "fit.per_bag", "fit.starts", "fit.profile", "fit.robust",
     "output_dir",
 )  # fmt: skip
+
+
+NUMBERS = ("fit.initial", "fit.lower", "fit.upper", "fit.prior_sd")
 
 
 class SysidNode(Node):
@@ -48,16 +52,18 @@ class SysidNode(Node):
             declare(self, f"topics.{name}", topic, "topic of the recordings", fixed=False)
         declare(self, "bag_uri", "", "recording, or list of recordings, to fit", fixed=False, any_type=True)
         declare(self, "held_out_uri", "", "recordings kept for the check", fixed=False, any_type=True)
-        numbers, words = Parameter.Type.DOUBLE_ARRAY, Parameter.Type.STRING_ARRAY
+        words = Parameter.Type.STRING_ARRAY
         declare(self, "fit.parameters", words, "parameters of the rig to estimate", fixed=False)
-        declare(self, "fit.initial", numbers, "values to start from; none: the rig's", fixed=False)
-        declare(self, "fit.lower", numbers, "lower bounds; none: those of the physics", fixed=False)
-        declare(self, "fit.upper", numbers, "upper bounds; none: those of the physics", fixed=False)
+        declare(self, "fit.initial", None, "values to start from; [] or none: the rig's", fixed=False, any_type=True)
+        declare(self, "fit.lower", None, "lower bounds; [] or none: of the physics", fixed=False, any_type=True)
+        declare(self, "fit.upper", None, "upper bounds; [] or none: of the physics", fixed=False, any_type=True)
         declare(self, "fit.max_iterations", 200, "evaluations at most", bounds=(1, 100_000), fixed=False)
         declare(self, "fit.seed", 0, "seed of everything random", bounds=(0, 2**31), fixed=False)
         kinds = "what is estimated beside: time,bias,camera,pose; all; none"
         declare(self, "fit.nuisance", "all", kinds, fixed=False)
-        declare(self, "fit.prior_sd", numbers, "what is known before of fit.initial; 0: nothing", fixed=False)
+        spread = "what is known before of fit.initial; 0: nothing"
+        declare(self, "fit.prior_sd", None, spread, fixed=False, any_type=True)
+        self.add_on_set_parameters_callback(self._check)
         declare(
             self, "fit.per_bag", words, "those of fit.parameters that each bag has a value of its own of", fixed=False
         )
@@ -78,6 +84,16 @@ class SysidNode(Node):
         self.create_timer(0.05, self._on_poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._tell()
         self.get_logger().info(f"Ready to fit {self._rig.name}.")
+
+    def _check(self, changed: list[Parameter]) -> SetParametersResult:
+        """Refuse what is no list of numbers where one is wanted."""
+        try:
+            for parameter in changed:
+                if parameter.name in NUMBERS:
+                    numbers_of(parameter.value, parameter.name)
+        except ThinshellError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     def _on_start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request

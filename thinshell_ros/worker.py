@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Iterator
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
-from typing import Any
 
-from thinshell_ros import physics
+from thinshell_ros import loop, protocol
 
 STOP_S = 3.0
 """Time [s] that a process gets to end by itself."""
@@ -16,30 +18,46 @@ STOP_S = 3.0
 class Worker:
     """A process of its own, so that the physics does not hold up the node.
 
-    It is spawned, not forked: neither threads of the middleware nor of Taichi survive a fork.
+    It is spawned, not forked: neither threads of the middleware nor of Taichi survive a fork. A thread takes what it
+    sends, because a process that is stopped in the middle of an answer would hold up who waits for its end.
     """
 
-    def __init__(self, settings: physics.Settings) -> None:
+    def __init__(self, settings: protocol.Settings, on_answer: Callable[[], None] = lambda: None) -> None:
+        """``on_answer``: called in another thread when an answer has come."""
         self._settings = settings
+        self._on_answer = on_answer
         self._number = 0
         self._link: Connection | None = None
-        self._targets: dict[str, physics.Target] = {}
+        self._thread: threading.Thread | None = None
+        self._targets: dict[str, protocol.Target] = {}
         self.start()
 
     def start(self) -> None:
         """Start the process; building the scene takes it some seconds, then it says ``Ready``."""
-        if self._link is not None:
-            self._link.close()
         context = multiprocessing.get_context("spawn")
         self._link, far = context.Pipe()
         self._process = context.Process(
-            target=physics.run, args=(far, self._settings), name="thinshell-physics", daemon=True
+            target=loop.run, args=(far, self._settings), name="thinshell-physics", daemon=True
         )
         self._process.start()
         far.close()
-        self._ready = False
+        self.heard_s = self.started_s = time.monotonic()
+        """Wall time [s] of its last sign of life, and of its start."""
+        self._inbox: queue.SimpleQueue[tuple[float, protocol.Answer]] = queue.SimpleQueue()
         self._listening = False
         self._targets.clear()
+        self._thread = threading.Thread(target=self._receive, args=(self._link, self._inbox))
+        self._thread.start()
+
+    def _receive(self, link: Connection, inbox: queue.SimpleQueue[tuple[float, protocol.Answer]]) -> None:
+        while True:
+            try:
+                answer = link.recv()
+            except (EOFError, OSError):
+                return
+            self.heard_s = time.monotonic()
+            inbox.put((self.heard_s, answer))
+            self._on_answer()
 
     @property
     def pid(self) -> int | None:
@@ -52,19 +70,14 @@ class Worker:
             return ""
         return f"The physics process ended with code {self._process.exitcode}."
 
-    def answers(self) -> Iterator[physics.Answer]:
-        """What has arrived; does not wait."""
-        assert self._link is not None
-        try:
-            while self._link.poll():
-                answer = self._link.recv()
-                self._ready = self._listening = True
-                yield answer
-        except (EOFError, OSError):
-            return
+    def answers(self) -> Iterator[tuple[float, protocol.Answer]]:
+        """What has arrived, each with its wall time of arrival [s]; does not wait."""
+        while not self._inbox.empty():
+            self._listening = True
+            yield self._inbox.get()
         self._pass_on()
 
-    def aim(self, target: physics.Target) -> None:
+    def aim(self, target: protocol.Target) -> None:
         """Send a target now, or the latest one as soon as the process listens again.
 
         One message for each that comes back: a slow process is never swamped, so sending never blocks.
@@ -74,48 +87,49 @@ class Worker:
 
     def _pass_on(self) -> None:
         if self._listening:
-            for target in self._targets.values():
-                self._send(target)
-                self._listening = False
-            self._targets.clear()
+            self._flush()
+
+    def _flush(self) -> None:
+        for target in self._targets.values():
+            self._send(target)
+            self._listening = False
+        self._targets.clear()
 
     def reset(self) -> int:
         """Ask for a reset; returns the number of the answer."""
         self._number += 1
         self._targets.clear()
-        self._send(physics.Reset(self._number))
+        self._send(protocol.Reset(self._number))
         return self._number
 
     def pause(self, paused: bool) -> int:
         """Ask to stop or to go on; returns the number of the answer."""
         self._number += 1
-        self._send(physics.Pause(self._number, paused))
+        self._send(protocol.Pause(self._number, paused))
         return self._number
 
-    def stop(self) -> None:
-        """End the process and wait for it. A process that still builds its scene is ended at once."""
-        if self._ready:
-            self._send(physics.Stop())
-            self._drain()
-        if self._process.is_alive():
-            self._process.terminate()
-            self._process.join(STOP_S)
+    def step(self, duration_s: float) -> int:
+        """Ask for the steps of a duration [s], with all targets from before; returns the number of the answer."""
+        self._number += 1
+        self._flush()
+        self._send(protocol.Step(self._number, duration_s))
+        return self._number
+
+    def stop(self, wait_s: float = STOP_S) -> None:
+        """End the process and wait for it; one that does not end by itself within ``wait_s`` [s] is killed."""
+        if wait_s > 0.0:
+            self._send(protocol.Stop())
+            self._process.join(wait_s)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
         if self._link is not None:
             self._link.close()
 
-    def _drain(self) -> None:
-        """Take and drop answers until the process ends: it cannot end while it waits to send one."""
-        for _ in range(int(STOP_S / 0.05)):
-            for _ in self.answers():
-                pass
-            self._process.join(0.05)
-            if not self._process.is_alive():
-                return
-
-    def _send(self, request: Any) -> None:
+    def _send(self, request: protocol.Request) -> None:
         assert self._link is not None
         try:
             self._link.send(request)

@@ -246,6 +246,7 @@ class RigidContact:
         self.body_node = body_node
         self.measures: list[Measures] = [] if samples.shared is None else [samples.shared]
         """What is measured at rest: areas of the samples."""
+        self.samples = samples
         count = len(samples.areas)
         body = np.full((count, 1), body_node, dtype=np.int32)
         self._nodes = np.ascontiguousarray(np.hstack([samples.nodes, body]), dtype=np.int32)

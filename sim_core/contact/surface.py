@@ -83,7 +83,7 @@ class SurfaceContact:
     ) -> None:
         self.name = name
         self.bearing = bearing
-        self._samples = samples
+        self.samples = samples
         self._triangles = np.ascontiguousarray(triangles, dtype=np.int32)
         self._margin = margin_m
         self._own = np.ascontiguousarray(samples.nodes, dtype=np.int32)
@@ -172,7 +172,7 @@ class SurfaceContact:
     @property
     def measures(self) -> list[Measures]:
         """What is measured at rest: areas of the samples."""
-        return [] if self._samples.shared is None else [self._samples.shared]
+        return [] if self.samples.shared is None else [self.samples.shared]
 
     @property
     def offset(self) -> float:
@@ -290,7 +290,7 @@ class SurfaceContact:
         """How far samples go past the triangles that they are over, for a move of all nodes [m] ``(n, 3)``."""
         nodes = self._triangles[self._lag.triangles[:, 0]]
         below = np.einsum("skij,skj->si", self._frame.reshape(-1, 3, 3, 3), move[nodes])
-        return np.asarray(self._samples.positions(move) - below)
+        return np.asarray(self.samples.positions(move) - below)
 
     def carried(self, internals: Internals, move: np.ndarray) -> Internals:
         """Internal variables with the springs of friction stretched by a move of the start."""
@@ -364,7 +364,7 @@ class SurfaceContact:
 
     def sample_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Sample positions [m] and the force on each sample [N] at the last gradient, ``(n, 3)`` each."""
-        return self._samples.positions(self._x), self._force.copy()
+        return self.samples.positions(self._x), self._force.copy()
 
     def contacts(self) -> tuple[int, float]:
         """Number of loaded samples and smallest gap [m] at the last gradient."""

@@ -31,7 +31,7 @@ def diagnose(
     chosen = load_rig(rig)
     check_parts(bags, held_out or [])
     check_new(out, "folder")
-    find = library("sysid.diagnosis", "diagnose_bags")
+    find = library("sysid.workflow", "diagnose_bags")
     with progress("diagnose") as report:
         summary = find(
             chosen,

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import yaml
 
 from sim_core.errors import ThinshellError
-from sim_core.rigs import Rig, rig_to_yaml
+from sim_core.rigs import Rig
 from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import open_parameters
 from sysid.diagnosis.hypotheses import OUT_OF_SIGHT, Start, log_evidence, refit, screen
@@ -37,8 +35,6 @@ from sysid.fit.discretisation_refinement import (
     fit_beside_discretisation,
 )
 from sysid.fit.result import plot_series, rms_errors
-from sysid.io.atomic_folder import whole_folder, write_results
-from sysid.model.load import load_runs
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import fit_parameters
 from sysid.model.provenance import provenance
@@ -49,9 +45,6 @@ from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
 Progress = Callable[[float, str], None]
-
-REPORT = "report.html"
-"""The report in the folder of a diagnosis."""
 
 REFITTED = 4
 """Effects that are refitted in full after the screening."""
@@ -338,54 +331,3 @@ def _collect(
         notes=notes(base, problem, before, verdict),
         series=series,
     )
-
-
-def diagnose_bags(
-    rig: Rig,
-    bags: Sequence[Path],
-    *,
-    held_out: Sequence[Path] = (),
-    out: Path,
-    on_progress: Progress | None = None,
-    on_warning: Callable[[str], None] | None = None,
-    despite: Collection[str] = (),
-) -> str:
-    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``.
-    ``on_warning``: hears what speaks against the recordings before anything is simulated; ``despite``: findings that do
-    not stop it (:func:`sysid.model.load.read_run`)."""
-    from sysid.report import write_diagnosis_report
-
-    with whole_folder(out) as folder:
-        runs, kept = load_runs(rig, bags, held_out, on_warning, despite)
-        diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
-        overlay = {
-            "overlay_of": "rig.yaml",
-            "name": f"{rig.name}_amended",
-            "description": diagnosis.sentence,
-            "parameters": {
-                p.name: p.value
-                for p in (diagnosis.amended_parameters or diagnosis.baseline_parameters)
-                if not p.name.startswith("effects.")
-            },
-            "effects": {name: dict(values) for name, values in amended.effects.items()},
-        }
-        write_results(
-            folder,
-            out,
-            [
-                lambda place: diagnosis.write(place / "diagnosis.json"),
-                lambda place: (place / "rig.yaml").write_text(rig_to_yaml(rig)),
-                lambda place: (place / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False)),
-                lambda place: write_diagnosis_report(diagnosis, place / REPORT),
-            ],
-        )
-    lines = [diagnosis.sentence, *diagnosis.notes, ""]
-    for effect in diagnosis.effects:
-        for p in effect.parameters:
-            lines.append(f"  {p.name} = {p.value:.4g} ({p.ci95[0]:.4g} .. {p.ci95[1]:.4g}) {p.unit}")
-    lines += [
-        f"Not explained: {diagnosis.not_explained}",
-        f"Next: {diagnosis.next_experiment}",
-        f"Report: {out / REPORT}",
-    ]
-    return "\n".join(lines)

@@ -11,7 +11,7 @@ import numpy as np
 from sim_core.errors import RecordingError
 from sim_core.rigs import MarkerSensor, Rig, Rigid, marker_positions, track_ids
 from sysid.recording.bag import TopicInfo
-from sysid.recording.topics import CLOUD, COMPRESSED, IMAGE, POSE, POSES, TF, WRENCH, WRENCHES
+from sysid.recording.message_types import CLOUD, COMPRESSED, IMAGE, POSE, POSES, TF, WRENCH, WRENCHES
 
 STREAMS = {
     **dict.fromkeys(POSES, POSE),

@@ -12,9 +12,9 @@ import numpy as np
 from sim_core.errors import RecordingError
 from sysid.recording.arrays import Bytes
 from sysid.recording.bag import MessageSet
+from sysid.recording.message_types import COMPRESSED
 from sysid.recording.messages import decode
 from sysid.recording.streams import CameraInfo, Stream
-from sysid.recording.topics import COMPRESSED
 
 _CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3}
 _READABLE = "Record mono8, rgb8 or bgr8, or png or jpeg as a CompressedImage."

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
 from sim_core.errors import RecordingError
 from sysid.recording.arrays import Bools, Floats, Ints
 from sysid.recording.bag import MessageSet
+from sysid.recording.message_types import TYPESTORE
 from sysid.recording.notes import Notes, plural
 from sysid.recording.times import TimeSource, order_in_time
-
-TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 def decode(data: bytes, msgtype: str) -> Any:

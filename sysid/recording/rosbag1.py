@@ -10,8 +10,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sim_core.errors import RecordingError
-from sysid.recording.messages import TYPESTORE
-from sysid.recording.topics import ROLES, TF
+from sysid.recording.message_types import ROLES, TF, TYPESTORE
 
 MAGIC = b"#ROSBAG V"
 

@@ -9,11 +9,12 @@ import numpy as np
 from sim_core.errors import RecordingError
 from sysid.recording.bag import MessageSet
 from sysid.recording.images import ImageStream
+from sysid.recording.message_types import CAMERA_INFO
 from sysid.recording.messages import Series, read_table
 from sysid.recording.notes import Notes
 from sysid.recording.streams import CameraInfo, WrenchStream
 from sysid.recording.times import note_gaps
-from sysid.recording.topics import CAMERA_INFO, SensorTopic
+from sysid.recording.topics import SensorTopic
 
 LARGEST_N = 1e4
 """Forces beyond this are worth a remark."""

@@ -11,10 +11,10 @@ from sim_core.errors import RecordingError, nearest_match
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.recording.arrays import Floats
 from sysid.recording.bag import Bag, MessageSet
+from sysid.recording.message_types import TF
 from sysid.recording.messages import Series, decode
 from sysid.recording.notes import Notes, plural
 from sysid.recording.times import TimeSource, order_in_time
-from sysid.recording.topics import TF
 
 STATIC = "tf_static"
 

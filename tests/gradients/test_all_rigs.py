@@ -44,6 +44,11 @@ RUNS: dict[str, tuple[str | dict[str, object], float]] = {
     "strip_pull": ("bend_and_release", 0.5),
     "tactip_cr": (PRESS, 4.0),
     "tissue_press": ("press_far", 0.3),
+    "envelope": ("touch", 0.35),
+    "gel_ear": ("touch", 0.35),
+    "glove_finger": ("touch", 0.35),
+    "mug_side": ("touch", 0.35),
+    "punched_card": ("touch", 0.35),
 } | {
     f"knit_{yarn}_{axis}": (PULL, 3.0)  # at 4 s flat knits are beyond their wrinkling load
     for yarn in ("acrylic_garter", "acrylic_stockinette", "pearlized_cotton_stockinette")

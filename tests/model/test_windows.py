@@ -18,7 +18,7 @@ from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import Rig, load_rig, with_parameters
 from sim_core.rigs.motion import Experiment
 from sysid.diagnosis import diagnose_runs
-from sysid.fit import FitOptions, fit_bags, fit_runs
+from sysid.fit import FitOptions, fit_runs
 from sysid.model.load import load_run, load_runs
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.predictor import Engine
@@ -28,6 +28,7 @@ from sysid.noise.data_quality import doubts
 from sysid.observations.observations import Run, check_apart
 from sysid.observations.selection import Part, check_parts, part_of
 from sysid.simulate import simulate_to_bag
+from sysid.workflow import fit_bags
 
 TRUTH = {"card.E_pa": 2.6e9}
 REST_S = 2.0

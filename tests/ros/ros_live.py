@@ -193,4 +193,5 @@ def listen_to_rig(client: Client) -> None:
     client.listen(PointCloud2, "tactile/left/markers_rest", latched=True)
     client.listen(PointCloud2, "side/marker_tracks")
     client.listen(CameraInfo, "side/camera_info")
+    client.listen(DiagnosticArray, "events")
     client.listen(DiagnosticArray, "/diagnostics")

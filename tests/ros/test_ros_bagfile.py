@@ -1,13 +1,20 @@
 """The recorder's bag file. Needs no ROS."""
 
 import shutil
+import zlib
 from pathlib import Path
 
 import pytest
+import yaml
+import zstandard
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+from rosbags.rosbag2 import Reader
 
 from sim_core.errors import RecordingError
 from sysid.recording import read_recording
 from thinshell_ros.bagfile import TYPESTORE, BagFile
+from thinshell_ros.losses import Losses
 
 POSE = "geometry_msgs/msg/PoseStamped"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
@@ -117,3 +124,52 @@ def test_a_full_disk_is_an_error_and_keeps_what_came_before(tmp_path: Path) -> N
         bag.flush()
     assert bag.close()
     assert read_recording(tmp_path / "bag").provenance.message_counts["/wrench"] == 10
+
+
+def test_chunks_are_compressed_and_have_their_checksum(tmp_path: Path) -> None:
+    bag = begin(tmp_path / "bag")
+    fill(bag, 0, 30)
+    bag.flush()
+    fill(bag, 30, 30)
+    bag.close()
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    with file.open("rb") as stream:
+        chunks = [record for record in StreamReader(stream, emit_chunks=True).records if isinstance(record, Chunk)]
+    assert [chunk.compression for chunk in chunks] == ["zstd"] * 2
+    for chunk in chunks:
+        assert (
+            chunk.uncompressed_crc
+            == zlib.crc32(zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data))
+            != 0
+        )
+
+
+def test_splits_are_files_of_one_bag(tmp_path: Path) -> None:
+    bag = BagFile(tmp_path / "bag", max_size=3000)
+    bag.add("/current_pose", POSE)
+    bag.add("/wrench", WRENCH)
+    for k in range(6):
+        fill(bag, 40 * k, 40)
+        bag.flush()
+    bag.close()
+    files = sorted(file.name for file in (tmp_path / "bag").glob("*.mcap"))
+    assert len(files) > 2
+    information = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert information["relative_file_paths"] == files
+    assert sum(file["message_count"] for file in information["files"]) == information["message_count"] == 480
+    recording = read_recording(tmp_path / "bag")
+    assert recording.provenance.message_counts == {"/current_pose": 240, "/wrench": 240}
+    assert len(recording.poses["ee"]) == 240
+    with Reader(tmp_path / "bag") as reader:
+        assert sum(1 for _ in reader.messages()) == 480
+
+
+def test_lost_messages_are_counted_by_the_numbers_of_their_publisher() -> None:
+    losses = Losses()
+    for number in (5, 6, 9, 10, 1, 2, 4):
+        losses.take("/wrench", number)
+    losses.take("/pose", None)
+    assert losses.counts == {"/wrench": 3}, "7, 8, and 3 of a publisher that was started again"
+    losses.publishers("/wrench", 2)
+    losses.take("/wrench", 100)
+    assert losses.counts == {}, "with two publishers it is not known"

@@ -68,35 +68,108 @@ def test_the_quaternion_stays_in_its_half_space() -> None:
     assert towards(HERE, target, 1.0, 1.0).quaternion @ HERE.quaternion > 0.0
 
 
-def test_a_fast_simulation_waits_for_the_wall_clock() -> None:
-    pacer = Pacer()
-    pacer.restart(100.0, 3.0)
-    assert pacer.wait_s(100.004, 3.01) == pytest.approx(0.006)
-    assert pacer.wait_s(100.01, 3.02) == pytest.approx(0.01)
+def test_commands_may_run_ahead_of_an_end_effector_but_not_jump() -> None:
+    """A commander at 0.8 m/s, and an end effector that has got nowhere yet."""
+    last = None
+    for k in range(1, 101):
+        last = GATE.check("base_link", (0.1 + 0.008 * k, 0.0, 0.2), UPRIGHT, HERE, last)
+        assert isinstance(last, Pose), last
+    assert isinstance(last, Pose)
+    rejection = GATE.check("base_link", (0.93, 0.0, 0.2), UPRIGHT, HERE, last)
+    assert rejection == "0.03 m away from the last target, at most 0.02 m (max_jump_m)"
+    assert isinstance(GATE.check("base_link", (0.11, 0.0, 0.2), UPRIGHT, HERE, last), Pose), "back to where it is"
+
+
+class Run:
+    """A pacer, and simulated time in steps of 10 ms."""
+
+    def __init__(self, factor: float = 1.0) -> None:
+        self.pacer = Pacer(factor)
+        self.wall = self.simulated = 0.0
+        self.pacer.start(0.0, 0.0)
+
+    def step(self, cost: float) -> float:
+        """One step; returns for how long it waited."""
+        wait = self.pacer.wait_s(self.wall, self.simulated, 0.01)
+        self.wall += wait + cost
+        self.simulated += 0.01
+        return wait
+
+    @property
+    def behind(self) -> float:
+        """Stamps against the wall clock."""
+        return self.wall - self.simulated - self.pacer.skipped_s
+
+
+def test_a_step_is_made_when_its_end_is_due() -> None:
+    run = Run()
+    assert run.step(0.004) == pytest.approx(0.01)
+    assert run.step(0.004) == pytest.approx(0.006)
+    assert run.step(0.0) == pytest.approx(0.006)
+
+
+@pytest.mark.parametrize("factor", [0.2, 1.0, 5.0])
+def test_the_pace_is_as_wanted(factor: float) -> None:
+    run = Run(factor)
+    for _ in range(500):
+        run.step(0.001)
+    assert run.pacer.factor() == pytest.approx(factor, rel=0.02)
+    assert Run(0.0).step(0.0) == 0.0
 
 
 def test_a_short_delay_is_caught_up() -> None:
-    pacer = Pacer()
-    pacer.restart(0.0, 0.0)
-    assert pacer.wait_s(0.9 * SLACK_S, 0.01) == 0.0
-    assert pacer.wait_s(0.9 * SLACK_S, SLACK_S) == pytest.approx(0.1 * SLACK_S)
+    run = Run()
+    run.step(0.9 * SLACK_S)
+    while run.step(0.0) == 0.0:
+        assert run.simulated < 0.2
+    assert run.pacer.skipped_s == 0.0
 
 
-def test_a_slow_simulation_slows_time_down_instead_of_catching_up() -> None:
-    pacer = Pacer()
-    pacer.restart(0.0, 0.0)
-    for k in range(1, 101):
-        assert pacer.wait_s(0.05 * k, 0.01 * k) == 0.0
-    assert pacer.factor() == pytest.approx(0.2, rel=1e-6)
-    fast = [pacer.wait_s(5.0, 1.0 + 0.01 * k) for k in range(1, 30)]
-    assert fast.count(0.0) <= SLACK_S / 0.01 + 1, "what was lost beyond the slack is not made up for"
+def test_a_slow_spell_leaves_no_lasting_lag() -> None:
+    run = Run()
+    for _ in range(1000):
+        run.step(0.05)
+    assert run.pacer.lag_s == pytest.approx(40.0, abs=0.1), "what it has cost is known while it lasts"
+    assert run.pacer.factor() == pytest.approx(0.2, rel=1e-6)
+    assert run.pacer.skipped_s == 0.0, "a simulation that does not keep up does not jump"
+    for _ in range(100):
+        run.step(0.005)
+    assert run.behind < 0.02
+    assert run.pacer.skipped_s == pytest.approx(40.0, abs=1.0)
+    assert run.pacer.lag_s < 0.01
+    skipped = run.pacer.skipped_s
+    for _ in range(1000):
+        run.step(0.005)
+    assert run.pacer.skipped_s == skipped
+
+
+def test_one_step_of_ten_seconds_leaves_no_lasting_lag() -> None:
+    run = Run()
+    run.step(10.0)
+    for _ in range(200):
+        run.step(0.005)
+    assert run.behind < 0.02
+
+
+def test_a_pause_and_a_reset_bring_stamps_back_to_the_wall_clock() -> None:
+    run = Run()
+    for _ in range(20):
+        run.step(0.05)
+    run.wall += 30.0
+    run.pacer.start(run.wall, run.simulated)
+    run.step(0.001)
+    assert run.behind == pytest.approx(0.001, abs=0.05)
+    for _ in range(20):
+        run.step(0.05)
+    run.pacer.start(run.wall, run.simulated)
+    run.step(0.001)
+    assert run.behind == pytest.approx(0.001, abs=0.05)
 
 
 def test_the_factor_forgets_what_is_long_ago() -> None:
-    pacer = Pacer()
-    pacer.restart(0.0, 0.0)
-    assert math.isnan(pacer.factor())
-    pacer.wait_s(10.0, 0.1)
-    for k in range(1, 301):
-        pacer.wait_s(10.0 + 0.01 * k, 0.1 + 0.01 * k)
-    assert pacer.factor() == pytest.approx(1.0)
+    run = Run()
+    assert math.isnan(run.pacer.factor())
+    run.step(8.0)
+    for _ in range(400):
+        run.step(0.005)
+    assert run.pacer.factor() == pytest.approx(1.0, rel=0.01)

@@ -11,9 +11,12 @@ from typing import Any
 import pytest
 import yaml
 
+from sim_core.bench.scenes import SCENES
+
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 PARAMETER_FILES = sorted((ROOT / "config" / "nodes").glob("*.yaml"))
+LIVE_FILES = sorted((ROOT / "config" / "nodes" / "live").glob("*.yaml"))
 ENTRY_POINTS = dict(re.findall(r'"(\w+) = ([\w.]+):main"', (ROOT / "setup.py").read_text()))
 NODES = {name: module for name, module in ENTRY_POINTS.items() if name.endswith("_node")}
 
@@ -33,8 +36,10 @@ def default_name(node: str) -> str:
 
 
 def declared(node: str) -> set[str]:
-    """Names of the parameters that a node declares."""
-    names = (call.args[1] for call in calls(ast.parse(source(node)), "declare"))
+    """Names of the parameters that a node declares, in its module or in one of its own for them."""
+    apart = ROOT / "thinshell_ros" / f"{node.removesuffix('_node')}_parameters.py"
+    text = source(node) + (apart.read_text() if apart.is_file() else "")
+    names = (call.args[1] for call in calls(ast.parse(text), "declare"))
     return {str(name.value) for name in names if isinstance(name, ast.Constant)}
 
 
@@ -81,6 +86,22 @@ def test_parameter_files_name_parameters_that_exist(path: Path) -> None:
     assert section[0] == f"/**/{default_name(node)}"
     assert set(section[1]["ros__parameters"]) <= declared(node)
     assert None not in section[1]["ros__parameters"].values()
+
+
+def test_every_manipulation_scene_has_a_live_variant() -> None:
+    assert {path.stem for path in LIVE_FILES} == {rig for rig, _, _ in SCENES}
+
+
+@pytest.mark.parametrize("path", LIVE_FILES, ids=lambda p: p.stem)
+def test_live_variants_state_their_pace(path: Path) -> None:
+    ((name, section),) = yaml.safe_load(path.read_text()).items()
+    given = section["ros__parameters"]
+    assert name == "/**/thinshell_sim"
+    assert set(given) <= declared("sim_node")
+    assert given["rig"] == path.stem
+    assert given["publish_clock"] is True
+    assert 0.0 < given["real_time_factor"] <= 1.0
+    assert all(isinstance(given[key], float) for key in ("real_time_factor", "command_timeout_s", "watchdog_s"))
 
 
 def run(code: str, **environment: Any) -> subprocess.Popen[str]:

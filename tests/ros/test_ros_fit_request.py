@@ -8,11 +8,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="thinshell_ros needs the ROS message packages")
 
-from sim_core.errors import ThinshellError
+from sim_core.errors import ConfigError, ThinshellError
 from sim_core.rigs import Rig, list_parameters, load_rig
 from sysid.fit.multistart import Step
 from thinshell_ros.fit_process import Failed, Share, Succeeded
-from thinshell_ros.fit_request import FitRequest, fit_request, topic_names, with_topics
+from thinshell_ros.fit_request import FitRequest, fit_request, numbers_of, topic_names, with_topics
 from thinshell_ros.fit_state import FitState
 
 NONE: dict[str, Any] = {
@@ -194,3 +194,26 @@ def test_topics_that_a_recording_does_not_have_are_refused(rig: Rig, tmp_path: P
 def test_initial_values_outside_the_bounds_are_those_of_the_request(rig: Rig, tmp_path: Path) -> None:
     with pytest.raises(ThinshellError, match=r"fit.initial has 3e\+09 for strip.E_pa, .* 4e\+09 to inf. Start within"):
         request_of(rig, tmp_path, fit__parameters=["strip.E"], fit__initial=[3e9], fit__lower=[4e9])
+
+
+@pytest.mark.parametrize(
+    ("typed", "numbers"),
+    [
+        ([4.0e9], [4.0e9]),
+        (["4.0e9", "1e3"], [4.0e9, 1e3]),
+        ([4, 5], [4.0, 5.0]),
+        ("4.0e9", [4.0e9]),
+        (4.0, [4.0]),
+        ([], []),
+        ("", []),
+        (None, []),
+    ],
+)
+def test_numbers_are_taken_as_they_are_typed(typed: Any, numbers: list[float]) -> None:
+    assert numbers_of(typed, "fit.initial") == numbers
+
+
+@pytest.mark.parametrize("typed", [["stiff"], [True], "stiff", [b"\x01"]])
+def test_what_is_no_list_of_numbers_is_refused(typed: Any) -> None:
+    with pytest.raises(ConfigError, match=r"fit.initial is .*Give a list of numbers"):
+        numbers_of(typed, "fit.initial")

@@ -1,6 +1,8 @@
 """The loop around the physics: requests, answers, failures. Needs no ROS."""
 
+import math
 import multiprocessing
+import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,21 +16,11 @@ import pytest
 
 from sim_core.errors import ConvergenceError
 from sim_core.rigs import load_rig, with_parameters
-from thinshell_ros.health import CommandLog, physics_report, recording_report
-from thinshell_ros.physics import (
-    Batch,
-    Done,
-    Loop,
-    Pause,
-    Physics,
-    Ready,
-    Reset,
-    Settings,
-    Status,
-    Stop,
-    Target,
-)
+from thinshell_ros.health import Announcer, CommandLog, Report, physics_report, recording_report, topics_report
+from thinshell_ros.loop import Loop
+from thinshell_ros.physics import RETRY_S, Physics
 from thinshell_ros.poses import Pose
+from thinshell_ros.protocol import Batch, Done, Pause, Ready, Reset, Settings, Status, Step, Stop, Target
 from thinshell_ros.sampling import Reading
 from thinshell_ros.streams import channels_of
 from thinshell_ros.worker import Worker
@@ -38,7 +30,7 @@ TROUBLE = "The step did not converge."
 
 
 @dataclass
-class Report:
+class FakeReport:
     iterations: int = 3
     residual_n: float = 1e-9
     contacts: int = 2
@@ -47,7 +39,12 @@ class Report:
 
 @dataclass
 class FakePhysics:
-    """Steps of 10 ms that cost nothing; fails when told."""
+    """Steps of 10 ms that cost ``cost_s``; fails when told."""
+
+    dt: float = 0.01
+    failure: Any = None
+    behind: tuple[float, float] = (0.0, 0.0)
+    cost_s: float = 0.0
 
     ids: dict[str, Any] = field(default_factory=dict)
     rest: dict[str, Any] = field(default_factory=lambda: {"cell": np.zeros(6)})
@@ -55,11 +52,12 @@ class FakePhysics:
     fails: bool = False
     targets: list[Target] = field(default_factory=list)
 
-    def step(self) -> tuple[list[Reading], Report, int]:
+    def step(self) -> tuple[list[Reading], FakeReport, int]:
         if self.fails:
             raise ConvergenceError(TROUBLE)
-        self.time += 0.01
-        return [Reading("cell", self.time, np.full(6, self.time))], Report(), 1
+        time.sleep(self.cost_s)
+        self.time += self.dt
+        return [Reading("cell", self.time, np.full(6, self.time))], FakeReport(), 1
 
     def aim(self, target: Target) -> None:
         self.targets.append(target)
@@ -71,15 +69,16 @@ class FakePhysics:
 class Bench:
     """A loop in a thread, and the other end of its pipe."""
 
-    def __init__(self) -> None:
+    def __init__(self, factor: float = 1.0) -> None:
         self.physics = FakePhysics()
+        self._factor = factor
         self.link, far = multiprocessing.Pipe()
         self.thread = threading.Thread(target=self._run, args=(far,))
         self.thread.start()
 
     def _run(self, far: Connection) -> None:
         try:
-            Loop(far, self.physics).run()  # type: ignore[arg-type]
+            Loop(far, self.physics, self._factor).run()  # type: ignore[arg-type]
         except (EOFError, OSError):
             pass
 
@@ -125,7 +124,7 @@ def test_it_keeps_real_time_and_says_how_it_is_doing(bench: Bench) -> None:
     assert 0.3 < status.real_time_factor < 1.2
 
 
-def test_a_pause_stops_time_and_no_time_is_lost_to_it(bench: Bench) -> None:
+def test_a_pause_stops_time_and_is_left_out_of_the_stamps(bench: Bench) -> None:
     bench.link.send(Pause(1, True))
     assert bench.until(lambda a: isinstance(a, Done)) == Done(1, True, "paused")
     before = bench.physics.time
@@ -133,9 +132,56 @@ def test_a_pause_stops_time_and_no_time_is_lost_to_it(bench: Bench) -> None:
     assert not [a for a in answers if isinstance(a, Batch)]
     assert [a for a in answers if isinstance(a, Status)], "it goes on to say how it is doing"
     bench.link.send(Pause(2, False))
-    assert bench.until(lambda a: isinstance(a, Batch)).simulated_s == pytest.approx(before + 0.01)
+    first = bench.until(lambda a: isinstance(a, Batch))
+    assert first.simulated_s == pytest.approx(before + 0.01)
+    assert 0.6 < first.skipped_s < 3.0, "stamps are the wall clock's again"
     bench.drain(0.2)
     assert bench.physics.time - before < 0.6, "it does not catch up with the time of the pause"
+
+
+def test_what_a_slow_spell_has_cost_is_told_and_then_left_out(bench: Bench) -> None:
+    bench.until(lambda a: isinstance(a, Batch))
+    bench.physics.cost_s = 0.1
+    slow = bench.until(lambda a: isinstance(a, Status) and a.lag_s > 1.0)
+    assert slow.real_time_factor < 0.9
+    bench.physics.cost_s = 0.0
+    after = bench.until(lambda a: isinstance(a, Batch) and a.skipped_s > 0.0)
+    assert after.skipped_s > 0.4
+    bench.until(lambda a: isinstance(a, Status) and a.lag_s < 0.05)
+
+
+def test_steps_are_made_on_demand_while_it_is_paused(bench: Bench) -> None:
+    bench.link.send(Step(1, 0.05))
+    refused = bench.until(lambda a: isinstance(a, Done))
+    assert not refused.success
+    assert "pause" in refused.message
+    bench.link.send(Pause(2, True))
+    bench.until(lambda a: isinstance(a, Done))
+    before = bench.physics.time
+    for number, duration, steps in ((3, 0.0, 1), (4, 0.05, 5), (5, 0.051, 6)):
+        bench.link.send(Step(number, duration))
+        batches: list[Batch] = []
+        done = bench.until(lambda a, to=batches: (isinstance(a, Batch) and to.append(a)) or isinstance(a, Done))
+        assert (done.number, done.success, len(batches)) == (number, True, steps)
+        assert f"{steps} step" in done.message
+    assert bench.physics.time == pytest.approx(before + 0.12)
+    bench.physics.fails = True
+    bench.link.send(Step(6, 0.02))
+    failed = bench.until(lambda a: isinstance(a, Done))
+    assert (failed.success, failed.message.startswith("0 of 2 steps")) == (False, True)
+
+
+@pytest.mark.parametrize(("factor", "low", "high"), [(4.0, 1.5, 4.5), (0.25, 0.1, 0.4), (0.0, 10.0, math.inf)])
+def test_faster_and_slower_than_real_time(factor: float, low: float, high: float) -> None:
+    bench = Bench(factor)
+    try:
+        bench.until(lambda a: isinstance(a, Batch))
+        begin, at = time.monotonic(), bench.physics.time
+        bench.drain(0.5)
+        assert low < (bench.physics.time - at) / (time.monotonic() - begin) < high
+    finally:
+        bench.link.close()
+        bench.thread.join(10.0)
 
 
 def test_targets_reach_the_physics(bench: Bench) -> None:
@@ -149,13 +195,25 @@ def test_targets_reach_the_physics(bench: Bench) -> None:
 def test_a_step_that_fails_is_said_and_a_reset_goes_on(bench: Bench) -> None:
     bench.until(lambda a: isinstance(a, Batch))
     bench.physics.fails = True
-    bench.until(is_status(trouble=TROUBLE))
+    bench.until(lambda a: isinstance(a, Status) and a.trouble.startswith(TROUBLE))
     at = bench.physics.time
     assert not [a for a in bench.drain(0.3) if isinstance(a, Batch)], "nothing is read while it stands still"
     bench.link.send(Reset(5))
     done = bench.until(lambda a: isinstance(a, Done))
     assert (done.number, done.success, list(done.rest)) == (5, True, ["cell"])
     assert bench.until(lambda a: isinstance(a, Batch)).simulated_s == pytest.approx(at + 0.01)
+    bench.until(is_status(trouble=""))
+
+
+def test_where_no_step_is_found_another_command_goes_on(bench: Bench) -> None:
+    bench.until(lambda a: isinstance(a, Batch))
+    bench.physics.fails = True
+    bench.until(lambda a: isinstance(a, Status) and a.trouble.startswith(TROUBLE))
+    bench.drain(RETRY_S)
+    bench.physics.fails = False
+    assert not [a for a in bench.drain(0.1) if isinstance(a, Batch)]
+    bench.link.send(Target("probe", Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))))
+    bench.until(lambda a: isinstance(a, Batch))
     bench.until(is_status(trouble=""))
 
 
@@ -205,7 +263,7 @@ def test_pressing_pushes_the_sensor_down_and_letting_go_relieves_it(physics: Phy
 def test_a_failed_step_leaves_the_state_untouched(physics: Physics, monkeypatch: pytest.MonkeyPatch) -> None:
     physics.reset()
     press(physics, 0.0095, 20)
-    before, time_before = physics._read(), physics.time
+    before = physics._read()
     simulation = physics._simulation
 
     def fail(*_: Any) -> None:
@@ -218,7 +276,39 @@ def test_a_failed_step_leaves_the_state_untouched(physics: Physics, monkeypatch:
             press(physics, 0.0094, 1)
     after = physics._read()
     assert all((before[name] == after[name]).all() for name in before)
-    assert physics.time == time_before
+
+
+def test_where_a_step_fails_the_end_effector_is_held_until_the_command_retreats(
+    physics: Physics, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    physics.reset()
+    press(physics, 0.0095, 20)
+    simulation, real, wall, tried = physics._simulation, physics._simulation.step, [0.0], []
+
+    def too_deep(frames: Any, dt: float) -> Any:
+        depth = frames["probe"][0][2]
+        if depth < 0.0094:
+            tried.append(depth)
+            wall[0] += 1.0
+            raise ConvergenceError(TROUBLE)
+        return real(frames, dt)
+
+    monkeypatch.setattr(simulation, "step", too_deep)
+    monkeypatch.setattr(physics, "_clock", lambda: wall[0])
+    before = physics.time
+    held = press(physics, 0.0080, 10)["probe"][2]
+    assert held == pytest.approx(0.0095), "the first step of 2 mm fails"
+    assert physics.time == pytest.approx(before + 10 * physics.dt), "time goes on"
+    assert physics.failure is not None
+    assert TROUBLE in physics.failure.words
+    assert len(tried) == 1, "a command that stays is not tried again"
+    press(physics, 0.0079, 5)
+    assert len(tried) == 1, "nor at once is one that goes farther"
+    wall[0] += 10.0
+    press(physics, 0.0079, 1)
+    assert len(tried) == 2, "but it is after a while"
+    assert press(physics, 0.0100, 5)["probe"][2] == pytest.approx(0.0100), "a retreat is followed at once"
+    assert physics.failure is None
 
 
 def test_time_goes_on_over_a_reset(physics: Physics) -> None:
@@ -231,7 +321,7 @@ def test_time_goes_on_over_a_reset(physics: Physics) -> None:
 def test_the_worker_never_swamps_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[Any] = []
     worker = Worker.__new__(Worker)
-    worker._targets, worker._listening, worker._number = {}, True, 0
+    worker._targets, worker._listening, worker._number, worker._inbox = {}, True, 0, queue.SimpleQueue()
     monkeypatch.setattr(worker, "_send", sent.append)
     poses = [Pose(np.array([0.0, 0.0, z]), np.array([0.0, 0.0, 0.0, 1.0])) for z in range(100)]
     for pose in poses:
@@ -261,22 +351,64 @@ def test_what_the_diagnostics_say() -> None:
     assert "reset" in failed.message
     assert physics_report(good, "The physics process ended with code -9.", 5).level == "error"
     assert physics_report(Status(False, "", 1.0, 1.0, not_finite=3), "", 5).level == "warn"
+    late = physics_report(Status(False, "", 1.0, 1.0, lag_s=3.2), "", 5)
+    assert (late.level, late.values["lag_s"]) == ("warn", "3.2")
+    assert "3.20 s behind" in late.message
+    half = Status(False, "", 1.0, 0.5)
+    assert physics_report(half, "", 5, wanted=0.5).level == "ok"
+    assert "2.5 s so far" in physics_report(good, "", 5, silent_s=2.5).message
 
 
 def test_rejections_are_a_warning_once_and_counted_for_good() -> None:
     log = CommandLog()
     assert log.report(0.0).message == "waiting for a target"
-    log.accept(10.0)
+    log.accept("probe", 10.0)
     log.reject("not finite")
     log.reject("too far")
     report = log.report(10.5)
     assert report.level == "warn"
     assert report.message == "2 targets rejected, the last: too far"
     assert (report.values["command_age_s"], report.values["dropped_commands"]) == ("0.5", "2")
-    later = log.report(11.5)
+    assert log.report(11.5).level == "warn", "the last that came was rejected"
+    log.accept("probe", 12.0)
+    later = log.report(12.1)
     assert (later.level, later.values["dropped_commands"], later.values["last_rejection"]) == (
         "ok", "2", "too far",
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("now", "status", "commanders", "said"),
+    [
+        (56.0, None, 1, "no target of probe for 46 s"),
+        (10.1, Status(False, TROUBLE, 1.0, 1.0), 1, "not carried out"),
+        (10.1, Status(False, "", 1.0, 1.0, behind_m=0.12), 1, "0.12 m and 0 rad behind the target"),
+        (10.1, None, 2, "2 publishers"),
+    ],
+)
+def test_commands_that_are_stale_or_not_followed_are_a_warning(
+    now: float, status: Status | None, commanders: int, said: str
+) -> None:
+    log = CommandLog(timeout_s=0.5)
+    log.accept("probe", 10.0)
+    assert log.report(10.1, Status(False, "", 1.0, 1.0)).level == "ok"
+    report = log.report(now, status, commanders)
+    assert report.level == "warn"
+    assert said in report.message
+
+
+def test_a_fault_that_stays_is_told_from_time_to_time() -> None:
+    announcer = Announcer()
+    good, bad = Report("commands", "ok", ""), Report("commands", "warn", "x")
+    told = [announcer.is_news(*pair) for pair in ((good, 0.0), (bad, 1.0), (bad, 2.0), (bad, 40.0), (good, 41.0))]
+    assert told == [False, True, False, True, True]
+
+
+def test_who_else_publishes_is_said() -> None:
+    assert topics_report({}).level == "ok"
+    report = topics_report({"/current_pose": ["/real_arm"], "/wrench": ["/real_arm"]})
+    assert report.level == "error"
+    assert report.message.startswith("/real_arm also publishes on /current_pose, /wrench.")
 
 
 def test_a_recorder_says_what_is_missing() -> None:

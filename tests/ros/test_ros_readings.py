@@ -41,6 +41,22 @@ def test_latency_shifts_the_stamp_and_holds_the_reading_back() -> None:
     np.testing.assert_allclose([v for _, v in readings], [ramp(t - 0.03) for t, _ in readings], atol=1e-12)
 
 
+@pytest.mark.parametrize(("rate", "dt"), [(60.0, 0.01), (30.0, 0.02), (100.0, 0.02), (100.0, 1.0), (50.0, 0.02)])
+def test_readings_are_given_out_evenly_and_not_before_they_are_known(rate: float, dt: float) -> None:
+    sampler = Sampler({"cell": replace(WRENCH, rate_hz=rate)}, None, step_s=dt)
+    sampler.restart(0.0, {"cell": ramp(0.0)})
+    times = np.arange(1, round(3.0 / dt) + 1) * dt
+    known, released = [], []
+    for t in times:
+        for reading in sampler.advance(float(t), {"cell": ramp(float(t))}):
+            known.append(t)
+            released.append(reading.release_s)
+    np.testing.assert_allclose(np.diff(released), 1.0 / rate, atol=1e-9)
+    wait = np.array(released) - known
+    assert wait.min() == pytest.approx(0.0, abs=1e-6), "none waits for longer than it must"
+    assert wait.max() <= dt
+
+
 def test_noise_has_the_stated_size_and_is_the_same_for_the_same_seed() -> None:
     noisy = replace(WRENCH, rate_hz=1000.0, noise=np.array([0.1] * 3 + [0.0] * 3))
     times = np.arange(1, 2001) * 0.001
@@ -100,6 +116,7 @@ def test_the_topics_to_record() -> None:
         "side/marker_tracks": True,
         "side/camera_info": True,
         "side/image/compressed": False,
+        "events": False,
     }
 
 
@@ -110,13 +127,15 @@ def test_a_tare_averages_the_last_readings_and_a_restart_takes_it_back() -> None
     tare.restart({"cell": ramp(1.0), "pad": rest})
     assert (tare.offset("cell") == 0.0).all(), "a wrench is relative to nothing until it is zeroed"
     assert (tare.offset("pad") == rest).all()
-    assert tare.zero() == ["cell", "pad"]
+    assert tare.zero(0.0) == ["cell", "pad"]
     for k in range(30):
         tare.take("cell", ramp(float(k)))
         tare.take("pad", rest + k)
         tare.take("unknown", rest)
-    assert tare.zero() == []
+    assert tare.zero(5.0) == []
     np.testing.assert_allclose(tare.offset("cell"), ramp(24.5))
+    assert (tare.offset("cell", 5.0) == 0.0).all(), "readings from before are as they were"
+    assert (tare.offset("cell", 5.1) == tare.offset("cell")).all()
     np.testing.assert_allclose(tare.offset("pad"), rest + 24.5)
     tare.restart({"cell": ramp(1.0), "pad": rest})
     assert (tare.offset("cell") == 0.0).all()

@@ -7,12 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ros_live import RIG, Client, NodeProcess
+from rosbags.rosbag2 import Reader
 
 from sim_core.rigs import load_rig
 from sysid.observations.rig_topics import topics_of
 from sysid.recording import read_recording
+from thinshell_ros.bagfile import TYPESTORE
 
 pytestmark = pytest.mark.ros
+
+
+def skips(bag: Path) -> int:
+    """How often stamps left out time in which the simulation did not keep up: on a busy machine it may not."""
+    with Reader(bag) as reader:
+        messages = [
+            TYPESTORE.deserialize_cdr(raw, c.msgtype) for c, _, raw in reader.messages() if c.topic == "/events"
+        ]
+    return sum(status.name.endswith("skip") for message in messages for status in message.status)
 
 
 def test_a_press_is_recorded_whole_and_reads_back(
@@ -33,7 +44,8 @@ def test_a_press_is_recorded_whole_and_reads_back(
     for _, name, stream in recording.streams():
         steps = np.diff(stream.t)
         if name not in recording.target_poses or stream.topic.endswith("current_pose"):
-            np.testing.assert_allclose(steps, np.median(steps), rtol=1e-6, err_msg=stream.topic)
+            odd = np.abs(steps - np.median(steps)) > 1e-6
+            assert odd.sum() <= skips(tmp_path / "press"), stream.topic
     force = recording.wrenches["pad_wrench"].force
     assert force[:, 2].min() < -0.1
     assert abs(force[-1, 2]) < 0.02

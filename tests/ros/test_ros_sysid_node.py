@@ -13,8 +13,9 @@ from ros_live import Client, NodeProcess, group
 
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import load_experiment
-from sysid.fit import FitOptions, fit_bags
+from sysid.fit import FitOptions
 from sysid.simulate import simulate_to_bag
+from sysid.workflow import fit_bags
 
 pytestmark = pytest.mark.ros
 
@@ -118,6 +119,24 @@ def running(fitter: Fitter, node: NodeProcess) -> Callable[[], tuple[str, int]]:
         return answer.message, worker
 
     return start
+
+
+def test_numbers_can_be_set_and_emptied_as_they_are_typed(node: NodeProcess, fitter: Fitter) -> None:
+    """The types that ``ros2 param set`` makes of [4.0e9], [] and [stiff]."""
+    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+    from rcl_interfaces.srv import SetParameters
+
+    def set_initial(value: ParameterValue) -> Any:
+        request = SetParameters.Request(parameters=[Parameter(name="fit.initial", value=value)])
+        return fitter.call(SetParameters, "tactile_sysid/set_parameters", request).results[0]
+
+    words = ParameterType.PARAMETER_STRING_ARRAY
+    assert set_initial(ParameterValue(type=words, string_array_value=["4.0e9"])).successful
+    assert set_initial(ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[4e9])).successful
+    assert set_initial(ParameterValue(type=ParameterType.PARAMETER_BOOL_ARRAY)).successful
+    refused = set_initial(ParameterValue(type=words, string_array_value=["stiff"]))
+    assert not refused.successful
+    assert "Give a list of numbers" in refused.reason
 
 
 def test_a_fit_tells_how_far_it_is_and_gives_what_the_library_gives(

@@ -1,0 +1,120 @@
+"""What the node and the physics process say to each other. No ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sim_core.rigs import Rig
+from thinshell_ros.poses import Floats, Pose
+from thinshell_ros.sampling import Reading
+from thinshell_ros.streams import Channel
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the process needs to know. ``seed``: of the noise, None for none. ``real_time_factor``: wanted simulated
+    time per wall time, 0 for as fast as it can."""
+
+    rig: Rig
+    channels: dict[str, Channel]
+    seed: int | None
+    max_speed_m_s: float
+    max_turn_rate_rad_s: float
+    real_time_factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class Target:
+    """Request: move an end effector towards a pose."""
+
+    end_effector: str
+    pose: Pose
+
+
+@dataclass(frozen=True)
+class Reset:
+    """Request, answered by ``Done``: back to the start."""
+
+    number: int
+
+
+@dataclass(frozen=True)
+class Pause:
+    """Request, answered by ``Done``: stop or go on."""
+
+    number: int
+    paused: bool
+
+
+@dataclass(frozen=True)
+class Step:
+    """Request, answered by ``Done`` after the readings: while paused, advance by the whole steps that ``duration_s``
+    [s] takes, one at least."""
+
+    number: int
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Request: end the process."""
+
+
+Request = Target | Reset | Pause | Step | Stop
+
+
+@dataclass(frozen=True)
+class Ready:
+    """The scene stands. ``ids``: numbers of markers; ``rest``: readings at the start, without noise."""
+
+    ids: dict[str, np.ndarray]
+    rest: dict[str, Floats]
+
+
+@dataclass(frozen=True)
+class Done:
+    """Answer to a request. ``rest``: new readings at the start after a reset."""
+
+    number: int
+    success: bool
+    message: str
+    rest: dict[str, Floats] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Status:
+    """How the simulation is doing. Numbers are over the steps since the last status.
+
+    ``trouble``: why it stands still, or why the end effectors are held, '' if neither. ``lag_s``: wall time by which
+    simulated time is behind [s]; ``behind_m`` and ``behind_rad``: how far the speed limits keep an end effector from
+    its target [m, rad]; ``residual_n``: largest at the end of a step [N].
+    """
+
+    paused: bool
+    trouble: str
+    simulated_s: float
+    real_time_factor: float
+    steps: int = 0
+    iterations: int = 0
+    residual_n: float = 0.0
+    contacts: int = 0
+    min_gap_m: float = float("inf")
+    not_finite: int = 0
+    lag_s: float = 0.0
+    behind_m: float = 0.0
+    behind_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Readings that became due in a step that ended at ``simulated_s`` [s]. ``skipped_s``: wall time that simulated
+    time has left out since the start [s]."""
+
+    simulated_s: float
+    readings: list[Reading]
+    skipped_s: float = 0.0
+
+
+Answer = Ready | Done | Status | Batch
