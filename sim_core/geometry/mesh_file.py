@@ -96,8 +96,9 @@ def _solid(
             )
         else:
             (kind,) = kinds
-            points = np.asarray(mesh.points, dtype=float)[:, :3] * UNITS[unit]
+            points = _vertices(mesh) * UNITS[unit]
             tets = np.vstack([block.data for block in mesh.cells if block.type == kind]).astype(np.int64)
+            _check_numbers(points, tets)
             checks.check_finite(points)
             points, tets = checks.without_unused(points, tets, notes)
             checks.check_extent(points, unit, UNITS)
@@ -147,7 +148,7 @@ def filled(points: np.ndarray, triangles: np.ndarray, edge_m: float) -> tuple[np
 
 def _triangles(mesh: Any, unit: str, weld: bool | None, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Vertices [m] and triangles, checked but for their orientation."""
-    points = np.asarray(mesh.points, dtype=float)
+    points = _vertices(mesh)
     points = np.pad(points, ((0, 0), (0, 3 - points.shape[1]))) * UNITS[unit]
     triangles = [block.data for block in mesh.cells if block.type == "triangle"]
     quads = [block.data for block in mesh.cells if block.type == "quad"]
@@ -161,6 +162,7 @@ def _triangles(mesh: Any, unit: str, weld: bool | None, notes: list[str]) -> tup
         notes.append(f"{sum(len(q) for q in quads)} quadrilaterals were cut into triangles.")
         triangles += [np.vstack([q[:, [0, 1, 2]], q[:, [0, 2, 3]]]) for q in quads]
     cells = np.vstack(triangles).astype(np.int64)
+    _check_numbers(points, cells)
     checks.check_finite(points)
     points, cells = checks.without_unused(points, cells, notes)
     checks.check_extent(points, unit, UNITS)
@@ -168,6 +170,26 @@ def _triangles(mesh: Any, unit: str, weld: bool | None, notes: list[str]) -> tup
     checks.check_distinct(cells, "triangles")
     checks.check_triangles(points, cells)
     return points, cells
+
+
+def _vertices(mesh: Any) -> np.ndarray:
+    """Vertices as in the file ``(n, 2)`` or ``(n, 3)``."""
+    points = np.asarray(mesh.points, dtype=float)
+    if points.ndim != 2 or not len(points) or points.shape[1] not in (2, 3):
+        raise ConfigError(
+            f"has vertices of the shape {points.shape}.", "Give vertices with two or three coordinates each."
+        )
+    return points
+
+
+def _check_numbers(points: np.ndarray, cells: np.ndarray) -> None:
+    """Elements have corners that are there."""
+    wrong = cells[(cells < 0) | (cells >= len(points))]
+    if wrong.size:
+        raise ConfigError(
+            f"has an element with the corner {int(wrong[0])}, and {len(points)} vertices, counted from 0.",
+            "Export it again: the file is damaged.",
+        )
 
 
 def _groups(mesh: Any, scale: float) -> dict[str, np.ndarray]:
@@ -192,6 +214,11 @@ def _inside(corners: np.ndarray, box: np.ndarray) -> np.ndarray:
 def _read(path: Path) -> Any:
     import meshio
 
+    if path.suffix.lower() == ".ply":
+        with path.open("rb") as file:
+            # meshio looks for this line for ever.
+            if not any(line.strip() == b"end_header" for line in file):
+                raise ConfigError("cannot be read as a mesh: its header has no end.", "Export it again.")
     shown = io.StringIO()
     try:
         # meshio prints what is wrong and ends the process.

@@ -16,10 +16,12 @@ import signal
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
+import meshio
 import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
@@ -29,6 +31,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_typestore
 
 from sim_core.errors import ThinshellError
+from sim_core.geometry.mesh_file import read_sheet
 from sim_core.rigs import config_folder, load_rig
 from sysid.observations.checks import examine
 from sysid.recording import RecordingWriter, read_recording
@@ -80,6 +83,12 @@ def sound(folder: Path) -> dict[str, Path]:
     found["csv"].write_text("\n".join([header, *rows]) + "\n")
     found["rig"] = folder / "rig.yaml"
     found["rig"].write_text((config_folder() / "rigs" / "card_press.yaml").read_text())
+    points = np.array([[x, y, 0.0] for x in range(4) for y in range(3)])
+    cells = [[3 * i + j, 3 * i + j + 3, 3 * i + j + 4, 3 * i + j + 1] for i in range(3) for j in range(2)]
+    triangles = np.array([[a, b, c] for a, b, c, d in cells] + [[a, c, d] for a, b, c, d in cells])
+    for name in ("obj", "stl", "ply"):
+        found[f"mesh_{name}"] = folder / f"sheet.{name}"
+        meshio.Mesh(points, [("triangle", triangles)]).write(found[f"mesh_{name}"])
     found["picture"] = folder / "picture.png"
     cv2.imwrite(str(found["picture"]), image)
     return found
@@ -125,6 +134,13 @@ def _try(name: str, original: Path, data: bytes, folder: Path) -> None:
         path = folder / "rig.yaml"
         path.write_bytes(data)
         load_rig(path)
+        return
+    if name.startswith("mesh"):
+        path = folder / original.name
+        path.write_bytes(data)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            read_sheet(path, "mm")
         return
     if name == "picture":
         path = folder / "pictures"

@@ -30,7 +30,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 NAMES = (
     "mcap", "mcap_records", "mcap_plain", "mcap_lz4", "db3", "db3_messages", "metadata", "rosbag1", "csv", "rig",
-    "picture",
+    "picture", "mesh_obj", "mesh_stl", "mesh_ply",
 )  # fmt: skip
 
 
