@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
-
-if TYPE_CHECKING:
-    from sim_core.effects import Effect
 
 
 def effects(
@@ -46,54 +43,48 @@ def effects(
         print("\n'thinshell effects NAME' tells all about one.")
 
 
-def _described(effect: Effect) -> dict[str, Any]:
+def _described(effect: Any) -> dict[str, Any]:
     """What the registry says of an effect."""
 
     def finite(value: float | None) -> float | None:
         return value if value is not None and math.isfinite(value) else None
 
-    parameters = [
-        {
-            "name": p.name,
-            "unit": p.unit,
-            "lower": finite(p.lower),
-            "upper": finite(p.upper),
-            "vanishes_at": None if p.vanishing is None else f"{p.vanishing:g}",
-            "words": p.words,
-        }
-        for p in effect.parameters
-    ]
     return {
         "name": effect.name,
         "title": effect.title,
         "slot": effect.slot,
-        "follows": effect.follows,
-        "needs": effect.needs,
         "words": effect.words,
         "signature": effect.signature,
         "source": effect.source,
+        "follows": effect.follows,
+        "passive": effect.passive,
+        "needs": effect.needs,
         "twins": list(effect.twins),
         "separated_by": effect.separated_by,
-        "parameters": parameters,
-    }
+        "parameters": [
+            {"name": p.name, "unit": p.unit, "lower": finite(p.lower), "upper": finite(p.upper),
+             "vanishes_at": None if p.vanishing is None else str(p.vanishing), "words": p.words}
+            for p in effect.parameters
+        ],
+    }  # fmt: skip
 
 
 def _in_full(effect: dict[str, Any]) -> str:
-    lines = [f"{effect['name']}: {effect['title']}", "", effect["words"], ""]
-    rows = [
-        ("acts on", effect["slot"]),
-        ("needs", effect["needs"]),
-        ("left out, it looks", effect["signature"]),
-        ("mistaken for", ", ".join(effect["twins"])),
-        ("told apart by", effect["separated_by"]),
-        ("source", effect["source"]),
-    ]
-    lines += [f"{label}: {text}" for label, text in rows if text]
-    lines += ["", "parameters"]
+    lines = [f"{effect['name']}: {effect['title']} (acts on: {effect['slot']})", "", effect["words"], ""]
+    lines += [f"Left out of a model: {effect['signature']}"] if effect["signature"] else []
+    if effect["twins"]:
+        lines.append(f"Easily mistaken for {', '.join(effect['twins'])}. To tell them apart: {effect['separated_by']}")
+    elif effect["separated_by"]:
+        lines.append(f"To make sure of it: {effect['separated_by']}")
+    lines += [f"Source: {effect['source']}"] if effect["source"] else []
+    passive = "it can only take up energy" if effect["passive"] else "it may give energy"
+    lines += [f"It needs {effect['needs']}, follows the {effect['follows']}, and {passive}.", "", "parameters"]
     for p in effect["parameters"]:
-        bounds = " to ".join("any" if p[end] is None else f"{p[end]:g}" for end in ("lower", "upper"))
         vanishes = f"; does nothing at {p['vanishes_at']}" if p["vanishes_at"] is not None else ""
-        lines += [f"  {p['name']} [{p['unit']}]  {bounds}{vanishes}", f"      {p['words']}"]
+        bounds = " to ".join("any" if p[end] is None else f"{p[end]:g}" for end in ("lower", "upper"))
+        lines.append(f"  {p['name']} [{p['unit']}]  {bounds}{vanishes}")
+        lines.append(f"      {p['words']}")
     first = ", ".join(f"{p['name']}: ..." for p in effect["parameters"])
-    lines += ["", "in a rig file", f"  effects: {{{effect['name']}: {{{first}}}}}"]
+    lines += ["", "in a rig file (on one target alone: NAME@TARGET, several of a kind: NAME@TARGET#LABEL)"]
+    lines += [f"  effects: {{{effect['name']}: {{{first}}}}}"]
     return "\n".join(lines)
