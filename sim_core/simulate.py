@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from sim_core.commands import driven_frames
 from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.offset import with_offsets
@@ -15,6 +16,7 @@ from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Observer, frame_of
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State, StepReport, advance
+from sim_core.state_history import StateHistory, StateRecorder
 
 MAX_HALVINGS = 5
 """A step that does not converge is retried as 2, 4, ... up to 2^5 shorter ones."""
@@ -31,7 +33,8 @@ class Trace:
     """Readings of all channels at the instants of the steps.
 
     ``times`` [s] ``(n,)``; ``outputs``: channel to ``(n, ...)``; ``kinds``: channel to 'wrench',
-    'markers' or 'tracks'; ``ids``: marker numbers; ``reports``: one a step (``n - 1``).
+    'markers' or 'tracks'; ``ids``: marker numbers; ``reports``: one a step (``n - 1``); ``states``: node positions,
+    frames, contact forces and slip at the same instants, where they were asked for.
     """
 
     times: np.ndarray
@@ -39,6 +42,7 @@ class Trace:
     kinds: dict[str, str]
     ids: dict[str, np.ndarray]
     reports: tuple[StepReport, ...]
+    states: StateHistory | None = None
 
     def at(self, channel: str, times: np.ndarray) -> np.ndarray:
         """Readings at any times [s], linear between steps, held at the ends: ``(k, ...)``."""
@@ -215,13 +219,16 @@ def simulate(
     times: np.ndarray,
     on_step: Callable[[int, int], None] | None = None,
     settings: NewtonSettings | None = None,
+    *,
+    keep_states: bool = False,
 ) -> Trace:
     """Drive the scene along ``poses`` (by end effector) and read every channel at ``times`` [s].
 
-    ``on_step(done, total)`` is called after each step. Raises ``ConvergenceError`` when a step does
-    not converge even in small parts.
+    ``on_step(done, total)`` is called after each step. ``keep_states``: the trace has :attr:`Trace.states`, which take
+    48 bytes a node and instant and 24 more for each declared contact. Raises ``ConvergenceError`` when a step does not
+    converge even in small parts.
     """
-    return run(Simulation(scene, settings), poses, times, on_step)
+    return run(Simulation(scene, settings), poses, times, on_step, keep_states=keep_states)
 
 
 def run(
@@ -230,22 +237,29 @@ def run(
     times: np.ndarray,
     on_step: Callable[[int, int], None] | None = None,
     on_reset: Callable[[], None] | None = None,
+    *,
+    keep_states: bool = False,
 ) -> Trace:
     """As :func:`simulate`, with a simulation at hand; it is reset first, then ``on_reset`` is called."""
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
 
-    def frames(k: int) -> dict[str, Frame]:
-        return {name: frame_of(p[k], q[k]) for name, (p, q) in tracks.items()}
-
-    simulation.reset(frames(0))
+    commanded = [{name: frame_of(p[k], q[k]) for name, (p, q) in tracks.items()} for k in range(len(times))]
+    frames = driven_frames(simulation.scene.rig, commanded, times)
+    simulation.reset(frames[0])
     if on_reset is not None:
         on_reset()
+    recorder = StateRecorder(simulation) if keep_states else None
     readings = [simulation.read()]
+    if recorder is not None:
+        recorder.take()
     reports = []
     for k in range(1, len(times)):
-        reports.append(simulation.step(frames(k), float(times[k] - times[k - 1])))
+        reports.append(simulation.step(frames[k], float(times[k] - times[k - 1])))
         readings.append(simulation.read())
+        if recorder is not None:
+            recorder.take()
         if on_step is not None:
             on_step(k, len(times) - 1)
     outputs = {c: np.stack([r[c] for r in readings]) for c in readings[0]}
-    return Trace(times, outputs, simulation.observer.kinds, simulation.observer.ids, tuple(reports))
+    states = None if recorder is None else recorder.history()
+    return Trace(times, outputs, simulation.observer.kinds, simulation.observer.ids, tuple(reports), states)

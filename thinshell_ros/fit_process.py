@@ -18,9 +18,9 @@ from shutil import rmtree
 from typing import Any
 
 from sim_core.errors import ThinshellError
-from sysid.fit import fit_bags
 from sysid.fit.multistart import Step
 from sysid.io.atomic_folder import unfinished
+from sysid.workflow import fit_bags
 from thinshell_ros.fit_request import FitRequest
 
 TIDIED = "ignore:resource_tracker"

@@ -20,7 +20,8 @@ from sysid.recording.notes import Notes
 
 @dataclass(frozen=True)
 class FitRequest:
-    """Arguments of :func:`sysid.fit.fit_bags`. ``rig``: at the values where the fit starts; ``out``: new folder."""
+    """Arguments of :func:`sysid.workflow.fit_bags`. ``rig``: at the values where the fit starts; ``out``: a folder that
+    does not exist."""
 
     rig: Rig
     bags: tuple[Path, ...]

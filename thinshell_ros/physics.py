@@ -55,23 +55,20 @@ class Physics:
     """
 
     def __init__(self, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
-        from sim_core.effects import active_effects
+        from sim_core.commands import CommandChain
         from sim_core.scene.scene import build_scene
         from sim_core.simulate import Simulation
-        from sysid.model.sensor_streams import total_delay
+        from sysid.model.sensor_streams import reported, total_delay
 
         rig = settings.rig
         self._settings = settings
         self._clock = clock
         self.dt = rig.solver.dt_s
         self._simulation = Simulation(build_scene(rig))
-        effects = active_effects(rig)
+        self._commands = CommandChain(rig)
 
         def amend(channel: Channel, stamp: float, values: Floats) -> Floats:
-            one, stamps = values[None], np.array([stamp])
-            for effect, given in effects:
-                one = one + effect.added_to_output(rig, channel.name, channel.kind, stamps, given)
-            return np.asarray(one[0])
+            return np.asarray(reported(rig, channel.name, channel.kind, np.array([stamp]), values[None])[0])
 
         channels = {
             name: c if c.kind == "pose" else replace(c, latency_s=total_delay(rig, name, c.kind))
@@ -91,6 +88,7 @@ class Physics:
         start = self._simulation.scene.start
         self._poses = {name: _pose(start[name]) for name in self._settings.rig.end_effectors}
         self._targets = dict(self._poses)
+        self._commands.begin({n: (p.position, p.rotation()) for n, p in self._poses.items()})
         self.failure: Failure | None = None
         self.behind = (0.0, 0.0)
         readings = self._read()
@@ -159,12 +157,14 @@ class Physics:
         """A step in which the end effectors go to ``poses``. Where it fails, the state is that before."""
         simulation = self._simulation
         state, frames, system = simulation.state, dict(simulation.frames), simulation.scene.system
-        deflections = system.deflections.copy()
+        deflections, commands = system.deflections.copy(), self._commands.kept()
+        commanded = {n: (p.position, p.rotation()) for n, p in poses.items()}
         try:
-            return simulation.step({n: (p.position, p.rotation()) for n, p in poses.items()}, self.dt)
+            return simulation.step(self._commands.advance(commanded, self.dt), self.dt)
         except ConvergenceError:
             simulation.state, simulation.frames = state, frames
             system.x[:], system.deflections[:] = state.x, deflections
+            self._commands.restore(commands)
             raise
 
 

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from sim_core.contact.added_laws import AddedLaws
 from sim_core.contact.broad_phase import Candidates
 from sim_core.contact.edge_kernels import (
     add_energy,
@@ -30,8 +31,7 @@ from sim_core.contact.edge_kernels import (
     measure,
     sides,
 )
-from sim_core.contact.friction_derivatives import potential_of, pressure_and_slope
-from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, coefficients, friction_coefficient, set_guard, set_law, slide
+from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, coefficients, normal_law, set_guard, set_law, slide
 from sim_core.contact.local_frame_derivatives import AtRest, Loads, Pairs, exerted, framed_derivatives, memory_places
 from sim_core.contact.local_frame_kernels import Frames
 from sim_core.contact.measures import Measures, SharedAreas, SquaredLengths
@@ -86,6 +86,7 @@ class EdgeContact:
         self._candidates = Candidates(*sides, offset, distance, once=theirs is None)
         self._keys = np.empty(0, dtype=np.int64)
         self._c = coefficients(offset)
+        self.laws = AddedLaws(bears=False)
         self._count = np.zeros(1, dtype=np.int32)
         self._exact = np.zeros(1, dtype=np.int32)
         self._keep, self._way = np.zeros(1), np.ones(1)
@@ -155,6 +156,7 @@ class EdgeContact:
     def configure(self, parameters: Mapping[str, float]) -> None:
         set_law(self._c, parameters)
         self._c[RANGE] *= EDGE_RANGE
+        self.laws.configure(parameters)
 
     def guard(self, on: bool) -> None:
         """Distances without sign and the law itself, or with sign and a law that bears overlap."""
@@ -201,7 +203,7 @@ class EdgeContact:
         self._sides()
         self._start()
         self._frames()
-        self._limit[:count] = friction_coefficient(self._c, speed) * load
+        self._limit[:count] = self.laws.bound(self._c, load, self._area[:count], speed).value
         self._spring[:count] = self._c[STIFFNESS] * self._area[:count] * self._lag.fade[:count, 0]
 
     def _remembered(self, internals: Internals) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -296,11 +298,12 @@ class EdgeContact:
         start, end = step.x_start[nodes], self._x[nodes]
         memory, then = (_places_of(known, self._keys[some]) for known in (internals, after))
         _, load, speed = (old[some] for old in self._remembered(internals))
-        push, steep = pressure_and_slope(self._c, self._now.gap[some])
+        _, push, steep = normal_law(self._c, self._now.gap[some])
+        bound = self.laws.bound(self._c, load, area, speed)
         fade, by_fade = self._now.fade[some].T
         pairs = Pairs(
             nodes, np.arange(4), np.ones((len(some), 4)), end - start, self._limit[some],
-            self._spring[some], memory, then, self._anchor[some], load, speed, area * fade * push,
+            self._spring[some], memory, then, self._anchor[some], bound, area * fade * push,
         )  # fmt: skip
         turned = (self._c[STIFFNESS] * area * self._lag.fade[some, 1])[:, None, None] * _parallel_derivative(start)
         self._frames_by.of_edges(start, self._lag.at[some], self._lag.direction[some], turned)
@@ -309,19 +312,23 @@ class EdgeContact:
         loads = -(area * fade * steep)[:, None, None] * shares[..., None] * self._now.direction[some][:, None]
         loads += (area * by_fade * push)[:, None, None] * _parallel_derivative(end)
         sizes = (len(self._x), sum(a.size for a in internals.values()), sum(a.size for a in after.values()))
-        by, total = Loads(loads, nodes, area * fade * steep), exerted(self.add_gradient, self._buffers)
+        by, total = Loads(loads, nodes, area * fade * steep, loads), exerted(self.add_gradient, self._buffers)
         opening = shares[..., None] * self._now.direction[some][:, None], _parallel_derivative(end)
-        at_rest = self._at_rest(some, push, *opening)
+        at_rest = self._at_rest(some, push, bound.by_area, *opening)
         return framed_derivatives(pairs, self._frames_by, by, at_rest, total, self._c, step.dt, sizes)
 
-    def _at_rest(self, some: np.ndarray, push: np.ndarray, opening: np.ndarray, spread: np.ndarray) -> AtRest:
+    def _at_rest(
+        self, some: np.ndarray, push: np.ndarray, by_area: np.ndarray, opening: np.ndarray, spread: np.ndarray
+    ) -> AtRest:
         """Derivatives of some pairs by what is measured at rest: of A m psi by A, and by e of the mollifier, with
-        y = c/e, dm/de = -y dm/dc and d2m/dcde = (4 y - 2) / e^2. ``push``: pressures [Pa]; ``opening``, ``spread``:
-        derivatives of gaps and of c = |u x v|^2 by the ends ``(n, 4, 3)``."""
+        y = c/e, dm/de = -y dm/dc and d2m/dcde = (4 y - 2) / e^2. ``push``: pressures [Pa]; ``by_area``: derivatives of
+        the friction bounds; ``opening``, ``spread``: derivatives of gaps and of c = |u x v|^2 by the ends ``(n, 4,
+        3)``."""
         e, area = self._parallel[some], self._area[some]
-        stored = potential_of(self._c, self._now.gap[some])
+        stored = normal_law(self._c, self._now.gap[some])[0]
         spring, load, pressing = [], [], []
         now, lag = self._now.fade[some], self._lag.fade[some]
+        limit = [by_area, np.zeros_like(by_area)]
         wide = [1.0 - 0.5 * fade[:, 1] * e for fade in (now, lag)]
         mixed = np.where(now[:, 1] > 0.0, (4.0 * wide[0] - 2.0) / e**2, 0.0)
         for scale, fade, slope, before in (
@@ -332,7 +339,7 @@ class EdgeContact:
             load.append(scale * fade * push)
             bend = scale * slope * stored
             pressing.append(bend[:, None, None] * spread - load[-1][:, None, None] * opening)
-        return self._by_measures(some, [np.stack(a, axis=-1) for a in (spring, load, pressing)])
+        return self._by_measures(some, [np.stack(a, axis=-1) for a in (spring, limit, load, pressing)])
 
     def _by_measures(self, some: np.ndarray, by: list[np.ndarray]) -> AtRest:
         """From derivatives by A and e, last axis, to those by the measures of both edges of a pair."""
@@ -351,8 +358,10 @@ class EdgeContact:
             parts += [(1, ours + theirs + first, lengths[0]), (1, 2 * ours + theirs + second, lengths[1])]
         which = [k for k, _, _ in parts]
         share = np.column_stack([s for _, _, s in parts])
-        spring, load, pressing = (b[..., which] * share.reshape(len(share), *([1] * (b.ndim - 2)), -1) for b in by)
-        return AtRest(spring, load, pressing, np.column_stack([column for _, column, _ in parts]), count)
+        spring, bound, load, pressing = (
+            b[..., which] * share.reshape(len(share), *([1] * (b.ndim - 2)), -1) for b in by
+        )
+        return AtRest(spring, bound, load, pressing, np.column_stack([column for _, column, _ in parts]), count)
 
     def initial_internals(self) -> Internals:
         return {"pair": np.empty(0), "anchor": np.empty((0, 3)), "load": np.empty(0), "slip_speed": np.empty(0)}

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_core.contact.law import CORE, EXCESS, MU, RANGE, SLIP_SCALE, STIFFNESS
 from sim_core.energies.linearised import dot
 
 
 @dataclass(frozen=True)
-class Rubbing:
+class FrictionDerivatives:
     """Friction of n samples: ``force`` [N] and new elastic ``slip`` [m], ``(n, 3)``, and derivatives by w, m, limit
     and spring of the force, of the slip (``(n, 3, .)`` each) and of the slip speed ``(n, 1, .)``."""
 
@@ -33,7 +32,9 @@ class Rubbing:
         return np.asarray(by[0] @ w + by[1] @ m)
 
 
-def rubbing(w: np.ndarray, m: np.ndarray, limit: np.ndarray, spring: np.ndarray, dt: float) -> Rubbing:
+def friction_derivatives(
+    w: np.ndarray, m: np.ndarray, limit: np.ndarray, spring: np.ndarray, dt: float
+) -> FrictionDerivatives:
     """Differentiate the law, F = u f; what changes with |u| alone changes along e = u / |u|. Without a limit nothing
     holds, moved or not."""
     along = dot(m, w)
@@ -67,42 +68,10 @@ def rubbing(w: np.ndarray, m: np.ndarray, limit: np.ndarray, spring: np.ndarray,
     shares = (np.where(beyond, by / far, 0.0) for by in (by_limit, by_spring))
     speeds = (-rate * by for by in (by_limit, by_spring))
     row = (rate[:, None] * e)[:, None, :]
-    return Rubbing(
+    return FrictionDerivatives(
         u * pull[:, None],
         u * kept[:, None],
         (*by_slip(pull, by_length[0]), *((u * by[:, None])[..., None] for by in pulls)),
         (*by_slip(kept, by_length[1]), *((u * by[:, None])[..., None] for by in shares)),
         (row @ in_plane, row @ turned, *(by[:, None, None] for by in speeds)),
     )
-
-
-def limit_derivatives(c: np.ndarray, load: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of mu(speed) * load by load and by speed."""
-    bump = c[EXCESS] * np.exp(-((speed / c[SLIP_SCALE]) ** 2))
-    return c[MU] * (1.0 + bump), -2.0 * c[MU] * bump * speed / c[SLIP_SCALE] ** 2 * load
-
-
-def limits_by_numbers(c: np.ndarray, load: np.ndarray, speed: np.ndarray) -> dict[str, np.ndarray]:
-    """Derivatives of mu(speed) * load by the numbers of friction."""
-    bump = np.exp(-((speed / c[SLIP_SCALE]) ** 2))
-    return {"friction": (1.0 + c[EXCESS] * bump) * load, "static_excess": c[MU] * bump * load}
-
-
-def pressure_and_slope(c: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pressure [Pa] and -dp/dg [Pa/m] at gaps [m] ``(n,)``, as :mod:`sim_core.contact.law` has them."""
-    s = gap / c[RANGE]
-    e = np.maximum(s, c[CORE])
-    inside = s < 1.0
-    steep = c[STIFFNESS] * (1.0 / (e * e) - 1.0)
-    push = c[STIFFNESS] * c[RANGE] * (1.0 - e) ** 2 / e + (e - s) * c[RANGE] * steep
-    return np.where(inside, push, 0.0), np.where(inside, steep, 0.0)
-
-
-def potential_of(c: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """Energy per area [J/m^2] at gaps [m] ``(n,)``, as :mod:`sim_core.contact.law` has it."""
-    s = gap / c[RANGE]
-    e = np.maximum(s, c[CORE])
-    over = e - s
-    stored = -np.log(e) + 2.0 * e - 0.5 * e * e - 1.5
-    stored += over * ((1.0 - e) ** 2 / e + 0.5 * over * (1.0 / (e * e) - 1.0))
-    return np.where(s < 1.0, c[STIFFNESS] * c[RANGE] ** 2 * stored, 0.0)

@@ -20,8 +20,8 @@ lambda_n, at |u| = u_c = 2 mu lambda_n / (k A), y = |u| / u_c:
 so a resting contact holds its load without creep (a velocity-regularised law creeps) and the
 threshold does not depend on direction. The force has no kink where sliding begins (it is IPC's f_1, of the
 slip instead of the velocity), so a contact that stops at its limit has one tangent. Wriggers, Computational
-Contact Mechanics, 2nd ed., sec. 4.2 and 10.5 (elastic slip, return mapping). Static above kinetic friction:
-mu = mu_k (1 + a exp(-(v/v_s)^2)) with the slip speed v of the last step.
+Contact Mechanics, 2nd ed., sec. 4.2 and 10.5 (elastic slip, return mapping). Effects may add pressures and change the
+friction bound (:mod:`sim_core.contact.added_laws`).
 """
 
 from collections.abc import Mapping
@@ -29,12 +29,12 @@ from collections.abc import Mapping
 import numpy as np
 import taichi as ti
 
-from sim_core.kernels import mat3, vec3
+from sim_core.kernels import F1, F2, mat3, vec3
 
-STIFFNESS, RANGE, CORE, MU, EXCESS, SLIP_SCALE, OFFSET, BLEND, GUARD = range(9)
+STIFFNESS, RANGE, CORE, MU, OFFSET, BLEND, GUARD, REACH = range(8)
 """Layout of the coefficient array of every contact term. ``OFFSET`` [m]: distance at which the gap is zero;
 ``BLEND`` [m]: width over which distances to several triangles are blended; ``GUARD``: 1 where distances have
-no sign, because nothing has crossed."""
+no sign, because nothing has crossed; ``REACH`` [m]: gap from which on no pressure acts, of effects neither."""
 
 CORE_GUARDED, CORE_FREE = 1e-3, 0.2
 """Share of the range below which the law is straight: where nothing crosses, and where iterates may overlap."""
@@ -42,7 +42,7 @@ CORE_GUARDED, CORE_FREE = 1e-3, 0.2
 
 def coefficients(offset: float) -> np.ndarray:
     """Coefficient array of a term whose gap is zero at the distance ``offset`` [m]."""
-    c = np.zeros(9)
+    c = np.zeros(8)
     c[OFFSET] = offset
     set_guard(c, True)
     return c
@@ -60,16 +60,6 @@ def set_law(c: np.ndarray, parameters: Mapping[str, float]) -> None:
     c[RANGE] = parameters["range_m"]
     c[MU] = parameters["friction"]
     c[OFFSET] = parameters.get("offset_m", c[OFFSET])
-    c[EXCESS] = parameters.get("static_excess", 0.0)
-    c[SLIP_SCALE] = parameters.get("slip_speed_scale_m_s", 1.0)
-
-
-def friction_coefficient(c: np.ndarray, slip_speed: np.ndarray) -> np.ndarray:
-    """mu after a step in which points slid at ``slip_speed`` [m/s]."""
-    mu = np.full(len(slip_speed), c[MU])
-    if c[EXCESS] > 0.0:
-        mu *= 1.0 + c[EXCESS] * np.exp(-((slip_speed / c[SLIP_SCALE]) ** 2))
-    return mu
 
 
 def slide(
@@ -124,6 +114,23 @@ def slope(g: ti.f64, c: ti.template()):
         e = ti.max(s, c[CORE])
         out = c[STIFFNESS] * (1.0 / (e * e) - 1.0)
     return out
+
+
+@ti.kernel
+def _evaluate(gap: F1, c: F1, out: F2):
+    ti.loop_config(serialize=True)
+    for s in range(gap.shape[0]):
+        out[s, 0] = potential(gap[s], c)
+        out[s, 1] = pressure(gap[s], c)
+        out[s, 2] = slope(gap[s], c)
+
+
+def normal_law(c: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Energy per area [J/m^2], pressure [Pa] and -dp/dg [Pa/m] at gaps [m] ``(n,)``."""
+    out = np.zeros((len(gap), 3))
+    if len(gap):
+        _evaluate(np.ascontiguousarray(gap), c, out)
+    return out[:, 0], out[:, 1], out[:, 2]
 
 
 @ti.func

@@ -10,12 +10,12 @@ Frames and friction are differentiated by :mod:`sim_core.contact.local_frame_ker
 is passed on to the nodes that the points are made of.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim_core.contact.friction_derivatives import limit_derivatives, limits_by_numbers
+from sim_core.contact.added_laws import Bound
 from sim_core.contact.law import STIFFNESS
 from sim_core.contact.local_frame_kernels import Frames
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, gathered, placed
@@ -24,10 +24,11 @@ from sim_core.energies.term import Buffers
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs of one step that press or rub. ``nodes`` ``(n, k)``: of the four points; ``point`` ``(k,)``: which one a
-    node belongs to, with the ``weights`` ``(n, k)``; ``move``: of the points [m] ``(n, 4, 3)``; ``memory``, ``after``:
-    places of (anchor, load, slip speed) in the old and in the new internal variables ``(n, 5)`` each, -1 where there is
-    none; ``anchor`` ``(n, 3)``, ``load``, ``speed``: old; ``load_now``: at the end."""
+    """Pairs of one step that press or slide against each other. ``nodes`` ``(n, k)``: of the four points; ``point``
+    ``(k,)``: which one a node belongs to, with the ``weights`` ``(n, k)``; ``move``: of the points [m] ``(n, 4, 3)``;
+    ``memory``, ``after``: places of (anchor, load, slip speed) in the old and in the new internal variables ``(n, 5)``
+    each, -1 where there is none; ``anchor`` ``(n, 3)``: old; ``bound``: on friction, by the old load and slip speed;
+    ``load_now``: at the end."""
 
     nodes: np.ndarray
     point: np.ndarray
@@ -38,8 +39,7 @@ class Pairs:
     memory: np.ndarray
     after: np.ndarray
     anchor: np.ndarray
-    load: np.ndarray
-    speed: np.ndarray
+    bound: Bound
     load_now: np.ndarray
 
     @property
@@ -50,21 +50,26 @@ class Pairs:
 @dataclass(frozen=True)
 class Loads:
     """Derivatives of the loads of pairs at the end of a step: by ``nodes`` ``(n, q)`` [N/m] ``(n, q, 3)``, and by the
-    distance without gap [N/m] ``(n,)``. Load is the derivative of the energy by that distance, so the former are also
-    the derivatives of the nodes' forces by it."""
+    distance without gap [N/m] ``(n,)``. ``forces_by_offset``: of the nodes' normal forces by that distance, of added
+    pressures too [N/m] ``(n, q, 3)``. ``added``: normal forces on the nodes by added pressures [N] ``(n, q, 3)``;
+    ``added_by``: their derivatives by numbers."""
 
     by_nodes: np.ndarray
     nodes: np.ndarray
     by_offset: np.ndarray
+    forces_by_offset: np.ndarray
+    added: np.ndarray | None = None
+    added_by: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class AtRest:
-    """Derivatives of pairs by ``r`` measures of the shape at rest each: of their springs and of their loads at the end
-    ``(n, r)``, and of the pressing forces on the nodes of the loads ``(n, q, 3, r)``. ``columns``: which measures, int
-    ``(n, r)``, of ``count``."""
+    """Derivatives of pairs by ``r`` measures of the shape at rest each: of their springs, of their friction bounds and
+    of their loads at the end ``(n, r)``, and of the pressing forces on the nodes of the loads ``(n, q, 3, r)``.
+    ``columns``: which measures, int ``(n, r)``, of ``count``."""
 
     spring: np.ndarray
+    bound: np.ndarray
     load: np.ndarray
     pressing: np.ndarray
     columns: np.ndarray
@@ -85,12 +90,11 @@ def framed_derivatives(
     ``sizes``: number of nodes, of old and of new internal variables."""
     count, whole = len(pairs.limit), 3 * sizes[0]
     old, new = sizes[1:]
-    law = np.zeros((count, 6, 2))
+    law = np.zeros((count, 5, 2))
     law[:, 0, 0], law[:, 0, 1] = pairs.limit, pairs.spring
-    law[:, 1, 0], law[:, 2, 0] = limit_derivatives(c, pairs.load, pairs.speed)
-    by_number = limits_by_numbers(c, pairs.load, pairs.speed)
-    law[:, 3, 0], law[:, 4, 0] = by_number["friction"], by_number["static_excess"]
-    law[:, 5, 1] = pairs.spring / c[STIFFNESS]
+    law[:, 1, 0], law[:, 2, 0] = pairs.bound.by_load, pairs.bound.by_speed
+    law[:, 3, 0] = 1.0
+    law[:, 4, 1] = pairs.spring / c[STIFFNESS]
     force, force_start, force_along, *slips = frames.rub(pairs.move, pairs.anchor, law, dt)
     slip_start, slip_end, slip_along = slips
     weights, point = pairs.weights, pairs.point
@@ -113,37 +117,52 @@ def framed_derivatives(
     along = rows(np.where(rubs[:, None, None], force_along, 0.0))
     pushed, pushed_at = loads.by_nodes.reshape(count, 1, -1), axes_of(loads.nodes)
 
-    def number(k: int, pressed: float) -> ByNumber:
-        """Along direction ``k``, and a change of the pressure (as a share)."""
+    def by_bound(change: np.ndarray) -> ByNumber:
+        """Along changes of the friction bounds."""
+        memory = gathered((slip_along[hold, :, 5] * change[hold, None], slides[hold]), size=new)
+        return ByNumber(gathered((along[..., 5] * change[:, None], axes), size=whole), memory, np.zeros(3))
+
+    def by_stiffness() -> ByNumber:
+        """Of springs, and of the pressure that keeps the surfaces apart."""
+        share = 1.0 / c[STIFFNESS]
         memory = gathered(
-            (slip_along[hold, :, k], slides[hold]), (pressed * pairs.load_now[kept], pairs.after[kept, 3]), size=new
+            (slip_along[hold, :, 6], slides[hold]), (share * pairs.load_now[kept], pairs.after[kept, 3]), size=new
         )
-        return ByNumber(gathered((along[..., k], axes), size=whole) + pressed * normal, memory, np.zeros(3))
+        return ByNumber(gathered((along[..., 6], axes), size=whole) + share * normal, memory, np.zeros(3))
 
     normal = total - gathered((rows(np.where(rubs[:, None], force, 0.0))[..., 0], axes), size=whole)
+    if loads.added is not None:
+        normal = normal - gathered((loads.added.reshape(count, -1), pushed_at), size=whole)
     numbers = {
-        "friction": number(5, 0.0),
-        "static_excess": number(6, 0.0),
-        "stiffness_pa_per_m": number(7, 1.0 / c[STIFFNESS]),
+        **{name: by_bound(change) for name, change in pairs.bound.by_number.items()},
+        **{
+            name: ByNumber(gathered((by.reshape(count, -1), pushed_at), size=whole), np.zeros(new), np.zeros(3))
+            for name, by in loads.added_by.items()
+        },
+        "stiffness_pa_per_m": by_stiffness(),
         "offset_m": ByNumber(
-            gathered((pushed[:, 0], pushed_at), size=whole),
+            gathered((loads.forces_by_offset.reshape(count, -1), pushed_at), size=whole),
             gathered((loads.by_offset[kept], pairs.after[kept, 3]), size=new),
             np.zeros(3),
         ),
     }
     start = rubs.nonzero()[0]
     sprung = np.where(pairs.spring > 0.0, pairs.spring, np.inf) / c[STIFFNESS]  # along the last direction
-    stiffer = (at_rest.spring / sprung[:, None])[:, None]
+    stiffer, wider = (at_rest.spring / sprung[:, None])[:, None], at_rest.bound[:, None]
     measured = at_rest.columns
     return Linearised(
         numbers=numbers,
         force_rest=placed(
-            (along[..., -1:] * stiffer, axes, measured),
+            (along[..., 6:] * stiffer + along[..., 5:6] * wider, axes, measured),
             (at_rest.pressing.reshape(count, -1, measured.shape[1]), pushed_at, measured),
             shape=(whole, at_rest.count),
         ),
         memory_rest=placed(
-            (slip_along[hold, :, -1:] * stiffer[hold], slides[hold], measured[hold]),
+            (
+                slip_along[hold, :, 6:] * stiffer[hold] + slip_along[hold, :, 5:6] * wider[hold],
+                slides[hold],
+                measured[hold],
+            ),
             (at_rest.load[kept, None], pairs.after[kept, 3:4], measured[kept]),
             shape=(new, at_rest.count),
         ),

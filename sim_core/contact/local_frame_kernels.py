@@ -11,8 +11,9 @@ import taichi as ti
 
 from sim_core.kernels import F1, F2, F3, I1, I2, BoundKernel, mat3, vec3
 
-ALONG = 8
-"""Directions beyond positions: the anchor (3), load and slip speed before, and three numbers of the law."""
+ALONG = 7
+"""Directions beyond positions: the anchor (3), load and slip speed before, the friction bound itself, and the
+spring."""
 
 
 @ti.func
@@ -197,9 +198,9 @@ def rub(
     force: F2, force_start: F3, force_along: F3, slip_start: F3, slip_end: F3, slip_along: F3,
 ):  # fmt: skip
     """Friction of pairs and its derivatives. ``motion``: of the four points; ``law[n, k]``: limit and spring (k = 0),
-    and their changes along the directions 3 to 7 of :data:`ALONG` (k = 1 to 5); ``dspring``: change of the spring by
+    and their changes along the directions 3 to 6 of :data:`ALONG` (k = 1 to 4); ``dspring``: change of the spring by
     the twelve components of z. Writes the ``force`` on the points ``(n, 12)`` and its derivatives by the start
-    ``(12, 12)`` and along the others ``(12, 8)``; of the new elastic slip and the slip speed, four rows, those by
+    ``(12, 12)`` and along the others ``(12, 7)``; of the new elastic slip and the slip speed, four rows, those by
     start, end and the others."""
     ti.loop_config(serialize=True)
     for n in range(count[0]):
@@ -300,7 +301,7 @@ class Frames:
             np.zeros((n, 2), dtype=np.int32),
             np.zeros((n, 2)),
         )
-        self._law, self._dspring = np.zeros((n, 6, 2)), np.zeros((n, 12))
+        self._law, self._dspring = np.zeros((n, 5, 2)), np.zeros((n, 12))
         frames = np.zeros((n, 13, 36)), np.zeros((n, 13, 3))
         self._found = (
             *(np.zeros((n, 12)), np.zeros((n, 12, 12)), np.zeros((n, 12, ALONG))),
@@ -341,7 +342,7 @@ class Frames:
         return count
 
     def rub(self, motion: np.ndarray, anchor: np.ndarray, law: np.ndarray, dt: float) -> list[np.ndarray]:
-        """What :func:`rub` writes, for the frames made last. ``law``: ``(n, 6, 2)``."""
+        """What :func:`rub` writes, for the frames made last. ``law``: ``(n, 5, 2)``."""
         count = len(motion)
         self._motion[:count], self._anchor[:count] = motion.reshape(count, 12), anchor
         self._law[:count], self._dt[0] = law, dt

@@ -19,13 +19,14 @@ import numpy as np
 import taichi as ti
 from scipy.spatial.transform import Rotation
 
+from sim_core.contact.added_laws import AddedLaws
 from sim_core.contact.continuous_collision import point_shape_way
 from sim_core.contact.law import (
     OFFSET,
     RANGE,
+    REACH,
     STIFFNESS,
     coefficients,
-    friction_coefficient,
     friction_force,
     friction_potential,
     friction_stiffness,
@@ -101,6 +102,7 @@ def _energy(
     y_start: F2,
     anchor: F2,
     normal: F2,
+    added: F2,
     out: F1,
 ):
     ti.loop_config(serialize=True)
@@ -108,7 +110,7 @@ def _energy(
         r = _rotation(rotation)
         d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
         distance, _n, _second = signed_distance(r.transpose() @ d, shape)
-        e = areas[s] * potential(distance - c[OFFSET], c)
+        e = areas[s] * (potential(distance - c[OFFSET], c) + added[s, 0])
         if limit[s] > 0.0:
             u, _t = _slip(d, r, s, y_start, anchor, normal)
             e += friction_potential(u, limit[s], c[STIFFNESS] * areas[s])
@@ -128,11 +130,12 @@ def _forces(
     y_start: F2,
     anchor: F2,
     normal: F2,
+    added: F2,
     force: F2,
     load: F1,
     gap: F1,
 ):
-    """Force on each sample [N], its normal part [N] and the gap [m]."""
+    """Force on each sample [N], the part of it that keeps the surfaces apart [N], and the gap [m]."""
     ti.loop_config(serialize=True)
     for s in range(nodes.shape[0]):
         r = _rotation(rotation)
@@ -140,7 +143,7 @@ def _forces(
         distance, n, _second = signed_distance(r.transpose() @ d, shape)
         gap[s] = distance - c[OFFSET]
         load[s] = areas[s] * pressure(gap[s], c)
-        f = load[s] * (r @ n)
+        f = (load[s] + areas[s] * added[s, 1]) * (r @ n)
         if limit[s] > 0.0:
             u, _t = _slip(d, r, s, y_start, anchor, normal)
             f -= friction_force(u, limit[s], c[STIFFNESS] * areas[s])
@@ -171,6 +174,7 @@ def _hessian(
     y_start: F2,
     anchor: F2,
     normal: F2,
+    added: F2,
     exact: I1,
     slots: I2,
     out: F1,
@@ -181,12 +185,15 @@ def _hessian(
         d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
         distance, n, second = signed_distance(r.transpose() @ d, shape)
         g = distance - c[OFFSET]
-        touching = g < c[RANGE]
+        touching = g < c[REACH]
         if touching or limit[s] > 0.0:
             m = r @ n
-            k = areas[s] * slope(g, c) * m.outer_product(m)
+            steep = slope(g, c) + added[s, 2]
+            if exact[0] == 0:
+                steep = ti.max(steep, 0.0)
+            k = areas[s] * steep * m.outer_product(m)
             if exact[0] == 1:
-                k -= areas[s] * pressure(g, c) * (r @ second @ r.transpose())
+                k -= areas[s] * (pressure(g, c) + added[s, 1]) * (r @ second @ r.transpose())
             if limit[s] > 0.0:
                 u, t = _slip(d, r, s, y_start, anchor, normal)
                 stiff = friction_stiffness(u, limit[s], c[STIFFNESS] * areas[s], t)
@@ -204,6 +211,16 @@ def _hessian(
                                     at = slots[at_block, 3 * i + j]
                                     out[at] = out[at] + w * k[i, j]
                     n_block += 1
+
+
+@ti.kernel
+def _gaps(x: F2, rotation: F2, nodes: I2, weights: F2, shape: F1, c: F1, gap: F1):
+    """Gap of each sample [m]."""
+    ti.loop_config(serialize=True)
+    for s in range(nodes.shape[0]):
+        d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
+        distance, _n, _second = signed_distance(_rotation(rotation).transpose() @ d, shape)
+        gap[s] = distance - c[OFFSET]
 
 
 @ti.kernel
@@ -229,6 +246,7 @@ class RigidContact:
         self.body_node = body_node
         self.measures: list[Measures] = [] if samples.shared is None else [samples.shared]
         """What is measured at rest: areas of the samples."""
+        self.samples = samples
         count = len(samples.areas)
         body = np.full((count, 1), body_node, dtype=np.int32)
         self._nodes = np.ascontiguousarray(np.hstack([samples.nodes, body]), dtype=np.int32)
@@ -239,6 +257,8 @@ class RigidContact:
         self._rotation = rotation.copy()
         self._rotation_start = rotation.copy()
         self._c = coefficients(samples.offset)
+        self.laws = AddedLaws()
+        self._added = np.zeros((count, 3))
         self._keep, self._way = np.zeros(1), np.ones(1)
         self._y, self._dy = np.zeros((count, 3)), np.zeros((count, 3))
         self._limit, self._load, self._gap = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -255,13 +275,15 @@ class RigidContact:
         self._x_start = np.zeros_like(buffers.x)
         self._surface = ShapeSurface(self._shape, len(self._areas))
         surface = (self._rotation, self._nodes, self._weights)
-        laws = (self._areas, self._shape, self._c, self._limit, self._y_start, self._anchor, self._normal)
+        laws = (self._areas, self._shape, self._c, self._limit, self._y_start, self._anchor, self._normal, self._added)
         self._start = BoundKernel(
             _start, self._x_start, self._rotation_start, self._nodes, self._weights, self._shape,
             self._rotation, self._y_start, self._normal,
         )  # fmt: skip
-        self.add_energy = BoundKernel(_energy, buffers.x, *surface, *laws, buffers.energy)
-        self._forces = BoundKernel(_forces, buffers.x, *surface, *laws, self._force, self._load, self._gap)
+        self._energy = BoundKernel(_energy, buffers.x, *surface, *laws, buffers.energy)
+        self._exert = BoundKernel(_forces, buffers.x, *surface, *laws, self._force, self._load, self._gap)
+        measured = (self._shape, self._c, self._gap)
+        self._gaps = BoundKernel(_gaps, buffers.x, *surface, *measured)
         self._gradient = BoundKernel(_gradient, self._nodes, self._weights, self._force, buffers.gradient)
         self._hessian = BoundKernel(_hessian, buffers.x, *surface, *laws, self._exact, slots, buffers.hessian)
         self._free = BoundKernel(_free_way, self._y, self._dy, self._shape, self._c, self._keep, self._way)
@@ -273,6 +295,8 @@ class RigidContact:
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         set_law(self._c, parameters)
+        self.laws.configure(parameters)
+        self._c[REACH] = max(self._c[RANGE], self.laws.reach())
 
     def guard(self, on: bool) -> None:
         """The law itself, or one that bears overlap."""
@@ -284,7 +308,7 @@ class RigidContact:
         self._rotation_start[:] = internals["rotation"]
         self._anchor[:] = internals["anchor"]
         self._start()
-        self._limit[:] = friction_coefficient(self._c, internals["slip_speed"]) * internals["load"]
+        self._limit[:] = self.laws.bound(self._c, internals["load"], self._areas, internals["slip_speed"]).value
 
     @property
     def rotation(self) -> np.ndarray:
@@ -318,11 +342,26 @@ class RigidContact:
         self._free()
         return float(self._way[0])
 
+    def _add_laws(self) -> None:
+        """Bring what effects add up to date with the positions."""
+        if self.laws.presses:
+            self._gaps()
+            self.laws.write_normal(self._gap, self._added)
+
+    def _forces(self) -> None:
+        self._add_laws()
+        self._exert()
+
+    def add_energy(self) -> None:
+        self._add_laws()
+        self._energy()
+
     def add_gradient(self) -> None:
         self._forces()
         self._gradient()
 
     def add_hessian(self, exact: bool) -> None:
+        self._add_laws()
         self._exact[0] = exact
         self._hessian()
 
@@ -366,7 +405,7 @@ class RigidContact:
             *(self._nodes, self._weights, self._areas, before, now),
             *(internals["rotation"], self._rotation, self._limit, step.dt),
         )
-        return rigid_derivatives(here, self._c, self._surface, internals, len(self._x))
+        return rigid_derivatives(here, self._c, self.laws, self._surface, internals, len(self._x))
 
     def sample_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the samples are [m] and the force on each of them [N], both ``(n, 3)``, at ``buffers.x``."""

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import taichi as ti
 
-from sim_core.contact.friction_derivatives import limit_derivatives, limits_by_numbers, pressure_and_slope, rubbing
-from sim_core.contact.law import OFFSET, RANGE, STIFFNESS
+from sim_core.contact.added_laws import AddedLaws
+from sim_core.contact.friction_derivatives import friction_derivatives
+from sim_core.contact.law import OFFSET, REACH, STIFFNESS, normal_law
 from sim_core.contact.shapes import signed_distance
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, cross, gathered, placed, places, skew
 from sim_core.energies.term import Internals
@@ -66,9 +67,9 @@ class ShapeSurface:
 
 
 def rigid_derivatives(
-    at: RigidStep, c: np.ndarray, surface: ShapeSurface, internals: Internals, n_nodes: int
+    at: RigidStep, c: np.ndarray, laws: AddedLaws, surface: ShapeSurface, internals: Internals, n_nodes: int
 ) -> Linearised:
-    """Derivatives of one step; ``c``: of the term; ``surface``: of its shape; ``internals``: from before."""
+    """Derivatives of one step; ``c``, ``laws``: of the term; ``surface``: of its shape; ``internals``: from before."""
     place, size = places(internals), sum(a.size for a in internals.values())
     r = at.rotation
     turned = np.stack([(r @ skew(e)).ravel() for e in np.eye(3)], axis=-1)[None]
@@ -76,7 +77,7 @@ def rigid_derivatives(
     memory_turn = [(turned, nine, np.arange(3)[None])]
     distance, normal_now, curved_now = surface.at(at.after @ r)
     gap = distance - c[OFFSET]
-    some = np.flatnonzero((gap < c[RANGE]) | (at.limit > 0.0))
+    some = np.flatnonzero((gap < c[REACH]) | (at.limit > 0.0))
     count = len(some)
     if not count:
         return Linearised(memory_turn=placed(*memory_turn, shape=(size, 3)))
@@ -85,11 +86,15 @@ def rigid_derivatives(
     y, here = before @ at.rotation_start, after @ r
     _, normal, curved = (found[some] for found in surface.at(at.before @ at.rotation_start))
     gap, normal_now, curved_now = gap[some], normal_now[some], curved_now[some]
-    push, steep = pressure_and_slope(c, gap)
-    rub = rubbing(
+    _, push, steep = normal_law(c, gap)
+    added = np.zeros((count, 3))
+    laws.write_normal(gap, added)
+    whole_push, whole_steep = push + added[:, 1], steep + added[:, 2]
+    rub = friction_derivatives(
         anchor @ r.T + after - y @ r.T, normal @ r.T, at.limit[some], c[STIFFNESS] * areas, at.dt
     )  # fmt: skip
-    by_load, by_speed = limit_derivatives(c, load, speed)
+    bound = laws.bound(c, load, areas, speed)
+    by_load, by_speed = bound.by_load, bound.by_speed
 
     # Derivatives of w and m by: the position at the start, R_n, the anchor, a turn, the position at the end.
     twist = np.zeros((count, 3, 9))
@@ -106,10 +111,11 @@ def rigid_derivatives(
     moved = [here_by.transpose(0, 1, 2) for here_by in (np.broadcast_to(r.T, zero.shape), skew(here))]
     loads = [-(areas * steep)[:, None, None] * (normal_now[:, None] @ dy) for dy in moved]
     pressed = [
-        (normal_now @ r.T)[:, :, None] * dl + (areas * push)[:, None, None] * (r @ curved_now @ dy)
-        for dl, dy in zip(loads, moved, strict=True)
+        -(areas * whole_steep)[:, None, None] * ((normal_now @ r.T)[:, :, None] * (normal_now[:, None] @ dy))
+        + (areas * whole_push)[:, None, None] * (r @ curved_now @ dy)
+        for dy in moved
     ]
-    pressed[1] = pressed[1] - (areas * push)[:, None, None] * (r @ skew(normal_now))
+    pressed[1] = pressed[1] - (areas * whole_push)[:, None, None] * (r @ skew(normal_now))
     anchors[3] = anchors[3] + r @ skew(rub.slip @ r)
 
     axes, own = axes_of(at.nodes[some]), place["anchor"][some]
@@ -141,13 +147,13 @@ def rigid_derivatives(
     def moment(*parts: tuple[np.ndarray, np.ndarray]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         return [(arms @ block, three, column) for block, column in parts]
 
-    force = (areas * push)[:, None] * (normal_now @ r.T) - rub.force
+    force = (areas * whole_push)[:, None] * (normal_now @ r.T) - rub.force
     by_end = arms @ (pressed[0] - forces[4]) - skew(force)
     whole = 3 * n_nodes
 
     def changed(limit: np.ndarray, spring: np.ndarray, grown: np.ndarray) -> tuple[np.ndarray, ...]:
         """Of forces, elastic slips, slip speeds and moments, one row a sample, along changes of the samples' limits,
-        springs and loads."""
+        springs and normal forces."""
         turned_by = [by[2][..., 0] * limit[:, None] + by[3][..., 0] * spring[:, None] for by in
                      (rub.force_by, rub.slip_by, rub.speed_by)]  # fmt: skip
         force = turned_by[0] - grown[:, None] * (normal_now @ r.T)
@@ -155,17 +161,18 @@ def rigid_derivatives(
         slip, speed = np.where(held, turned_by[1] @ r, 0.0), np.where(held, turned_by[2], 0.0)
         return rows(force[..., None])[..., 0], slip, speed, -cross(after, force)
 
-    def number(limit: np.ndarray, spring: np.ndarray, grown: np.ndarray) -> ByNumber:
-        """Of all samples together."""
-        force, slip, speed, turning = changed(limit, spring, grown)
-        kept = gathered((slip, own), (grown, pair[:, 0]), (speed, pair[:, 1:]), size=size)
+    def number(limit: np.ndarray, spring: np.ndarray, load: np.ndarray, beside: np.ndarray) -> ByNumber:
+        """Of all samples together. ``load``: change of what keeps the surfaces apart; ``beside``: of other pressure."""
+        force, slip, speed, turning = changed(limit, spring, load + beside)
+        kept = gathered((slip, own), (load, pair[:, 0]), (speed, pair[:, 1:]), size=size)
         return ByNumber(gathered((force, axes), size=whole), kept, turning.sum(axis=0))
 
     none = np.zeros(count)
-    numbers = {q: number(limit, none, none) for q, limit in limits_by_numbers(c, load, speed).items()}
-    numbers["stiffness_pa_per_m"] = number(none, areas, areas * push / c[STIFFNESS])
-    numbers["offset_m"] = number(none, none, areas * steep)
-    wider = [a[..., None] for a in changed(none, c[STIFFNESS] * np.ones(count), push)]
+    numbers = {q: number(limit, none, none, none) for q, limit in bound.by_number.items()}
+    numbers |= {q: number(none, none, none, areas * by) for q, by in laws.normal_by(gap).items()}
+    numbers["stiffness_pa_per_m"] = number(none, areas, areas * push / c[STIFFNESS], none)
+    numbers["offset_m"] = number(none, none, areas * steep, areas * added[:, 2])
+    wider = [a[..., None] for a in changed(bound.by_area, c[STIFFNESS] * np.ones(count), whole_push)]
     sample, samples = some[:, None], len(at.areas)
     return Linearised(
         numbers=numbers,

@@ -29,15 +29,16 @@ from collections.abc import Mapping
 import numpy as np
 import scipy.sparse as sp
 
+from sim_core.contact.added_laws import AddedLaws, Bound
 from sim_core.contact.broad_phase import Candidates
-from sim_core.contact.friction_derivatives import pressure_and_slope
 from sim_core.contact.law import (
     BLEND,
     OFFSET,
     RANGE,
+    REACH,
     STIFFNESS,
     coefficients,
-    friction_coefficient,
+    normal_law,
     set_guard,
     set_law,
     slide,
@@ -82,7 +83,7 @@ class SurfaceContact:
     ) -> None:
         self.name = name
         self.bearing = bearing
-        self._samples = samples
+        self.samples = samples
         self._triangles = np.ascontiguousarray(triangles, dtype=np.int32)
         self._margin = margin_m
         self._own = np.ascontiguousarray(samples.nodes, dtype=np.int32)
@@ -98,6 +99,8 @@ class SurfaceContact:
         count = len(samples.areas)
         self._areas = np.ascontiguousarray(samples.areas)
         self._c = coefficients(offset)
+        self.laws = AddedLaws(bears=bearing == 1.0)
+        self._added = np.zeros((count, 3))
         self._limit, self._load = np.zeros(count), np.zeros(count)
         self._anchor, self._force = np.zeros((count, 3)), np.zeros((count, 3))
         self._frame = np.zeros((count, 27))
@@ -141,7 +144,7 @@ class SurfaceContact:
         now, lag, table = self._now, self._lag, buffers.pairs
         laws = (
             *(buffers.x, self._x_start, self._own, self._used, self._weights, self._triangles, self._areas, self._c),
-            *(self._limit, lag.triangles, self._frame, lag.directions, self._anchor, now.gap),
+            *(self._limit, lag.triangles, self._frame, lag.directions, self._anchor, now.gap, self._added),
         )
         here = (now.number, now.triangles, now.weights, now.directions, now.share)
         self._energy = BoundKernel(add_energy, *laws, buffers.energy)
@@ -169,7 +172,7 @@ class SurfaceContact:
     @property
     def measures(self) -> list[Measures]:
         """What is measured at rest: areas of the samples."""
-        return [] if self._samples.shared is None else [self._samples.shared]
+        return [] if self.samples.shared is None else [self.samples.shared]
 
     @property
     def offset(self) -> float:
@@ -180,6 +183,8 @@ class SurfaceContact:
         set_law(self._c, parameters)
         self._c[RANGE] *= self.bearing
         self._c[BLEND] = CREASE_ROUNDING * self._c[RANGE]
+        self.laws.configure(parameters)
+        self._c[REACH] = max(self._c[RANGE], self.laws.reach())
         self._seen_nothing()
 
     def guard(self, on: bool) -> None:
@@ -193,7 +198,7 @@ class SurfaceContact:
 
     def prepare(self, step: StepContext, towards: np.ndarray, more: bool = False) -> bool:
         """Look for candidates from the start of a step on; True when the coupled nodes changed."""
-        inner, outer = self._candidates.search(step.x_start, towards, self._c[RANGE], self._margin, more)
+        inner, outer = self._candidates.search(step.x_start, towards, self._c[REACH], self._margin, more)
         if inner:
             sample, triangle = self._candidates.pairs
             if len(triangle) > len(self._near):
@@ -226,8 +231,12 @@ class SurfaceContact:
         self._sides()
         self._start()
         self._frames()
-        mu = friction_coefficient(self._c, internals["slip_speed"])
-        self._limit[:] = np.where(self._lag.number > 0, mu * internals["load"], 0.0)
+        bound = self._bound(internals["load"], internals["slip_speed"])
+        self._limit[:] = np.where(self._lag.number > 0, bound.value, 0.0)
+
+    def _bound(self, load: np.ndarray, speed: np.ndarray, some: np.ndarray | None = None) -> Bound:
+        """Friction bounds of all samples or of ``some``."""
+        return self.laws.bound(self._c, load, self._areas if some is None else self._areas[some], speed)
 
     def _look(self) -> bool:
         """Bring the gaps up to date with the positions; False when there is nothing to touch."""
@@ -236,6 +245,8 @@ class SurfaceContact:
         if not np.array_equal(self._seen, self._x):
             self._measure()
             self._seen[:] = self._x
+            if self.laws.presses:
+                self.laws.write_normal(self._now.gap, self._added)
         return True
 
     def add_energy(self) -> None:
@@ -279,7 +290,7 @@ class SurfaceContact:
         """How far samples go past the triangles that they are over, for a move of all nodes [m] ``(n, 3)``."""
         nodes = self._triangles[self._lag.triangles[:, 0]]
         below = np.einsum("skij,skj->si", self._frame.reshape(-1, 3, 3, 3), move[nodes])
-        return np.asarray(self._samples.positions(move) - below)
+        return np.asarray(self.samples.positions(move) - below)
 
     def carried(self, internals: Internals, move: np.ndarray) -> Internals:
         """Internal variables with the springs of friction stretched by a move of the start."""
@@ -291,7 +302,7 @@ class SurfaceContact:
         if not self._look():
             return Linearised()
         now, lag = self._now, self._lag
-        some = np.flatnonzero((self._limit > 0.0) | (now.gap < self._c[RANGE]))
+        some = np.flatnonzero((self._limit > 0.0) | (now.gap < self._c[REACH]))
         if not len(some):
             return Linearised()
         count, own = len(some), self._own.shape[1]
@@ -300,18 +311,20 @@ class SurfaceContact:
         weights[:, :own] = self._weights[some]
         start, now_at = (self._points(some, nodes, x) for x in (step.x_start, self._x))
         old, new = places(internals), places(after)
-        push, steep = pressure_and_slope(self._c, now.gap[some])
+        _, push, steep = normal_law(self._c, now.gap[some])
+        bound = self._bound(internals["load"][some], internals["slip_speed"][some], some)
         pairs = Pairs(
             nodes, point, weights, now_at - start, self._limit[some], self._c[STIFFNESS] * self._areas[some],
-            memory_places(old, some), memory_places(new, some), internals["anchor"][some], internals["load"][some],
-            internals["slip_speed"][some], self._areas[some] * push,
+            memory_places(old, some), memory_places(new, some), internals["anchor"][some], bound,
+            self._areas[some] * push,
         )  # fmt: skip
         self._frames_by.of_triangles(start, lag.kind[some, 0], lag.weights[some, :3], lag.directions[some, :3])
         sizes = (len(self._x), sum(a.size for a in internals.values()), sum(a.size for a in after.values()))
         loads, opening = self._load_derivatives(some, steep)
+        whole = push + self._added[some, 1]
         at_rest = AtRest(
-            self._c[STIFFNESS] * np.ones((count, 1)), push[:, None],
-            -push[:, None, None, None] * opening[..., None], some[:, None], len(self._areas),
+            self._c[STIFFNESS] * np.ones((count, 1)), bound.by_area[:, None], push[:, None],
+            -whole[:, None, None, None] * opening[..., None], some[:, None], len(self._areas),
         )  # fmt: skip
         total = exerted(self.add_gradient, self._buffers)
         return framed_derivatives(pairs, self._frames_by, loads, at_rest, total, self._c, step.dt, sizes)
@@ -332,9 +345,18 @@ class SurfaceContact:
         at = now.weights[some, : 3 * most].reshape(-1, most, 3)
         corners = -(at[..., None] * towards[:, :, None]).reshape(len(some), 3 * most, 3)
         nodes = np.hstack([self._own[some], self._triangles[now.triangles[some, :most]].reshape(len(some), -1)])
-        stiff = self._areas[some] * steep
         opening = np.hstack([own, corners])
-        return Loads(-stiff[:, None, None] * opening, nodes, stiff), opening
+
+        def closing(per_area: np.ndarray) -> np.ndarray:
+            """Forces dE/dx of the nodes for pressures or slopes of the samples."""
+            return np.asarray(-(self._areas[some] * per_area)[:, None, None] * opening)
+
+        added = self._added[some]
+        by = {name: closing(change) for name, change in self.laws.normal_by(now.gap[some]).items()}
+        loads = Loads(
+            closing(steep), nodes, self._areas[some] * steep, closing(steep + added[:, 2]), closing(added[:, 1]), by
+        )
+        return loads, opening
 
     def initial_internals(self) -> Internals:
         count = len(self._areas)
@@ -342,7 +364,7 @@ class SurfaceContact:
 
     def sample_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Sample positions [m] and the force on each sample [N] at the last gradient, ``(n, 3)`` each."""
-        return self._samples.positions(self._x), self._force.copy()
+        return self.samples.positions(self._x), self._force.copy()
 
     def contacts(self) -> tuple[int, float]:
         """Number of loaded samples and smallest gap [m] at the last gradient."""

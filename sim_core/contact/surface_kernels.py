@@ -11,7 +11,7 @@ from sim_core.contact.law import (
     BLEND,
     GUARD,
     OFFSET,
-    RANGE,
+    REACH,
     STIFFNESS,
     friction_force,
     friction_potential,
@@ -150,11 +150,11 @@ def _elastic_slip(
 @ti.kernel
 def add_energy(
     x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_a: F2,
-    lag_n: F2, anchor: F2, gap: F1, out: F1,
+    lag_n: F2, anchor: F2, gap: F1, added: F2, out: F1,
 ):  # fmt: skip
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
-        e = areas[s] * potential(gap[s], c)
+        e = areas[s] * (potential(gap[s], c) + added[s, 0])
         if limit[s] > 0.0:
             u, _t = _elastic_slip(x, x_start, own, used, weights, triangles, lag, lag_a, lag_n, anchor, s)
             e += friction_potential(u, limit[s], c[STIFFNESS] * areas[s])
@@ -164,18 +164,19 @@ def add_energy(
 @ti.kernel
 def add_gradient(
     x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_a: F2,
-    lag_n: F2, anchor: F2, gap: F1, number: I1, chosen: I2, at: F2, direction: F2, share: F2,
+    lag_n: F2, anchor: F2, gap: F1, added: F2, number: I1, chosen: I2, at: F2, direction: F2, share: F2,
     force: F2, load: F1, out: F2,
 ):  # fmt: skip
-    """Also write the force on each sample [N] and its normal part [N]."""
+    """Also write the force on each sample [N] and the part of it that keeps the surfaces apart [N]."""
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
         load[s] = areas[s] * pressure(gap[s], c)
         for j in range(3):
             force[s, j] = 0.0
-        if load[s] > 0.0:
+        whole = load[s] + areas[s] * added[s, 1]
+        if whole != 0.0:
             for m in range(number[s]):
-                push = share[s, m] * load[s]
+                push = share[s, m] * whole
                 for j in range(3):
                     force[s, j] = force[s, j] + push * direction[s, 3 * m + j]
                 for k in range(3):
@@ -192,7 +193,7 @@ def add_gradient(
                 back = _frame(lag_a, s, k).transpose() @ rub
                 for j in range(3):
                     out[i, j] = out[i, j] - back[j]
-        if load[s] > 0.0 or limit[s] > 0.0:
+        if whole != 0.0 or limit[s] > 0.0:
             for a in range(used[s]):
                 for j in range(3):
                     out[own[s, a], j] = out[own[s, a], j] - weights[s, a] * force[s, j]
@@ -225,7 +226,7 @@ def _node(own: ti.template(), triangles: ti.template(), chosen: ti.template(), s
 @ti.kernel
 def add_hessian(
     x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_a: F2,
-    lag_n: F2, anchor: F2, gap: F1, number: I1, chosen: I2, at: F2, direction: F2, share: F2, kind: I2,
+    lag_n: F2, anchor: F2, gap: F1, added: F2, number: I1, chosen: I2, at: F2, direction: F2, share: F2, kind: I2,
     sign: F1, exact: I1, start: I1, column: I1, place: I1, slopes: F3, second: F3, out: F1,
 ):  # fmt: skip
     """``slopes``: scratch, gradients of the gap of each triangle with respect to all participants (own nodes,
@@ -234,10 +235,12 @@ def add_hessian(
     ti.loop_config(serialize=True)
     for s in range(weights.shape[0]):
         count = used[s]
-        if gap[s] < c[RANGE]:
+        if gap[s] < c[REACH]:
             total = count + 3 * number[s]
-            load = areas[s] * pressure(gap[s], c)
-            stiff = areas[s] * slope(gap[s], c)
+            load = areas[s] * (pressure(gap[s], c) + added[s, 1])
+            stiff = areas[s] * (slope(gap[s], c) + added[s, 2])
+            if exact[0] == 0:
+                stiff = ti.max(stiff, 0.0)
             members = 0
             for a in range(total):
                 for r in range(3):
@@ -258,7 +261,7 @@ def add_hessian(
                             slopes[MOST + 1, a, r] += slopes[m, a, r]
             # The smoothing stiffens against leaving the crease: curvature of the smallest distance.
             crease = 0.0
-            if members > 1 and (sign[s] > 0.0 or exact[0] == 1):
+            if members > 1 and (sign[s] * load > 0.0 or exact[0] == 1):
                 crease = sign[s] * load / c[BLEND]
             for a in range(total):
                 i = _node(own, triangles, chosen, s, a, count)
@@ -276,7 +279,7 @@ def add_hessian(
                     if a != d and i == j:
                         h = h + h.transpose()
                     add_block(start, column, place, out, i, j, h)
-            if exact[0] == 1 and load > 0.0:
+            if exact[0] == 1 and load != 0.0:
                 p = sample_at(x, own, used, weights, s)
                 for m in range(number[s]):
                     if share[s, m] > 0.0:

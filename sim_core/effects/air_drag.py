@@ -8,16 +8,21 @@ about 1.2 broadside).
 """
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
 
-from sim_core.effects.effect import Effect, EffectParameter
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import BodyForce
 from sim_core.energies.linearised import Linearised, axes_of, placed, skew
 from sim_core.energies.term import Buffers, Internals, Memoryless, StepContext, Term
+from sim_core.geometry.sheets import SheetMesh
 from sim_core.kernels import F1, F2, I2, BoundKernel, vec3
 from sim_core.rigs import Rig, Sheet
-from sim_core.scene.scene import Scene, Values
+
+if TYPE_CHECKING:
+    from sim_core.scene.scene import Scene
 
 AIR_DENSITY_KG_M3 = 1.2
 
@@ -131,31 +136,36 @@ class _Drag(Memoryless):
         return Linearised(force_start=placed((np.tile(force, (1, 3, 1)), axes, axes), shape=(self._x.size,) * 2))
 
 
-class AirDrag(Effect):
-    """Quadratic drag against the normal motion of every sheet."""
+class AirDrag(BodyForce):
+    """Quadratic drag against the normal motion of sheets."""
 
     name = "air_drag"
     title = "air resists the sheet"
-    slot = "air"
     words = "Air brakes the sheet's fast motion, with a force proportional to the square of its speed."
+    signature = "The simulated sheet moves too far and too long in fast phases, and agrees in slow ones."
+    source = "Hoerner, Fluid-Dynamic Drag, 1965, ch. 3 (flat plates)"
+    slot = "air"
+    follows = "environment"
+    passive = True
+    needs = "a sheet, and a solver with inertia"
+    twins = ("viscoelastic_sheet",)
+    separated_by = "A slow and a fast run of the same motion: drag goes with the square of the speed."
     parameters = (
         EffectParameter("drag_coefficient", "-", 0.0, 20.0, (1.0,), 0.0, False, 1.0, "C_D on the sheet's area"),
     )
 
-    def applies(self, rig: Rig) -> bool:
-        return rig.solver.inertia and any(isinstance(b, Sheet) for b in rig.bodies.values())
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet)) if rig.solver.inertia else ()
 
-    def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
-        for name, body in rig.bodies.items():
-            if isinstance(body, Sheet):
-                values.terms[f"{name}.drag"] = {"drag_coefficient": given["drag_coefficient"]}
+    def numbers(self, values: Values) -> Mapping[str, float]:
+        return {"drag_coefficient": values["drag_coefficient"]}
 
-    def terms(self, scene: Scene, given: Mapping[str, float]) -> list[Term]:
-        if given["drag_coefficient"] == 0.0:
+    def terms(self, scene: "Scene", label: str, targets: tuple[str, ...], values: Values) -> list[Term]:
+        if values["drag_coefficient"] == 0.0:
             return []
         found: list[Term] = []
-        for name, body in scene.bodies.items():
-            if isinstance(body.spec, Sheet) and body.mesh is not None:
-                triangles = body.mesh.triangles + int(body.nodes[0])  # type: ignore[union-attr]
-                found.append(_Drag(f"{name}.drag", triangles, body.mesh.areas))  # type: ignore[union-attr]
+        for name in targets:
+            body = scene.bodies[name]
+            assert isinstance(body.mesh, SheetMesh)
+            found.append(_Drag(f"{name}.{label}", body.mesh.triangles + int(body.nodes[0]), body.mesh.areas))
         return found

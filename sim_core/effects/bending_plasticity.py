@@ -1,28 +1,38 @@
-"""Bending plasticity of a sheet: it keeps part of a bend that went beyond a yield curvature."""
+"""Bending plasticity of a sheet: it keeps part of a bend that went beyond a yield curvature.
+
+Elastic up to the yield curvature, linear hardening beyond (:mod:`sim_core.energies.plastic_flow`). Without hardening
+nothing would say where along a sheet it bends on, hence its lower bound.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from sim_core.effects.effect import Effect, EffectParameter
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import MechanicsMap
 from sim_core.rigs import Rig, Sheet
-from sim_core.scene.scene import Values
+
+if TYPE_CHECKING:
+    from sim_core.scene.scene import Values as SceneValues
 
 
-class BendingPlasticity(Effect):
-    """Elastic up to the yield curvature, linear hardening beyond (:mod:`sim_core.energies.plastic_flow`).
-
-    Without hardening nothing would say where along a sheet it bends on, hence its lower bound.
-    """
+class BendingPlasticity(MechanicsMap):
+    """A sheet that yields in bending."""
 
     name = "bending_plasticity"
     title = "the sheet keeps a bend"
-    slot = "sheet"
     words = (
         "The sheet does not spring back fully: where it was bent beyond the yield curvature it keeps a "
         "permanent curvature, whatever the speed."
     )
+    signature = "After a strong bend the simulated sheet returns to a shape from which the real one stays away."
+    source = "Ortiz & Stainier, Comput. Methods Appl. Mech. Eng. 171, 1999; linear hardening in moment and curvature"
+    slot = "sheet"
+    passive = True
+    needs = "a sheet"
+    twins = ("viscoelastic_sheet",)
+    separated_by = "A bend that is held for long and one that is not: what yields keeps the same curvature in both."
     parameters = (
         EffectParameter(
             "yield_curvature_per_m", "1/m", 0.1, 1e4, (2.0, 5.0, 10.0, 20.0, 40.0), math.inf, True, 1.5,
@@ -33,10 +43,9 @@ class BendingPlasticity(Effect):
         ),
     )  # fmt: skip
 
-    def applies(self, rig: Rig) -> bool:
-        return any(isinstance(b, Sheet) for b in rig.bodies.values())
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
-    def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
-        for name, body in rig.bodies.items():
-            if isinstance(body, Sheet):
-                values.terms[f"{name}.bending"].update(given)
+    def amend_values(self, rig: Rig, targets: tuple[str, ...], found: SceneValues, values: Values) -> None:
+        for name in targets:
+            found.terms[f"{name}.bending"].update(values)

@@ -1,34 +1,46 @@
-"""Compliance of the end effector: it gives way under load although the pose reads as commanded."""
+"""Compliance of the end effector: it gives way under load although the pose reads as commanded.
+
+displacement = c * force,    alike in all directions (:class:`sim_core.solve.unknowns.Compliant`)
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_core.effects.effect import Effect, EffectParameter
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import MechanicsMap
 from sim_core.rigs import Rig
-from sim_core.scene.scene import Values
+
+if TYPE_CHECKING:
+    from sim_core.scene.scene import Values as SceneValues
 
 
-class EndEffectorCompliance(Effect):
-    """Displacement = c times force, alike in all directions (:class:`sim_core.solve.system.Compliant`)."""
+class EndEffectorCompliance(MechanicsMap):
+    """A hand that yields to force."""
 
     name = "end_effector_compliance"
     title = "the end effector gives way"
-    slot = "robot"
     words = (
         "The hand is not where the robot says: mount, wrist or gripper yield in proportion to the force, by c "
         "metres a newton, which the reported pose does not show."
     )
+    signature = "All forces rise more slowly with depth than simulated, whatever is touched."
+    source = "Hooke's law of the mount"
+    slot = "robot"
+    follows = "robot"
+    passive = True
+    needs = "an end effector"
+    separated_by = "A press on something rigid, or of another object with the same robot."
     parameters = (
         EffectParameter("compliance_m_per_n", "m/N", 1e-8, 0.1, (1e-4, 2e-3), 0.0, True, 2.5, "displacement per force"),
     )
 
-    def applies(self, rig: Rig) -> bool:
-        return bool(rig.end_effectors)
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(rig.end_effectors)
 
-    def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
-        if given["compliance_m_per_n"] > 0.0:
-            for name in rig.end_effectors:
-                values.compliance[name] = np.full(3, given["compliance_m_per_n"])
+    def amend_values(self, rig: Rig, targets: tuple[str, ...], found: SceneValues, values: Values) -> None:
+        if values["compliance_m_per_n"] > 0.0:
+            for name in targets:
+                found.compliance[name] = np.full(3, values["compliance_m_per_n"])

@@ -1,37 +1,54 @@
-"""Static above kinetic friction: a resting contact holds more than a sliding one."""
+"""Static above kinetic friction: a resting contact holds more than a sliding one.
+
+    mu(v) = mu_k (1 + a exp(-(v / v_s)^2))
+
+with the slip speed v of the last step (Bo & Pavelescu, Wear 82, 1982: the exponential form of Stribeck's curve without
+its viscous part) and v_s fixed, since recordings hardly tell it beside a.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import numpy as np
 
-from sim_core.effects.effect import Effect, EffectParameter
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import FrictionFactor, FrictionLaw, Sliding
 from sim_core.rigs import Rig
-from sim_core.scene.scene import Values
 
 SLIP_SPEED_SCALE_M_S = 2e-3
 """Slip speed by which the static part has fallen to 1/e."""
 
 
-class StaticFriction(Effect):
-    """mu(v) = mu_k (1 + a exp(-(v/v_s)^2)) (:mod:`sim_core.contact.law`)."""
+class StaticFriction(FrictionLaw):
+    """Contacts that hold more at rest than in motion."""
 
     name = "static_friction"
     title = "contacts stick before they slide"
-    slot = "contact"
     words = (
         "Friction is higher at rest than in motion: contacts hold up to (1 + a) times the sliding friction "
         "and then let go."
     )
+    signature = "At the onset of sliding the measured tangential force overshoots, and in slow sliding it is jerky."
+    source = "Bo & Pavelescu, Wear 82, 1982 (exponential model)"
+    slot = "contact"
+    passive = True
+    needs = "a contact with friction"
+    separated_by = "Slides at several speeds, each begun from rest after the same hold."
     parameters = (
         EffectParameter(
             "excess", "-", 0.0, 5.0, (0.1, 0.2, 0.4, 0.8), 0.0, False, 0.5, "static over kinetic friction, less one"
         ),
     )
 
-    def applies(self, rig: Rig) -> bool:
-        return any(c.friction > 0.0 for c in rig.contacts)
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(c.name for c in rig.contacts if c.friction > 0.0)
 
-    def amend_values(self, rig: Rig, values: Values, given: Mapping[str, float]) -> None:
-        for name, terms in values.terms.items():
-            if name.startswith("contact."):
-                terms.update(static_excess=given["excess"], slip_speed_scale_m_s=SLIP_SPEED_SCALE_M_S)
+    def friction(self, at: Sliding, values: Values) -> FrictionFactor:
+        ratio = at.speed / SLIP_SPEED_SCALE_M_S
+        bump = np.exp(-(ratio**2))
+        excess = values["excess"]
+        return FrictionFactor(
+            1.0 + excess * bump,
+            np.zeros_like(bump),
+            -2.0 * excess * bump * ratio / SLIP_SPEED_SCALE_M_S,
+            {"excess": bump},
+        )

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -175,6 +175,15 @@ class DynamicTerm(Term, Protocol):
 
     def outran(self) -> bool:
         """True when the step has moved further than partners were looked for."""
+        ...
+
+
+@runtime_checkable
+class ByAreas(Term, Protocol):
+    """A term on the triangles of a sheet, in their order, that knows the shape at rest by their areas alone."""
+
+    def by_areas(self, along: np.ndarray) -> np.ndarray:
+        """Derivative of the work of the forces dE/dx along nodal vectors ``(n, 3)`` by the areas at rest ``(m,)``."""
         ...
 
 

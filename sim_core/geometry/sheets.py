@@ -12,6 +12,10 @@ import numpy as np
 from scipy.spatial import Delaunay, cKDTree
 
 from sim_core.errors import ConfigError
+from sim_core.geometry.polygons import area_of
+
+MOST_ROUNDS = 8
+"""Times that sides of an outline are halved before it is given up."""
 
 PATTERNS = ("regular", "crossed", "irregular")
 
@@ -182,8 +186,8 @@ def _delaunay(points: np.ndarray) -> np.ndarray:
 def outline(polygon_m: np.ndarray, edge_m: float, holes_m: tuple[np.ndarray, ...] = (), seed: int = 0) -> SheetMesh:
     """Mesh a polygon with holes by points at about ``edge_m`` and Delaunay triangles.
 
-    ``polygon_m`` and every hole: corners in order, m, shape ``(k, 2)``. Raises ``ConfigError`` when
-    the edge length is too long for the outline.
+    ``polygon_m`` and every hole: corners in order, m, shape ``(k, 2)``. The triangles have the polygon's area exactly.
+    Raises ``ConfigError`` when the edge length is too long for the outline.
     """
     from matplotlib.path import Path
 
@@ -214,14 +218,45 @@ def outline(polygon_m: np.ndarray, edge_m: float, holes_m: tuple[np.ndarray, ...
     inside = inside[within(inside)]
     if len(inside):
         inside = inside[cKDTree(border).query(inside)[0] > 0.6 * edge_m]
-    points = np.vstack([border, inside])
-    triangles = _delaunay(points)
-    triangles = triangles[within(points[triangles].mean(axis=1))]
-    used = np.unique(triangles)
-    if len(triangles) == 0 or len(used) < len(points):
-        raise ConfigError(f"The outline cannot be meshed with edges of {edge_m:g} m.", "Give a shorter edge_m.")
+    points, sides = np.vstack([border, inside]), _sides(rims, edge_m)
+    for _ in range(MOST_ROUNDS):
+        triangles = _delaunay(points)
+        triangles = triangles[within(points[triangles].mean(axis=1))]
+        lacking = _lacking(triangles, sides)
+        if not lacking.any():
+            break
+        # A side that Delaunay triangles do not have, as where the outline is narrow, is halved until they do.
+        halves = len(points) + np.arange(int(lacking.sum()))
+        points = np.vstack([points, points[sides[lacking]].mean(axis=1)])
+        begin, end = sides[lacking].T
+        sides = np.vstack([sides[~lacking], np.column_stack([begin, halves]), np.column_stack([halves, end])])
     nodes = np.column_stack([points, np.zeros(len(points))])
-    return SheetMesh(nodes, np.ascontiguousarray(triangles, dtype=np.int32))
+    mesh = SheetMesh(nodes, np.ascontiguousarray(triangles, dtype=np.int32))
+    area = area_of(rims[0]) - sum(area_of(rim) for rim in rims[1:])
+    if len(triangles) == 0 or len(np.unique(triangles)) < len(points) or abs(mesh.areas.sum() - area) > 1e-6 * area:
+        raise ConfigError(
+            f"The outline cannot be meshed with edges of {edge_m:g} m: the mesh would have {mesh.areas.sum():.6g} m^2, "
+            f"the outline has {area:.6g} m^2.",
+            "Give a shorter edge_m.",
+        )
+    return mesh
+
+
+def _sides(rims: list[np.ndarray], edge_m: float) -> np.ndarray:
+    """Neighbours along the rims, as numbers of the points of :func:`_along` ``(k, 2)``."""
+    sides, start = [], 0
+    for rim in rims:
+        count = len(_along(rim, edge_m))
+        numbers = start + np.arange(count)
+        sides.append(np.column_stack([numbers, np.roll(numbers, -1)]))
+        start += count
+    return np.vstack(sides)
+
+
+def _lacking(triangles: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Which sides ``(k, 2)`` are edges of no triangle."""
+    edges = {tuple(sorted(edge)) for tri in triangles.tolist() for edge in zip(tri, tri[1:] + tri[:1], strict=True)}
+    return np.array([tuple(sorted(side)) not in edges for side in sides.tolist()])
 
 
 def _along(rim: np.ndarray, edge_m: float) -> np.ndarray:

@@ -1,14 +1,19 @@
-"""Solid bodies as meshes of quadratic tetrahedra: blocks, cylinders, hollow domes.
+"""Solid bodies as meshes of quadratic tetrahedra: blocks, cylinders, hollow domes, and halves and quarters of them.
 
 All builders start from hexahedra whose corners carry the two colours of a checkerboard, and cut each
 into five tetrahedra: one spanned by the four even corners, and one for each odd corner. A face shared
 by two hexahedra is then cut along the same diagonal (between its even corners), and neighbours are
 mirror images of each other, so the mesh has no preferred diagonal direction.
+
+Cells may be graded along the directions of a shape: their widths then grow by the same factor from cell to cell.
+Beyond that, boxes may be refined (:mod:`sim_core.geometry.bisection`). ``cut``: axes (0: x, 1: y) normal to planes of
+symmetry through the origin; of the body only the part with positive coordinates is meshed, and the faces on those
+planes are the sets x_cut and y_cut.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +21,8 @@ from scipy.sparse import coo_matrix, csr_matrix
 
 from sim_core.errors import ConfigError
 from sim_core.geometry import tet10
+from sim_core.geometry.bisection import Middle, Refinement, bisected
+from sim_core.geometry.lattice import check_positive, core_and_ring_shares, core_and_rings, graded_lines, grid
 
 _AROUND = ((1, 3, 4), (0, 2, 5), (1, 3, 6), (0, 2, 7), (0, 5, 7), (1, 4, 6), (2, 5, 7), (3, 4, 6))
 """The three neighbours of each corner of a hexahedron (0 1 2 3 below, 4 5 6 7 above)."""
@@ -166,51 +173,68 @@ def _invert(elements: np.ndarray, point: np.ndarray) -> np.ndarray:
 def block(
     size_m: tuple[float, float, float],
     cells: tuple[int, int, int],
-    centre_ratio: float = 1.0,
-    top_ratio: float = 1.0,
+    towards: Mapping[str, float] | None = None,
+    cut: Collection[int] = (),
+    refine: Sequence[Refinement] = (),
 ) -> TetMesh:
     """A box, centred on the z axis, from z = 0 up.
 
-    ``cells``: hexahedra along x, y, z, five tetrahedra each. ``centre_ratio``: width of the cells at
-    the middle over that at the border, in x and y (below 1: finer in the middle). ``top_ratio``:
-    height of the cells at the top over that at the bottom. Sets: bottom, top, x_min, x_max, y_min,
-    y_max.
+    ``cells``: hexahedra along x, y, z of the whole box, five tetrahedra each. ``towards``: by place (a face, x_middle,
+    y_middle or z_middle), the width of the cells there over that of those farthest from it (below 1: finer there).
+    Sets: bottom, top, x_min, x_max, y_min, y_max.
     """
-    _check_positive(size_m=size_m, cells=cells, centre_ratio=(centre_ratio,), top_ratio=(top_ratio,))
-    nx, ny, nz = cells
-    x = _spaced(size_m[0], _to_centre(nx), centre_ratio) - size_m[0] / 2.0
-    y = _spaced(size_m[1], _to_centre(ny), centre_ratio) - size_m[1] / 2.0
-    z = _spaced(size_m[2], np.linspace(0.0, 1.0, nz), top_ratio)
-    flat, quads, parity = _grid(nx, ny)
-    layers = [np.column_stack([x[flat[:, 0]], y[flat[:, 1]], np.full(len(flat), height)]) for height in z]
+    check_positive(size_m=size_m, cells=cells)
+    _check_even(cut, cells[:2])
+    spaced = graded_lines(size_m, cells, towards or {})
+    flat, quads, parity = grid(*cells[:2])
+    layers = [
+        np.column_stack([spaced[0][flat[:, 0]], spaced[1][flat[:, 1]], np.full(len(flat), height)])
+        for height in spaced[2] + size_m[2] / 2.0
+    ]
 
     def sets(p: np.ndarray) -> dict[str, np.ndarray]:
         tiny = 1e-9 * max(size_m)
         found = {"bottom": p[..., 2] < tiny, "top": p[..., 2] > size_m[2] - tiny}
         for axis, letter in enumerate("xy"):
-            found[f"{letter}_min"] = p[..., axis] < -size_m[axis] / 2.0 + tiny
+            if axis not in cut:
+                found[f"{letter}_min"] = p[..., axis] < -size_m[axis] / 2.0 + tiny
             found[f"{letter}_max"] = p[..., axis] > size_m[axis] / 2.0 - tiny
         return found
 
-    return _extrude(layers, quads, parity, lambda a, b: (a + b) / 2.0, sets)
+    return _extrude(layers, quads, parity, _half_way, sets, cut, refine)
 
 
-def cylinder(radius_m: float, height_m: float, cells: tuple[int, int, int], curved: bool = True) -> TetMesh:
+def cylinder(
+    radius_m: float,
+    height_m: float,
+    cells: tuple[int, int, int],
+    towards: Mapping[str, float] | None = None,
+    cut: Collection[int] = (),
+    refine: Sequence[Refinement] = (),
+    curved: bool = True,
+) -> TetMesh:
     """A solid cylinder or disc around the z axis, from z = 0 up.
 
-    ``cells``: hexahedra along a side of the square core, from the core to the rim, and along the
-    height. ``curved``: put the mid-edge nodes of the rim on the circle. Sets: bottom, top, side.
+    ``cells``: hexahedra along a side of the square core, from the core to the rim, and along the height. ``towards``:
+    as of a block, by place: bottom, top, axis, side. ``curved``: put the mid-edge nodes of the rim on the circle. Sets:
+    bottom, top, side.
     """
-    _check_positive(radius_m=(radius_m,), height_m=(height_m,), cells=cells)
+    check_positive(radius_m=(radius_m,), height_m=(height_m,), cells=cells)
     n, rings, nz = cells
-    square, ring, quads, parity = _core_and_rings(n, rings)
-    core = 0.9 * radius_m * n / (n + 2.0 * rings)
-    flat = (1.0 - ring) * core * square + ring * radius_m * _unit(np.tan(np.pi / 4.0 * square))
-    layers = [np.column_stack([flat, np.full(len(flat), z)]) for z in np.linspace(0.0, height_m, nz + 1)]
+    _check_even(cut, (n, n))
+    given = dict(towards or {})
+    square, ring, quads, parity = core_and_rings(n, rings)
+    ratio = given.pop("axis", 1.0) / given.pop("side", 1.0)
+    outward = core_and_ring_shares(n, rings, ratio)
+    core, rim = 0.9 * radius_m * outward[0], radius_m
+    share = np.interp(ring, np.linspace(0.0, 1.0, rings + 1), (outward - outward[0]) / (1.0 - outward[0]))
+    flat = (1.0 - share) * core * square + share * rim * _unit(np.tan(np.pi / 4.0 * square))
+    heights = graded_lines((1.0, 1.0, height_m), (1, 1, nz), given)[2] + height_m / 2.0
+    layers = [np.column_stack([flat, np.full(len(flat), z)]) for z in heights]
     tiny = 1e-9 * max(radius_m, height_m)
 
     def middle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        mid: np.ndarray = (a + b) / 2.0
+        mid: np.ndarray = _half_way(a, b)
         if curved:
             rim = _on_side(a) & _on_side(b)
             mid[rim, :2] = radius_m * _unit(mid[rim, :2])
@@ -223,32 +247,44 @@ def cylinder(radius_m: float, height_m: float, cells: tuple[int, int, int], curv
     def sets(p: np.ndarray) -> dict[str, np.ndarray]:
         return {"bottom": p[..., 2] < tiny, "top": p[..., 2] > height_m - tiny, "side": _on_side(p)}
 
-    return _extrude(layers, quads, parity, middle, sets)
+    return _extrude(layers, quads, parity, middle, sets, cut, refine)
 
 
-def dome(radius_m: float, cavity_radius_m: float, cells: tuple[int, int, int], curved: bool = True) -> TetMesh:
+def dome(
+    radius_m: float,
+    cavity_radius_m: float,
+    cells: tuple[int, int, int],
+    towards: Mapping[str, float] | None = None,
+    cut: Collection[int] = (),
+    refine: Sequence[Refinement] = (),
+    curved: bool = True,
+) -> TetMesh:
     """A hollow half ball, like a tactile fingertip: flat rim at z = 0, pole on +z.
 
     Half of a cubed sphere (Ronchi, Iacono and Paolucci, J. Comput. Phys. 124, 1996): a square cap
     around the pole and rings from there to the rim, with no degenerate cell. ``cells``: hexahedra along
     a side of the cap, from the cap to the rim, and through the wall; a good shape has twice as many in
-    the first as in the second. ``curved``: put mid-edge nodes on spheres (the volume of (2, 1, 1) is then
-    0.8 % low, of (4, 2, 2) 0.05 %). Sets: base (the rim), outer, inner (the wall of the cavity).
+    the first as in the second. ``towards``: as of a block, by place: outer, inner. ``curved``: put mid-edge nodes on
+    spheres (the volume of (2, 1, 1) is then 0.8 % low, of (4, 2, 2) 0.05 %). Sets: base (the rim), outer, inner (the
+    wall of the cavity).
     """
-    _check_positive(radius_m=(radius_m,), cavity_radius_m=(cavity_radius_m,), cells=cells)
+    check_positive(radius_m=(radius_m,), cavity_radius_m=(cavity_radius_m,), cells=cells)
     if not cavity_radius_m < radius_m:
         raise ConfigError(
             f"The cavity radius {cavity_radius_m} m is not below the outer radius {radius_m} m.",
             "Give a cavity that fits into the dome.",
         )
     n, rings, n_wall = cells
-    square, ring, quads, parity = _core_and_rings(n, rings)
+    _check_even(cut, (n, n))
+    square, ring, quads, parity = core_and_rings(n, rings)
     half_angle = np.pi / 2.0 * n / (n + 2.0 * rings)
     cap = _unit(np.column_stack([np.tan(half_angle * square), np.ones(len(square))]))
     rim = _unit(np.column_stack([np.tan(np.pi / 4.0 * square), np.zeros(len(square))]))
     angle = np.arccos(np.clip(np.sum(cap * rim, axis=1, keepdims=True), -1.0, 1.0))
     direction = (np.sin((1.0 - ring) * angle) * cap + np.sin(ring * angle) * rim) / np.sin(angle)
-    layers = [r * direction for r in np.linspace(cavity_radius_m, radius_m, n_wall + 1)]
+    given = {{"inner": "bottom", "outer": "top"}.get(place, place): ratio for place, ratio in (towards or {}).items()}
+    wall = graded_lines((1.0, 1.0, radius_m - cavity_radius_m), (1, 1, n_wall), given)[2]
+    layers = [r * direction for r in 0.5 * (cavity_radius_m + radius_m) + wall]
 
     def middle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         radius = (np.linalg.norm(a, axis=1, keepdims=True) + np.linalg.norm(b, axis=1, keepdims=True)) / 2.0
@@ -259,13 +295,21 @@ def dome(radius_m: float, cavity_radius_m: float, cells: tuple[int, int, int], c
         r, tiny = np.linalg.norm(p, axis=-1), 1e-9 * radius_m
         return {"base": p[..., 2] < tiny, "outer": r > radius_m - tiny, "inner": r < cavity_radius_m + tiny}
 
-    return _extrude(layers, quads, parity, middle, sets)
+    return _extrude(layers, quads, parity, middle, sets, cut, refine)
 
 
-def _check_positive(**values: tuple[float, ...]) -> None:
-    for name, given in values.items():
-        if not all(v > 0 for v in given):
-            raise ConfigError(f"{name} = {given} must be positive.", "Give positive sizes and cell counts.")
+def _check_even(cut: Collection[int], cells: tuple[int, int]) -> None:
+    for axis in cut:
+        if cells[axis] % 2:
+            raise ConfigError(
+                f"A plane of symmetry normal to {'xy'[axis]} would go through the middle of the {cells[axis]} cells.",
+                "Give the whole body an even number of cells in that direction.",
+            )
+
+
+def _half_way(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    middle: np.ndarray = (a + b) / 2.0
+    return middle
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
@@ -274,58 +318,17 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return unit
 
 
-def _to_centre(n: int) -> np.ndarray:
-    """Position of ``n`` cells from 0 at the border to 1 at the middle."""
-    away = np.abs(np.arange(n) - (n - 1) / 2.0)
-    place: np.ndarray = 1.0 - (away - away.min()) / max(np.ptp(away), 1e-300)
-    return place
-
-
-def _spaced(length: float, place: np.ndarray, ratio: float) -> np.ndarray:
-    """``len(place) + 1`` coordinates [m] with cell widths in proportion to ``ratio ** place``."""
-    widths = ratio**place
-    coordinates: np.ndarray = np.concatenate([[0.0], np.cumsum(widths)]) * (length / widths.sum())
-    return coordinates
-
-
-def _grid(nx: int, ny: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lattice nodes ``(k, 2)``, their quads ``(q, 4)`` counter-clockwise, and the colour of each node."""
-    j, i = (g.ravel() for g in np.meshgrid(np.arange(ny + 1), np.arange(nx + 1), indexing="ij"))
-    first = (np.arange(ny)[:, None] * (nx + 1) + np.arange(nx)[None, :]).ravel()
-    quads = np.column_stack([first, first + 1, first + nx + 2, first + nx + 1])
-    return np.column_stack([i, j]), quads, (i + j) % 2
-
-
-def _core_and_rings(n: int, rings: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A square grid of ``n x n`` cells with ``rings`` rings of quads around it.
-
-    Returns the place of each node in the square [-1, 1]^2 (nodes of a ring: on its border), its ring
-    as a share ``(k, 1)`` (0 in the core, 1 at the rim), the quads ``(q, 4)``, and the node colours.
-    """
-    flat, quads, parity = _grid(n, n)
-    index = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    border = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
-    square = [2.0 * flat / n - 1.0]
-    ring, colour, all_quads, inside = [np.zeros(len(flat))], [parity], [quads], border
-    for r in range(1, rings + 1):
-        outside = len(flat) + (r - 1) * len(border) + np.arange(len(border))
-        square.append(square[0][border])
-        ring.append(np.full(len(border), r / rings))
-        colour.append((parity[border] + r) % 2)
-        all_quads.append(np.column_stack([inside, outside, np.roll(outside, -1), np.roll(inside, -1)]))
-        inside = outside
-    place, share = np.concatenate(square), np.concatenate(ring)[:, None]
-    return place, share, np.concatenate(all_quads), np.concatenate(colour)
-
-
 def _extrude(
     layers: list[np.ndarray],
     quads: np.ndarray,
     parity: np.ndarray,
-    middle: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    middle: Middle,
     sets: Callable[[np.ndarray], dict[str, np.ndarray]],
+    cut: Collection[int] = (),
+    refine: Sequence[Refinement] = (),
 ) -> TetMesh:
-    """Stack ``quads`` through ``layers``, cut into tetrahedra, add mid-edge nodes, find the surface."""
+    """Stack ``quads`` through ``layers``, cut into tetrahedra, leave out what is beyond a plane of symmetry, refine,
+    add mid-edge nodes, find the surface."""
     corners = np.concatenate(layers)
     n_flat = len(parity)
     even = np.concatenate([(parity + k) % 2 == 0 for k in range(len(layers))])
@@ -337,12 +340,36 @@ def _extrude(
     a, b, c, d = np.moveaxis(corners[linear], 1, 0)
     flipped = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) < 0.0
     linear[flipped] = linear[flipped][:, [0, 2, 1, 3]]
+    for axis in cut:
+        linear = linear[corners[linear, axis].mean(axis=1) > 0.0]
+    kept, linear = np.unique(linear, return_inverse=True)
+    corners, linear = bisected(corners[kept], linear.reshape(-1, 4), refine, middle)
 
+    def faces_of(p: np.ndarray) -> dict[str, np.ndarray]:
+        planes = {f"{'xy'[axis]}_cut": np.abs(p[..., axis]) < 1e-9 * np.abs(corners).max() for axis in cut}
+        return {**sets(p), **planes}
+
+    return quadratic(corners, linear, middle, faces_of)
+
+
+def quadratic(
+    corners: np.ndarray,
+    linear: np.ndarray,
+    middle: Middle,
+    sets: Callable[[np.ndarray], dict[str, np.ndarray]],
+) -> TetMesh:
+    """Add mid-edge nodes to linear tetrahedra ``(m, 4)`` and find their surface. ``sets``: by the name of a set of
+    faces, which corners ``(k, 3, 3)`` [m] of the surface belong to it; faces with all three are in it."""
     pairs = np.sort(linear[:, tet10.EDGES].reshape(-1, 2), axis=1)
     edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
     nodes = np.concatenate([corners, middle(corners[edges[:, 0]], corners[edges[:, 1]])])
     tets = np.concatenate([linear, len(corners) + inverse.reshape(-1, 6)], axis=1)
 
+    return surface_of(nodes, tets, sets)
+
+
+def surface_of(nodes: np.ndarray, tets: np.ndarray, sets: Callable[[np.ndarray], dict[str, np.ndarray]]) -> TetMesh:
+    """The mesh of quadratic tetrahedra ``(m, 10)`` with its surface; ``sets``: as of :func:`quadratic`."""
     faces = tets[:, tet10.FACES].reshape(-1, 6)
     _, first, count = np.unique(np.sort(faces[:, :3], axis=1), axis=0, return_index=True, return_counts=True)
     surface = faces[np.sort(first[count == 1])]

@@ -6,9 +6,10 @@ and cameras to positions and forces, and from step to step back to the start (:m
 factorisation and one back-substitution a step, however many parameters there are. Steps that were subdivided are gone
 through in their parts. Steps are recorded on a :class:`sim_core.gradients.tape.Tape`.
 
-Poses are differentiated by small motions of a mount in its own true frame at every time: translation [m] and turn
-[rad], p + R rho and R exp(phi); an offset of an end effector is the sum over time. At the start they take the first
-equilibrium along, with the way to it where it depends on that (:mod:`sim_core.gradients.initial_equilibrium`).
+Poses are differentiated by small motions of a commanded mount in its own true frame at every time: translation [m] and
+turn [rad], p + R rho and R exp(phi), passed back through what becomes of commands (:mod:`sim_core.commands`); an offset
+of an end effector is the sum over time. At the start they take the first equilibrium along, with the way to it where it
+depends on that (:mod:`sim_core.gradients.initial_equilibrium`).
 
 Where the true derivative jumps it is that of the branch that the rollout took, as in
 :mod:`sim_core.gradients.tangent`: both are the same derivative, and agree to round-off.
@@ -23,11 +24,12 @@ from itertools import chain, islice
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sim_core.commands import commanded_weights
 from sim_core.energies.linearised import Linearised, cross, skew, times_back, unflatten
 from sim_core.energies.term import Internals, StepContext
 from sim_core.gradients.boundary_motion import carried_contacts, carried_freely
 from sim_core.gradients.camera_gradients import Pictures
-from sim_core.gradients.directions import Direction, checked, motions, slopes
+from sim_core.gradients.directions import Direction, checked, command_motions, motions, slopes
 from sim_core.gradients.elements import Alongs, OwnNumbers
 from sim_core.gradients.fields import FieldSums
 from sim_core.gradients.losses import Loss, in_sight, one_number
@@ -110,6 +112,7 @@ class Backward:
         self._movable = movable
         self._fields = FieldSums(self._scene, fields)
         self._moved = motions(self._scene.rig, along)
+        self._moving = command_motions(self._scene.rig, along, tape.commanded, tape.trace.times)
         self._pictures = Pictures(self._along)
 
     @property
@@ -162,10 +165,14 @@ class Backward:
         found = self._slopes.T @ self._numbers + self._pictures.total()
         for mount, moved in self._moved.items():
             found += np.sum([p.of(mount) for p in poses], axis=0) @ moved
+        for at, moving in zip(poses, self._moving, strict=False):
+            for mount, moved in moving.items():
+                found += at.of(mount) @ moved
+        by_frames = {m: np.stack([p.of(m) for p in poses]) for m in self._movable}
         return Gradient(
             value,
             {d.name: float(v) for d, v in zip(self._along, found, strict=True)},
-            {m: np.stack([p.of(m) for p in poses]) for m in self._movable},
+            commanded_weights(scene.rig, tape.commanded, tape.trace.times, by_frames),
             state.x,
             state.v,
             {name: unflatten(state.memory[name], internals) for name, internals in tape.start.internals.items()},

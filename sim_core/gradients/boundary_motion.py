@@ -10,12 +10,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 from sim_core.contact.rigid import RigidContact
 from sim_core.energies.linearised import skew
 from sim_core.rigs import WORLD, Rigid
 from sim_core.scene.assembly import BuiltBody
 from sim_core.scene.scene import Frame, Scene
+
+TURN_STEP = 1e-5
+"""Turn [rad] by which turns halfway are differentiated."""
 
 Motions = Mapping[str, np.ndarray]
 """Motions of mounts by p parameters, ``(6, p)`` each."""
@@ -75,10 +79,28 @@ def carried_along(local: np.ndarray, frame: Frame, moved: np.ndarray) -> np.ndar
 
 
 def midway_motion(middle: Mapping[str, Frame], *ends: tuple[Mapping[str, Frame], Motions]) -> dict[str, np.ndarray]:
-    """Motion of frames halfway (:func:`sim_core.simulate.midway`) by that of the two ``ends`` that they are between,
-    which turn alike in their own frames, as by a constant offset: so does the one between them."""
+    """Motion of frames halfway (:func:`sim_core.simulate.midway`) by that of the two ``ends`` that they are between:
+    by central differences of turns of these, which are small."""
     out = {}
-    for mount, moved in ends[0][1].items():
-        shift = sum(0.5 * frames[mount][1].as_matrix() @ at[mount][:3] for frames, at in ends)
-        out[mount] = np.concatenate([middle[mount][1].as_matrix().T @ shift, moved[3:]])
+    for mount in dict.fromkeys([*ends[0][1], *ends[1][1]]):
+        own = [(frames[mount], at.get(mount)) for frames, at in ends]
+        count = next(at.shape[1] for _, at in own if at is not None)
+        moved = [np.zeros((6, count)) if at is None else at for _, at in own]
+        shift = sum(0.5 * frame[1].as_matrix() @ at[:3] for (frame, _), at in zip(own, moved, strict=True))
+        turn = np.zeros((3, count))
+        for k in range(count):
+            size = max(float(np.abs(at[3:, k]).max()) for at in moved)
+            if size == 0.0:
+                continue
+            h = TURN_STEP / size
+            there = []
+            for sign in (1.0, -1.0):
+                a, b = (
+                    frame[1] * Rotation.from_rotvec(sign * h * at[3:, k])
+                    for (frame, _), at in zip(own, moved, strict=True)
+                )
+                half = Slerp([0.0, 1.0], Rotation.concatenate([a, b]))(0.5)
+                there.append((middle[mount][1].inv() * half).as_rotvec())
+            turn[:, k] = (there[0] - there[1]) / (2.0 * h)
+        out[mount] = np.concatenate([middle[mount][1].as_matrix().T @ shift, turn])
     return out

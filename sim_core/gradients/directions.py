@@ -8,14 +8,17 @@ motions of the mounts in their own frames that offsets of end effectors amount t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from sim_core.commands import Frames, driven_frames, motion_between
+from sim_core.effects.hooks import CommandMap
+from sim_core.effects.registry import active, amended
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, list_parameters, resolve_name, with_parameters
-from sim_core.scene.offset import offset_motion
+from sim_core.scene.offset import offset_motion, with_offsets
 from sim_core.scene.scene import Scene, Values
 
 RELATIVE_STEP = 1e-5
@@ -32,12 +35,17 @@ Key = tuple[str, str, str]
 @dataclass(frozen=True)
 class Direction:
     """A parameter: rigs with a little less and a little more of it, ``width`` apart in its unit (or in the scale in
-    which derivatives are wanted). One of the two may be the rig itself, at a bound."""
+    which derivatives are wanted), with the amendments of their numbers made. One of the two may be the rig itself, at a
+    bound."""
 
     name: str
     low: Rig
     high: Rig
     width: float
+
+    def __post_init__(self) -> None:
+        for end in ("low", "high"):
+            object.__setattr__(self, end, amended(getattr(self, end)))
 
 
 def directions(rig: Rig, names: Sequence[str]) -> list[Direction]:
@@ -99,3 +107,36 @@ def motions(rig: Rig, along: Sequence[Direction]) -> dict[str, np.ndarray]:
         if slopes.any():
             found[name] = offset_motion(effector) @ slopes
     return found
+
+
+def command_motions(
+    rig: Rig, along: Sequence[Direction], commanded: Sequence[Frames], times: np.ndarray
+) -> list[dict[str, np.ndarray]]:
+    """Motion of each end effector in its own true frame at all ``times`` by the parameters that change what becomes of
+    its ``commanded`` frames, ``(6, n_parameters)``; others are left out. Empty where no parameter does."""
+    plain = [rig.model_copy(update={"effects": d.low.effects}) for d in along]
+    changed = [rig.model_copy(update={"effects": d.high.effects}) for d in along]
+    acting = [k for k, d in enumerate(along) if d.low.effects != d.high.effects and _commands(d)]
+    if not acting:
+        return []
+    out: list[dict[str, np.ndarray]] = [{} for _ in times]
+    for k in acting:
+        ends = [driven_frames(r, commanded, times) for r in (plain[k], changed[k])]
+        for at, (low, high) in enumerate(zip(*ends, strict=True)):
+            true = [with_offsets(rig, frames) for frames in (low, high)]
+            for name in low:
+                motion = motion_between(true[0][name], true[1][name]) / along[k].width
+                if motion.any():
+                    out[at].setdefault(name, np.zeros((6, len(along))))[:, k] = motion
+    return out
+
+
+def _commands(direction: Direction) -> bool:
+    """Whether the rigs of a direction differ in effects on commands."""
+    ends = [[(m.key, dict(m.values)) for m in active(r, CommandMap)] for r in (direction.low, direction.high)]
+    return ends[0] != ends[1]
+
+
+def together(one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Sums of motions by mount, where one or both have some."""
+    return {name: np.asarray(one.get(name, 0.0) + other.get(name, 0.0)) for name in (*one, *other)}

@@ -19,7 +19,7 @@ import numpy as np
 
 from sim_core.energies.curvature_rest import CurvatureRest, frames_of
 from sim_core.energies.linearised import Linearised, times_back
-from sim_core.energies.term import Internals, StepContext
+from sim_core.energies.term import ByAreas, Internals, StepContext
 from sim_core.geometry import tet10
 from sim_core.geometry.sheets import SheetMesh, area_slopes
 from sim_core.geometry.solids import TetMesh
@@ -124,7 +124,8 @@ class _Sheet:
         self._triangles, self._axes = body.mesh.triangles + int(body.nodes[0]), grain(body)
         self._factor = scene.fields.factor(body.name, MASS)
         self._membrane, self._bending = (terms[f"{body.name}.{kind}"] for kind in ("membrane", "bending"))
-        self._drag = terms.get(f"{body.name}.drag")
+        own = [t for t in scene.system.terms if t.name.startswith(f"{body.name}.")]
+        self._by_areas = [t for t in own if isinstance(t, ByAreas)]
         hinges, rigid = self._bending.hinges, self._bending.rigid
         self._curvature = CurvatureRest(body.rest, body.mesh.triangles, hinges, self._axes, rigid)
         self.clear()
@@ -155,9 +156,9 @@ class _Sheet:
         self._by_angle += parts[2]
         for factor, v, w in borne:
             self._by_area += factor * self._factor / 3.0 * (v[self._triangles] * w[self._triangles]).sum(axis=(1, 2))
-        if self._drag is not None:
-            self._drag.begin_step(step, internals[self._drag.name])
-            self._by_area += self._drag.by_areas(exerted)
+        for term in self._by_areas:
+            term.begin_step(step, internals[term.name])
+            self._by_area += term.by_areas(exerted)
 
     def pass_on(self, total: np.ndarray) -> None:
         """Add the derivatives by the nodes to those of all ``(n, 3)``."""

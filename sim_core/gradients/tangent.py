@@ -25,13 +25,14 @@ from sim_core.gradients.boundary_motion import (
     driven,
     midway_motion,
 )
-from sim_core.gradients.directions import Direction, checked, motions, slopes
+from sim_core.gradients.directions import Direction, checked, command_motions, motions, slopes, together
 from sim_core.gradients.initial_equilibrium import linearised
 from sim_core.gradients.parameter_jacobian import Columns
 from sim_core.gradients.step import LinearStep, Motion, Outcome, no_memory
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
+from sim_core.sensing.observe import frame_of
 from sim_core.simulate import Simulation, Trace, run
 from sim_core.solve.hessian_store import Keeper
 from sim_core.solve.integrator import step_context
@@ -44,11 +45,21 @@ class TangentSimulation(Simulation):
     ``derivatives``: of the readings now, by channel ``(..., n_parameters)``.
     """
 
-    def __init__(self, scene: Scene, along: Sequence[Direction], settings: NewtonSettings | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        along: Sequence[Direction],
+        settings: NewtonSettings | None = None,
+        moving: Sequence[Motions] = (),
+    ) -> None:
+        """``moving``: motions of the mounts by the parameters at the start and after every step, beside those of
+        offsets (:func:`sim_core.gradients.directions.command_motions`)."""
         self._along = list(along)
         keys, self._slopes = slopes(scene, along)
         self._columns = Columns(scene, scene.values(scene.rig), keys)
-        self._moved: Motions = motions(scene.rig, along)
+        self._offsets: Motions = motions(scene.rig, along)
+        self._moving, self._made = list(moving), 0
+        self._moved = self._moved_before = self._moved_at(0)
         self._halves: list[tuple[Mapping[str, Frame], Motions]] = []
         self._keeper = Keeper(scene.system)
         super().__init__(scene, settings)
@@ -56,7 +67,8 @@ class TangentSimulation(Simulation):
     def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
         super().reset(frames)
         count = len(self._along)
-        self._moved_now = self._moved
+        self._made = 0
+        self._moved = self._moved_now = self._moved_at(0)
         zero = np.zeros((*self.state.x.shape, count))
         self._motion = Motion(zero, zero, no_memory(self.state, count))
         self.derivatives = self._read_derivatives(None)
@@ -70,7 +82,11 @@ class TangentSimulation(Simulation):
     @property
     def _depends(self) -> bool:
         """Whether the states depend on the parameters."""
-        return bool(self._columns.keys or self._moved)
+        return bool(self._columns.keys or self._moved or self._moving)
+
+    def _moved_at(self, made: int) -> Motions:
+        """Motions of the mounts by the parameters after so many steps."""
+        return together(self._offsets, self._moving[made]) if self._moving else self._offsets
 
     def _start(self) -> Motion:
         """Derivatives of where the mounts put the bodies."""
@@ -133,6 +149,8 @@ class TangentSimulation(Simulation):
 
     def step(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
         self._halves.clear()
+        self._made += 1
+        self._begun, self._moved_before, self._moved = self.frames, self._moved, self._moved_at(self._made)
         return super().step(frames, dt)
 
     def _between(self, start: Mapping[str, Frame], end: Mapping[str, Frame]) -> dict[str, Frame]:
@@ -142,7 +160,9 @@ class TangentSimulation(Simulation):
         return middle
 
     def _motion_at(self, frames: Mapping[str, Frame]) -> Motions:
-        """Motions of the mounts by the parameters, at whole steps or halfway."""
+        """Motions of the mounts by the parameters, at the ends of the whole step or halfway."""
+        if frames is self._begun:
+            return self._moved_before
         return next((moved for halfway, moved in self._halves if halfway is frames), self._moved)
 
     def _advance(self, end: Mapping[str, Frame], dt: float) -> StepReport:
@@ -220,7 +240,10 @@ def simulate_tangent(
 ) -> tuple[Trace, dict[str, np.ndarray]]:
     """Trace of a rollout and the derivatives of every channel, ``(n_times, ..., n_parameters)``. Raises ``ConfigError``
     where ``along`` has something else than directions."""
-    simulation = TangentSimulation(scene, checked(along), settings)
+    along = checked(along)
+    tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
+    commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
+    simulation = TangentSimulation(scene, along, settings, command_motions(scene.rig, along, commanded, times))
     stacked: list[dict[str, np.ndarray]] = []
 
     def record(done: int, total: int) -> None:

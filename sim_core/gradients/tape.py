@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from sim_core.commands import driven_frames
 from sim_core.errors import ConfigError
 from sim_core.gradients.initial_equilibrium import linearised, with_inertia
 from sim_core.gradients.step import LinearStep
@@ -140,7 +141,9 @@ class Tape:
         self._set_to = _set_to(scene)
         self._times = np.asarray(times, dtype=float)
         tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
-        self._frames = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
+        self.commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
+        """Commanded frames of the end effectors at all times."""
+        self._frames = driven_frames(scene.rig, self.commanded, self._times)
         self._simulation = simulation = Recorder(scene, settings, factors)
         count = len(times) - 1
         length = max(1, math.ceil(math.sqrt(count)))

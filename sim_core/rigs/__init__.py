@@ -4,10 +4,8 @@ from sim_core.rigs.bodies import (
     WORLD,
     Affine,
     AffineMaterial,
-    Block,
     Box,
     Cylinder,
-    Dome,
     Gel,
     GelMaterial,
     Outline,
@@ -19,7 +17,9 @@ from sim_core.rigs.bodies import (
     Sphere,
 )
 from sim_core.rigs.fields import Pose
+from sim_core.rigs.gel_shapes import Block, Disc, Dome
 from sim_core.rigs.load import config_folder, load_rig, parse_rig, rig_to_yaml
+from sim_core.rigs.mesh_shapes import GelFile, SheetFile
 from sim_core.rigs.observers import (
     FisheyeCamera,
     MarkerSensor,
@@ -42,10 +42,12 @@ __all__ = [
     "Clamp",
     "Contact",
     "Cylinder",
+    "Disc",
     "Dome",
     "EndEffector",
     "FisheyeCamera",
     "Gel",
+    "GelFile",
     "GelMaterial",
     "Joint",
     "MarkerSensor",
@@ -60,6 +62,7 @@ __all__ = [
     "Rig",
     "Rigid",
     "Sheet",
+    "SheetFile",
     "SheetMaterial",
     "Sight",
     "Sphere",

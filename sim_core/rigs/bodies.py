@@ -8,13 +8,13 @@ from __future__ import annotations
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from sim_core.errors import ConfigError
+from sim_core.geometry.polygons import area_of, crossing_edges, in_polygon
 from sim_core.materials.presets import preset_values
 from sim_core.rigs.fields import (
     Cells2,
-    Cells3,
     Coordinate,
     FloatArray,
     Length,
@@ -28,6 +28,8 @@ from sim_core.rigs.fields import (
     describe,
     trouble,
 )
+from sim_core.rigs.gel_shapes import Block, Disc, Dome
+from sim_core.rigs.mesh_shapes import GelFile, SheetFile
 
 WORLD = "world"
 Modulus = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0, le=1e13)]
@@ -148,21 +150,34 @@ class Rectangle(Strict):
 
 
 class Outline(Strict):
-    """A flat sheet of any outline, with holes; coordinates are local, the origin is where they say."""
+    """A flat sheet of any outline, with holes; coordinates are local, the origin is where they say.
+
+    A ring of corners may repeat the first one at its end, as rings of GIS and CAD files do.
+    """
 
     type: Literal["outline"]
     polygon_m: tuple[Point2, ...] = Field(min_length=3, description="corners of the outline, x and y in m")
     holes_m: tuple[Annotated[tuple[Point2, ...], Field(min_length=3)], ...] = ()
     edge_m: Length = Field(description="wanted length of the mesh edges in m")
 
+    @field_validator("polygon_m", mode="after")
+    @classmethod
+    def _open(cls, ring: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        return ring[:-1] if len(ring) > 3 and ring[0] == ring[-1] else ring
+
+    @field_validator("holes_m", mode="after")
+    @classmethod
+    def _open_holes(
+        cls, rings: tuple[tuple[tuple[float, float], ...], ...]
+    ) -> tuple[tuple[tuple[float, float], ...], ...]:
+        return tuple(ring[:-1] if len(ring) > 3 and ring[0] == ring[-1] else ring for ring in rings)
+
     @model_validator(mode="after")
     def _has_area(self) -> Outline:
         for path, polygon in [(("polygon_m",), self.polygon_m)] + [
             (("holes_m", index), hole) for index, hole in enumerate(self.holes_m)
         ]:
-            x, y = np.array(polygon).T
-            area = 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
-            if area < 1e-12:
+            if area_of(np.array(polygon)) < 1e-12:
                 raise trouble("encloses no area.", "Give the corners in order around the outline.", *path)
         extent = np.ptp(np.array(self.polygon_m), axis=0)
         if self.edge_m > extent.max():
@@ -173,56 +188,41 @@ class Outline(Strict):
             )
         return self
 
-    def bounds(self) -> FloatArray:
-        """Corners of the box around it [m], shape ``(2, 3)``."""
-        corners = np.pad(np.array(self.polygon_m), ((0, 0), (0, 1)))
-        return np.array([corners.min(axis=0), corners.max(axis=0)])
-
-
-class Block(Strict):
-    """A solid cuboid of gel."""
-
-    faces: ClassVar[tuple[str, ...]] = ("bottom", "top", "x_min", "x_max", "y_min", "y_max")
-
-    type: Literal["block"]
-    size_m: Sizes = Field(description="extents along local x, y, z in m")
-    cells: Cells3 = Field(description="number of cells along x, y, z")
-
-    def bounds(self) -> FloatArray:
-        """Corners of the box around it [m], shape ``(2, 3)``."""
-        half = np.array(self.size_m) / 2
-        return np.array([-half, half])
-
-
-class Dome(Strict):
-    """A half ball of gel, apex at +z, with a concentric half-ball cavity, like a tactile fingertip.
-
-    The origin is the centre of the ball; ``base`` is the flat ring at z = 0, ``outer`` the skin,
-    ``inner`` the wall of the cavity. A marker in the cavity is the tip of a pin that stands on that wall, along the
-    radius, and moves and turns with it.
-    """
-
-    faces: ClassVar[tuple[str, ...]] = ("base", "outer", "inner")
-
-    type: Literal["dome"]
-    radius_m: Length = Field(description="outer radius in m")
-    cavity_radius_m: Length = Field(description="radius of the cavity in m")
-    cells: Cells3 = Field(description="number of cells along the cap, from cap to rim, and through the wall")
-
     @model_validator(mode="after")
-    def _has_wall(self) -> Dome:
-        if self.cavity_radius_m >= self.radius_m:
-            raise trouble(
-                f"is {self.cavity_radius_m:g}, but must be less than radius_m ({self.radius_m:g}).",
-                "Reduce it: the difference is the thickness of the skin.",
-                "cavity_radius_m",
-            )
+    def _simple(self) -> Outline:
+        rings: list[tuple[tuple[str | int, ...], str, FloatArray]] = [
+            (("polygon_m",), "the outline", np.array(self.polygon_m))
+        ]
+        rings += [(("holes_m", k), f"hole {k}", np.array(hole)) for k, hole in enumerate(self.holes_m)]
+        for path, _, ring in rings:
+            doubled = np.flatnonzero((ring == np.roll(ring, -1, axis=0)).all(axis=1))
+            if len(doubled):
+                k = int(doubled[0])
+                following = (k + 1) % len(ring)
+                raise trouble(
+                    f"has corner {k} and corner {following} at the same place, {ring[k].tolist()} m.",
+                    "Leave out one of the two.",
+                    *path,
+                )
+            crossing = crossing_edges(ring, ring)
+            if crossing is not None:
+                raise trouble(
+                    f"crosses itself: the edges from corner {crossing[0]} and from corner {crossing[1]} meet.",
+                    "Give the corners in order around the outline.",
+                    *path,
+                )
+        for k, (path, _, ring) in enumerate(rings[1:], 1):
+            for other, (_, name, around) in enumerate(rings[:k]):
+                inside = bool(in_polygon(ring[:1], around)[0])
+                if crossing_edges(ring, around) is not None or inside != (other == 0):
+                    where = "is not inside of" if other == 0 else "is not apart from"
+                    raise trouble(f"{where} {name}.", "Let holes be inside of the outline and apart.", *path)
         return self
 
     def bounds(self) -> FloatArray:
         """Corners of the box around it [m], shape ``(2, 3)``."""
-        r = self.radius_m
-        return np.array([[-r, -r, 0.0], [r, r, r]])
+        corners = np.pad(np.array(self.polygon_m), ((0, 0), (0, 1)))
+        return np.array([corners.min(axis=0), corners.max(axis=0)])
 
 
 class Sphere(Strict):
@@ -270,7 +270,9 @@ class Sheet(Strict):
     """A thin shell. Its pose is in the base frame; it lies in its local xy plane at rest."""
 
     type: Literal["sheet"]
-    shape: Annotated[Rectangle | Outline, Field(discriminator="type")] = Field(description="rectangle or outline")
+    shape: Annotated[Rectangle | Outline | SheetFile, Field(discriminator="type")] = Field(
+        description="rectangle, outline or mesh"
+    )
     pose: Pose = Pose()
     material: SheetMaterial = Field(description="E_pa, nu, thickness_m, density_kg_m3, or a preset")
 
@@ -279,7 +281,9 @@ class Gel(Strict):
     """A soft solid. ``bonded`` names the face that is glued to ``mount``; without both it is free."""
 
     type: Literal["gel"]
-    shape: Annotated[Block | Dome, Field(discriminator="type")] = Field(description="block or dome")
+    shape: Annotated[Block | Disc | Dome | GelFile, Field(discriminator="type")] = Field(
+        description="block, disc, dome or mesh"
+    )
     pose: Pose = Pose()
     material: GelMaterial = Field(description="E_pa, nu, density_kg_m3, or a preset")
     bonded: Text | None = None
@@ -293,7 +297,7 @@ class Gel(Strict):
         if self.bonded is not None and self.bonded not in self.shape.faces:
             raise trouble(
                 f"is {self.bonded!r}, which is no face of a {self.shape.type}.",
-                f"Choose one of: {', '.join(self.shape.faces)}.",
+                f"Choose one of: {', '.join(self.shape.faces)}." if self.shape.faces else "Name faces by face_regions.",
                 "bonded",
             )
         return self

@@ -186,6 +186,10 @@ def _check_points(rig: Rig, body_name: str, points: Points, *path: str | int) ->
         return
     if body.type == "affine" and points.grid is not None:
         raise trouble("is given for an affine body.", "Give positions_m, one by one.", *path, "points", "grid")
+    if body.shape.type == "mesh" and points.grid is not None:
+        raise trouble(
+            "is given for a body whose shape is a mesh.", "Give positions_m, one by one.", *path, "points", "grid"
+        )
     faces = body.shape.faces if body.type == "gel" else ()
     if points.grid is not None and body.type == "gel" and points.face not in faces:
         given = "is missing." if points.face is None else f"is {points.face!r}, which is no face of this gel."

@@ -41,6 +41,9 @@ UNITS: dict[str, tuple[str, dict[str, float]]] = {
 """Suffix of a key -> (unit as printed, other suffixes that people write and their factor to it)."""
 
 NAME_PATTERN = r"^[a-z][a-z0-9_]*$"
+EFFECT_PATTERN = r"^[a-z][a-z0-9_]*(@[a-z][a-z0-9_]*(-[a-z][a-z0-9_]*)?)?(#[a-z0-9_]+)?$"
+"""Keys of effects (:mod:`sim_core.effects.base`)."""
+
 TOPIC_PATTERN = r"^[~/]?/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$"
 
 
@@ -155,6 +158,7 @@ Count = Annotated[int, Field(strict=True, ge=1, le=10_000)]
 Flag = Annotated[bool, Field(strict=True)]
 Text = Annotated[str, Field(strict=True)]
 Name = Annotated[str, Field(strict=True, pattern=NAME_PATTERN)]
+EffectKey = Annotated[str, Field(strict=True, pattern=EFFECT_PATTERN)]
 Topic = Annotated[str, Field(strict=True, pattern=TOPIC_PATTERN)]
 FrameId = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_/]*$")]
 Position = Annotated[tuple[Coordinate, Coordinate, Coordinate], of_length(3)]

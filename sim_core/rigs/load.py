@@ -11,7 +11,7 @@ from pydantic import Field
 
 import sim_core
 from sim_core.errors import ConfigError, nearest_match
-from sim_core.rigs.fields import Name, Real, Strict, Text
+from sim_core.rigs.fields import EffectKey, Name, Real, Strict, Text
 from sim_core.rigs.parameters import with_parameters
 from sim_core.rigs.schema import Rig
 from sim_core.rigs.yamlfile import read_mapping, validate
@@ -24,7 +24,7 @@ class Overlay(Strict):
     name: Name | None = None
     description: Text | None = None
     parameters: dict[Text, Real] = Field(default={})
-    effects: dict[Name, dict[Text, Real]] = Field(default={})
+    effects: dict[EffectKey, dict[Text, Real]] = Field(default={})
 
 
 def config_folder() -> Path:
@@ -91,7 +91,7 @@ def _load(path: Path, chain: tuple[Path, ...]) -> Rig:
     if "motions" in data and "bodies" not in data:
         raise ConfigError(f"{path} is an experiment, and a rig is wanted.", "Rigs come before experiments.")
     if "overlay_of" not in data:
-        return parse_rig(data, str(path))
+        return parse_rig(_with_files(data, path.parent), str(path))
     resolved = path.resolve()
     if resolved in chain:
         circle = " -> ".join(p.name for p in (*chain, resolved))
@@ -108,3 +108,18 @@ def _load(path: Path, chain: tuple[Path, ...]) -> Rig:
     if overlay.description is not None:
         update["description"] = overlay.description
     return rig.model_copy(update=update)
+
+
+def _with_files(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The same with the paths of mesh files, which are told from the folder of the rig, made absolute."""
+    bodies = data.get("bodies")
+    if not isinstance(bodies, dict):
+        return data
+    found = {}
+    for name, body in bodies.items():
+        shape = body.get("shape") if isinstance(body, dict) else None
+        if isinstance(shape, dict) and isinstance(shape.get("file"), str) and shape["file"]:
+            shape = {**shape, "file": str((folder / Path(shape["file"]).expanduser()).resolve())}
+            body = {**body, "shape": shape}
+        found[name] = body
+    return {**data, "bodies": found}

@@ -30,6 +30,7 @@ Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e4)]
 Latency = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10.0, le=10.0)]
 Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=1e3)]
 """Standard deviation of what is told, 0 where it is exact."""
+SensorRange = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e6)]
 Focal = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e6)]
 Pixel = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
 WrenchComponent = Literal["force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z"]
@@ -120,7 +121,8 @@ class WrenchSensor(Strict):
     puts the sensor's frame into the frame of the end effector, the body's local frame, or the frame
     of the clamp's mount. ``measures``: the components that a real sensor has (a gauge along one axis has
     one); what a recording holds in the others is not compared. ``latency_sd_s``: how well the latency is known, for
-    fits. ``length_unit``: of the lengths in recorded torques, where that is not m.
+    fits. ``length_unit``: of the lengths in recorded torques, where that is not m. ``range_n`` and ``range_nm``: the
+    largest force and torque of a component that the sensor can read, as its data sheet says.
     """
 
     type: Literal["wrench"]
@@ -134,6 +136,8 @@ class WrenchSensor(Strict):
     measures: Annotated[tuple[WrenchComponent, ...], Field(min_length=1)] = WRENCH_COMPONENTS
     topic: Topic = "wrench"
     length_unit: LengthUnit = None
+    range_n: SensorRange | None = None
+    range_nm: SensorRange | None = None
 
 
 class MarkerSensor(Strict):

@@ -16,6 +16,7 @@ from typing import Any, get_args
 
 import annotated_types
 
+from sim_core.effects.registry import active_effects
 from sim_core.errors import ConfigError
 from sim_core.rigs.fields import Strict, split_unit, unit_of
 from sim_core.rigs.pose_offset import OFFSETS
@@ -175,18 +176,10 @@ def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
             if key in type(camera).model_fields:
                 frame = OF_CAMERAS if key in OFFSETS else ""
                 yield ("cameras", name, key), _parameter(f"{name}.{key}", camera, key, frame)
-    for effect, values in rig.effects.items():
-        bounds = _bounds_of_effect(effect)
-        for key, value in values.items():
-            label, (lower, upper) = f"effects.{effect}.{key}", bounds.get(key, (-math.inf, math.inf))
-            yield ("effects", effect, key), Parameter(label, value, unit_of(key), lower, upper, f"of {effect}")
-
-
-def _bounds_of_effect(name: str) -> dict[str, tuple[float, float]]:
-    """Bounds of the parameters of an effect, if it is one; whoever builds a scene with it refuses what is none."""
-    from sim_core.effects import EFFECTS
-
-    return {p.name: (p.lower, p.upper) for effect in EFFECTS if effect.name == name for p in effect.parameters}
+    for instance in active_effects(rig):
+        for p in instance.effect.parameters:
+            label, value = f"effects.{instance.key}.{p.name}", instance.values[p.name]
+            yield ("effects", instance.key, p.name), Parameter(label, value, p.unit, p.lower, p.upper, p.words)
 
 
 _MEANINGS = {

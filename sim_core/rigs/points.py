@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from sim_core.errors import ConfigError
-from sim_core.rigs.bodies import Affine, Block, Dome, Gel, Outline, Rectangle, Sheet
+from sim_core.geometry.polygons import in_polygon
+from sim_core.rigs.bodies import Affine, Gel, Outline, Rectangle, Sheet
 from sim_core.rigs.fields import FloatArray
+from sim_core.rigs.gel_shapes import Block, Disc, Dome
 from sim_core.rigs.observers import Camera, OrthographicCamera, Points, Sight
 
 IntArray = np.ndarray
@@ -26,7 +28,8 @@ def marker_positions(points: Points, body: Sheet | Gel | Affine) -> tuple[FloatA
     """Local rest positions [m], shape ``(n, 3)``, and ids, int64 ``(n,)``, of the points on a body.
 
     A grid counts row by row along its first axis. On an outline only the points inside of it and
-    outside of its holes are kept; their ids stay those of the full grid.
+    outside of its holes are kept, on the ends of a disc those inside of it, on round faces those on the simulated side
+    of planes of symmetry; their ids stay those of the full grid.
     """
     if points.positions_m is not None:
         ids = np.arange(points.count) if points.ids is None else np.array(points.ids, dtype=np.int64)
@@ -35,9 +38,11 @@ def marker_positions(points: Points, body: Sheet | Gel | Affine) -> tuple[FloatA
     shape = body.shape
     ids = np.arange(points.count)
     if isinstance(shape, Dome):
-        return _on_dome(points, shape), ids
+        return _within(_on_dome(points, shape), ids, shape.bounds())
+    if isinstance(shape, Disc) and points.face == "side":
+        return _within(_on_side(points, shape), ids, shape.bounds())
     low, high = shape.bounds()
-    normal, end, axes = _BLOCK_FACES[points.face or "top"] if isinstance(shape, Block) else (2, 1, (0, 1))
+    normal, end, axes = _BLOCK_FACES[points.face or "top"] if isinstance(shape, Block | Disc) else (2, 1, (0, 1))
     first, second = (
         _stations(low[axis], high[axis], n, points.margin_m) for axis, n in zip(axes, points.grid, strict=True)
     )
@@ -50,6 +55,11 @@ def marker_positions(points: Points, body: Sheet | Gel | Affine) -> tuple[FloatA
         if not inside.any():
             raise ConfigError("No point of the marker grid lies on the sheet.", "Use a finer grid, or positions_m.")
         return positions[inside], ids[inside]
+    if isinstance(shape, Disc):
+        kept = np.hypot(positions[:, 0], positions[:, 1]) <= shape.radius_m
+        if not kept.any():
+            raise ConfigError("No point of the marker grid lies on the disc.", "Use a finer grid, or positions_m.")
+        return positions[kept], ids[kept]
     assert isinstance(shape, Rectangle | Block)
     return positions, ids
 
@@ -114,18 +124,25 @@ def _on_dome(points: Points, dome: Dome) -> FloatArray:
     )
 
 
+def _on_side(points: Points, disc: Disc) -> FloatArray:
+    """Rings of points about the axis of a disc, from its bottom to its top."""
+    assert points.grid is not None
+    rings, per_ring = points.grid
+    angle = 2.0 * np.pi * np.arange(per_ring) / per_ring
+    heights = _stations(-disc.height_m / 2, disc.height_m / 2, rings, points.margin_m)
+    round_about = np.tile(disc.radius_m * np.column_stack([np.cos(angle), np.sin(angle)]), (rings, 1))
+    return np.column_stack([round_about, np.repeat(heights, per_ring)])
+
+
+def _within(positions: FloatArray, ids: IntArray, bounds: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Those of the positions [m] that are within ``bounds`` [m] ``(2, 3)``."""
+    slack = 1e-9 * float(np.ptp(bounds))
+    kept = ((positions >= bounds[0] - slack) & (positions <= bounds[1] + slack)).all(axis=1)
+    return positions[kept], ids[kept]
+
+
 def _inside(points: FloatArray, outline: Outline) -> np.ndarray:
-    inside = _in_polygon(points, np.array(outline.polygon_m))
+    inside = in_polygon(points, np.array(outline.polygon_m))
     for hole in outline.holes_m:
-        inside &= ~_in_polygon(points, np.array(hole))
+        inside &= ~in_polygon(points, np.array(hole))
     return inside
-
-
-def _in_polygon(points: FloatArray, polygon: FloatArray) -> np.ndarray:
-    """Crossing-number test: bool ``(n,)``."""
-    x, y = points[:, :1], points[:, 1:]
-    (x0, y0), (x1, y1) = polygon.T, np.roll(polygon, -1, axis=0).T
-    straddles = (y0 > y) != (y1 > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = x0 + (y - y0) * (x1 - x0) / (y1 - y0)
-    return np.asarray((straddles & (x < crossing)).sum(axis=1) % 2 == 1)

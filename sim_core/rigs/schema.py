@@ -8,17 +8,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from sim_core.rigs.bodies import WORLD, Body
 from sim_core.rigs.check import check_references
 from sim_core.rigs.fields import (
     Direction,
+    EffectKey,
     Flag,
-    FloatArray,
     FrameId,
-    Interval,
     Name,
     Pose,
     Position,
@@ -32,39 +30,10 @@ from sim_core.rigs.fields import (
 )
 from sim_core.rigs.observers import Camera, Sensor
 from sim_core.rigs.pose_offset import Displaced, ShiftSds, TurnSds
+from sim_core.rigs.regions import Region
 
 Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=5.0)]
 Stiffness = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]
-
-
-class Region(Strict):
-    """A box in a body's local rest coordinates; an absent axis is not bounded."""
-
-    x_m: Interval | None = None
-    y_m: Interval | None = None
-    z_m: Interval | None = None
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Region:
-        for key in ("x_m", "y_m", "z_m"):
-            interval = getattr(self, key)
-            if interval is not None and interval[0] > interval[1]:
-                raise trouble(f"is [{interval[0]:g}, {interval[1]:g}].", "Write [lower, upper].", key)
-        return self
-
-    def box(self) -> FloatArray:
-        """Lower and upper corner [m], infinite where not bounded, shape ``(2, 3)``."""
-        box = np.array([[-np.inf] * 3, [np.inf] * 3])
-        for axis, interval in enumerate((self.x_m, self.y_m, self.z_m)):
-            if interval is not None:
-                box[:, axis] = interval
-        return box
-
-    def contains(self, points: FloatArray) -> np.ndarray:
-        """Which local rest points [m] of shape ``(n, 3)`` lie inside (border included): bool ``(n,)``."""
-        lower, upper = self.box()
-        slack = 1e-9
-        return np.asarray(((points >= lower - slack) & (points <= upper + slack)).all(axis=1))
 
 
 class Clamp(Strict):
@@ -122,12 +91,15 @@ class PoseTopics(Strict):
 
     ``length_unit`` and ``quaternion_order`` are for recordings that do not keep to m and x, y, z, w, or that look as if
     they did not: what is written is believed.
+    ``tf``: parent and child frame of the transforms ``/tf`` and ``/tf_static`` that are the measured pose, for robots
+    that publish no pose of their own.
     ``max_gap_s``: longest gap in a recorded pose stream that is bridged by a straight line; a longer one
     is an error, unless the motion is known to be slow and steady there.
     """
 
     target_pose: Topic = "target_pose"
     current_pose: Topic = "current_pose"
+    tf: Annotated[tuple[FrameId, FrameId], of_length(2)] | None = None
     length_unit: Literal["m", "mm"] | None = None
     quaternion_order: Literal["xyzw", "wxyz"] | None = None
     max_gap_s: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=3600.0)] = 1.0
@@ -193,7 +165,7 @@ class Rig(Strict):
     contacts: tuple[Contact, ...] = ()
     sensors: dict[Name, Sensor] = Field(default={})
     cameras: dict[Name, Camera] = Field(default={})
-    effects: dict[Name, dict[Text, Real]] = Field(default={})
+    effects: dict[EffectKey, dict[Text, Real]] = Field(default={})
     recording_clock: Literal["header", "log"] = "header"
 
     @model_validator(mode="after")

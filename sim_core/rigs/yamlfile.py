@@ -72,6 +72,8 @@ def read_mapping(path: Path) -> dict[str, Any]:
     try:
         if path.is_dir():
             raise ConfigError(f"{path} is a folder, not a YAML file.", _wanted(path))
+        if path.exists() and not path.is_file():
+            raise ConfigError(f"{path} is neither a file nor a folder (a device, a pipe or a socket).", _wanted(path))
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise ConfigError(

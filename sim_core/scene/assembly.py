@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import reduce
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,8 +19,11 @@ from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
 from sim_core.geometry import closed, sheets, solids
+from sim_core.geometry.bisection import Refinement
 from sim_core.geometry.folds import Fold, folded
-from sim_core.rigs import Affine, Block, Gel, Rectangle, Rig, Rigid, Sheet
+from sim_core.geometry.subdivision import split_tets, split_triangles
+from sim_core.rigs import Affine, Block, Disc, Dome, Gel, GelFile, Rectangle, Rig, Rigid, Sheet, SheetFile
+from sim_core.rigs.bodies import WORLD
 from sim_core.rigs.fields import Pose
 
 EDGE_ROUNDING_M = 2e-4
@@ -89,7 +93,7 @@ def build_body(
         mesh = layout if given is None else sheets.SheetMesh(given, layout.triangles)
         unit_mass = sp.diags(mesh.node_areas).tocsr()
     elif isinstance(spec, Gel):
-        mesh = _gel_mesh(spec, refine)
+        mesh = gel_mesh(spec, refine)
         local, layout = mesh.nodes, mesh
         mesh = layout if given is None else solids.TetMesh(given, layout.tets, layout.surface, layout.face_sets)
         unit_mass = solids.consistent_mass(mesh)
@@ -125,6 +129,8 @@ def rest_form(spec: Sheet | Gel | Rigid | Affine, local: np.ndarray) -> np.ndarr
 def _sheet_mesh(spec: Sheet, refine: int, clamps: list[np.ndarray]) -> sheets.SheetMesh:
     """Mesh a sheet with lines of nodes along its creases and the edges of its clamps (where it is a rectangle)."""
     shape = spec.shape
+    if isinstance(shape, SheetFile):
+        return split_triangles(shape.mesh(), refine)
     if isinstance(shape, Rectangle):
         cells = (shape.cells[0] * refine, shape.cells[1] * refine)
         edges = [sorted({float(v) for box in clamps for v in box[:, axis] if np.isfinite(v)}) for axis in (0, 1)]
@@ -135,15 +141,26 @@ def _sheet_mesh(spec: Sheet, refine: int, clamps: list[np.ndarray]) -> sheets.Sh
     return sheets.outline(np.asarray(shape.polygon_m), shape.edge_m / refine, holes)
 
 
-def _gel_mesh(spec: Gel, refine: int) -> solids.TetMesh:
+def gel_mesh(spec: Gel, refine: int) -> solids.TetMesh:
+    """Mesh of a gel in its frame; ``refine``: factor on cells in each direction."""
     shape = spec.shape
+    if isinstance(shape, GelFile):
+        if refine & (refine - 1):
+            raise ConfigError(
+                f"A mesh of tetrahedra can be refined by 2, 4, 8, ..., not by {refine}.", "Choose one of these."
+            )
+        return reduce(lambda mesh, _: split_tets(mesh), range(refine.bit_length() - 1), shape.mesh())
+    a, b, c = (count * refine for count in shape.cells)
+    raised = np.zeros(3) if isinstance(shape, Dome) else np.array([0.0, 0.0, -shape.bounds()[0, 2]])
+    boxes = [Refinement(region.box() + raised, region.edge_m / refine) for region in shape.refine]
+    how = (shape.ratios, shape.cut, boxes)
     if isinstance(shape, Block):
-        a, b, c = shape.cells
-        mesh = solids.block(shape.size_m, (a * refine, b * refine, c * refine))
-        centre = 0.5 * (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0))
-        return solids.TetMesh(mesh.nodes - centre, mesh.tets, mesh.surface, mesh.face_sets)
-    a, b, c = shape.cells
-    return solids.dome(shape.radius_m, shape.cavity_radius_m, (a * refine, b * refine, c * refine))
+        mesh = solids.block(shape.size_m, (a, b, c), *how)
+    elif isinstance(shape, Disc):
+        mesh = solids.cylinder(shape.radius_m, shape.height_m, (a, b, c), *how)
+    else:
+        mesh = solids.dome(shape.radius_m, shape.cavity_radius_m, (a, b, c), *how)
+    return solids.TetMesh(mesh.nodes - raised, mesh.tets, mesh.surface, mesh.face_sets)
 
 
 def affine_mesh(spec: Affine, refine: int) -> sheets.SheetMesh:
@@ -189,16 +206,18 @@ def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray, loose: np.nda
 
 def grain(body: BuiltBody) -> np.ndarray:
     """Material direction 1 of the triangles of a sheet as the rig has it at rest, in the world, ``(m, 3)``: along the
-    body's x axis, and turned with the triangle where the sheet is folded. What is normal to it does not count in
-    another shape at rest."""
+    body's x axis, and turned with the triangle where the sheet is folded, though not where it comes from a mesh file.
+    What is normal to it does not count in another shape at rest."""
     assert isinstance(body.layout, sheets.SheetMesh)
     triangles = body.layout.triangles
+    if isinstance(body.spec.shape, SheetFile):
+        return np.tile(body.rotation[:, 0], (len(triangles), 1))
     flat, sides = (x[triangles[:, 1:]] - x[triangles[:, :1]] for x in (body.local, body.drawn))
     return np.asarray(np.einsum("mki,mk->mi", sides, np.linalg.inv(flat[..., :2].transpose(0, 2, 1))[..., 0]))
 
 
 def contact_samples(body: BuiltBody, rest: np.ndarray) -> Samples:
-    """Where a body is tested for contact (a gel: on the faces that are not bonded)."""
+    """Where a body is tested for contact (a gel: on the faces that are neither bonded nor planes of symmetry)."""
     if isinstance(body.mesh, sheets.SheetMesh):
         thickness = body.spec.material.thickness_m if isinstance(body.spec, Sheet) else 0.0
         return sheet_samples(body.mesh, int(body.nodes[0]), thickness)
@@ -215,8 +234,9 @@ def contact_triangles(body: BuiltBody) -> np.ndarray:
 def _free_faces(body: BuiltBody) -> np.ndarray:
     assert isinstance(body.mesh, solids.TetMesh) and isinstance(body.spec, Gel)
     keep = np.ones(len(body.mesh.surface), dtype=bool)
-    if body.spec.bonded is not None:
-        keep[body.mesh.face_sets[body.spec.bonded]] = False
+    inner = [f"{axis}_cut" for axis in body.spec.shape.symmetry]
+    for face in inner if body.spec.bonded is None else [*inner, body.spec.bonded]:
+        keep[body.mesh.face_sets[face]] = False
     return np.asarray(body.mesh.surface[keep] + int(body.nodes[0]))
 
 
@@ -247,8 +267,8 @@ class Held:
 
 
 def held_nodes(rig: Rig, body: BuiltBody) -> dict[str, Held]:
-    """Nodes of a deformable body that follow a mount, by holder (clamp or bond)."""
-    holders: dict[str, Held] = {}
+    """Nodes of a deformable body that follow a mount, by holder (plane of symmetry, clamp or bond)."""
+    holders = _planes_of_symmetry(body) if isinstance(body.spec, Gel) else {}
     for index, clamp in enumerate(rig.clamps):
         if clamp.body == body.name:
             inside = clamp.region.contains(body.local)
@@ -271,4 +291,25 @@ def held_nodes(rig: Rig, body: BuiltBody) -> dict[str, Held]:
         glued = np.zeros(len(body.local), dtype=bool)
         glued[body.mesh.node_sets[body.spec.bonded]] = True
         holders[f"{body.name}.bond"] = Held(glued, (True, True, True), body.spec.mount)
+    return holders
+
+
+def _planes_of_symmetry(body: BuiltBody) -> dict[str, Held]:
+    """Nodes of a gel on its planes of symmetry, which they do not leave. The normals must be axes of the world, as
+    components of positions are held along those only."""
+    assert isinstance(body.spec, Gel) and isinstance(body.mesh, solids.TetMesh)
+    holders = {}
+    for letter, axis in zip(body.spec.shape.symmetry, body.spec.shape.cut, strict=True):
+        normal = np.abs(body.rotation[:, axis])
+        along = int(np.argmax(normal))
+        if normal[along] < 1.0 - 1e-9:
+            raise ConfigError(
+                f"The plane of symmetry of {body.name} normal to its {letter} axis is not normal to an axis of the "
+                f"world at the start: its normal is {np.array2string(body.rotation[:, axis], precision=4)}.",
+                "Turn the body, or its mount at the start, by multiples of 90 degrees, or simulate the whole of it.",
+            )
+        inside = np.zeros(len(body.local), dtype=bool)
+        inside[body.mesh.node_sets[f"{letter}_cut"]] = True
+        held = (along == 0, along == 1, along == 2)
+        holders[f"{body.name}.{letter}_cut"] = Held(inside, held, body.spec.mount or WORLD)
     return holders

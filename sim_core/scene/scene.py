@@ -9,6 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
+from sim_core.effects.base import Instance
+from sim_core.effects.hooks import BodyForce, FrictionLaw, MechanicsMap, NormalLaw
+from sim_core.effects.registry import active, active_effects, amended
 from sim_core.energies.affine import AffineShape, coordinates
 from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.term import Term
@@ -71,7 +74,11 @@ class Scene:
     """A rig ready to be stepped. Build with :func:`build_scene`."""
 
     def __init__(self, rig: Rig, refine: int) -> None:
+        self.given = rig
+        """The rig as it was given."""
+        rig = amended(rig)
         self.rig, self._refine = rig, refine
+        """The rig with the amendments of its numbers that its effects make."""
         self.start: dict[str, Frame] = {WORLD: (np.zeros(3), Rotation.identity())}
         for name, effector in rig.end_effectors.items():
             self.start[name] = (effector.start.position(), effector.start.rotation())
@@ -99,7 +106,8 @@ class Scene:
         self._hold()
         self.contacts: dict[str, list[ContactTerm]] = {}
         terms = self._terms()
-        self.extra = self._effect_terms()
+        self._by_effects: dict[str, list[str]] = {}  # names of the terms that effects add, by the effects' keys
+        terms += self._effect_terms()
         values = self.values(rig)
         self.compliant = list(values.compliance)
         """End effectors that give way, in the order of the system's groups."""
@@ -108,7 +116,7 @@ class Scene:
             self.rest,
             mass,
             self._prescribed,
-            [*terms, *self.extra],
+            terms,
             values.gravity,
             rig.solver.inertia,
             [Compliant(self.carried(e), c) for e, c in values.compliance.items()],
@@ -234,9 +242,20 @@ class Scene:
         return contact_of_surfaces(f"contact.{name}", a, b, self.rest, self._drawn)
 
     def _effect_terms(self) -> list[Term]:
-        from sim_core.effects import active_effects
+        """Terms that effects add; and hand the laws that they add to contacts over to these."""
+        found: list[Term] = []
+        for instance in active(self.rig, BodyForce):
+            terms = instance.effect.terms(self, instance.key, instance.targets, instance.values)
+            self._by_effects[instance.key] = [term.name for term in terms]
+            found += terms
+        for instance in (*active(self.rig, NormalLaw), *active(self.rig, FrictionLaw)):
+            for term in self._touched(instance):
+                term.laws.add(instance.key, instance.effect)
+        return found
 
-        return [t for effect, given in active_effects(self.rig) for t in effect.terms(self, given)]
+    def _touched(self, instance: Instance) -> list[ContactTerm]:
+        """Terms of the contacts that an effect acts on."""
+        return [term for contact in instance.targets for term in self.contacts[contact]]
 
     def _densities(self, values: Values) -> tuple[float, ...]:
         return tuple(values.density.get(name, 0.0) for name in self.bodies)
@@ -251,8 +270,7 @@ class Scene:
 
     def values(self, rig: Rig) -> Values:
         """Numbers of a rig (of the same geometry) as the terms take them, effects included."""
-        from sim_core.effects import active_effects
-
+        rig = amended(rig)
         values = Values({}, {}, np.asarray(rig.gravity_m_s2, dtype=float))
         for name, spec in rig.bodies.items():
             if isinstance(spec, Sheet):
@@ -282,8 +300,16 @@ class Scene:
                     "range_m": CONTACT_RANGE_M,
                     "offset_m": self._beyond[term.name] + half_thicknesses(rig, contact),
                 }
-        for effect, given in active_effects(rig):
-            effect.amend_values(rig, values, given)
+        for instance in active_effects(rig):
+            effect, given = instance.effect, instance.values
+            if isinstance(effect, MechanicsMap):
+                effect.amend_values(rig, instance.targets, values, given)
+            if isinstance(effect, BodyForce):
+                for name in self._by_effects.get(instance.key, ()):
+                    values.terms[name] = dict(effect.numbers(given))
+            if isinstance(effect, NormalLaw | FrictionLaw):
+                for term in self._touched(instance):
+                    values.terms[term.name].update({f"{instance.key}.{key}": v for key, v in given.items()})
         return values
 
     def apply(self, values: Values) -> None:
@@ -317,8 +343,9 @@ class Scene:
 
     def use(self, rig: Rig) -> None:
         """Take the numbers of a rig of the same geometry."""
+        given, rig = rig, amended(rig)
         self.fields.check(rig)
-        self.rig = rig
+        self.given, self.rig = given, rig
         self.apply(self.values(rig))
 
     def carried(self, mount: str) -> np.ndarray:

@@ -12,6 +12,7 @@ from sim_core.contact.inner_primitives import cores
 from sim_core.contact.intersection_check import cross
 from sim_core.contact.rigid import RigidContact
 from sim_core.contact.samples import Samples, edge_shares, triangle_edges
+from sim_core.contact.start_depth import distances, over_triangles
 from sim_core.contact.surface import SurfaceContact
 from sim_core.errors import ConfigError
 from sim_core.geometry import sheets
@@ -20,6 +21,12 @@ from sim_core.rigs.schema import Contact
 from sim_core.scene.assembly import BuiltBody, contact_samples, contact_triangles, rigid_shape
 
 ContactTerm = RigidContact | SurfaceContact | EdgeContact
+
+START_DEPTH, LEAST_DEPTH_M = 0.1, 1e-4
+"""How deep gels may be pressed in where they start, in mesh sizes, and what is none of depth [m]."""
+
+SAME_PLACE = 0.1
+"""Distance of two sheets at the start, over that at which they touch, below which they are in one place."""
 
 MARGIN = 0.5
 """How much wider than a step needs partners are looked for, in mesh sizes: a few steps of motion."""
@@ -46,6 +53,7 @@ def contact_of_surfaces(
             EdgeContact(f"{name}.edges", edges, areas, None, None, rest, offset, margin, [edge_shares(triangles)]),
         ]
     their_edges, their_areas = triangle_edges(their_triangles, rest)
+    _check_apart(a, b, rest, triangles, their_triangles, offset)
     if cross(rest, edges, their_triangles) or cross(rest, their_edges, triangles):
         raise ConfigError(
             f"{a.name} and {b.name} go through each other at the start, and their contact could not part them.",
@@ -66,6 +74,7 @@ def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, 
     points stand for as much area as is typical of the body's (``rest``, ``drawn``: as above)."""
     assert isinstance(b.spec, Rigid)
     samples, triangles, shape = contact_samples(a, rest), contact_triangles(a), rigid_shape(b.spec)
+    _check_outside(a, b, rest, triangles, samples.offset, shape)
     edges, areas = triangle_edges(triangles, rest)
     cell, typical = _cell(triangles, drawn), float(np.median(contact_samples(replace(a, mesh=a.layout), drawn).areas))
     terms: list[ContactTerm] = [RigidContact(name, samples, int(b.nodes[0]), shape, b.rotation)]
@@ -87,6 +96,38 @@ def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, 
             )
         first += count
     return terms
+
+
+def _check_outside(
+    a: BuiltBody, b: BuiltBody, rest: np.ndarray, triangles: np.ndarray, offset: float, shape: np.ndarray
+) -> None:
+    """A body does not start inside a rigid one, deeper than sheets are thick or gels may be pressed in."""
+    corners = rest[triangles]
+    middles = [corners.mean(axis=1), *(0.5 * (corners[:, k] + corners[:, k - 1]) for k in range(3))]
+    points = np.vstack([rest[np.unique(triangles)], *middles])
+    depth = offset - float(distances((points - rest[b.nodes[0]]) @ b.rotation, shape).min())
+    allowed = START_DEPTH * _cell(triangles, rest) if isinstance(a.spec, Gel) else 2.0 * offset
+    if depth > offset + max(allowed, LEAST_DEPTH_M):
+        raise ConfigError(
+            f"{a.name} starts inside {b.name}, {1e3 * depth:.3g} mm deep, and contact would push it out.",
+            f"Move {a.name} or {b.name} until they are apart, or take their contact out of the rig.",
+        )
+
+
+def _check_apart(
+    a: BuiltBody, b: BuiltBody, rest: np.ndarray, triangles: np.ndarray, theirs: np.ndarray, offset: float
+) -> None:
+    """Two sheets do not start in the same place: none of them would be on a side of the other."""
+    if not all(isinstance(body.spec, Sheet) for body in (a, b)):
+        return
+    pairs = ((triangles, theirs), (theirs, triangles))
+    apart = min(over_triangles(rest[np.unique(own)], rest[other]) for own, other in pairs)
+    if apart < SAME_PLACE * offset:
+        raise ConfigError(
+            f"{a.name} and {b.name} start in the same place: {1e3 * apart:.3g} mm apart where both together are "
+            f"{2e3 * offset:.3g} mm thick, and contact could not tell which is on which side.",
+            f"Move one of them until their middles are {1e3 * offset:.3g} mm apart.",
+        )
 
 
 def bearing_surfaces(contact: Contact, terms: Sequence[ContactTerm]) -> int:

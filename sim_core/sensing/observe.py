@@ -13,9 +13,11 @@ from sim_core.energies.affine import coordinates
 from sim_core.energies.linearised import Blocks, axes_of, skew
 from sim_core.energies.linearised import placed as placed_blocks
 from sim_core.geometry import sheets, solids
+from sim_core.geometry.surface_points import locate_near
 from sim_core.rigs import (
     WORLD,
     Affine,
+    Disc,
     Dome,
     Gel,
     MarkerSensor,
@@ -23,12 +25,15 @@ from sim_core.rigs import (
     Pose,
     Rig,
     Rigid,
+    Sheet,
+    SheetFile,
     Sight,
     WrenchSensor,
     marker_positions,
     seen_points,
     track_ids,
 )
+from sim_core.scene.assembly import BuiltBody
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.camera import Camera, project, project_slopes
 
@@ -37,7 +42,7 @@ ON_FLAT, ON_CURVED = 1e-6, 0.1
 
 
 @dataclass(frozen=True)
-class _Tracked:
+class Tracked:
     """Material points as weights on nodes, ``(n, k)`` each."""
 
     nodes: np.ndarray
@@ -95,6 +100,28 @@ def taken(camera: Camera, points: np.ndarray) -> np.ndarray:
     return np.concatenate([pixels, shown], axis=1)
 
 
+def locate(built: BuiltBody, local: np.ndarray) -> Tracked:
+    """Material points of a body, given in its rest coordinates [m] ``(n, 3)``, as weights on nodes of the scene."""
+    if isinstance(built.spec, Affine):
+        return Tracked(np.tile(built.control, (len(local), 1)), coordinates(built.local[-4:], local))
+    if isinstance(built.layout, sheets.SheetMesh):
+        curved = isinstance(built.spec, Sheet) and isinstance(built.spec.shape, SheetFile)
+        element, weights = (locate_near if curved else sheets.locate)(built.layout, local)
+        nodes = built.layout.triangles[element]
+    else:
+        assert isinstance(built.layout, solids.TetMesh)
+        shape = built.spec.shape if isinstance(built.spec, Gel) else None
+        if isinstance(shape, Dome):
+            # What is in the cavity stands on its wall, along the radius.
+            radius = np.linalg.norm(local, axis=1, keepdims=True)
+            feet = local * np.maximum(1.0, shape.cavity_radius_m / np.maximum(radius, 1e-300))
+            element, weights = solids.locate_pins(built.layout, local, feet, ON_CURVED)
+        else:
+            element, weights = solids.locate(built.layout, local, ON_CURVED if isinstance(shape, Disc) else ON_FLAT)
+        nodes = built.layout.tets[element]
+    return Tracked(nodes + int(built.nodes[0]), weights)
+
+
 class Observer:
     """Sensors and cameras of a scene. ``kinds``: channel name to 'wrench', 'markers' or 'tracks'."""
 
@@ -102,7 +129,7 @@ class Observer:
         self._scene = scene
         self.kinds: dict[str, str] = {}
         self.ids: dict[str, np.ndarray] = {}
-        self._tracked: dict[str, list[_Tracked]] = {}
+        self._tracked: dict[str, list[Tracked]] = {}
         rig = scene.rig
         for name, sensor in rig.sensors.items():
             if isinstance(sensor, WrenchSensor):
@@ -115,7 +142,7 @@ class Observer:
                 self._tracked[name] = [self._locate(sensor.body, local)]
                 self.ids[name] = ids
         bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
-        self._elsewhere: dict[tuple[str, tuple[Sight, ...]], list[_Tracked]] = {}
+        self._elsewhere: dict[tuple[str, tuple[Sight, ...]], list[Tracked]] = {}
         for name, camera in rig.cameras.items():
             self.kinds[name] = "tracks"
             seen = seen_points(camera.sees, bodies)
@@ -124,27 +151,10 @@ class Observer:
             self.ids[name] = track_ids(camera, bodies)
         self._place()
 
-    def _locate(self, body: str, local: np.ndarray) -> _Tracked:
-        built = self._scene.bodies[body]
-        if isinstance(built.spec, Affine):
-            return _Tracked(np.tile(built.control, (len(local), 1)), coordinates(built.local[-4:], local))
-        if isinstance(built.layout, sheets.SheetMesh):
-            element, weights = sheets.locate(built.layout, local)
-            nodes = built.layout.triangles[element]
-        else:
-            assert isinstance(built.layout, solids.TetMesh)
-            shape = built.spec.shape if isinstance(built.spec, Gel) else None
-            if isinstance(shape, Dome):
-                # What is in the cavity stands on its wall, along the radius.
-                radius = np.linalg.norm(local, axis=1, keepdims=True)
-                feet = local * np.maximum(1.0, shape.cavity_radius_m / np.maximum(radius, 1e-300))
-                element, weights = solids.locate_pins(built.layout, local, feet, ON_CURVED)
-            else:
-                element, weights = solids.locate(built.layout, local, ON_FLAT)
-            nodes = built.layout.tets[element]
-        return _Tracked(nodes + int(built.nodes[0]), weights)
+    def _locate(self, body: str, local: np.ndarray) -> Tracked:
+        return locate(self._scene.bodies[body], local)
 
-    def _tracked_by(self, name: str, camera: Camera) -> list[_Tracked]:
+    def _tracked_by(self, name: str, camera: Camera) -> list[Tracked]:
         """What a camera sees that may have its points elsewhere than that of the scene's rig: those of sheets in the
         same triangles, so that readings are smooth in where they are."""
         key = (name, camera.sees)
@@ -154,9 +164,10 @@ class Observer:
                 body, spec = self._scene.bodies[sight.body], self._scene.rig.bodies[sight.body]
                 assert not isinstance(spec, Rigid)
                 local, _ = marker_positions(sight.points, spec)
-                if isinstance(body.layout, sheets.SheetMesh) and len(local) == len(tracked.nodes):
+                flat = isinstance(spec, Sheet) and not isinstance(spec.shape, SheetFile)
+                if flat and isinstance(body.layout, sheets.SheetMesh) and len(local) == len(tracked.nodes):
                     corners = body.layout.nodes[tracked.nodes - int(body.nodes[0])]
-                    found.append(_Tracked(tracked.nodes, sheets.weights_in(corners, local[:, :2])))
+                    found.append(Tracked(tracked.nodes, sheets.weights_in(corners, local[:, :2])))
                 else:
                     found.append(self._locate(sight.body, local))
             self._elsewhere[key] = found

@@ -9,7 +9,7 @@ place. Terms whose coupled nodes change (contact between deformable bodies) rene
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, cast
 
@@ -352,6 +352,16 @@ class System:
         for term in self.terms:
             term.add_gradient()
         return np.array(self._gradient)
+
+    def force_of(self, terms: Iterable[Term]) -> np.ndarray:
+        """Force [N] ``(n, 3)`` that some of the terms exert on every node at :attr:`x`."""
+        kept = self._gradient.copy()
+        self._gradient[:] = 0.0
+        for term in terms:
+            term.add_gradient()
+        out = -self._gradient
+        self._gradient[:] = kept
+        return np.asarray(out)
 
     def reactions(self) -> np.ndarray:
         """Force [N] ``(n, 3)`` that the terms exert on every node; on prescribed nodes in which others are embedded

@@ -15,7 +15,7 @@ and Wear of Materials, sec. 4.8), and there is none where the two are equal.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from sim_core.contact.rigid import RigidContact
 from sim_core.contact.samples import sheet_samples
 from sim_core.contact.shapes import HALF_SPACE
-from sim_core.effects.static_friction import SLIP_SPEED_SCALE_M_S
+from sim_core.effects.static_friction import StaticFriction
 from sim_core.energies.bending import Bending
 from sim_core.energies.membrane import Membrane
 from sim_core.energies.term import Term
@@ -92,10 +92,10 @@ def sledge(
     stiffness: float = STIFF,
     spring: float | None = None,
     second_order: bool = False,
-    law: Mapping[str, float] | None = None,
+    excess: float = 0.0,
 ) -> Sledge:
     """A sheet that rests on a level plane. ``spring`` [N/m]: all of the sheet is pulled by one along x.
-    ``law``: further parameters of contact."""
+    ``excess``: static over kinetic friction, less one."""
     mesh = rectangle(0.04, 0.03, (4, 3), "irregular")
     thickness = SHEET["thickness_m"]
     pressure = DENSITY * thickness * G
@@ -107,7 +107,10 @@ def sledge(
     contact = RigidContact(
         "contact", sheet_samples(mesh, 0, thickness), body, np.array([HALF_SPACE, 0, 0, 0, 0], dtype=float), matrix
     )
-    contact.configure({"stiffness_pa_per_m": stiffness, "range_m": reach, "friction": MU, **(law or {})})
+    contact.laws.add(StaticFriction.name, StaticFriction())
+    contact.configure(
+        {"static_friction.excess": excess, "stiffness_pa_per_m": stiffness, "range_m": reach, "friction": MU}
+    )
     axis = matrix[:, 0]
     terms: list[Term] = [
         Membrane("membrane", nodes, mesh.triangles, axis),
@@ -190,8 +193,7 @@ def sawtooth(excess: float, seconds: float = 3.5, dt: float = 5e-3) -> float:
     pull, rate = 2e-3, 10.0
     mass = DENSITY * SHEET["thickness_m"] * 0.04 * 0.03
     spring = rate**2 * mass
-    law = {"static_excess": excess, "slip_speed_scale_m_s": SLIP_SPEED_SCALE_M_S}
-    sheet = sledge(Rotation.identity(), SOFT, spring=spring, second_order=excess > 0.0, law=law)
+    sheet = sledge(Rotation.identity(), SOFT, spring=spring, second_order=excess > 0.0, excess=excess)
     begin, first = sheet.state.t, (1.0 + 0.9 * excess) * MU * sheet.weight / spring
 
     def targets(t: float) -> np.ndarray:

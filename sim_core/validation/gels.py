@@ -71,19 +71,11 @@ def sphere_on_layer(nu: float, cells: tuple[int, int], steps: int = 4) -> Presse
     mesh = block(
         (2 * HALF_SIDE, 2 * HALF_SIDE, THICKNESS),
         (2 * cells[0], 2 * cells[0], cells[1]),
-        centre_ratio=0.12,
-        top_ratio=0.5,
+        {"x_middle": 0.12, "y_middle": 0.12, "top": 0.5},
+        cut=(0, 1),
     )
-    centre = mesh.nodes[mesh.tets[:, :4]].mean(axis=1)
-    tets = mesh.tets[(centre[:, 0] > 0.0) & (centre[:, 1] > 0.0)]
-    kept, tets = np.unique(tets, return_inverse=True)
-    tets = tets.reshape(-1, 10)
-    nodes = mesh.nodes[kept] - [0.0, 0.0, THICKNESS]
-    number = np.full(len(mesh.nodes), -1)
-    number[kept] = np.arange(len(kept))
-    top = number[mesh.surface[mesh.face_sets["top"]]]
-    top = top[(top >= 0).all(axis=1)]
-    top = top[(nodes[top[:, :3]].mean(axis=1)[:, :2] > 0.0).all(axis=1)]
+    nodes, tets = mesh.nodes - [0.0, 0.0, THICKNESS], mesh.tets
+    top = mesh.surface[mesh.face_sets["top"]]
     chi, _ = LAYER[nu]
     depth = (chi * THICKNESS) ** 2 / RADIUS
 

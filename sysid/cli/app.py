@@ -20,6 +20,7 @@ from sysid.cli import (
     coverage,
     diagnose,
     doctor,
+    effects,
     experiments,
     fit,
     inspect,
@@ -27,6 +28,7 @@ from sysid.cli import (
     presses,
     prove,
     rigs,
+    show,
     simulate,
     soak,
     track,
@@ -66,6 +68,7 @@ def _options(
     del debug, show_version  # --debug is read by main(), so that it may stand anywhere
 
 
+app.command("show")(show.show)
 app.command("simulate")(simulate.simulate)
 app.command("plan")(plan.plan)
 app.command("fit")(fit.fit)
@@ -77,6 +80,7 @@ app.command("track")(track.track)
 app.command("presses")(presses.presses)
 app.command("rigs")(rigs.rigs)
 app.command("params")(rigs.params)
+app.command("effects")(effects.effects)
 app.command("experiments")(experiments.experiments)
 app.command("check-gradients")(check_gradients.check_gradients)
 app.command("validate")(validate.validate)
@@ -129,6 +133,9 @@ def _explain(error: Exception) -> tuple[str, int]:
         top = (error.name or "").partition(".")[0]
         if top and top not in OWN_PACKAGES:
             return f"The package {top!r} is not installed. Run 'thinshell doctor' to see what is missing.", 2
+    if isinstance(error, OSError) and error.errno is not None:
+        what = f"{error.filename}: " if error.filename else ""
+        return f"{what}{error.strerror}. Look at the place, its rights and the room there is.", 2
     return f"This is a defect of the program: {type(error).__name__}: {error}. {REPORT}", 1
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sysid.cli.options import (
     BagsArgument,
+    DespiteOption,
     FolderOption,
     HeldOutOption,
     RigArgument,
@@ -19,6 +20,7 @@ def diagnose(
     bags: BagsArgument,
     out: FolderOption,
     held_out: HeldOutOption = None,
+    despite: DespiteOption = None,
 ) -> None:
     """Find out whether the rig explains the recordings, and name the physics that is missing.
 
@@ -29,7 +31,15 @@ def diagnose(
     chosen = load_rig(rig)
     check_parts(bags, held_out or [])
     check_new(out, "folder")
-    find = library("sysid.diagnosis", "diagnose_bags")
+    find = library("sysid.workflow", "diagnose_bags")
     with progress("diagnose") as report:
-        summary = find(chosen, bags, held_out=held_out or [], out=out, on_progress=report, on_warning=warn)
+        summary = find(
+            chosen,
+            bags,
+            held_out=held_out or [],
+            out=out,
+            on_progress=report,
+            on_warning=warn,
+            despite=despite or [],
+        )
     print(summary)

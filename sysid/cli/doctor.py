@@ -46,6 +46,54 @@ def total(n: ti.i32) -> ti.f64:
 assert total(10) == 5.0
 """
 
+_IMPORTS = """
+import importlib, pkgutil
+import sim_core, sysid
+for package in (sim_core, sysid):
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+"""
+"""All that any command imports."""
+
+_FIT = """
+import tempfile
+from pathlib import Path
+from sim_core.rigs import parse_rig, with_parameters
+from sim_core.rigs.motion import Experiment
+from sysid.fit import FitOptions, fit_runs
+from sysid.model.load import load_run
+from sysid.model.predictor import Engine
+from sysid.simulate import simulate_to_bag
+rig = parse_rig({
+    "name": "doctor",
+    "solver": {"dt_s": 0.1, "inertia": False},
+    "bodies": {"strip": {
+        "type": "sheet",
+        "shape": {"type": "rectangle", "length_m": 0.1, "width_m": 0.02, "cells": [4, 1], "pattern": "crossed"},
+        "material": {"E_pa": 2.0e9, "nu": 0.3, "thickness_m": 1.0e-4, "density_kg_m3": 1000.0},
+    }},
+    "clamps": [
+        {"name": "jaw", "body": "strip", "region": {"x_m": [-0.05, -0.025]}, "mount": "world"},
+        {"name": "grip", "body": "strip", "region": {"x_m": [0.025, 0.05]}, "mount": "hand"},
+    ],
+    "end_effectors": {"hand": {"start": {"position_m": [0.05, 0.0, 0.0]}}},
+    "sensors": {"gauge": {"type": "wrench", "on": "hand", "rate_hz": 10.0,
+                          "noise": {"force_n": 0.01, "torque_nm": 1.0e-4}}},
+}, "the rig of the doctor")
+pull = [{"type": "wait", "duration_s": 0.5},
+        {"type": "waypoints", "speed_m_s": 1.0e-3, "poses": [{"position_m": [1.0e-3, 0.0, 0.0]}]}]
+experiment = Experiment.model_validate({"name": "pull", "motions": {"hand": pull}})
+with tempfile.TemporaryDirectory() as folder:
+    simulate_to_bag(with_parameters(rig, {"strip.E_pa": 3.0e9}), experiment, Path(folder) / "bag", seed=1)
+    run = load_run(rig, Path(folder) / "bag")
+    options = FitOptions(nuisance=["none"], intervals="quadratic", robust=False)
+    result, _ = fit_runs(rig, [run], ["strip.E_pa"], options, engine=Engine())
+found = result.estimates[0].value
+assert abs(found / 3.0e9 - 1.0) < 0.02, f"fitted {found:.4g} Pa where 3e9 Pa was simulated"
+"""
+"""Simulates, records, reads and fits a strip that is pulled."""
+
 _ROS_LOOPBACK = """
 import time
 import rclpy
@@ -103,6 +151,12 @@ def examine() -> Iterator[Finding]:
     yield from _dependencies()
     yield _child("Taichi", _TAICHI, "starts and compiles a kernel", "pip install --force-reinstall taichi", core=True)
     yield from _factorisation()
+    remedy = "Install what is named there: pip install --upgrade --force-reinstall thinshell_ros."
+    imports = _child("Modules", _IMPORTS, "all that the commands need is imported", remedy, core=True)
+    yield imports
+    if imports.state == "ok":
+        remedy = "Run it again with nothing else running; then report it with the output of thinshell doctor --json."
+        yield _child("Fit", _FIT, "a strip was simulated, recorded, read and fitted", remedy, core=True)
     yield from _ros()
     yield _chromium()
     yield _disk()

@@ -9,6 +9,7 @@ import typer
 from sysid.cli.bounds import whole_number
 from sysid.cli.options import (
     BagsArgument,
+    DespiteOption,
     FolderOption,
     HeldOutOption,
     NuisanceOption,
@@ -39,6 +40,7 @@ def fit(
     seed: SeedOption = 0,
     nuisance: NuisanceOption = "all",
     without: WithoutOption = None,
+    despite: DespiteOption = None,
     per_bag: Annotated[
         str,
         typer.Option("--per-bag", metavar="A,B", help="Those of --params that each bag has a value of its own of."),
@@ -71,10 +73,13 @@ def fit(
 
     Example: thinshell fit card_press run1 run2 --params card.E,gel.E --held-out run3 --out fit
     """
+    from sim_core.preflight import review
     from sim_core.rigs import load_rig, resolve_name
-    from sysid.fit import REPORT, FitOptions, fit_bags
+    from sysid.fit import FitOptions
     from sysid.model.parameters import asked_for
     from sysid.observations import rig_topics
+    from sysid.report import REPORT
+    from sysid.workflow import fit_bags
 
     chosen = rig_topics.without(load_rig(rig), without or [])
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
@@ -94,6 +99,8 @@ def fit(
     )  # fmt: skip
     check_parts(bags, held_out or [])
     check_new(out, "folder")
+    for finding in review(chosen):
+        warn(finding.text)
     with interrupts_told(KEPT) as pressed, progress("fit") as report:
         result = fit_bags(
             chosen,
@@ -104,6 +111,7 @@ def fit(
             out=out,
             on_progress=report,
             on_warning=warn,
+            despite=despite or [],
         )
     print(f"{result.table()}\n\nReport: {out / REPORT}")
     if pressed.is_set():

@@ -20,16 +20,19 @@ def inspect(
     bag: Annotated[Path, typer.Argument(metavar="BAG", help="Recording: a rosbag2 folder or a single file.")],
     rig: Annotated[
         str | None,
-        typer.Option("--rig", metavar="RIG", help="Read the topics that this rig names, not the usual ones."),
+        typer.Option("--rig", metavar="RIG", help="Read the topics that this rig names, and compare with it."),
     ] = None,
 ) -> None:
     """List the streams of a recording, and everything that was repaired, assumed or found odd.
+
+    With --rig also what contradicts the rig. What stops a fit says so, and by which name --despite goes on.
 
     Example: thinshell inspect bags/press_post
     """
     from sim_core.rigs import load_rig
     from sim_core.rigs.trajectory import PoseTrajectory
     from sysid.noise.estimate import standing_still
+    from sysid.observations.checks import examine
     from sysid.observations.rig_match import check_topics, places_of_topics
     from sysid.observations.rig_topics import topics_of
     from sysid.recording import read_recording
@@ -52,6 +55,9 @@ def inspect(
             missing.append("What the recording has under another name: write that name there into the rig.")
     recording = read_recording(bag, names, need_pose=False)
     print(recording.summary())
+    findings, recording = examine(recording, chosen)
+    for found in findings:
+        print(found)
     for name, stream in recording.poses.items():
         trajectory = PoseTrajectory.from_samples(stream.t, stream.position, stream.quaternion)
         spans = [f"{begin:.2f} to {end:.2f}" for begin, end in standing_still(trajectory, STILL_S)]

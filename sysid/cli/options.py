@@ -49,6 +49,14 @@ WithoutOption = Annotated[
     list[str] | None,
     typer.Option("--without", metavar="NAME", help="Sensor or camera that is not used; may be repeated."),
 ]
+DespiteOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--despite",
+        metavar="FINDING",
+        help="Go on where 'thinshell inspect --rig' says that this finding stops a fit; may be repeated.",
+    ),
+]
 SeedOption = Annotated[int, whole_number("--seed", "Seed of everything random.", 0)]
 
 

@@ -16,7 +16,7 @@ from sysid.cli.options import (
     parse_nuisance,
     parse_settings,
 )
-from sysid.cli.progress import progress
+from sysid.cli.progress import progress, warn
 
 
 def plan(
@@ -35,6 +35,7 @@ def plan(
 
     Example: thinshell plan card_press press_hold_release press_post --params card.E,gel.E,gel.nu
     """
+    from sim_core.preflight import review
     from sim_core.rigs import load_rig, resolve_name, with_parameters
     from sim_core.rigs.motion import compile_experiment, load_experiment
     from sysid.observations import rig_topics
@@ -43,8 +44,9 @@ def plan(
     names = [resolve_name(chosen, name) for name in parse_names(params, "--params")]
     kinds = parse_nuisance(nuisance)
     planned = [load_experiment(name) for name in experiments]
-    for experiment in planned:
-        compile_experiment(experiment, chosen)
+    commanded = [compile_experiment(experiment, chosen) for experiment in planned]
+    for text in dict.fromkeys(finding.text for poses in commanded for finding in review(chosen, poses)):
+        warn(text)
     from sysid.design.experiment_design import plan_experiments
 
     with progress("plan") as report:

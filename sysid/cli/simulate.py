@@ -9,7 +9,7 @@ import typer
 
 from sysid.cli.bounds import whole_number
 from sysid.cli.options import RigArgument, check_new, parse_settings
-from sysid.cli.progress import progress
+from sysid.cli.progress import progress, warn
 
 
 def simulate(
@@ -42,13 +42,16 @@ def simulate(
 
     Example: thinshell simulate card_press press_hold_release --out press.bag --set card.E=1e9
     """
+    from sim_core.preflight import review
     from sim_core.rigs import load_rig, with_parameters
     from sim_core.rigs.motion import compile_experiment, load_experiment
 
     chosen = with_parameters(load_rig(rig), parse_settings(settings or []))
     plan = load_experiment(experiment)
-    compile_experiment(plan, chosen)
+    poses = compile_experiment(plan, chosen)
     check_new(out, "recording")
+    for finding in review(chosen, poses):
+        warn(finding.text)
     from sysid.simulate import simulate_to_bag
 
     with progress("simulate") as report:

@@ -21,11 +21,12 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
 from sysid.fit.discretisation_refinement import discretisation
-from sysid.model.load import Measured, Run, load_run
+from sysid.model.load import load_run
 from sysid.model.nuisance_parameters import KINDS, checked_kinds, has_bias, nuisance_parameters
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.noise.estimate import as_declared, undeclared
+from sysid.observations.observations import Measured, Run
 from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import UNDETERMINED_SHARE, interval, names_undetermined, uncertainty
 from sysid.solve.optimum import Fitted
@@ -133,7 +134,7 @@ def plan_experiments(
             runs.append(replace(load_run(rig, bag), name=name))
     noise = {m.channel: as_declared(rig, m) for run in runs for m in run.measured}
     parameters = [*asked, *nuisance_parameters(rig, runs, asked, kinds)]
-    start, bias = start_of(rig, parameters), has_bias(runs, asked, kinds)
+    start, bias = start_of(rig, parameters), has_bias(rig, runs, asked, kinds)
     predicted = _Count(say, PREDICTIONS * len(runs))
     with PooledEngine(os.cpu_count(), predicted) as engine:
         pending = [engine.submit_with_derivatives(rig, run, parameters, start) for run in runs]

@@ -7,13 +7,11 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import yaml
 
 from sim_core.errors import ThinshellError
-from sim_core.rigs import Rig, rig_to_yaml
+from sim_core.rigs import Rig
 from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import open_parameters
 from sysid.diagnosis.hypotheses import OUT_OF_SIGHT, Start, log_evidence, refit, screen
@@ -37,12 +35,11 @@ from sysid.fit.discretisation_refinement import (
     fit_beside_discretisation,
 )
 from sysid.fit.result import plot_series, rms_errors
-from sysid.io.atomic_folder import whole_folder
-from sysid.model.load import Run, check_apart, load_runs
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import fit_parameters
 from sysid.model.provenance import provenance
 from sysid.noise.estimate import ChannelNoise, channel_noise
+from sysid.observations.observations import Run, check_apart
 from sysid.solve.gauss_newton import IN_SIGHT
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
@@ -334,46 +331,3 @@ def _collect(
         notes=notes(base, problem, before, verdict),
         series=series,
     )
-
-
-def diagnose_bags(
-    rig: Rig,
-    bags: Sequence[Path],
-    *,
-    held_out: Sequence[Path] = (),
-    out: Path,
-    on_progress: Progress | None = None,
-    on_warning: Callable[[str], None] | None = None,
-) -> str:
-    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``.
-    ``on_warning``: hears what speaks against the recordings before anything is simulated."""
-    from sysid.report import write_diagnosis_report
-
-    with whole_folder(out) as folder:
-        runs, kept = load_runs(rig, bags, held_out, on_warning)
-        diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
-        overlay = {
-            "overlay_of": "rig.yaml",
-            "name": f"{rig.name}_amended",
-            "description": diagnosis.sentence,
-            "parameters": {
-                p.name: p.value
-                for p in (diagnosis.amended_parameters or diagnosis.baseline_parameters)
-                if not p.name.startswith("effects.")
-            },
-            "effects": {name: dict(values) for name, values in amended.effects.items()},
-        }
-        diagnosis.write(folder / "diagnosis.json")
-        (folder / "rig.yaml").write_text(rig_to_yaml(rig))
-        (folder / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))
-        report = write_diagnosis_report(diagnosis, folder / "report.html")
-    lines = [diagnosis.sentence, *diagnosis.notes, ""]
-    for effect in diagnosis.effects:
-        for p in effect.parameters:
-            lines.append(f"  {p.name} = {p.value:.4g} ({p.ci95[0]:.4g} .. {p.ci95[1]:.4g}) {p.unit}")
-    lines += [
-        f"Not explained: {diagnosis.not_explained}",
-        f"Next: {diagnosis.next_experiment}",
-        f"Report: {out / report.name}",
-    ]
-    return "\n".join(lines)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from sim_core.effects import EFFECTS, Effect
+from sim_core.effects import Effect, all_effects, split_key
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.model.parallel_predictor import PooledEngine
@@ -69,8 +69,9 @@ def screen(engine: PooledEngine, problem: Problem, base: Fitted) -> tuple[list[S
     """Predict, for every effect and start, how well it would fit, best first; and what failed, by effects of which no
     start could be simulated with as much in sight as the baseline has."""
     pending: list[tuple[Effect, Rig, list[FitParameter], np.ndarray, list[Future[Prediction]]]] = []
-    for effect in EFFECTS:
-        if effect.name in base.rig.effects:
+    named = {split_key(key)[0] for key in base.rig.effects}
+    for effect in all_effects().values():
+        if effect.name in named:
             continue
         for values in starting_values(effect, base.rig):
             rig = with_effect(base.rig, effect, values)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim_core.effects import EFFECTS
+from sim_core.effects import all_effects, split_key
 from sim_core.rigs import Rig
 from sysid.diagnosis.model_selection import Trial, Verdict
 from sysid.diagnosis.residual_analysis import Structure
@@ -40,7 +40,8 @@ def limits(trials: list[Trial], named: set[str]) -> dict[str, float]:
 
 def fates(trials: list[Trial], failed: dict[str, str], named: set[str], rig: Rig) -> dict[str, str]:
     """What became of each effect of the library that the rig may lack, in a few words."""
-    apply = [e.name for e in EFFECTS if e.name not in rig.effects and e.variants(rig)]
+    present = {split_key(key)[0] for key in rig.effects}
+    apply = [e.name for e in all_effects().values() if e.name not in present and e.variants(rig)]
     became = dict.fromkeys(apply, "promised no better fit") | failed
     became |= {t.effect.name: t.rejected or "fits, but less well than the answer" for t in trials}
     return became | {name: "the answer" for name in named}

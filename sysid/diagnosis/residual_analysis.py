@@ -13,8 +13,8 @@ import numpy as np
 
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.diagnosis.result import Located, LocatedChannel
-from sysid.model.load import Measured, Run
 from sysid.noise.estimate import column_groups, moving, quantities
+from sysid.observations.observations import Measured, Run
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 

@@ -35,10 +35,11 @@ from sim_core.rigs import Rig, WrenchSensor
 from sim_core.rigs.motion import Experiment
 from sysid.fit.fit import fit_runs
 from sysid.fit.options import FitOptions
-from sysid.model.load import Measured, Run, load_runs
+from sysid.model.load import load_runs
 from sysid.model.nuisance_parameters import BIAS_SD, KINDS, nuisance_parameters
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import Engine
+from sysid.observations.observations import Measured, Run
 from sysid.simulate import Noise, WhiteNoise, simulate_to_bag
 from sysid.solve.interruption import why
 

@@ -27,11 +27,11 @@ import numpy as np
 from sim_core.batch import worker_ended
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
-from sysid.model.load import Run
 from sysid.model.parallel_predictor import AnyEngine
 from sysid.model.parameters import FitParameter, rig_in, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise, quantities
+from sysid.observations.observations import Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.interruption import ENDS_EARLY, stop

@@ -7,12 +7,11 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from sim_core.errors import ThinshellError
-from sim_core.rigs import Rig, rig_to_yaml
+from sim_core.rigs import Rig
 from sysid.fit.discretisation_refinement import (
     Unmeasured,
     doubtful,
@@ -32,8 +31,6 @@ from sysid.fit.result import (
     rms_errors,
 )
 from sysid.fit.validation import all_scored
-from sysid.io.atomic_folder import whole_folder
-from sysid.model.load import Run, check_apart, load_runs, of_recording
 from sysid.model.nuisance_parameters import has_bias, nuisance_parameters
 from sysid.model.parallel_predictor import AnyEngine, PooledEngine
 from sysid.model.parameters import FitParameter, asked_for, bounds_cut, rig_at, start_of
@@ -43,6 +40,7 @@ from sysid.model.windows import not_from_rest
 from sysid.noise.autocorrelation import unheard
 from sysid.noise.data_quality import doubts
 from sysid.noise.estimate import ChannelNoise, channel_noise, column_groups, overruled
+from sysid.observations.observations import Run, check_apart, of_recording
 from sysid.solve.covariance import Finding, names_undetermined
 from sysid.solve.interruption import ENDS_EARLY, stop, to_the_end, why
 from sysid.solve.nonsmooth_trust_region import AT_KINK
@@ -62,9 +60,6 @@ ENDS = 3
 
 NEAREST = "Of all values that fit as well, those are given that are nearest to the rig's."
 """Said where some parameter is not determined."""
-
-REPORT = "report.html"
-"""The report in the folder of a fit."""
 
 LOOKS = 3
 """Times that mistaken readings are looked for and the fit repeated without them."""
@@ -135,7 +130,7 @@ def _fit_runs(
     on_progress: Progress | None,
 ) -> tuple[FitResult, Rig]:
     beside = nuisance_parameters(rig, runs, asked, options.kinds) if asked else []
-    bias = bool(asked) and has_bias(runs, asked, options.kinds)
+    bias = bool(asked) and has_bias(rig, runs, asked, options.kinds)
     parameters = [*asked, *beside]
     started = time.monotonic()
     as_given = [engine.submit(rig, run) for run in runs]
@@ -413,32 +408,3 @@ def _profiled(
             None,
         )
     return profiles, findings, profiler.better
-
-
-def fit_bags(
-    rig: Rig,
-    bags: Sequence[Path],
-    names: Sequence[str],
-    options: FitOptions = USUAL_OPTIONS,
-    *,
-    held_out: Sequence[Path] = (),
-    out: Path,
-    on_progress: Progress | None = None,
-    on_step: Callable[[Step], None] | None = None,
-    on_warning: Callable[[str], None] | None = None,
-) -> FitResult:
-    """Fit bags (:func:`fit_runs`) and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``.
-    ``on_warning``: hears which bounds are cut and what speaks against the recordings before anything is simulated."""
-    from sysid.report import write_fit_report
-
-    if on_warning is not None:
-        for text in bounds_cut(rig, names, options.bounds):
-            on_warning(text)
-    with whole_folder(out) as folder:
-        runs, kept = load_runs(rig, bags, held_out, on_warning)
-        result, fitted = fit_runs(rig, runs, names, options, held_out=kept, on_progress=on_progress, on_step=on_step)
-        with to_the_end():
-            result.write(folder / "fit.json")
-            (folder / "fitted_rig.yaml").write_text(rig_to_yaml(fitted))
-            write_fit_report(result, folder / REPORT)
-    return result

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from sysid.model.load import UNITS, Measured, Run
 from sysid.noise.estimate import REPLACED_FROM, declared_noise, quantities
+from sysid.observations.observations import UNITS, Measured, Run
 from sysid.solve.covariance import Finding, interval, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import Outliers

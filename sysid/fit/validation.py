@@ -10,11 +10,11 @@ import numpy as np
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.result import ChannelError, Series, out_of_sight, plot_series, rms_errors
-from sysid.model.load import Run
 from sysid.model.parallel_predictor import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.model.windows import not_from_rest
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Run
 from sysid.solve.interruption import why
 from sysid.solve.residuals import Problem
 

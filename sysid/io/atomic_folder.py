@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from sim_core.errors import ConfigError
 
 UNFINISHED = ".unfinished"
 """Name of the folder for what is not finished in a folder that exists; elsewhere the end of its name."""
+
+ROOM_BYTES = 1 << 22
+"""Room that results and their reports need."""
 
 
 @contextmanager
@@ -32,7 +36,9 @@ def whole_folder(out: Path) -> Iterator[Path]:
         if part.exists():
             shutil.rmtree(part)
         part.mkdir(parents=True)
+        _try_room(part)
     except OSError as error:
+        shutil.rmtree(part, ignore_errors=True)
         raise _refused(out, error) from None
     try:
         yield part
@@ -51,6 +57,44 @@ def whole_folder(out: Path) -> Iterator[Path]:
             os.replace(part, out)
     except OSError as error:
         raise _stranded(part, out, error) from error
+
+
+def write_results(folder: Path, out: Path, files: Sequence[Callable[[Path], object]]) -> None:
+    """Write the files of finished results into the folder of a :func:`whole_folder` that becomes ``out``.
+
+    Where there is no room for them any more they are kept elsewhere, and the ``ConfigError`` says where."""
+    try:
+        for write in files:
+            write(folder)
+        return
+    except OSError as error:
+        fault = error
+    for place in (tempfile.gettempdir(), str(Path.home()), "/dev/shm"):
+        try:
+            kept = Path(tempfile.mkdtemp(prefix="thinshell-results-", dir=place))
+            for write in files:
+                write(kept)
+        except OSError:
+            continue
+        raise ConfigError(
+            f"The results are finished but cannot be written to {out}: {fault.strerror}.", f"They are kept in {kept}."
+        ) from fault
+    raise ConfigError(
+        f"The results are finished but cannot be written to {out}, nor anywhere else: {fault.strerror}.",
+        "Make room, and run it again.",
+    ) from fault
+
+
+def _try_room(folder: Path) -> None:
+    """Write as much as results may need, and take it away again. Raises ``OSError`` where it cannot be written."""
+    trial = folder / "room"
+    block = b"\0" * (1 << 16)
+    try:
+        with trial.open("wb") as file:
+            for _ in range(ROOM_BYTES // len(block)):
+                file.write(block)
+    finally:
+        trial.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -1,109 +1,28 @@
-"""A recording seen through a rig: what moved, and what was measured on which channel."""
+"""Reads recordings and lines them up with a rig."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from sim_core.errors import RecordingError
-from sim_core.rigs import (
-    MarkerSensor,
-    OrthographicCamera,
-    Rig,
-    Rigid,
-    WrenchSensor,
-    marker_positions,
-    track_ids,
-)
+from sim_core.rigs import OrthographicCamera, Rig, WrenchSensor
 from sim_core.rigs.observers import WRENCH_COMPONENTS
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
-from sysid.observations.rig_match import check_topics, differences, numbers_apart
+from sysid.model.marker_registration import first_frames, placed
+from sysid.model.windows import window_of
+from sysid.observations.checks import Finding, examine
+from sysid.observations.observations import Measured, Run, distinct_names, of_recording
+from sysid.observations.rig_match import check_topics, marker_numbers, numbers_apart
 from sysid.observations.rig_topics import topics_of
-from sysid.observations.selection import Part, given_again, part_of
+from sysid.observations.selection import part_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
-from sysid.recording.notes import Note, Notes, told_once
-
-UNITS = {"wrench": ("N", "N m"), "markers": ("m",), "tracks": ("px",)}
-
-
-@dataclass(frozen=True)
-class Measured:
-    """One channel as measured.
-
-    ``t`` [s] ``(n,)`` since the start of the run; ``values`` ``(n, m)``: six wrench components, or
-    coordinates marker by marker (3-D or pixels); NaN where missing. ``labels``: name of each column.
-    """
-
-    channel: str
-    kind: str
-    t: np.ndarray
-    values: np.ndarray
-    labels: tuple[str, ...]
-
-    @property
-    def unit(self) -> str:
-        """Unit of the values (a wrench: of its forces)."""
-        return UNITS[self.kind][0]
-
-
-@dataclass(frozen=True)
-class Change:
-    """How the readings of a channel have changed between the start of a recording and that of a window of it, measured
-    units: means of ``columns`` ``(k,)``, and their standard deviation ``scatter``."""
-
-    columns: np.ndarray
-    mean: np.ndarray
-    scatter: np.ndarray
-
-
-@dataclass(frozen=True)
-class FirstFrame:
-    """What tells where markers are on their sheet: ``pixels`` ``(n, 2)`` of all points of a camera in the first frame
-    that shows any, as measured, NaN where missing; its stamp ``t`` [s] since the start of the recording, a window
-    or not, and the ``poses`` of the end effectors about then, in the same time."""
-
-    t: float
-    pixels: np.ndarray
-    poses: Mapping[str, PoseTrajectory]
-
-
-@dataclass(frozen=True)
-class Run:
-    """One recording, ready to be compared.
-
-    ``end`` [s]: time of its last measurement. ``firsts``: the first frame of each camera to which the rig leaves the
-    places of markers (``placed: first_frame``, :mod:`sysid.model.marker_registration`). ``since`` [s]: for a window of
-    a recording, the time at which it begins; times of the run, poses before included, count from there; ``until``: its
-    end, if it has one; ``changes``: until then, by channel. ``unlike``: in what it differs from recordings of the rig,
-    in words. ``doubts``: those of the ``notes`` on how it was read that may change a result; ``lacking``: those on
-    topics of the rig that it does not have. ``counted``: notes that count samples, which
-    :func:`sysid.model.windows.window_of` tells for the window, or for the whole."""
-
-    name: str
-    path: str
-    sha256: tuple[str, ...]
-    poses: dict[str, PoseTrajectory]
-    measured: tuple[Measured, ...]
-    end: float
-    notes: tuple[str, ...] = field(default=())
-    firsts: Mapping[str, FirstFrame] = field(default_factory=dict)
-    since: float = 0.0
-    until: float | None = None
-    changes: Mapping[str, Change] = field(default_factory=dict)
-    unlike: str = ""
-    doubts: tuple[str, ...] = ()
-    lacking: tuple[str, ...] = ()
-    counted: tuple[Note, ...] = ()
-
-    def has(self, channel: str) -> bool:
-        """Whether it has readings of a channel."""
-        return any(m.channel == channel for m in self.measured)
+from sysid.recording.notes import Note, Notes, Severity, told_once
 
 
 def load_runs(
@@ -111,14 +30,14 @@ def load_runs(
     bags: Sequence[Path],
     held_out: Sequence[Path] = (),
     on_warning: Callable[[str], None] | None = None,
+    despite: Collection[str] = (),
 ) -> tuple[list[Run], list[Run]]:
     """Read the bags, or windows of bags, to use and those held out (:func:`load_run`), under names that tell all of
-    them apart. ``on_warning``: hears what speaks against each recording, once it is read, and each window of it."""
-    from sysid.model.windows import window_of
-
+    them apart. ``on_warning``: hears what speaks against each recording, once it is read, and each window of it;
+    ``despite``: findings that do not stop (:func:`read_run`)."""
     paths = [*bags, *held_out]
     parts = [part_of(path) for path in paths]
-    whole = {path: read_run(rig, path) for path in dict.fromkeys(part.path for part in parts)}
+    whole = {path: read_run(rig, path, despite) for path in dict.fromkeys(part.path for part in parts)}
     if on_warning is not None:
         for name, run in zip(distinct_names(list(whole)), whole.values(), strict=True):
             for text in (*filter(None, [run.unlike]), *run.doubts, *run.lacking):
@@ -140,67 +59,33 @@ def load_runs(
     return runs[: len(bags)], runs[len(bags) :]
 
 
-def of_recording(name: str, text: str) -> str:
-    """A remark on a recording, which is named once."""
-    return text if text.startswith(f"{name}: ") else f"{name}: {text}"
-
-
-def check_apart(runs: Sequence[Run], held_out: Sequence[Run] = ()) -> None:
-    """No reading is in two of them, whatever the paths: files are told by their content. Raises ``RecordingError``.
-
-    Windows are compared where both recordings consist of the same files; a file of a recording that was split counts
-    its time from elsewhere.
-    """
-    seen: list[tuple[Run, str]] = []
-    for run, role in [*((r, "given") for r in runs), *((r, "held out") for r in held_out)]:
-        for other, known in seen:
-            if not set(run.sha256) & set(other.sha256):
-                continue
-            part, before = _part(run), _part(other)
-            if sorted(run.sha256) != sorted(other.sha256):
-                part, before = Part(part.path), Part(before.path)
-            if part.overlaps(before):
-                raise given_again(part, role, before, known)
-        seen.append((run, role))
-
-
-def _part(run: Run) -> Part:
-    """The recording, or the window of it, that a run is."""
-    return Part(Path(run.path), run.since, np.inf if run.until is None else run.until)
-
-
-def distinct_names(paths: Sequence[Path]) -> list[str]:
-    """The shortest end of each path, in whole parts, in which no other path ends.
-
-    Paths of the same place have no such end: their names are the whole path.
-    """
-    parts = [Path(os.path.abspath(p)).parts for p in paths]
-    names = []
-    for k, own in enumerate(parts):
-        others = parts[:k] + parts[k + 1 :]
-        enough = (n for n in range(1, len(own)) if all(own[-n:] != other[-n:] for other in others))
-        names.append(str(Path(*own[-next(enough, len(own)) :])))
-    return names
-
-
-def load_run(rig: Rig, path: Path) -> Run:
+def load_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
     """Read a bag, or a window of one, and line it up with a rig: with all that there is to be told of how it was read.
-    Raises ``RecordingError`` when nothing can be compared."""
-    from sysid.model.windows import window_of
-
+    Raises ``RecordingError`` when nothing can be compared, or what it says cannot be (:func:`read_run`)."""
     part = part_of(Path(path))
-    return window_of(rig, read_run(rig, part.path), part)
+    return window_of(rig, read_run(rig, part.path, despite), part)
 
 
-def read_run(rig: Rig, path: Path) -> Run:
-    """Read a bag and line it up with a rig; what counts samples is left to be told of the window that is used. Raises
-    ``RecordingError`` when nothing can be compared."""
-    from sysid.model.marker_registration import first_frames, placed
+def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
+    """Read a bag and line it up with a rig; what is about some times only is left to be told of the window that is
+    used. Readings that :func:`sysid.observations.checks.examine` finds faulty are left out.
 
+    Raises ``RecordingError`` when nothing can be compared, and where a finding makes a fit meaningless, unless
+    ``despite`` has its name."""
     topics = open_bag(Path(path), Notes()).topics
     check_topics(rig, path, topics)
     names, missing = topics_of(rig, topics)
-    recording = read_recording(path, names)
+    recording = read_recording(path, names, need_pose=bool(rig.end_effectors))
+    findings, recording = examine(recording, rig)
+    unlike = " ".join(found.problem for found in findings if found.of_another_rig)
+    if unlike:
+        unlike += " Give the rig that it was recorded with, if that is another one."
+    for found in findings:
+        if found.severity == "stops a fit" and found.name not in despite:
+            raise RecordingError(
+                " ".join(filter(None, [f"{path}: {found.channel}: {found.problem}", unlike])),
+                f"{found.remedy} To go on all the same: --despite {found.name}.",
+            )
     poses = {}
     for name in rig.end_effectors:
         stream = recording.poses[name]
@@ -212,10 +97,6 @@ def read_run(rig: Rig, path: Path) -> Run:
             source=f"{path}: {stream.topic}",
         )
     recorded = tuple(_measured(rig, recording))
-    different = list(differences(rig, recording, _marker_numbers(rig)))
-    unlike = " ".join(text for text, of_another in different if of_another)
-    if unlike:
-        unlike += " Give the rig that it was recorded with, if that is another one."
     measured, blanked = while_posed(rig, poses, recorded)
     if not measured:
         raise RecordingError(
@@ -225,7 +106,8 @@ def read_run(rig: Rig, path: Path) -> Run:
     firsts, missed = first_frames(rig, poses, measured)
     if firsts:
         placed(build_scene(rig), firsts)  # every marker is seen on its sheet
-    said = [note for note in recording.notes if not note.thing]
+    notes = [*recording.notes, *(as_note(found) for found in findings if not found.of_another_rig)]
+    said = [note for note in notes if not note.times]
     lacking = tuple(f"{topic}: named by the rig, not in this recording" for topic in missing)
     return Run(
         name=Path(path).name,
@@ -237,7 +119,6 @@ def read_run(rig: Rig, path: Path) -> Run:
         notes=(
             *told_once(said),
             *lacking,
-            *(text for text, of_another in different if not of_another),
             *([unlike] if unlike else []),
             *blanked,
             *missed,
@@ -246,8 +127,14 @@ def read_run(rig: Rig, path: Path) -> Run:
         unlike=unlike,
         doubts=tuple(told_once([note for note in said if note.severity == "warning"])),
         lacking=lacking,
-        counted=tuple(note for note in recording.notes if note.thing),
+        counted=tuple(note for note in notes if note.times),
     )
+
+
+def as_note(found: Finding) -> Note:
+    """A finding as a remark on the recording."""
+    severity: Severity = "info" if found.severity == "note" else "warning"
+    return Note(severity, found.channel, found.text, times=found.times)
 
 
 def while_posed(
@@ -296,7 +183,7 @@ def _measured(rig: Rig, recording: Recording) -> Sequence[Measured]:
         values = np.where(measured, np.hstack([wrench.force, wrench.torque]), np.nan)
         labels = tuple(c.replace("_", " ") for c in WRENCH_COMPONENTS)
         out.append(Measured(name, "wrench", wrench.t, values, labels))
-    numbers = _marker_numbers(rig)
+    numbers = marker_numbers(rig)
     for name, markers in recording.markers.items():
         ids = numbers[name]
         values = _by_id(markers.position, markers.ids, ids, name, recording)
@@ -308,17 +195,6 @@ def _measured(rig: Rig, recording: Recording) -> Sequence[Measured]:
             values = _from_origin(values, camera)
         out.append(Measured(name, "tracks", tracks.t, values, _labels(ids, "uv")))
     return out
-
-
-def _marker_numbers(rig: Rig) -> dict[str, np.ndarray]:
-    """Numbers of the markers, in the order of the columns, by sensor or camera."""
-    bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
-    found = {
-        name: marker_positions(sensor.points, bodies[sensor.body])[1]
-        for name, sensor in rig.sensors.items()
-        if isinstance(sensor, MarkerSensor)
-    }
-    return found | {name: track_ids(camera, bodies) for name, camera in rig.cameras.items()}
 
 
 def _from_origin(values: np.ndarray, camera: OrthographicCamera) -> np.ndarray:

@@ -32,8 +32,8 @@ from sim_core.scene.scene import Frame
 from sim_core.sensing.camera import project
 from sim_core.sensing.observe import frame_of
 from sim_core.simulate import Simulation
-from sysid.model.load import FirstFrame, Measured
 from sysid.model.sensor_streams import total_delay
+from sysid.observations.observations import FirstFrame, Measured
 
 REACH_S = 30.0
 """Poses so long before and after a first frame [s] are kept with it: no latency is longer."""
@@ -75,9 +75,9 @@ def placed(scene: Scene, firsts: FirstFrames) -> Rig:
     """
     rig = scene.rig
     if not firsts:
-        return rig
+        return scene.given
     simulation = Simulation(scene)
-    cameras = dict(rig.cameras)
+    cameras = dict(scene.given.cameras)
     for name, first in firsts.items():
         simulation.reset(_frames(rig, name, first))
         sights = list(rig.cameras[name].sees)
@@ -86,8 +86,8 @@ def placed(scene: Scene, firsts: FirstFrames) -> Rig:
             for row, (corners, weights, _) in zip(rows, _under(simulation, name, sight, rows, pixels), strict=True):
                 positions[row] = weights @ corners
             sights[index] = _with_positions(sight, positions)
-        cameras[name] = rig.cameras[name].model_copy(update={"sees": tuple(sights)})
-    return rig.model_copy(update={"cameras": cameras})
+        cameras[name] = cameras[name].model_copy(update={"sees": tuple(sights)})
+    return scene.given.model_copy(update={"cameras": cameras})
 
 
 def placed_along(scene: Scene, firsts: FirstFrames, along: Sequence[Direction]) -> list[Direction]:

@@ -27,14 +27,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from sim_core.effects import Nuisance, all_effects, split_key
 from sim_core.errors import ConfigError, nearest_match
-from sim_core.rigs import OrthographicCamera, Rig
-from sim_core.rigs.observers import Camera
-from sim_core.rigs.pose_offset import OFFSETS
-from sysid.model.load import Measured, Run
+from sim_core.rigs import Rig
 from sysid.model.parameters import FitParameter, fit_parameters
 from sysid.model.pose_influence import acting
 from sysid.noise.estimate import column_groups
+from sysid.observations.observations import Measured, Run
 from sysid.observations.selection import recording_of
 
 KINDS = ("time", "bias", "camera", "pose")
@@ -65,54 +64,49 @@ def nuisance_parameters(
 ) -> list[FitParameter]:
     """The nuisances that are parameters of the rig, for the channels that the runs have.
 
-    Left out are those that are asked for, and offsets in time beside an effect that is one.
+    Left out are those that are asked for, by themselves or by the effect that they are a small form of.
     """
     names = {p.target for p in asked}
-    found: list[FitParameter] = []
-
-    def add(name: str, sd: float, tied: tuple[str, ...] = (), bags: Sequence[str] = ()) -> None:
-        if not sd or names & {name, *tied}:
-            return
-        one = replace(fit_parameters(rig, [name])[0], prior_sd=sd, nuisance=True, tied=tied)
-        found.extend([replace(one, name=f"{name}[{bag}]", bag=bag) for bag in bags] or [one])
-
     measured = {m.channel: m for run in runs for m in run.measured}
-    for channel, m in measured.items():
-        late = f"effects.stream_delay.{'wrench' if m.kind == 'wrench' else 'vision'}_s"
-        if "time" in kinds and late not in names:
-            there = dict.fromkeys(recording_of(run.name) for run in runs if run.has(channel))
-            source = rig.sensors.get(channel) or rig.cameras[channel]
-            add(f"{channel}.latency_s", source.latency_sd_s, bags=[*there] if len(there) > 1 else ())
-        if "camera" in kinds and channel in rig.cameras:
-            for name, sd, tied in _intrinsics(channel, rig.cameras[channel]):
-                add(name, sd, tied)
-    if "pose" in kinds:
-        for effector in acting(rig, measured):
-            known = rig.end_effectors[effector]
-            for key, sd in zip(OFFSETS, (*known.offset_sd_m, *known.offset_sd_deg), strict=True):
-                add(f"{effector}.{key}", sd)
+    hands = acting(rig, measured)
+    found: list[FitParameter] = []
+    declared = [n for n in _allowed(rig, asked) if n.kind in kinds and n.parameter is not None and n.sd]
+    owners = [(channel, kind) for channel in measured for kind in ("time", "camera")]
+    for owner, kind in (*owners, *((hand, "pose") for hand in hands)):
+        for nuisance in declared:
+            if (nuisance.owner, nuisance.kind) != (owner, kind) or names & {nuisance.parameter, *nuisance.tied}:
+                continue
+            assert nuisance.parameter is not None and nuisance.sd is not None
+            one = replace(
+                fit_parameters(rig, [nuisance.parameter])[0], prior_sd=nuisance.sd, nuisance=True, tied=nuisance.tied
+            )
+            there = dict.fromkeys(recording_of(run.name) for run in runs if run.has(owner))
+            bags = [*there] if nuisance.per_recording and len(there) > 1 else []
+            found.extend([replace(one, name=f"{one.name}[{bag}]", bag=bag) for bag in bags] or [one])
     return found
 
 
-def _intrinsics(name: str, camera: Camera) -> list[tuple[str, float, tuple[str, ...]]]:
-    """What may be off of a camera, how far, and what changes in proportion. Where it counts from one of the markers,
-    its centre has no part in the readings."""
-    found: list[tuple[str, float, tuple[str, ...]]]
-    if isinstance(camera, OrthographicCamera):
-        found = [(f"{name}.scale_m_per_px", camera.scale_sd, ())]
-        centred = camera.origin_id is not None
-    else:
-        found = [(f"{name}.fx_px", camera.scale_sd, (f"{name}.fy_px",))]
-        centred = False
-    found += [(f"{name}.{axis}_px", camera.centre_sd_px, ()) for axis in ("cx", "cy") if not centred]
-    sds = (*camera.offset_sd_m, *camera.offset_sd_deg)
-    return found + [(f"{name}.{key}", sd, ()) for key, sd in zip(OFFSETS, sds, strict=True)]
+def _allowed(rig: Rig, asked: Sequence[FitParameter]) -> list[Nuisance]:
+    """The nuisances that effects declare, without those of which an effect that is asked for is the larger form."""
+    own = [p.target.split(".") for p in asked if p.target.startswith("effects.")]
+    found = []
+    for effect in all_effects().values():
+        for nuisance in effect.nuisances(rig):
+            taken = any(
+                split_key(key)[0] == effect.name
+                and split_key(key)[1] in (None, nuisance.owner)
+                and parameter in nuisance.same_as
+                for _, key, parameter in own
+            )
+            if not taken:
+                found.append(nuisance)
+    return found
 
 
-def has_bias(runs: Sequence[Run], asked: Sequence[FitParameter], kinds: Collection[str]) -> bool:
+def has_bias(rig: Rig, runs: Sequence[Run], asked: Sequence[FitParameter], kinds: Collection[str]) -> bool:
     """Whether wrenches have a bias that is a nuisance, and not one that is asked for as an effect."""
-    wrenches = any(m.kind == "wrench" for run in runs for m in run.measured)
-    return "bias" in kinds and wrenches and not any(p.name.startswith("effects.wrench_offset.bias") for p in asked)
+    measured = {m.channel for run in runs for m in run.measured}
+    return "bias" in kinds and any(n.kind == "bias" and n.owner in measured for n in _allowed(rig, asked))
 
 
 def bias_sd(measured: Measured) -> np.ndarray | None:

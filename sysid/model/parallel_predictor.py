@@ -12,9 +12,9 @@ import numpy as np
 
 from sim_core.batch import worker_pool
 from sim_core.rigs import Rig
-from sysid.model.load import Run
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Engine, Prediction
+from sysid.observations.observations import Run
 
 _ENGINE: list[Engine] = []
 

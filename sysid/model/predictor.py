@@ -8,17 +8,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim_core.effects import amended
 from sim_core.errors import ThinshellError
 from sim_core.gradients import Direction, simulate_tangent
 from sim_core.rigs import Rig
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.scene import Scene, build_scene
 from sim_core.simulate import Trace, simulate
-from sysid.model.load import Run
 from sysid.model.marker_registration import placed, placed_along
 from sysid.model.parameters import FitParameter, acting_in, rig_at
 from sysid.model.sensor_streams import predicted, predicted_derivatives, stream_derivatives
 from sysid.model.time_span import rollout_times, too_late
+from sysid.observations.observations import Run
 
 STEP = 1e-5
 """Half width, in the fitted scale, of the differences that tell what a parameter changes in the rig."""
@@ -110,7 +111,7 @@ class Engine:
         values = _at_stamps(trace, here, run)
         derivatives = {}
         for m in run.measured:
-            mechanical = predicted_derivatives(trace, raw[m.channel], here, m.channel, m.t)
+            mechanical = predicted_derivatives(trace, raw[m.channel], here, m.channel, m.t, run.since)
             readings = values[m.channel].reshape(mechanical.shape[:-1])
             total = mechanical + stream_derivatives(trace, along, m.channel, m.t, run.since, readings)
             derivatives[m.channel] = total.reshape(*values[m.channel].shape, len(along))
@@ -145,6 +146,7 @@ def _at_stamps(trace: Trace, rig: Rig, run: Run) -> dict[str, np.ndarray]:
 
 def _geometry(rig: Rig) -> object:
     """Everything of a rig that a scene is built from and that a change of values does not reach."""
+    rig = amended(rig)
     data = rig.model_dump()
     for body in data["bodies"].values():
         material = body.pop("material", None)

@@ -9,7 +9,7 @@ from importlib import metadata
 from typing import Any
 
 from sim_core.rigs import Rig, rig_to_yaml
-from sysid.model.load import Run
+from sysid.observations.observations import Run
 
 _PACKAGES = ("numpy", "scipy", "taichi", "rosbags", "mcap", "opencv-python-headless")
 

@@ -1,4 +1,9 @@
-"""From a trace of the simulator to what the sensors of a rig would put on their topics."""
+"""From a trace of the simulator to what the sensors of a rig would put on their topics.
+
+A reading stamped t shows the state at t - latency, and at another instant still where an effect says that a clock is
+off (:class:`sim_core.effects.hooks.ClockMap`); what the sensor makes of it follows, one effect after the other
+(:class:`sim_core.effects.hooks.ReadingMap`).
+"""
 
 from __future__ import annotations
 
@@ -6,28 +11,70 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim_core.effects import active_effects
+from sim_core.effects import Instance, active, amended
+from sim_core.effects.hooks import Channel, ClockMap, ReadingMap
 from sim_core.gradients import Direction
 from sim_core.rigs import Rig
 from sim_core.simulate import Trace, interpolate
+
+
+def channel_of(rig: Rig, name: str, kind: str, stamps: np.ndarray, since: float = 0.0) -> Channel:
+    """What effects are told of a stream; ``rig``: with the amendments of its numbers made."""
+    return Channel(name, kind, stamps, since, rig)  # type: ignore[arg-type]
+
+
+def reading_maps(rig: Rig, channel: str) -> list[Instance]:
+    """Effects that act on the readings of a channel, in their order."""
+    return [instance for instance in active(rig, ReadingMap) if channel in instance.targets]
+
+
+def shown_at(rig: Rig, channel: str, kind: str, stamps: np.ndarray) -> np.ndarray:
+    """Times [s] ``(k,)`` of the states that readings with these stamps show, by the rig and its effects."""
+    rig = amended(rig)
+    source = rig.sensors.get(channel) or rig.cameras[channel]
+    times = stamps - source.latency_s
+    for instance in active(rig, ClockMap):
+        if channel in instance.targets:
+            times = instance.effect.shown_at(channel_of(rig, channel, kind, times), instance.values)
+    return np.asarray(times)
+
+
+def total_delay(rig: Rig, channel: str, kind: str) -> float:
+    """Delay [s] of the stamps of a channel against the motion at the start."""
+    return -float(shown_at(rig, channel, kind, np.zeros(1))[0])
+
+
+def reported(
+    rig: Rig, channel: str, kind: str, stamps: np.ndarray, readings: np.ndarray, since: float = 0.0
+) -> np.ndarray:
+    """What a sensor makes of true readings ``(k, ...)`` with these stamps [s]."""
+    rig = amended(rig)
+    for instance in reading_maps(rig, channel):
+        there = channel_of(rig, channel, kind, stamps, since)
+        readings = instance.effect.read(there, readings, instance.values)
+    return readings
 
 
 def predicted(trace: Trace, rig: Rig, channel: str, stamps: np.ndarray, since: float = 0.0) -> np.ndarray:
     """Readings of a channel at stamps [s], with latency and the sensor effects of the rig: ``(k, ...)``. ``since``: how
     long [s] the sensors have been at work when the trace begins."""
     kind = trace.kinds[channel]
-    out = interpolate(trace.times, trace.outputs[channel], stamps - total_delay(rig, channel, kind))
-    for effect, given in active_effects(rig):
-        out = out + effect.added_to_output(rig, channel, kind, stamps + since, given)
-    return out
+    true = interpolate(trace.times, trace.outputs[channel], shown_at(rig, channel, kind, stamps))
+    return reported(rig, channel, kind, stamps, true, since)
 
 
 def predicted_derivatives(
-    trace: Trace, derivatives: np.ndarray, rig: Rig, channel: str, stamps: np.ndarray
+    trace: Trace, derivatives: np.ndarray, rig: Rig, channel: str, stamps: np.ndarray, since: float = 0.0
 ) -> np.ndarray:
-    """Derivatives ``(n_times, ..., p)`` of a channel carried to the stamps: ``(k, ..., p)``. Effects of sensors can
-    only add to readings, so that nothing but the delay is in between."""
-    return interpolate(trace.times, derivatives, stamps - total_delay(rig, channel, trace.kinds[channel]))
+    """Derivatives ``(n_times, ..., p)`` of a channel carried to the stamps and through its sensor: ``(k, ..., p)``."""
+    rig, kind = amended(rig), trace.kinds[channel]
+    at = shown_at(rig, channel, kind, stamps)
+    out, readings = interpolate(trace.times, derivatives, at), interpolate(trace.times, trace.outputs[channel], at)
+    for instance in reading_maps(rig, channel):
+        there = channel_of(rig, channel, kind, stamps, since)
+        out = instance.effect.push(there, readings, out, instance.values)
+        readings = instance.effect.read(there, readings, instance.values)
+    return out
 
 
 def stream_derivatives(
@@ -64,14 +111,18 @@ def predicted_back(
     """Derivatives ``weights`` of a loss by what is :func:`predicted` ``(k, ...)``, taken back to the readings of the
     trace, in their shape, and to parameters after the rollout ``(p,)``: what the adjoint leaves to be added for delays
     and effects of sensors. Points out of sight, NaN, count as zero."""
+    rig, kind = amended(rig), trace.kinds[channel]
     known = np.where(np.isnan(predicted(trace, rig, channel, stamps, since)), 0.0, weights)
-    share = interpolate(trace.times, np.eye(len(trace.times)), stamps - total_delay(rig, channel, trace.kinds[channel]))
-    by_readings = np.tensordot(share.T, known, axes=1).reshape(trace.outputs[channel].shape)
+    at = shown_at(rig, channel, kind, stamps)
+    stages = [interpolate(trace.times, trace.outputs[channel], at)]
+    maps = reading_maps(rig, channel)
+    there = channel_of(rig, channel, kind, stamps, since)
+    for instance in maps:
+        stages.append(instance.effect.read(there, stages[-1], instance.values))
+    back = known
+    for instance, readings in zip(reversed(maps), reversed(stages[:-1]), strict=True):
+        back = np.nan_to_num(instance.effect.pull(there, readings, back, instance.values))
+    share = interpolate(trace.times, np.eye(len(trace.times)), at)
+    by_readings = np.tensordot(share.T, back, axes=1).reshape(trace.outputs[channel].shape)
     changes = np.nan_to_num(stream_derivatives(trace, along, channel, stamps, since))
     return np.asarray(by_readings), changes.reshape(known.size, len(along)).T @ known.ravel()
-
-
-def total_delay(rig: Rig, channel: str, kind: str) -> float:
-    """Delay [s] of the stamps of a channel against the motion, by the rig and its effects."""
-    source = rig.sensors.get(channel) or rig.cameras[channel]
-    return float(source.latency_s + sum(e.delay(rig, channel, kind, given) for e, given in active_effects(rig)))

@@ -14,9 +14,9 @@ import numpy as np
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.simulate import step_times
-from sysid.model.load import Measured, Run
 from sysid.model.sensor_streams import total_delay
 from sysid.noise.estimate import moving
+from sysid.observations.observations import Measured, Run
 
 LAST_S = 1.0
 """Time before the last pose [s] that tells whether the end effector stands still there."""

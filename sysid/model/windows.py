@@ -19,10 +19,10 @@ from sim_core.rigs import Rig, WrenchSensor
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
-from sysid.model.load import Change, Measured, Run
 from sysid.model.marker_registration import placed
 from sysid.model.sensor_streams import predicted
 from sysid.noise.estimate import channel_noise, moving
+from sysid.observations.observations import Change, Measured, Run
 from sysid.observations.rig_match import span_of
 from sysid.observations.selection import Part
 from sysid.recording.notes import told_once

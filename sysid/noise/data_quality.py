@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sim_core.rigs import Rig
-from sysid.model.load import UNITS, Measured, Run
-from sysid.noise.estimate import by_differences, declared_noise, moving, quantities, quiet
+from sysid.noise.estimate import by_differences, declared_noise, moves, quantities, quiet
+from sysid.observations.observations import UNITS, Measured, Run
 from sysid.recording.notes import plural
 
 FEW = 10
@@ -40,7 +40,7 @@ def doubts(rig: Rig, runs: Sequence[Run]) -> list[str]:
                 f"{'; '.join(run.doubts[:LISTED])}{more}."
             )
         said += _dead(run)
-        if run.poses and not any(moving(p) for p in run.poses.values()):
+        if run.poses and not any(moves(p) for p in run.poses.values()):
             said += _restless(rig, run)
     said += _apart(runs)
     instants = sum(max(int(np.isfinite(m.values).any(axis=1).sum()) for m in run.measured) for run in runs)

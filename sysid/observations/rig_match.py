@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from sim_core.errors import RecordingError
-from sim_core.rigs import Rig
-from sysid.recording import Recording
+from sim_core.rigs import MarkerSensor, Rig, Rigid, marker_positions, track_ids
 from sysid.recording.bag import TopicInfo
-from sysid.recording.topics import CLOUD, COMPRESSED, IMAGE, POSE, WRENCH
+from sysid.recording.message_types import CLOUD, COMPRESSED, IMAGE, POSE, POSES, TF, WRENCH, WRENCHES
 
-STREAMS = {POSE, WRENCH, CLOUD, IMAGE, COMPRESSED}
-"""Types of what a rig reads; other topics say nothing about it."""
+STREAMS = {
+    **dict.fromkeys(POSES, POSE),
+    **dict.fromkeys(WRENCHES, WRENCH),
+    **{kind: kind for kind in (TF, CLOUD, IMAGE, COMPRESSED)},
+}
+"""Types of what a rig reads, and what each holds; other topics say nothing about it."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class _Part:
 def _hands(rig: Rig) -> list[_Part]:
     return [
         _Part(f"the pose of {n!r}", f"end_effectors.{n}.topics.current_pose", (t.current_pose, t.target_pose), POSE)
+        if t.tf is None
+        else _Part(f"the pose of {n!r}", f"end_effectors.{n}.topics.tf", ("tf",), TF)
         for n, t in ((n, e.topics) for n, e in rig.end_effectors.items())
     ]
 
@@ -64,7 +69,9 @@ def places_of_topics(rig: Rig) -> dict[str, str]:
 def check_topics(rig: Rig, path: Path, topics: Mapping[str, TopicInfo]) -> None:
     """Refuse a recording that lacks the pose of an end effector, or all that the rig measures, or in which names of the
     rig may mean several topics. Raises ``RecordingError``, which names what differs."""
-    types = {"/" + topic.strip("/"): STREAMS & set(info.msgtypes) for topic, info in topics.items()}
+    types = {
+        "/" + topic.strip("/"): {STREAMS[m] for m in info.msgtypes if m in STREAMS} for topic, info in topics.items()
+    }
     hands, senses = _hands(rig), _senses(rig)
     found = {part: part.found(types) for part in (*hands, *senses)}
     several = [part for part, same in found.items() if len(same) > 1]
@@ -87,30 +94,15 @@ def check_topics(rig: Rig, path: Path, topics: Mapping[str, TopicInfo]) -> None:
     )
 
 
-def differences(rig: Rig, recording: Recording, markers: Mapping[str, np.ndarray]) -> Iterator[tuple[str, bool]]:
-    """What is different in a recording that can be read, frames and marker numbers, and whether that may be because it
-    is of another rig. ``markers``: numbers ``(m,)`` that the rig knows, by sensor or camera.
-
-    A rig may leave out a few markers on purpose: where all that it knows were seen, and at most half as many it does
-    not know, nothing speaks against it.
-    """
-    for name, sensor in rig.sensors.items():
-        stream = recording.wrenches.get(name) or recording.markers.get(name)
-        if stream is not None and sensor.frame_id is not None and stream.frame_id != sensor.frame_id:
-            yield _frames_apart(name, stream.topic, stream.frame_id, sensor.frame_id), True
-    for name, camera in rig.cameras.items():
-        tracks = recording.tracks.get(name)
-        if tracks is not None and camera.frame_id is not None and tracks.frame_id != camera.frame_id:
-            yield _frames_apart(name, tracks.topic, tracks.frame_id, camera.frame_id), True
-    for name, known in markers.items():
-        seen = recording.markers.get(name) or recording.tracks.get(name)
-        if seen is not None and set(seen.ids.tolist()) != set(known.tolist()):
-            strange, lost = (len(np.setdiff1d(*pair)) for pair in ((seen.ids, known), (known, seen.ids)))
-            yield f"{name}: {numbers_apart(seen.ids, known)}", bool(lost or 2 * strange > len(known))
-
-
-def _frames_apart(name: str, topic: str, recorded: str, known: str) -> str:
-    return f"{name}: {topic} is in the frame {recorded!r}, in the rig in {known!r}."
+def marker_numbers(rig: Rig) -> dict[str, np.ndarray]:
+    """Numbers of the markers, in the order of the columns, by sensor or camera."""
+    bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
+    found = {
+        name: marker_positions(sensor.points, bodies[sensor.body])[1]
+        for name, sensor in rig.sensors.items()
+        if isinstance(sensor, MarkerSensor)
+    }
+    return found | {name: track_ids(camera, bodies) for name, camera in rig.cameras.items()}
 
 
 def numbers_apart(recorded: np.ndarray, known: np.ndarray) -> str:

@@ -26,12 +26,15 @@ def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str
     for name, effector in rig.end_effectors.items():
         topics = effector.topics
         current, target = found(topics.current_pose), found(topics.target_pose)
-        if not current:
+        if topics.tf is not None:
+            current = None
+        elif not current:
             missing.append(topics.current_pose)
-        if current or target:
+        if current or target or topics.tf:
             poses[name] = EETopics(
                 current_pose=current,
                 target_pose=target,
+                tf=topics.tf,
                 length_unit=topics.length_unit,
                 quaternion_order=topics.quaternion_order,
             )

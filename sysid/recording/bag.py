@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sqlite3
+import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path, PurePath, PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from sim_core.errors import RecordingError, nearest_match
 from sysid.recording.arrays import Ints
 from sysid.recording.files import (
     SUFFIXES,
+    TABLE,
     ZSTD_MAGIC,
     index_file,
     open_payloads,
@@ -24,6 +27,9 @@ from sysid.recording.notes import Notes, plural
 from sysid.recording.storage import FileIndex, Payloads
 
 METADATA = "metadata.yaml"
+
+LARGEST_MESSAGE = 1 << 30
+"""Bytes that a message may unpack to."""
 
 
 @dataclass(frozen=True)
@@ -60,15 +66,18 @@ class MessageSet:
         return MessageSet(self.paths, self.file[which], self.locator[which], self.log_ns[which])
 
     def payloads(self) -> Iterator[bytes]:
-        """Yield the serialised messages one by one."""
+        """Yield the serialised messages one by one; for what cannot be read, no bytes."""
         opened: dict[int, Payloads] = {}
         try:
             for k, place in zip(self.file.tolist(), self.locator.tolist(), strict=True):
                 if k not in opened:
                     opened[k] = open_payloads(self.paths[k])
-                data = opened[k].payload(*place)
-                # Messages compressed one by one start with the zstd magic, which no CDR message does.
-                yield zstandard.ZstdDecompressor().decompress(data) if data[:4] == ZSTD_MAGIC else data
+                try:
+                    data = opened[k].payload(*place)
+                    # Messages compressed one by one start with the zstd magic, which no CDR message does.
+                    yield _unpacked(data) if data[:4] == ZSTD_MAGIC else data
+                except (sqlite3.DatabaseError, zstandard.ZstdError, struct.error, ValueError, OverflowError):
+                    yield b""  # what is damaged is no message of any type
         finally:
             for payloads in opened.values():
                 payloads.close()
@@ -106,6 +115,15 @@ class Bag:
             np.concatenate(log_ns),
         )
         return found.take(np.argsort(found.log_ns, kind="stable"))
+
+
+def _unpacked(data: bytes) -> bytes:
+    """One message that was compressed by itself."""
+    with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+        message = reader.read(LARGEST_MESSAGE + 1)
+    if len(message) > LARGEST_MESSAGE:
+        raise ValueError(f"a message unpacks to more than {LARGEST_MESSAGE} bytes")
+    return message
 
 
 def open_bag(path: Path, notes: Notes) -> Bag:
@@ -153,12 +171,20 @@ def _files_of(path: Path, notes: Notes) -> tuple[list[Path], Mapping[str, Any]]:
         if path.name == METADATA:
             return _files_of(path.parent, notes)
         return [path], {}
+    if not path.is_dir():
+        raise RecordingError(
+            f"{path} is neither a file nor a folder (a device, a pipe or a socket).",
+            "Give a rosbag2 recording: its directory, an .mcap file or a .db3 file.",
+        )
     here = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_natural)
+    tables = sorted(path.glob(f"*{TABLE}"), key=_natural)
+    if tables and not here and not (path / METADATA).exists():
+        return tables, {}
     metadata = _metadata(path / METADATA, notes)
     if metadata:
-        listed = [path / PurePath(str(name)).name for name in metadata["relative_file_paths"]]
-        missing = [p.name for p in listed if not p.exists()]
-        found = [p for p in listed if p.exists()]
+        listed = [_listed_file(path, str(name)) for name in metadata["relative_file_paths"]]
+        missing = [p.name for p in listed if not p.is_file()]
+        found = [p for p in listed if p.is_file()]
         if listed and not found:
             raise RecordingError(
                 f"{path / METADATA} lists {', '.join(missing)}, of which none exists.",
@@ -186,6 +212,15 @@ def _files_of(path: Path, notes: Notes) -> tuple[list[Path], Mapping[str, Any]]:
     return here, {}
 
 
+def _listed_file(folder: Path, name: str) -> Path:
+    """The file that a metadata.yaml lists: its base name, of a path of Windows too, and with the ending that
+    compression added after the name was written."""
+    base = PureWindowsPath(PurePath(name).name).name
+    plain = folder / base
+    packed = folder / f"{base}.zstd"
+    return packed if packed.is_file() and not plain.is_file() else plain
+
+
 def _metadata(path: Path, notes: Notes) -> Mapping[str, Any]:
     """Return the bag's metadata, empty when there is none that can be used."""
     if not path.exists():
@@ -195,7 +230,10 @@ def _metadata(path: Path, notes: Notes) -> Mapping[str, Any]:
         information = content["rosbag2_bagfile_information"]
         if not isinstance(information["relative_file_paths"], list):
             raise TypeError("relative_file_paths is no list")
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
+        counts = information.get("topics_with_message_count")
+        if not isinstance(counts, list | None):
+            raise TypeError("topics_with_message_count is no list")
+    except (yaml.YAMLError, ValueError, KeyError, TypeError, RecursionError) as error:
         notes.warning(METADATA, f"cannot be used: {' '.join(str(error).split())}")
         return {}
     return dict(information)
@@ -238,7 +276,7 @@ def _compare_counts(topics: dict[str, TopicInfo], metadata: Mapping[str, Any], n
     for item in metadata.get("topics_with_message_count") or []:
         try:
             name, promised = str(item["topic_metadata"]["name"]), int(item["message_count"])
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             continue
         found = topics[name].count if name in topics else 0
         if found != promised:

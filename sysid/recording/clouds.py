@@ -84,6 +84,7 @@ def marker_stream(series: Series, declared: SensorTopic, t0_ns: int, notes: Note
         topic=topic,
         frame_id=series.frame_id,
         t=t,
+        arrival=series.arrival(t0_ns),
         ids=ids,
         position=position * scale,
         displacement=None if displacement is None else displacement * scale,
@@ -113,7 +114,14 @@ def track_stream(series: Series, camera: CameraInfo | None, t0_ns: int, notes: N
         confidence[row, column] = 1.0
     note_gaps(topic, t, notes)
     return TrackStream(
-        topic=topic, frame_id=series.frame_id, t=t, ids=ids, uv=uv, confidence=confidence, camera_info=camera
+        topic=topic,
+        frame_id=series.frame_id,
+        t=t,
+        arrival=series.arrival(t0_ns),
+        ids=ids,
+        uv=uv,
+        confidence=confidence,
+        camera_info=camera,
     )
 
 

@@ -14,7 +14,8 @@ from sim_core.errors import RecordingError
 from sysid.recording import storage_mcap, storage_sqlite
 from sysid.recording.storage import FileIndex, Payloads
 
-SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".bag")
+TABLE = ".csv"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -41,13 +42,34 @@ class _Unpacked:
         self.cut_short = not unpacker.eof
 
 
+class _Converted:
+    """A recording of another kind as an .mcap file; it lives as long as this object."""
+
+    def __init__(self, path: Path) -> None:
+        from sysid.recording.csv_tables import write_table
+        from sysid.recording.rosbag1 import write_as_ros2
+
+        self._folder = tempfile.TemporaryDirectory(prefix="thinshell-bag-")
+        out = Path(self._folder.name) / "bag"
+        self.problems: tuple[str, ...] = ()
+        if path.suffix == TABLE:
+            self.problems = write_table(path, out)
+        else:
+            self.problems = write_as_ros2(path, out, path)
+        self.path = next(out.glob("*.mcap"))
+
+
 def index_file(path: Path) -> FileIndex:
-    """Index one storage file: ``.mcap`` or ``.db3``, each also with ``.zstd`` behind it.
+    """Index one storage file: ``.mcap`` or ``.db3``, each also with ``.zstd`` behind it, ``.bag`` of ROS 1 or ``.csv``.
 
     Raises:
         RecordingError: the file cannot be opened, is no such file, or nothing in it can be read.
     """
     try:
+        if foreign := _foreign(path):
+            made = _converted(path, path.stat().st_mtime_ns)
+            index = storage_mcap.index_mcap(made.path, path)
+            return replace(index, storage=foreign, compression="", problems=(*made.problems, *index.problems))
         plain, compressed, cut_short = _plain(path)
         is_sqlite = _is_sqlite(plain, path)
         index = (storage_sqlite.index_sqlite if is_sqlite else storage_mcap.index_mcap)(plain, path)
@@ -62,6 +84,8 @@ def index_file(path: Path) -> FileIndex:
 
 def open_payloads(path: Path) -> Payloads:
     """Open a storage file for reading single messages."""
+    if _foreign(path):
+        return storage_mcap.McapPayloads(_converted(path, path.stat().st_mtime_ns).path)
     plain, _, _ = _plain(path)
     is_sqlite = _is_sqlite(plain, path)
     return storage_sqlite.SqlitePayloads(plain) if is_sqlite else storage_mcap.McapPayloads(plain)
@@ -88,6 +112,19 @@ def _unpacked(path: Path, _modified_ns: int) -> _Unpacked:
     return _Unpacked(path)
 
 
+@lru_cache(maxsize=4)
+def _converted(path: Path, _modified_ns: int) -> _Converted:
+    return _Converted(path)
+
+
+def _foreign(path: Path) -> str:
+    """The kind of a file that is no ROS 2 recording, '' of one that is."""
+    if path.suffix == TABLE:
+        return "csv"
+    with path.open("rb") as file:
+        return "rosbag1" if file.read(9) == b"#ROSBAG V" else ""
+
+
 def _plain(path: Path) -> tuple[Path, bool, bool]:
     """Return a path to the uncompressed file, whether it was compressed, and whether that was cut short."""
     with path.open("rb") as file:
@@ -101,6 +138,4 @@ def _plain(path: Path) -> tuple[Path, bool, bool]:
 def _is_sqlite(plain: Path, shown: Path) -> bool:
     with plain.open("rb") as file:
         magic = file.read(16)
-    if magic.startswith(b"#ROSBAG V"):
-        raise RecordingError(f"{shown} is a ROS 1 bag.", "Convert it to ROS 2 first, for example with rosbags-convert.")
     return magic == storage_sqlite.MAGIC

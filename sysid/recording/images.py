@@ -12,9 +12,9 @@ import numpy as np
 from sim_core.errors import RecordingError
 from sysid.recording.arrays import Bytes
 from sysid.recording.bag import MessageSet
+from sysid.recording.message_types import COMPRESSED
 from sysid.recording.messages import decode
 from sysid.recording.streams import CameraInfo, Stream
-from sysid.recording.topics import COMPRESSED
 
 _CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3}
 _READABLE = "Record mono8, rgb8 or bgr8, or png or jpeg as a CompressedImage."
@@ -33,7 +33,7 @@ class ImageStream(Stream):
         camera_info: None when the camera is not calibrated.
     """
 
-    _per_sample: ClassVar[tuple[str, ...]] = ("t",)
+    _per_sample: ClassVar[tuple[str, ...]] = ("t", "arrival")
 
     msgtype: str
     source: MessageSet
@@ -45,6 +45,7 @@ class ImageStream(Stream):
             topic=self.topic,
             frame_id=self.frame_id,
             t=self.t[which],
+            arrival=None if self.arrival is None else self.arrival[which],
             msgtype=self.msgtype,
             source=self.source.take(which),
             camera_info=self.camera_info,
@@ -56,12 +57,19 @@ class ImageStream(Stream):
         return image
 
     def __iter__(self) -> Iterator[tuple[float, Bytes]]:
+        for t, image in self.decoded():
+            if isinstance(image, RecordingError):
+                raise image
+            yield t, image
+
+    def decoded(self) -> Iterator[tuple[float, Bytes | RecordingError]]:
+        """Yield the time of each image and the image, or what is wrong with it."""
         for t, data in zip(self.t.tolist(), self.source.payloads(), strict=True):
-            message = decode(data, self.msgtype)
             try:
+                message = decode(data, self.msgtype)
                 yield t, _compressed(message) if self.msgtype == COMPRESSED else _raw(message)
             except ValueError as error:
-                raise RecordingError(f"{self.topic}: the image at t={t:.6g} s {error}.", _READABLE) from error
+                yield t, RecordingError(f"{self.topic}: the image at t={t:.6g} s {error}.", _READABLE)
 
 
 def _compressed(message: Any) -> Bytes:

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
 
 from sim_core.errors import RecordingError
 from sysid.recording.arrays import Bools, Floats, Ints
 from sysid.recording.bag import MessageSet
+from sysid.recording.message_types import TYPESTORE
 from sysid.recording.notes import Notes, plural
 from sysid.recording.times import TimeSource, order_in_time
-
-TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 def decode(data: bytes, msgtype: str) -> Any:
@@ -28,7 +24,7 @@ def decode(data: bytes, msgtype: str) -> Any:
     """
     try:
         return TYPESTORE.deserialize_cdr(data, msgtype)
-    except (SerdeError, IndexError, KeyError, TypeError, MemoryError, OverflowError) as error:
+    except Exception as error:  # of the code that rosbags generates, on bytes that may be anything
         raise ValueError(f"cannot be read as {msgtype}: {error}") from error
 
 
@@ -108,6 +104,11 @@ class Series:
         seconds: Floats = (self.times_ns - t0_ns).astype(np.float64) * 1e-9
         return seconds
 
+    def arrival(self, t0_ns: int) -> Floats:
+        """Return the times of recording since ``t0_ns`` [s], shape (n,)."""
+        seconds: Floats = (self.source.log_ns - t0_ns).astype(np.float64) * 1e-9
+        return seconds
+
 
 def read_series(
     topic: str,
@@ -146,17 +147,19 @@ def read_table(topic: str, msgtype: str, source: MessageSet, content: Callable[[
     frames: list[str] = []
     kept: list[int] = []
     fault = ""
-    for k, data in enumerate(_payloads(topic, source, notes)):
+    for k, data in enumerate(source.payloads()):
         try:
+            if not data:
+                raise ValueError("is damaged in the file")
             message = decode(data, msgtype)
             row = content(message)
         except ValueError as error:
             fault = fault or str(error)
             continue
-        stamp = message.header.stamp
         rows.append(row)
-        stamps.append(int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec))
-        frames.append(str(message.header.frame_id))
+        header = getattr(message, "header", None)
+        stamps.append(0 if header is None else int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec))
+        frames.append("" if header is None else str(header.frame_id))
         kept.append(k)
     lost = len(source) - len(kept)
     fault = fault or "is unreadable"
@@ -169,10 +172,3 @@ def read_table(topic: str, msgtype: str, source: MessageSet, content: Callable[[
         notes.warning(topic, f"{plural(lost, 'message')} dropped: the first {fault}")
     index = np.array(kept, dtype=np.int64)
     return Table(topic, source.take(index), rows, np.array(stamps, dtype=np.int64), frames)
-
-
-def _payloads(topic: str, source: MessageSet, notes: Notes) -> Iterator[bytes]:
-    try:
-        yield from source.payloads()
-    except sqlite3.DatabaseError as error:
-        notes.warning(topic, f"the database is damaged ({error}): the messages behind the damage are lost")

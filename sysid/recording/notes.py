@@ -18,7 +18,7 @@ class Note:
         channel: the topic or file it is about.
         words: the remark, without the number that it begins with if it counts something.
         thing: what it counts, '' for nothing.
-        times: when these were recorded, in seconds since the start of the recording.
+        times: what it is about, in seconds since the start of the recording; empty for all of it.
     """
 
     severity: Severity
@@ -33,7 +33,7 @@ class Note:
         return f"{plural(len(self.times), self.thing)} {self.words}" if self.thing else self.words
 
     def between(self, begin: float, end: float) -> Note:
-        """The remark on what was recorded from ``begin`` until before ``end`` [s], of one that counts something."""
+        """The remark on what was recorded from ``begin`` until before ``end`` [s], of one that is about some times."""
         return replace(self, times=tuple(t for t in self.times if begin <= t < end))
 
     def __str__(self) -> str:

@@ -31,12 +31,17 @@ _JUMP_M_S, _JUMP_M = 2.0, 0.01
 
 
 def pose_content(message: Any) -> tuple[float, ...]:
-    """Return position and orientation of a PoseStamped, shape (7,).
+    """Return position and orientation of any message that holds one pose, shape (7,).
 
     Raises:
         ValueError: a number is not finite.
     """
-    p, q = message.pose.position, message.pose.orientation
+    if hasattr(message, "transform"):
+        p, q = message.transform.translation, message.transform.rotation
+    else:
+        pose = getattr(message, "pose", message)
+        pose = getattr(pose, "pose", pose)
+        p, q = pose.position, pose.orientation
     values = (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
     if not all(map(math.isfinite, values)):
         raise ValueError("holds NaN or infinity")
@@ -55,7 +60,14 @@ def pose_stream(series: Series, declared: EETopics, t0_ns: int, notes: Notes) ->
     quaternion = _unit_quaternions(topic, values[:, 3:], declared, notes)
     _note_jumps(topic, t, position, notes)
     note_gaps(topic, t, notes)
-    return PoseStream(topic=topic, frame_id=series.frame_id, t=t, position=position, quaternion=quaternion)
+    return PoseStream(
+        topic=topic,
+        frame_id=series.frame_id,
+        t=t,
+        arrival=series.arrival(t0_ns),
+        position=position,
+        quaternion=quaternion,
+    )
 
 
 def check_pair(measured: PoseStream, commanded: PoseStream, declared: EETopics, notes: Notes) -> None:

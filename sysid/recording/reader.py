@@ -11,10 +11,12 @@ from sim_core.errors import RecordingError
 from sysid.recording import clouds, poses, sensors
 from sysid.recording.bag import Bag, open_bag
 from sysid.recording.files import sha256
+from sysid.recording.images import ImageStream
 from sysid.recording.messages import Series, read_series
 from sysid.recording.notes import Notes, plural
 from sysid.recording.recording import FileRecord, Provenance, Recording
-from sysid.recording.streams import PoseStream
+from sysid.recording.streams import CameraInfo, PoseStream
+from sysid.recording.tf import tf_series, tf_topics
 from sysid.recording.topics import TopicNames, camera_info_topic, resolve, sensor_topic
 
 _CONTENT: dict[str, Callable[[Any], Any]] = {
@@ -46,12 +48,15 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
     notes = Notes()
     bag = open_bag(Path(path), notes)
     roles = _roles(names, bag, notes)
-    _check_needed(bag, roles, need_pose)
+    by_tf = {name: ee.tf for name, ee in names.ee.items() if ee.tf is not None}
+    _check_needed(bag, roles, need_pose and not by_tf)
     series = {
         (role, name): _series(role, name, topic, names, bag, notes)
         for role, found in roles.items()
         for name, topic in found.items()
     }
+    for name, (base, child) in by_tf.items():
+        series[("current_pose", name)] = tf_series(bag, base, child, names.time, notes)
     _refuse_latched_only(bag, series)
     t0_ns = min(int(one.times_ns[0]) for one in series.values())
     _note_clocks(series, t0_ns, notes)
@@ -61,7 +66,7 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
 
     calibrations = _camera_topics(names, bag, roles, notes)
     cameras = {
-        camera: None if topic is None else sensors.read_camera_info(topic, bag.messages(topic), notes)
+        camera: None if topic is None else _calibration(topic, bag, topics is not None, notes)
         for camera, topic in calibrations.items()
     }
     targets = {name: poses.pose_stream(s, names.ee[name], t0_ns, notes) for name, s in of("target_pose").items()}
@@ -78,15 +83,15 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
             for name, s in of("markers").items()
         },
         tracks={name: clouds.track_stream(s, cameras[name], t0_ns, notes) for name, s in of("tracks").items()},
-        images={
-            name: sensors.image_stream(s, bag.topics[s.topic].msgtypes[0], cameras[name], t0_ns, notes)
-            for name, s in of("images").items()
-        },
+        images=_images(
+            of("images"), bag, cameras, t0_ns, any(roles[role] for role in ("wrench", "markers", "tracks")), notes
+        ),
         notes=(),
         provenance=_provenance(bag, t0_ns),
     )
     used = {topic for found in roles.values() for topic in found.values()}
     used |= {topic for topic in calibrations.values() if topic}
+    used |= set(tf_topics(bag)) if by_tf else set()
     _note_unused(bag, used, notes)
     return replace(recording, notes=notes.collected())
 
@@ -94,14 +99,68 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
 def _roles(names: TopicNames, bag: Bag, notes: Notes) -> dict[str, dict[str, str]]:
     """Return topic by name for every role but camera_info."""
     wanted: dict[str, Mapping[str, str | None]] = {
-        "current_pose": {name: ee.current_pose for name, ee in names.ee.items()},
+        "current_pose": {name: ee.current_pose for name, ee in names.ee.items() if ee.tf is None},
         "target_pose": {name: ee.target_pose for name, ee in names.ee.items()},
         "wrench": {name: sensor_topic(value).topic for name, value in names.wrench.items()},
         "markers": {name: sensor_topic(value).topic for name, value in names.markers.items()},
         "tracks": names.tracks,
         "images": names.images,
     }
-    return {role: resolve(role, topics, bag.topics, notes) for role, topics in wanted.items()}
+    return _without_unneeded({role: _resolved(role, topics, bag, notes) for role, topics in wanted.items()}, bag, notes)
+
+
+def _resolved(role: str, topics: Mapping[str, str | None], bag: Bag, notes: Notes) -> dict[str, str]:
+    """Topic by name; images of a type that cannot be read are left out where the rig has something else to say."""
+    try:
+        return resolve(role, topics, bag.topics, notes)
+    except RecordingError as error:
+        if role != "images" or not any(topics.values()):
+            raise
+        notes.warning("images", f"not used: {error.problem}")
+        return {}
+
+
+def _without_unneeded(roles: dict[str, dict[str, str]], bag: Bag, notes: Notes) -> dict[str, dict[str, str]]:
+    """Roles without topics that hold no message and are not needed: images, and commanded beside measured poses."""
+    kept = {role: dict(found) for role, found in roles.items()}
+    for role, name, topic in [(r, n, t) for r, found in roles.items() for n, t in found.items()]:
+        spare = role == "images" or (role == "target_pose" and name in roles["current_pose"])
+        if spare and not bag.topics[topic].count:
+            notes.warning(topic, f"holds no message: not used for {role}")
+            del kept[role][name]
+    return kept
+
+
+def _calibration(topic: str, bag: Bag, of_rig: bool, notes: Notes) -> CameraInfo | None:
+    """What a camera_info says; beside a rig, which has intrinsics of its own, one that cannot be used is left out."""
+    try:
+        return sensors.read_camera_info(topic, bag.messages(topic), notes)
+    except RecordingError as error:
+        if not of_rig:
+            raise
+        notes.warning(topic, f"not compared with the rig: {error.problem}")
+        return None
+
+
+def _images(
+    series: Mapping[str, Series],
+    bag: Bag,
+    cameras: Mapping[str, CameraInfo | None],
+    t0_ns: int,
+    beside: bool,
+    notes: Notes,
+) -> dict[str, ImageStream]:
+    """Image streams by camera. ``beside``: there are other measurements, so that images that cannot be decoded are no
+    reason to stop."""
+    found = {}
+    for name, one in series.items():
+        try:
+            found[name] = sensors.image_stream(one, bag.topics[one.topic].msgtypes[0], cameras[name], t0_ns, notes)
+        except RecordingError as error:
+            if not beside:
+                raise
+            notes.warning(one.topic, f"not used: {error.problem}")
+    return found
 
 
 def _check_needed(bag: Bag, roles: Mapping[str, Mapping[str, str]], need_pose: bool) -> None:
@@ -114,7 +173,7 @@ def _check_needed(bag: Bag, roles: Mapping[str, Mapping[str, str]], need_pose: b
     if need_pose and not (roles["current_pose"] or roles["target_pose"]):
         raise RecordingError(
             f"{bag.path} holds no pose of an end effector: no current_pose or target_pose topic was found.",
-            f"Name the topic in the rig (--rig). Topics in the recording: {listing}.",
+            f"Name the topic in the rig, in `topics` of the end effector. Topics in the recording: {listing}.",
         )
 
 

@@ -9,21 +9,26 @@ import numpy as np
 from sim_core.errors import RecordingError
 from sysid.recording.bag import MessageSet
 from sysid.recording.images import ImageStream
+from sysid.recording.message_types import CAMERA_INFO
 from sysid.recording.messages import Series, read_table
 from sysid.recording.notes import Notes
 from sysid.recording.streams import CameraInfo, WrenchStream
 from sysid.recording.times import note_gaps
-from sysid.recording.topics import CAMERA_INFO, SensorTopic
+from sysid.recording.topics import SensorTopic
 
 LARGEST_N = 1e4
 """Forces beyond this are worth a remark."""
+
+TRIED = 5
+"""Images that are tried; where none of them can be decoded the topic is of no use."""
 
 _COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 
 
 def wrench_content(message: Any) -> tuple[float, ...]:
-    """Return force and torque of a WrenchStamped, shape (6,)."""
-    f, m = message.wrench.force, message.wrench.torque
+    """Return force and torque of a WrenchStamped or a Wrench, shape (6,)."""
+    wrench = getattr(message, "wrench", message)
+    f, m = wrench.force, wrench.torque
     return (f.x, f.y, f.z, m.x, m.y, m.z)
 
 
@@ -49,7 +54,13 @@ def wrench_stream(series: Series, declared: SensorTopic, t0_ns: int, notes: Note
         notes.warning(topic, f"forces up to {largest:.4g} N: looks like another unit than newton")
     note_gaps(topic, t, notes)
     return WrenchStream(
-        topic=topic, frame_id=series.frame_id, t=t, force=values[:, :3], torque=values[:, 3:], mask=mask
+        topic=topic,
+        frame_id=series.frame_id,
+        t=t,
+        arrival=series.arrival(t0_ns),
+        force=values[:, :3],
+        torque=values[:, 3:],
+        mask=mask,
     )
 
 
@@ -88,10 +99,10 @@ def read_camera_info(topic: str, source: MessageSet, notes: Notes) -> CameraInfo
 
 
 def image_stream(series: Series, msgtype: str, camera: CameraInfo | None, t0_ns: int, notes: Notes) -> ImageStream:
-    """Keep where the images are; of the pixels only the first image is read, as a check.
+    """Keep where the images are; of the pixels some are read, as a check.
 
     Raises:
-        RecordingError: the first image cannot be decoded.
+        RecordingError: none of them can be decoded.
     """
     t = series.seconds(t0_ns)
     note_gaps(series.topic, t, notes)
@@ -99,11 +110,16 @@ def image_stream(series: Series, msgtype: str, camera: CameraInfo | None, t0_ns:
         topic=series.topic,
         frame_id=series.frame_id,
         t=t,
+        arrival=series.arrival(t0_ns),
         msgtype=msgtype,
         source=series.source,
         camera_info=camera,
     )
-    stream.image(0)
+    some = np.unique(np.linspace(0, len(t) - 1, min(TRIED, len(t))).astype(int))
+    tried = [image for _, image in stream.take(some).decoded()]
+    if tried and all(isinstance(image, RecordingError) for image in tried):
+        assert isinstance(tried[0], RecordingError)
+        raise tried[0]
     return stream
 
 

@@ -1,17 +1,19 @@
-"""Index of one MCAP file, by a sequential scan that survives a missing end, footer or chunk.
+"""Index of one MCAP file, by a sequential scan that survives damage, a missing end, footer or chunk.
 
-The scan reads the data section itself instead of the summary at the end of the file. Three things
+The scan reads the data section itself instead of the summary at the end of the file. Four things
 follow from it: a recording cut short by a crash is read up to the last whole message, topics never
-disappear because of the quality-of-service text stored beside them, and the number of messages found
-can be checked against the number that the summary promises.
+disappear because of the quality-of-service text stored beside them, the number of messages found
+can be checked against the number that the summary promises, and behind a damaged place the scan goes
+on with the next records that follow each other as records do.
 """
 
 from __future__ import annotations
 
+import mmap
 import struct
 import zlib
 from array import array
-from collections.abc import Iterator
+from collections.abc import Container
 from io import BytesIO
 from pathlib import Path
 
@@ -19,6 +21,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Schema, Statistics
 
@@ -29,6 +32,16 @@ MAGIC = b"\x89MCAP0\r\n"
 _FRAME = struct.Struct("<BQ")  # opcode, record length
 _MESSAGE = struct.Struct("<HIQQ")  # channel id, sequence, log time, publish time
 _CHUNK = struct.Struct("<QQQI")  # start time, end time, uncompressed size, uncompressed CRC
+_LARGEST_CHUNK = 1 << 31
+"""Bytes that a chunk may unpack to; recorders write chunks of a megabyte."""
+_OPCODES = frozenset(range(1, 16))
+"""Kinds of records; of others (128 and more are private) none are written by recorders of ROS."""
+_IN_A_ROW = 3
+"""Records that follow each other from which a place is where records go on."""
+_BLOCK = 1 << 20
+"""Bytes that are searched at a time for where records go on."""
+_LISTED = 4
+"""Damaged places of a file that are listed."""
 _SCHEMAS = {"ros2msg", "ros2idl", "omgidl", ""}
 
 
@@ -77,16 +90,19 @@ def unpack_chunk(content: bytes) -> tuple[bytes, str]:
     at += name_length
     (packed_size,) = struct.unpack_from("<Q", content, at)
     packed = content[at + 8 : at + 8 + packed_size]
+    if size > _LARGEST_CHUNK:
+        raise ValueError(f"chunk states {size} bytes")
     try:
         if compression == "":
             data = packed
         elif compression == "zstd":
-            data = zstandard.ZstdDecompressor().decompressobj().decompress(packed)
+            with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
+                data = reader.read(size + 1)
         elif compression == "lz4":
-            data = lz4.frame.LZ4FrameDecompressor().decompress(packed)
+            data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
         else:
             raise ValueError(f"chunk compression {compression!r} is not known")
-    except (zstandard.ZstdError, RuntimeError) as error:
+    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
         raise ValueError(f"chunk does not decompress: {error}") from error
     if len(packed) == packed_size:
         if len(data) != size:
@@ -104,11 +120,12 @@ class _Scan:
         self.channels: dict[int, Channel] = {}
         self.rows = array("q")  # channel id, log time, chunk position, payload offset, payload size
         self.problems: list[str] = []
+        self.damage: list[str] = []
         self.compression: set[str] = set()
         self.promised: int | None = None
 
-    def records(self, data: bytes, chunk_at: int) -> Iterator[int]:
-        """Read the records inside a chunk; yields the position after each whole record."""
+    def records(self, data: bytes, chunk_at: int) -> None:
+        """Take up the records inside a chunk, as many as are whole."""
         at = 0
         while at + _FRAME.size <= len(data):
             opcode, length = _FRAME.unpack_from(data, at)
@@ -117,13 +134,24 @@ class _Scan:
                 return
             self.record(opcode, data, at, length, chunk_at, 0)
             at += length
-            yield at
 
     def record(self, opcode: int, data: bytes, at: int, length: int, chunk_at: int, base: int) -> None:
-        """Take up one record whose content is ``data[at : at + length]``."""
+        """Take up one record whose content is ``data[at : at + length]``, or say that it is damaged."""
+        try:
+            self._record(opcode, data, at, length, chunk_at, base)
+        except (EndOfFile, struct.error, ValueError, OverflowError) as error:
+            where = f"at byte {base + at}" if chunk_at < 0 else f"in the chunk at byte {chunk_at}"
+            reason = str(error) or "it ends too early"
+            self.damage.append(f"the {_NAMES.get(opcode, 'unknown')} record {where} is damaged and left out ({reason})")
+
+    def _record(self, opcode: int, data: bytes, at: int, length: int, chunk_at: int, base: int) -> None:
         if opcode == Opcode.MESSAGE:
+            if length < _MESSAGE.size:
+                raise ValueError(f"it has {length} bytes, fewer than the {_MESSAGE.size} of its header")
             channel_id, _, log_time, _ = _MESSAGE.unpack_from(data, at)
             start = at + _MESSAGE.size
+            if log_time > _LATEST_NS:
+                raise ValueError(f"recorded {log_time} ns after 1970")
             self.rows.extend((channel_id, log_time, chunk_at, base + start, length - _MESSAGE.size))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
             stream = ReadDataStream(BytesIO(data[at : at + length]))
@@ -141,6 +169,9 @@ class _Scan:
         rows = np.frombuffer(self.rows, dtype=np.int64).reshape(-1, 5).copy()
         order = {channel_id: k for k, channel_id in enumerate(sorted(self.channels))}
         known = np.isin(rows[:, 0], list(order))
+        self.problems += self.damage[:_LISTED]
+        if len(self.damage) > _LISTED:
+            self.problems.append(f"{len(self.damage) - _LISTED} more records are damaged and left out")
         if not known.all():
             self.problems.append(f"{int((~known).sum())} messages belong to no known topic and are left out")
             rows = rows[known]
@@ -166,6 +197,10 @@ class _Scan:
         return ChannelEntry(channel.topic, name, encoding)
 
 
+_NAMES = {int(code): code.name.lower().replace("_", " ") for code in Opcode}
+_LATEST_NS = np.iinfo(np.int64).max
+
+
 def index_mcap(path: Path, shown: Path) -> FileIndex:
     """Scan an MCAP file.
 
@@ -177,7 +212,6 @@ def index_mcap(path: Path, shown: Path) -> FileIndex:
         RecordingError: the file is empty, or is no MCAP file.
     """
     size = path.stat().st_size
-    scan = _Scan()
     with path.open("rb") as file:
         magic = file.read(len(MAGIC))
         if not magic:
@@ -190,43 +224,125 @@ def index_mcap(path: Path, shown: Path) -> FileIndex:
                 f"{shown} is not an MCAP file: it starts with {magic!r}.",
                 "Give a rosbag2 recording: its directory, an .mcap file or a .db3 file.",
             )
-        footer = False
-        while not footer:
-            frame = file.read(_FRAME.size)
-            at = file.tell()
-            if len(frame) < _FRAME.size:
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            return _scanned(data, size, shown).index(shown)
+
+
+def _scanned(data: mmap.mmap, size: int, shown: Path) -> _Scan:
+    scan = _Scan()
+    start, footer = len(MAGIC), False
+    while not footer and start + _FRAME.size <= size:
+        opcode, length = _FRAME.unpack_from(data, start)
+        at = start + _FRAME.size
+        if opcode not in _OPCODES or not _follows(data, at + length, size):
+            # Either this record states a wrong length, or what comes behind it is damaged.
+            on = _next_record(data, start + 1, size, scan.channels)
+            if on is None:
+                if opcode == Opcode.CHUNK and at + length > size:
+                    _take_chunk(scan, data[at:size], at, whole=False)
+                elif opcode in _OPCODES and at + length <= size:
+                    footer = _take(scan, data, opcode, at, length, shown)
                 break
-            opcode, length = _FRAME.unpack(frame)
-            whole = at + length <= size
-            if opcode == 0 or (not whole and opcode != Opcode.CHUNK):
-                break
-            if opcode in (Opcode.ATTACHMENT, Opcode.METADATA, Opcode.MESSAGE_INDEX):
-                file.seek(at + length)
+            if opcode not in _OPCODES or on < at + length:
+                scan.damage.append(f"{on - start} bytes from byte {start} on are no records and left out")
+                start = on
                 continue
-            content = file.read(length if whole else size - at)
-            if opcode == Opcode.CHUNK:
-                _take_chunk(scan, content, at, whole)
-                if not whole:
+        footer = _take(scan, data, opcode, at, length, shown)
+        start = at + length
+    if not footer:
+        scan.problems.append(
+            f"the file is cut short after {size} bytes (no footer); {len(scan.rows) // 5} messages were "
+            "recovered up to the last whole one, the file itself is left as it is"
+        )
+    return scan
+
+
+def _take(scan: _Scan, data: mmap.mmap, opcode: int, at: int, length: int, shown: Path) -> bool:
+    """Take up one whole record of the file; whether it is the footer."""
+    if opcode in (Opcode.ATTACHMENT, Opcode.METADATA, Opcode.MESSAGE_INDEX):
+        return False
+    content = data[at : at + length]
+    if opcode == Opcode.CHUNK:
+        _take_chunk(scan, content, at, whole=True)
+    elif opcode == Opcode.HEADER:
+        try:
+            profile = Header.read(ReadDataStream(BytesIO(content))).profile
+        except (EndOfFile, struct.error, ValueError) as error:
+            scan.damage.append(f"the header record is damaged ({str(error) or 'it ends too early'})")
+        else:
+            _check_profile(profile, shown)
+    else:
+        scan.record(opcode, content, 0, length, -1, at)
+    return opcode == Opcode.FOOTER
+
+
+def _follows(data: mmap.mmap, end: int, size: int) -> bool:
+    """Whether behind a record that ends there another one may begin, or the file ends."""
+    if end > size:
+        return False
+    if end + _FRAME.size > size:
+        return end == size or data[end:size] == MAGIC[: size - end]
+    return data[end] in _OPCODES or data[end : end + len(MAGIC)] == MAGIC
+
+
+def _next_record(data: mmap.mmap, start: int, size: int, channels: Container[int]) -> int | None:
+    """Where records go on behind damage: the first place from which several follow each other; None if nowhere."""
+    for begin in range(start, size, _BLOCK):
+        block = np.frombuffer(data[begin : min(begin + _BLOCK + _FRAME.size, size)], dtype=np.uint8)
+        if len(block) < _FRAME.size:
+            return None
+        # The length is 8 bytes, of which the upper four are zero in any file of less than 4 GiB a record.
+        upper = block[5:].astype(np.int64)
+        zero = upper[:-3] + upper[1:-2] + upper[2:-1] + upper[3:] == 0
+        kinds = (block[: len(zero)] >= 1) & (block[: len(zero)] <= 15)
+        for offset in np.flatnonzero(zero & kinds):
+            place = begin + int(offset)
+            at = place
+            for _ in range(_IN_A_ROW):
+                opcode, length = _FRAME.unpack_from(data, at)
+                at += _FRAME.size
+                if not _plausible(data, opcode, at, length, channels) or not _follows(data, at + length, size):
                     break
-            elif opcode == Opcode.HEADER:
-                _check_profile(Header.read(ReadDataStream(BytesIO(content))).profile, shown)
+                at += length
+                if opcode == Opcode.FOOTER:
+                    return place
+                if at + _FRAME.size > size:
+                    break
             else:
-                scan.record(opcode, content, 0, length, -1, at)
-            footer = opcode == Opcode.FOOTER
-        if not footer:
-            scan.problems.append(
-                f"the file is cut short after {size} bytes (no footer); {len(scan.rows) // 5} messages were "
-                "recovered up to the last whole one, the file itself is left as it is"
-            )
-    return scan.index(shown)
+                return place
+    return None
+
+
+def _plausible(data: mmap.mmap, opcode: int, at: int, length: int, channels: Container[int]) -> bool:
+    """Whether what states to be a record of a kind may be one."""
+    if opcode == Opcode.MESSAGE:
+        if length < _MESSAGE.size or at + _MESSAGE.size > len(data):
+            return False
+        channel, _, recorded, published = _MESSAGE.unpack_from(data, at)
+        return channel in channels and max(recorded, published) < _LATEST_NS
+    if opcode == Opcode.CHUNK:
+        head = _CHUNK.size + 4
+        if length < head + 8 or at + head > len(data):
+            return False
+        begin, end, unpacked, _ = _CHUNK.unpack_from(data, at)
+        (name,) = struct.unpack_from("<I", data, at + _CHUNK.size)
+        if begin > end or unpacked > _LARGEST_CHUNK or name > 4 or at + head + name + 8 > len(data):
+            return False
+        (packed,) = struct.unpack_from("<Q", data, at + head + name)
+        return bool(head + name + 8 + packed == length)
+    if opcode == Opcode.MESSAGE_INDEX:
+        return length >= 6 and (length - 6) % 16 == 0 and struct.unpack_from("<H", data, at)[0] in channels
+    return _LENGTHS.get(opcode, length) == length and length >= 4
+
+
+_LENGTHS = {int(Opcode.DATA_END): 4, int(Opcode.FOOTER): 20, int(Opcode.SUMMARY_OFFSET): 17}
 
 
 def _take_chunk(scan: _Scan, content: bytes, at: int, whole: bool) -> None:
     try:
         data, compression = unpack_chunk(content)
         scan.compression.add(compression)
-        for _ in scan.records(data, at):
-            pass
+        scan.records(data, at)
     except (ValueError, struct.error) as error:
         if not whole:
             return  # cut short within its header

@@ -20,13 +20,15 @@ class Stream:
         topic: the source topic.
         frame_id: the frame that the values are in.
         t: strictly increasing times [s], shape (n,).
+        arrival: times of recording by the recorder's clock [s], shape (n,); None where they are not known.
     """
 
-    _per_sample: ClassVar[tuple[str, ...]] = ("t",)
+    _per_sample: ClassVar[tuple[str, ...]] = ("t", "arrival")
 
     topic: str
     frame_id: str
     t: Floats
+    arrival: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.t)
@@ -49,7 +51,7 @@ class PoseStream(Stream):
         quaternion: unit, x y z w, without sign flips along the stream, shape (n, 4).
     """
 
-    _per_sample: ClassVar[tuple[str, ...]] = ("t", "position", "quaternion")
+    _per_sample: ClassVar[tuple[str, ...]] = ("t", "arrival", "position", "quaternion")
 
     position: Floats
     quaternion: Floats
@@ -65,7 +67,7 @@ class WrenchStream(Stream):
         mask: which of the six components are finite, force first, shape (n, 6).
     """
 
-    _per_sample: ClassVar[tuple[str, ...]] = ("t", "force", "torque", "mask")
+    _per_sample: ClassVar[tuple[str, ...]] = ("t", "arrival", "force", "torque", "mask")
 
     force: Floats
     torque: Floats
@@ -83,7 +85,7 @@ class MarkerStream(Stream):
         force: nodal, on the sensor [N], NaN where missing, shape (n, m, 3); None when the topic has none.
     """
 
-    _per_sample: ClassVar[tuple[str, ...]] = ("t", "position", "displacement", "force")
+    _per_sample: ClassVar[tuple[str, ...]] = ("t", "arrival", "position", "displacement", "force")
 
     ids: Ints
     position: Floats
@@ -134,7 +136,7 @@ class TrackStream(Stream):
         camera_info: None when the camera is not calibrated.
     """
 
-    _per_sample: ClassVar[tuple[str, ...]] = ("t", "uv", "confidence")
+    _per_sample: ClassVar[tuple[str, ...]] = ("t", "arrival", "uv", "confidence")
 
     ids: Ints
     uv: Floats

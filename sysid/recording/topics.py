@@ -8,32 +8,12 @@ from typing import Any, Literal, TypeAlias
 
 from sim_core.errors import RecordingError, nearest_match
 from sysid.recording.bag import TopicInfo
+from sysid.recording.message_types import CAMERA_INFO, ROLES
 from sysid.recording.notes import Notes
 from sysid.recording.times import TimeSource
 
 LengthUnit = Literal["m", "mm"]
 QuaternionOrder = Literal["xyzw", "wxyz"]
-
-POSE = "geometry_msgs/msg/PoseStamped"
-WRENCH = "geometry_msgs/msg/WrenchStamped"
-CLOUD = "sensor_msgs/msg/PointCloud2"
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-IMAGE = "sensor_msgs/msg/Image"
-COMPRESSED = "sensor_msgs/msg/CompressedImage"
-
-ROLES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "current_pose": (("current_pose",), (POSE,)),
-    "target_pose": (("target_pose",), (POSE,)),
-    "wrench": (("wrench",), (WRENCH,)),
-    "markers": (("markers",), (CLOUD,)),
-    "tracks": (("marker_tracks",), (CLOUD,)),
-    "camera_info": (("camera_info",), (CAMERA_INFO,)),
-    "images": (
-        ("image", "image_raw", "image/compressed", "image_raw/compressed"),
-        (IMAGE, COMPRESSED),
-    ),
-}
-"""Per role: the topic names of the contract, in any namespace, and the message types it may have."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +23,7 @@ class EETopics:
     Attributes:
         current_pose: measured pose; None looks for ``.../current_pose``.
         target_pose: commanded pose; None looks for ``.../target_pose``.
+        tf: parent and child frame whose transform is the measured pose, in place of a topic of its own.
         frame_id: the frame that the poses must be in; None accepts the one found.
         length_unit: unit of the positions. None means metres and refuses what cannot be metres.
         quaternion_order: order of the four numbers in x, y, z, w. None means x y z w and refuses what
@@ -51,6 +32,7 @@ class EETopics:
 
     current_pose: str | None = None
     target_pose: str | None = None
+    tf: tuple[str, str] | None = None
     frame_id: str | None = None
     length_unit: LengthUnit | None = None
     quaternion_order: QuaternionOrder | None = None
@@ -262,6 +244,10 @@ def _entry(part: type[EETopics] | type[SensorTopic], value: Any, where: str, rol
     for key, item in value.items():
         if key == "length_unit":
             _one_of(item, ("m", "mm"), f"{where}.{key}")
+        elif key == "tf":
+            if not (item is None or (isinstance(item, list | tuple) and len(item) == 2)):
+                raise RecordingError(f"{where}.{key} is {item!r}.", "Give two frames, as in [base_link, tool0].")
+            value = {**value, key: None if item is None else tuple(map(str, item))}
         elif key == "quaternion_order":
             _one_of(item, ("xyzw", "wxyz"), f"{where}.{key}")
         elif item is not None and not isinstance(item, str):

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from sim_core.errors import RecordingError
-from sysid.recording.messages import TYPESTORE
-from sysid.recording.topics import CAMERA_INFO, CLOUD, COMPRESSED, POSE, WRENCH
+from sysid.recording.message_types import CAMERA_INFO, CLOUD, COMPRESSED, POSE, TYPESTORE, WRENCH
 
 _F4, _U4 = 7, 6
 _TYPES = {_F4: "<f4", _U4: "<u4"}

@@ -3,4 +3,7 @@
 from sysid.report.diagnosis_page import write_diagnosis_report
 from sysid.report.fit_page import write_fit_report
 
-__all__ = ["write_diagnosis_report", "write_fit_report"]
+REPORT = "report.html"
+"""Name of the report in the folder of a fit or a diagnosis."""
+
+__all__ = ["REPORT", "write_diagnosis_report", "write_fit_report"]

@@ -357,11 +357,11 @@ def limits(d: Diagnosis) -> list[Limit]:
 
 def _effect_words(key: str) -> tuple[str, str, str]:
     """Title of the effect, words and unit of its parameter, from 'effect.parameter' or 'effect'."""
-    from sim_core.effects import EFFECTS
+    from sim_core.effects import all_effects, split_key
 
     parts = key.removeprefix("effects.").split(".")
-    for effect in EFFECTS:
-        if effect.name != parts[0]:
+    for effect in all_effects().values():
+        if effect.name != split_key(parts[0])[0]:
             continue
         for p in effect.parameters:
             if p.name == parts[-1] or (len(parts) == 1 and p is effect.parameters[0]):

@@ -39,8 +39,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sysid.model.load import Measured, Run
 from sysid.noise.estimate import ChannelNoise, column_groups
+from sysid.observations.observations import Measured, Run
 
 EXPECTED = 0.5
 """Expected size of a direction, in units of the extrapolated error."""

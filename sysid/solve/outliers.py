@@ -35,9 +35,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import binom, chi2
 
-from sysid.model.load import Measured, Run
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.wrench_spikes import spikes
 
 FAR = 6.0

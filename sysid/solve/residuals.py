@@ -10,7 +10,6 @@ import numpy as np
 
 from sim_core.errors import ConvergenceError, ThinshellError
 from sim_core.rigs import Rig
-from sysid.model.load import Measured, Run
 from sysid.model.nuisance_parameters import bias_sd
 from sysid.model.parallel_predictor import AnyEngine
 from sysid.model.parameters import FitParameter, rig_at, rig_in, start_of
@@ -18,6 +17,7 @@ from sysid.model.predictor import Prediction
 from sysid.noise.autocorrelation import Samples
 from sysid.noise.estimate import ChannelNoise, column_groups
 from sysid.noise.whitening import whiten
+from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import Basis, ErrorShape, Sizes, basis_of, believed
 from sysid.solve.gauss_newton import IN_SIGHT, Search
 from sysid.solve.optimum import Fitted

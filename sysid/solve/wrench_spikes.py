@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sysid.model.load import Measured
+from sysid.observations.observations import Measured
 
 FAR = 10.0
 """Distance, in noise deviations, below which nothing is a spike."""

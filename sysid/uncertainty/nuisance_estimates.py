@@ -10,11 +10,11 @@ import numpy as np
 
 from sim_core.rigs import Rig, with_parameters
 from sim_core.rigs.pose_offset import OFFSETS
-from sysid.model.load import UNITS, Measured
 from sysid.model.nuisance_parameters import bias_sd
 from sysid.model.parameters import FitParameter, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import quantities
+from sysid.observations.observations import UNITS, Measured
 from sysid.solve.covariance import UNDETERMINED_SHARE, interval, marginal, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

@@ -11,6 +11,7 @@ import numpy as np
 
 from sim_core.errors import RecordingError
 from sysid.recording import ImageStream, TopicNames, read_recording
+from sysid.recording.notes import plural
 from sysid.vision.detect import DetectionParameters
 from sysid.vision.from_recording import (
     Progress,
@@ -63,8 +64,12 @@ def track(
     write_tracked_recording(recording, [result], out / BAG)
     (out / REPORT).write_text(json.dumps(_content(bag, result), indent=1) + "\n", encoding="utf-8")
     if pictures > 0:
-        sheet = overlay_sheet(result, recording.images[result.camera], count=pictures)
+        images = recording.images[result.camera]
+        tracked = images.take(np.isin(images.t, result.stream.t))
+        sheet = overlay_sheet(result, tracked, count=pictures)
         cv2.imwrite(str(out / SHEET), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
+    if result.broken:
+        print(f"{plural(result.broken, 'image')} could not be decoded and had to be skipped.")
     print(result.report.text())
     print(f"Written to {out}: {BAG}, {REPORT}" + (f", {SHEET}." if pictures > 0 else "."))
     return result

@@ -38,6 +38,8 @@ class TrackingResult:
     """Rates, checks and failures."""
     image_size: tuple[int, int]
     """Width and height of the images [px]."""
+    broken: int = 0
+    """Images that could not be decoded and were skipped."""
 
 
 def track_recording(
@@ -64,7 +66,9 @@ def track_recording(
     """
     name, images = _camera(recording, camera)
     tracking = tracking or TrackParameters()
-    detections = _detect(images, detection, progress)
+    images, detections, broken = _detect(images, detection, progress)
+    if held_out is not None and broken:
+        held_out = np.delete(held_out, broken)
     poses = _poses_at(images.t, _effector(recording, effector))
     posed: NDArray[np.bool_] = np.asarray(np.isfinite(poses).all(axis=1))
     column, sign = _depth(depth_axis)
@@ -98,7 +102,7 @@ def track_recording(
         confidence=tracks.confidence,
         camera_info=images.camera_info,
     )
-    return TrackingResult(name, stream, tracks, report, detections[0].image_size)
+    return TrackingResult(name, stream, tracks, report, detections[0].image_size, len(broken))
 
 
 def tracks_topic(image_topic: str) -> str:
@@ -172,13 +176,24 @@ def _camera(recording: Recording, camera: str | None) -> tuple[str, ImageStream]
     return camera, images[camera]
 
 
-def _detect(images: ImageStream, parameters: DetectionParameters | None, progress: Progress | None) -> list[Detections]:
-    found = []
-    for k, (_, image) in enumerate(images):
-        found.append(detect_markers(image, parameters))
+def _detect(
+    images: ImageStream, parameters: DetectionParameters | None, progress: Progress | None
+) -> tuple[ImageStream, list[Detections], list[int]]:
+    """The images that can be decoded, the markers in each, and which images were skipped."""
+    found: list[Detections] = []
+    broken: list[int] = []
+    fault: RecordingError | None = None
+    for k, (_, image) in enumerate(images.decoded()):
+        if isinstance(image, RecordingError):
+            broken.append(k)
+            fault = fault or image
+        else:
+            found.append(detect_markers(image, parameters))
         if progress is not None:
             progress("detect", k + 1, len(images))
-    return found
+    if fault is not None and not found:
+        raise fault
+    return images.take(np.delete(np.arange(len(images)), broken)), found, broken
 
 
 def _effector(recording: Recording, effector: str | None) -> PoseStream | None:

@@ -20,7 +20,7 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import config_folder
 from sim_core.rigs.load import names_in
 from sysid.cli import app, prove
-from sysid.cli.doctor import _ros_traps
+from sysid.cli.doctor import _IMPORTS, _child, _ros_traps
 from sysid.cli.progress import interrupts_remembered, progress
 
 THINSHELL = [sys.executable, "-m", "sysid"]
@@ -137,6 +137,7 @@ def report() -> dict[str, Any]:
     return {**json.loads(done.stdout), "code": done.returncode}
 
 
+@pytest.mark.slow
 def test_the_doctor_finds_a_working_core(report: dict[str, Any]) -> None:
     findings = {finding["name"]: finding for finding in report["findings"]}
     assert report["works"]
@@ -144,9 +145,21 @@ def test_the_doctor_finds_a_working_core(report: dict[str, Any]) -> None:
     assert findings["Taichi"]["state"] == "ok"
     assert findings["qdldl"]["state"] == "ok"
     assert findings["Python"]["state"] == "ok"
+    assert findings["Modules"]["state"] == "ok"
+    assert findings["Fit"]["state"] == "ok"
     assert all(finding["remedy"] for finding in findings.values() if finding["state"] != "ok")
 
 
+@pytest.mark.slow
+def test_the_doctor_misses_what_a_dependency_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that is in pyproject.toml is there, and yet no command works."""
+    (tmp_path / "apsw.py").write_text("raise ModuleNotFoundError(\"No module named 'apsw'\")")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    found = _child("Modules", _IMPORTS, "imported", "install it", core=True)
+    assert (found.state, found.core) == ("missing", True) and "No module named 'apsw'" in found.detail
+
+
+@pytest.mark.slow
 @pytest.mark.ros
 def test_the_doctor_hears_itself_over_ros(report: dict[str, Any]) -> None:
     pytest.importorskip("rclpy")
@@ -217,12 +230,13 @@ def test_package_xml_has_the_version_of_the_package() -> None:
 
 @pytest.mark.parametrize("command", [["fit", "--params", "strip.E"], ["diagnose"]])
 def test_a_recording_of_another_rig_is_said_before_anything_is_simulated(command: list[str], tmp_path: Path) -> None:
-    """Its topics serve the rig, and so it is fitted; minutes later the table says that it is of another one."""
+    """Its topics serve the rig, and yet its markers lie otherwise: what differs is named with the remedy."""
     first, *others = command
     words = [first, "strip_coarse", str(PRESS_POST), *others, "--out", str(tmp_path / "out")]
     with subprocess.Popen([*THINSHELL, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as child:
         assert child.stderr is not None
         said = child.stderr.readline()
         child.kill()
-    assert said.startswith("warning: press_post: ") and "is in the frame 'tactile_left_gel', in the rig" in said
+    assert said.startswith("thinshell: ") and "is in the frame 'tactile_left_gel', in the rig" in said
+    assert "--despite" in said
     assert "Give the rig that it was recorded with" in said

@@ -50,7 +50,7 @@ def test_the_exit_code_says_whether_the_fit_converged_and_ctrl_c_was_pressed(
                 time.sleep(1.0)
         return Ended(bool(converged))
 
-    monkeypatch.setattr("sysid.fit.fit_bags", fitted)
+    monkeypatch.setattr("sysid.workflow.fit_bags", fitted)
     (tmp_path / "run.mcap").touch()
     out = tmp_path / "out"
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it

@@ -31,7 +31,9 @@ def sheet_terms(name, mesh, nodes, offset):
 class Two:
     """Two sheets one above the other, of different meshes; ``contact`` has both orders of the pair, and the edges."""
 
-    def __init__(self, gap, law=LAW, cells=((6, 4), (5, 3)), shift=(0.0013, 0.0007), margin=5e-3, elastic=True):
+    def __init__(
+        self, gap, law=LAW, cells=((6, 4), (5, 3)), shift=(0.0013, 0.0007), margin=5e-3, elastic=True, effects=()
+    ):
         lower = rectangle(0.04, 0.03, cells[0], "irregular")
         upper = rectangle(0.03, 0.02, cells[1], "crossed")
         top = upper.nodes + [*shift, SHEET["thickness_m"] + gap]
@@ -50,6 +52,8 @@ class Two:
             EdgeContact("edges", *edges[0], *edges[1], self.nodes, thickness, margin),
         ]
         for term in self.contact:
+            for effect in effects:
+                term.laws.add(effect.name, effect)
             term.configure(law)
         terms = list(self.contact)
         if elastic:
@@ -77,13 +81,15 @@ class Two:
         return internals
 
 
-def on_rigid(shape, nodes, triangles, law=LAW, rotation=None):
+def on_rigid(shape, nodes, triangles, law=LAW, rotation=None, effects=()):
     """Contact of the nodes of a triangle mesh with a rigid shape at the origin (the last node)."""
     mesh = SheetMesh(np.asarray(nodes, dtype=float), np.asarray(triangles, dtype=np.int32))
     every = np.vstack([mesh.nodes, np.zeros(3)])
     samples = sheet_samples(mesh, 0, 0.0)
     turn = np.eye(3) if rotation is None else np.array(rotation)
     term = RigidContact("rigid", samples, len(mesh.nodes), np.asarray(shape, dtype=float), turn)
+    for effect in effects:
+        term.laws.add(effect.name, effect)
     term.configure(law)
     prescribed = np.zeros((len(every), 3), dtype=bool)
     prescribed[-1] = True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_core.contact.friction_derivatives import rubbing
+from sim_core.contact.friction_derivatives import friction_derivatives
 from sim_core.contact.local_frame_kernels import Frames
 from sim_core.energies.linearised import complex_step, cross, dot, skew
 
@@ -85,7 +85,7 @@ def test_friction_in_a_frame(case):
     count = 40
     z = rng.standard_normal((count, 4, 3))
     z_end = z + 0.3 * rng.standard_normal(z.shape)
-    anchor, along = 0.3 * rng.standard_normal((count, 3)), rng.standard_normal((count, 5))
+    anchor, along = 0.3 * rng.standard_normal((count, 3)), rng.standard_normal((count, 4))
     limit, spring = rng.uniform(0.05, 1.0, count), rng.uniform(0.5, 2.0, count)
     limit[:3] = 0.0
     turned = rng.standard_normal((count, 4, 3))
@@ -104,8 +104,8 @@ def test_friction_in_a_frame(case):
     def friction(z, z_end, anchor, numbers):
         b, m = law(z)
         change = dot(turned, z - z.real).sum(axis=-1) if np.iscomplexobj(z) else 0.0
-        stiff = spring + change + numbers[..., 4]
-        bound = limit + numbers[..., :4].sum(axis=-1)
+        stiff = spring + change + numbers[..., 3]
+        bound = limit + numbers[..., :3].sum(axis=-1)
         w = anchor + (b @ (z_end - z)[..., None])[..., 0].sum(axis=-2)
         u = w - m * dot(m, w)[..., None]
         length = np.sqrt(dot(u, u))
@@ -117,12 +117,12 @@ def test_friction_in_a_frame(case):
         slip = np.concatenate([kept[..., None] * u, np.where(beyond, length - longest, 0.0)[..., None] / DT], -1)
         return push[..., 0].reshape(*push.shape[:-3], 12), slip
 
-    changes = np.zeros((count, 6, 2))
+    changes = np.zeros((count, 5, 2))
     changes[:, 0, 0], changes[:, 0, 1] = limit, spring
-    changes[:, 1:5, 0], changes[:, 5, 1] = along[:, :4], along[:, 4]
+    changes[:, 1:4, 0], changes[:, 4, 1] = along[:, :3], along[:, 3]
     force, force_start, force_along, *slips = frames.rub(z_end - z, anchor, changes, DT)
-    (by_z, _, by_anchor, by_numbers), slip_by = complex_step(friction, z, z_end, anchor, np.zeros((count, 5)))
-    expected = friction(z, z_end, anchor, np.zeros((count, 5)))[0]
+    (by_z, _, by_anchor, by_numbers), slip_by = complex_step(friction, z, z_end, anchor, np.zeros((count, 4)))
+    expected = friction(z, z_end, anchor, np.zeros((count, 4)))[0]
     assert 0 < np.count_nonzero(np.abs(slips[0][:, 3]).max(axis=-1)) < count  # some slide, some hold
     assert np.allclose(force, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
     pairs = [
@@ -136,7 +136,7 @@ def test_friction_in_a_frame(case):
         assert np.abs(ours - reference).max() < 1e-12 * np.abs(reference).max()
 
 
-def test_rubbing():
+def test_friction_derivatives():
     """By slip, normal, limit and spring; some slide, some hold, some have never been pressed, some have not moved."""
     rng = np.random.default_rng(4)
     count = 200
@@ -156,7 +156,7 @@ def test_rubbing():
         pull = np.where(beyond, limit / far, spring * (1.0 - 0.5 * length / near))
         return u * pull, u * np.where(beyond, longest / far, 1.0), np.where(slides, (length - longest) / DT, 0.0)
 
-    found = rubbing(w, m, limit, spring, DT)
+    found = friction_derivatives(w, m, limit, spring, DT)
     expected = complex_step(law, w, m, limit[:, None], spring[:, None])
     for ours, reference in zip((found.force_by, found.slip_by, found.speed_by), expected, strict=True):
         for a, b in zip(ours, reference, strict=True):

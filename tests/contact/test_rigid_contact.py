@@ -4,6 +4,7 @@ from contact_scenes import LAW, check_derivatives, on_rigid
 from scipy.spatial.transform import Rotation
 
 from sim_core.contact.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE
+from sim_core.effects.static_friction import StaticFriction
 from sim_core.solve.integrator import step_context
 
 R = 0.01
@@ -25,13 +26,13 @@ def patch(point, normal, gap):
     return np.asarray(point) + side @ [u, v] + gap * n, [[0, 1, 2], [0, 2, 3]]
 
 
-def resting(name, gap=1e-4, law=LAW, turn=None):
+def resting(name, gap=1e-4, law=LAW, turn=None, effects=()):
     """A patch pressed into a shape, in a step that knows the load; also its tangent."""
     turn = Rotation.identity() if turn is None else turn
     shape, point, normal = SHAPES[name]
     nodes, triangles = patch(point, normal, gap)
     nodes = turn.apply(nodes)
-    system, term = on_rigid(shape, nodes, triangles, law, turn.as_matrix())
+    system, term = on_rigid(shape, nodes, triangles, law, turn.as_matrix(), effects)
     x = np.vstack([nodes, np.zeros(3)])
     internals = {"rigid": term.initial_internals()}
     step = step_context(x, np.zeros_like(x), 0.01)
@@ -103,8 +104,8 @@ def test_stick_is_a_spring_until_the_limit_and_returns_to_where_it_was():
 
 
 def test_static_excess_raises_the_threshold_only_at_rest():
-    law = {**LAW, "static_excess": 0.5, "slip_speed_scale_m_s": 1e-3}
-    _, term, x, _ = resting("half space", law=law)
+    law = {**LAW, "static_friction.excess": 0.5}
+    _, term, x, _ = resting("half space", law=law, effects=[StaticFriction()])
     internals = term.initial_internals()
     internals["load"] = np.ones(4)
     step = step_context(x, np.zeros_like(x), 0.01)

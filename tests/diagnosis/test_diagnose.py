@@ -10,10 +10,10 @@ import pytest
 
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import Experiment
-from sysid.diagnosis import diagnose as diagnosing
-from sysid.diagnosis import diagnose_bags
 from sysid.diagnosis.result import NamedParameter
 from sysid.simulate import simulate_to_bag
+from sysid.workflow import diagnose_bags
+from sysid.workflow.diagnose import write_rigs
 
 PRESS = [
     {"type": "wait", "duration_s": 0.3},
@@ -59,21 +59,18 @@ def test_a_hidden_law_is_named_and_none_where_there_is_none(small_rig, tmp_path:
     assert amended.effects["gel_relaxation"]["share"] == pytest.approx(0.25, rel=0.3)
 
 
-def test_the_answer_is_an_overlay_of_the_rig_as_given(small_rig, tmp_path: Path, monkeypatch) -> None:
+def test_the_answer_is_an_overlay_of_the_rig_as_given(small_rig, tmp_path: Path) -> None:
     rig = small_rig()
     amended = with_parameters(rig, {"gel.E_pa": 1.3e5}).model_copy(
         update={"effects": {"air_drag": {"drag_coefficient": 1.0}}}
     )
     found = SimpleNamespace(
-        sentence="Air is missing.", write=lambda path: path.write_text("{}"), effects=(), not_explained="",
-        next_experiment="", baseline_parameters=(), notes=(),
+        sentence="Air is missing.",
+        baseline_parameters=(),
         amended_parameters=(NamedParameter("gel.E_pa", 1.3e5, (1.2e5, 1.4e5), "Pa", "modulus"),),
-    )  # fmt: skip
-    monkeypatch.setattr(diagnosing, "load_runs", lambda *_: ([], []))
-    monkeypatch.setattr(diagnosing, "diagnose_runs", lambda *_, **__: (found, amended))
-    monkeypatch.setattr("sysid.report.write_diagnosis_report", lambda _, path: path)
-    diagnose_bags(rig, [], out=tmp_path)
-    assert {f.name for f in tmp_path.iterdir()} == {"diagnosis.json", "rig.yaml", "amended_rig.yaml"}
+    )
+    write_rigs(rig, found, amended, tmp_path)
+    assert {f.name for f in tmp_path.iterdir()} == {"rig.yaml", "amended_rig.yaml"}
     assert load_rig(tmp_path / "rig.yaml").bodies == rig.bodies
     answer = load_rig(tmp_path / "amended_rig.yaml")
     assert answer.bodies == amended.bodies and answer.effects == amended.effects

@@ -10,10 +10,10 @@ import pytest
 
 from sim_core.simulate import Trace
 from sysid.diagnosis import validation as heldout
-from sysid.model.load import Measured, Run
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.diagnosis.residual_analysis import BLOCKS, _phase, structure
-from sysid.model.load import Measured, Run
 from sysid.model.predictor import Engine
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ROUGH, ErrorShape, Sizes
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

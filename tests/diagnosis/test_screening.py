@@ -8,14 +8,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sim_core.effects import EFFECTS
+from sim_core.effects import effect_by_name
 from sim_core.simulate import Trace
 from sysid.diagnosis import hypotheses as candidates
 from sysid.diagnosis.hypotheses import screen
-from sysid.model.load import Measured, Run
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.residuals import Problem
 
@@ -42,8 +42,7 @@ def test_the_discretisation_error_is_that_of_the_baseline(small_rig: Any, monkey
     """The discretisation error has slopes and was measured a little beside: what an effect promises is the chi-square
     of what is missing, no more."""
     rig = small_rig()
-    (effect,) = (e for e in EFFECTS if e.name == "gel_relaxation")
-    monkeypatch.setattr(candidates, "EFFECTS", (effect,))
+    monkeypatch.setattr(candidates, "all_effects", lambda: {"gel_relaxation": effect_by_name("gel_relaxation")})
     parameters = fit_parameters(rig, ["gel.E"])
     at = start_of(rig, parameters)
     slopes = np.full((len(T), 1, 1), 0.3)

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim_core.effects import EFFECTS
+from sim_core.effects import effect_by_name
 from sim_core.errors import ConvergenceError
 from sim_core.rigs import Rig, parse_rig
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis import hypotheses as candidates
 from sysid.diagnosis.result import Diagnosis
-from sysid.model.load import Measured, Run
 from sysid.model.parameters import rig_at
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 
 T, SIGMA, SHARE = np.linspace(0.0, 1.0, 200), 0.01, 0.3
 MATERIAL, LAW, RIPPLE = (f[:, None] for f in (np.sin(6.0 * T), np.cos(6.0 * T), np.sin(20.0 * T)))
@@ -107,7 +107,7 @@ def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., D
     def told(law: Law, *, concealed: float = SHARE, held: float = SHARE, rig: Rig | None = None) -> Diagnosis:
         monkeypatch.setattr(Sums, "law", staticmethod(law), raising=False)
         monkeypatch.setattr(diagnosing, "PooledEngine", Sums)
-        monkeypatch.setattr(candidates, "EFFECTS", tuple(e for e in EFFECTS if e.name == "gel_relaxation"))
+        monkeypatch.setattr(candidates, "all_effects", lambda: {"gel_relaxation": effect_by_name("gel_relaxation")})
         noise = {"markers": ChannelNoise(np.array([SIGMA]), 0.0, "declared by the rig")}
         monkeypatch.setattr(diagnosing, "channel_noise", lambda *_: noise)
         monkeypatch.setattr(diagnosing, "provenance", lambda *_: {})

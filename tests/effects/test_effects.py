@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from effect_examples import TYPICAL
 
-from sim_core.effects import EFFECTS, active_effects, effect_by_name
+from sim_core.effects import active_effects, all_effects, effect_by_name
 from sim_core.errors import ConfigError
 from sim_core.materials.elastic import plane_stress
 from sim_core.rigs import list_parameters, parse_rig
@@ -15,17 +17,6 @@ from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, simulate, step_times
 from sysid.diagnosis.hypotheses import starting_values
 from sysid.model.sensor_streams import predicted, predicted_back, predicted_derivatives, total_delay
-
-TYPICAL = {
-    "gel_relaxation": {"share": 0.3, "tau_s": 0.2},
-    "sheet_orthotropy": {"modulus_ratio": 2.0, "grain_angle_rad": 0.4},
-    "bending_plasticity": {"yield_curvature_per_m": 1.0, "hardening_ratio": 0.2},
-    "air_drag": {"drag_coefficient": 1.0},
-    "static_friction": {"excess": 0.5},
-    "end_effector_compliance": {"compliance_m_per_n": 2e-4},
-    "wrench_offset": {**{f"bias_{a}_n": 0.1 for a in "xyz"}, **{f"drift_{a}_n_per_s": 0.05 for a in "xyz"}},
-    "stream_delay": {"wrench_s": 0.03, "vision_s": 0.05},
-}
 
 MOTION = (
     [0.0, 0.1, 0.25, 0.4, 0.5, 0.6, 0.7, 0.8],
@@ -41,7 +32,7 @@ def readings(rig, poses):
 
 
 def test_every_effect_is_tried_here():
-    assert set(TYPICAL) == {e.name for e in EFFECTS}
+    assert set(TYPICAL) == {e.name for e in all_effects().values()}
 
 
 @pytest.mark.parametrize("name", sorted(TYPICAL))
@@ -57,7 +48,7 @@ def test_vanishes_bit_for_bit_and_shows_otherwise(small_rig, visit, name):
     assert max(np.nanmax(np.abs(plain[c] - present[c])) / np.nanmax(np.abs(plain[c])) for c in plain) > 1e-6
 
 
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", list(all_effects().values()), ids=lambda e: e.name)
 def test_says_what_it_is(effect, small_rig):
     assert effect.title and effect.words.endswith(".") and effect.slot
     assert effect.variants(small_rig()), "applies to a rig with a sheet, a gel, contact, sensors and a hand"
@@ -67,13 +58,15 @@ def test_says_what_it_is(effect, small_rig):
 
 
 def test_starting_values_are_the_typical_ones(small_rig):
-    starts = {e.name: starting_values(e, small_rig()) for e in EFFECTS}
+    starts = {e.name: starting_values(e, small_rig()) for e in all_effects().values()}
     assert {name: len(found) for name, found in starts.items()} == {
         "gel_relaxation": 3, "sheet_orthotropy": 4, "bending_plasticity": 5, "air_drag": 1, "static_friction": 4,
         "end_effector_compliance": 2, "wrench_offset": 1, "stream_delay": 2,
+        "camera_distortion": 2, "command_lag": 2, "contact_adhesion": 2, "gravity_direction": 1,
+        "tool_offset": 1, "camera_pose": 1, "camera_intrinsics": 1,
     }  # fmt: skip
     assert starts["stream_delay"] == [{"wrench_s": 0.01, "vision_s": 0.0}, {"wrench_s": 0.0, "vision_s": 0.01}]
-    for effect in EFFECTS:
+    for effect in all_effects().values():
         for p in effect.parameters:
             assert set(p.typical) <= {s[p.name] for s in starts[effect.name]}
 
@@ -82,7 +75,7 @@ def test_what_a_rig_does_not_have_is_not_tried(small_rig):
     empty = small_rig().model_copy(
         update={"bodies": {}, "clamps": (), "contacts": (), "sensors": {}, "cameras": {}, "end_effectors": {}}
     )
-    assert not [e.name for e in EFFECTS if e.applies(empty) or e.variants(empty)]
+    assert not [e.name for e in all_effects().values() if e.applies(empty) or e.variants(empty)]
 
 
 def test_orthotropy_gives_the_two_moduli_and_their_mean():
@@ -154,33 +147,33 @@ def test_sensor_effects_change_readings_exactly(small_rig, visit):
     late = np.array([0.2, 0.3])
     reading = predicted(trace, rig, "wrench", late)
     expected = trace.at("wrench", late - 0.03)
-    expected[:, :3] += 0.1 + 0.05 * late[:, None]
+    expected += 0.1 + 0.05 * late[:, None]
     assert np.allclose(reading, expected, atol=1e-15)
     assert total_delay(rig, "side", "tracks") == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", list(all_effects().values()), ids=lambda e: e.name)
 def test_derivatives_pass_the_sensors_of_every_effect_as_readings_do(effect, small_rig):
-    """Of changes of any size, forwards and backwards, whatever the readings are."""
+    """By central differences, forwards and backwards, whatever the size of the readings."""
     rig, rng = small_rig(effects={effect.name: TYPICAL[effect.name]}), np.random.default_rng(3)
     times, stamps = np.linspace(0.0, 0.5, 11), rng.uniform(0.0, 0.5, 7)
     blank = simulate(build_scene(small_rig()), {}, np.array([0.0, 0.02]))
     shapes = {channel: (len(times), *readings.shape[1:]) for channel, readings in blank.outputs.items()}
     assert {blank.kinds[channel] for channel in shapes} == {"wrench", "markers", "tracks"}
-    for size in (1e-3, 1.0, 1e3):
-        for channel, shape in shapes.items():
-            outputs, change = size * rng.standard_normal(shape), size * rng.standard_normal(shape)
-            before, after = (
-                predicted(replace(blank, times=times, outputs={channel: given}), rig, channel, stamps)
-                for given in (outputs, outputs + change)
-            )
-            trace = replace(blank, times=times, outputs={channel: outputs})
-            moved = predicted_derivatives(trace, change[..., None], rig, channel, stamps)[..., 0]
-            assert np.abs(moved).max() > 0.1 * size
-            np.testing.assert_allclose(after - before, moved, rtol=0.0, atol=1e-9 * (1.0 + size))
-            weights = rng.standard_normal(before.shape)
-            by_readings, _ = predicted_back(trace, rig, channel, stamps, weights)
-            assert np.vdot(by_readings, change) == pytest.approx(np.vdot(weights, after - before), rel=1e-6)
+    for size, (channel, shape) in itertools.product((1e-3, 1.0, 1e3), shapes.items()):
+        outputs, change = size * rng.standard_normal(shape), size * rng.standard_normal(shape)
+        before, after = (
+            predicted(replace(blank, times=times, outputs={channel: outputs + h * change}), rig, channel, stamps)
+            for h in (-1e-4, 1e-4)
+        )
+        difference = (after - before) / 2e-4
+        trace = replace(blank, times=times, outputs={channel: outputs})
+        moved = predicted_derivatives(trace, change[..., None], rig, channel, stamps)[..., 0]
+        assert np.abs(moved).max() > 0.1 * size
+        np.testing.assert_allclose(difference, moved, rtol=0.0, atol=1e-7 * (1e-2 + np.abs(moved).max()))
+        weights = rng.standard_normal(before.shape)
+        by_readings, _ = predicted_back(trace, rig, channel, stamps, weights)
+        assert np.vdot(by_readings, change) == pytest.approx(np.vdot(weights, difference), rel=1e-5)
 
 
 def test_names_and_values_are_checked(small_rig):
@@ -199,7 +192,7 @@ def test_effect_parameters_are_listed_with_the_rig(small_rig):
     assert "effects.air_drag.drag_coefficient" in {p.name for p in list_parameters(rig)}
 
 
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", list(all_effects().values()), ids=lambda e: e.name)
 def test_equivalent_descriptions_read_the_same(effect, small_rig, visit):
     bounds = {p.name: (p.lower, p.upper) for p in effect.parameters}
     for same in effect.equivalents(TYPICAL[effect.name]):

@@ -17,11 +17,12 @@ import pytest
 
 from sim_core.rigs import Rig, parse_rig
 from sim_core.rigs.motion import Experiment
-from sysid.model.load import Run, load_run
+from sysid.model.load import load_run
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Engine, Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Run
 from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import uncertainty
 from sysid.solve.optimum import Fitted

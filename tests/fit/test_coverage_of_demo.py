@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.model.load import Measured, while_posed
+from sysid.model.load import while_posed
+from sysid.observations.observations import Measured
 
 T = np.arange(0.0, 5.0, 0.1)
 

@@ -12,10 +12,10 @@ from discretisation_model import NOISE, PARAMETERS, SIGMA, TRUTH, Linear, T, Vec
 
 from sim_core.simulate import Trace
 from sysid.fit.discretisation_refinement import loud
-from sysid.model.load import Measured, Run
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, ErrorShape, basis_of
 from sysid.solve.optimum import Fitted

@@ -17,9 +17,9 @@ from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, Trace
 from sysid.diagnosis.residual_analysis import block_scores, structure
 from sysid.fit import discretisation_refinement as discretisation_error
-from sysid.model.load import Run
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.predictor import Prediction
+from sysid.observations.observations import Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.residuals import Problem

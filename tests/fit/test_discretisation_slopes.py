@@ -12,9 +12,10 @@ import pytest
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
 from sysid.fit.discretisation_refinement import discretisation, discretisation_with_slopes
-from sysid.model.load import Run, load_run
+from sysid.model.load import load_run
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import Engine
+from sysid.observations.observations import Run
 from sysid.simulate import simulate_to_bag
 
 PRESS: list[dict[str, Any]] = [

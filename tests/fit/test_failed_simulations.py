@@ -13,11 +13,11 @@ from sim_core.simulate import Trace
 from sysid.fit import discretisation_refinement as discretisation_error
 from sysid.fit.discretisation_refinement import Unmeasured, discretisation, fit_beside_discretisation
 from sysid.fit.fit import _fit_beside_mistakes, _Look
-from sysid.model.load import Measured, Run
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 

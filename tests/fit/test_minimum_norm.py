@@ -16,10 +16,11 @@ from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit_runs
 from sysid.fit.fit import NEAREST
 from sysid.fit.minimum_norm import RISE, nearest
-from sysid.model.load import Measured, Run, load_runs
+from sysid.model.load import load_runs
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Engine, Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import uncertainty
 from sysid.solve.optimum import Fitted

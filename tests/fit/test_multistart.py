@@ -14,11 +14,11 @@ from sim_core.simulate import Trace
 from sysid.fit import FitOptions
 from sysid.fit import multistart as starts
 from sysid.fit.multistart import Evaluations, Searches, Step
-from sysid.model.load import Measured, Run
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import FitParameter, fit_parameters
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

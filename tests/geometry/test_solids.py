@@ -9,7 +9,7 @@ from sim_core.geometry import solids, tet10
 BLOCK_SIZE = (0.03, 0.02, 0.01)
 MESHES = {
     "block": lambda: solids.block(BLOCK_SIZE, (3, 2, 2)),
-    "graded block": lambda: solids.block(BLOCK_SIZE, (4, 5, 3), centre_ratio=0.4, top_ratio=0.5),
+    "graded block": lambda: solids.block(BLOCK_SIZE, (4, 5, 3), {"x_middle": 0.4, "y_middle": 0.4, "top": 0.5}),
     "one cell": lambda: solids.block(BLOCK_SIZE, (1, 1, 1)),
     "cylinder": lambda: solids.cylinder(0.01, 0.004, (2, 1, 2)),
     "odd cylinder": lambda: solids.cylinder(0.01, 0.004, (3, 2, 1), curved=False),
@@ -86,7 +86,7 @@ def test_edge_nodes_of_straight_meshes_are_midpoints():
 
 
 def test_block_volume_mass_and_inertia_are_exact():
-    mesh = solids.block(BLOCK_SIZE, (3, 2, 2), centre_ratio=0.5, top_ratio=2.0)
+    mesh = solids.block(BLOCK_SIZE, (3, 2, 2), {"x_middle": 0.5, "y_middle": 0.5, "top": 2.0})
     a, b, c = BLOCK_SIZE
     mass = solids.consistent_mass(mesh)
     x, y, z = mesh.nodes.T
@@ -100,7 +100,7 @@ def test_block_volume_mass_and_inertia_are_exact():
 
 
 def test_grading_makes_cells_smaller_at_the_centre_and_the_top():
-    mesh = solids.block((1.0, 1.0, 1.0), (4, 4, 3), centre_ratio=0.25, top_ratio=0.5)
+    mesh = solids.block((1.0, 1.0, 1.0), (4, 4, 3), {"x_middle": 0.25, "y_middle": 0.25, "top": 0.5})
     corners = np.unique(mesh.tets[:, :4])
     x, z = (np.diff(np.unique(np.round(mesh.nodes[corners, axis], 12))) for axis in (0, 2))
     assert x == pytest.approx(np.array([0.4, 0.1, 0.1, 0.4]))
@@ -151,7 +151,7 @@ def test_cylinder_volume():
 
 
 def test_located_points_follow_any_quadratic_field_of_a_straight_mesh():
-    mesh = solids.block(BLOCK_SIZE, (3, 2, 2), centre_ratio=0.5)
+    mesh = solids.block(BLOCK_SIZE, (3, 2, 2), {"x_middle": 0.5, "y_middle": 0.5})
     rng = np.random.default_rng(3)
     points = rng.uniform(-0.5, 0.5, (200, 3)) * BLOCK_SIZE + [0.0, 0.0, 0.005]
     points[:20, 2] = 0.01  # on the top

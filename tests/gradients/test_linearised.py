@@ -93,7 +93,7 @@ SCENES = {
 }
 DAMPED = {"card.membrane", "card.bending", "card.mass_damping", "gel.elastic", "gel.mass_damping"}
 EXPECTED = {
-    "press": {"card.bending", "gel.elastic", "contact.gel-card.0", "card.drag"},
+    "press": {"card.bending", "gel.elastic", "contact.gel-card.0", "card.air_drag"},
     "drag": {"contact.gel-card.0"},
     "rub": {"gel.elastic", "contact.gel-post"},
     "forming": {"contact.gel-card.0", "contact.gel-card.edges", "contact.card-table"},

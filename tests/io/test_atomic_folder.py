@@ -11,9 +11,8 @@ import pytest
 
 from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import load_rig
-from sysid.diagnosis import diagnose_bags
-from sysid.fit import fit_bags
 from sysid.io.atomic_folder import unfinished, whole_file, whole_folder
+from sysid.workflow import diagnose_bags, fit_bags
 
 
 def test_a_folder_appears_when_all_is_written(tmp_path: Path) -> None:

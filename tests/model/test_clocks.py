@@ -12,10 +12,10 @@ from strip import START, TRUTH, pulled, strip_rig
 from sim_core.rigs import with_parameters
 from sysid.fit import FitOptions, fit_runs
 from sysid.fit.result import FitResult
-from sysid.model.load import Measured, Run
 from sysid.model.nuisance_parameters import nuisance_parameters
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import acting_in
+from sysid.observations.observations import Measured, Run
 from sysid.uncertainty.nuisance_estimates import Nuisance, as_usual, remarks
 
 RIG = strip_rig()

@@ -12,8 +12,8 @@ from recordings_of_the_small_rig import BIAS, REST, START, TRUTH, record
 from sim_core.rigs import Rig, with_parameters
 from sysid.fit import FitOptions, FitResult, fit_runs
 from sysid.fit import multistart as starts
-from sysid.model.load import Run
 from sysid.model.nuisance_parameters import KINDS
+from sysid.observations.observations import Run
 
 OFFSET = {
     "finger.offset_x_m": 2e-4,

@@ -13,12 +13,13 @@ from sim_core.rigs import Rig, Sight, load_rig, parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
-from sysid.model.load import Run, load_run
+from sysid.model.load import load_run
 from sysid.model.marker_registration import first_frames, placed
 from sysid.model.nuisance_parameters import nuisance_parameters
 from sysid.model.parameters import fit_parameters, rig_at, start_of
 from sysid.model.predictor import Engine
 from sysid.noise.estimate import as_declared
+from sysid.observations.observations import Run
 from sysid.simulate import write_trace
 from sysid.solve.covariance import interval, uncertainty
 from sysid.solve.residuals import Problem

@@ -13,7 +13,6 @@ from sim_core.rigs import load_rig, parse_rig, with_parameters
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.simulate import Trace
 from sysid.fit.options import FitOptions
-from sysid.model.load import Measured, Run
 from sysid.model.nuisance_parameters import (
     BIAS_SD,
     KINDS,
@@ -26,6 +25,7 @@ from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_o
 from sysid.model.pose_influence import acting
 from sysid.model.predictor import Engine, Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.residuals import Problem
@@ -225,8 +225,8 @@ def test_every_stream_and_camera_has_its_nuisances_once(small_rig: Any) -> None:
     ]
     assert [found[f"finger.{key}"].prior_sd for key in OFFSETS] == [5e-4] * 3 + [0.5] * 3
     assert all(p.nuisance for p in found.values())
-    assert nuisance_parameters(rig, runs, asked, ()) == [] and not has_bias(runs, asked, ())
-    assert has_bias(runs, asked, KINDS)
+    assert nuisance_parameters(rig, runs, asked, ()) == [] and not has_bias(rig, runs, asked, ())
+    assert has_bias(rig, runs, asked, KINDS)
     own = fit_parameters(rig, ["side.latency_s", "side.fy_px", *(f"finger.{key}" for key in OFFSETS[1:])])
     left = [p.name for p in nuisance_parameters(rig, runs, own, KINDS)]
     assert left == ["wrench.latency_s", "markers.latency_s", "side.cx_px", "side.cy_px", "finger.offset_x_m"]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim_core.effects import EFFECTS, effect_by_name
+from sim_core.effects import all_effects, effect_by_name
 from sim_core.errors import ConfigError
 from sim_core.rigs import list_parameters, with_parameters
 from sysid.model.parameters import SCALES, FitParameter, asked_for, bounds_cut, fit_parameters, start_of, within_bounds
@@ -33,7 +33,7 @@ def test_every_quantity_of_a_rig_has_a_scale(small_rig: Any) -> None:
         assert scale.lower < scale.upper and (scale.lower > 0.0 or not scale.log)
 
 
-@pytest.mark.parametrize("effect", [e.name for e in EFFECTS])
+@pytest.mark.parametrize("effect", [e.name for e in all_effects().values()])
 def test_starting_values_of_effects_are_within_their_bounds(effect: str) -> None:
     for p in effect_by_name(effect).parameters:
         assert all(p.lower <= v <= p.upper for v in p.typical), p

@@ -12,9 +12,10 @@ from strip import START, TRUTH, pulled, strip_rig
 
 from sim_core.errors import ConfigError
 from sim_core.rigs import with_parameters
-from sysid.fit import FitOptions, fit_bags, fit_runs
+from sysid.fit import FitOptions, fit_runs
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import acting_in, fit_parameters, rig_at, rig_in, start_of, with_bags
+from sysid.workflow import fit_bags
 
 RIG = strip_rig()
 NAMES = list(TRUTH)

@@ -16,12 +16,13 @@ from sim_core.rigs.motion import Experiment
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit_runs
-from sysid.model.load import Measured, Run, load_runs
+from sysid.model.load import load_runs
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Engine, Prediction
 from sysid.model.sensor_streams import stream_derivatives
 from sysid.model.time_span import known_until, rollout_times, too_late
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.simulate import simulate_to_bag
 from sysid.solve.residuals import Problem
 

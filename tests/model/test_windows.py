@@ -18,15 +18,17 @@ from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import Rig, load_rig, with_parameters
 from sim_core.rigs.motion import Experiment
 from sysid.diagnosis import diagnose_runs
-from sysid.fit import FitOptions, fit_bags, fit_runs
-from sysid.model.load import Run, check_apart, load_run, load_runs
+from sysid.fit import FitOptions, fit_runs
+from sysid.model.load import load_run, load_runs
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.predictor import Engine
 from sysid.model.provenance import provenance
 from sysid.model.windows import not_from_rest, window_of
 from sysid.noise.data_quality import doubts
+from sysid.observations.observations import Run, check_apart
 from sysid.observations.selection import Part, check_parts, part_of
 from sysid.simulate import simulate_to_bag
+from sysid.workflow import fit_bags
 
 TRUTH = {"card.E_pa": 2.6e9}
 REST_S = 2.0
@@ -202,7 +204,7 @@ def test_what_is_missing_is_counted_in_the_window(rig: Rig, tmp_path: Path) -> N
     motion = {"finger": [{"type": "wait", "duration_s": 0.6}]}
 
     def gaps(channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.ndarray:
-        noisy = clean.copy()
+        noisy = np.zeros(clean.shape)
         since = stamps - stamps[0]
         if kind == "wrench":
             noisy[:4, 0] = np.nan

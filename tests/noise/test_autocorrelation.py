@@ -12,11 +12,11 @@ from scipy.signal import butter, lfilter
 
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.simulate import Trace
-from sysid.model.load import Measured, Run
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
 from sysid.noise.autocorrelation import Part, Samples, coloured_scores, unheard
 from sysid.noise.estimate import FROM_DIFFERENCES, ChannelNoise, estimate_noise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

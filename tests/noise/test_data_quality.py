@@ -9,9 +9,9 @@ import pytest
 
 from sim_core.rigs import load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.model.load import Measured, Run
 from sysid.noise.data_quality import FEW
 from sysid.noise.data_quality import doubts as doubts_of
+from sysid.observations.observations import Measured, Run
 
 RIG = load_rig("strip_coarse")
 (GAUGE,) = RIG.sensors

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.model.load import Measured, Run
 from sysid.noise.estimate import (
     FROM_DIFFERENCES,
     ChannelNoise,
     by_differences,
     estimate_noise,
+    moves,
     moving,
     quiet,
     standing_still,
 )
 from sysid.noise.whitening import whiten
+from sysid.observations.observations import Measured, Run
 
 RATE = 100.0
 
@@ -260,3 +261,22 @@ def test_rests_of_an_end_effector(noise_m: float) -> None:
     np.testing.assert_allclose([*first, *last], [0.0, 1.0, 3.2, 5.19], atol=blur)
     lone = PoseTrajectory(t[:1], poses.positions[:1], poses.quaternions[:1])
     assert standing_still(lone, 0.3) == []
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, 10.0, 500.0])
+@pytest.mark.parametrize("speed_m_s", [5e-5, 2e-6])
+@pytest.mark.parametrize("noise_m", [0.0, 5e-6])
+def test_a_hand_that_moves_slowly_does_not_stand_still(rate_hz: float, speed_m_s: float, noise_m: float) -> None:
+    """5 mm in 100 s, and 25 times slower, after 10 s of rest, with and without noise of the poses."""
+    t = np.arange(0.0, 110.0, 1.0 / rate_hz)
+    x = speed_m_s * np.maximum(t - 10.0, 0.0)
+    positions = np.column_stack([x, 0 * x, 0 * x])
+    positions += noise_m * np.random.default_rng(0).standard_normal(positions.shape)
+    poses = PoseTrajectory(t, positions, np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)))
+    assert moves(poses)
+    still = standing_still(poses, 0.3)
+    assert not any(end > 30.0 for _, end in still), still
+    rest = PoseTrajectory(t, positions - np.column_stack([x, 0 * x, 0 * x]), poses.quaternions)
+    assert not moves(rest)
+    (span,) = standing_still(rest, 0.3)
+    assert span == pytest.approx((0.0, t[-1]), abs=1e-9)

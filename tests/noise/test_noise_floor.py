@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sim_core.rigs import load_rig
-from sysid.model.load import Measured, Run
 from sysid.noise.estimate import FROM_DIFFERENCES, ChannelNoise, channel_noise, declared_noise, overruled, unless_larger
+from sysid.observations.observations import Measured, Run
 
 
 def test_declared_noise_has_the_units_of_the_channel() -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.model.load import Measured, Run
 from sysid.noise.estimate import estimate_noise
 from sysid.noise.quantisation import common_step, step_of
+from sysid.observations.observations import Measured, Run
 
 RATE, STEP = 100.0, 0.1
 T = np.arange(301) / RATE

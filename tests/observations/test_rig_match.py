@@ -15,7 +15,7 @@ from sysid.observations.rig_match import check_topics, numbers_apart, places_of_
 from sysid.observations.rig_topics import topics_of
 from sysid.recording import RecordingWriter
 from sysid.recording.bag import TopicInfo
-from sysid.recording.topics import CAMERA_INFO, CLOUD, IMAGE, POSE, WRENCH
+from sysid.recording.message_types import CAMERA_INFO, CLOUD, IMAGE, POSE, WRENCH
 
 PRESS_POST = config_folder().parent / "bags" / "press_post"
 

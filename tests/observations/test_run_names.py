@@ -8,7 +8,8 @@ import pytest
 
 import sysid.model.load
 from sim_core.rigs import config_folder, load_rig
-from sysid.model.load import Run, distinct_names, load_runs, of_recording
+from sysid.model.load import load_runs
+from sysid.observations.observations import Run, distinct_names, of_recording
 
 
 @pytest.mark.parametrize(
@@ -33,7 +34,7 @@ def test_a_bag_beside_its_namesake_is_told_apart(tmp_path: Path, monkeypatch: py
 
 
 def test_loaded_runs_have_these_names(small_rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sysid.model.load, "read_run", lambda rig, p: Run(p.name, str(p), (), {}, (), 1.0))
+    monkeypatch.setattr(sysid.model.load, "read_run", lambda rig, p, _: Run(p.name, str(p), (), {}, (), 1.0))
     runs, held_out = load_runs(small_rig(), [Path("a/bag")], [Path("b/bag"), Path("c")])
     assert [[r.name for r in group] for group in (runs, held_out)] == [["a/bag"], ["b/bag", "c"]]
     assert runs[0].path == "a/bag"
@@ -48,12 +49,12 @@ def test_what_speaks_against_recordings_is_heard_once_each(
     for name in against:
         (tmp_path / name).touch()
 
-    def load(rig: object, path: Path) -> Run:
+    def load(rig: object, path: Path, despite: object) -> Run:
         unlike, doubts = against[path.name]
         return Run(path.name, str(path), (), {}, (), 9.0, unlike=unlike, doubts=doubts)
 
     monkeypatch.setattr(sysid.model.load, "read_run", load)
-    monkeypatch.setattr("sysid.model.windows.window_of", lambda rig, run, part: run)
+    monkeypatch.setattr("sysid.model.load.window_of", lambda rig, run, part: run)
     heard: list[str] = []
     load_runs(small_rig(), [Path("a@0:1"), Path("a@2:3"), Path("c")], [Path("b")], heard.append)
     assert heard == ["a: of another rig.", "b: gap", "b: stuck"]

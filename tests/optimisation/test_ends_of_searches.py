@@ -13,9 +13,9 @@ from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit
 from sysid.fit import multistart as starts
 from sysid.fit.options import Intervals
-from sysid.model.load import Run
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.predictor import Prediction
+from sysid.observations.observations import Run
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.profiler import Profiler
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from sim_core.simulate import Trace
-from sysid.model.load import Measured, Run
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.outliers import FAR, astray, mistakes, not_looked_for, without_outliers, worth_another_fit
 
 N, M, SIGMA = 200, 30, 0.1

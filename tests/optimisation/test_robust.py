@@ -14,8 +14,8 @@ from strip import PULL, START, TRUTH, pulled, strip_rig
 from sim_core.rigs import with_parameters
 from sim_core.rigs.motion import compile_experiment
 from sysid.fit import FitOptions, FitResult, fit, fit_runs
-from sysid.model.load import Run
 from sysid.model.parallel_predictor import PooledEngine
+from sysid.observations.observations import Run
 from sysid.report import write_fit_report
 
 RIG = strip_rig()

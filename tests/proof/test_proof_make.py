@@ -11,13 +11,14 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 
-from sim_core.effects import EFFECTS, effect_by_name
+from sim_core.effects import all_effects, effect_by_name
 from sim_core.rigs import Rig, list_parameters, load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, Trace
-from sysid.model.load import Measured, Run, load_run
+from sysid.model.load import load_run
 from sysid.noise.estimate import estimate_noise
+from sysid.observations.observations import Measured, Run
 from sysid.proof import make_cases
 from sysid.proof.generator import bench, make
 from sysid.proof.generator.concealed import DRAWS, assign_effects, draw_amplitudes
@@ -111,7 +112,7 @@ def test_what_is_handed_out(quick: None, tmp_path: Path) -> None:
             assert abs(told[name] / value - 1.0) <= 0.41
             assert told[name] != pytest.approx(value, rel=1e-4)
         text = (folder / "rig.yaml").read_text()
-        assert not [e.name for e in EFFECTS if e.name in text]
+        assert not [e.name for e in all_effects().values() if e.name in text]
         if case["effect"]:
             effect = effect_by_name(case["effect"])
             bounds = {p.name: (p.lower, p.upper) for p in effect.parameters}
@@ -135,7 +136,7 @@ def test_plan_of_twelve() -> None:
         plan = assign_effects(np.random.default_rng(seed), 12)
         counts = Counter(plan)
         assert counts.pop(None) == 3
-        assert set(counts) == {e.name for e in EFFECTS}
+        assert set(counts) == set(DRAWS)
         assert sorted(counts.values()) == [1] * 7 + [2]
     assert len({tuple(map(str, assign_effects(np.random.default_rng(s), 12))) for s in range(20)}) == 20
 

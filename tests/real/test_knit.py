@@ -12,9 +12,10 @@ import pytest
 from sim_core.rigs import load_rig
 from sim_core.scene import build_scene
 from sysid.fit import fit_runs
-from sysid.model.load import Measured, Run, load_run
+from sysid.model.load import load_run
 from sysid.model.marker_registration import placed
 from sysid.model.predictor import Engine
+from sysid.observations.observations import Measured, Run
 
 SHARED = Path(os.environ.get("THINSHELL_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 DATA = SHARED / "data" / "knit_fabric_stretch"

@@ -25,7 +25,7 @@ from report_examples import (
     plasticity,
 )
 
-from sim_core.effects import EFFECTS
+from sim_core.effects import all_effects
 from sim_core.rigs import load_rig
 from sim_core.simulate import Trace
 from sysid.diagnosis.diagnose import _collect
@@ -34,10 +34,10 @@ from sysid.diagnosis.model_selection import Trial, Verdict
 from sysid.diagnosis.residual_analysis import structure
 from sysid.diagnosis.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
 from sysid.fit.result import Estimate, FitResult
-from sysid.model.load import Measured, Run
 from sysid.model.parameters import fit_parameters
 from sysid.model.predictor import Engine, Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.report import write_diagnosis_report, write_fit_report
 from sysid.report.fit_page import overall_level
 from sysid.report.numbers import TIMES
@@ -231,13 +231,13 @@ def empty_diagnosis() -> Diagnosis:
         [], np.zeros(0), rig, white.ravel(), np.zeros((360, 0)), [(0, "wrench_gel", np.repeat(t, 6))], [prediction],
         rig, 1, True, "",
     )  # fmt: skip
-    with_gel = with_effect(rig, EFFECTS[0], {"share": 0.1, "tau_s": 0.2})
+    with_gel = with_effect(rig, all_effects()["gel_relaxation"], {"share": 0.1, "tau_s": 0.2})
     own = fit_parameters(with_gel, ["effects.gel_relaxation.share"])
     tried = replace(
         base, parameters=own, scaled=np.array([0.1]), rig=with_gel, jacobian=np.full((360, 1), 0.5), centre=with_gel
     )
     left = structure(problem, base)
-    trial = Trial(EFFECTS[0], tried, 1.0, 0.0, left, None)
+    trial = Trial(all_effects()["gel_relaxation"], tried, 1.0, 0.0, left, None)
     check = Problem([], noise, cast(Engine, None))
     verdict = Verdict("nothing_missing", ())
     return _collect(rig, problem, check, base, None, None, verdict, [trial], left, {})
@@ -249,7 +249,7 @@ def test_the_examples_have_the_keys_of_real_diagnoses(tmp_path: Path) -> None:
     assert set(real.upper_limits) <= set(example.upper_limits) and real.upper_limits
     words = diagnosis_page(tmp_path, real).words
     assert "Misfit over discretisation error" in words
-    assert "each of the 8 effects" in words and "promised no better fit" in words
+    assert f"each of the {len(all_effects())} effects" in words and "promised no better fit" in words
 
 
 def test_a_fit_without_anything(tmp_path: Path) -> None:

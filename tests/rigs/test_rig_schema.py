@@ -235,7 +235,8 @@ def test_missing_file_names_a_similar_one(tmp_path: Path) -> None:
 def test_overlay_changes_values_and_switches_effects_on(tmp_path: Path) -> None:
     path = tmp_path / "soft.yaml"
     path.write_text(
-        "overlay_of: card_press\nname: soft\nparameters: {card.E: 1.0e9}\neffects: {sheet_damping: {time_s: 0.1}}\n"
+        "overlay_of: card_press\nname: soft\nparameters: {card.E: 1.0e9}\n"
+        "effects: {air_drag: {drag_coefficient: 0.5}}\n"
     )
     second = tmp_path / "softer.yaml"
     second.write_text("overlay_of: soft\nparameters: {gel.E: 1.0e5}\n")
@@ -243,7 +244,7 @@ def test_overlay_changes_values_and_switches_effects_on(tmp_path: Path) -> None:
     assert rig.name == "soft"
     assert rig.bodies["card"].material.E_pa == 1e9
     assert rig.bodies["gel"].material.E_pa == 1e5
-    assert rig.effects == {"sheet_damping": {"time_s": 0.1}}
+    assert rig.effects == {"air_drag": {"drag_coefficient": 0.5}}
 
 
 def test_overlays_in_a_circle_are_refused(tmp_path: Path) -> None:

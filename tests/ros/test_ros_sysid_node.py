@@ -13,8 +13,9 @@ from ros_live import Client, NodeProcess, group
 
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import load_experiment
-from sysid.fit import FitOptions, fit_bags
+from sysid.fit import FitOptions
 from sysid.simulate import simulate_to_bag
+from sysid.workflow import fit_bags
 
 pytestmark = pytest.mark.ros
 

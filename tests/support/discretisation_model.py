@@ -10,11 +10,11 @@ import numpy as np
 
 from sim_core.simulate import Trace
 from sysid.fit.discretisation_refinement import fit_beside_discretisation
-from sysid.model.load import Measured, Run
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 
 T = np.linspace(0.0, 1.0, 120)
 SIGMA = 0.01

@@ -10,9 +10,9 @@ import numpy as np
 from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit
-from sysid.model.load import Measured, Run
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.predictor import Prediction
+from sysid.observations.observations import Measured, Run
 
 T = np.linspace(0.0, 1.0, 60)
 TRUTH = 1.5e5

@@ -9,7 +9,8 @@ import numpy as np
 
 from sim_core.rigs import Rig, with_parameters
 from sim_core.rigs.motion import Experiment
-from sysid.model.load import Run, load_run
+from sysid.model.load import load_run
+from sysid.observations.observations import Run
 from sysid.simulate import WhiteNoise, simulate_to_bag
 
 TRUTH = {"card.E_pa": 2.6e9, "gel.E_pa": 1.3e5, "contacts.gel-post.friction": 0.5}

@@ -8,7 +8,8 @@ import numpy as np
 
 from sim_core.rigs import Rig, load_rig, parse_rig, with_parameters
 from sim_core.rigs.motion import Experiment
-from sysid.model.load import Run, load_run
+from sysid.model.load import load_run
+from sysid.observations.observations import Run
 from sysid.simulate import WhiteNoise, simulate_to_bag
 
 TRUTH = {"strip.E_pa": 4.6e9, "strip.nu": 0.34}

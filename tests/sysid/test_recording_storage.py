@@ -1,6 +1,7 @@
 """Recordings as files: storages, splits, compression, damage."""
 
 import hashlib
+import os
 import shutil
 import sqlite3
 from io import BytesIO
@@ -319,11 +320,12 @@ def test_a_recording_without_messages(tmp_path: Path, plugin: StoragePlugin) -> 
 
 def test_not_a_recording(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello, this is no bag")
-    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
     with pytest.raises(RecordingError, match="not an MCAP file"):
         read_recording(tmp_path / "notes.txt")
     with pytest.raises(RecordingError, match=r"ROS 1 bag.*rosbags-convert"):
-        read_recording(tmp_path / "old.bag")
+        read_recording(tmp_path / "old" / "old.bag")
     with pytest.raises(RecordingError, match="it holds no metadata"):
         read_recording(tmp_path)
     (tmp_path / "metadata.yaml").write_text("nothing: of a bag\n")
@@ -413,3 +415,124 @@ def test_reading_changes_nothing(bag: Path) -> None:
     before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in bag.iterdir()}
     read_recording(bag)
     assert {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in bag.iterdir()} == before
+
+
+SHARED = Path("/work/shared/faults/damaged_records")
+
+
+def unchunked(source: Path, target: Path) -> Path:
+    """The records of an .mcap file one by one, without chunks."""
+    return repack(source, target, use_chunking=False)
+
+
+def records(path: Path, opcode: int) -> list[tuple[int, int]]:
+    """Where the contents of records of a kind begin and end."""
+    data, at, found = path.read_bytes(), 8, []
+    while at + 9 <= len(data):
+        kind, length = data[at], int.from_bytes(data[at + 1 : at + 9], "little")
+        if kind == opcode:
+            found.append((at + 9, at + 9 + length))
+        at += 9 + length
+    return found
+
+
+MESSAGE, SCHEMA, CHANNEL, STATISTICS, HEADER = 5, 3, 4, 11, 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (SCHEMA, "the schema record at byte"),
+        (CHANNEL, "the channel record at byte"),
+        (STATISTICS, "the statistics record at byte"),
+        (HEADER, "the header record is damaged"),
+    ],
+)
+def test_one_damaged_record_loses_itself_alone(bag: Path, tmp_path: Path, kind: int, said: str) -> None:
+    """Its first text or list says that it is longer than the record. Schemas and channels stand in the summary too."""
+    path = unchunked(bag / "press.mcap", tmp_path / "press.mcap")
+    data = bytearray(path.read_bytes())
+    at = records(path, kind)[0][0] + {SCHEMA: 2, CHANNEL: 4, STATISTICS: 42, HEADER: 0}[kind]
+    data[at : at + 4] = (2**31).to_bytes(4, "little")
+    path.write_bytes(data)
+    recording = read_recording(path)
+    assert len(recording.poses["ee"]) == len(recording.wrenches["sensor"]) == COUNT
+    assert any(said in note.text for note in recording.notes)
+
+
+def test_a_hole_of_zeros_loses_what_lay_in_it(bag: Path, tmp_path: Path) -> None:
+    path = unchunked(bag / "press.mcap", tmp_path / "press.mcap")
+    data = bytearray(path.read_bytes())
+    begin = records(path, MESSAGE)[200][0] + 30
+    data[begin : begin + 4096] = bytes(4096)
+    path.write_bytes(data)
+    lost = sum(
+        begin < end and start - 9 < begin + 4096 for start, end in records(unchunked_copy(bag, tmp_path), MESSAGE)
+    )
+    recording = read_recording(path)
+    found = len(recording.poses["ee"]) + len(recording.wrenches["sensor"])
+    assert 2 * COUNT - lost <= found < 2 * COUNT
+    (where,) = (note.text for note in recording.notes if "are no records and left out" in note.text)
+    assert int(where.split()[0]) <= 4096 and abs(int(where.split()[4]) - begin) < 300
+
+
+def unchunked_copy(bag: Path, tmp_path: Path) -> Path:
+    return unchunked(bag / "press.mcap", tmp_path / "again.mcap")
+
+
+def test_a_message_record_that_is_too_short_is_left_out(bag: Path, tmp_path: Path) -> None:
+    path = unchunked(bag / "press.mcap", tmp_path / "press.mcap")
+    data = path.read_bytes()
+    begin, end = records(path, MESSAGE)[100]
+    path.write_bytes(data[: begin - 8] + (10).to_bytes(8, "little") + data[begin : begin + 10] + data[end:])
+    recording = read_recording(path)
+    assert len(recording.poses["ee"]) + len(recording.wrenches["sensor"]) == 2 * COUNT - 1
+    assert any("it has 10 bytes, fewer than the 22 of its header" in note.text for note in recording.notes)
+
+
+def test_a_damaged_page_of_a_database_loses_itself_alone(healthy: Path, tmp_path: Path) -> None:
+    made = rewrite(healthy, tmp_path / "sql", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    path = next(made.glob("*.db3"))
+    data = bytearray(path.read_bytes())
+    page = int.from_bytes(data[16:18], "big")
+    middle = len(data) // page // 2 * page
+    data[middle : middle + page] = bytes(page)
+    path.write_bytes(data)
+    recording = read_recording(path)
+    found = len(recording.poses["ee"]) + len(recording.wrenches["sensor"])
+    assert 0.9 * 2 * COUNT < found < 2 * COUNT
+    assert any("the database is damaged" in note.text for note in recording.notes)
+
+
+@pytest.mark.parametrize("listed", ["C:\\data\\run\\press.mcap", "/home/me/bags/press.mcap"])
+def test_metadata_may_list_paths_of_another_machine(bag: Path, listed: str) -> None:
+    content = yaml.safe_load((bag / "metadata.yaml").read_text())
+    content["rosbag2_bagfile_information"]["relative_file_paths"] = [listed]
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(content))
+    assert len(read_recording(bag).poses["ee"]) == COUNT
+
+
+def test_metadata_may_list_a_file_before_it_was_compressed(bag: Path) -> None:
+    plain = bag / "press.mcap"
+    (bag / "press.mcap.zstd").write_bytes(zstandard.ZstdCompressor().compress(plain.read_bytes()))
+    plain.unlink()
+    recording = read_recording(bag)
+    assert len(recording.poses["ee"]) == COUNT and "missing" not in " ".join(map(str, recording.notes))
+
+
+@pytest.mark.parametrize("what", ["device", "pipe"])
+def test_what_is_no_file_is_refused_at_once(tmp_path: Path, what: str) -> None:
+    path = Path("/dev/null")
+    if what == "pipe":
+        path = tmp_path / "pipe"
+        os.mkfifo(path)
+    with pytest.raises(RecordingError, match="is neither a file nor a folder"):
+        read_recording(path)
+
+
+def test_what_was_damaged_in_the_field_is_read() -> None:
+    if not SHARED.exists():
+        pytest.skip("the damaged recordings are not here")
+    for path in sorted(SHARED.iterdir()):
+        recording = read_recording(path)
+        assert recording.warnings and len(recording.poses["ee"]) > 300, path.name

@@ -14,11 +14,11 @@ from sim_core.simulate import Trace
 from sysid.diagnosis.residual_analysis import structure
 from sysid.fit import FitOptions
 from sysid.fit.multistart import OFFSETS_DRAWN, Evaluations, Searches
-from sysid.model.load import Measured, Run
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import fit_parameters, with_bags
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ROUGH, ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

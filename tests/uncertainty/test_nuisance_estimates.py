@@ -14,7 +14,7 @@ from sim_core.rigs import Rig, with_parameters
 from sysid.fit import FitOptions, FitResult, fit_runs
 from sysid.fit import multistart as starts
 from sysid.fit.options import Intervals
-from sysid.model.load import Run
+from sysid.observations.observations import Run
 from sysid.report import write_fit_report
 
 UNTOLD = {"markers.latency_s": 0.02, "side.fx_px": 1407.0, "side.fy_px": 1407.0}

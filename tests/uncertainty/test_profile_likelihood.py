@@ -23,11 +23,12 @@ from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit_runs
 from sysid.fit.fit import _profiled
 from sysid.fit.options import Intervals
-from sysid.model.load import Measured, Run, load_run
+from sysid.model.load import load_run
 from sysid.model.parallel_predictor import PooledEngine
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Engine, Prediction
 from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
 from sysid.report import write_fit_report
 from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import Finding, chance, uncertainty

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sim_core.effects import EFFECTS
+from sim_core.effects import all_effects
 
 NULL_SHARE = 0.25
 """Share of the cases that conceal nothing (3 of 12)."""
@@ -66,6 +66,7 @@ def _offset(rng: np.random.Generator) -> Amplitudes:
     return {
         **{f"bias_{a}_n": float(b) for a, b in zip("xyz", bias, strict=True)},
         **{f"drift_{a}_n_per_s": float(d) for a, d in zip("xyz", drift, strict=True)},
+        **{name.format(a): 0.0 for name in ("torque_bias_{}_nm", "torque_drift_{}_nm_per_s") for a in "xyz"},
     }
 
 
@@ -96,7 +97,7 @@ def draw_amplitudes(rng: np.random.Generator, effect: str) -> Amplitudes:
 def assign_effects(rng: np.random.Generator, cases: int) -> list[str | None]:
     """One effect (or none) for each case, in random order; every effect once before any comes twice."""
     nulls = round(NULL_SHARE * cases)
-    names = [e.name for e in EFFECTS if e.name in DRAWS]
+    names = [name for name in DRAWS if name in all_effects()]
     drawn: list[str | None] = [None] * nulls
     while len(drawn) < cases:
         drawn += list(rng.permutation(names))[: cases - len(drawn)]

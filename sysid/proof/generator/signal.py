@@ -13,11 +13,11 @@ import numpy as np
 
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.model.load import Measured, Run
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Engine
 from sysid.noise.estimate import ChannelNoise
 from sysid.noise.whitening import whiten
+from sysid.observations.observations import Measured, Run
 from sysid.proof.generator.bench import MATERIALS, Noise
 from sysid.proof.generator.noise import kinds
 

@@ -1,0 +1,243 @@
+"""The interfaces through which an effect acts, each with its value and all derivatives that gradients need.
+
+An effect derives from one of them (or from several, where one hypothesis has several places). Every method below is
+abstract: an effect that lacks a derivative cannot be made, and the registry says which one is missing.
+
+| interface | what it changes | who calls it |
+| --- | --- | --- |
+| :class:`RigMap` | numbers of the rig: tool pose, gravity, density, intrinsics | all that reads them |
+| :class:`MechanicsMap` | numbers of terms that a rig has no key for | :meth:`sim_core.scene.scene.Scene.values` |
+| :class:`BodyForce` | terms of the incremental potential | :class:`sim_core.scene.scene.Scene` |
+| :class:`NormalLaw` | contact pressure against the gap | contact terms |
+| :class:`FrictionLaw` | the bound of friction | contact terms |
+| :class:`CommandMap` | poses to poses, with memory | :mod:`sim_core.commands` |
+| :class:`ReadingMap` | readings to readings | :mod:`sysid.model.sensor_streams` |
+| :class:`ClockMap` | the instant that a stamp stands for | the same |
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
+
+import numpy as np
+
+from sim_core.effects.base import Effect, Values
+
+if TYPE_CHECKING:
+    from sim_core.energies.term import Term
+    from sim_core.rigs import Rig
+    from sim_core.scene.scene import Frame, Scene
+    from sim_core.scene.scene import Values as SceneValues
+
+Array = np.ndarray
+
+Kind = Literal["wrench", "markers", "tracks"]
+"""Of a channel: forces and torques ``(k, 6)``, positions ``(k, n, 3)`` [m], pixels ``(k, n, 2)``."""
+
+
+class RigMap(Effect):
+    """An amendment of numbers that a rig has itself. Derivatives by its parameters and by everything else are those of
+    the rig's numbers, which exist already."""
+
+    @abstractmethod
+    def amend_rig(self, rig: Rig, targets: tuple[str, ...], values: Values) -> Rig:
+        """The rig with its numbers changed; the very same object where the effect vanishes."""
+
+
+class MechanicsMap(Effect):
+    """An amendment of the numbers that terms are configured with; the terms know their derivatives by them."""
+
+    @abstractmethod
+    def amend_values(self, rig: Rig, targets: tuple[str, ...], found: SceneValues, values: Values) -> None:
+        """Change the numbers in place."""
+
+
+class BodyForce(Effect):
+    """Terms of the incremental potential: forces that act on bodies beside elasticity, contact and weight.
+
+    A term declares whether it looks at the start of its step or remembers anything
+    (:func:`sim_core.energies.term.check_term`); numbers that it is configured with are its own.
+    """
+
+    @abstractmethod
+    def terms(self, scene: Scene, label: str, targets: tuple[str, ...], values: Values) -> list[Term]:
+        """The terms, with names that end with ``.<label>``; none where the effect vanishes."""
+
+    @abstractmethod
+    def numbers(self, values: Values) -> Mapping[str, float]:
+        """What each of them is configured with, by name."""
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal contact per unit area at n gaps: ``energy`` [J/m^2], ``pressure`` [Pa], positive where it parts the
+    surfaces, ``slope`` = -dp/dg [Pa/m], ``(n,)`` each."""
+
+    energy: Array
+    pressure: Array
+    slope: Array
+
+
+class NormalLaw(Effect):
+    """Contact pressure beside that which keeps surfaces apart: attraction, a soft layer between them.
+
+    Friction goes with the pressure that keeps surfaces apart, not with this one, so that attraction adds to the load of
+    friction as far as it presses the surfaces together (Derjaguin, Z. Phys. 88, 1934). Gaps may be negative while an
+    iteration is on its way; the law must go on there smoothly.
+    """
+
+    @abstractmethod
+    def reach(self, values: Values) -> float:
+        """Gap [m] from which on it is zero."""
+
+    @abstractmethod
+    def normal(self, gap: Array, values: Values) -> Normal:
+        """Energy, pressure and slope at gaps [m] ``(n,)``."""
+
+    @abstractmethod
+    def normal_by(self, gap: Array, values: Values) -> Mapping[str, Array]:
+        """Derivatives of the pressure by each parameter ``(n,)``."""
+
+
+@dataclass(frozen=True)
+class Sliding:
+    """Points in contact at the start of a step, ``(n,)`` each: ``pressure`` [Pa] and slip ``speed`` [m/s] of the last
+    step."""
+
+    pressure: Array
+    speed: Array
+
+
+@dataclass(frozen=True)
+class FrictionFactor:
+    """What the friction coefficient is multiplied by, ``(n,)``, and its derivatives by pressure, by slip speed, and by
+    each parameter, ``(n,)`` each."""
+
+    value: Array
+    by_pressure: Array
+    by_speed: Array
+    by_parameter: Mapping[str, Array]
+
+
+class FrictionLaw(Effect):
+    """A factor on the coefficient of friction."""
+
+    @abstractmethod
+    def friction(self, at: Sliding, values: Values) -> FrictionFactor:
+        """The factor and its derivatives, at points in contact."""
+
+
+Memory = TypeVar("Memory")
+
+
+class CommandMap(Effect, Generic[Memory]):
+    """What becomes of commanded poses before an end effector is there, with memory. The same code runs along recorded
+    poses and step by step in a node.
+
+    Poses are positions [m] ``(3,)`` and rotations in the world. Derivatives by parameters are those of the poses that
+    come out, by central differences of the map alone; derivatives by commanded poses are passed back by :meth:`pull`.
+    """
+
+    @abstractmethod
+    def begin(self, pose: Frame, values: Values) -> Memory:
+        """What is remembered where the command has rested at a pose for ever."""
+
+    @abstractmethod
+    def advance(self, memory: Memory, pose: Frame, dt: float, values: Values) -> tuple[Memory, Frame]:
+        """Where the end effector is after ``dt`` [s], in which the command went to ``pose``, and the new memory."""
+
+    @abstractmethod
+    def pull(self, times: Array, poses: Sequence[Frame], weights: Array, values: Values) -> Array:
+        """Derivatives of a loss by small motions of the commanded ``poses`` at ``times`` [s] ``(n,)``, ``(n, 6)``: p +
+        rho and exp(phi) R, translation [m] and turn [rad] in the world; from those by such motions of the poses that
+        come out, ``weights`` ``(n, 6)``."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One stream of readings. ``stamps`` [s] ``(k,)``: since the start of the rollout; ``since`` [s]: how long the
+    sensor had been at work then. ``rig``: with all amendments of its numbers."""
+
+    name: str
+    kind: Kind
+    stamps: Array
+    since: float
+    rig: Any
+
+
+class ReadingMap(Effect):
+    """What a sensor makes of the true readings: offsets, gains, filters, distortion, without noise.
+
+    Readings have the channel's shape, ``(k, ...)``; a point that is out of sight is NaN, in sight and out of it.
+    """
+
+    @abstractmethod
+    def read(self, channel: Channel, readings: Array, values: Values) -> Array:
+        """What is reported."""
+
+    @abstractmethod
+    def push(self, channel: Channel, readings: Array, change: Array, values: Values) -> Array:
+        """Change of what is reported, for changes of the readings ``(k, ..., p)``."""
+
+    @abstractmethod
+    def pull(self, channel: Channel, readings: Array, weights: Array, values: Values) -> Array:
+        """Derivatives of a loss by the readings, from those by what is reported, ``(k, ...)`` both."""
+
+    @abstractmethod
+    def memory_s(self, values: Values) -> float:
+        """Length of the past [s] that a report depends on; 0 where each depends on its own reading alone."""
+
+
+class Additive(ReadingMap):
+    """A sensor that adds something to the readings, whatever they are: derivatives pass it as they are."""
+
+    @abstractmethod
+    def added(self, channel: Channel, values: Values) -> Array:
+        """What is added, of a shape that fits the readings."""
+
+    def read(self, channel: Channel, readings: Array, values: Values) -> Array:
+        return np.asarray(readings + self.added(channel, values))
+
+    def push(self, channel: Channel, readings: Array, change: Array, values: Values) -> Array:
+        return change
+
+    def pull(self, channel: Channel, readings: Array, weights: Array, values: Values) -> Array:
+        return weights
+
+    def memory_s(self, values: Values) -> float:
+        return 0.0
+
+
+class Pointwise(ReadingMap):
+    """A sensor that changes each point by itself: ``(..., m)`` to ``(..., m)``."""
+
+    @abstractmethod
+    def point(self, channel: Channel, points: Array, values: Values) -> Array:
+        """What is reported of points ``(..., m)``."""
+
+    @abstractmethod
+    def slope(self, channel: Channel, points: Array, values: Values) -> Array:
+        """Its derivative by the points ``(..., m, m)``."""
+
+    def read(self, channel: Channel, readings: Array, values: Values) -> Array:
+        return self.point(channel, readings, values)
+
+    def push(self, channel: Channel, readings: Array, change: Array, values: Values) -> Array:
+        return np.asarray(np.einsum("...ij,...jp->...ip", self.slope(channel, readings, values), change))
+
+    def pull(self, channel: Channel, readings: Array, weights: Array, values: Values) -> Array:
+        return np.asarray(np.einsum("...ij,...i->...j", self.slope(channel, readings, values), weights))
+
+    def memory_s(self, values: Values) -> float:
+        return 0.0
+
+
+class ClockMap(Effect):
+    """A clock that is off: a reading stamped t shows the state at another time."""
+
+    @abstractmethod
+    def shown_at(self, channel: Channel, values: Values) -> Array:
+        """Times [s] ``(k,)`` of the states that readings with the channel's stamps show."""

@@ -1,0 +1,81 @@
+"""``thinshell effects``: the physics that a model may leave out, as the registry has it."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Annotated, Any
+
+import typer
+
+
+def effects(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[EFFECT]", help="One effect, in full; without it, a list.")
+    ] = None,
+    rig: Annotated[
+        str | None, typer.Option("--rig", metavar="RIG", help="Only those that can act on this rig.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """List the effects that a rig may name and a diagnosis looks for, or tell all about one.
+
+    Example: thinshell effects gel_relaxation
+    """
+    from sim_core.effects import all_effects, effect_by_name
+    from sim_core.rigs import load_rig
+
+    chosen = [effect_by_name(name)] if name is not None else list(all_effects().values())
+    if rig is not None:
+        loaded = load_rig(rig)
+        chosen = [e for e in chosen if e.applies(loaded)]
+    found = [_described(e) for e in chosen]
+    if as_json:
+        print(json.dumps(found, indent=2, allow_nan=False))
+    elif name is not None:
+        for effect in found:
+            print(_in_full(effect))
+    else:
+        width = max((len(e["name"]) for e in found), default=0)
+        places = max((len(e["slot"]) for e in found), default=0)
+        for e in found:
+            print(f"{e['name']:{width}}  {e['slot']:{places}}  {e['title']}")
+        print("\n'thinshell effects NAME' tells all about one.")
+
+
+def _described(effect: Any) -> dict[str, Any]:
+    """What the registry says of an effect."""
+
+    def finite(value: float | None) -> float | None:
+        return value if value is not None and math.isfinite(value) else None
+
+    return {
+        "name": effect.name,
+        "title": effect.title,
+        "slot": effect.slot,
+        "words": effect.words,
+        "signature": effect.signature,
+        "source": effect.source,
+        "follows": effect.follows,
+        "passive": effect.passive,
+        "needs": effect.needs,
+        "twins": list(effect.twins),
+        "separated_by": effect.separated_by,
+        "parameters": [
+            {"name": p.name, "unit": p.unit, "lower": finite(p.lower), "upper": finite(p.upper),
+             "vanishes_at": None if p.vanishing is None else str(p.vanishing), "words": p.words}
+            for p in effect.parameters
+        ],
+    }  # fmt: skip
+
+
+def _in_full(effect: dict[str, Any]) -> str:
+    lines = [f"{effect['name']}: {effect['title']} (acts on: {effect['slot']})", "", effect["words"], ""]
+    lines += ["parameters"]
+    for p in effect["parameters"]:
+        vanishes = f"; does nothing at {p['vanishes_at']}" if p["vanishes_at"] is not None else ""
+        lines.append(f"  {p['name']} [{p['unit']}]  {p['lower']:g} to {p['upper']:g}{vanishes}")
+        lines.append(f"      {p['words']}")
+    first = ", ".join(f"{p['name']}: ..." for p in effect["parameters"])
+    lines += ["", "in a rig file", f"  effects: {{{effect['name']}: {{{first}}}}}"]
+    return "\n".join(lines)

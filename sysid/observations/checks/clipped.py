@@ -1,0 +1,62 @@
+"""Forces and torques that stop at one level: the range of the sensor, or of its converter, was left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sysid.observations.checks.finding import Finding, runs_of, when
+from sysid.observations.checks.frozen import BY_CHANCE, NOISY
+from sysid.observations.checks.motion import WORDS, at_rest, components, noisy, repeats_at_rest, unit
+from sysid.recording import Recording
+
+FEWEST = 3
+"""Readings in a row at the level."""
+
+
+def clipped(recording: Recording) -> Iterator[Finding]:
+    """Components of a wrench whose largest or smallest value is read exactly many times in a row."""
+    for name, wrench in recording.wrenches.items():
+        values, still = components(wrench), at_rest(recording, wrench.t)
+        for component in range(6):
+            column = values[:, component]
+            for level in _levels(column, wrench.t, still):
+                at = column == level
+                yield Finding(
+                    "clipped",
+                    wrench.topic,
+                    "warning",
+                    f"{WORDS[component]} reads exactly {level:.6g} {unit(component)}, never beyond it, in "
+                    f"{int(at.sum())} of {int(np.isfinite(column).sum())} readings, {when(wrench.t, runs_of(at))}: "
+                    "the sensor was at the end of its range.",
+                    "They are left out.",
+                    times=tuple(wrench.t[at]),
+                    values=(float(level),),
+                    bound=float(level),
+                    role="wrench",
+                    part=name,
+                    faulty=at[:, None] & (np.arange(6) == component),
+                )
+
+
+def _levels(column: np.ndarray, t: np.ndarray, still: np.ndarray) -> Iterator[float]:
+    """Ends of the range of a component at which it stays."""
+    finite = np.isfinite(column)
+    if finite.sum() < 4 * FEWEST or np.nanmax(column) == np.nanmin(column):
+        return
+    for level in (float(np.nanmax(column)), float(np.nanmin(column))):
+        at = column == level
+        longest = max((b - a for a, b in runs_of(at)), default=0)
+        if longest < FEWEST:
+            continue
+        same = column[1:] == column[:-1]
+        outside = ~(at[1:] | at[:-1])
+        rest = repeats_at_rest(same, still & ~at)
+        if rest is None:
+            rest = 0.0 if noisy(np.where(at, np.nan, column)[:, None], t) else 1.0
+        if rest > NOISY or outside.sum() < 4 * FEWEST:
+            continue
+        chance = max(float(same[outside].mean()), rest, 1.0 / len(column))
+        if len(column) * chance ** (longest - 1) < BY_CHANCE:
+            yield level

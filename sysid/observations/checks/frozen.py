@@ -1,0 +1,96 @@
+"""Readings that do not change any more: a driver or a bridge that repeats its last message under new stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sysid.observations.checks.finding import Finding, runs_of, when
+from sysid.observations.checks.motion import at_rest, components, noisy, repeats_at_rest
+from sysid.recording import Recording
+
+FEWEST = 5
+"""Readings in a row that are the same."""
+
+BY_CHANCE = 1e-4
+"""Expected number of such stretches in a recording, by how often its readings repeat otherwise, below which one is no
+chance."""
+
+NOISY = 0.5
+"""Share of repeated readings at rest below which a sensor has noise that shows."""
+
+
+def frozen(recording: Recording) -> Iterator[Finding]:
+    """Stretches in which a wrench, or all markers of a sensor or camera, repeat exactly."""
+    for name, wrench in recording.wrenches.items():
+        values = components(wrench)
+        yield from _frozen(recording, "wrench", name, wrench.topic, wrench.t, values, (len(values), 6))
+    for name, markers in recording.markers.items():
+        shape = markers.position.shape[:2]
+        values = markers.position.reshape(len(markers), -1)
+        yield from _frozen(recording, "markers", name, markers.topic, markers.t, values, shape)
+    for name, tracks in recording.tracks.items():
+        values = tracks.uv.reshape(len(tracks), -1)
+        yield from _frozen(recording, "tracks", name, tracks.topic, tracks.t, values, tracks.uv.shape[:2])
+
+
+def same_as_before(values: np.ndarray) -> np.ndarray:
+    """Which rows are, in all that was measured, those before ``(n - 1,)``."""
+    before, after = values[:-1], values[1:]
+    alike = (before == after) | (np.isnan(before) & np.isnan(after))
+    return np.asarray(alike.all(axis=1) & np.isfinite(after).any(axis=1))
+
+
+def stretches(same: np.ndarray, still: np.ndarray, has_noise: bool) -> list[tuple[int, int]]:
+    """Stretches of readings that repeat more often in a row than chance makes them: indices of the repeated readings,
+    not of the first. ``same`` ``(n - 1,)``, ``still`` ``(n,)``; ``has_noise``: while the readings change."""
+    long = [(a, b) for a, b in runs_of(same) if b - a >= FEWEST]
+    if not long:
+        return []
+    short = [b - a for a, b in runs_of(same) if b - a < FEWEST]
+    if len(short) > max(FEWEST, len(long)):
+        # Readings repeat by themselves, as those of a display or of a coarse converter do.
+        return []
+    inside = np.zeros(len(same), dtype=bool)
+    for a, b in long:
+        inside[a:b] = True
+    level = repeats_at_rest(same, still & ~np.concatenate([[False], inside]))
+    if (level is None and not has_noise) or (level is not None and level > NOISY):
+        return []
+    usual = float(same[~inside].mean()) if (~inside).any() else 1.0
+    chance = max(usual, level or 0.0, 1.0 / len(same))
+    return [(a + 1, b + 1) for a, b in long if len(same) * chance ** (b - a) < BY_CHANCE]
+
+
+def _frozen(
+    recording: Recording,
+    role: str,
+    name: str,
+    topic: str,
+    t: np.ndarray,
+    values: np.ndarray,
+    shape: tuple[int, int],
+) -> Iterator[Finding]:
+    if len(values) < 2 * FEWEST:
+        return
+    found = stretches(same_as_before(values), at_rest(recording, t), noisy(values, t))
+    if not found:
+        return
+    rows = np.zeros(len(values), dtype=bool)
+    for a, b in found:
+        rows[a:b] = True
+    yield Finding(
+        "frozen",
+        topic,
+        "warning",
+        f"{int(rows.sum())} of {len(rows)} readings repeat the one before exactly, {when(t, found)}, while the others "
+        "have noise: the sensor or its driver was stuck.",
+        "They are left out.",
+        times=tuple(t[rows]),
+        values=tuple(float(b - a) for a, b in found),
+        bound=float(FEWEST),
+        role=role,
+        part=name,
+        faulty=np.repeat(rows[:, None], shape[1], axis=1),
+    )

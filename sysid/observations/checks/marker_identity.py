@@ -1,0 +1,138 @@
+"""Markers that land on one another, exchange their numbers, or are numbered anew."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sysid.observations.checks.finding import Finding, runs_of, when
+from sysid.observations.checks.lost_markers import placed_markers
+from sysid.recording import Recording
+
+SAME = 1e-4
+"""Distance of two markers, over the usual distance of neighbours, from which they are one detection."""
+
+FEWEST = 2
+"""Frames in a row in which they are."""
+
+JUMP = 0.5
+"""Motion from one frame to the next, over the distance of neighbours, from which a marker may be another one."""
+
+THERE = 0.2
+"""Distance from where another marker was, over how far it jumped, at which it has taken the other's place."""
+
+
+def coincident_markers(recording: Recording) -> Iterator[Finding]:
+    """Two numbers at one place: the tracker has followed one marker with both."""
+    for role, name, topic, t, places in placed_markers(recording):
+        spacing = usual_spacing(places)
+        if spacing is None:
+            continue
+        ids = (recording.markers if role == "markers" else recording.tracks)[name].ids
+        at = np.zeros((len(places), places.shape[1]), dtype=bool)
+        for k, frame in enumerate(places):
+            seen = np.flatnonzero(np.isfinite(frame).all(axis=1))
+            if len(seen) > 1:
+                for pair in cKDTree(frame[seen]).query_pairs(SAME * spacing):
+                    at[k, seen[list(pair)]] = True
+        for column in range(at.shape[1]):
+            kept = np.zeros(len(at), dtype=bool)
+            for a, b in runs_of(at[:, column]):
+                kept[a:b] = b - a >= FEWEST
+            at[:, column] = kept
+        shown = np.asarray(at.any(axis=1))
+        if len(t[shown]):
+            numbers = ", ".join(map(str, ids[at.any(axis=0)][:8].tolist()))
+            yield Finding(
+                "markers_coincide",
+                topic,
+                "warning",
+                f"The markers {numbers} are at the same place as another one, within {SAME * spacing:.2g} "
+                f"{'px' if role == 'tracks' else 'm'} where neighbours are {spacing:.3g} apart, "
+                f"{when(t, runs_of(shown))}: the tracker followed one marker twice.",
+                "They are left out there.",
+                times=tuple(t[shown]),
+                values=(SAME * spacing,),
+                bound=spacing,
+                role=role,
+                part=name,
+                faulty=at,
+            )
+
+
+def exchanged_markers(recording: Recording) -> Iterator[Finding]:
+    """Markers that jump to where another one was in the frame before, in a circle."""
+    for role, name, topic, t, places in placed_markers(recording):
+        spacing = usual_spacing(places)
+        if spacing is None:
+            continue
+        ids = (recording.markers if role == "markers" else recording.tracks)[name].ids
+        faulty = np.zeros(places.shape[:2], dtype=bool)
+        own = np.arange(places.shape[1])  # which marker each number stands for
+        instants, largest = [], 0
+        for k in range(1, len(places)):
+            taken = _taken(places[k - 1], places[k], spacing)
+            if taken:
+                instants.append(k)
+                largest = max(largest, len(taken))
+                own[list(taken)] = own[list(taken.values())]
+            faulty[k] = own != np.arange(len(own))
+        if not instants:
+            continue
+        faulty &= np.isfinite(places).all(axis=-1)
+        changed = ids[faulty.any(axis=0)]
+        numbers = ", ".join(map(str, changed[:8].tolist())) + (", ..." if len(changed) > 8 else "")
+        renumbered = largest > 2
+        yield Finding(
+            "markers_renumbered" if renumbered else "markers_exchanged",
+            topic,
+            "warning",
+            f"The markers {numbers} jump by {spacing:.3g} {'px' if role == 'tracks' else 'm'} and more to where others "
+            f"of them were in the frame before, at {when(t, [(k, k + 1) for k in instants])}: "
+            + ("the tracker numbered them anew." if renumbered else "the tracker exchanged their numbers."),
+            "Their readings from there on are left out, until they are exchanged back.",
+            times=tuple(float(t[k]) for k in instants),
+            values=(spacing,),
+            bound=JUMP * spacing,
+            role=role,
+            part=name,
+            faulty=faulty,
+        )
+
+
+def usual_spacing(places: np.ndarray) -> float | None:
+    """Distance of neighbouring markers, the median over markers in the frame that shows most of them; None for one
+    marker."""
+    seen = np.isfinite(places).all(axis=-1)
+    frame = places[int(np.argmax(seen.sum(axis=1)))]
+    frame = frame[np.isfinite(frame).all(axis=1)]
+    if len(frame) < 2:
+        return None
+    spacing = float(np.median(cKDTree(frame).query(frame, k=2)[0][:, 1]))
+    return spacing if spacing > 0.0 else None
+
+
+def _taken(before: np.ndarray, now: np.ndarray, spacing: float) -> dict[int, int]:
+    """Which markers have taken whose places from one frame ``(m, d)`` to the next, each place once."""
+    step = np.linalg.norm(now - before, axis=1)
+    jumped = np.flatnonzero(np.nan_to_num(step) > JUMP * spacing)
+    if len(jumped) < 2:
+        return {}
+    # What all do is motion: a jump is beside how the others move.
+    there = np.isfinite(step)
+    common = np.median((now - before)[there], axis=0)
+    beside = np.linalg.norm(now[jumped] - before[jumped] - common, axis=1)
+    if len(jumped) == there.sum() and np.median(beside) < JUMP * spacing:
+        return {}
+    distance = np.linalg.norm(now[jumped, None] - before[None, jumped], axis=-1)
+    nearest = np.argmin(distance, axis=1)
+    near = distance[np.arange(len(jumped)), nearest] < THERE * step[jumped]
+    places = jumped[nearest]
+    taken = {int(i): int(j) for i, j, good in zip(jumped, places, near, strict=True) if good and i != j}
+    while taken and set(taken) != set(taken.values()):  # only whole circles
+        taken = {i: j for i, j in taken.items() if i in taken.values() and j in taken}
+        if len(set(taken.values())) < len(taken):
+            return {}
+    return taken

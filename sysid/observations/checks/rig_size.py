@@ -1,0 +1,63 @@
+"""How large a rig is, and where its markers are, before anything moves or sags."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim_core.rigs import MarkerSensor, Rig, Rigid, marker_positions
+from sim_core.rigs.bodies import WORLD
+from sim_core.scene.assembly import world_pose
+from sim_core.scene.scene import Frame
+from sim_core.sensing.camera import project
+from sim_core.sensing.observe import frame_of
+from sysid.recording import Recording
+
+
+def extent_of(rig: Rig) -> float:
+    """Largest distance [m] between bodies, starts of end effectors and frames of sensors, at least 0.05 m."""
+    places = [np.zeros(3)] if not rig.end_effectors else []
+    for effector in rig.end_effectors.values():
+        places.append(np.array(effector.start.position_m))
+    frames = _starts(rig)
+    for body in rig.bodies.values():
+        places.append(world_pose(body.pose, frames[getattr(body, "mount", WORLD) or WORLD])[0])
+    for sensor in rig.sensors.values():
+        places.append(np.array(sensor.pose.position_m))
+    points = np.array(places)
+    return max(0.05, float(np.linalg.norm(np.ptp(points, axis=0))))
+
+
+def expected_markers(rig: Rig, name: str, recording: Recording) -> np.ndarray | None:
+    """Where the rig has the markers of a sensor [m] ``(m, 3)`` or camera [px] ``(m, 2)``, undeformed, when the end
+    effectors are at their first poses; None where that is not in the rig (``placed: first_frame``)."""
+    frames = _starts(rig)
+    for effector, stream in recording.poses.items():
+        if effector in frames and len(stream):
+            frames[effector] = frame_of(stream.position[0], stream.quaternion[0])
+    bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
+    if name in rig.sensors:
+        sensor = rig.sensors[name]
+        assert isinstance(sensor, MarkerSensor)
+        local = marker_positions(sensor.points, bodies[sensor.body])[0]
+        return np.asarray(sensor.pose.rotation().inv().apply(local - np.array(sensor.pose.position_m)))
+    camera = rig.cameras[name]
+    if any(sight.points.placed == "first_frame" for sight in camera.sees):
+        return None
+    origin, rotation = camera.truly(*world_pose(camera.pose, frames[camera.mount]))
+    seen = []
+    for sight in camera.sees:
+        body = bodies[sight.body]
+        local = marker_positions(sight.points, body)[0]
+        at, turn = world_pose(body.pose, frames[getattr(body, "mount", WORLD) or WORLD])
+        seen.append(project(camera, rotation.inv().apply(turn.apply(local) + at - origin)))
+    return np.vstack(seen)
+
+
+def _starts(rig: Rig) -> dict[str, Frame]:
+    """Frames of the mounts at the start."""
+    from scipy.spatial.transform import Rotation
+
+    frames: dict[str, Frame] = {WORLD: (np.zeros(3), Rotation.identity())}
+    for name, effector in rig.end_effectors.items():
+        frames[name] = (np.array(effector.start.position_m), effector.start.rotation())
+    return frames

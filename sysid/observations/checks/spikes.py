@@ -1,0 +1,104 @@
+"""Single readings that are far from those on both sides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sysid.noise.quantisation import common_step
+from sysid.observations.checks.finding import Finding, when
+from sysid.observations.checks.lost_markers import placed_markers
+from sysid.observations.checks.marker_identity import usual_spacing
+from sysid.observations.checks.motion import WORDS, components, unit
+from sysid.recording import Recording
+from sysid.recording.notes import plural
+
+FAR = 20.0
+"""Distance from the middle of the neighbours, over the usual one, of a spike."""
+
+BACK = 0.2
+"""Distance of the two neighbours from each other, over the height of a spike, at most."""
+
+FAR_STEPS = 5.0
+"""Height of a spike over the step in which a sensor reads, at least."""
+
+SEEN = 0.1
+"""Least height of a spike of a marker, over the distance of its neighbours."""
+
+LEAST_M = 1e-3
+"""Spikes of poses are at least so high [m]: less is noise of a pose that hardly has any."""
+
+
+def spikes(recording: Recording) -> Iterator[Finding]:
+    """Spikes of poses, which are left out, and of sensors, which fits find and leave out by themselves."""
+    for name, pose in recording.poses.items():
+        at = np.asarray(single(pose.position, LEAST_M / FAR_STEPS).any(axis=1))
+        if at.any():
+            height = _height(pose.position)[at].max()
+            yield Finding(
+                "pose_spike",
+                pose.topic,
+                "warning",
+                f"{plural(int(at.sum()), 'position')} of {len(at)} jump away by up to {height:.3g} m and back with the "
+                f"next message, {when(pose.t, [(int(k), int(k) + 1) for k in np.flatnonzero(at)])}.",
+                "They are left out.",
+                times=tuple(pose.t[at]),
+                values=(float(height),),
+                bound=LEAST_M,
+                role="pose",
+                part=name,
+                faulty=at,
+            )
+    for wrench in recording.wrenches.values():
+        values = components(wrench)
+        at = single(values, np.repeat([common_step(values[:, :3].T), common_step(values[:, 3:].T)], 3))
+        for k in np.flatnonzero(at.any(axis=0)):
+            height = float(_height(values)[at[:, k], k].max())
+            yield _of_sensor(wrench.topic, wrench.t, at[:, k], WORDS[k], height, unit(int(k)))
+    for role, _, topic, t, places in placed_markers(recording):
+        flat = places.reshape(len(places), -1)
+        at = single(flat, SEEN / FAR_STEPS * (usual_spacing(places) or np.inf))
+        if at.any():
+            height = float(_height(flat)[at].max())
+            yield _of_sensor(
+                topic, t, np.asarray(at.any(axis=1)), "a marker", height, "px" if role == "tracks" else "m"
+            )
+
+
+def single(values: np.ndarray, least: float | np.ndarray) -> np.ndarray:
+    """Which readings ``(n, c)`` are spikes, of more than ``least`` (one number, or one for each column)."""
+    at = np.zeros(values.shape, dtype=bool)
+    if len(values) < 10:
+        return at
+    inner = _height(values)[1:-1]
+    told = np.isfinite(inner).sum(axis=0) > 5
+    usual = np.full(values.shape[1], np.inf)
+    usual[told] = np.nanmedian(inner[:, told], axis=0)
+    # A column that mostly repeats has no usual distance of its own.
+    usual = np.maximum(usual, np.median(usual[told]) if told.any() else np.inf)
+    apart = np.abs(values[2:] - values[:-2])
+    with np.errstate(invalid="ignore"):
+        at[1:-1] = (inner > FAR * usual) & (inner > FAR_STEPS * least) & (apart < BACK * inner)
+    return at
+
+
+def _height(values: np.ndarray) -> np.ndarray:
+    """Distance from the middle of the neighbours ``(n, c)``, 0 at the ends, NaN beside what is missing."""
+    height = np.zeros(values.shape)
+    height[1:-1] = np.abs(values[1:-1] - 0.5 * (values[2:] + values[:-2]))
+    return height
+
+
+def _of_sensor(topic: str, t: np.ndarray, at: np.ndarray, words: str, height: float, unit_: str) -> Finding:
+    return Finding(
+        "spike",
+        topic,
+        "note",
+        f"{plural(int(at.sum()), 'reading')} of {words} jump away by up to {height:.3g} {unit_} and back, "
+        f"{when(t, [(int(k), int(k) + 1) for k in np.flatnonzero(at)])}.",
+        "A fit leaves out single mistakes by itself (--robust).",
+        times=tuple(t[at]),
+        values=(height,),
+        bound=FAR,
+    )

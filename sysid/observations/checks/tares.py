@@ -1,0 +1,68 @@
+"""Wrenches that step while nothing moves: the sensor was set to zero in the middle of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sysid.observations.checks.finding import Finding
+from sysid.observations.checks.motion import WORDS, at_rest, components, unit
+from sysid.recording import Recording
+
+BESIDE = 12
+"""Readings on each side that are compared; the two next to the step are left out."""
+
+FAR = 12.0
+"""Height of a step, over the scatter on both sides, from which it is none of noise."""
+
+ZERO = 4.0
+"""Standard deviations of its mean within which a reading is zero."""
+
+
+def tares(recording: Recording) -> Iterator[Finding]:
+    """Steps to zero of all that a sensor measures, at rest."""
+    for name, wrench in recording.wrenches.items():
+        values, still = components(wrench), at_rest(recording, wrench.t)
+        measured = np.flatnonzero(np.isfinite(values).all(axis=0) & (np.ptp(values, axis=0) > 0.0))
+        if not len(measured) or len(values) < 3 * BESIDE:
+            continue
+        for k in _steps(values[:, measured], still):
+            before, after = values[k - BESIDE : k - 1], values[k + 1 : k + 1 + BESIDE]
+            column = int(
+                measured[np.argmax(np.abs(before.mean(axis=0) - after.mean(axis=0))[measured] / _scale(measured))]
+            )
+            yield Finding(
+                "tare",
+                wrench.topic,
+                "warning",
+                f"While nothing moves {WORDS[column]} steps from {before[:, column].mean():.4g} to "
+                f"{after[:, column].mean():.2g} {unit(column)} at {wrench.t[k]:.3f} s, and all that the sensor "
+                "measures is zero from there: it was set to zero in the middle of the recording.",
+                f"Fit the recording in two windows, BAG@0:{wrench.t[k]:.3f} and what follows: each has its own bias.",
+                times=(float(wrench.t[k]),),
+                values=(float(before[:, column].mean()), float(after[:, column].mean())),
+                bound=0.0,
+                part=name,
+            )
+
+
+def _scale(components_: np.ndarray) -> np.ndarray:
+    """A torque of 1 N mm is as much as a force of 0.1 N."""
+    return np.where(components_ < 3, 1.0, 1e-2)
+
+
+def _steps(values: np.ndarray, still: np.ndarray) -> list[int]:
+    """First readings ``(k,)`` after steps to zero in ``values`` ``(n, c)``."""
+    found: list[int] = []
+    for k in range(BESIDE, len(values) - BESIDE - 1):
+        if not still[k - BESIDE : k + BESIDE].all() or (found and k - found[-1] < BESIDE):
+            continue
+        before, after = values[k - BESIDE : k - 1], values[k + 1 : k + 1 + BESIDE]
+        scatter = np.maximum(np.maximum(before.std(axis=0), after.std(axis=0)), 1e-12)
+        height = np.abs(before.mean(axis=0) - after.mean(axis=0))
+        zero = np.abs(after.mean(axis=0)) < ZERO * scatter / np.sqrt(BESIDE)
+        one = np.abs(values[k] - values[k - 1]) > 0.7 * height
+        if zero.all() and ((height > FAR * scatter) & one).any():
+            found.append(k)
+    return found

@@ -1,0 +1,6 @@
+"""Pictures, animations and a page of any rig, experiment, recording or trace: the functions behind ``thinshell show``.
+
+It is a room of ``sysid`` because it reads recordings and draws with matplotlib, which ``sim_core`` does without; what
+it draws (surfaces, strain, curvature, pressure, slip) comes from :mod:`sim_core.postprocess`, the words of what looks
+wrong from :mod:`sim_core.preflight`.
+"""

@@ -1,0 +1,69 @@
+"""Diagnoses recordings and writes the results with their report: the function behind ``thinshell diagnose``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+
+import yaml
+
+from sim_core.rigs import Rig, rig_to_yaml
+from sysid.diagnosis.diagnose import Progress, diagnose_runs
+from sysid.diagnosis.result import Diagnosis
+from sysid.io.atomic_folder import whole_folder, write_results
+from sysid.model.load import load_runs
+from sysid.report import REPORT, write_diagnosis_report
+
+
+def diagnose_bags(
+    rig: Rig,
+    bags: Sequence[Path],
+    *,
+    held_out: Sequence[Path] = (),
+    out: Path,
+    on_progress: Progress | None = None,
+    on_warning: Callable[[str], None] | None = None,
+    despite: Collection[str] = (),
+) -> str:
+    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``.
+    ``on_warning``: hears what speaks against the recordings before anything is simulated; ``despite``: findings that do
+    not stop it (:func:`sysid.model.load.read_run`)."""
+    with whole_folder(out) as folder:
+        runs, kept = load_runs(rig, bags, held_out, on_warning, despite)
+        diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
+        write_results(
+            folder,
+            out,
+            [
+                lambda place: diagnosis.write(place / "diagnosis.json"),
+                lambda place: write_rigs(rig, diagnosis, amended, place),
+                lambda place: write_diagnosis_report(diagnosis, place / REPORT),
+            ],
+        )
+    lines = [diagnosis.sentence, *diagnosis.notes, ""]
+    for effect in diagnosis.effects:
+        for p in effect.parameters:
+            lines.append(f"  {p.name} = {p.value:.4g} ({p.ci95[0]:.4g} .. {p.ci95[1]:.4g}) {p.unit}")
+    lines += [
+        f"Not explained: {diagnosis.not_explained}",
+        f"Next: {diagnosis.next_experiment}",
+        f"Report: {out / REPORT}",
+    ]
+    return "\n".join(lines)
+
+
+def write_rigs(rig: Rig, diagnosis: Diagnosis, amended: Rig, folder: Path) -> None:
+    """Write the rig as it was given, and what the diagnosis changes in it as an overlay of that."""
+    overlay = {
+        "overlay_of": "rig.yaml",
+        "name": f"{rig.name}_amended",
+        "description": diagnosis.sentence,
+        "parameters": {
+            p.name: p.value
+            for p in (diagnosis.amended_parameters or diagnosis.baseline_parameters)
+            if not p.name.startswith("effects.")
+        },
+        "effects": {name: dict(values) for name, values in amended.effects.items()},
+    }
+    (folder / "rig.yaml").write_text(rig_to_yaml(rig))
+    (folder / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))

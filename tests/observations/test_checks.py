@@ -1,0 +1,124 @@
+"""What is wrong with a recording is named, and nothing else; sound recordings are accused of nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recordings_with_a_fault import FAULTS, RIG, SOUND, TURNED, Press, inverted, press, write, wrong_order
+
+from sim_core.errors import RecordingError
+from sim_core.rigs import Rig, load_rig
+from sysid.cli.app import main
+from sysid.model.load import load_run
+from sysid.observations.checks import Finding, examine
+from sysid.observations.rig_topics import topics_of
+from sysid.recording import Recording, read_recording
+from sysid.recording.bag import open_bag
+from sysid.recording.notes import Notes
+
+SHARED = Path("/work/shared/data")
+
+
+def read(bag: Path, rig: Rig) -> Recording:
+    names, _ = topics_of(rig, open_bag(bag, Notes()).topics)
+    return read_recording(bag, names, need_pose=False)
+
+
+def rig_for(fault: Callable[[Press], None] | None = None) -> Rig:
+    rig = load_rig(RIG)
+    if fault not in (inverted, wrong_order):
+        return rig
+    finger = rig.end_effectors["finger"]
+    start = finger.start.model_copy(update={"quaternion_xyzw": tuple(TURNED.as_quat().tolist())})
+    return rig.model_copy(update={"end_effectors": {"finger": finger.model_copy(update={"start": start})}})
+
+
+def findings(bag: Path, rig: Rig) -> list[Finding]:
+    return list(examine(read(bag, rig), rig)[0])
+
+
+def test_nothing_is_said_of_the_example(tmp_path: Path) -> None:
+    assert findings(SOUND, load_rig(RIG)) == []
+    assert findings(write(press(), tmp_path / "bag"), load_rig(RIG)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [(name, fault) for name, faults in FAULTS.items() for fault in faults],
+    ids=lambda v: getattr(v, "__name__", str(v)),
+)
+def test_the_one_thing_that_is_wrong_is_named(name: str, fault: Callable[[Press], None], tmp_path: Path) -> None:
+    """By its name, and no other thing is."""
+    recording = press()
+    fault(recording)
+    found = findings(write(recording, tmp_path / "bag"), rig_for(fault))
+    assert {f.name for f in found} == {name}, [str(f) for f in found]
+    for one in found:
+        assert one.problem and (one.remedy or one.of_another_rig) and str(one).startswith(one.severity)
+
+
+def shared_recordings() -> list[tuple[Path, str]]:
+    """Recordings of others that are sound, with their rigs."""
+    cases = [(bag, str(bag.parent / "rig.yaml")) for bag in sorted(SHARED.glob("foreign/*/rec_*"))]
+    for bag in sorted(SHARED.glob("knit_fabric_stretch/*_pull*")):
+        cases.append((bag, "knit_" + bag.name.rpartition("_")[0]))
+    return [*cases, (SHARED / "tactip_shear" / "cr_tactip", "tactip_cr")]
+
+
+@pytest.mark.slow
+def test_sound_recordings_of_others_are_accused_of_nothing() -> None:
+    cases = [(bag, rig) for bag, rig in shared_recordings() if bag.exists()]
+    if len(cases) < 2:
+        pytest.skip("the recordings of others are not here")
+    accused = {
+        f"{bag.parent.name}/{bag.name}": [str(f) for f in findings(bag, load_rig(rig)) if f.severity != "note"]
+        for bag, rig in cases
+    }
+    assert {bag: said for bag, said in accused.items() if said} == {}
+
+
+def test_faulty_readings_are_left_out_aloud(tmp_path: Path) -> None:
+    recording = press()
+    FAULTS["clipped"][0](recording)
+    run = load_run(load_rig(RIG), write(recording, tmp_path / "bag"))
+    gauge = next(m for m in run.measured if m.channel == "wrench_gel")
+    at_the_end = np.abs(recording.wrench.values[:, 2]) == np.abs(recording.wrench.values[:, 2]).max()
+    assert at_the_end.sum() > 3
+    assert np.isnan(gauge.values[at_the_end, 2]).all() and np.isfinite(gauge.values[:, :2]).all()
+    assert any("reads exactly" in text and "They are left out." in text for text in run.doubts)
+
+
+def test_what_makes_a_fit_meaningless_stops_it_unless_told_to_go_on(tmp_path: Path) -> None:
+    recording = press()
+    FAULTS["two_publishers"][0](recording)
+    bag = write(recording, tmp_path / "bag")
+    with pytest.raises(RecordingError, match=r"0\.4 mm and 3 ms apart.*--despite two_publishers"):
+        load_run(load_rig(RIG), bag)
+    run = load_run(load_rig(RIG), bag, despite=["two_publishers"])
+    assert any("two sources" in text for text in run.doubts)
+
+
+def test_a_sensor_does_not_read_more_than_it_can() -> None:
+    rig = load_rig(RIG)
+    gauge = rig.sensors["wrench_gel"]
+    largest = float(np.abs(read(SOUND, rig).wrenches["wrench_gel"].force).max())
+    for range_n, told in ((0.5 * largest, True), (1.01 * largest, False)):
+        limited = rig.model_copy(
+            update={"sensors": {**rig.sensors, "wrench_gel": gauge.model_copy(update={"range_n": range_n})}}
+        )
+        assert [f.name for f in findings(SOUND, limited)] == (["sensor_range"] if told else [])
+
+
+def test_inspect_prints_what_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = press()
+    FAULTS["picture_size"][0](recording)
+    bag = write(recording, tmp_path / "bag")
+    assert main(["inspect", str(bag), "--rig", RIG]) == 0
+    said = capsys.readouterr().out
+    assert "stops a fit: /outside/marker_tracks: picture_size: camera_info says" in said
+    assert "640 x 360 px, the rig 1280 x 720 px" in said
+    assert main(["inspect", str(bag)]) == 0
+    assert "picture_size" not in capsys.readouterr().out

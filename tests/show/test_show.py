@@ -1,0 +1,189 @@
+"""What 'show' draws: views that project right, surfaces that hide each other, files of every kind, words that fit."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sim_core.errors import ConfigError
+from sim_core.rigs import Rig, load_rig, parse_rig, rig_to_yaml
+from sim_core.rigs.load import config_folder
+from sim_core.rigs.yamlfile import read_mapping
+from sim_core.sensing.camera import project
+from sysid.cli.app import main
+from sysid.show.outputs import PAGE, PICTURE, show
+from sysid.show.page import page
+from sysid.show.payload import payload
+from sysid.show.raster import Skin, View, look_at, render
+from sysid.show.scenery import camera_view
+from sysid.show.style import round_length, round_up
+from sysid.show.subject import still, subject_of
+
+WHITE = np.ones(3)
+SQUARE = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def square(z: float, colour: list[float], alpha: float = 1.0) -> Skin:
+    corners = np.array([[-1.0, -1.0, z], [1.0, -1.0, z], [1.0, 1.0, z], [-1.0, 1.0, z]])
+    return Skin(corners, SQUARE, np.repeat([colour], 4, axis=0), alpha, 0.0, 0.0)
+
+
+def view(parallel: bool = False) -> View:
+    scale = 20.0 if parallel else 100.0
+    return View(np.array([0.0, 0.0, -5.0]), np.eye(3), (scale, scale), (32.0, 32.0), (64, 64), parallel)
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_nearer_surface_hides_the_other_whatever_the_order(parallel: bool, order: int) -> None:
+    skins = [square(0.0, [1.0, 0.0, 0.0]), square(1e-5, [0.0, 0.0, 1.0])][::order]
+    picture, _ = render(view(parallel), skins, WHITE)
+    assert picture[32, 32].tolist() == [255, 0, 0]
+    assert picture[2, 2].tolist() == [255, 255, 255]
+
+
+def test_what_is_transparent_is_blended_over_what_is_behind_it_and_not_over_what_is_before_it() -> None:
+    red, pane = square(0.0, [1.0, 0.0, 0.0]), [0.0, 0.0, 1.0]
+    before, _ = render(view(), [red, square(-1.0, pane, 0.25)], WHITE)
+    behind, _ = render(view(), [red, square(1.0, pane, 0.25)], WHITE)
+    assert before[32, 32].tolist() == pytest.approx([191, 0, 64], abs=2)
+    assert behind[32, 32].tolist() == [255, 0, 0]
+
+
+def test_a_surface_covers_the_pixels_that_it_projects_to() -> None:
+    picture, _ = render(view(), [square(0.0, [0.0, 0.0, 0.0])], WHITE)
+    # 100 px at 5 m: 40 x 40 pixels.
+    assert np.count_nonzero(picture[..., 0] < 128) == 40 * 40
+
+
+def test_a_view_shows_all_points_as_near_as_it_can() -> None:
+    points = np.random.default_rng(3).uniform(-1.0, 1.0, (200, 3)) * [0.1, 0.05, 0.02]
+    seen = look_at(points, np.array([0.5, 0.8, -0.3]), np.array([0.0, 0.0, 1.0]), (400, 300))
+    pixel, depth = seen.project(points)
+    assert (depth > 0.0).all()
+    share = np.abs(pixel / [200.0, 150.0] - 1.0).max(axis=0)
+    assert share.max() == pytest.approx(0.92, abs=0.01)
+
+
+def test_the_eye_of_a_camera_puts_points_where_the_camera_does() -> None:
+    layout = still(load_rig("card_press")).layout
+    camera = layout.rig.cameras["outside"]
+    frame = layout.camera_frame(camera, layout.start)
+    points = layout.bodies["card"].rest
+    pixel, _ = camera_view(camera, frame, camera.width_px).project(points)
+    assert pixel == pytest.approx(project(camera, frame[1].inv().apply(points - frame[0])), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["gel_sensor", "balancing", "knit_acrylic_garter_x", "tactip_cr"])
+def test_the_page_holds_what_it_shows_and_nothing_from_elsewhere(name: str) -> None:
+    subject = still(load_rig(name))
+    text = page(subject, {})
+    assert len(text) < 5e6
+    assert not re.findall(r"(?:src|href)\s*=|@import|https?://", text)
+    head, block = payload(subject, {})
+    raw = zlib.decompress(base64.b64decode(block))
+    for body, skin in zip(head["bodies"], subject.skins, strict=True):
+        entry = body["positions"]
+        whole = np.frombuffer(raw, np.int16, entry["count"], entry["at"]).reshape(-1, 3)
+        found = whole * head["unit"] + head["centre"]
+        wanted = skin.vertices(subject.layout, subject.states.positions[0], subject.frames[0])
+        assert np.abs(found - wanted).max() <= head["unit"]
+    stored = re.search(r'id="head">(.*?)</script>', text, re.DOTALL)
+    assert stored is not None
+    assert json.loads(stored[1])["title"] == name
+
+
+def test_words_of_a_rig_cannot_break_out_of_the_page() -> None:
+    data = read_mapping(config_folder() / "rigs" / "gel_sensor.yaml")
+    data["description"] = "</script><script>alert(1)</script>"
+    text = page(still(parse_rig(data, "mischief")), {})
+    assert "<script>alert" not in text
+
+
+@pytest.mark.parametrize(("value", "up", "down"), [(0.0012, 0.0015, 0.001), (3.1, 5.0, 2.0), (70.0, 70.0, 50.0)])
+def test_scales_end_at_round_numbers(value: float, up: float, down: float) -> None:
+    assert round_up(value) == pytest.approx(up)
+    assert round_length(value) == pytest.approx(down)
+
+
+def short_press(tmp_path: Path) -> str:
+    path = tmp_path / "short.yaml"
+    path.write_text("name: short\nmotions: {finger: [{type: slide, by_m: [0.0, 0.0, -0.0015], speed_m_s: 0.03}]}\n")
+    return str(path)
+
+
+@pytest.mark.slow
+def test_an_experiment_becomes_picture_page_and_animation(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    subject = show(load_rig("gel_sensor"), short_press(tmp_path), out, animation="gif")
+    assert subject.findings == ()
+    assert Image.open(out / PICTURE).size == (1760, 1100)
+    with Image.open(out / "animation.gif") as moving:
+        assert moving.n_frames == len(subject.times)  # type: ignore[attr-defined]
+    text = (out / PAGE).read_text()
+    assert '<option value="pressure">' in text and "curvature" not in re.findall(r'<option value="(\w*)"', text)
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(ConfigError, match=r"notes\.txt"):
+        show(load_rig("gel_sensor"), None, out)
+
+
+def test_a_rig_that_cannot_be_simulated_is_shown_as_it_is_commanded(tmp_path: Path) -> None:
+    data = read_mapping(config_folder() / "rigs" / "card_press.yaml")
+    data["end_effectors"]["finger"]["start"]["position_m"] = [0.03, 0.0, 0.052]
+    subject = subject_of(parse_rig(data, "through"), short_press(tmp_path))
+    assert [f.kind for f in subject.findings] == ["not simulated", "bodies overlap"]
+    assert subject.moves
+    gel = subject.layout.bodies["gel"].nodes
+    moved = subject.states.positions[-1][gel] - subject.states.positions[0][gel]
+    assert moved == pytest.approx(np.tile([0.0, 0.0, -0.0015], (len(gel), 1)), abs=1e-9)
+
+
+def test_the_command_says_what_looks_wrong_and_where_the_files_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rig: Rig = load_rig("gel_sensor")
+    camera = rig.cameras["inside"]
+    blind = camera.model_copy(update={"pose": camera.pose.model_copy(update={"rpy_deg": (0.0, 0.0, 0.0)})})
+    (tmp_path / "blind.yaml").write_text(rig_to_yaml(rig.model_copy(update={"cameras": {"inside": blind}})))
+    assert main(["show", "blind.yaml"]) == 0
+    told = capsys.readouterr()
+    assert "warning: The camera inside sees none of its 49 markers" in told.err
+    assert told.out.split() == ["show_gel_sensor/picture.png", "show_gel_sensor/view.html"]
+    assert "sees none of its 49 markers" in (tmp_path / "show_gel_sensor" / "view.html").read_text()
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (["show", "gel_sensor", "--by", "presure"], "Did you mean 'pressure'?"),
+    (["show", "gel_sensor", "--animation", "avi"], "--animation is 'avi'"),
+    (["show", "gel_sensor", "none.npz"], "none.npz does not exist"),
+    (["show", "gel_sensor", "pres_twist"], "Did you mean 'press_twist'?"),
+    (["effects", "air_drg"], "Did you mean 'air_drag'?"),
+])  # fmt: skip
+def test_a_slip_of_the_pen_is_answered(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    assert told in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_effects_are_listed_and_told_in_full(capsys: pytest.CaptureFixture[str]) -> None:
+    from sim_core.effects import EFFECTS
+
+    assert main(["effects"]) == 0
+    listed = capsys.readouterr().out
+    assert all(effect.name in listed and effect.title in listed for effect in EFFECTS)
+    assert main(["effects", "air_drag", "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert found["name"] == "air_drag" and found["parameters"][0]["name"] == "drag_coefficient"
+    assert main(["effects", "air_drag"]) == 0
+    assert "effects: {air_drag: {drag_coefficient: ...}}" in capsys.readouterr().out
