@@ -116,6 +116,11 @@ class EndEffector(Displaced):
     base_frame: FrameId = "base_link"
     start: Pose = Pose()
     topics: PoseTopics = PoseTopics()
+    driven_by: Literal["measured", "commanded"] = Field(
+        default="measured",
+        description="poses of recordings that it follows: measured ones, smoothed by their noise (commanded where no "
+        "measured ones were recorded), or commanded ones",
+    )
     offset_sd_m: ShiftSds = Field(default=(5e-4, 5e-4, 5e-4), description="standard deviations of the shifts [m]")
     offset_sd_deg: TurnSds = Field(default=(0.5, 0.5, 0.5), description="standard deviations of the turns [deg]")
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from sim_core.errors import RecordingError
 from sim_core.rigs.fields import FloatArray
+from sim_core.rigs.pose_curve import PoseCurve, noise_of, pose_curve
 
 Profile = Callable[[FloatArray], FloatArray]
 """Share of the way, 0 to 1, over the share of the time, 0 to 1."""
@@ -17,15 +19,38 @@ Profile = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class PoseTrajectory:
-    """Poses over time; linear between samples (rotations: slerp), held before the first and after the last.
+    """Poses over time; a smooth curve (C2) between samples, held before the first and after the last.
 
     ``times``: [s], strictly increasing, shape ``(n,)``. ``positions``: [m], ``(n, 3)``.
-    ``quaternions``: unit, x y z w, neighbours in one half space, ``(n, 4)``.
+    ``quaternions``: unit, x y z w, neighbours in one half space, ``(n, 4)``. ``noise``: standard deviations of the
+    noise of positions [m] and turns [rad], one axis, which the curve smooths away; with none it goes through the
+    samples. Where samples are no smooth motion the curve has corners (:mod:`sim_core.rigs.pose_curve`).
     """
 
     times: FloatArray
     positions: FloatArray
     quaternions: FloatArray
+    noise: tuple[float, float] = (0.0, 0.0)
+
+    @cached_property
+    def curve(self) -> PoseCurve:
+        """The curve through or near the samples, of which there are at least two."""
+        return pose_curve(self.times, self.positions, self.quaternions, np.array(self.noise))
+
+    def smoothed(self) -> PoseTrajectory:
+        """The same samples as measured ones: with the noise that they show."""
+        sigma = noise_of(self.times, self.positions, self.quaternions)
+        return replace(self, noise=(float(sigma[0]), float(sigma[1])))
+
+    def since(self, begin: float) -> PoseTrajectory:
+        """The same poses, with times that count from ``begin`` [s]."""
+        return replace(self, times=self.times - begin)
+
+    def part(self, samples: slice) -> PoseTrajectory:
+        """Some of the samples in a row."""
+        return replace(
+            self, times=self.times[samples], positions=self.positions[samples], quaternions=self.quaternions[samples]
+        )
 
     @classmethod
     def from_samples(
@@ -95,14 +120,9 @@ class PoseTrajectory:
     def sample(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions [m] ``(k, 3)`` and quaternions ``(k, 4)`` at any times [s] ``(k,)``."""
         inside = np.clip(times, self.times[0], self.times[-1])
-        positions = np.column_stack([np.interp(inside, self.times, axis) for axis in self.positions.T])
         if len(self.times) == 1:
-            return positions, np.repeat(self.quaternions, len(inside), axis=0)
-        rotations = Slerp(self.times, Rotation.from_quat(self.quaternions))(inside)
-        quaternions = np.asarray(rotations.as_quat(), dtype=np.float64)
-        nearest = self.quaternions[np.clip(np.searchsorted(self.times, inside), 0, len(self.times) - 1)]
-        signs = np.where((quaternions * nearest).sum(axis=1) < 0.0, -1.0, 1.0)
-        return positions, quaternions * signs[:, None]
+            return np.repeat(self.positions, len(inside), axis=0), np.repeat(self.quaternions, len(inside), axis=0)
+        return self.curve.sample(inside)
 
     def speeds(self) -> tuple[FloatArray, FloatArray]:
         """Linear [m/s] and angular [rad/s] speed between neighbouring samples, each ``(n - 1,)``."""

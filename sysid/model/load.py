@@ -86,16 +86,28 @@ def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
                 " ".join(filter(None, [f"{path}: {found.channel}: {found.problem}", unlike])),
                 f"{found.remedy} To go on all the same: --despite {found.name}.",
             )
-    poses = {}
+    poses: dict[str, PoseTrajectory] = {}
+    corners: list[str] = []
     for name in rig.end_effectors:
-        stream = recording.poses[name]
-        poses[name] = PoseTrajectory.from_samples(
+        effector = rig.end_effectors[name]
+        commanded = recording.target_poses.get(name) if names.ee[name].target_pose else None
+        stream = recording.poses[name] if effector.driven_by == "measured" else commanded
+        if stream is None:
+            raise RecordingError(
+                f"{path}: end_effectors.{name} is driven by commanded poses, and the recording has none on "
+                f"{effector.topics.target_pose}.",
+                "Record them, or set driven_by: measured in the rig.",
+            )
+        trajectory = PoseTrajectory.from_samples(
             stream.t,
             stream.position,
             stream.quaternion,
-            max_gap_s=rig.end_effectors[name].topics.max_gap_s,
+            max_gap_s=effector.topics.max_gap_s,
             source=f"{path}: {stream.topic}",
         )
+        told = stream is recording.target_poses.get(name)
+        poses[name] = trajectory if told else trajectory.smoothed()
+        corners.extend(_corner_notes(stream.topic, poses[name]))
     recorded = tuple(_measured(rig, recording))
     measured, blanked = while_posed(rig, poses, recorded)
     if not measured:
@@ -119,6 +131,7 @@ def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
         notes=(
             *told_once(said),
             *lacking,
+            *corners,
             *([unlike] if unlike else []),
             *blanked,
             *missed,
@@ -135,6 +148,19 @@ def as_note(found: Finding) -> Note:
     """A finding as a remark on the recording."""
     severity: Severity = "info" if found.severity == "note" else "warning"
     return Note(severity, found.channel, found.text, times=found.times)
+
+
+def _corner_notes(topic: str, trajectory: PoseTrajectory) -> list[str]:
+    """A note if poses are no smooth motion at their sampling interval somewhere."""
+    if len(trajectory.times) < 2:
+        return []
+    times = trajectory.curve.inner_corners
+    if not len(times):
+        return []
+    return [
+        f"{topic}: {len(times)} of {len(trajectory.times)} poses, the first at {times[0]:.3f} s, are steps, gaps or "
+        "sudden changes of velocity at the sampling interval; the motion between poses is not smoothed across them."
+    ]
 
 
 def while_posed(

@@ -127,7 +127,7 @@ def _about(trajectory: PoseTrajectory, t: float) -> PoseTrajectory:
     first = max(0, int(np.searchsorted(trajectory.times, t - REACH_S, side="right")) - 1)
     last = int(np.searchsorted(trajectory.times, t + REACH_S)) + 1
     near = slice(min(first, len(trajectory.times) - 1), last)
-    return PoseTrajectory(trajectory.times[near], trajectory.positions[near], trajectory.quaternions[near])
+    return trajectory.part(near)
 
 
 def _frames(rig: Rig, name: str, first: FirstFrame) -> dict[str, Frame]:

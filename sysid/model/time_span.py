@@ -53,5 +53,5 @@ def known_until(rig: Rig, run: Run) -> float:
 def _ends_in_motion(trajectory: PoseTrajectory) -> bool:
     t = trajectory.times
     first = max(0, min(int(np.searchsorted(t, t[-1] - LAST_S)), len(t) - 2))
-    last = PoseTrajectory(t[first:], trajectory.positions[first:], trajectory.quaternions[first:])
+    last = trajectory.part(slice(first, None))
     return any(end > t[-1] - STILL_S for _, end in moving(last))

@@ -58,7 +58,7 @@ def window_of(rig: Rig, run: Run, part: Part) -> Run:
         )
     if part.end > run.end:
         notes.append(f"The window ends at {part.end:g} s, the recording's readings at {run.end:.3f} s.")
-    poses = {n: PoseTrajectory(p.times - part.begin, p.positions, p.quaternions) for n, p in run.poses.items()}
+    poses = {n: p.since(part.begin) for n, p in run.poses.items()}
     changes: dict[str, Change] = {}
     if part.begin > 0.0:
         if not build_scene(rig).all_held:
@@ -111,7 +111,7 @@ def _without_reading(rig: Rig, measured: Measured, inside: np.ndarray, when: str
 def _until(trajectory: PoseTrajectory, end: float) -> PoseTrajectory:
     """The poses until ``end`` [s], at least one: what comes later is no motion before."""
     count = max(1, int(np.searchsorted(trajectory.times, end, side="right")))
-    return PoseTrajectory(trajectory.times[:count], trajectory.positions[:count], trajectory.quaternions[:count])
+    return trajectory.part(slice(0, count))
 
 
 def _changes(rig: Rig, run: Run, begin: float) -> dict[str, Change]:
@@ -139,7 +139,7 @@ def not_from_rest(rig: Rig, run: Run) -> list[str]:
     scene = build_scene(rig)
     rig = placed(scene, run.firsts)
     scene.use(rig)
-    at_first = {n: PoseTrajectory(p.times + run.since, p.positions, p.quaternions) for n, p in run.poses.items()}
+    at_first = {n: p.since(-run.since) for n, p in run.poses.items()}
     ends: list[Mapping[str, np.ndarray]] = []
     for poses, since in ((at_first, 0.0), (run.poses, run.since)):
         try:
