@@ -23,7 +23,7 @@ from sim_core.rigs.motion import Experiment
 from sysid.fit.discretisation_refinement import discretisation
 from sysid.model.load import load_run
 from sysid.model.nuisance_parameters import KINDS, checked_kinds, has_bias, nuisance_parameters
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.noise.estimate import as_declared, undeclared
 from sysid.observations.observations import Measured, Run
@@ -31,7 +31,7 @@ from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import UNDETERMINED_SHARE, interval, names_undetermined, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-from sysid.uncertainty.nuisance_estimates import blamed
+from sysid.uncertainty.nuisance_estimates import confounded_with_nuisances
 
 Progress = Callable[[float, str], None]
 
@@ -136,14 +136,14 @@ def plan_experiments(
     parameters = [*asked, *nuisance_parameters(rig, runs, asked, kinds)]
     start, bias = start_of(rig, parameters), has_bias(rig, runs, asked, kinds)
     predicted = _Count(say, PREDICTIONS * len(runs))
-    with PooledEngine(os.cpu_count(), predicted) as engine:
+    with ParallelPredictor(os.cpu_count(), predicted) as engine:
         pending = [engine.submit_with_derivatives(rig, run, parameters, start) for run in runs]
         error_shapes = discretisation(engine, rig, runs)
         predictions = [p.result() for p in pending]
         outlooks = []
         groups = [[k] for k in range(len(runs))] + ([list(range(len(runs)))] if len(runs) > 1 else [])
         # With a bias what is known without one is asked once more
-        # (:func:`sysid.uncertainty.nuisance_estimates.blamed`).
+        # (:func:`sysid.uncertainty.nuisance_estimates.confounded_with_nuisances`).
         judged = _Readings(say, (2 if bias else 1) * sum(_readings(runs[k]) for group in groups for k in group))
         for group in groups:
             judged.begin(" and ".join(runs[k].name for k in group))
@@ -215,7 +215,7 @@ def _outlook(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> Outlook:
         for k, p in enumerate(fitted.parameters)
         if not p.nuisance
     ]
-    sentences = (*known.sentences, *blamed(problem, fitted, kinds), *_still(fitted))
+    sentences = (*known.sentences, *confounded_with_nuisances(problem, fitted, kinds), *_still(fitted))
     asked = [k for k, p in enumerate(fitted.parameters) if not p.nuisance]
     correlation = known.correlation[np.ix_(asked, asked)].tolist()
     return Outlook(tuple(run.name for run in problem.runs), tuple(expected), correlation, sentences)

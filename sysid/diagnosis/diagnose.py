@@ -35,7 +35,7 @@ from sysid.fit.discretisation_refinement import (
     fit_beside_discretisation,
 )
 from sysid.fit.result import plot_series, rms_errors
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters
 from sysid.model.provenance import provenance
 from sysid.noise.estimate import ChannelNoise, channel_noise
@@ -78,7 +78,7 @@ def diagnose_runs(
     started = time.monotonic()
     tell = on_progress or (lambda share, text: None)
     noise = channel_noise(rig, runs, held_out)
-    with PooledEngine(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
+    with ParallelPredictor(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
         tell(0.0, "baseline fit")
         parameters = fit_parameters(rig, open_parameters(rig))
         problem, base = _kept(
@@ -192,7 +192,7 @@ def _explained(before: Structure, left: Structure) -> float:
 
 
 def _check(
-    engine: PooledEngine, rig: Rig, noise: dict[str, ChannelNoise], held_out: Sequence[Run]
+    engine: ParallelPredictor, rig: Rig, noise: dict[str, ChannelNoise], held_out: Sequence[Run]
 ) -> tuple[Problem, tuple[str, ...]]:
     """The held-out runs that the fitted rig can follow, and a note for each that it cannot."""
     try:
@@ -213,7 +213,7 @@ def _held_out(check: Problem, fitted: Fitted) -> Fitted | None:
     return check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
 
 
-def _polished(engine: PooledEngine, problem: Problem, check: Problem, base: Fitted, trial: Trial) -> Trial:
+def _polished(engine: ParallelPredictor, problem: Problem, check: Problem, base: Fitted, trial: Trial) -> Trial:
     """Fit an answer to the end, with the discretisation error measured where it now stands.
 
     The baseline is judged beside the same error, so that nothing else differs. Where that error cannot be measured, the

@@ -20,10 +20,10 @@ from scipy.optimize import lsq_linear
 from sim_core.effects import Effect, all_effects, split_key
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter, fit_parameters, start_of
 from sysid.model.predictor import Prediction
-from sysid.solve.covariance import chance
+from sysid.solve.covariance import overdispersion
 from sysid.solve.gauss_newton import IN_SIGHT
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
@@ -65,7 +65,7 @@ def starting_values(effect: Effect, rig: Rig) -> list[dict[str, float]]:
     return out
 
 
-def screen(engine: PooledEngine, problem: Problem, base: Fitted) -> tuple[list[Start], dict[str, str]]:
+def screen(engine: ParallelPredictor, problem: Problem, base: Fitted) -> tuple[list[Start], dict[str, str]]:
     """Predict, for every effect and start, how well it would fit, best first; and what failed, by effects of which no
     start could be simulated with as much in sight as the baseline has."""
     pending: list[tuple[Effect, Rig, list[FitParameter], np.ndarray, list[Future[Prediction]]]] = []
@@ -111,7 +111,7 @@ def _predict(
     there = problem.assemble(beside, names, np.concatenate([base.scaled, scaled]))
     r, j = there.residual, there.jacobian[:, shared:]
     # The baseline was sought with priors weighed up by what chance makes of its misfit; so is this step.
-    pull = np.sqrt(chance(base))
+    pull = np.sqrt(overdispersion(base))
     width = np.array([p.prior_sd for p in (*base.parameters, *own)]) / pull
     rows = len(r)
     prior_residual = base.residual[rows:] * pull if problem.prior else np.zeros(shared)

@@ -8,10 +8,10 @@ from sim_core.effects import all_effects, split_key
 from sim_core.rigs import Rig
 from sysid.diagnosis.model_selection import Trial, Verdict
 from sysid.diagnosis.residual_analysis import Structure
-from sysid.fit.discretisation_refinement import doubtful, loud
+from sysid.fit.discretisation_refinement import large_discretisation_errors, unresolved_quantities
 from sysid.model.parameters import start_of
 from sysid.model.windows import not_from_rest
-from sysid.noise.data_quality import doubts
+from sysid.noise.data_quality import data_quality_warnings
 from sysid.noise.estimate import FROM_DIFFERENCES
 from sysid.solve.covariance import uncertainty
 from sysid.solve.optimum import Fitted
@@ -60,7 +60,11 @@ def notes(base: Fitted, problem: Problem, before: Structure, verdict: Verdict) -
             "There is misfit beyond the noise, but no more than the error of mesh and time step could leave. "
             "Finer cells or a shorter solver.dt_s in the rig would tell."
         )
-    said += doubts(base.rig, problem.runs) + loud(problem) + doubtful(problem)
+    said += (
+        data_quality_warnings(base.rig, problem.runs)
+        + large_discretisation_errors(problem)
+        + unresolved_quantities(problem)
+    )
     for name, noise in problem.noise.items():
         if noise.source == FROM_DIFFERENCES:
             said.append(

@@ -38,10 +38,10 @@ from sysid.fit.options import FitOptions
 from sysid.model.load import load_runs
 from sysid.model.nuisance_parameters import BIAS_SD, KINDS, nuisance_parameters
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.observations.observations import Measured, Run
 from sysid.simulate import Noise, WhiteNoise, simulate_to_bag
-from sysid.solve.interruption import why
+from sysid.solve.interruption import reason_of
 
 Progress = Callable[[float, str], None]
 
@@ -232,10 +232,10 @@ def measure_coverage(
                 try:
                     outcomes += future.result()
                 except BrokenProcessPool as error:  # all that had not ended say so
-                    defect, lost = error, why(error)
+                    defect, lost = error, reason_of(error)
                     continue
                 except Exception as error:
-                    failed[case] = why(error)
+                    failed[case] = reason_of(error)
                     defect = defect if isinstance(error, ThinshellError) else error
                 left.remove(case)
                 tell()
@@ -264,7 +264,7 @@ def draw(rig: Rig, parameters: Sequence[FitParameter], spread: float, rng: np.ra
     return np.array(drawn)
 
 
-def _untold(rig: Rig, asked: Sequence[FitParameter], rng: np.random.Generator) -> Rig:
+def _with_drawn_nuisances(rig: Rig, asked: Sequence[FitParameter], rng: np.random.Generator) -> Rig:
     """The rig with offsets in time, cameras and end effectors that are off, as the priors of a fit expect them."""
     kinds = {n: "wrench" if isinstance(s, WrenchSensor) else "markers" for n, s in rig.sensors.items()}
     kinds |= dict.fromkeys(rig.cameras, "tracks")
@@ -286,10 +286,10 @@ class _Biased:
         if kind != "wrench":
             return drawn
         rng = np.random.default_rng([self.seed, *channel.encode()])
-        return coloured(drawn, self.colour) + np.repeat(BIAS_SD, 3) * rng.standard_normal(6)
+        return autocorrelated_noise(drawn, self.colour) + np.repeat(BIAS_SD, 3) * rng.standard_normal(6)
 
 
-def coloured(white: np.ndarray, rho: float) -> np.ndarray:
+def autocorrelated_noise(white: np.ndarray, rho: float) -> np.ndarray:
     """Stationary noise of the same standard deviation, of which neighbouring samples are correlated by ``rho``, from
     white noise ``(n, m)``."""
     driven = np.sqrt(1.0 - rho**2) * white
@@ -298,9 +298,9 @@ def coloured(white: np.ndarray, rho: float) -> np.ndarray:
 
 
 @cache
-def _engine() -> Engine:
+def _engine() -> SerialPredictor:
     """Of this process, which keeps its scenes from case to case."""
-    return Engine()
+    return SerialPredictor()
 
 
 def _case(
@@ -315,7 +315,7 @@ def _case(
     colour: float,
 ) -> list[Outcome]:
     rng = np.random.default_rng(noise_seed)
-    true = _untold(rig_at(rig, parameters, truth), parameters, rng)
+    true = _with_drawn_nuisances(rig_at(rig, parameters, truth), parameters, rng)
     with tempfile.TemporaryDirectory() as folder:
         bags = [Path(folder) / f"{k}" for k in range(len(experiments))]
         for k, (experiment, bag) in enumerate(zip(experiments, bags, strict=True)):

@@ -34,7 +34,7 @@ from sysid.noise.estimate import ChannelNoise, quantities
 from sysid.observations.observations import Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import ErrorShape
-from sysid.solve.interruption import ENDS_EARLY, stop
+from sysid.solve.interruption import ENDS_EARLY, end_unconverged
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -64,7 +64,7 @@ class Unmeasured(ThinshellError):
 
     def __init__(self, cause: ThinshellError, beside: Problem, fitted: Fitted) -> None:
         super().__init__(cause.problem, cause.remedy)
-        stop(fitted, cause, "it stands where its discretisation error is not known")
+        end_unconverged(fitted, cause, "it stands where its discretisation error is not known")
         self.beside, self.fitted = beside, fitted
 
 
@@ -191,7 +191,9 @@ def fit_beside_discretisation(
         except ENDS_EARLY as error:
             if known is None:
                 raise
-            stop(known, error, "it was not searched on beside the error of mesh and time step where it stands")
+            end_unconverged(
+                known, error, "it was not searched on beside the error of mesh and time step where it stands"
+            )
             return problem, _counted(known, evaluations)
         evaluations += fitted.evaluations
         moved = np.abs(fitted.scaled - scaled)
@@ -228,7 +230,7 @@ def fit_beside_discretisation(
     return problem, _counted(fitted, evaluations)
 
 
-def loud(problem: Problem) -> list[str]:
+def large_discretisation_errors(problem: Problem) -> list[str]:
     """A sentence for each quantity in which the error of mesh and time step is far above the noise."""
     return [
         f"The error of mesh and time step in the {quantity} of {channel} may be {max(ratios):.0f} times the noise. "
@@ -261,7 +263,7 @@ def _sizes(problem: Problem) -> dict[tuple[str, str], tuple[list[float], list[fl
     return found
 
 
-def doubtful(problem: Problem) -> list[str]:
+def unresolved_quantities(problem: Problem) -> list[str]:
     """A sentence for each quantity of a run that counts little where its discretisation error changes unforeseen."""
     said = []
     for i, run in enumerate(problem.runs):

@@ -14,12 +14,12 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.discretisation_refinement import (
     Unmeasured,
-    doubtful,
     error_sizes,
     fit_beside_discretisation,
-    loud,
+    large_discretisation_errors,
+    unresolved_quantities,
 )
-from sysid.fit.minimum_norm import nearest
+from sysid.fit.minimum_norm import minimum_norm_solution
 from sysid.fit.multistart import SEARCHED, Evaluations, Progress, Searches, Step
 from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.result import (
@@ -32,24 +32,24 @@ from sysid.fit.result import (
 )
 from sysid.fit.validation import all_scored
 from sysid.model.nuisance_parameters import has_bias, nuisance_parameters
-from sysid.model.parallel_predictor import AnyEngine, PooledEngine
+from sysid.model.parallel_predictor import AnyEngine, ParallelPredictor
 from sysid.model.parameters import FitParameter, asked_for, bounds_cut, rig_at, start_of
 from sysid.model.predictor import Prediction
 from sysid.model.provenance import provenance
 from sysid.model.windows import not_from_rest
-from sysid.noise.autocorrelation import unheard
-from sysid.noise.data_quality import doubts
+from sysid.noise.autocorrelation import unknown_autocorrelation
+from sysid.noise.data_quality import data_quality_warnings
 from sysid.noise.estimate import ChannelNoise, channel_noise, column_groups, overruled
 from sysid.observations.observations import Run, check_apart, of_recording
 from sysid.solve.covariance import Finding, names_undetermined
-from sysid.solve.interruption import ENDS_EARLY, stop, to_the_end, why
+from sysid.solve.interruption import ENDS_EARLY, end_unconverged, interrupts_ignored, reason_of
 from sysid.solve.nonsmooth_trust_region import AT_KINK
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.goodness_of_fit import unexplained
-from sysid.uncertainty.nuisance_estimates import as_usual, blamed, nuisances_of, remarks
-from sysid.uncertainty.prior_data_conflict import contradictions
+from sysid.uncertainty.nuisance_estimates import confounded_with_nuisances, nuisances_of, remarks, with_mean_nuisances
+from sysid.uncertainty.prior_data_conflict import prior_data_conflicts
 from sysid.uncertainty.profile_likelihood import Profile
 from sysid.uncertainty.profiler import Profiler
 
@@ -91,7 +91,7 @@ def fit_runs(
     if on_progress is not None:
         on_progress(0.0, "first simulations")
     evaluations = Evaluations(options, on_progress, on_step)
-    own = PooledEngine(os.cpu_count()) if engine is None else nullcontext(engine)
+    own = ParallelPredictor(os.cpu_count()) if engine is None else nullcontext(engine)
     with own as engine:
         return _fit_runs(engine, rig, runs, asked, held_out, options, evaluations, on_progress)
 
@@ -140,7 +140,7 @@ def _fit_runs(
     look, problem, fitted = found.look, found.problem, found.fitted
     if fitted.interrupted and on_progress is not None:
         on_progress(0.97, "interrupted; what was found is put together")
-    with to_the_end():
+    with interrupts_ignored():
         before = problem.compare([future.result() for future in as_given], rig, [], np.zeros(0))
         nuisances = nuisances_of(problem, fitted)
         own = error_sizes(problem)
@@ -163,7 +163,7 @@ def _fit_runs(
             )
         notes += (
             search.ends
-            + unheard(problem.noise)
+            + unknown_autocorrelation(problem.noise)
             + overruled(runs, problem.noise)
             + out_of_sight(problem, before, fitted)
         )
@@ -171,17 +171,17 @@ def _fit_runs(
     try:
         moved = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
     except KeyboardInterrupt as error:
-        notes.append(f"Whether windows begin at rest was not looked at: {why(error)}")
+        notes.append(f"Whether windows begin at rest was not looked at: {reason_of(error)}")
     if moved:
         sentences = ["What was fitted to a window that does not begin at rest means nothing.", *moved, *sentences]
     if held_out and any(p.bag for p in asked):
         notes.append("Held-out recordings are predicted with the mean of the values that each bag has for itself.")
     if held_out and on_progress is not None:
         on_progress(0.98, "held-out recordings")
-    final = as_usual(fitted.rig, nuisances)
+    final = with_mean_nuisances(fitted.rig, nuisances)
     scores, said = all_scored(engine, fitted.rig, rig, final, held_out, problem.noise, bias, own)
     notes += said
-    with to_the_end():
+    with interrupts_ignored():
         if options.robust:
             followed = [(score.run, score.prediction) for score in scores if score.prediction is not None]
             seen, predictions = [*runs, *(r for r, _ in followed)], [*fitted.predictions, *(p for _, p in followed)]
@@ -210,7 +210,9 @@ def _fit_runs(
             outliers=look.outliers,
             unexplained=left,
             contradicted=found.contradicted,
-            cautions=doubts(rig, runs) + loud(problem) + doubtful(problem),
+            cautions=data_quality_warnings(rig, runs)
+            + large_discretisation_errors(problem)
+            + unresolved_quantities(problem),
             undetermined=open_ended | {p.name for p in found.profiles if p.undetermined},
         )
     return result, final
@@ -257,26 +259,28 @@ def _searched(
         except ENDS_EARLY as error:
             if at is first:
                 raise
-            stop(fitted, error, "a better fit that is known was not searched from")
+            end_unconverged(fitted, error, "a better fit that is known was not searched from")
             break
         ended = fitted
         try:
-            fitted = nearest(problem, ended, first, evaluations.left, evaluations)
+            fitted = minimum_norm_solution(problem, ended, first, evaluations.left, evaluations)
         except ENDS_EARLY as error:
-            stop(fitted, error, "values that fit as well and are nearer to the rig's were not looked for")
-        with to_the_end():
+            end_unconverged(fitted, error, "values that fit as well and are nearer to the rig's were not looked for")
+        with interrupts_ignored():
             estimates, correlation, findings, reduced = estimates_of(fitted, first)
-            against = contradictions(fitted) if fitted.converged else {}
+            against = prior_data_conflicts(fitted) if fitted.converged else {}
             findings = [found for found in findings if found.undetermined not in {(name,) for name in against}]
             findings += [Finding(NEAREST)] if fitted is not ended else []
-            findings += [Finding(sentence) for sentence in blamed(problem, fitted, sorted(options.kinds))]
+            findings += [
+                Finding(sentence) for sentence in confounded_with_nuisances(problem, fitted, sorted(options.kinds))
+            ]
         profiles: list[Profile] = []
         better = None
         try:
             given_up = max(0.0, fitted.chi2 - ended.chi2)
             profiles, findings, better = _profiled(problem, fitted, findings, options.intervals, on_progress, given_up)
         except ENDS_EARLY as error:
-            findings.append(Finding(f"Intervals were not looked at along the likelihood: {why(error)}"))
+            findings.append(Finding(f"Intervals were not looked at along the likelihood: {reason_of(error)}"))
         if better is None:
             break
         if not left:
@@ -324,7 +328,7 @@ def _fit_beside_mistakes(
             if ended is None:
                 raise
             look, problem, fitted = ended
-            stop(fitted, error, "it was not repeated without the readings that are mistakes beside it")
+            end_unconverged(fitted, error, "it was not repeated without the readings that are mistakes beside it")
             break
         ended = look, problem, fitted
         if not robust or not left or fitted.cut_short:

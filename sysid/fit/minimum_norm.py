@@ -8,9 +8,9 @@ the least of
 is gone to. D scales the parameters that were asked for and of which nothing was known by their plausible widths, and is
 0 elsewhere; V are the directions, in these widths, along which the recordings and priors leave more than
 :data:`sysid.solve.covariance.UNDETERMINED_SHARE` of a width: others are not drawn to the start theta0 (Tikhonov's
-regularisation of a truncated basis; Hansen 1998). kappa is what chance makes of chi-square
-(:func:`sysid.solve.covariance.chance`). The end is taken where the first term has risen by no more than :data:`RISE`
-and nothing that is determined has moved by more than a fifth of its standard deviation.
+regularisation of a truncated basis; Hansen 1998). kappa is the overdispersion of chi-square
+(:func:`sysid.solve.covariance.overdispersion`). The end is taken where the first term has risen by no more than
+:data:`RISE` and nothing that is determined has moved by more than a fifth of its standard deviation.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from sim_core.errors import ThinshellError
-from sysid.solve.covariance import UNDETERMINED_SHARE, WIDEST, chance, names_undetermined, uncertainty
+from sysid.solve.covariance import UNDETERMINED_SHARE, WIDEST, names_undetermined, overdispersion, uncertainty
 from sysid.solve.gauss_newton import SHORT
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
@@ -43,7 +43,7 @@ SHARES = (1.0, 0.5, 0.25)
 """Shares of a step that are tried in turns."""
 
 
-def nearest(
+def minimum_norm_solution(
     problem: Problem,
     fitted: Fitted,
     start: np.ndarray,
@@ -81,7 +81,7 @@ class _Back:
     ) -> None:
         self._problem, self._fitted, self._start = problem, fitted, start
         self._most, self._on_evaluation = most, on_evaluation
-        self._noise = np.sqrt(chance(fitted))
+        self._noise = np.sqrt(overdispersion(fitted))
         parameters = fitted.parameters
         self._low, self._high = np.array([p.scaled_bounds for p in parameters]).T
         self._width = np.array([p.prior_sd for p in parameters])

@@ -28,7 +28,7 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.options import FitOptions, Intervals
 from sysid.model.parameters import FitParameter
-from sysid.solve.covariance import chance, uncertainty
+from sysid.solve.covariance import overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.goodness_of_fit import GOOD_MISFIT, worst
@@ -214,7 +214,7 @@ class Searches:
             self._found.append(other)
             self._begun.append(start)
             mine, others = best.beside(other)
-            if mine - others > SAME_CHI2 * chance(best):
+            if mine - others > SAME_CHI2 * overdispersion(best):
                 best = other
         return best
 
@@ -300,7 +300,7 @@ def _said(begun: Sequence[np.ndarray], found: Sequence[Fitted], failed: int) -> 
     asked = np.array([not p.nuisance for p in best.parameters])
     sd = np.where(asked, uncertainty(best).sd, np.inf)
     beyond = [np.subtract(*f.beside(best)) for f in found]
-    as_good = [f for f, more in zip(found, beyond, strict=True) if more <= SAME_CHI2 * chance(best)]
+    as_good = [f for f, more in zip(found, beyond, strict=True) if more <= SAME_CHI2 * overdispersion(best)]
     apart = [f for f in as_good if np.any(np.abs(f.scaled - best.scaled) > SAME_PLACE * sd)]
     sentences = [f"Of searches from {len(found) + failed} starts {len(as_good)} ended equally well."]
     if failed:

@@ -15,7 +15,7 @@ from sysid.model.predictor import Prediction
 from sysid.model.windows import not_from_rest
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Run
-from sysid.solve.interruption import why
+from sysid.solve.interruption import reason_of
 from sysid.solve.residuals import Problem
 
 
@@ -74,10 +74,10 @@ def all_scored(
             notes += [f"{run.name}: {note}" for note in not_from_rest(fitted, run)]
             scores.append(scored(engine, before, after, run, noise, bias, own))
         except KeyboardInterrupt as error:
-            missed[why(error)] = [other.name for other in runs[k:]]
+            missed[reason_of(error)] = [other.name for other in runs[k:]]
             break
         except Exception as error:  # the fit that is finished is worth more
-            missed.setdefault(why(error), []).append(run.name)
+            missed.setdefault(reason_of(error), []).append(run.name)
     notes += [note for score in scores for note in score.notes]
     notes += [f"Held-out recordings {', '.join(names)} were not predicted: {text}" for text, names in missed.items()]
     return scores, notes

@@ -111,7 +111,7 @@ def _stretched(system: System, state: State, dt: float, move: np.ndarray) -> dic
     return system.carried(state.internals, move)
 
 
-class Beyond:
+class StateGradients:
     """A rig under a motion until ``end`` [s], and some of :data:`KINDS`; ``fields``: names of those that are looked at,
     which may leave out the unit; none: all of them."""
 

@@ -17,7 +17,7 @@ from rich.table import Table
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, list_parameters, resolve_name
 from sim_core.rigs.motion import Experiment, compile_experiment
-from sysid.gradients.beyond import KINDS, MEMORY, NODE_M, RATIO, SHIFT_M, SPEED_M_S, TURN_RAD, Beyond
+from sysid.gradients.beyond import KINDS, MEMORY, NODE_M, RATIO, SHIFT_M, SPEED_M_S, TURN_RAD, StateGradients
 from sysid.gradients.compare import Comparison
 from sysid.gradients.differences import STEPS, Row
 
@@ -89,7 +89,7 @@ def check_gradients(
 
     by_parameters = Comparison(rig, poses, end, chosen, on_work) if chosen else None
     only = () if names is None or "fields" in names else fields
-    by_others = Beyond(rig, poses, end, kinds, on_work, only) if kinds else None
+    by_others = StateGradients(rig, poses, end, kinds, on_work, only) if kinds else None
     both = [found for found in (by_parameters, by_others) if found is not None]
     work = sum(found.amount_of_work(steps) for found in both)
     rows = [row for found in both for row in found.rows(steps)]

@@ -31,7 +31,7 @@ from sim_core.effects import Nuisance, all_effects, split_key
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.rigs import Rig
 from sysid.model.parameters import FitParameter, fit_parameters
-from sysid.model.pose_influence import acting
+from sysid.model.pose_influence import influencing_end_effectors
 from sysid.noise.estimate import column_groups
 from sysid.observations.observations import Measured, Run
 from sysid.observations.selection import recording_of
@@ -68,7 +68,7 @@ def nuisance_parameters(
     """
     names = {p.target for p in asked}
     measured = {m.channel: m for run in runs for m in run.measured}
-    hands = acting(rig, measured)
+    hands = influencing_end_effectors(rig, measured)
     found: list[FitParameter] = []
     declared = [n for n in _allowed(rig, asked) if n.kind in kinds and n.parameter is not None and n.sd]
     owners = [(channel, kind) for channel in measured for kind in ("time", "camera")]

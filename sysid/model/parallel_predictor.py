@@ -13,15 +13,15 @@ import numpy as np
 from sim_core.batch import worker_pool
 from sim_core.rigs import Rig
 from sysid.model.parameters import FitParameter
-from sysid.model.predictor import Engine, Prediction
+from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.observations.observations import Run
 
-_ENGINE: list[Engine] = []
+_ENGINE: list[SerialPredictor] = []
 
 
 def _start() -> None:
     """Each worker keeps its scenes."""
-    _ENGINE.append(Engine())
+    _ENGINE.append(SerialPredictor())
 
 
 def _predict(rig: Rig, run: Run, refine: int, dt: float | None) -> Prediction:
@@ -34,8 +34,8 @@ def _predict_with_derivatives(
     return _ENGINE[0].predict_with_derivatives(rig, run, parameters, scaled, refine, dt)
 
 
-class PooledEngine:
-    """As :class:`sysid.model.predictor.Engine`, in ``workers`` processes. Use as a context manager.
+class ParallelPredictor:
+    """As :class:`sysid.model.predictor.SerialPredictor`, in ``workers`` processes. Use as a context manager.
 
     ``on_done``: called in a thread of the pool after each prediction, made or failed.
     """
@@ -44,7 +44,7 @@ class PooledEngine:
         self._workers = workers or os.cpu_count() or 1
         self._on_done = on_done
 
-    def __enter__(self) -> PooledEngine:
+    def __enter__(self) -> ParallelPredictor:
         self._open = ExitStack()
         self._pool = self._open.enter_context(worker_pool(self._workers, _start))
         return self
@@ -86,5 +86,5 @@ class PooledEngine:
         return future
 
 
-AnyEngine = Engine | PooledEngine
+AnyEngine = SerialPredictor | ParallelPredictor
 """In this process, or in several."""

@@ -7,7 +7,7 @@ from collections.abc import Collection
 from sim_core.rigs import WORLD, Affine, Gel, Rig, Rigid, Sheet, WrenchSensor
 
 
-def acting(rig: Rig, channels: Collection[str]) -> list[str]:
+def influencing_end_effectors(rig: Rig, channels: Collection[str]) -> list[str]:
     """End effectors whose pose may act on what is measured, in the order of the rig."""
     seen = {thing for channel in channels for thing in _seen(rig, channel)}
     return [name for name in rig.end_effectors if seen & _reached(rig, name)]

@@ -18,7 +18,7 @@ from sim_core.simulate import Trace, simulate
 from sysid.model.marker_registration import placed, placed_along
 from sysid.model.parameters import FitParameter, acting_in, rig_at
 from sysid.model.sensor_streams import predicted, predicted_derivatives, stream_derivatives
-from sysid.model.time_span import rollout_times, too_late
+from sysid.model.time_span import after_known_motion, rollout_times
 from sysid.observations.observations import Run
 
 STEP = 1e-5
@@ -36,7 +36,7 @@ class Prediction:
     trace: Trace
 
 
-class Engine:
+class SerialPredictor:
     """Evaluates rigs on runs in this process."""
 
     def __init__(self) -> None:
@@ -140,7 +140,7 @@ def _at_stamps(trace: Trace, rig: Rig, run: Run) -> dict[str, np.ndarray]:
     found = {}
     for m in run.measured:
         values = predicted(trace, rig, m.channel, m.t, run.since).reshape(len(m.t), -1)
-        found[m.channel] = np.where(too_late(rig, run, m)[:, None], np.nan, values)
+        found[m.channel] = np.where(after_known_motion(rig, run, m)[:, None], np.nan, values)
     return found
 
 

@@ -35,7 +35,7 @@ def rollout_times(rigs: Sequence[Rig], run: Run, dt: float) -> np.ndarray:
     return np.concatenate([step_times(0.0, run.end, dt), run.end + dt * np.arange(1, count + 1)])
 
 
-def too_late(rig: Rig, run: Run, measured: Measured) -> np.ndarray:
+def after_known_motion(rig: Rig, run: Run, measured: Measured) -> np.ndarray:
     """Which readings of a channel show the motion later than it is known ``(n,)``."""
     return np.asarray(measured.t - total_delay(rig, measured.channel, measured.kind) > known_until(rig, run) + 1e-9)
 

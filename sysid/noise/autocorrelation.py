@@ -35,7 +35,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from sysid.noise.estimate import FROM_DIFFERENCES, MIN_REST_SAMPLES, ChannelNoise
-from sysid.noise.sampling_interval import paced
+from sysid.noise.sampling_interval import in_sampling_intervals
 
 SHORTEST, LONGER = 1.5, 3.0
 """Shortest correlation length [samples], and the largest ratio of one to the next."""
@@ -78,7 +78,7 @@ class Samples:
 def _counted(t: np.ndarray) -> np.ndarray:
     """Numbers of the samples at the times ``t`` [s] ``(n,)`` in a row that has those that are missing as well. Long
     pauses count for less, so that the row is at most twice as long as without."""
-    steps = np.maximum(np.rint(np.diff(paced(t))), 1.0)
+    steps = np.maximum(np.rint(np.diff(in_sampling_intervals(t))), 1.0)
     gaps = max(int(np.count_nonzero(steps > 1.0)), 1)
     return np.concatenate([[0], np.cumsum(np.minimum(steps, 1 + len(t) // gaps))]).astype(int)
 
@@ -93,7 +93,7 @@ class Part(NamedTuple):
     tared: bool = False
 
 
-def coloured_scores(quantities: Sequence[Sequence[Part]], inverse: np.ndarray) -> np.ndarray:
+def autocorrelated_scores(quantities: Sequence[Sequence[Part]], inverse: np.ndarray) -> np.ndarray:
     """By how much the covariance of the scores exceeds the information ``(p, p)``: sum of J^T C J - J^T J over
     quantities, of which each has a part in some runs; ``inverse`` ``(p, p)``: A."""
     excess = np.zeros(inverse.shape)
@@ -191,7 +191,7 @@ def _until(values: np.ndarray, lag: int) -> np.ndarray:
     return values[: max(len(values) - lag, 0)]
 
 
-def unheard(noise: Mapping[str, ChannelNoise]) -> list[str]:
+def unknown_autocorrelation(noise: Mapping[str, ChannelNoise]) -> list[str]:
     """A sentence for each channel whose colour no rest told."""
     return [
         f"The colour of the noise of {name} is not known, since nothing stands still for {MIN_REST_SAMPLES} of its "

@@ -29,7 +29,7 @@ APART = 3.0
 """Ratio of the noise of two recordings from which they are not weighed alike without a word."""
 
 
-def doubts(rig: Rig, runs: Sequence[Run]) -> list[str]:
+def data_quality_warnings(rig: Rig, runs: Sequence[Run]) -> list[str]:
     """A sentence for each such thing."""
     said = []
     for run in runs:

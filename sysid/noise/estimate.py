@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.noise.quantisation import common_step
-from sysid.noise.sampling_interval import NEXT, paced
+from sysid.noise.sampling_interval import NEXT, in_sampling_intervals
 from sysid.observations.observations import UNITS, Measured, Run
 
 MIN_REST_SAMPLES = 15
@@ -360,7 +360,7 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
                 continue
             extent = max(extent, float(np.nanmax(np.nanmax(values, axis=0) - np.nanmin(values, axis=0))))
             jumps += by_differences(values, measured.t)
-            at = paced(measured.t)
+            at = in_sampling_intervals(measured.t)
             for stretch in quiet(run, measured.t):
                 scatter = _scatter(values[stretch], at[stretch])
                 if scatter is not None:
@@ -388,7 +388,7 @@ def by_differences(values: np.ndarray, t: np.ndarray) -> list[float]:
     ``(n,)``; empty without any. Where samples are missing between neighbours, as long as there are others, their
     differences are left out: they are motion."""
     third = np.diff(values, n=3, axis=0)
-    there, gap = np.isfinite(third), np.diff(paced(t)) >= NEXT
+    there, gap = np.isfinite(third), np.diff(in_sampling_intervals(t)) >= NEXT
     whole = there & ~(gap[:-2] | gap[1:-1] | gap[2:])[:, None]
     third = third[whole if whole.any() else there]
     return [1.4826 * float(np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0)] if len(third) else []
@@ -412,7 +412,8 @@ class _Stretch(NamedTuple):
 
 def _scatter(values: np.ndarray, at: np.ndarray) -> _Stretch | None:
     """Noise of a quiet stretch, after removing a line from each column, by the readings that are there; None where no
-    column has enough of them. ``at`` ``(n,)``: their times (:func:`sysid.noise.sampling_interval.paced`)."""
+    column has enough of them. ``at`` ``(n,)``: their times
+    (:func:`sysid.noise.sampling_interval.in_sampling_intervals`)."""
     values = values[:, np.isfinite(values).sum(axis=0) >= MIN_REST_SAMPLES]
     good = np.isfinite(values)
     if not good.any():

@@ -12,7 +12,7 @@ NEXT = 1.5
 """Time from one sample to the next [usual intervals] from which one is missing between them."""
 
 
-def paced(t: np.ndarray) -> np.ndarray:
+def in_sampling_intervals(t: np.ndarray) -> np.ndarray:
     """Times [s] ``(n,)``, in order, in units of the median interval ``(n,)``, with each interval at least
     :data:`SHORTEST`."""
     pauses = np.diff(t)

@@ -7,7 +7,7 @@ from copy import copy
 import numpy as np
 
 from sysid.noise.estimate import ChannelNoise
-from sysid.noise.sampling_interval import paced
+from sysid.noise.sampling_interval import in_sampling_intervals
 
 
 def whiten(residual: np.ndarray, noise: ChannelNoise, t: np.ndarray) -> np.ndarray:
@@ -30,7 +30,7 @@ class Whitening:
 
     def __init__(self, noise: ChannelNoise, good: np.ndarray, t: np.ndarray, weights: np.ndarray | float = 1.0) -> None:
         shape = (1, -1, *([1] * (good.ndim - 2)))
-        rho, at = noise.rho.reshape(shape), paced(t)
+        rho, at = noise.rho.reshape(shape), in_sampling_intervals(t)
         next_to = rho ** np.diff(at).reshape(-1, *([1] * (good.ndim - 1)))
         alike = np.where(good[1:] & good[:-1], next_to, 0.0)
         self._now = weights * good / noise.sigma.reshape(shape)

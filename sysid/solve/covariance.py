@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sysid.model.parameters import FitParameter
-from sysid.noise.autocorrelation import coloured_scores
+from sysid.noise.autocorrelation import autocorrelated_scores
 from sysid.solve.optimum import Fitted
 
 BLOCKS_PER_CHANNEL = 12
@@ -116,13 +116,13 @@ def _spread(fitted: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     prior = np.array([q.prior_sd for q in fitted.parameters])
     reduced = max(1.0, _reduced(fitted))
-    kappa = max(chance(fitted), reduced) if fitted.has_prior else 1.0
+    kappa = max(overdispersion(fitted), reduced) if fitted.has_prior else 1.0
     inverse = inverse_information(_tempered(fitted, kappa), prior)
     plain = inverse_information(_tempered(fitted, reduced), prior)
     told, known = np.split(fitted.jacobian, [len(fitted.jacobian) - fitted.pulls])
     scores = _scores(fitted, fitted.residual)
     sandwich = inverse @ (scores.T @ scores / kappa**2 + known.T @ known) @ inverse
-    colour = told.T @ told + coloured_scores(fitted.parts, inverse / kappa)
+    colour = told.T @ told + autocorrelated_scores(fitted.parts, inverse / kappa)
     coloured = inverse @ (colour / kappa**2 + known.T @ known) @ inverse
     variance = np.max([np.diag(v) for v in (plain, sandwich, coloured)], axis=0)
     sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)), WIDEST * prior)
@@ -167,7 +167,7 @@ def _scores(fitted: Fitted, residual: np.ndarray) -> np.ndarray:
     return np.concatenate(out)
 
 
-def chance(fitted: Fitted) -> float:
+def overdispersion(fitted: Fitted) -> float:
     """Improvement of chi-square that each parameter brings about by fitting chance, at least 1:
     tr(H^-1 sum_b s_b s_b^T) / p (Takeuchi 1976), with the scores s_b of what one linear step of least squares
     leaves. 1 for white noise, large for a misfit with structure, in which neighbouring samples repeat each

@@ -1,7 +1,7 @@
 """The search for the parameters that fit best: trust region, bounds, analytic derivatives, in stages.
 
-A stage ends when chi-square improves by less than chance makes of it, kappa = :func:`chance`, and no parameter is
-asked to go on by more than a small share of its standard deviation: kappa is a mean over all of them, and one of
+A stage ends when chi-square improves by less than its overdispersion, kappa = :func:`overdispersion`, and no parameter
+is asked to go on by more than a small share of its standard deviation: kappa is a mean over all of them, and one of
 which the misfit says nothing is known better than that. While the model is wrong its misfit has structure, kappa is
 large, and chi-square counts the same evidence kappa times; the prior, where there is one, is then weighed up as much,
 so that parameters do not run to where no material is to cover what the model lacks (a tempered posterior, Gruenwald &
@@ -16,7 +16,7 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sysid.model.parameters import FitParameter
-from sysid.solve.covariance import chance, uncertainty
+from sysid.solve.covariance import overdispersion, uncertainty
 from sysid.solve.nonsmooth_trust_region import USED_UP, Point, minimise
 from sysid.solve.optimum import Fitted
 
@@ -76,7 +76,7 @@ class Search:
         try:
             self._look(np.clip(start, low, high))
             while True:
-                self._weight = chance(self.best)
+                self._weight = overdispersion(self.best)
                 begin = self.best.scaled
 
                 def point(z: np.ndarray, begin: np.ndarray = begin) -> Point | None:
@@ -102,7 +102,7 @@ class Search:
                 if halted:
                     message, converged = HALTED, False
                     break
-                if chance(self.best) > SHARPER * self._weight:
+                if overdispersion(self.best) > SHARPER * self._weight:
                     break
                 if self._evaluations >= max_evaluations:
                     message, converged = USED_UP, False

@@ -16,7 +16,7 @@ ENDS_EARLY = (KeyboardInterrupt, ThinshellError, BrokenProcessPool)
 """Ctrl-C, what cannot be simulated, and a worker process that has ended."""
 
 
-def why(error: BaseException) -> str:
+def reason_of(error: BaseException) -> str:
     """The error in words."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted."
@@ -25,17 +25,17 @@ def why(error: BaseException) -> str:
     return str(error) if isinstance(error, ThinshellError) else f"{type(error).__name__}: {error}"
 
 
-def stop(fitted: Fitted, error: BaseException, left: str) -> None:
+def end_unconverged(fitted: Fitted, error: BaseException, left: str) -> None:
     """Let a fit stand at what was found, as not converged. ``left``: what was not done for the error, in words."""
     if isinstance(error, KeyboardInterrupt):
         fitted.interrupt()
         fitted.message += f"; {left}"
     else:
-        fitted.converged, fitted.message = False, f"{left}. {why(error)}"
+        fitted.converged, fitted.message = False, f"{left}. {reason_of(error)}"
 
 
 @contextmanager
-def to_the_end() -> Iterator[None]:
+def interrupts_ignored() -> Iterator[None]:
     """Ctrl-C does nothing within the block, in which what was found is put together: seconds in which all of it would
     be lost."""
     if threading.current_thread() is not threading.main_thread():

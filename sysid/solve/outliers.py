@@ -139,7 +139,7 @@ def without_outliers(
     runs: Sequence[Run], predictions: Sequence[Prediction], noise: Mapping[str, ChannelNoise]
 ) -> tuple[list[Run], list[Outliers]]:
     """The runs with mistakes as missing, and what they are; ``noise``: of each channel. A channel that its prediction
-    does not follow (:func:`astray`) stays as it is."""
+    does not follow (:func:`most_are_outlying`) stays as it is."""
     clean, found = [], []
     for run, prediction in zip(runs, predictions, strict=True):
         measured = []
@@ -161,12 +161,12 @@ def _mask(measured: Measured, predicted: np.ndarray, noise: ChannelNoise) -> Mas
     """Mistakes of a channel of any kind, by marker or component."""
     if measured.kind == WRENCH:
         return spikes(measured, predicted, noise.sigma)
-    if measured.kind not in DIMENSIONS or astray(measured, predicted, noise):
+    if measured.kind not in DIMENSIONS or most_are_outlying(measured, predicted, noise):
         return np.zeros((len(measured.t), 0), dtype=bool)
     return mistakes(measured, predicted)
 
 
-def astray(measured: Measured, predicted: np.ndarray, noise: ChannelNoise) -> bool:
+def most_are_outlying(measured: Measured, predicted: np.ndarray, noise: ChannelNoise) -> bool:
     """Whether half of the readings are more than :data:`FAR` noise deviations from the prediction ``(n, m)``, as they
     are where a law is missing or wrong: it is then the model that stands out."""
     d = DIMENSIONS[measured.kind]
@@ -183,7 +183,7 @@ def not_looked_for(
         f"{run.name} ({m.channel})"
         for run, prediction in zip(runs, predictions, strict=True)
         for m in run.measured
-        if m.kind in DIMENSIONS and astray(m, prediction.values[m.channel], noise[m.channel])
+        if m.kind in DIMENSIONS and most_are_outlying(m, prediction.values[m.channel], noise[m.channel])
     ]
     if not where:
         return []

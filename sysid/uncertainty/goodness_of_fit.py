@@ -27,7 +27,7 @@ FEWEST = 20
 
 
 @dataclass(frozen=True)
-class LeftOver:
+class QuantityMisfit:
     """Mean square of the whitened residual of one ``quantity`` of a ``channel`` in a ``run``; empty: in all that have
     few readings of it. ``samples``: number of readings."""
 
@@ -43,7 +43,7 @@ class LeftOver:
         return GOOD_MISFIT * self.misfit / max(GOOD_MISFIT, 1.0 + CHANCE * float(np.sqrt(2.0 / self.samples)))
 
 
-def left_over(problem: Problem, fitted: Fitted) -> list[LeftOver]:
+def misfit_by_quantity(problem: Problem, fitted: Fitted) -> list[QuantityMisfit]:
     """All quantities, the discretisation error and biases allowed for."""
     found = []
     few: dict[tuple[str, str], list[np.ndarray]] = {}
@@ -53,25 +53,25 @@ def left_over(problem: Problem, fitted: Fitted) -> list[LeftOver]:
             for quantity, group in quantities(m):
                 seen = white[:, group][np.isfinite(white[:, group])]
                 if len(seen) >= FEWEST:
-                    found.append(LeftOver(run.name, m.channel, quantity, float(np.mean(seen**2)), len(seen)))
+                    found.append(QuantityMisfit(run.name, m.channel, quantity, float(np.mean(seen**2)), len(seen)))
                 elif len(seen):
                     few.setdefault((m.channel, quantity), []).append(seen)
     for (channel, quantity), parts in few.items():
         seen = np.concatenate(parts)
-        found.append(LeftOver("", channel, quantity, float(np.mean(seen**2)), len(seen)))
+        found.append(QuantityMisfit("", channel, quantity, float(np.mean(seen**2)), len(seen)))
     return found
 
 
 def worst(problem: Problem, fitted: Fitted) -> float:
-    """The largest :attr:`LeftOver.excess` of any quantity; 0 without readings."""
-    return max((found.excess for found in left_over(problem, fitted)), default=0.0)
+    """The largest :attr:`QuantityMisfit.excess` of any quantity; 0 without readings."""
+    return max((found.excess for found in misfit_by_quantity(problem, fitted)), default=0.0)
 
 
 def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
     """Sentences, if more than noise is left in any quantity: in which, and what that means for the values. Also whether
     the recordings may be of another rig."""
-    most: dict[tuple[str, str], LeftOver] = {}
-    for found in left_over(problem, fitted):
+    most: dict[tuple[str, str], QuantityMisfit] = {}
+    for found in misfit_by_quantity(problem, fitted):
         known = most.get((found.channel, found.quantity))
         if found.excess > max(GOOD_MISFIT, known.excess if known else 0.0):
             most[found.channel, found.quantity] = found

@@ -229,7 +229,7 @@ def _of_all(found: Sequence[Nuisance]) -> list[Nuisance]:
     return [n for n in found if not n.run] + [_mean(there) for there in same.values()]
 
 
-def as_usual(rig: Rig, found: Sequence[Nuisance]) -> Rig:
+def with_mean_nuisances(rig: Rig, found: Sequence[Nuisance]) -> Rig:
     """The rig with what each recording has for itself as it is on average, by how well each tells it."""
     return with_parameters(rig, {name: _mean(there).value for name, there in _by_name(found).items()})
 
@@ -252,7 +252,7 @@ def _pair(value: float, sd: float) -> str:
     return f"{value:.{digits}f} +- {sd:.{digits}f}"
 
 
-def blamed(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> list[str]:
+def confounded_with_nuisances(problem: Problem, fitted: Fitted, kinds: Sequence[str]) -> list[str]:
     """A sentence for each parameter that the data would determine if some kind of nuisance were known."""
     if not problem.bias and not any(p.nuisance for p in fitted.parameters):
         return []

@@ -15,14 +15,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from sysid.solve.covariance import WIDEST, chance, uncertainty
+from sysid.solve.covariance import WIDEST, overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
 
 LIMIT = 3.0
 """Standard deviations of the difference from which both contradict each other."""
 
 
-def contradictions(fitted: Fitted) -> dict[str, str]:
+def prior_data_conflicts(fitted: Fitted) -> dict[str, str]:
     """A sentence for each parameter that was asked for of which that is so, by its name."""
     found = {}
     first = len(fitted.residual) - fitted.pulls
@@ -51,7 +51,7 @@ def _without(fitted: Fitted, k: int, row: int) -> tuple[np.ndarray, Fitted]:
     kept = np.arange(len(fitted.residual)) != row
     residual, jacobian = fitted.residual[kept], fitted.jacobian[kept]
     weight = np.ones(len(residual))
-    weight[len(weight) - fitted.pulls + 1 :] = np.sqrt(chance(fitted))
+    weight[len(weight) - fitted.pulls + 1 :] = np.sqrt(overdispersion(fitted))
     low, high = (bound - fitted.scaled for bound in np.array([p.scaled_bounds for p in fitted.parameters]).T)
     low, high = np.minimum(low, -1e-12), np.maximum(high, 1e-12)
     low[k], high[k] = -np.inf, np.inf

@@ -28,8 +28,8 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import lsq_linear
 
 from sim_core.errors import ThinshellError
-from sysid.model.parallel_predictor import PooledEngine
-from sysid.solve.covariance import WIDEST, chance, inverse_information, uncertainty
+from sysid.model.parallel_predictor import ParallelPredictor
+from sysid.solve.covariance import WIDEST, inverse_information, overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.profile_likelihood import BELIEVED, LIMIT, End, Profile, in_words
@@ -82,7 +82,7 @@ class Profiler:
         self._parameters = fitted.parameters
         self._low, self._high = np.array([p.scaled_bounds for p in self._parameters]).T
         self._prior = np.array([p.prior_sd for p in self._parameters])
-        by_chance = chance(fitted)
+        by_chance = overdispersion(fitted)
         self._weight = float(np.sqrt(by_chance)) if fitted.has_prior else 1.0
         known = uncertainty(fitted)
         self._sd = known.sd
@@ -175,7 +175,7 @@ class Profiler:
     def _run(self, do: Callable[[Job], Found], jobs: Sequence[Job], each: float) -> list[Found | None]:
         """All jobs, as many at once as the engine has workers; None for those that Ctrl-C cut off."""
         self._expected = each * len(jobs)
-        workers = (os.cpu_count() or 1) if isinstance(self._problem.engine, PooledEngine) else 1
+        workers = (os.cpu_count() or 1) if isinstance(self._problem.engine, ParallelPredictor) else 1
         with ThreadPoolExecutor(min(workers, max(1, len(jobs)))) as threads:
             futures: list[Future[Found]] = []
             try:

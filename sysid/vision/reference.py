@@ -137,7 +137,7 @@ def main_pattern(found: Detections) -> NDArray[np.intp]:
     return np.asarray(rows[group == np.bincount(group).argmax()])
 
 
-def likeness(first: Points, second: Points, pitch: float) -> float:
+def mean_squared_gap(first: Points, second: Points, pitch: float) -> float:
     """Return how far apart two sets of points are, mean squared gap [pitch^2], each gap limited to 0.6."""
     gap = cKDTree(second).query(first)[0] / pitch
     return float(np.mean(np.minimum(gap, 0.6) ** 2))
@@ -150,5 +150,5 @@ def _most_typical(detections: Sequence[Detections], sample: int = 60) -> int:
     picked = full[np.unique(np.linspace(0, len(full) - 1, min(sample, len(full))).round().astype(int))]
     patterns = [detections[k].uv[main_pattern(detections[k])] for k in picked]
     pitch = pitch_of(patterns[0])
-    total = [sum(likeness(one, other, pitch) for other in patterns) for one in patterns]
+    total = [sum(mean_squared_gap(one, other, pitch) for other in patterns) for one in patterns]
     return int(picked[int(np.argmin(total))])

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from sysid.vision.detect import Detections
 from sysid.vision.field import Points
 from sysid.vision.match import LayoutMatch, MatchParameters, match_layout
-from sysid.vision.reference import CONTINUITY_PITCH, Reference, follows_closely, likeness
+from sysid.vision.reference import CONTINUITY_PITCH, Reference, follows_closely, mean_squared_gap
 
 _FRAMES_TO_JUDGE = 10
 """Fewer frames than this do not tell glare from a marker that is hidden now and then."""
@@ -170,7 +170,7 @@ def similar_frames(
 ) -> list[int]:
     """Return the ``count`` frames of ``among`` whose markers lie nearest to those of frame ``k``."""
     others = [other for other in among if other != k and len(detections[other]) >= 4]
-    gaps = [likeness(detections[k].uv, detections[other].uv, pitch) for other in others]
+    gaps = [mean_squared_gap(detections[k].uv, detections[other].uv, pitch) for other in others]
     return [others[place] for place in np.argsort(gaps)[:count]]
 
 

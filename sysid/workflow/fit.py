@@ -14,7 +14,7 @@ from sysid.io.atomic_folder import whole_folder, write_results
 from sysid.model.load import load_runs
 from sysid.model.parameters import bounds_cut
 from sysid.report import REPORT, write_fit_report
-from sysid.solve.interruption import to_the_end
+from sysid.solve.interruption import interrupts_ignored
 
 
 def fit_bags(
@@ -39,7 +39,7 @@ def fit_bags(
     with whole_folder(out) as folder:
         runs, kept = load_runs(rig, bags, held_out, on_warning, despite)
         result, fitted = fit_runs(rig, runs, names, options, held_out=kept, on_progress=on_progress, on_step=on_step)
-        with to_the_end():
+        with interrupts_ignored():
             write_results(
                 folder,
                 out,

@@ -10,15 +10,15 @@ import time
 import pytest
 
 from sim_core.errors import WorkerError
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 
 PARENT = textwrap.dedent(
     """
     import os, sys, time
-    from sysid.model.parallel_predictor import PooledEngine
+    from sysid.model.parallel_predictor import ParallelPredictor
 
     if __name__ == "__main__":
-        with PooledEngine(1) as engine:
+        with ParallelPredictor(1) as engine:
             print(engine._pool.submit(os.getpid).result(), flush=True)
             engine._pool.submit(time.sleep, 600)
             time.sleep(600)
@@ -109,6 +109,6 @@ def test_a_script_that_every_worker_runs_again_is_told_what_it_lacks(tmp_path):
 
 
 def test_a_worker_that_is_killed_is_told_of():
-    with pytest.raises(WorkerError, match="before its work was done"), PooledEngine(1) as engine:
+    with pytest.raises(WorkerError, match="before its work was done"), ParallelPredictor(1) as engine:
         os.kill(engine._pool.submit(os.getpid).result(), signal.SIGKILL)
         engine._pool.submit(time.sleep, 60).result()

@@ -15,7 +15,7 @@ from sim_core.rigs.motion import Experiment
 from sysid.design.experiment_design import PREDICTED, plan_experiments
 from sysid.fit.discretisation_refinement import discretisation
 from sysid.model.load import load_run
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.noise.estimate import channel_noise, undeclared
 from sysid.simulate import simulate_to_bag
@@ -61,7 +61,7 @@ def test_the_expected_interval_is_that_of_a_recording(small_rig, plan, tmp_path)
         simulate_to_bag(rig, experiment(poses, name), tmp_path / name, seed=3)
         runs.append(load_run(rig, tmp_path / name))
     parameters = fit_parameters(rig, NAMES)
-    with PooledEngine() as engine:
+    with ParallelPredictor() as engine:
         problem = Problem(runs, channel_noise(rig, runs), engine, discretisation(engine, rig, runs))
         fitted = problem.evaluate(rig, parameters, start_of(rig, parameters))
     fitted.residual[:] = 0.0

@@ -11,7 +11,7 @@ import pytest
 from sim_core.rigs import Rig, list_parameters, load_rig, with_parameters
 from sim_core.rigs.motion import load_experiment
 from sysid.model.load import load_run
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.simulate import simulate_to_bag
 
 OFFSETS = [f"gripper.offset_{a}" for a in ("x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg")]
@@ -33,7 +33,7 @@ def test_readings_change_smoothly_with_the_offsets_of_the_gripper(name: str, tmp
     instant, or the other way, is off by fifty times the noise of the camera."""
     rig = load_rig("material_bench")
     simulate_to_bag(rig, load_experiment(name), tmp_path / "bag")
-    run, engine = load_run(rig, tmp_path / "bag"), Engine()
+    run, engine = load_run(rig, tmp_path / "bag"), SerialPredictor()
     rng = np.random.default_rng(4)
     for _ in range(3):
         at, along = SD * rng.standard_normal((2, 6))
@@ -48,7 +48,7 @@ def test_the_bow_hangs_whatever_the_strip_is_made_of(tmp_path: Path) -> None:
     arches up is higher by 180."""
     rig = load_rig("material_bench")
     simulate_to_bag(rig, load_experiment("slacken"), tmp_path / "bag")
-    run, engine = load_run(rig, tmp_path / "bag"), Engine()
+    run, engine = load_run(rig, tmp_path / "bag"), SerialPredictor()
     plain = engine.predict(rig, run).values["outside"][:, 1::2]
     usual = {p.name: p.value for p in list_parameters(rig) if p.value is not None}
     rng = np.random.default_rng(6)

@@ -10,7 +10,7 @@ import pytest
 
 from sim_core.simulate import Trace
 from sysid.diagnosis import validation as heldout
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
@@ -34,7 +34,7 @@ def check(monkeypatch: pytest.MonkeyPatch) -> Problem:
     values[BAD] += 15.0 * SIGMA
     run = Run("run", "", (), {}, (Measured("gauge", "markers", T, values, ("u", "v")),), 1.0)
     noise = {"gauge": ChannelNoise(np.full(2, SIGMA), 0.3, "test")}
-    return Problem([run], noise, cast(PooledEngine, None), [ErrorShape("mesh", ({"gauge": OWN},))])
+    return Problem([run], noise, cast(ParallelPredictor, None), [ErrorShape("mesh", ({"gauge": OWN},))])
 
 
 def model(check: Problem, values: np.ndarray) -> Fitted:

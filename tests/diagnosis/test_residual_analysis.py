@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.diagnosis.residual_analysis import BLOCKS, _phase, structure
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ROUGH, ErrorShape, Sizes
@@ -29,7 +29,7 @@ def test_what_is_not_measured_does_not_count() -> None:
     # Nothing is known of the noise of the other components, and the simulator moves there too.
     noise = ChannelNoise(np.array([0.1, 0.1, 0.1, 1e-12, 1e-12, 1e-12]), 0.0, "test")
     known = ErrorShape("mesh", ({"gauge": np.full((n, 6), 0.05)},), mean=1.0)
-    problem = Problem([run], {"gauge": noise}, cast(Engine, None), [known])
+    problem = Problem([run], {"gauge": noise}, cast(SerialPredictor, None), [known])
     # Every block of about ten samples, each half a standard deviation off: (10 * 0.5)^2 / 10, with that
     # deviation widened by what follows no shape.
     widened = 1.0 + (ROUGH * 0.5) ** 2

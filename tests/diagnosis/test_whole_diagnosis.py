@@ -106,7 +106,7 @@ def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., D
 
     def told(law: Law, *, concealed: float = SHARE, held: float = SHARE, rig: Rig | None = None) -> Diagnosis:
         monkeypatch.setattr(Sums, "law", staticmethod(law), raising=False)
-        monkeypatch.setattr(diagnosing, "PooledEngine", Sums)
+        monkeypatch.setattr(diagnosing, "ParallelPredictor", Sums)
         monkeypatch.setattr(candidates, "all_effects", lambda: {"gel_relaxation": effect_by_name("gel_relaxation")})
         noise = {"markers": ChannelNoise(np.array([SIGMA]), 0.0, "declared by the rig")}
         monkeypatch.setattr(diagnosing, "channel_noise", lambda *_: noise)
@@ -215,9 +215,12 @@ def test_readings_on_which_the_discretisation_error_is_not_known_are_said(
     diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is said of them is what a fit says (tests/fit/test_discretisation_refinement.py)."""
-    monkeypatch.setattr("sysid.diagnosis.report_notes.doubtful", lambda problem: ["It counts little for a while."])
     monkeypatch.setattr(
-        "sysid.diagnosis.report_notes.doubts", lambda rig, runs: [f"{run.name} has a fault." for run in runs]
+        "sysid.diagnosis.report_notes.unresolved_quantities", lambda problem: ["It counts little for a while."]
+    )
+    monkeypatch.setattr(
+        "sysid.diagnosis.report_notes.data_quality_warnings",
+        lambda rig, runs: [f"{run.name} has a fault." for run in runs],
     )
     notes = diagnose(lambda rig, run, fine: read(rig)).notes
     assert "It counts little for a while." in notes

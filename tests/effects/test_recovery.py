@@ -14,7 +14,7 @@ from sim_core.effects import all_effects
 from sim_core.rigs import Rig
 from sysid.model.load import Measured, Run
 from sysid.model.parameters import fit_parameters, rig_at, start_of
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.noise.estimate import declared_noise
 
 TIMES = [0.0, 0.06, 0.12, 0.2, 0.3, 0.36, 0.5]
@@ -38,7 +38,7 @@ def recorded(rig: Rig, poses: Any) -> Run:
         for channel, (kind, m) in kinds.items()
     )
     run = Run("own", "own", (), poses, blank, float(TIMES[-1]))
-    values = Engine().predict(rig, run).values
+    values = SerialPredictor().predict(rig, run).values
     full = tuple(Measured(m.channel, m.kind, m.t, values[m.channel], m.labels) for m in blank)
     return Run("own", "own", (), poses, full, run.end)
 
@@ -50,7 +50,7 @@ def test_comes_back_from_its_own_recording(name: str, small_rig: Callable[..., R
     the rig declares would not hide."""
     true = small_rig(effects={name: TRUE[name]})
     parameters = fit_parameters(true, [f"effects.{name}.{p}" for p in TRUE[name]])
-    run, engine, truth = recorded(true, visit(TIMES, WAY)), Engine(), start_of(true, parameters)
+    run, engine, truth = recorded(true, visit(TIMES, WAY)), SerialPredictor(), start_of(true, parameters)
     sigma = {m.channel: np.ravel(declared_noise(true, m.channel)) for m in run.measured}
 
     def weighed(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,9 +18,9 @@ import pytest
 from sim_core.rigs import Rig, parse_rig
 from sim_core.rigs.motion import Experiment
 from sysid.model.load import load_run
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, start_of
-from sysid.model.predictor import Engine, Prediction
+from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Run
 from sysid.simulate import simulate_to_bag
@@ -87,7 +87,7 @@ def known(rig: Rig, run: Run, names: list[str], sd: dict[str, float], predicted:
     at = start_of(rig, parameters)
     there = replace(run, measured=tuple(m for m in run.measured if m.channel in sd))
     noise = {m.channel: ChannelNoise(np.full(m.values.shape[1], sd[m.channel]), 0.0, "test") for m in there.measured}
-    problem = Problem([there], noise, cast(PooledEngine, Engine()))
+    problem = Problem([there], noise, cast(ParallelPredictor, SerialPredictor()))
     found = (
         problem.evaluate(rig, parameters, at) if predicted is None else problem.compare(predicted, rig, parameters, at)
     )

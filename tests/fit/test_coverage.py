@@ -17,7 +17,7 @@ import pytest
 from sim_core.errors import ConvergenceError
 from sysid.cli import coverage as command_line
 from sysid.fit import coverage
-from sysid.fit.coverage import Coverage, Outcome, coloured, draw, measure_coverage, wilson
+from sysid.fit.coverage import Coverage, Outcome, autocorrelated_noise, draw, measure_coverage, wilson
 from sysid.fit.result import Estimate
 from sysid.model.parameters import fit_parameters
 
@@ -59,11 +59,11 @@ def test_values_that_are_zero_are_drawn_about_it(small_rig):
 def test_coloured_noise_has_the_same_size_and_forgets_by_rho_a_sample():
     """Autocorrelation rho^k after k samples; from the first sample on as large as later."""
     white = np.random.default_rng(0).standard_normal((400, 2000))
-    noise = coloured(white, 0.8)
+    noise = autocorrelated_noise(white, 0.8)
     assert np.std(noise, axis=1) == pytest.approx(1.0, abs=0.1)
     for k in (1, 3):
         assert np.mean(noise[k:] * noise[:-k]) == pytest.approx(0.8**k, abs=0.01)
-    np.testing.assert_array_equal(coloured(white, 0.0), white)
+    np.testing.assert_array_equal(autocorrelated_noise(white, 0.0), white)
 
 
 def test_only_forces_are_coloured():

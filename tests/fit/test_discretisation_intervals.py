@@ -11,8 +11,8 @@ import pytest
 from discretisation_model import NOISE, PARAMETERS, SIGMA, TRUTH, Linear, T, Vector, coarse, fit, measured, own, run_of
 
 from sim_core.simulate import Trace
-from sysid.fit.discretisation_refinement import loud
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.fit.discretisation_refinement import large_discretisation_errors
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
@@ -44,7 +44,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(vectors: None) -> None:
         size = 0.5 + RIGHT_SD * (drifts[0][:, None] + np.column_stack(drifts[1:]))
         others = RIGHT_SD * (about * np.column_stack([drift(PATTERN_LEVELS) for _ in range(2)])) @ turned.T
         values = coarse(TRUTH) + size * shape + others + SIGMA * rng.standard_normal((len(T), 2))
-        problem = Problem([run_of(values)], NOISE, cast(PooledEngine, Linear()), [known])
+        problem = Problem([run_of(values)], NOISE, cast(ParallelPredictor, Linear()), [known])
         fitted = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS)
         inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
     assert np.all((inside > 0.91 * 300) & (inside < 0.98 * 300)), inside
@@ -60,7 +60,7 @@ def test_an_error_without_the_shape_is_allowed_for(vectors: None, rho: float) ->
     for _ in range(100):
         values = coarse(TRUTH) + 0.5 * shape + rms * ROUGH * rng.standard_normal((len(T), 2))
         noise = {"gauge": ChannelNoise(NOISE["gauge"].sigma, rho, "test")}
-        problem = Problem([run_of(values)], noise, cast(PooledEngine, Linear()), [known])
+        problem = Problem([run_of(values)], noise, cast(ParallelPredictor, Linear()), [known])
         fitted = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS)
         assert fitted.misfit < 1.5
         inside += np.abs(fitted.scaled - TRUTH) < 1.96 * uncertainty(fitted).sd
@@ -77,7 +77,7 @@ def beside_a_fast_error(n: int, errors: np.ndarray | float, amplitude: float = 1
     values = slopes @ TRUTH + 0.5 * shape + errors
     run = Run("run", "", (), {}, (Measured("gauge", "markers", t[:, 0], values, tuple("abcdefgh")),), 1.0)
     noise = {"gauge": ChannelNoise(np.full(8, SIGMA), np.zeros(8), "test")}
-    problem = Problem([run], noise, cast(PooledEngine, None), [ErrorShape("mesh", ({"gauge": shape},))])
+    problem = Problem([run], noise, cast(ParallelPredictor, None), [ErrorShape("mesh", ({"gauge": shape},))])
     there = Prediction({"gauge": slopes @ TRUTH}, {"gauge": slopes}, cast(Trace, None))
     return problem.compare([there], cast(Any, Vector(np.zeros(2))), PARAMETERS, TRUTH)
 
@@ -155,7 +155,7 @@ def test_readings_after_a_gap_are_whitened_like_the_error_in_them(vectors: None)
     values[rng.uniform(size=len(t)) < 0.1] = np.nan
     run = Run("run", "", (), {}, (Measured("gauge", "markers", t, values, ("u", "v")),), 1.0)
     noise = {"gauge": ChannelNoise(NOISE["gauge"].sigma, rho, "test")}
-    problem = Problem([run], noise, cast(PooledEngine, None), [ErrorShape("mesh", ({"gauge": shape},), sd=1e-6)])
+    problem = Problem([run], noise, cast(ParallelPredictor, None), [ErrorShape("mesh", ({"gauge": shape},), sd=1e-6)])
     nothing = Prediction({"gauge": np.zeros((len(t), 2))}, {}, cast(Trace, None))
     residual = problem.assemble([nothing], [])[0]
     weight = problem.basis(0, run.measured[0]).weights(noise["gauge"])
@@ -169,7 +169,7 @@ def test_what_was_not_measured_does_not_weigh_down_what_was(vectors: None) -> No
     shape = np.tile([100.0, 0.0, 0.1, 0.0, 0.0, 0.0], (len(T), 1))
     run = Run("run", "", (), {}, (Measured("cell", "wrench", T, values, tuple("abcdef")),), 1.0)
     noise = {"cell": ChannelNoise(np.ones(6), np.zeros(6), "test")}
-    problem = Problem([run], noise, cast(PooledEngine, None), [ErrorShape("mesh", ({"cell": shape},))])
+    problem = Problem([run], noise, cast(ParallelPredictor, None), [ErrorShape("mesh", ({"cell": shape},))])
     rough = problem.basis(0, run.measured[0]).rough[:, 2]
     assert rough == pytest.approx(ROUGH * 0.1, rel=1e-12)
 
@@ -178,7 +178,7 @@ def test_derivatives_are_those_of_the_residual(vectors: None) -> None:
     rng = np.random.default_rng(1)
     slopes = ({"gauge": rng.standard_normal((len(T), 2, 2))},)
     known = ErrorShape("mesh", ({"gauge": own(TRUTH)},), slopes=slopes, at=np.array([0.2, 0.1]))
-    problem = Problem([run_of(measured(rng))], NOISE, cast(PooledEngine, Linear()), [known], prior=True)
+    problem = Problem([run_of(measured(rng))], NOISE, cast(ParallelPredictor, Linear()), [known], prior=True)
     rig = cast(Any, Vector(np.zeros(2)))
     here = problem.evaluate(rig, PARAMETERS, TRUTH)
     for k in range(2):
@@ -190,10 +190,10 @@ def test_derivatives_are_those_of_the_residual(vectors: None) -> None:
 def test_an_error_far_above_the_noise_is_said() -> None:
     def problem(size: float) -> Problem:
         known = ErrorShape("mesh", ({"gauge": np.full((len(T), 2), size)},))
-        return Problem([run_of(coarse(TRUTH))], NOISE, cast(PooledEngine, Linear()), [known])
+        return Problem([run_of(coarse(TRUTH))], NOISE, cast(ParallelPredictor, Linear()), [known])
 
-    assert loud(problem(9.0 * SIGMA)) == []
-    (said,) = loud(problem(40.0 * SIGMA))
+    assert large_discretisation_errors(problem(9.0 * SIGMA)) == []
+    (said,) = large_discretisation_errors(problem(40.0 * SIGMA))
     assert "position of gauge may be 40 times the noise" in said and "finer cells" in said
 
 
@@ -210,7 +210,7 @@ def test_each_column_may_have_its_own_multiple_of_the_error(vectors: None) -> No
     """With its sign: half as much again all through a run takes one coefficient, also where the error changes sign."""
     shape = 100.0 * SIGMA * np.column_stack([np.sin(15 * T), np.cos(11 * T)])
     problem = Problem(
-        [run_of(shape * [1.0, 0.5])], NOISE, cast(PooledEngine, None), [ErrorShape("mesh", ({"gauge": shape},))]
+        [run_of(shape * [1.0, 0.5])], NOISE, cast(ParallelPredictor, None), [ErrorShape("mesh", ({"gauge": shape},))]
     )
     nothing = Prediction({"gauge": np.zeros(shape.shape)}, {}, cast(Trace, None))
     assert problem.compare([nothing], cast(Any, Vector(TRUTH)), [], np.zeros(0)).chi2 < 1.0
@@ -224,7 +224,7 @@ def test_errors_of_a_rig_that_is_right_are_the_noise(vectors: None) -> None:
     values = bias + SIGMA * rng.standard_normal((len(T), 6))
     run = Run("run", "", (), {}, (Measured("cell", "wrench", T, values, tuple("abcdef")),), 1.0)
     known = ErrorShape("mesh", ({"cell": np.full((len(T), 6), 10.0 * SIGMA)},))
-    problem = Problem([run], noise, cast(PooledEngine, None), [known], bias=True)
+    problem = Problem([run], noise, cast(ParallelPredictor, None), [known], bias=True)
     nothing = Prediction({"cell": np.zeros((len(T), 6))}, {}, cast(Trace, None))
     fitted = problem.compare([nothing], cast(Any, Vector(TRUTH)), [], np.zeros(0))
     left = values - problem.tared(fitted, 0, run.measured[0])

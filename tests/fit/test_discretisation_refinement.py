@@ -17,13 +17,13 @@ from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, Trace
 from sysid.diagnosis.residual_analysis import block_scores, structure
 from sysid.fit import discretisation_refinement as discretisation_error
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
 from sysid.observations.observations import Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.residuals import Problem
-from sysid.uncertainty.goodness_of_fit import left_over
+from sysid.uncertainty.goodness_of_fit import misfit_by_quantity
 
 
 def test_parameters_and_error_settle_together(vectors: None) -> None:
@@ -50,7 +50,7 @@ def test_the_error_of_the_time_step_is_extrapolated_by_the_order_of_each_rigs_in
     dt = 0.02
     rigs = [small_rig(solver={"dt_s": dt, "integrator": name}) for name in ("implicit_euler", "bdf2")]
     runs = [run_of(coarse(TRUTH))] * 2
-    _, step = discretisation_error.discretisation(cast(PooledEngine, Polynomial()), rigs, runs)
+    _, step = discretisation_error.discretisation(cast(ParallelPredictor, Polynomial()), rigs, runs)
     for shape, off in zip(step.shapes, (7.0 * dt, 7.0 * dt**2), strict=True):
         np.testing.assert_allclose(shape["gauge"], -off, rtol=1e-9)
 
@@ -172,12 +172,12 @@ def test_where_the_error_changes_unforeseen_nothing_is_judged_and_that_is_said(v
     found = {}
     for name, unforeseen in (("calm", ()), ("snapping", ({"gauge": 80.0 * SIGMA * np.abs(WINDOW)},))):
         known = ErrorShape("mesh", ({"gauge": shape},), unforeseen=unforeseen)
-        problem = Problem([run], NOISE, cast(PooledEngine, None), [known])
+        problem = Problem([run], NOISE, cast(ParallelPredictor, None), [known])
         judged = problem.judged(0, run.measured[0], run.measured[0].values - coarse(TRUTH))
         found[name] = np.isfinite(judged), discretisation_error.doubtful(problem)
         prediction = Prediction({"gauge": coarse(TRUTH)}, {}, cast(Trace, None))
         fitted = problem.compare([prediction], cast(Any, Vector(TRUTH)), [], np.zeros(0))
-        (left,) = left_over(problem, fitted)
+        (left,) = misfit_by_quantity(problem, fitted)
         assert left.samples == np.isfinite(judged).sum()
         blocks = block_scores(run, run.measured[0], judged)[0]
         assert structure(problem, fitted).whole.count == np.isfinite(blocks).sum()

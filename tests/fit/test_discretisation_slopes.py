@@ -14,7 +14,7 @@ from sim_core.rigs.motion import Experiment
 from sysid.fit.discretisation_refinement import discretisation, discretisation_with_slopes
 from sysid.model.load import load_run
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.observations.observations import Run
 from sysid.simulate import simulate_to_bag
 
@@ -42,7 +42,7 @@ def pressed(small_rig: Callable[..., Rig], tmp_path_factory: pytest.TempPathFact
 def test_slopes_of_the_discretisation_error_are_its_differences(pressed: tuple[Rig, Run]) -> None:
     rig, run = pressed
     parameters: list[FitParameter] = fit_parameters(rig, NAMES)
-    engine, at = Engine(), start_of(rig, parameters)
+    engine, at = SerialPredictor(), start_of(rig, parameters)
     # In units of what is plausible, so that a step is as large for an offset as for a modulus.
     width = np.array([p.prior_sd for p in parameters])
 

@@ -13,7 +13,7 @@ from sim_core.simulate import Trace
 from sysid.fit import discretisation_refinement as discretisation_error
 from sysid.fit.discretisation_refinement import Unmeasured, discretisation, fit_beside_discretisation
 from sysid.fit.fit import _fit_beside_mistakes, _Look
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
@@ -69,7 +69,9 @@ def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_failure_is_worse_than_a_start_with_a_large_misfit(stubs: None) -> None:
     # At the start every whitened residual is far above any fixed charge for a failure.
     engine = Exponential(limit=2.5)
-    problem = Problem([run_of()], {"gauge": ChannelNoise(np.array([1e-9]), 0.0, "test")}, cast(PooledEngine, engine))
+    problem = Problem(
+        [run_of()], {"gauge": ChannelNoise(np.array([1e-9]), 0.0, "test")}, cast(ParallelPredictor, engine)
+    )
     fitted = problem.fit(cast(Any, Stub()), [X], start=np.array([-3.0]), max_evaluations=60)
     assert engine.failed > 0
     assert fitted.converged, fitted.message
@@ -94,7 +96,7 @@ class Blind(Exponential):
 def test_a_search_does_not_go_to_where_nothing_is_seen(stubs: None, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = Blind(limit=2.5)
     noise = {"gauge": ChannelNoise(np.array([0.01]), np.zeros(1), "test")}
-    problem = Problem([run_of()], noise, cast(PooledEngine, engine))
+    problem = Problem([run_of()], noise, cast(ParallelPredictor, engine))
     fitted = problem.fit(cast(Any, Stub()), [X], start=np.array([-3.0]), max_evaluations=60)
     assert engine.failed > 0
     assert fitted.converged and fitted.scaled[0] == pytest.approx(TRUTH, abs=1e-3)
@@ -118,7 +120,7 @@ class Brittle:
 def test_a_failed_refinement_says_what_it_was_for() -> None:
     said = r"error of mesh and time step, pull could not .* finer mesh: The step does not converge\. Shorten solver"
     with pytest.raises(ConvergenceError, match=said):
-        discretisation(cast(PooledEngine, Brittle()), cast(Any, Stub()), [run_of("pull")])
+        discretisation(cast(ParallelPredictor, Brittle()), cast(Any, Stub()), [run_of("pull")])
 
 
 class BrittleBelow(Exponential):
@@ -145,7 +147,7 @@ def test_what_was_found_where_the_discretisation_error_cannot_be_measured_is_kep
     noise = {"gauge": ChannelNoise(np.array([0.01]), 0.0, "test")}
     with pytest.raises(Unmeasured, match=r"finer mesh: The step does not converge\. Shorten") as caught:
         fit_beside_discretisation(
-            cast(PooledEngine, BrittleBelow(np.inf)), [run_of()], noise, cast(Any, Stub()), [X], start=np.zeros(1)
+            cast(ParallelPredictor, BrittleBelow(np.inf)), [run_of()], noise, cast(Any, Stub()), [X], start=np.zeros(1)
         )
     found = caught.value.fitted
     assert found.scaled[0] == pytest.approx(TRUTH, abs=0.01)
@@ -187,7 +189,7 @@ class Broken:
 
 def problem_of(engine: Broken, rho: float = 0.0, run: Run | None = None) -> Problem:
     noise = {"gauge": ChannelNoise(np.array([1e-3]), rho, "test")}
-    return Problem([run or run_of()], noise, cast(PooledEngine, engine))
+    return Problem([run or run_of()], noise, cast(ParallelPredictor, engine))
 
 
 @pytest.mark.parametrize("lost", [np.nan, np.inf, -np.inf])

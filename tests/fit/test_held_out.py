@@ -10,18 +10,18 @@ from strip import START, TRUTH, pulled, strip_rig
 
 from sim_core.rigs import with_parameters
 from sysid.fit import FitOptions, fit_runs
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 
 RIG = strip_rig()
 
 
 def test_they_are_predicted_as_recordings_usually_are_and_judged_beside_the_discretisation_error(
-    workers: PooledEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    workers: ParallelPredictor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The rig that predicts them, and is returned, has the usual clocks: here one that is a fifth of a second late."""
     (gauge,) = RIG.sensors
     late = {f"{gauge}.latency_s": 0.2}
-    monkeypatch.setattr("sysid.fit.fit.as_usual", lambda rig, found: with_parameters(rig, late))
+    monkeypatch.setattr("sysid.fit.fit.with_mean_nuisances", lambda rig, found: with_parameters(rig, late))
     runs = [replace(pulled(RIG, TRUTH, tmp_path / name, seed=k), name=name) for k, name in enumerate(("one", "two"))]
     options = FitOptions(nuisance=("none",), intervals="quadratic")
     result, rig = fit_runs(

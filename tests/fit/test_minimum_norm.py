@@ -15,10 +15,10 @@ from sim_core.rigs.motion import load_experiment
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit_runs
 from sysid.fit.fit import NEAREST
-from sysid.fit.minimum_norm import RISE, nearest
+from sysid.fit.minimum_norm import RISE, minimum_norm_solution
 from sysid.model.load import load_runs
 from sysid.model.parameters import FitParameter
-from sysid.model.predictor import Engine, Prediction
+from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.simulate import simulate_to_bag
@@ -59,7 +59,7 @@ def ended(engine: Sum, at: tuple[float, ...], parameters: list[FitParameter] | N
     """A search that has ended at values of which the sum is 2, as that of the truth."""
     values = 2.0 * np.sin(T)[:, None] + SIGMA * np.random.default_rng(5).standard_normal((len(T), 1))
     run = Run("r", "", (), {}, (Measured("c", "markers", T, values, ("u",)),), 2.0)
-    problem = Problem([run], {"c": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(Engine, engine))
+    problem = Problem([run], {"c": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(SerialPredictor, engine))
     return problem, problem.evaluate(cast(Any, None), parameters or [A, B], np.array(at))
 
 
@@ -67,7 +67,7 @@ def test_the_nearest_in_plausible_widths_is_gone_to() -> None:
     """On a + b = 2 the least of a^2 + (b / 3)^2 is at 0.2 and 1.8."""
     problem, fitted = ended(Sum(), (30.0, -28.0))
     told: list[Fitted] = []
-    found = nearest(problem, fitted, START_HERE, 30, told.append)
+    found = minimum_norm_solution(problem, fitted, START_HERE, 30, told.append)
     np.testing.assert_allclose(found.scaled, [0.2, 1.8], atol=0.02)
     assert found.chi2 - fitted.chi2 <= RISE and found.converged and found.message == fitted.message
     assert len(told) == found.evaluations - fitted.evaluations == 1
@@ -75,19 +75,19 @@ def test_the_nearest_in_plausible_widths_is_gone_to() -> None:
 
 def test_what_is_determined_or_was_known_stays() -> None:
     problem, fitted = ended(Sum(apart=1.0), (1.0, 1.0))
-    assert nearest(problem, fitted, START_HERE, 30) is fitted
+    assert minimum_norm_solution(problem, fitted, START_HERE, 30) is fitted
     problem, fitted = ended(Sum(), (30.0, -28.0), [replace(A, known_sd=1.0), replace(B, known_sd=3.0)])
-    assert nearest(problem, fitted, START_HERE, 30) is fitted
+    assert minimum_norm_solution(problem, fitted, START_HERE, 30) is fitted
     problem, fitted = ended(Sum(), (30.0, -28.0))
     for changed in ({"converged": False}, {"interrupted": True}, {"limited": True}):
         unlike = replace(fitted, **changed)  # type: ignore[arg-type]
-        assert nearest(problem, unlike, START_HERE, 30) is unlike
+        assert minimum_norm_solution(problem, unlike, START_HERE, 30) is unlike
 
 
 def test_what_was_known_is_not_pulled_further() -> None:
     """a = 0 +- 100 was known: what is nearest is b = 0."""
     problem, fitted = ended(Sum(), (30.0, -28.0), [replace(A, known_sd=100.0), B])
-    np.testing.assert_allclose(nearest(problem, fitted, START_HERE, 30).scaled, [2.0, 0.0], atol=0.05)
+    np.testing.assert_allclose(minimum_norm_solution(problem, fitted, START_HERE, 30).scaled, [2.0, 0.0], atol=0.05)
 
 
 def test_what_is_told_a_little_is_not_given_up() -> None:
@@ -95,7 +95,7 @@ def test_what_is_told_a_little_is_not_given_up() -> None:
     problem, fitted = ended(Sum(apart=0.0013), (13.0, -11.0))
     problem.runs[0].measured[0].values[:] = (2.0 * np.sin(T) + 24.0 * 0.0013 * np.cos(T))[:, None]
     fitted = problem.evaluate(cast(Any, None), [A, B], fitted.scaled)
-    found = nearest(problem, fitted, START_HERE, 30)
+    found = minimum_norm_solution(problem, fitted, START_HERE, 30)
     assert found is not fitted and found.chi2 - fitted.chi2 <= RISE
     assert 3.0 < found.scaled[0] - found.scaled[1] < 20.0
 
@@ -108,7 +108,7 @@ def test_what_is_determined_beside_it_is_not_drawn_to_the_start(third: float) ->
     problem.runs[0].measured[0].values[:] += 0.03 * third * np.cos(5.0 * T)[:, None]
     fitted = problem.fit(cast(Any, None), given, start=fitted.scaled, tolerance=1e-9)
     sd = uncertainty(fitted).sd[2]
-    found = nearest(problem, fitted, np.zeros(3), 30)
+    found = minimum_norm_solution(problem, fitted, np.zeros(3), 30)
     np.testing.assert_allclose(found.scaled[:2], [0.2, 1.8], atol=0.1)
     assert 0.2 < sd < 0.45 and abs(found.scaled[2] - fitted.scaled[2]) < 0.2 * sd
 
@@ -116,20 +116,20 @@ def test_what_is_determined_beside_it_is_not_drawn_to_the_start(third: float) ->
 def test_bounds_hold_on_the_way_back() -> None:
     problem, fitted = ended(Sum(), (0.15, 1.85), [replace(A, upper=0.15), B])
     there = problem.evaluate(cast(Any, None), fitted.parameters, np.array([-30.0, 32.0]))
-    np.testing.assert_allclose(nearest(problem, there, START_HERE, 30).scaled, [0.15, 1.85], atol=0.02)
+    np.testing.assert_allclose(minimum_norm_solution(problem, there, START_HERE, 30).scaled, [0.15, 1.85], atol=0.02)
 
 
 def test_no_more_evaluations_are_made_than_may_be() -> None:
     problem, fitted = ended(Sum(wall=-50.0), (12.0, -10.0))
     told: list[Fitted] = []
-    assert nearest(problem, fitted, START_HERE, 2, told.append) is fitted
+    assert minimum_norm_solution(problem, fitted, START_HERE, 2, told.append) is fitted
     assert [t.chi2 for t in told] == [fitted.chi2] * 2  # what failed counts, and the best is told
-    assert nearest(problem, fitted, START_HERE, 0, told.append) is fitted and len(told) == 2
+    assert minimum_norm_solution(problem, fitted, START_HERE, 0, told.append) is fitted and len(told) == 2
 
 
 def test_where_the_way_back_cannot_be_simulated_the_fit_stays() -> None:
     problem, fitted = ended(Sum(wall=-50.0), (12.0, -10.0))
-    assert nearest(problem, fitted, START_HERE, 30) is fitted
+    assert minimum_norm_solution(problem, fitted, START_HERE, 30) is fitted
 
 
 def test_modulus_thickness_and_density_of_a_pull_stay_near_the_rig(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from sim_core.simulate import Trace
 from sysid.fit import FitOptions
 from sysid.fit import multistart as starts
 from sysid.fit.multistart import Evaluations, Searches, Step
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter, fit_parameters
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
@@ -64,7 +64,7 @@ def problem(gauge: Gauge, off: float = 0.0) -> Problem:
     noise = SIGMA * rng.standard_normal((len(T), 1))
     data = gauge.read(11.0) + noise + off * np.sin(40.0 * T)[:, None]
     run = Run("press", "press", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
-    return Problem([run], {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(PooledEngine, gauge))
+    return Problem([run], {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(ParallelPredictor, gauge))
 
 
 def searches(rig: Any, evaluations: Evaluations | None = None, **chosen: Any) -> tuple[Searches, list[FitParameter]]:

@@ -14,7 +14,7 @@ from sim_core.rigs.motion import Experiment
 from sysid.fit import FitOptions, fit_runs
 from sysid.model.load import load_run, load_runs
 from sysid.model.parameters import fit_parameters
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.simulate import simulate_to_bag
 
 PLACED = FitOptions(nuisance=("time", "bias", "camera"))
@@ -97,7 +97,7 @@ def test_the_recording_that_comes_with_the_package_is_of_this_simulator():
     """What the rig predicts of it leaves the noise that it was made with."""
     rig = load_rig("card_press")
     run = load_run(rig, config_folder().parent / "bags" / "press_post")
-    predicted = Engine().predict(rig, run).values
+    predicted = SerialPredictor().predict(rig, run).values
     left = {m.channel: m.values - predicted[m.channel] for m in run.measured}
     assert np.std(left["wrench_gel"][:, :3]) == pytest.approx(rig.sensors["wrench_gel"].noise.force_n, rel=0.1)
     assert np.std(left["gel_markers"]) == pytest.approx(rig.sensors["gel_markers"].noise.position_m, rel=0.1)

@@ -18,7 +18,7 @@ from sim_core.scene import build_scene
 from sim_core.simulate import simulate
 from sysid.fit import FitOptions, fit_runs
 from sysid.gradients import check_gradients
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 
 PRESS = Experiment.model_validate(
     {"name": "press", "motions": {"finger": [{"type": "press", "depth_m": 0.006, "speed_m_s": 0.05}]}}
@@ -59,7 +59,7 @@ def test_derivatives_by_where_a_camera_stands_match_differences(small_rig: Any, 
 
 @pytest.mark.parametrize("told", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_fit_allows_for_a_camera_that_was_not_measured_exactly(
-    workers: PooledEngine, tmp_path: Path, told: bool
+    workers: ParallelPredictor, tmp_path: Path, told: bool
 ) -> None:
     """The camera has slipped by a millimetre and half a degree; the rig says that it may have, or not."""
     rig = strip_rig()

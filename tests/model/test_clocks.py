@@ -13,10 +13,10 @@ from sim_core.rigs import with_parameters
 from sysid.fit import FitOptions, fit_runs
 from sysid.fit.result import FitResult
 from sysid.model.nuisance_parameters import nuisance_parameters
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import acting_in
 from sysid.observations.observations import Measured, Run
-from sysid.uncertainty.nuisance_estimates import Nuisance, as_usual, remarks
+from sysid.uncertainty.nuisance_estimates import Nuisance, remarks, with_mean_nuisances
 
 RIG = strip_rig()
 CHANNELS = [*RIG.sensors, *RIG.cameras]
@@ -48,7 +48,7 @@ def test_windows_of_one_recording_share_their_clock() -> None:
 
 
 @pytest.fixture(scope="module")
-def fitted(workers: PooledEngine, tmp_path_factory: pytest.TempPathFactory) -> FitResult:
+def fitted(workers: ParallelPredictor, tmp_path_factory: pytest.TempPathFactory) -> FitResult:
     """A fit of two recordings whose clocks are off to either side."""
     folder = tmp_path_factory.mktemp("clocks")
     runs = [
@@ -85,7 +85,7 @@ def test_that_clocks_differ_is_said(fitted: FitResult) -> None:
 def test_the_usual_offset_is_that_of_the_recordings_that_tell_it() -> None:
     name = f"{CHANNELS[0]}.latency_s"
     known = Nuisance(name, "a", "s", 0.0, 0.02, (0.018, 0.022), 0.001, 0.03, False, ())
-    rig = as_usual(RIG, [known, replace(known, run="b", value=-0.01, sd=0.029)])
+    rig = with_mean_nuisances(RIG, [known, replace(known, run="b", value=-0.01, sd=0.029)])
     assert rig.sensors[CHANNELS[0]].latency_s == pytest.approx(0.02, abs=1e-4)
 
 

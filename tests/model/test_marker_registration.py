@@ -17,7 +17,7 @@ from sysid.model.load import load_run
 from sysid.model.marker_registration import first_frames, placed
 from sysid.model.nuisance_parameters import nuisance_parameters
 from sysid.model.parameters import fit_parameters, rig_at, start_of
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.noise.estimate import as_declared
 from sysid.observations.observations import Run
 from sysid.simulate import write_trace
@@ -79,7 +79,7 @@ def test_markers_are_located_in_the_first_frame(tmp_path: Path) -> None:
     run = load_run(rig, bag)
     located = places(rig, run)
     np.testing.assert_allclose(located, PINS, atol=1e-6)
-    prediction = Engine().predict(rig, run)
+    prediction = SerialPredictor().predict(rig, run)
     video = next(m for m in run.measured if m.channel == "video")
     difference = video.values - prediction.values["video"]
     assert np.isnan(difference[:, 10:]).all()  # the origin marker itself is not compared
@@ -144,7 +144,7 @@ def test_derivatives_have_their_share_of_the_places(tmp_path: Path) -> None:
     late = tuple(replace(m, t=m.t[31:-1], values=m.values[31:-1]) if m.channel == "video" else m for m in run.measured)
     run = replace(run, measured=late, firsts=first_frames(rig, run.poses, late)[0])
     parameters = fit_parameters(rig, PLACING)
-    start, engine = start_of(rig, parameters), Engine()
+    start, engine = start_of(rig, parameters), SerialPredictor()
     ours = engine.predict_with_derivatives(rig, run, parameters, start).derivatives["video"]
     for k, p in enumerate(parameters):
         step = (1e-7 if p.unit == "m" else 1e-5) * np.eye(len(start))[k]
@@ -167,7 +167,7 @@ def fitted(rig: Rig, run: Run, names: list[str], kinds: tuple[str, ...]) -> dict
     """95 % intervals of a fit by the declared noise, no error of the simulator."""
     asked = fit_parameters(rig, names)
     parameters = [*asked, *nuisance_parameters(rig, [run], asked, kinds)]
-    problem = Problem([run], {m.channel: as_declared(rig, m) for m in run.measured}, Engine())
+    problem = Problem([run], {m.channel: as_declared(rig, m) for m in run.measured}, SerialPredictor())
     found = problem.fit(rig, parameters)
     sd = uncertainty(found).sd
     return {p.name: interval(p, found.scaled[k], sd[k]) for k, p in enumerate(parameters)}

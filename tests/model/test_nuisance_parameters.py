@@ -22,8 +22,8 @@ from sysid.model.nuisance_parameters import (
     nuisance_parameters,
 )
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
-from sysid.model.pose_influence import acting
-from sysid.model.predictor import Engine, Prediction
+from sysid.model.pose_influence import influencing_end_effectors
+from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.covariance import uncertainty
@@ -32,7 +32,7 @@ from sysid.solve.residuals import Problem
 from sysid.uncertainty.nuisance_estimates import (
     REMEDIES,
     Nuisance,
-    blamed,
+    confounded_with_nuisances,
     kind_of,
     nuisances_of,
     remarks,
@@ -74,7 +74,7 @@ def run_of(bias: np.ndarray, slopes: np.ndarray = SLOPES) -> Run:
 
 
 def problem_of(run: Run, error_shapes: list[ErrorShape] | None = None, bias: bool = True) -> Problem:
-    return Problem([run], NOISE, cast(Engine, Linear()), error_shapes or [], bias=bias)
+    return Problem([run], NOISE, cast(SerialPredictor, Linear()), error_shapes or [], bias=bias)
 
 
 MESH = ErrorShape("mesh", ({"gauge": 0.05 * np.outer(np.cos(5 * T), RNG.normal(size=6))},))
@@ -161,9 +161,9 @@ def test_what_only_a_bias_hides_is_said(stubs: None, monkeypatch: pytest.MonkeyP
     found = problem.fit(cast(Any, None), ASKED, start=np.zeros(2))
     known = uncertainty(found)
     assert known.sd[1] > 0.5 * ASKED[1].prior_sd and any("do not determine b" in s for s in known.sentences)
-    (said,) = blamed(problem, found, KINDS)
+    (said,) = confounded_with_nuisances(problem, found, KINDS)
     assert said.startswith("b would be determined if force sensors had no bias")
-    assert blamed(problem_of(run_of(np.zeros(6)), bias=False), found, KINDS) == []
+    assert confounded_with_nuisances(problem_of(run_of(np.zeros(6)), bias=False), found, KINDS) == []
 
 
 def test_nuisances_have_a_prior_and_stay_there_without_information(stubs: None) -> None:
@@ -177,13 +177,15 @@ def test_nuisances_have_a_prior_and_stay_there_without_information(stubs: None) 
                 replace(p, derivatives={"gauge": np.concatenate([p.derivatives["gauge"], 0.0 * SLOPES[:, :, :1]], 2)})
             ]
 
-    problem = Problem([run_of(np.zeros(6))], NOISE, cast(Engine, Blind()))
+    problem = Problem([run_of(np.zeros(6))], NOISE, cast(SerialPredictor, Blind()))
     found = problem.fit(cast(Any, None), [*ASKED, late], start=np.array([0.0, 0.0, 0.01]))
     assert found.pulls == 1 and found.samples == 6 * len(T)
     assert found.scaled[2] == pytest.approx(0.0, abs=1e-6)
     known = uncertainty(found)
     assert known.sd[2] >= 0.99 * 0.03 and known.sentences == ()
-    alone = Problem([run_of(np.zeros(6))], NOISE, cast(Engine, Linear())).fit(cast(Any, None), ASKED, start=np.zeros(2))
+    alone = Problem([run_of(np.zeros(6))], NOISE, cast(SerialPredictor, Linear())).fit(
+        cast(Any, None), ASKED, start=np.zeros(2)
+    )
     np.testing.assert_allclose(known.sd[:2], uncertainty(alone).sd, rtol=1e-2)
     (n,) = nuisances_of(problem, found)
     assert not n.told and not n.far and remarks(cast(Any, None), [n], trusted=True) == []
@@ -198,13 +200,13 @@ def test_a_parameter_that_only_the_clock_hides_is_no_better_known_than_the_clock
             slopes = np.concatenate([SLOPES, 200.0 * SLOPES[:, :, 1:]], axis=2)
             return [Prediction({"gauge": slopes @ scaled}, {"gauge": slopes}, cast(Trace, None))]
 
-    problem = Problem([run_of(np.zeros(6))], NOISE, cast(Engine, Late()))
+    problem = Problem([run_of(np.zeros(6))], NOISE, cast(SerialPredictor, Late()))
     found = problem.fit(cast(Any, None), [*ASKED, late], start=np.zeros(3), tolerance=1e-9)
     known = uncertainty(replace(found, residual=0.0 * found.residual))
     np.testing.assert_allclose(known.sd[1:], [200.0 * 0.03, 0.03], rtol=0.01)
     assert known.sd[0] < 0.1
     assert len(known.sentences) == 1 and "do not determine b:" in known.sentences[0]
-    assert blamed(problem, found, KINDS) == [f"b would be determined if {REMEDIES['time']}."]
+    assert confounded_with_nuisances(problem, found, KINDS) == [f"b would be determined if {REMEDIES['time']}."]
 
 
 def test_every_stream_and_camera_has_its_nuisances_once(small_rig: Any) -> None:
@@ -315,7 +317,7 @@ TWO_HANDS = {
 )
 def test_an_end_effector_acts_through_what_it_carries_and_touches(channel: str, expected: list[str]) -> None:
     """The table passes on nothing from one sheet to the other, but feels both."""
-    assert acting(parse_rig(TWO_HANDS, "two hands"), [channel]) == expected
+    assert influencing_end_effectors(parse_rig(TWO_HANDS, "two hands"), [channel]) == expected
 
 
 def test_remarks_say_how_an_end_effector_is_off(small_rig: Any) -> None:

@@ -13,7 +13,7 @@ from strip import START, TRUTH, pulled, strip_rig
 from sim_core.errors import ConfigError
 from sim_core.rigs import with_parameters
 from sysid.fit import FitOptions, fit_runs
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import acting_in, fit_parameters, rig_at, rig_in, start_of, with_bags
 from sysid.workflow import fit_bags
 
@@ -49,7 +49,7 @@ def test_what_cannot_be_per_bag_is_named() -> None:
         with_bags(parameters, ["strip.Y"], BAGS, RIG)
 
 
-def test_two_strips_of_one_film_that_aged(workers: PooledEngine, tmp_path: Path) -> None:
+def test_two_strips_of_one_film_that_aged(workers: ParallelPredictor, tmp_path: Path) -> None:
     """Each has its modulus, both have one Poisson's ratio, which is then known better than from one."""
     runs = [
         replace(pulled(RIG, values, tmp_path / name, seed=k), name=name)

@@ -18,9 +18,9 @@ from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit_runs
 from sysid.model.load import load_runs
 from sysid.model.parameters import fit_parameters, start_of
-from sysid.model.predictor import Engine, Prediction
+from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.model.sensor_streams import stream_derivatives
-from sysid.model.time_span import known_until, rollout_times, too_late
+from sysid.model.time_span import after_known_motion, known_until, rollout_times
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.simulate import simulate_to_bag
@@ -59,7 +59,7 @@ def test_a_window_that_ends_in_motion_tells_what_the_whole_recording_does(
     found = []
     for name in (session, Path(f"{session}@0:{IN_MOTION_S}")):
         (run,), _ = load_runs(rig, [name])
-        result = fit_runs(rig, [run], list(TRUTH), options, engine=Engine())[0]
+        result = fit_runs(rig, [run], list(TRUTH), options, engine=SerialPredictor())[0]
         assert result.converged, result.message
         assert result.reduced_chi2 < 1.3
         found.append({e.name: e for e in result.estimates})
@@ -80,7 +80,7 @@ def test_readings_of_a_window_are_those_of_the_whole_recording(small_rig: Callab
     (whole, part), _ = load_runs(rig, [session, Path(f"{session}@0:{IN_MOTION_S}")])
     parameters = fit_parameters(rig, list(TRUTH))
     at = start_of(rig, parameters)
-    there, here = (Engine().predict_with_derivatives(rig, run, parameters, at) for run in (whole, part))
+    there, here = (SerialPredictor().predict_with_derivatives(rig, run, parameters, at) for run in (whole, part))
     for m in part.measured:
         n = len(m.t)
         scale = np.abs(there.values[m.channel]).max(axis=0)
@@ -115,7 +115,7 @@ def test_until_when_the_motion_is_known(
     rig = with_parameters(small_rig(), {"wrench.latency_s": -LEAD_S})
     run = run_until(end, last_pose, moving)
     assert known_until(rig, run) == pytest.approx(known)
-    assert too_late(rig, run, run.measured[0]).sum() == dropped
+    assert after_known_motion(rig, run, run.measured[0]).sum() == dropped
     times = rollout_times([rig], run, 0.02)
     assert times[100] == end and np.diff(times) == pytest.approx(0.02)
     assert min(known, end + LEAD_S) <= times[-1] + 1e-9 < min(known, end + LEAD_S) + 0.02
@@ -130,9 +130,9 @@ def test_what_is_too_late_has_no_say_in_a_bias(small_rig: Callable[..., Rig]) ->
     off.values[:, 2] = 3.0
     run = replace(run, measured=(off,))
 
-    values = np.where(too_late(rig, run, off)[:, None], np.nan, np.zeros((201, 6)))
+    values = np.where(after_known_motion(rig, run, off)[:, None], np.nan, np.zeros((201, 6)))
     prediction = Prediction({"wrench": values}, {}, cast(Trace, None))
-    problem = Problem([run], {"wrench": ChannelNoise(np.full(6, 1e-3), 0.0, "test")}, Engine(), bias=True)
+    problem = Problem([run], {"wrench": ChannelNoise(np.full(6, 1e-3), 0.0, "test")}, SerialPredictor(), bias=True)
     fitted = problem.compare([prediction], rig, [], np.zeros(0))
     assert problem.bias_of(fitted, 0, off)[2] == pytest.approx(3.0, abs=1e-6)
     assert np.abs(fitted.residual).max() < 1.0

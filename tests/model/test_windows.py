@@ -20,11 +20,11 @@ from sim_core.rigs.motion import Experiment
 from sysid.diagnosis import diagnose_runs
 from sysid.fit import FitOptions, fit_runs
 from sysid.model.load import load_run, load_runs
-from sysid.model.parallel_predictor import PooledEngine
-from sysid.model.predictor import Engine
+from sysid.model.parallel_predictor import ParallelPredictor
+from sysid.model.predictor import SerialPredictor
 from sysid.model.provenance import provenance
 from sysid.model.windows import not_from_rest, window_of
-from sysid.noise.data_quality import doubts
+from sysid.noise.data_quality import data_quality_warnings
 from sysid.observations.observations import Run, check_apart
 from sysid.observations.selection import Part, check_parts, part_of
 from sysid.simulate import simulate_to_bag
@@ -76,7 +76,7 @@ def second(rig: Rig, session: Path) -> float:
 def test_a_window_is_predicted_as_the_whole_recording_is_there(rig: Rig, session: Path, second: float) -> None:
     (whole, part), _ = load_runs(rig, [session, Path(f"{session}@{second}:9")])
     assert part.end == pytest.approx(whole.end - second, abs=1e-9) and part.end < 0.6 * whole.end
-    engine = Engine()
+    engine = SerialPredictor()
     there, here = (engine.predict(rig, run).values for run in (whole, part))
     for m, n in zip(whole.measured, part.measured, strict=True):
         inside = m.t >= second
@@ -87,7 +87,7 @@ def test_a_window_is_predicted_as_the_whole_recording_is_there(rig: Rig, session
 
 
 def test_one_press_is_fitted_and_the_other_held_out(
-    rig: Rig, session: Path, second: float, workers: PooledEngine
+    rig: Rig, session: Path, second: float, workers: ParallelPredictor
 ) -> None:
     parts = Path(f"{session}@0:{second}"), Path(f"{session}@{second}:9")
     runs, held_out = load_runs(rig, parts[:1], parts[1:])
@@ -165,7 +165,7 @@ def test_the_drift_of_a_sensor_goes_on(rig: Rig, session: Path, second: float) -
     offset["drift_z_n_per_s"] = 0.5
     drifting = rig.model_copy(update={"effects": {"wrench_offset": offset}})
     (whole, part), _ = load_runs(drifting, [session, Path(f"{session}@{second}:9")])
-    engine = Engine()
+    engine = SerialPredictor()
     there, here = (engine.predict(drifting, run).values["wrench"] for run in (whole, part))
     inside = next(m.t for m in whole.measured if m.channel == "wrench") >= second
     rest = 5
@@ -225,7 +225,7 @@ def test_what_is_missing_is_counted_in_the_window(rig: Rig, tmp_path: Path) -> N
     assert heard == [f"{run.name}: {n}" for run in (whole, first, last) for n in run.doubts]
     assert any(re.fullmatch(r"side: no reading of the markers \d+ from 0\.4 to 9 s", n) for n in last.notes)
     assert not any("no reading" in n for run in (whole, first) for n in run.notes)
-    assert "4 messages" in doubts(rig, [first])[0]
+    assert "4 messages" in data_quality_warnings(rig, [first])[0]
     alone = [load_run(rig, path) for path in (bag, Path(f"{bag}@0.4:9"))]
     assert [(run.since, run.doubts) for run in alone] == [(0.0, whole.doubts), (0.4, last.doubts)]
 

@@ -12,7 +12,7 @@ from sim_core.rigs import parse_rig
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
 from sysid.model.load import load_run
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.recording import RecordingWriter
 
 
@@ -34,5 +34,5 @@ def test_a_recording_without_poses_is_read_by_a_rig_without_end_effectors(tmp_pa
             bag.tracks("marker_tracks", 10**9 + round(1e9 * t), uv, np.arange(len(uv)), np.ones(len(uv)), "camera")
     run = load_run(rig, tmp_path / "bag")
     assert run.poses == {}
-    seen = Engine().predict(rig, run).values["side"]
+    seen = SerialPredictor().predict(rig, run).values["side"]
     np.testing.assert_allclose(seen, run.measured[0].values, atol=1e-3)

@@ -14,7 +14,7 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.simulate import Trace
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
-from sysid.noise.autocorrelation import Part, Samples, coloured_scores, unheard
+from sysid.noise.autocorrelation import Part, Samples, autocorrelated_scores, unknown_autocorrelation
 from sysid.noise.estimate import FROM_DIFFERENCES, ChannelNoise, estimate_noise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.covariance import uncertainty
@@ -155,7 +155,7 @@ def test_the_covariance_of_the_scores_is_that_of_autoregressive_noise() -> None:
         residual = np.where(there, 2.0 * coloured(rng, 0.8, n, m), 0.0)
         expected = 4.0 * np.einsum("kcp,kl,lcq->pq", jacobian, 0.8**apart, jacobian, optimize=True)
         plain = np.einsum("kcp,kcq->pq", jacobian, jacobian)
-        found = plain + coloured_scores([[Part(there, residual, jacobian)]], np.linalg.inv(plain))
+        found = plain + autocorrelated_scores([[Part(there, residual, jacobian)]], np.linalg.inv(plain))
         ratios.append(np.sqrt(np.diag(found) / np.diag(expected)))
     middle, low, high = np.quantile(ratios, [0.5, 0.1, 0.9], axis=0)
     np.testing.assert_allclose(middle, 1.0, atol=0.15)
@@ -224,7 +224,7 @@ def test_what_is_not_known_is_told() -> None:
         "gauge": ChannelNoise(np.ones(6), 0.0, FROM_DIFFERENCES),
         "video": ChannelNoise(np.ones(6), 0.0, "rest at the start"),
     }
-    (sentence,) = unheard(noise)
+    (sentence,) = unknown_autocorrelation(noise)
     assert "The colour of the noise of gauge is not known" in sentence and "15 of its samples" in sentence
 
 
@@ -237,9 +237,9 @@ def test_recordings_may_be_of_any_length(lengths: tuple[int, int]) -> None:
         there, t = np.ones((n, 3), dtype=bool), np.arange(n)[:, None, None] / 100.0
         parts.append(Part(there, coloured(rng, 0.9, n, 3), np.sin(t + np.arange(3)[:, None] + np.arange(2))))
     plain = sum(np.einsum("kcp,kcq->pq", part.jacobian, part.jacobian) for part in parts)
-    both = plain + coloured_scores([parts], np.linalg.inv(plain))
+    both = plain + autocorrelated_scores([parts], np.linalg.inv(plain))
     alone = np.einsum("kcp,kcq->pq", parts[0].jacobian, parts[0].jacobian)
-    alone = alone + coloured_scores([parts[:1]], np.linalg.inv(alone))
+    alone = alone + autocorrelated_scores([parts[:1]], np.linalg.inv(alone))
     assert np.all(np.diag(both) > 0.7 * np.diag(alone)) and np.all(np.diag(both) < 2.0 * np.diag(alone))
 
 
@@ -261,7 +261,7 @@ def test_what_a_bias_takes_up_is_allowed_for(length: float, lost: int) -> None:
         found = inverse @ np.einsum("kcp,kc->p", jacobian, noise)
         part = Part(there, noise - jacobian @ found, jacobian, tared=True)
         off.append(found)
-        said.append(np.sqrt(np.diag(inverse + inverse @ coloured_scores([[part]], inverse) @ inverse)))
+        said.append(np.sqrt(np.diag(inverse + inverse @ autocorrelated_scores([[part]], inverse) @ inverse)))
     ratio = np.sqrt(np.mean(np.square(said), axis=0)) / np.std(off, axis=0)
     assert np.all(ratio > 0.9) and np.all(ratio < 1.25), ratio
 

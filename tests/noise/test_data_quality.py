@@ -9,8 +9,7 @@ import pytest
 
 from sim_core.rigs import load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.noise.data_quality import FEW
-from sysid.noise.data_quality import doubts as doubts_of
+from sysid.noise.data_quality import FEW, data_quality_warnings
 from sysid.observations.observations import Measured, Run
 
 RIG = load_rig("strip_coarse")
@@ -38,20 +37,20 @@ def run_of(instants: int, *faults: str) -> Run:
     return recording(np.vstack([noise(instants), np.full((1, 6), np.nan)]), *faults)
 
 
-def doubts(runs: list[Run]) -> list[str]:
-    return doubts_of(RIG, runs)
+def warnings_in(runs: list[Run]) -> list[str]:
+    return data_quality_warnings(RIG, runs)
 
 
 def test_a_recording_without_faults_gives_no_doubt() -> None:
-    assert doubts([run_of(FEW)]) == []
-    assert doubts([recording(noise(300))]) == [] == doubts([recording(noise(300), moves_m=0.0)])
+    assert warnings_in([run_of(FEW)]) == []
+    assert warnings_in([recording(noise(300))]) == [] == warnings_in([recording(noise(300), moves_m=0.0)])
 
 
 @pytest.mark.parametrize("moves_m", [0.01, 0.0])
 def test_readings_that_change_while_nothing_moves_are_said(moves_m: float) -> None:
     """As where the topic of the poses was not alive. Torques stay those of noise."""
     wave = 10.0 * np.sin(np.arange(300) / 30.0)[:, None] * [1.0, 0.5, 0.5, 0.0, 0.0, 0.0]
-    said = doubts([recording(noise(300) + wave, moves_m=moves_m)])
+    said = warnings_in([recording(noise(300) + wave, moves_m=moves_m)])
     if moves_m:
         assert said == []
     else:
@@ -62,15 +61,15 @@ def test_readings_that_change_while_nothing_moves_are_said(moves_m: float) -> No
 def test_a_sensor_that_was_not_on_is_said() -> None:
     single = np.full((300, 6), np.nan)
     single[7] = 1.0
-    assert "are the same" not in " ".join(doubts([recording(single)]))
-    (said,) = doubts([recording(np.zeros((300, 6)))])
+    assert "are the same" not in " ".join(warnings_in([recording(single)]))
+    (said,) = warnings_in([recording(np.zeros((300, 6)))])
     assert said == "All 300 readings of load_cell in press are the same: look whether it was on."
 
 
 @pytest.mark.parametrize(("times", "apart"), [(1.5, False), (10.0, True)])
 def test_recordings_with_another_noise_are_said(times: float, apart: bool) -> None:
     other = recording(noise(300, times * DECLARED, seed=1), name="rough")
-    said = doubts([recording(noise(300)), other])
+    said = warnings_in([recording(noise(300)), other])
     assert bool(said) == apart
     if apart:
         assert said[0].startswith("The force of load_cell has a noise of") and "in rough and of" in said[0]
@@ -79,11 +78,11 @@ def test_recordings_with_another_noise_are_said(times: float, apart: bool) -> No
 
 @pytest.mark.parametrize(("faults", "said"), [(1, "1 fault that"), (5, "5 faults that")])
 def test_faults_are_said_and_counted(faults: int, said: str) -> None:
-    (sentence,) = doubts([run_of(FEW, *(f"/wrench: fault {k}" for k in range(faults)))])
+    (sentence,) = warnings_in([run_of(FEW, *(f"/wrench: fault {k}" for k in range(faults)))])
     assert sentence.startswith(f"press was read with {said} may change the result: /wrench: fault 0")
     assert ("and 2 more, in the notes" in sentence) == (faults == 5)
 
 
 def test_few_instants_of_all_recordings_together_are_said() -> None:
-    assert "readings of 4 instants only" in doubts([run_of(2), replace(run_of(2), name="other")])[0]
-    assert doubts([run_of(FEW // 2), run_of(FEW // 2)]) == []
+    assert "readings of 4 instants only" in warnings_in([run_of(2), replace(run_of(2), name="other")])[0]
+    assert warnings_in([run_of(FEW // 2), run_of(FEW // 2)]) == []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.noise.estimate import ChannelNoise
-from sysid.noise.sampling_interval import paced
+from sysid.noise.sampling_interval import in_sampling_intervals
 from sysid.noise.whitening import Whitening, whiten
 
 INTERVAL = 0.004
@@ -111,11 +111,11 @@ def test_two_messages_stamped_at_once_are_not_far_too_unlike() -> None:
     t[1::50] = t[0::50] + 1e-9
     white = whiten(values, ChannelNoise(np.ones(1), 0.95, "test"), t)
     assert np.mean(white**2) < 1.05
-    assert np.all(np.diff(paced(t)) > 0.49)
+    assert np.all(np.diff(in_sampling_intervals(t)) > 0.49)
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
 def test_few_samples_have_a_pace(n: int) -> None:
-    np.testing.assert_allclose(paced(5.0 + INTERVAL * np.arange(n)), np.arange(float(n)))
+    np.testing.assert_allclose(in_sampling_intervals(5.0 + INTERVAL * np.arange(n)), np.arange(float(n)))
     noise = ChannelNoise(np.ones(2), 0.5, "test")
     assert whiten(np.ones((n, 2)), noise, INTERVAL * np.arange(n)).shape == (n, 2)

@@ -13,7 +13,7 @@ from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit
 from sysid.fit import multistart as starts
 from sysid.fit.options import Intervals
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
 from sysid.observations.observations import Run
 from sysid.solve.residuals import Problem
@@ -63,7 +63,7 @@ def test_a_search_that_ended_too_early_goes_on_from_the_better_fit_that_interval
     rig = with_parameters(small_rig(), {"gel.E_pa": 1.01 * TRUTH})
     shares: list[float] = []
     result, _ = fit.fit_runs(
-        rig, [run_of("press", "markers")], ["gel.E"], options, engine=cast(PooledEngine, Readings()),
+        rig, [run_of("press", "markers")], ["gel.E"], options, engine=cast(ParallelPredictor, Readings()),
         on_progress=lambda share, text: shares.append(share),
     )  # fmt: skip
     assert shares == sorted(shares)
@@ -80,7 +80,7 @@ def test_a_search_that_ends_too_early_each_time_has_not_converged(
     monkeypatch.setattr(Profiler, "better", property(lambda profiler: profiler._best.scaled + 1e-4))
     rig = with_parameters(small_rig(), {"gel.E_pa": 1.01 * TRUTH})
     options = FitOptions(nuisance=("none",), robust=False)
-    runs, engine = [run_of("press", "markers")], cast(PooledEngine, Readings())
+    runs, engine = [run_of("press", "markers")], cast(ParallelPredictor, Readings())
     result, _ = fit.fit_runs(rig, runs, ["gel.E"], options, engine=engine)
     assert not result.converged and "a better fit is known" in result.message
     assert "did not converge" in result.table()

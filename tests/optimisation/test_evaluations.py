@@ -12,7 +12,7 @@ from sim_core.errors import ConfigError, ConvergenceError
 from sysid.fit import FitOptions, fit
 from sysid.fit import multistart as starts
 from sysid.fit.multistart import Evaluations, Searches, Step
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
@@ -34,7 +34,7 @@ def test_a_restart_that_cannot_be_simulated_is_left_out(small_rig: Any, monkeypa
     monkeypatch.setattr(starts, "GOOD_MISFIT", 0.0)
     parameters = fit_parameters(small_rig(), ["gel.E"])
     noise = {"markers": ChannelNoise(np.array([0.01]), 0.0, "test")}
-    problem = Problem([run_of("press", "markers")], noise, cast(PooledEngine, Readings()))
+    problem = Problem([run_of("press", "markers")], noise, cast(ParallelPredictor, Readings()))
     evaluations = Evaluations(FitOptions())
     found = Searches(small_rig(), parameters, FitOptions(), evaluations)(problem, np.array([11.0]))
     assert len(calls) == 1 + starts.MOST_RESTARTS
@@ -59,7 +59,7 @@ def fit_within(rig: Any, most: int | None) -> tuple[int, list[int], fit.FitResul
     engine, steps = Counted(), []
     result, _ = fit.fit_runs(
         rig, [run_of("press", "markers")], ["gel.E"], FitOptions(nuisance=("none",), max_evaluations=most),
-        engine=cast(PooledEngine, engine), on_step=lambda step: steps.append(step.evaluations),
+        engine=cast(ParallelPredictor, engine), on_step=lambda step: steps.append(step.evaluations),
     )  # fmt: skip
     return engine.evaluations, steps, result
 
@@ -88,8 +88,8 @@ def test_a_rig_that_is_only_compared_is_evaluated_once(small_rig: Any) -> None:
     at."""
     steps: list[Step] = []
     result, _ = fit.fit_runs(
-        small_rig(), [run_of("press", "markers")], [], FitOptions(robust=False), engine=cast(PooledEngine, Readings()),
-        on_step=steps.append,
+        small_rig(), [run_of("press", "markers")], [], FitOptions(robust=False),
+        engine=cast(ParallelPredictor, Readings()), on_step=steps.append,
     )  # fmt: skip
     assert result.misfit > 10.0 and result.converged
     assert result.evaluations == len(steps) == 1
@@ -117,7 +117,7 @@ def test_evaluations_that_fail_are_counted(small_rig: Any, monkeypatch: pytest.M
 def test_a_fit_counts_its_evaluations_over_all_searches_and_stops_at_the_most_allowed(small_rig: Any) -> None:
     parameters = fit_parameters(small_rig(), ["gel.E"])
     noise = {"markers": ChannelNoise(np.array([0.01]), 0.0, "test")}
-    problem = Problem([run_of("press", "markers")], noise, cast(PooledEngine, Readings()))
+    problem = Problem([run_of("press", "markers")], noise, cast(ParallelPredictor, Readings()))
     steps: list[Step] = []
     shares: list[float] = []
     evaluations = Evaluations(FitOptions(max_evaluations=2), lambda share, words: shares.append(share), steps.append)
@@ -138,7 +138,7 @@ def test_the_misfit_of_a_result_is_that_of_its_last_step(small_rig: Any) -> None
     run = run_of("press", "markers")
     options = FitOptions(nuisance=("none",), intervals="quadratic", robust=False)
     result, _ = fit.fit_runs(
-        small_rig(), [run], ["gel.E"], options, engine=cast(PooledEngine, Readings()), on_step=steps.append
+        small_rig(), [run], ["gel.E"], options, engine=cast(ParallelPredictor, Readings()), on_step=steps.append
     )
     assert result.misfit == pytest.approx(steps[-1].misfit)
     white = (run.measured[0].values - column(result.estimates[0].value)) / 0.01

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid.model.parameters import FitParameter
-from sysid.solve.covariance import chance
+from sysid.solve.covariance import overdispersion
 from sysid.solve.gauss_newton import HALTED, Search
 from sysid.solve.optimum import Fitted
 
@@ -47,7 +47,7 @@ def test_a_right_model_is_fitted_as_least_squares_does(start: tuple[float, float
     data = BASIS @ [2.0, -1.0] + NOISE
     found = search(data, start)
     assert found.converged
-    assert chance(found) < 2.5
+    assert overdispersion(found) < 2.5
     sd = np.sqrt(np.diag(np.linalg.inv(BASIS.T @ BASIS + np.eye(2))))
     np.testing.assert_array_less(np.abs(found.scaled - solved(data, 1.0)), 0.25 * sd)
 
@@ -68,7 +68,7 @@ def test_what_a_misfit_says_nothing_of_is_fitted_as_well_as_it_is_known(off: flo
     best = np.array([wave @ missed / (wave @ wave), other @ right / (other @ other)])
     sd = 1.0 / np.linalg.norm(other)
     found = Search(evaluate, PARAMETERS, None).run(best + [0.0, off * sd], 60, 0.5)
-    assert found.converged and 0.5 * chance(found) > off**2
+    assert found.converged and 0.5 * overdispersion(found) > off**2
     assert abs(found.scaled[1] - best[1]) < 0.25 * sd
 
 
@@ -76,7 +76,7 @@ def test_chance_of_white_noise_is_about_one() -> None:
     values = []
     for _ in range(40):
         data = RNG.normal(size=len(T))
-        values.append(chance(problem(data)(solved(data, 1.0))))
+        values.append(overdispersion(problem(data)(solved(data, 1.0))))
     assert np.mean(values) == pytest.approx(1.0, abs=0.35)
 
 
@@ -85,7 +85,7 @@ def test_a_misfit_with_structure_leaves_parameters_near_their_prior() -> None:
     # is no evidence for values of 100 prior widths.
     data = 30.0 * np.sin(9.0 * T) + NOISE
     loose, found = solved(data, 1.0), search(data)
-    kappa = chance(found)
+    kappa = overdispersion(found)
     assert kappa > 1000.0
     assert np.abs(found.scaled).max() < 0.3 * np.abs(loose).max()
     low, high = (solved(data, w) for w in (2.0 * kappa, 0.5 * kappa))

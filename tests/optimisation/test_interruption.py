@@ -18,7 +18,7 @@ from sim_core.errors import ConvergenceError
 from sim_core.rigs import with_parameters
 from sysid.fit import FitOptions, fit
 from sysid.fit import validation as held_out
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
 from sysid.solve.residuals import Problem
 
@@ -78,7 +78,7 @@ def test_a_fit_that_is_not_repeated_to_its_end_is_kept(
 
     def fitted_with(**options: Any) -> fit.FitResult:
         chosen = FitOptions(nuisance=("none",), intervals="quadratic", **options)
-        return fit.fit_runs(rig, [run], ["gel.E"], chosen, engine=cast(PooledEngine, Readings()))[0]
+        return fit.fit_runs(rig, [run], ["gel.E"], chosen, engine=cast(ParallelPredictor, Readings()))[0]
 
     plain = fit.fit_beside_discretisation
     monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
@@ -207,10 +207,10 @@ def test_ctrl_c_does_not_take_what_is_being_put_together(
 def test_what_was_known_is_not_contradicted_by_a_fit_that_has_not_ended(
     allowed: int, small_rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fit, "contradictions", lambda fitted: {"gel.E_pa": "They contradict each other."})
+    monkeypatch.setattr(fit, "prior_data_conflicts", lambda fitted: {"gel.E_pa": "They contradict each other."})
     rig = with_parameters(small_rig(), {"gel.E_pa": 1.5 * TRUTH})
     options = FitOptions(nuisance=("none",), intervals="quadratic", robust=False, max_evaluations=allowed)
-    result = fit.fit_runs(rig, [run_of("press", "markers")], ["gel.E"], options, engine=cast(PooledEngine, Readings()))[
-        0
-    ]
+    result = fit.fit_runs(
+        rig, [run_of("press", "markers")], ["gel.E"], options, engine=cast(ParallelPredictor, Readings())
+    )[0]
     assert bool(result.contradicted) == result.converged == (allowed == 30)

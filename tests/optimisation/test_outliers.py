@@ -12,7 +12,7 @@ from sim_core.simulate import Trace
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
-from sysid.solve.outliers import FAR, astray, mistakes, not_looked_for, without_outliers, worth_another_fit
+from sysid.solve.outliers import FAR, mistakes, most_are_outlying, not_looked_for, without_outliers, worth_another_fit
 
 N, M, SIGMA = 200, 30, 0.1
 T = np.arange(N) / 30.0
@@ -219,7 +219,7 @@ def test_beside_one_that_is_not_they_are() -> None:
     assert len(without_outliers([run], [prediction], KNOWN)[1]) == 1
     assert not_looked_for([run], [prediction], KNOWN) == []
     unseen = replace(run.measured[0], values=np.full_like(run.measured[0].values, np.nan))
-    assert not astray(unseen, prediction.values["video"], KNOWN["video"])
+    assert not most_are_outlying(unseen, prediction.values["video"], KNOWN["video"])
 
 
 def test_what_was_left_out_is_told() -> None:

@@ -14,7 +14,7 @@ from strip import PULL, START, TRUTH, pulled, strip_rig
 from sim_core.rigs import with_parameters
 from sim_core.rigs.motion import compile_experiment
 from sysid.fit import FitOptions, FitResult, fit, fit_runs
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.observations.observations import Run
 from sysid.report import write_fit_report
 
@@ -43,18 +43,18 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return pulled(RIG, TRUTH, tmp_path_factory.mktemp("clean") / "bag")
 
 
-def fitted(run: Run, robust: bool, workers: PooledEngine) -> FitResult:
+def fitted(run: Run, robust: bool, workers: ParallelPredictor) -> FitResult:
     rig = with_parameters(RIG, START)
     return fit_runs(rig, [run], list(TRUTH), replace(PLAIN, robust=robust), engine=workers)[0]
 
 
 @pytest.fixture(scope="module")
-def careful(dirty: Run, workers: PooledEngine) -> FitResult:
+def careful(dirty: Run, workers: ParallelPredictor) -> FitResult:
     return fitted(dirty, True, workers)
 
 
 @pytest.fixture(scope="module")
-def plain(clean: Run, workers: PooledEngine) -> FitResult:
+def plain(clean: Run, workers: ParallelPredictor) -> FitResult:
     return fitted(clean, True, workers)
 
 
@@ -73,7 +73,7 @@ def test_mistakes_of_the_tracker_do_not_fool_a_fit(careful: FitResult, plain: Fi
     assert "are treated as outliers" in (tmp_path / "report.html").read_text()
 
 
-def test_without_care_they_would(careful: FitResult, dirty: Run, workers: PooledEngine) -> None:
+def test_without_care_they_would(careful: FitResult, dirty: Run, workers: ParallelPredictor) -> None:
     """Poisson's ratio leaves the interval that honest readings give by far, and nothing is known any more."""
     result = fitted(dirty, False, workers)
     known, fooled = careful.estimates[1], result.estimates[1]
@@ -82,14 +82,14 @@ def test_without_care_they_would(careful: FitResult, dirty: Run, workers: Pooled
     assert result.reduced_chi2 > 10.0 and result.outliers == []
 
 
-def test_a_clean_recording_loses_nothing(plain: FitResult, clean: Run, workers: PooledEngine) -> None:
+def test_a_clean_recording_loses_nothing(plain: FitResult, clean: Run, workers: ParallelPredictor) -> None:
     without = fitted(clean, False, workers)
     assert plain.outliers == []
     for a, b in zip(plain.estimates, without.estimates, strict=True):
         assert (a.value, a.sd) == (b.value, b.sd)
 
 
-def test_held_out_scores_count_every_reading(clean: Run, dirty: Run, workers: PooledEngine) -> None:
+def test_held_out_scores_count_every_reading(clean: Run, dirty: Run, workers: ParallelPredictor) -> None:
     """The mean square of the misses is that of the noise and that of the jumps together."""
     result = fit_runs(RIG, [clean], [], PLAIN, held_out=[dirty], engine=workers)[0]
     mine, score = ([e for e in result.errors if e.channel == "above" and e.held_out is kept] for kept in (False, True))
@@ -103,7 +103,7 @@ def test_held_out_scores_count_every_reading(clean: Run, dirty: Run, workers: Po
 
 
 def test_no_fit_is_repeated_where_the_model_is_far_off(
-    tmp_path: Path, workers: PooledEngine, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, workers: ParallelPredictor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The clamped strip bends in the plane of the pictures, which the rig's cannot."""
     bent = np.zeros((FRAMES, 33, 2))

@@ -14,7 +14,7 @@ from sim_core.scene import build_scene
 from sysid.fit import fit_runs
 from sysid.model.load import load_run
 from sysid.model.marker_registration import placed
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.observations.observations import Measured, Run
 
 SHARED = Path(os.environ.get("THINSHELL_SHARED", Path(__file__).resolve().parents[3] / "shared"))
@@ -77,7 +77,7 @@ def test_rigs_agree_with_the_recordings(sheet: str) -> None:
 def test_a_pull_in_few_steps() -> None:
     rig = load_rig("knit_acrylic_stockinette_y")
     run = load_run(rig, DATA / "acrylic_stockinette_y_pull2")
-    prediction = Engine().predict(rig, run, dt=run.end / 8)
+    prediction = SerialPredictor().predict(rig, run, dt=run.end / 8)
     force, track = prediction.values["gauge"], prediction.values["video"]
     assert np.isfinite(force).all() and np.isfinite(track).all()
     assert force[-1, 1] > 1.0 and channel(run, "gauge").values[-1, 1] > 1.0
@@ -109,7 +109,7 @@ def test_fit_of_one_sheet() -> None:
         if e.channel == "gauge":
             assert e.after < 0.5 * e.before
             assert e.after < 0.2 * 30.0
-    engine = Engine()
+    engine = SerialPredictor()
     for run in held_out:
         miss = pins(channel(run, "video").values) - pins(engine.predict(fitted, run).values["video"])
         even = pins(channel(run, "video").values) - affine(run)

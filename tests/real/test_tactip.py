@@ -11,7 +11,7 @@ import pytest
 
 from sim_core.rigs import Rig, load_rig, with_parameters
 from sysid.model.load import load_run
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.recording import Recording, read_recording
 from sysid.vision import track_recording, write_tracked_recording
 from sysid.vision.presses import Presses, pins_of, read_presses, write_presses
@@ -67,7 +67,7 @@ def miss_px(rig: Rig, presses: Presses, sense: float, folder: Path) -> float:
     write_presses(presses, np.arange(len(presses)), sense, rig, numbers, folder)
     run = load_run(rig, folder)
     (seen,) = run.measured
-    return float(np.sqrt(np.nanmean((Engine().predict(rig, run).values["inside"] - seen.values) ** 2)))
+    return float(np.sqrt(np.nanmean((SerialPredictor().predict(rig, run).values["inside"] - seen.values) ** 2)))
 
 
 def test_the_unloaded_image_shows_the_pins_of_the_rig(rig: Rig, presses: Presses) -> None:

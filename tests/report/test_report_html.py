@@ -35,7 +35,7 @@ from sysid.diagnosis.residual_analysis import structure
 from sysid.diagnosis.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
 from sysid.fit.result import Estimate, FitResult
 from sysid.model.parameters import fit_parameters
-from sysid.model.predictor import Engine, Prediction
+from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.report import write_diagnosis_report, write_fit_report
@@ -224,7 +224,7 @@ def empty_diagnosis() -> Diagnosis:
     white = np.random.default_rng(0).standard_normal((60, 6))
     gauge = Measured("wrench_gel", "wrench", t, white, tuple("abcdef"))
     noise = {"wrench_gel": ChannelNoise(np.ones(6), 0.0, "test")}
-    problem = Problem([Run("pull", "", (), {}, (gauge,), 1.0)], noise, cast(Engine, None))
+    problem = Problem([Run("pull", "", (), {}, (gauge,), 1.0)], noise, cast(SerialPredictor, None))
     prediction = Prediction({"wrench_gel": np.zeros((60, 6))}, {}, cast(Trace, None))
     rig = load_rig("card_press")
     base = Fitted(
@@ -238,7 +238,7 @@ def empty_diagnosis() -> Diagnosis:
     )
     left = structure(problem, base)
     trial = Trial(all_effects()["gel_relaxation"], tried, 1.0, 0.0, left, None)
-    check = Problem([], noise, cast(Engine, None))
+    check = Problem([], noise, cast(SerialPredictor, None))
     verdict = Verdict("nothing_missing", ())
     return _collect(rig, problem, check, base, None, None, verdict, [trial], left, {})
 

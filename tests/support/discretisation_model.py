@@ -10,7 +10,7 @@ import numpy as np
 
 from sim_core.simulate import Trace
 from sysid.fit.discretisation_refinement import fit_beside_discretisation
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
@@ -90,5 +90,5 @@ def measured(rng: np.random.Generator, share: float = 0.5) -> np.ndarray:
 
 def fit(engine: Linear, run: Run, parameters: Sequence[FitParameter] = PARAMETERS, **settings: Any) -> Any:
     return fit_beside_discretisation(
-        cast(PooledEngine, engine), [run], NOISE, cast(Any, Vector(np.zeros(2))), parameters, **settings
+        cast(ParallelPredictor, engine), [run], NOISE, cast(Any, Vector(np.zeros(2))), parameters, **settings
     )

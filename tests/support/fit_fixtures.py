@@ -10,13 +10,13 @@ import pytest
 from discretisation_model import Vector
 
 from sysid.fit import fit
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.noise.estimate import ChannelNoise
 
 
 @pytest.fixture(scope="session")
-def workers() -> Iterator[PooledEngine]:
-    with PooledEngine(2) as engine:
+def workers() -> Iterator[ParallelPredictor]:
+    with ParallelPredictor(2) as engine:
         yield engine
 
 

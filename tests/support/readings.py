@@ -10,7 +10,7 @@ import numpy as np
 from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
 from sysid.observations.observations import Measured, Run
 
@@ -72,4 +72,4 @@ def run_of(name: str, *channels: str) -> Run:
 
 def result_of(engine: Readings, rig: Any, runs: list[Run], held_out: list[Run]) -> fit.FitResult:
     options = FitOptions(nuisance=("none",), intervals="quadratic", robust=False)
-    return fit.fit_runs(rig, runs, ["gel.E"], options, held_out=held_out, engine=cast(PooledEngine, engine))[0]
+    return fit.fit_runs(rig, runs, ["gel.E"], options, held_out=held_out, engine=cast(ParallelPredictor, engine))[0]

@@ -14,7 +14,7 @@ from sim_core.simulate import Trace
 from sysid.diagnosis.residual_analysis import structure
 from sysid.fit import FitOptions
 from sysid.fit.multistart import OFFSETS_DRAWN, Evaluations, Searches
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, with_bags
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
@@ -22,7 +22,7 @@ from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ROUGH, ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-from sysid.uncertainty.goodness_of_fit import left_over, unexplained, worst
+from sysid.uncertainty.goodness_of_fit import misfit_by_quantity, unexplained, worst
 
 T = np.linspace(0.0, 1.0, 200)
 LOUD, SOFT = np.sin(6.0 * T), np.cos(6.0 * T)
@@ -61,7 +61,7 @@ class Folded:
 def problem(gauge: Folded) -> Problem:
     data = gauge.read(-1.0) + SIGMA * np.random.default_rng(2).standard_normal((len(T), 1))
     run = Run("press", "press", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
-    return Problem([run], {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(PooledEngine, gauge))
+    return Problem([run], {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(ParallelPredictor, gauge))
 
 
 def searched(rig: Any, gauge: Folded, **chosen: Any) -> tuple[Searches, Fitted]:
@@ -119,7 +119,7 @@ def wrench(forces: float, torques: float, samples: int = 300) -> tuple[Problem, 
     run = Run("press", "press", (), {}, (Measured("cell", "wrench", t, values, tuple("abcdef")),), 1.0)
     noise = ChannelNoise(np.repeat([0.2, 0.01], 3), 0.0, "test")
     given = Prediction({"cell": np.zeros_like(values)}, {}, cast(Trace, None))
-    return Problem([run], {"cell": noise}, cast(PooledEngine, None)), Fitted(
+    return Problem([run], {"cell": noise}, cast(ParallelPredictor, None)), Fitted(
         [], np.zeros(0), cast(Any, None), np.zeros(0), np.zeros((0, 0)), [], [given], cast(Any, None), 1, True, ""
     )
 
@@ -130,7 +130,7 @@ def beside_discretisation_error(times: float, rig: Any) -> tuple[Problem, Fitted
     data = times * shape + SIGMA * np.random.default_rng(3).standard_normal(shape.shape)
     run = Run("press", "press", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
     noise = {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}
-    beside = Problem([run], noise, cast(PooledEngine, None), [ErrorShape("mesh", ({"gauge": shape},))])
+    beside = Problem([run], noise, cast(ParallelPredictor, None), [ErrorShape("mesh", ({"gauge": shape},))])
     given = [Prediction({"gauge": np.zeros_like(shape)}, {}, cast(Trace, None))]
     return beside, beside.compare(given, rig, [], np.zeros(0))
 
@@ -148,7 +148,7 @@ def test_no_more_than_twice_of_what_a_refinement_shows_is_taken_for_the_discreti
     taken = beside.corrected(fitted, 0, beside.runs[0].measured[0])
     assert taken == pytest.approx(4.0 * OWN * np.ones_like(taken), rel=0.05)
     left = 2.0 * OWN / np.hypot(SIGMA, ROUGH * OWN)
-    (found,) = left_over(beside, fitted)
+    (found,) = misfit_by_quantity(beside, fitted)
     assert np.sqrt(found.misfit) == pytest.approx(left, rel=0.05)
     (said,) = unexplained(beside, fitted)
     assert f"{np.sqrt(found.misfit):.2g} times the noise in the position of gauge" in said
@@ -168,7 +168,7 @@ def test_that_a_recording_may_be_of_another_rig_is_said_where_it_is_not_explaine
 
 def test_each_quantity_is_judged_by_itself() -> None:
     beside = wrench(1.0, 3.0)
-    forces, torques = left_over(*beside)
+    forces, torques = misfit_by_quantity(*beside)
     assert (forces.quantity, torques.quantity) == ("force", "torque")
     assert forces.misfit == pytest.approx(1.0, abs=0.15) and torques.misfit == pytest.approx(9.0, rel=0.15)
     assert worst(*beside) == torques.misfit
@@ -191,7 +191,9 @@ def test_noise_alone_says_nothing_however_few_its_readings() -> None:
 
 def test_readings_that_are_few_in_each_recording_are_judged_together() -> None:
     alone, plain = wrench(1.0, 3.0, samples=4)
-    both = Problem([replace(alone.runs[0], name=f"at {k}") for k in range(9)], alone.noise, cast(PooledEngine, None))
+    both = Problem(
+        [replace(alone.runs[0], name=f"at {k}") for k in range(9)], alone.noise, cast(ParallelPredictor, None)
+    )
     (said,) = unexplained(both, replace(plain, predictions=plain.predictions * 9))
     assert said.endswith("times the noise in the torque of cell.")
 
@@ -245,6 +247,6 @@ def test_what_is_left_in_several_recordings_is_told_of_the_worst() -> None:
     (problem_, fitted) = wrench(1.0, 3.0)
     worse, _ = wrench(1.0, 5.0)
     runs = [problem_.runs[0], replace(worse.runs[0], name="second")]
-    both = Problem(runs, problem_.noise, cast(PooledEngine, None))
+    both = Problem(runs, problem_.noise, cast(ParallelPredictor, None))
     (said,) = unexplained(both, replace(fitted, predictions=fitted.predictions * 2))
     assert "in the torque of cell (second)" in said and "(press)" not in said

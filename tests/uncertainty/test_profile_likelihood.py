@@ -24,14 +24,14 @@ from sysid.fit import FitOptions, fit_runs
 from sysid.fit.fit import _profiled
 from sysid.fit.options import Intervals
 from sysid.model.load import load_run
-from sysid.model.parallel_predictor import PooledEngine
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter
-from sysid.model.predictor import Engine, Prediction
+from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.report import write_fit_report
 from sysid.simulate import simulate_to_bag
-from sysid.solve.covariance import Finding, chance, uncertainty
+from sysid.solve.covariance import Finding, overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.profile_likelihood import in_words
@@ -76,7 +76,7 @@ def fitted_to(
     values = model(*truth)[:, None] + SIGMA * np.random.default_rng(5).standard_normal((len(T), 1))
     run = Run("r", "", (), {}, (Measured("c", "markers", T, values, ("u",)),), 2.0)
     noise = {"c": ChannelNoise(np.array([SIGMA]), 0.0, "test")}
-    problem = Problem([run], noise, cast(Engine, Curve(model, **engine)))
+    problem = Problem([run], noise, cast(SerialPredictor, Curve(model, **engine)))
     return problem, problem.fit(cast(Any, None), parameters(low, high), start=np.array(truth), tolerance=1e-9)
 
 
@@ -129,7 +129,7 @@ def test_beside_a_nuisance_and_a_misfit_with_structure_it_is_the_quadratic_inter
     run = Run("r", "", (), {}, (Measured("c", "markers", t, values[:, None], ("u",)),), 2.0)
     asked = FitParameter("a", "", False, -100.0, 100.0, 5.0, "")
     beside = FitParameter("lag", "", False, -100.0, 100.0, 0.05, "", nuisance=True)
-    problem = Problem([run], {"c": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(Engine, Linear()))
+    problem = Problem([run], {"c": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(SerialPredictor, Linear()))
     fitted = problem.fit(cast(Any, None), [asked, beside], start=np.array([0.4, 0.0]), tolerance=1e-9)
     (profile,) = Profiler(problem, fitted).profiles()
     at, sd = fitted.scaled[0], uncertainty(fitted).sd[0]
@@ -286,7 +286,7 @@ class Pressed(Curve):
 @pytest.mark.parametrize("intervals", ["checked", "profiled"])
 def test_ctrl_c_on_the_way_to_the_ends_is_told(intervals: Intervals) -> None:
     problem, fitted = fitted_to(linear, (0.4, -0.3))
-    problem.engine = cast(Engine, Pressed(linear))
+    problem.engine = cast(SerialPredictor, Pressed(linear))
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
     try:
         _, found, better = _profiled(problem, fitted, [], intervals, None)
@@ -315,7 +315,7 @@ def test_nothing_is_gained_by_hiding_readings_where_intervals_end(side: float) -
     plain = Profiler(problem, fitted).profiles()
     hiding = Hiding(linear)
     hiding.hidden_from = fitted.scaled[0] + side * 1.5 * uncertainty(fitted).sd[0]
-    problem = Problem(problem.runs, problem.noise, cast(Engine, hiding))
+    problem = Problem(problem.runs, problem.noise, cast(SerialPredictor, hiding))
     there = problem.fit(cast(Any, None), fitted.parameters, start=fitted.scaled, tolerance=1e-9)
     assert there.sight is not None and there.sight.all() == (side > 0.0)
     profiler = Profiler(problem, there)
@@ -355,7 +355,7 @@ def test_what_chance_makes_of_a_misfit_with_structure_is_no_better_fit(share: fl
     wave = replace(m, values=m.values + 3.0 * SIGMA * np.sin(8.0 * T)[:, None])
     wrong = Problem([replace(run, measured=(wave,))], problem.noise, problem.engine)
     fitted = wrong.fit(cast(Any, None), parameters(-100.0, 100.0), start=np.array([0.4, -0.3]), tolerance=1e-9)
-    by_chance = chance(fitted)
+    by_chance = overdispersion(fitted)
     assert by_chance > 1.5 * uncertainty(fitted).reduced_chi2 > 1.5
     profiler = Profiler(wrong, fitted)
     least = fitted.chi2 - share * 1.959964**2 * by_chance
@@ -401,7 +401,7 @@ def test_a_better_fit_in_sight_of_the_ends_is_gone_to() -> None:
 
 @pytest.mark.slow
 def test_a_gel_that_sticks_says_how_much_friction_there_is_at_least(
-    small_rig: Any, tmp_path: Path, workers: PooledEngine
+    small_rig: Any, tmp_path: Path, workers: ParallelPredictor
 ) -> None:
     """Pressed on a post and pulled aside by less than its friction holds."""
     rig = small_rig()

@@ -14,7 +14,7 @@ import numpy as np
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.model.parameters import fit_parameters, start_of
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.noise.estimate import ChannelNoise
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
@@ -31,7 +31,7 @@ class Sight:
     def __init__(self, rig: Rig, poses: Sequence[Mapping[str, PoseTrajectory]], levels: dict[str, Noise]) -> None:
         self._rig = rig
         self._levels = levels
-        self._engine = Engine()
+        self._engine = SerialPredictor()
         self._runs = [self._blank(p) for p in poses]
         parameters = fit_parameters(rig, ABSORBING)
         start = start_of(rig, parameters)
