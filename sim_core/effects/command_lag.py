@@ -66,8 +66,8 @@ class CommandLag(CommandMap[Past]):
         return tuple(rig.end_effectors)
 
     def variants(self, rig: Rig, scales: RecordingScales | None = None) -> tuple[Mapping[str, tuple[float, ...]], ...]:
-        """A delay alone, and a first-order response alone."""
-        if not self.applies(rig):
+        """A delay alone, and a first-order response alone; none where poses are measured: they have the lag."""
+        if not any(e.driven_by == "commanded" for e in rig.end_effectors.values()):
             return ()
         own = [p.fitted_to(scales) for p in self.parameters]
         return tuple({p.name: p.typical if p is q else (0.0,) for p in own} for q in own)

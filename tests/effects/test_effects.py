@@ -25,6 +25,12 @@ MOTION = (
 )  # fmt: skip
 
 
+def commanded(rig):
+    """The rig with its finger driven by the poses that it was commanded."""
+    finger = rig.end_effectors["finger"].model_copy(update={"driven_by": "commanded"})
+    return rig.model_copy(update={"end_effectors": {"finger": finger}})
+
+
 def readings(rig, poses):
     times = step_times(0.0, float(poses["finger"].times[-1]), rig.solver.dt_s)
     trace = simulate(build_scene(rig), poses, times)
@@ -50,20 +56,27 @@ def test_vanishes_bit_for_bit_and_shows_otherwise(small_rig, visit, name):
 
 @pytest.mark.parametrize("effect", list(all_effects().values()), ids=lambda e: e.name)
 def test_says_what_it_is(effect, small_rig):
+    rig = commanded(small_rig())
     assert effect.title and effect.words.endswith(".") and effect.slot
-    assert effect.variants(small_rig()), "applies to a rig with a sheet, a gel, contact, sensors and a hand"
+    assert effect.variants(rig), "applies to a rig with a sheet, a gel, contact, sensors and a hand"
     assert any(p.vanishing is not None for p in effect.parameters)
-    for variant in effect.variants(small_rig()):
+    for variant in effect.variants(rig):
         assert set(variant) == {p.name for p in effect.parameters}
 
 
 def test_starting_values_are_the_typical_ones(small_rig):
-    starts = {e.name: starting_values(e, small_rig()) for e in all_effects().values()}
+    starts = {e.name: starting_values(e, commanded(small_rig())) for e in all_effects().values()}
     assert [len(starts[n]) for n in ("gel_relaxation", "sheet_orthotropy", "bending_plasticity")] == [3, 4, 5]
     assert starts["stream_delay"] == [{"wrench_s": 0.01, "vision_s": 0.0}, {"wrench_s": 0.0, "vision_s": 0.01}]
     for effect in all_effects().values():
         for p in effect.parameters:
             assert set(p.typical) <= {s[p.name] for s in starts[effect.name]}
+
+
+def test_measured_poses_have_the_lag_of_the_command_in_them(small_rig):
+    """So it is no hypothesis there; driven by commands it is."""
+    lag = all_effects()["command_lag"]
+    assert not lag.variants(small_rig()) and len(lag.variants(commanded(small_rig()))) == 2
 
 
 def test_what_a_rig_does_not_have_is_not_tried(small_rig):
