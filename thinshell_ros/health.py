@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from thinshell_ros.protocol import Status
+from thinshell_ros.streams import EVENT_TOPIC
 
 Level = Literal["ok", "warn", "error"]
 
@@ -172,7 +173,8 @@ def recording_report(
     faults = [f"{topic}: {reason}" for topic, reason in refused.items()]
     if missing:
         faults.append(f"nobody publishes {', '.join(missing)}")
-    silent = [topic for topic, count in counts.items() if not count]
+    # Nothing need ever happen on the topic of events.
+    silent = [topic for topic, count in counts.items() if not count and topic.rsplit("/", 1)[-1] != EVENT_TOPIC]
     if silent:
         faults.append(f"no message yet on {', '.join(silent)}")
     losses = {topic: count for topic, count in (lost or {}).items() if count}

@@ -32,7 +32,9 @@ def touch_findings(layout: Layout, poses: Mapping[str, PoseTrajectory]) -> list[
     for pair in pairs:
         if pair[0] == pair[1] or not all(_knowable(layout, body) for body in pair):
             return []
-        slack = sum(_reach(layout, body) for body in pair) + CONTACT_RANGE_M
+        ranges = [c.range_m or CONTACT_RANGE_M for c in layout.rig.contacts if set(c.between) == set(pair)]
+        wide = max(ranges, default=0.0)
+        slack = sum(_reach(layout, body) for body in pair) + wide
         one, other = (skins[body] for body in pair)
         enough = slack + _coarseness(layout, one, other)
         gaps: list[float] = []

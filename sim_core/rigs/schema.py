@@ -33,6 +33,7 @@ from sim_core.rigs.pose_offset import Displaced, ShiftSds, TurnSds
 from sim_core.rigs.regions import Region
 
 Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=5.0)]
+Range = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-8, le=1e-2)]
 Stiffness = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]
 
 
@@ -131,6 +132,9 @@ class Contact(Strict):
     between: Annotated[tuple[Name, Name], of_length(2)] = Field(description="the two bodies")
     friction: Friction = 0.0
     stiffness_pa_per_m: Stiffness | None = None
+    range_m: Range | None = Field(
+        default=None, description="gap over which contact pressure sets in; small against the indentation"
+    )
 
     @property
     def name(self) -> str:

@@ -320,7 +320,7 @@ class Scene:
                 values.terms[term.name] = {
                     "friction": contact.friction,
                     "stiffness_pa_per_m": stiffness / bearing_surfaces(contact, terms),
-                    "range_m": CONTACT_RANGE_M,
+                    "range_m": contact.range_m or CONTACT_RANGE_M,
                     "offset_m": self._beyond[term.name] + half_thicknesses(rig, contact),
                 }
         for instance in active_effects(rig):

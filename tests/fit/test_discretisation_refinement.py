@@ -174,7 +174,7 @@ def test_where_the_error_changes_unforeseen_nothing_is_judged_and_that_is_said(v
         known = ErrorShape("mesh", ({"gauge": shape},), unforeseen=unforeseen)
         problem = Problem([run], NOISE, cast(ParallelPredictor, None), [known])
         judged = problem.judged(0, run.measured[0], run.measured[0].values - coarse(TRUTH))
-        found[name] = np.isfinite(judged), discretisation_error.doubtful(problem)
+        found[name] = np.isfinite(judged), discretisation_error.unresolved_quantities(problem)
         prediction = Prediction({"gauge": coarse(TRUTH)}, {}, cast(Trace, None))
         fitted = problem.compare([prediction], cast(Any, Vector(TRUTH)), [], np.zeros(0))
         (left,) = misfit_by_quantity(problem, fitted)

@@ -199,7 +199,7 @@ def test_what_follows_a_mount_that_starts_elsewhere(settles, small_rig):
 
 def built_from(rig, scene):
     """A scene whose meshes are the shapes that bodies of ``scene`` have at rest; markers by their material points."""
-    draw = assembly._sheet_mesh, assembly._gel_mesh
+    draw = assembly._sheet_mesh, assembly.gel_mesh
     bodies = iter([b for b in scene.bodies.values() if b.mesh is not None and b.name != "ball"])
 
     def sheet(*given):
@@ -211,7 +211,7 @@ def built_from(rig, scene):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(assembly, "_sheet_mesh", sheet)
-        patch.setattr(assembly, "_gel_mesh", gel)
+        patch.setattr(assembly, "gel_mesh", gel)
         built = build_scene(rig)
     for name, body in built.bodies.items():
         body.layout = scene.bodies[name].layout

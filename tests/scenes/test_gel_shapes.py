@@ -37,21 +37,14 @@ def rig_of(shape: dict[str, Any], nu: float = 0.3, **gel: Any) -> dict[str, Any]
             "ball": {"type": "rigid", "shape": {"type": "sphere", "radius_m": RADIUS}, "mount": "hand"},
         },
         "end_effectors": {"hand": {"start": {"position_m": [0.0, 0.0, RADIUS + 1e-6]}}},
-        "contacts": [{"between": ["gel", "ball"], "stiffness_pa_per_m": 2e11}],
+        "contacts": [{"between": ["gel", "ball"], "stiffness_pa_per_m": 2e11, "range_m": 4e-7}],
         "sensors": {"wrench": {"type": "wrench", "on": "ball", "frame_id": "ball", "rate_hz": 10.0, "topic": "wrench"}},
     }
 
 
 def built(data: dict[str, Any]) -> Scene:
-    """The scene of the rig, with a contact whose range is small against the indentation."""
-    rig = parse_rig(data, "test")
-    scene = build_scene(rig)
-    values = scene.values(rig)
-    for name, term in values.terms.items():
-        if name.startswith("contact"):
-            term["range_m"] = 4e-7
-    scene.apply(values)
-    return scene
+    """The scene of the rig."""
+    return build_scene(parse_rig(data, "test"))
 
 
 def pressed(data: dict[str, Any], depth: float, steps: int = 4) -> np.ndarray:
@@ -88,7 +81,9 @@ def test_a_quarter_bears_a_quarter_of_what_the_whole_bears() -> None:
 
 
 def test_nodes_of_a_plane_of_symmetry_follow_the_mount_along_its_normal_alone() -> None:
-    data = rig_of(layer([4, 4, 1], symmetry=["x"]), pose={"rpy_deg": [0.0, 0.0, 90.0]})
+    data = rig_of(
+        layer([4, 4, 1], symmetry=["x"]), pose={"position_m": [0.0, 0.0, -0.5 * THICKNESS], "rpy_deg": [0.0, 0.0, 90.0]}
+    )
     scene = built(data)
     gel = scene.bodies["gel"]
     plane = gel.mesh.node_sets["x_cut"]
@@ -101,7 +96,9 @@ def test_nodes_of_a_plane_of_symmetry_follow_the_mount_along_its_normal_alone() 
 
 
 def test_a_plane_of_symmetry_askew_to_the_world_is_refused() -> None:
-    data = rig_of(layer([4, 4, 1], symmetry=["x"]), pose={"rpy_deg": [0.0, 0.0, 30.0]})
+    data = rig_of(
+        layer([4, 4, 1], symmetry=["x"]), pose={"position_m": [0.0, 0.0, -0.5 * THICKNESS], "rpy_deg": [0.0, 0.0, 30.0]}
+    )
     with pytest.raises(ConfigError, match="plane of symmetry of gel normal to its x axis is not normal to an axis"):
         built(data)
 
