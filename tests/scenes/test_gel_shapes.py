@@ -42,6 +42,11 @@ def rig_of(shape: dict[str, Any], nu: float = 0.3, **gel: Any) -> dict[str, Any]
     }
 
 
+def turned(degrees: float) -> dict[str, Any]:
+    """Pose of the layer, turned about the vertical."""
+    return {"position_m": [0.0, 0.0, -0.5 * THICKNESS], "rpy_deg": [0.0, 0.0, degrees]}
+
+
 def built(data: dict[str, Any]) -> Scene:
     """The scene of the rig."""
     return build_scene(parse_rig(data, "test"))
@@ -81,9 +86,7 @@ def test_a_quarter_bears_a_quarter_of_what_the_whole_bears() -> None:
 
 
 def test_nodes_of_a_plane_of_symmetry_follow_the_mount_along_its_normal_alone() -> None:
-    data = rig_of(
-        layer([4, 4, 1], symmetry=["x"]), pose={"position_m": [0.0, 0.0, -0.5 * THICKNESS], "rpy_deg": [0.0, 0.0, 90.0]}
-    )
+    data = rig_of(layer([4, 4, 1], symmetry=["x"]), pose=turned(90.0))
     scene = built(data)
     gel = scene.bodies["gel"]
     plane = gel.mesh.node_sets["x_cut"]
@@ -96,9 +99,7 @@ def test_nodes_of_a_plane_of_symmetry_follow_the_mount_along_its_normal_alone() 
 
 
 def test_a_plane_of_symmetry_askew_to_the_world_is_refused() -> None:
-    data = rig_of(
-        layer([4, 4, 1], symmetry=["x"]), pose={"position_m": [0.0, 0.0, -0.5 * THICKNESS], "rpy_deg": [0.0, 0.0, 30.0]}
-    )
+    data = rig_of(layer([4, 4, 1], symmetry=["x"]), pose=turned(30.0))
     with pytest.raises(ConfigError, match="plane of symmetry of gel normal to its x axis is not normal to an axis"):
         built(data)
 
