@@ -54,8 +54,8 @@ $(READY): requirements.lock pyproject.toml setup.py
 
 lock: $(LOCKER)
 	$(LOCKER)/bin/uv pip compile pyproject.toml --extra ros --extra dev --universal --python-version 3.10 \
-		--no-annotate --no-header --quiet --upgrade --output-file .requirements.new
-	{ echo "# Exact versions for Python 3.10 to 3.13, resolved from pyproject.toml with: make lock"; \
+		--no-annotate --no-header --quiet --upgrade --generate-hashes --no-strip-extras --output-file .requirements.new
+	{ echo "# Exact versions and hashes for Python 3.10 to 3.13, resolved from pyproject.toml with: make lock"; \
 		cat .requirements.new; } > requirements.lock
 	@rm .requirements.new
 
