@@ -6,7 +6,6 @@ import copy
 from pathlib import Path
 
 import numpy as np
-from conftest import SMALL
 
 from sim_core.rigs import parse_rig
 from sim_core.scene import build_scene
@@ -14,6 +13,7 @@ from sim_core.simulate import simulate
 from sysid.model.load import load_run
 from sysid.model.predictor import SerialPredictor
 from sysid.recording import RecordingWriter
+from tests.conftest import SMALL
 
 
 def test_a_recording_without_poses_is_read_by_a_rig_without_end_effectors(tmp_path: Path) -> None:
