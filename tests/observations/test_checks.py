@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,7 +20,8 @@ from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
 from sysid.recording.notes import Notes
 
-SHARED = Path("/work/shared/data")
+ROOT = Path(os.environ.get("THINSHELL_SHARED", Path(__file__).resolve().parents[3] / "shared"))
+SHARED = ROOT / "data"
 
 
 def read(bag: Path, rig: Rig) -> Recording:

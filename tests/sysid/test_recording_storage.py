@@ -417,7 +417,8 @@ def test_reading_changes_nothing(bag: Path) -> None:
     assert {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in bag.iterdir()} == before
 
 
-SHARED = Path("/work/shared/faults/damaged_records")
+ROOT = Path(os.environ.get("THINSHELL_SHARED", Path(__file__).resolve().parents[3] / "shared"))
+SHARED = ROOT / "faults" / "damaged_records"
 
 
 def unchunked(source: Path, target: Path) -> Path:
