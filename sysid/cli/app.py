@@ -32,6 +32,7 @@ from sysid.cli import (
     simulate,
     soak,
     track,
+    trajectory,
     validate,
 )
 from sysid.cli.progress import interrupts_remembered
@@ -75,6 +76,7 @@ app.command("fit")(fit.fit)
 app.command("coverage")(coverage.coverage)
 app.command("diagnose")(diagnose.diagnose)
 app.add_typer(prove.app, name="prove")
+app.add_typer(trajectory.app, name="trajectory")
 app.command("inspect")(inspect.inspect)
 app.command("track")(track.track)
 app.command("presses")(presses.presses)
