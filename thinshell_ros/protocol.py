@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -105,6 +105,19 @@ class Status:
     lag_s: float = 0.0
     behind_m: float = 0.0
     behind_rad: float = 0.0
+
+    def including(self, earlier: Status) -> Status:
+        """This status, its numbers over the steps of an earlier one too."""
+        return replace(
+            self,
+            steps=earlier.steps + self.steps,
+            iterations=max(earlier.iterations, self.iterations),
+            residual_n=max(earlier.residual_n, self.residual_n),
+            min_gap_m=min(earlier.min_gap_m, self.min_gap_m),
+            not_finite=earlier.not_finite + self.not_finite,
+            behind_m=max(earlier.behind_m, self.behind_m),
+            behind_rad=max(earlier.behind_rad, self.behind_rad),
+        )
 
 
 @dataclass(frozen=True)

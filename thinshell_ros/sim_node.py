@@ -126,7 +126,7 @@ class SimNode(Node):
             self._poses[name] = Pose.of(np.array(readings[name]))
 
     def _on_diagnostics(self) -> None:
-        physics, status, name = self._physics, self._physics.status, self.get_fully_qualified_name()
+        physics, status, name = self._physics, self._physics.review(), self.get_fully_qualified_name()
         reports = [
             physics_report(status, physics.fault(), physics.pid, self._factor, physics.silent_s),
             self._log.report(time.monotonic(), status, graph.most_publishers(self, self._commanded)),

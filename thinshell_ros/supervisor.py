@@ -32,6 +32,7 @@ class Supervisor:
         self._waiting: dict[int, Waiting] = {}
         self.ready = False
         self.status: protocol.Status | None = None
+        self._since: protocol.Status | None = None
 
     @property
     def pid(self) -> int | None:
@@ -60,11 +61,18 @@ class Supervisor:
                 self.ready = True
             elif isinstance(answer, protocol.Status):
                 self.status = answer
+                self._since = answer if self._since is None else answer.including(self._since)
             yield arrival, answer
             if isinstance(answer, protocol.Done) and answer.number in self._waiting:
                 self._waiting.pop(answer.number).set_result(answer)
         if self._waiting and (fault := self.fault()):
             self._give_up(f"{fault} Call ~/reset to start it again.")
+
+    def review(self) -> protocol.Status | None:
+        """The latest status, with numbers over all steps since the last call of this function: what holds for less
+        than the time between two calls is in one of them."""
+        since, self._since = self._since, None
+        return since or self.status
 
     def _give_up(self, message: str) -> None:
         waiting, self._waiting = self._waiting, {}
@@ -103,7 +111,7 @@ class Supervisor:
         """Kill the process and start another."""
         self._worker.stop(0.0)
         self._give_up("The physics process was started again.")
-        self.ready, self.status = False, None
+        self.ready, self.status, self._since = False, None, None
         self._worker.start()
 
     def stop(self) -> None:

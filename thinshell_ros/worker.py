@@ -46,7 +46,8 @@ class Worker:
         self._inbox: queue.SimpleQueue[tuple[float, protocol.Answer]] = queue.SimpleQueue()
         self._listening = False
         self._targets.clear()
-        self._thread = threading.Thread(target=self._receive, args=(self._link, self._inbox))
+        # A daemon: a node that a signal ends while it is being made must not wait for it.
+        self._thread = threading.Thread(target=self._receive, args=(self._link, self._inbox), daemon=True)
         self._thread.start()
 
     def _receive(self, link: Connection, inbox: queue.SimpleQueue[tuple[float, protocol.Answer]]) -> None:

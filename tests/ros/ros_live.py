@@ -45,11 +45,12 @@ def group(leader: int) -> list[int]:
 
 
 class NodeProcess:
-    """A node started as a user would, with its output in a file."""
+    """A node started as a user would, with its output in a file. ``module``: of thinshell_ros, or a script."""
 
     def __init__(self, module: str, log: Path, namespace: str = "/", **parameters: Any) -> None:
         self._log = log
-        command = [sys.executable, "-m", f"thinshell_ros.{module}", "--ros-args", "-r", f"__ns:={namespace}"]
+        program = [module] if module.endswith(".py") else ["-m", f"thinshell_ros.{module}"]
+        command = [sys.executable, *program, "--ros-args", "-r", f"__ns:={namespace}"]
         for name, value in parameters.items():
             command += ["-p", f"{name}:={value}"]
         with log.open("w") as output:

@@ -23,6 +23,7 @@ from thinshell_ros.poses import Pose
 from thinshell_ros.protocol import Batch, Done, Pause, Ready, Reset, Settings, Status, Step, Stop, Target
 from thinshell_ros.sampling import Reading
 from thinshell_ros.streams import channels_of
+from thinshell_ros.supervisor import Supervisor
 from thinshell_ros.worker import Worker
 
 RIG = Path(__file__).parent / "data" / "press_gel.yaml"
@@ -395,6 +396,21 @@ def test_commands_that_are_stale_or_not_followed_are_a_warning(
     report = log.report(now, status, commanders)
     assert report.level == "warn"
     assert said in report.message
+
+
+def test_what_lasts_less_than_the_time_between_two_reports_is_in_one_of_them() -> None:
+    arriving = queue.SimpleQueue[tuple[float, Any]]()
+    supervisor = Supervisor.__new__(Supervisor)
+    supervisor._waiting, supervisor._since, supervisor.status = {}, None, None
+    supervisor._worker = Worker.__new__(Worker)
+    supervisor._worker._inbox, supervisor._worker._targets = arriving, {}
+    calm = Status(False, "", 2.0, 0.9, 10, 2, 1e-9, 1, 1e-3)
+    hasty = Status(False, TROUBLE, 1.0, 1.0, 12, 9, 1e-5, 2, -1e-4, 3, 0.2, 0.5, 0.7)
+    for status in (hasty, calm):
+        arriving.put((0.0, status))
+    assert [answer for _, answer in supervisor.answers()] == [hasty, calm]
+    assert supervisor.review() == Status(False, "", 2.0, 0.9, 22, 9, 1e-5, 1, -1e-4, 3, 0.0, 0.5, 0.7)
+    assert supervisor.review() == calm, "told once"
 
 
 def test_a_fault_that_stays_is_told_from_time_to_time() -> None:

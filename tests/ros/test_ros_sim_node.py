@@ -112,16 +112,24 @@ def test_another_publisher_of_its_topics_is_said(client: Client) -> None:
 
 
 def test_a_commander_that_outruns_the_speed_limit_is_followed_and_told(client: Client) -> None:
-    """A turn at 6 rad/s where the limit is 3 rad/s, for 0.3 s."""
-    for k in range(1, 31):
-        half = 0.03 * k
-        client.aim(REST_HEIGHT_M, qz=math.sin(half), qw=math.cos(half))
-        client.spin(0.01)
-    status = client.diagnosis("commands", lambda s: True)
-    assert "rejected" not in status.message
-    assert "limited to max_speed_m_s and max_turn_rate_rad_s" in status.message
-    poses = client.heard["current_pose"]
-    client.wait(lambda: abs(poses[-1].pose.orientation.z - math.sin(half)) < 1e-6, "it does not get there")
+    """Three turns of 0.45 rad, each at once, where the limit is 3 rad/s and a step 0.02 s."""
+    poses, reports = client.heard["current_pose"], client.heard["/diagnostics"]
+    seen, still = len(reports), len(poses)
+
+    def said() -> list[str]:
+        return [s.message for m in reports[seen:] for s in m.status if s.name.endswith("commands")]
+
+    for turn in (0.45, 0.9, 1.35):
+        client.aim(REST_HEIGHT_M, qz=math.sin(turn / 2.0), qw=math.cos(turn / 2.0))
+        before = math.sin((turn - 0.45) / 2.0)
+        client.wait(lambda before=before: poses[-1].pose.orientation.z > before + 1e-6, "it does not turn")  # type: ignore[misc]
+    limited = "limited to max_speed_m_s and max_turn_rate_rad_s"
+    client.wait(lambda: any(limited in message for message in said()), "it does not tell that it is limited")
+    end = math.sin(0.675)
+    client.wait(lambda: abs(poses[-1].pose.orientation.z - end) < 1e-6, "it does not get there")
+    turned = 2.0 * np.arcsin([m.pose.orientation.z for m in poses[still:]])
+    rates = np.diff(turned) / (np.diff(stamps_ns(poses[still:])) * 1e-9)
+    assert rates.max() < 3.0 * 1.01, "no faster than the limit"
 
 
 @pytest.mark.parametrize(
@@ -221,9 +229,29 @@ def test_a_parameter_that_does_not_fit_is_said(ros: None, default: Any, given: A
         node.destroy_node()
 
 
+SLOW_START = """
+import sys, time
+from thinshell_ros import sim_node
+
+create_timer = sim_node.SimNode.create_timer
+
+def slowly(self, *args, **kwargs):
+    time.sleep(1.0)
+    return create_timer(self, *args, **kwargs)
+
+if __name__ == "__main__":
+    sim_node.SimNode.create_timer = slowly
+    sys.exit(sim_node.main())
+"""
+"""A node that is interrupted in its constructor, after the physics process was started."""
+
+
+@pytest.mark.parametrize("slowly", [False, True])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_ends_cleanly_while_it_still_builds_its_scene(ros: None, tmp_path: Path, number: int) -> None:
-    node = NodeProcess("sim_node", tmp_path / "output", rig=RIG)
+def test_it_ends_cleanly_while_it_still_builds_its_scene(ros: None, tmp_path: Path, number: int, slowly: bool) -> None:
+    script = tmp_path / "slow_start.py"
+    script.write_text(SLOW_START)
+    node = NodeProcess(str(script) if slowly else "sim_node", tmp_path / "output", rig=RIG)
     try:
         end = time.monotonic() + 30.0
         while not (physics := node.spawned()):
