@@ -14,6 +14,7 @@ from sim_core.batch import worker_pool
 from sim_core.rigs import Rig
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction, SerialPredictor
+from sysid.model.responses import SizedEffects
 from sysid.observations.observations import Run
 
 _ENGINE: list[SerialPredictor] = []
@@ -32,6 +33,16 @@ def _predict_with_derivatives(
     rig: Rig, run: Run, parameters: Sequence[FitParameter], scaled: np.ndarray, refine: int, dt: float | None
 ) -> Prediction:
     return _ENGINE[0].predict_with_derivatives(rig, run, parameters, scaled, refine, dt)
+
+
+def _predict_responses(
+    rig: Rig,
+    run: Run,
+    parameters: Sequence[FitParameter],
+    scaled: np.ndarray,
+    candidates: Sequence[SizedEffects],
+) -> Prediction:
+    return _ENGINE[0].predict_responses(rig, run, parameters, scaled, candidates)
 
 
 class ParallelPredictor:
@@ -70,6 +81,18 @@ class ParallelPredictor:
         """Start a prediction with derivatives."""
         at = (list(parameters), np.array(scaled))
         return self._told(self._pool.submit(_predict_with_derivatives, rig, run, *at, refine, dt))
+
+    def submit_responses(
+        self,
+        rig: Rig,
+        run: Run,
+        parameters: Sequence[FitParameter],
+        scaled: np.ndarray,
+        candidates: Sequence[SizedEffects],
+    ) -> Future[Prediction]:
+        """Start a prediction with the responses to effects of finite size."""
+        at = (list(parameters), np.array(scaled))
+        return self._told(self._pool.submit(_predict_responses, rig, run, *at, list(candidates)))
 
     def predict_all(
         self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray

@@ -11,12 +11,14 @@ import numpy as np
 from sim_core.effects import amended
 from sim_core.errors import ThinshellError
 from sim_core.gradients import Direction, simulate_tangent
+from sim_core.gradients.frozen_path import Amendment, simulate_responses
 from sim_core.rigs import Rig
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.scene import Scene, build_scene
 from sim_core.simulate import Trace, simulate
 from sysid.model.marker_registration import placed, placed_along
-from sysid.model.parameters import FitParameter, acting_in, rig_at
+from sysid.model.parameters import FitParameter, acting_in, rig_at, rig_in
+from sysid.model.responses import SizedEffects, change, way_of, with_effects
 from sysid.model.sensor_streams import predicted, predicted_derivatives, stream_derivatives
 from sysid.model.time_span import after_known_motion, rollout_times
 from sysid.observations.observations import Run
@@ -41,6 +43,7 @@ class SerialPredictor:
 
     def __init__(self) -> None:
         self._scenes: dict[object, Scene] = {}
+        self._amended: dict[object, Scene] = {}
 
     def scene(self, rig: Rig, refine: int = 1) -> Scene:
         """A scene for the rig, reused when the same bodies and effects were built before."""
@@ -116,6 +119,73 @@ class SerialPredictor:
             total = mechanical + stream_derivatives(trace, along, m.channel, m.t, run.since, readings)
             derivatives[m.channel] = total.reshape(*values[m.channel].shape, len(along))
         return Prediction(values, derivatives, trace)
+
+    def predict_responses(
+        self,
+        rig: Rig,
+        run: Run,
+        parameters: Sequence[FitParameter],
+        scaled: np.ndarray,
+        candidates: Sequence[SizedEffects],
+    ) -> Prediction:
+        """As :meth:`predict_with_derivatives`, with the responses of all readings to each of the ``candidates`` after
+        the derivatives (:mod:`sysid.model.responses`); NaN: one that could not be simulated."""
+        own = acting_in(parameters, run.name)
+        scene = self.scene(rig_in(rig, parameters, scaled, run.name))
+        here = placed(scene, run.firsts)
+        scene.use(here)
+        mine = [parameters[k] for k in own]
+        along = placed_along(scene, run.firsts, [_direction(here, mine, scaled[own], k) for k in range(len(mine))])
+        rigs = [with_effects(here, effects) for effects in candidates]
+        ways = [way_of(here, effects, _geometry) for effects in candidates]
+        steps = [k for k, way in enumerate(ways) if way == "numbers"]
+        laws = [k for k, way in enumerate(ways) if way == "law"]
+        secants = [Direction(str(k), here, rigs[k], 1.0) for k in steps]
+        amendments = [Amendment(str(k), rigs[k], self._with_laws(rigs[k])) for k in laws]
+        times = rollout_times([here, *(end for d in along for end in (d.low, d.high)), *rigs], run, here.solver.dt_s)
+        trace, raw = simulate_responses(scene, run.poses, times, [*along, *secants], amendments)
+        values = _at_stamps(trace, here, run)
+        others: dict[int, dict[str, np.ndarray]] = {}
+        for k, way in enumerate(ways):
+            if way == "reading":
+                others[k] = change(_at_stamps(trace, rigs[k], run), values)
+            elif way == "rollout":
+                try:
+                    others[k] = change(self.predict(rigs[k], run).values, values)
+                except ThinshellError:
+                    others[k] = {c: np.full_like(v, np.nan) for c, v in values.items()}
+        place = {k: len(along) + n for n, k in enumerate((*steps, *laws))}
+        derivatives = {}
+        for m in run.measured:
+            there = values[m.channel]
+            mechanical = predicted_derivatives(trace, raw[m.channel], here, m.channel, m.t, run.since)
+            readings = there.reshape(mechanical.shape[:-1])
+            streams = stream_derivatives(trace, along, m.channel, m.t, run.since, readings)
+            flat = mechanical.reshape(*there.shape, -1)
+            out = np.zeros((*there.shape, len(parameters) + len(candidates)))
+            out[..., own] = flat[..., : len(along)] + streams.reshape(*there.shape, len(along))
+            for k in range(len(candidates)):
+                out[..., len(parameters) + k] = flat[..., place[k]] if k in place else others[k][m.channel]
+            derivatives[m.channel] = out
+        return Prediction(values, derivatives, trace)
+
+    def _with_laws(self, rig: Rig) -> Scene:
+        """A scene for the laws of a rig, shared by rigs with the same laws of other sizes."""
+        key = (_geometry(rig), "laws")
+        if key not in self._amended:
+            self._amended[key] = build_scene(rig)
+        return self._amended[key]
+
+    def submit_responses(
+        self,
+        rig: Rig,
+        run: Run,
+        parameters: Sequence[FitParameter],
+        scaled: np.ndarray,
+        candidates: Sequence[SizedEffects],
+    ) -> Future[Prediction]:
+        """A prediction with responses, made at once."""
+        return _made(lambda: self.predict_responses(rig, run, parameters, scaled, candidates))
 
 
 def _made(prediction: Callable[[], Prediction]) -> Future[Prediction]:

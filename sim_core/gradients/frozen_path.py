@@ -1,0 +1,192 @@
+"""Responses of a rollout to amendments of finite size, along its frozen path.
+
+A law with a threshold (yield, static friction, pull-off) has no derivative where it vanishes, and a rollout for each
+law and each size costs too much to look at a library of them. The amended law is therefore evaluated at its finite size
+on the path x_n that the baseline has taken, with its own internal variables carried along that path,
+
+    dF_n = F'(x_n; x_{n-1}, z'_{n-1}) - F(x_n; x_{n-1}, z_{n-1}),
+
+and dF_n is propagated by the linearised steps of the baseline (:mod:`sim_core.gradients.step`), whose factors are there
+already: one evaluation of the law and one back-substitution a step, instead of a rollout. The result is exact to first
+order in dF and of any order in the size of the law on the given path (a secant, not a derivative). What the law would
+change by taking another path, a contact made or lost for one, is left out.
+
+An end effector that gives way moves by its compliance times the load that the baseline puts on it, which is propagated
+like any motion of a mount.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sim_core.energies.term import DynamicTerm, Internals, StepContext
+from sim_core.gradients.boundary_motion import driven
+from sim_core.gradients.directions import Direction, command_motions
+from sim_core.gradients.parameter_jacobian import Column, moment_on_body
+from sim_core.gradients.step import LinearStep, Motion, Outcome
+from sim_core.gradients.tangent import TangentSimulation
+from sim_core.rigs import Rig
+from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene.scene import Frame, Scene, Values
+from sim_core.sensing.observe import frame_of
+from sim_core.simulate import Trace, run
+from sim_core.solve.step import State
+
+
+@dataclass
+class Amendment:
+    """A rig with laws that the baseline lacks. ``scene``: built with these laws, of the same nodes; several amendments
+    of different size may share it."""
+
+    name: str
+    rig: Rig
+    scene: Scene
+    values: Values = field(init=False)
+    internals: dict[str, Internals] = field(init=False, default_factory=dict)
+    affected: tuple[str, ...] = field(init=False, default=())
+    compliance: Mapping[str, np.ndarray] = field(init=False, default_factory=dict)
+
+    def begin(self, baseline: Scene) -> None:
+        """Find what differs from the baseline, and forget what was remembered."""
+        self.scene.use(self.rig)
+        self.values = self.scene.values(self.rig)
+        own = baseline.values(baseline.rig)
+        terms = {t.name: t for t in self.scene.system.terms}
+        self.affected = tuple(n for n in terms if n not in own.terms or self.values.terms.get(n) != own.terms[n])
+        self.compliance = {m: c for m, c in self.values.compliance.items() if m not in own.compliance}
+        self.internals = {n: terms[n].initial_internals() for n in self.affected}
+
+
+class FrozenPathSimulation(TangentSimulation):
+    """A simulation that carries, beside the derivatives by parameters ``along``, the responses to ``amendments``, in
+    this order along the last axis of ``derivatives``."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        along: Sequence[Direction],
+        amendments: Sequence[Amendment],
+        moving: Sequence[dict[str, np.ndarray]] = (),
+    ) -> None:
+        self._amendments = list(amendments)
+        self._first = len(along)
+        whole = [*along, *(Direction(a.name, scene.rig, scene.rig, 1.0) for a in amendments)]
+        for amendment in self._amendments:
+            amendment.begin(scene)
+        super().__init__(scene, whole, None, moving)
+
+    def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
+        for amendment in self._amendments:
+            amendment.begin(self.scene)
+        super().reset(frames)
+
+    @property
+    def _depends(self) -> bool:
+        return True
+
+    def _pushed(self, linear: LinearStep, motion: Motion, before: State, after: State) -> tuple[Motion, Outcome]:
+        count, mine = len(self._along), len(self._amendments)
+        columns = self._columns.of_step(linear.step, before.internals, after.internals, linear.terms)
+        columns = [*columns, *self._secants(linear.step, before, after)]
+        slopes = np.vstack([self._slopes, np.eye(count)[self._first :]]) if mine else self._slopes
+        moved = self._yielded()
+        follow = driven(self.scene, self.frames, moved, count) if moved else None
+        self._moved_now = moved
+        return linear.push(motion, columns, slopes, follow)
+
+    def _yielded(self) -> dict[str, np.ndarray]:
+        """Motions of the mounts, with what compliant ones give way under the baseline's load."""
+        moved = dict(self._moved_now)
+        loads: np.ndarray | None = None
+        for k, amendment in enumerate(self._amendments):
+            for mount, compliance in amendment.compliance.items():
+                if loads is None:
+                    loads = self.scene.system.reactions()
+                load = loads[self.scene.carried(mount)].sum(axis=0)
+                motion = np.array(moved.get(mount, np.zeros((6, len(self._along)))))
+                motion[:3, self._first + k] += self.frames[mount][1].inv().apply(compliance * load)
+                moved[mount] = motion
+        return moved
+
+    def _secants(self, step: StepContext, before: State, after: State) -> list[Column]:
+        """What each amendment adds to the forces of the step, on the baseline's path."""
+        system = self.scene.system
+        own = {t.name: t for t in system.terms}
+        known: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        found = []
+        for amendment in self._amendments:
+            force, moment = np.zeros_like(system.x), {}
+            for name, exerted, turned in self._exerted(amendment, step, before, after):
+                force += exerted
+                if name in own:
+                    if name not in known:
+                        known[name] = system.gradient_of(own[name]), moment_on_body(own[name])
+                    force -= known[name][0]
+                    turned = turned - known[name][1]
+                    if turned.any():
+                        moment[name] = turned
+            found.append(Column(force=force, moment=moment))
+        return found
+
+    def _exerted(
+        self, amendment: Amendment, step: StepContext, before: State, after: State
+    ) -> list[tuple[str, np.ndarray, np.ndarray]]:
+        """Force [N] ``(n, 3)`` and moment on its rigid body [N m] of each amended term; what they remember goes on."""
+        if not amendment.affected:
+            return []
+        scene, system = amendment.scene, amendment.scene.system
+        terms = {t.name: t for t in system.terms}
+        wanted = [terms[n] for n in amendment.affected]
+        for term in wanted:
+            term.configure(amendment.values.terms[term.name])
+        targets = scene.targets(self.frames)
+        if any(isinstance(t, DynamicTerm) for t in wanted):
+            internals = {n: amendment.internals.get(n, before.internals.get(n, {})) for n in terms}
+            system.guard(True)
+            system.x[:] = before.x
+            system.set_targets(targets)
+            system.begin_step(replace(step, v_start=(after.x - before.x) / step.dt), internals)
+            system.x[:] = after.x
+            system.cover()
+        else:
+            system.x[:] = after.x
+            for term in wanted:
+                term.begin_step(step, amendment.internals[term.name])
+        out = []
+        for term in wanted:
+            out.append((term.name, system.gradient_of(term), moment_on_body(term)))
+            amendment.internals[term.name] = term.end_step(step, amendment.internals[term.name])
+        return out
+
+
+def simulate_responses(
+    scene: Scene,
+    poses: Mapping[str, PoseTrajectory],
+    times: np.ndarray,
+    along: Sequence[Direction],
+    amendments: Sequence[Amendment],
+    on_step: Callable[[int, int], None] | None = None,
+) -> tuple[Trace, dict[str, np.ndarray]]:
+    """Trace of a rollout, and for every channel ``(n_times, ..., n_along + n_amendments)``: its derivatives by the
+    directions, then its responses to the amendments.
+
+    A direction may also be of finite width, from the baseline to a rig with other numbers or commands; its derivative
+    is then the secant in these numbers, and to first order in what they do. Times [s] ``(n_times,)``.
+    """
+    tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
+    commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
+    whole = [*along, *(Direction(a.name, scene.rig, scene.rig, 1.0) for a in amendments)]
+    moving = command_motions(scene.rig, whole, commanded, times)
+    simulation = FrozenPathSimulation(scene, along, amendments, moving)
+    stacked: list[dict[str, np.ndarray]] = []
+
+    def record(done: int, total: int) -> None:
+        stacked.append(simulation.derivatives)
+        if on_step is not None:
+            on_step(done, total)
+
+    trace = run(simulation, poses, times, record, on_reset=lambda: stacked.append(simulation.derivatives))
+    return trace, {c: np.stack([s[c] for s in stacked]) for c in trace.outputs}

@@ -1,0 +1,80 @@
+"""Responses along the frozen path against true rollouts with the effect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim_core.effects import all_effects
+from sim_core.rigs import Rig
+from sysid.model.parameters import fit_parameters, start_of
+from sysid.model.predictor import SerialPredictor
+from sysid.model.responses import way_of
+from sysid.noise.estimate import declared_noise
+from sysid.observations.observations import Measured, Run
+
+TIMES = [0.0, 0.06, 0.12, 0.2, 0.3]
+WAY = [[0, 0, 0], [0, 0, -0.006], [0.004, 0.001, -0.007], [0.004, 0.001, -0.007], [0, 0, -0.003]]
+STAMPS = np.linspace(0.013, 0.287, 21)
+
+TAKES_ANOTHER_PATH = {"contact_adhesion": 0.4, "command_lag": 0.6, "bending_plasticity": 0.6}
+"""Effects by which contact is made or lost at another time, or much of the sheet yields, and the least cosine asked of these."""
+
+
+@pytest.fixture(scope="module")
+def found(small_rig: Callable[..., Rig], visit: Callable[..., Any]) -> tuple[SerialPredictor, Rig, Run, Any, list[str]]:
+    """The small rig's run with the responses to all effects at their examples."""
+    rig, predictor = small_rig(), SerialPredictor()
+    kinds = {"wrench": ("wrench", 6), "markers": ("markers", 27), "side": ("tracks", 20)}
+    blank = tuple(
+        Measured(channel, kind, STAMPS, np.zeros((len(STAMPS), m)), tuple(str(k) for k in range(m)))
+        for channel, (kind, m) in kinds.items()
+    )
+    run = Run("own", "own", (), visit(TIMES, WAY), blank, TIMES[-1])
+    names = [name for name, effect in all_effects().items() if effect.applies(rig)]
+    parameters = fit_parameters(rig, ["card.E_pa", "gel.E_pa"])
+    scaled = start_of(rig, parameters)
+    candidates = [{name: dict(all_effects()[name].example)} for name in names]
+    return predictor, rig, run, predictor.predict_responses(rig, run, parameters, scaled, candidates), names
+
+
+def test_derivatives_stand_before_responses(found: Any) -> None:
+    """The same as without any effect to look at."""
+    predictor, rig, run, prediction, _ = found
+    parameters = fit_parameters(rig, ["card.E_pa", "gel.E_pa"])
+    plain = predictor.predict_with_derivatives(rig, run, parameters, start_of(rig, parameters))
+    for channel, slopes in plain.derivatives.items():
+        np.testing.assert_allclose(prediction.derivatives[channel][..., :2], slopes, rtol=1e-5, atol=1e-9)
+
+
+def test_responses_point_where_rollouts_go(found: Any) -> None:
+    """In units of the declared noise, over all channels: the direction, which ranks effects, and for those that leave
+    contacts as they are also the length within a factor of two."""
+    predictor, rig, run, prediction, names = found
+    sigma = {m.channel: np.resize(np.ravel(declared_noise(rig, m.channel)), m.values.shape[1]) for m in run.measured}
+    base = predictor.predict(rig, run).values
+    for k, name in enumerate(names):
+        changed = predictor.predict(rig.model_copy(update={"effects": {name: dict(all_effects()[name].example)}}), run)
+        true, seen = (
+            np.concatenate([np.nan_to_num(part[c] / sigma[c]).ravel() for c in base])
+            for part in (
+                {c: changed.values[c] - base[c] for c in base},
+                {c: prediction.derivatives[c][..., 2 + k] for c in base},
+            )
+        )
+        cosine = float(true @ seen / (np.linalg.norm(true) * np.linalg.norm(seen)))
+        assert cosine > TAKES_ANOTHER_PATH.get(name, 0.9), (name, cosine)
+        if name not in TAKES_ANOTHER_PATH:
+            assert 0.5 < np.linalg.norm(seen) / np.linalg.norm(true) < 2.0, name
+
+
+def test_sensors_are_looked_at_exactly(small_rig: Callable[..., Rig]) -> None:
+    """Each interface has its way."""
+    rig = small_rig()
+    ways = {name: way_of(rig, {name: dict(effect.example)}, repr) for name, effect in all_effects().items()
+            if effect.applies(rig)}  # fmt: skip
+    assert ways["wrench_offset"] == ways["stream_delay"] == "reading"
+    assert ways["static_friction"] == ways["gel_relaxation"] == "law"
