@@ -71,7 +71,9 @@ class SheetMaterial(_Damped):
 
     quantities: ClassVar[tuple[str, ...]] = ("E_pa", "nu", "thickness_m", "density_kg_m3", *_Damped.quantities)
 
-    preset: Text | None = None
+    preset: Text | None = Field(
+        default=None, description="name of a material, whose values hold where a key is left out"
+    )
     E_pa: Modulus = Field(description="Young's modulus in Pa")
     nu: Poisson = Field(description="Poisson's ratio")
     thickness_m: Thickness = Field(description="thickness of the sheet in m")
@@ -83,7 +85,9 @@ class GelMaterial(_Damped):
 
     quantities: ClassVar[tuple[str, ...]] = ("E_pa", "nu", "density_kg_m3", *_Damped.quantities)
 
-    preset: Text | None = None
+    preset: Text | None = Field(
+        default=None, description="name of a material, whose values hold where a key is left out"
+    )
     E_pa: Modulus = Field(description="Young's modulus in Pa")
     nu: Poisson = Field(description="Poisson's ratio")
     density_kg_m3: Density = Field(description="mass per volume in kg/m^3")
@@ -94,7 +98,9 @@ class AffineMaterial(_Material):
 
     quantities: ClassVar[tuple[str, ...]] = ("density_kg_m3",)
 
-    preset: Text | None = None
+    preset: Text | None = Field(
+        default=None, description="name of a material, whose density holds where the key is left out"
+    )
     density_kg_m3: Density = Field(description="mass per volume in kg/m^3")
 
 
@@ -108,7 +114,9 @@ class Fold(Strict):
     angle_deg: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-180.0, le=180.0)] = Field(
         description="by how much it turns in deg"
     )
-    over_m: Length | None = None
+    over_m: Length | None = Field(
+        default=None, description="length of the arc over which the angle is spread; left out: a crease"
+    )
 
 
 class Rectangle(Strict):
@@ -122,8 +130,10 @@ class Rectangle(Strict):
     length_m: Length = Field(description="extent along local x in m")
     width_m: Length = Field(description="extent along local y in m")
     cells: Cells2 = Field(description="number of cells along x and y")
-    pattern: Literal["regular", "crossed", "irregular"] = "regular"
-    folds: tuple[Fold, ...] = ()
+    pattern: Literal["regular", "crossed", "irregular"] = Field(
+        default="regular", description="how cells are cut into triangles"
+    )
+    folds: tuple[Fold, ...] = Field(default=(), description="bends of the sheet at rest")
 
     @model_validator(mode="after")
     def _folds_fit(self) -> Rectangle:
@@ -157,7 +167,9 @@ class Outline(Strict):
 
     type: Literal["outline"]
     polygon_m: tuple[Point2, ...] = Field(min_length=3, description="corners of the outline, x and y in m")
-    holes_m: tuple[Annotated[tuple[Point2, ...], Field(min_length=3)], ...] = ()
+    holes_m: tuple[Annotated[tuple[Point2, ...], Field(min_length=3)], ...] = Field(
+        default=(), description="rings of corners of holes, x and y"
+    )
     edge_m: Length = Field(description="wanted length of the mesh edges in m")
 
     @field_validator("polygon_m", mode="after")
@@ -273,7 +285,7 @@ class Sheet(Strict):
     shape: Annotated[Rectangle | Outline | SheetFile, Field(discriminator="type")] = Field(
         description="rectangle, outline or mesh"
     )
-    pose: Pose = Pose()
+    pose: Pose = Field(default=Pose(), description="pose in the base frame")
     material: SheetMaterial = Field(description="E_pa, nu, thickness_m, density_kg_m3, or a preset")
 
 
@@ -284,10 +296,12 @@ class Gel(Strict):
     shape: Annotated[Block | Disc | Dome | GelFile, Field(discriminator="type")] = Field(
         description="block, disc, dome or mesh"
     )
-    pose: Pose = Pose()
+    pose: Pose = Field(default=Pose(), description="pose in the frame of its mount, or in the base frame")
     material: GelMaterial = Field(description="E_pa, nu, density_kg_m3, or a preset")
-    bonded: Text | None = None
-    mount: Name | None = None
+    bonded: Text | None = Field(default=None, description="face that is glued to the mount")
+    mount: Name | None = Field(
+        default=None, description="end effector or `world` to which it is glued; left out, with `bonded`: it is free"
+    )
 
     @model_validator(mode="after")
     def _bond(self) -> Gel:
@@ -310,8 +324,8 @@ class Rigid(Strict):
     shape: Annotated[Sphere | Cylinder | Box | Plane, Field(discriminator="type")] = Field(
         description="sphere, cylinder, box or plane"
     )
-    pose: Pose = Pose()
-    mount: Name = WORLD
+    pose: Pose = Field(default=Pose(), description="pose in the frame of its mount")
+    mount: Name = Field(default=WORLD, description="end effector or `world` that carries it")
 
 
 class Affine(Strict):
@@ -325,11 +339,16 @@ class Affine(Strict):
     shape: Annotated[Sphere | Cylinder | Box, Field(discriminator="type")] = Field(
         description="sphere, cylinder or box"
     )
-    pose: Pose = Pose()
+    pose: Pose = Field(default=Pose(), description="pose at the start, in the base frame")
     material: AffineMaterial = Field(description="density_kg_m3, or a preset")
-    edge_m: Length | None = None
-    velocity_m_s: Vector = (0.0, 0.0, 0.0)
-    angular_velocity_deg_s: Vector = (0.0, 0.0, 0.0)
+    edge_m: Length | None = Field(
+        default=None,
+        description="wanted length of the edges of its surface mesh; left out: faces of a box, a fifth of the radius",
+    )
+    velocity_m_s: Vector = Field(default=(0.0, 0.0, 0.0), description="velocity of its centre at the start")
+    angular_velocity_deg_s: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="angular velocity at the start, in the base frame"
+    )
 
 
 Body = Annotated[Sheet | Gel | Rigid | Affine, Field(discriminator="type")]

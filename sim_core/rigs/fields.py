@@ -180,9 +180,11 @@ class Pose(Strict):
     quaternion x y z w, not both.
     """
 
-    position_m: Position = (0.0, 0.0, 0.0)
-    rpy_deg: Angles | None = None
-    quaternion_xyzw: Quaternion | None = None
+    position_m: Position = Field(default=(0.0, 0.0, 0.0), description="origin of the placed frame")
+    rpy_deg: Angles | None = Field(default=None, description="roll, pitch, yaw about the fixed axes x, y, z")
+    quaternion_xyzw: Quaternion | None = Field(
+        default=None, description="orientation as a unit quaternion; one of the two"
+    )
 
     @model_validator(mode="after")
     def _one_orientation(self) -> Pose:

@@ -36,9 +36,14 @@ class _GelShape(Strict):
     places: ClassVar[tuple[str, ...]] = ()
 
     cells: Cells3
-    graded: tuple[Grading, ...] = ()
-    refine: tuple[RefinedBox, ...] = ()
-    symmetry: tuple[Literal["x", "y"], ...] = ()
+    graded: tuple[Grading, ...] = Field(default=(), description="places towards which cells get narrower or wider")
+    refine: tuple[RefinedBox, ...] = Field(
+        default=(), description="boxes in which cells are cut until their edges are short enough"
+    )
+    symmetry: tuple[Literal["x", "y"], ...] = Field(
+        default=(),
+        description="axes normal to planes of symmetry; only the part with positive coordinates is simulated",
+    )
 
     @model_validator(mode="after")
     def _mesh_is_possible(self) -> _GelShape:

@@ -28,7 +28,10 @@ class _MeshFile(Strict):
     type: Literal["mesh"]
     file: Annotated[Text, Field(min_length=1)] = Field(description="path, from the folder of the rig file")
     unit: Unit = Field(description="unit of the coordinates in the file: m, cm, mm, um or in")
-    weld: Flag | None = None
+    weld: Flag | None = Field(
+        default=None,
+        description="join vertices at one place (true) or keep them apart (false); left out: such vertices are refused",
+    )
 
     def _nodes(self) -> FloatArray:
         raise NotImplementedError
@@ -71,8 +74,10 @@ class GelFile(_MeshFile):
     in a Gmsh file are faces too.
     """
 
-    face_regions: dict[Name, Region] = Field(default={})
-    fill: Fill | None = None
+    face_regions: dict[Name, Region] = Field(
+        default={}, description="name of a face -> box in which all of its corners lie"
+    )
+    fill: Fill | None = Field(default=None, description="fill a closed surface with tetrahedra")
 
     refine: ClassVar[tuple[RefinedBox, ...]] = ()
     symmetry: ClassVar[tuple[str, ...]] = ()

@@ -54,12 +54,24 @@ class Points(Strict):
     is simulated without a recording.
     """
 
-    face: Text | None = None
-    grid: Cells2 | None = None
-    margin_m: NonNegative | None = None
-    positions_m: tuple[Position, ...] | None = None
-    ids: tuple[MarkerId, ...] | None = None
-    placed: Literal["rig", "first_frame"] = "rig"
+    face: Text | None = Field(default=None, description="face of a gel on which the grid lies")
+    grid: Cells2 | None = Field(
+        default=None,
+        description="numbers of points along the first and the second axis; on a dome rings and points of a ring",
+    )
+    margin_m: NonNegative | None = Field(
+        default=None,
+        description="distance of the outermost points to the edge; left out: each point is in the middle of its cell",
+    )
+    positions_m: tuple[Position, ...] | None = Field(
+        default=None, description="points in local rest coordinates of the body, one by one"
+    )
+    ids: tuple[MarkerId, ...] | None = Field(
+        default=None, description="numbers of the listed positions; left out: they count up from 0"
+    )
+    placed: Literal["rig", "first_frame"] = Field(
+        default="rig", description="whether the rig says where the points are, or the first frame of a recording"
+    )
 
     @model_validator(mode="after")
     def _one_kind(self) -> Points:
@@ -98,20 +110,20 @@ LengthUnit = Literal["m", "mm"] | None
 class WrenchNoise(Strict):
     """Standard deviation of white noise on each component."""
 
-    force_n: NonNegative = 0.0
-    torque_nm: NonNegative = 0.0
+    force_n: NonNegative = Field(default=0.0, description="standard deviation of each force component")
+    torque_nm: NonNegative = Field(default=0.0, description="standard deviation of each torque component")
 
 
 class MarkerNoise(Strict):
     """Standard deviation of white noise on each coordinate."""
 
-    position_m: NonNegative = 0.0
+    position_m: NonNegative = Field(default=0.0, description="standard deviation of each coordinate")
 
 
 class TrackNoise(Strict):
     """Standard deviation of white noise on each image coordinate."""
 
-    position_px: NonNegative = 0.0
+    position_px: NonNegative = Field(default=0.0, description="standard deviation of each image coordinate")
 
 
 class WrenchSensor(Strict):
@@ -127,17 +139,26 @@ class WrenchSensor(Strict):
 
     type: Literal["wrench"]
     on: Name = Field(description="end effector, body or named clamp whose load is measured")
-    frame_id: FrameId | None = None
-    pose: Pose = Pose()
-    rate_hz: Rate = 100.0
-    latency_s: Latency = 0.0
-    latency_sd_s: Spread = 0.03
-    noise: WrenchNoise = WrenchNoise()
-    measures: Annotated[tuple[WrenchComponent, ...], Field(min_length=1)] = WRENCH_COMPONENTS
-    topic: Topic = "wrench"
-    length_unit: LengthUnit = None
-    range_n: SensorRange | None = None
-    range_nm: SensorRange | None = None
+    frame_id: FrameId | None = Field(
+        default=None, description="frame_id of its messages; left out: the name of the sensor"
+    )
+    pose: Pose = Field(default=Pose(), description="pose of the sensor's frame in that of what it is on")
+    rate_hz: Rate = Field(default=100.0, description="readings per second")
+    latency_s: Latency = Field(default=0.0, description="stamp minus instant of the reading")
+    latency_sd_s: Spread = Field(
+        default=0.03, description="standard deviation of what is known of the latency, for fits"
+    )
+    noise: WrenchNoise = Field(default=WrenchNoise(), description="white noise of each component")
+    measures: Annotated[tuple[WrenchComponent, ...], Field(min_length=1)] = Field(
+        default=WRENCH_COMPONENTS,
+        description="components that the sensor has; the others of a recording are not compared",
+    )
+    topic: Topic = Field(default="wrench", description="topic of its readings")
+    length_unit: LengthUnit = Field(
+        default=None, description="unit of lengths in recorded torques, where that is not m"
+    )
+    range_n: SensorRange | None = Field(default=None, description="largest force component that the sensor reads")
+    range_nm: SensorRange | None = Field(default=None, description="largest torque component that the sensor reads")
 
 
 class MarkerSensor(Strict):
@@ -150,14 +171,18 @@ class MarkerSensor(Strict):
     type: Literal["markers"]
     body: Name = Field(description="the body that carries the points")
     points: Points = Field(description="grid or positions_m")
-    frame_id: FrameId | None = None
-    pose: Pose = Pose()
-    rate_hz: Rate = 60.0
-    latency_s: Latency = 0.0
-    latency_sd_s: Spread = 0.03
-    noise: MarkerNoise = MarkerNoise()
-    topic: Topic = "markers"
-    length_unit: LengthUnit = None
+    frame_id: FrameId | None = Field(
+        default=None, description="frame_id of its messages; left out: the name of the sensor"
+    )
+    pose: Pose = Field(default=Pose(), description="pose of the sensor's frame in the rest frame of the body")
+    rate_hz: Rate = Field(default=60.0, description="readings per second")
+    latency_s: Latency = Field(default=0.0, description="stamp minus instant of the reading")
+    latency_sd_s: Spread = Field(
+        default=0.03, description="standard deviation of what is known of the latency, for fits"
+    )
+    noise: MarkerNoise = Field(default=MarkerNoise(), description="white noise of each coordinate")
+    topic: Topic = Field(default="markers", description="topic of its readings")
+    length_unit: LengthUnit = Field(default=None, description="unit of recorded positions, where that is not m")
 
 
 Sensor = Annotated[WrenchSensor | MarkerSensor, Field(discriminator="type")]
@@ -166,9 +191,11 @@ Sensor = Annotated[WrenchSensor | MarkerSensor, Field(discriminator="type")]
 class CameraTopics(Strict):
     """Where the streams of a camera are. ``image`` is read when a bag holds pictures and no tracks."""
 
-    marker_tracks: Topic = "marker_tracks"
-    camera_info: Topic = "camera_info"
-    image: Topic = "image/compressed"
+    marker_tracks: Topic = Field(default="marker_tracks", description="topic of tracks")
+    camera_info: Topic = Field(default="camera_info", description="topic of the calibration")
+    image: Topic = Field(
+        default="image/compressed", description="topic of pictures, which are read where a bag holds no tracks"
+    )
 
 
 class Sight(Strict):
@@ -184,19 +211,27 @@ class _Camera(Displaced):
 
     width_px: Count = Field(description="width of the picture in px")
     height_px: Count = Field(description="height of the picture in px")
-    pose: Pose = Pose()
-    mount: Name = WORLD
+    pose: Pose = Field(
+        default=Pose(), description="pose of the optical frame (z forward, x right, y down) in that of its mount"
+    )
+    mount: Name = Field(default=WORLD, description="end effector or `world` that carries it")
     sees: tuple[Sight, ...] = Field(min_length=1, description="list of body and points")
-    frame_id: FrameId | None = None
-    rate_hz: Rate = 30.0
-    latency_s: Latency = 0.0
-    latency_sd_s: Spread = 0.03
-    noise: TrackNoise = TrackNoise()
-    topics: CameraTopics = CameraTopics()
+    frame_id: FrameId | None = Field(
+        default=None, description="frame_id of its messages; left out: the name of the camera"
+    )
+    rate_hz: Rate = Field(default=30.0, description="pictures per second")
+    latency_s: Latency = Field(default=0.0, description="stamp minus instant of the picture")
+    latency_sd_s: Spread = Field(
+        default=0.03, description="standard deviation of what is known of the latency, for fits"
+    )
+    noise: TrackNoise = Field(default=TrackNoise(), description="white noise of each image coordinate")
+    topics: CameraTopics = Field(default=CameraTopics(), description="topics of its streams")
     offset_sd_m: ShiftSds = Field(default=(0.0, 0.0, 0.0), description="standard deviations of the shifts [m]")
     offset_sd_deg: TurnSds = Field(default=(0.0, 0.0, 0.0), description="standard deviations of the turns [deg]")
-    scale_sd: Spread = 0.01
-    centre_sd_px: Spread = 5.0
+    scale_sd: Spread = Field(
+        default=0.01, description="relative standard deviation of focal lengths or scale, for fits"
+    )
+    centre_sd_px: Spread = Field(default=5.0, description="standard deviation of the principal point, for fits")
 
 
 class _Lens(_Camera):
@@ -217,7 +252,9 @@ class PinholeCamera(_Lens):
     """
 
     model: Literal["pinhole"]
-    distortion: Annotated[tuple[Real, Real, Real, Real, Real], of_length(5)] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: Annotated[tuple[Real, Real, Real, Real, Real], of_length(5)] = Field(
+        default=(0.0, 0.0, 0.0, 0.0, 0.0), description="coefficients k1, k2, p1, p2, k3"
+    )
 
 
 class FisheyeCamera(_Lens):
@@ -227,7 +264,9 @@ class FisheyeCamera(_Lens):
     """
 
     model: Literal["fisheye"]
-    distortion: Annotated[tuple[Real, Real, Real, Real], of_length(4)] = (0.0, 0.0, 0.0, 0.0)
+    distortion: Annotated[tuple[Real, Real, Real, Real], of_length(4)] = Field(
+        default=(0.0, 0.0, 0.0, 0.0), description="coefficients k1, k2, k3, k4"
+    )
 
 
 class OrthographicCamera(_Camera):
@@ -243,9 +282,11 @@ class OrthographicCamera(_Camera):
     scale_m_per_px: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1.0)] = Field(
         description="length that one px stands for, in m"
     )
-    cx_px: Pixel = 0.0
-    cy_px: Pixel = 0.0
-    origin_id: MarkerId | None = None
+    cx_px: Pixel = Field(default=0.0, description="pixel u of the origin of the camera's frame")
+    cy_px: Pixel = Field(default=0.0, description="pixel v of the origin of the camera's frame")
+    origin_id: MarkerId | None = Field(
+        default=None, description="number of a tracked marker from which positions in the picture are counted"
+    )
 
 
 Camera = Annotated[PinholeCamera | FisheyeCamera | OrthographicCamera, Field(discriminator="model")]

@@ -11,9 +11,9 @@ from sim_core.rigs.fields import FloatArray, Interval, Length, Strict, trouble
 class Region(Strict):
     """A box in a body's local rest coordinates; an absent axis is not bounded."""
 
-    x_m: Interval | None = None
-    y_m: Interval | None = None
-    z_m: Interval | None = None
+    x_m: Interval | None = Field(default=None, description="lower and upper bound along local x; left out: not bounded")
+    y_m: Interval | None = Field(default=None, description="lower and upper bound along local y; left out: not bounded")
+    z_m: Interval | None = Field(default=None, description="lower and upper bound along local z; left out: not bounded")
 
     @model_validator(mode="after")
     def _ordered(self) -> Region:

@@ -44,11 +44,13 @@ class Clamp(Strict):
     pin or a hinge); without it, all three of a region of whole cells.
     """
 
-    name: Name | None = None
+    name: Name | None = Field(default=None, description="name by which a wrench sensor refers to it")
     body: Name = Field(description="the body that is held")
     region: Region = Field(description="box in the body's local rest coordinates")
-    mount: Name = WORLD
-    axes: Annotated[tuple[Literal["x", "y", "z"], ...], Field(min_length=1)] | None = None
+    mount: Name = Field(default=WORLD, description="end effector or `world` that the held nodes follow")
+    axes: Annotated[tuple[Literal["x", "y", "z"], ...], Field(min_length=1)] | None = Field(
+        default=None, description="components that are held, along the axes of the world; left out: all three"
+    )
 
     @model_validator(mode="after")
     def _each_once(self) -> Clamp:
@@ -71,12 +73,16 @@ class Joint(Strict):
     what it is connected ``to``.
     """
 
-    type: Literal["ball", "hinge", "slider"]
-    name: Name | None = None
+    type: Literal["ball", "hinge", "slider"] = Field(description="`ball`, `hinge` or `slider`")
+    name: Name | None = Field(default=None, description="name of the joint")
     body: Name = Field(description="an affine body")
-    to: Name = WORLD
-    at_m: Position = (0.0, 0.0, 0.0)
-    axis: Direction | None = None
+    to: Name = Field(default=WORLD, description="another affine body, an end effector, or `world`")
+    at_m: Position = Field(
+        default=(0.0, 0.0, 0.0), description="point of the joint, in local rest coordinates of the body"
+    )
+    axis: Direction | None = Field(
+        default=None, description="axis of a hinge or slider, in local rest coordinates of the body"
+    )
 
     @model_validator(mode="after")
     def _axis(self) -> Joint:
@@ -98,12 +104,20 @@ class PoseTopics(Strict):
     is an error, unless the motion is known to be slow and steady there.
     """
 
-    target_pose: Topic = "target_pose"
-    current_pose: Topic = "current_pose"
-    tf: Annotated[tuple[FrameId, FrameId], of_length(2)] | None = None
-    length_unit: Literal["m", "mm"] | None = None
-    quaternion_order: Literal["xyzw", "wxyz"] | None = None
-    max_gap_s: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=3600.0)] = 1.0
+    target_pose: Topic = Field(default="target_pose", description="topic of commanded poses")
+    current_pose: Topic = Field(default="current_pose", description="topic of measured poses")
+    tf: Annotated[tuple[FrameId, FrameId], of_length(2)] | None = Field(
+        default=None, description="parent and child frame of the transforms that are the measured pose"
+    )
+    length_unit: Literal["m", "mm"] | None = Field(
+        default=None, description="unit of recorded positions, where the recording does not say or does not keep to m"
+    )
+    quaternion_order: Literal["xyzw", "wxyz"] | None = Field(
+        default=None, description="order of recorded quaternions; left out: x, y, z, w"
+    )
+    max_gap_s: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=3600.0)] = Field(
+        default=1.0, description="longest gap of a recorded pose stream that a straight line bridges"
+    )
 
 
 class EndEffector(Displaced):
@@ -114,9 +128,9 @@ class EndEffector(Displaced):
     ``offset_sd_*``: how well that is known, for fits, 0 exactly; usually as of a tool that is mounted by hand.
     """
 
-    base_frame: FrameId = "base_link"
-    start: Pose = Pose()
-    topics: PoseTopics = PoseTopics()
+    base_frame: FrameId = Field(default="base_link", description="frame_id of its poses")
+    start: Pose = Field(default=Pose(), description="pose at the start, in the base frame")
+    topics: PoseTopics = Field(default=PoseTopics(), description="topics of its poses")
     driven_by: Literal["measured", "commanded"] = Field(
         default="measured",
         description="poses of recordings that it follows: measured ones, smoothed by their noise (commanded where no "
@@ -130,10 +144,14 @@ class Contact(Strict):
     """Two bodies that may touch (twice the same sheet: it may touch itself)."""
 
     between: Annotated[tuple[Name, Name], of_length(2)] = Field(description="the two bodies")
-    friction: Friction = 0.0
-    stiffness_pa_per_m: Stiffness | None = None
+    friction: Friction = Field(default=0.0, description="coefficient of Coulomb friction")
+    stiffness_pa_per_m: Stiffness | None = Field(
+        default=None,
+        description="contact pressure per approach within the range; left out: 5e9",
+    )
     range_m: Range | None = Field(
-        default=None, description="gap over which contact pressure sets in; small against the indentation"
+        default=None,
+        description="gap over which contact pressure sets in, small against the indentation; left out: 3e-5",
     )
 
     @property
@@ -149,9 +167,15 @@ class Solver(Strict):
     for what swings or is thrown.
     """
 
-    dt_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-6, le=10.0)] = 0.01
-    inertia: Flag = True
-    integrator: Literal["implicit_euler", "bdf2"] = "implicit_euler"
+    dt_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-6, le=10.0)] = Field(
+        default=0.01, description="time step"
+    )
+    inertia: Flag = Field(
+        default=True, description="whether mass resists acceleration; without it every step is an equilibrium"
+    )
+    integrator: Literal["implicit_euler", "bdf2"] = Field(
+        default="implicit_euler", description="time integration of what moves"
+    )
 
     @property
     def order(self) -> int:
@@ -164,18 +188,24 @@ class Rig(Strict):
     """Everything that stands on the table, what moves it and what looks at it."""
 
     name: Name = Field(description="short name, as in the file's name")
-    description: Text = ""
-    gravity_m_s2: Vector = (0.0, 0.0, -9.81)
-    solver: Solver = Solver()
+    description: Text = Field(default="", description="one sentence that `thinshell rigs` prints")
+    gravity_m_s2: Vector = Field(default=(0.0, 0.0, -9.81), description="acceleration of gravity in the base frame")
+    solver: Solver = Field(default=Solver(), description="time step and integrator")
     bodies: dict[Name, Body] = Field(min_length=1, description="name -> body")
-    clamps: tuple[Clamp, ...] = ()
-    joints: tuple[Joint, ...] = ()
-    end_effectors: dict[Name, EndEffector] = Field(default={})
-    contacts: tuple[Contact, ...] = ()
-    sensors: dict[Name, Sensor] = Field(default={})
-    cameras: dict[Name, Camera] = Field(default={})
-    effects: dict[EffectKey, dict[Text, Real]] = Field(default={})
-    recording_clock: Literal["header", "log"] = "header"
+    clamps: tuple[Clamp, ...] = Field(default=(), description="parts of sheets and gels that are held")
+    joints: tuple[Joint, ...] = Field(default=(), description="joints of affine bodies")
+    end_effectors: dict[Name, EndEffector] = Field(default={}, description="name -> end effector")
+    contacts: tuple[Contact, ...] = Field(
+        default=(), description="pairs of bodies that may touch; what is not listed passes through each other"
+    )
+    sensors: dict[Name, Sensor] = Field(default={}, description="name -> sensor")
+    cameras: dict[Name, Camera] = Field(default={}, description="name -> camera")
+    effects: dict[EffectKey, dict[Text, Real]] = Field(
+        default={}, description="key -> parameters of an effect; see the catalogue of effects"
+    )
+    recording_clock: Literal["header", "log"] = Field(
+        default="header", description="clock of recordings: stamps of headers, or the time at which the recorder wrote"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Rig:
