@@ -27,6 +27,11 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import Trace, simulate
 
+__all__ = [
+    "Rollout",
+    "simulate_batch",
+]
+
 P = ParamSpec("P")
 T = TypeVar("T")
 

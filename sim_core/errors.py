@@ -5,6 +5,15 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+__all__ = [
+    "ConfigError",
+    "ConvergenceError",
+    "RecordingError",
+    "ThinshellError",
+    "WorkerError",
+    "nearest_match",
+]
+
 
 class ThinshellError(Exception):
     """Base of all errors caused by input, data or numerics rather than by a defect in the code.

@@ -18,6 +18,13 @@ from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State, StepReport, advance
 from sim_core.state_history import StateHistory, StateRecorder
 
+__all__ = [
+    "Simulation",
+    "Trace",
+    "simulate",
+    "step_times",
+]
+
 MAX_HALVINGS = 5
 """A step that does not converge is retried as 2, 4, ... up to 2^5 shorter ones."""
 
@@ -208,7 +215,7 @@ def midway(a: Frame, b: Frame) -> Frame:
 
 
 def step_times(start: float, end: float, dt: float) -> np.ndarray:
-    """Instants of the steps, at most ``dt`` apart, from ``start`` to ``end`` [s]."""
+    """Instants of the steps, at most ``dt`` apart, from ``start`` to ``end`` [s]: ``(n,)``."""
     count = max(1, int(np.ceil((end - start) / dt - 1e-9)))
     return np.linspace(start, end, count + 1)
 
@@ -222,7 +229,7 @@ def simulate(
     *,
     keep_states: bool = False,
 ) -> Trace:
-    """Drive the scene along ``poses`` (by end effector) and read every channel at ``times`` [s].
+    """Drive the scene along ``poses`` (by end effector) and read every channel at ``times`` [s] ``(n,)``.
 
     ``on_step(done, total)`` is called after each step. ``keep_states``: the trace has :attr:`Trace.states`, which take
     48 bytes a node and instant and 24 more for each declared contact. Raises ``ConvergenceError`` when a step does not

@@ -22,6 +22,11 @@ from sim_core.errors import ConfigError
 from sim_core.simulate import Trace
 from sim_core.state_history import StateHistory
 
+__all__ = [
+    "load_trace",
+    "save_trace",
+]
+
 VERSION = 1
 
 

@@ -18,6 +18,12 @@ from sim_core.simulate import Trace, simulate, step_times
 from sysid.model.sensor_streams import predicted, total_delay
 from sysid.recording import RecordingWriter
 
+__all__ = [
+    "WhiteNoise",
+    "simulate_to_bag",
+    "write_trace",
+]
+
 START_NS = 1_000_000_000
 """Stamp of the first message; zero stamps mean 'no stamp'."""
 

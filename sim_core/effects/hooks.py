@@ -33,6 +33,26 @@ if TYPE_CHECKING:
     from sim_core.scene.scene import Frame, Scene
     from sim_core.scene.scene import Values as SceneValues
 
+__all__ = [
+    "Additive",
+    "BodyForce",
+    "Channel",
+    "ClockMap",
+    "CommandMap",
+    "FrictionFactor",
+    "FrictionLaw",
+    "MaterialLaw",
+    "MechanicsMap",
+    "Normal",
+    "NormalLaw",
+    "Pointwise",
+    "ReadingMap",
+    "Response",
+    "RigMap",
+    "Sliding",
+    "Strained",
+]
+
 Array = np.ndarray
 
 Kind = Literal["wrench", "markers", "tracks"]

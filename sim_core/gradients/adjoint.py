@@ -77,7 +77,8 @@ def simulate_adjoint(
     on_step: Callable[[int, int], None] | None = None,
     fields: Sequence[str] = (),
 ) -> Gradient:
-    """Make the rollout, and the gradient of ``loss`` by the parameters ``along``, the ``fields`` and all else.
+    """Make the rollout at ``times`` [s] ``(n,)``, and the gradient of ``loss`` by the parameters ``along``, the
+    ``fields`` and all else.
 
     ``memory_mb``: bound on the steps that are kept; those of longer rollouts are made twice. Raises ``ConfigError``
     where ``along`` has something else than directions, where the loss is not a number, or its derivatives are not one

@@ -62,7 +62,7 @@ class Smoothed:
     """``loss``: the smoothed loss, with its standard error ``loss_error``; ``first``, ``zeroth``, ``combined``:
     estimates of its gradient; ``alpha``: share ``(n,)`` of the first order in the combination, whose error is that of
     chance alone; ``pairs``: of rollouts that came to an end; ``failures``: parameters ``(n,)`` at which a rollout
-    failed, and what it said. A pair of which one failed is left out: then all is given that nothing fails."""
+    failed [their units], and what it said. A pair of which one failed is left out: all is given that nothing fails."""
 
     loss: float
     loss_error: float
@@ -77,8 +77,8 @@ class Smoothed:
 def smoothed_gradient(
     evaluate: Evaluate, at: np.ndarray, sigma: np.ndarray | float, *, pairs: int = 32, seed: int = 0
 ) -> Smoothed:
-    """Gradient at the parameters ``at`` ``(n,)`` of a loss smoothed by ``sigma``, ``(n,)`` or one for all, in their
-    units.
+    """Gradient at the parameters ``at`` ``(n,)`` of a loss smoothed by ``sigma``, ``(n,)`` or one for all [their
+    units].
 
     ``pairs``: of rollouts to be made. The same ``seed`` gives the same bits. Raises ``ConvergenceError`` when fewer
     than two pairs come to an end.
@@ -115,7 +115,8 @@ def rollout_loss(
     names: Sequence[str],
     settings: NewtonSettings | None = None,
 ) -> Evaluate:
-    """Loss of rollouts of a rig as a function of its parameters ``names``, in their units."""
+    """Loss of rollouts of a rig at ``times`` [s] ``(n,)`` as a function of its parameters ``names`` ``(k,)``, in their
+    units, which also gives the derivatives ``(k,)`` by them."""
     full, scene = [resolve_name(rig, name) for name in names], build_scene(rig)
 
     def evaluate(values: np.ndarray) -> tuple[float, np.ndarray]:

@@ -238,8 +238,9 @@ def simulate_tangent(
     on_step: Callable[[int, int], None] | None = None,
     settings: NewtonSettings | None = None,
 ) -> tuple[Trace, dict[str, np.ndarray]]:
-    """Trace of a rollout and the derivatives of every channel, ``(n_times, ..., n_parameters)``. Raises ``ConfigError``
-    where ``along`` has something else than directions."""
+    """Trace of a rollout at ``times`` [s] and the derivatives of every channel, ``(n_times, ..., n_parameters)``, in
+    the unit of the channel over that of the parameter. Raises ``ConfigError`` where ``along`` has something else than
+    directions."""
     along = checked(along)
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
     commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]

@@ -92,7 +92,8 @@ def _reach(layout: Layout, plane: str) -> float:
 
 
 def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Unit normals ``(v, 3)``, those of the triangles around weighted by their areas."""
+    """Unit normals ``(v, 3)`` at the ``vertices`` [m] ``(v, 3)`` of ``triangles`` ``(t, 3)``: those of the triangles
+    around weighted by their areas."""
     corner = vertices[triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     total = np.zeros_like(vertices)

@@ -238,7 +238,7 @@ class Outline(Strict):
 
 
 class Sphere(Strict):
-    """A ball."""
+    """A ball about its centre."""
 
     type: Literal["sphere"]
     radius_m: Length = Field(description="radius in m")

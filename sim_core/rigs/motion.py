@@ -39,6 +39,20 @@ from sim_core.rigs.schema import EndEffector, Rig
 from sim_core.rigs.trajectory import PoseTrajectory, Profile, minimum_jerk
 from sim_core.rigs.yamlfile import read_mapping, validate
 
+__all__ = [
+    "Bend",
+    "Drop",
+    "Experiment",
+    "Press",
+    "Pull",
+    "Random",
+    "Slide",
+    "Wait",
+    "Waypoints",
+    "compile_experiment",
+    "load_experiment",
+]
+
 Duration = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=3600.0)]
 Speed = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=10.0)]
 TurnSpeed = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=3600.0)]
@@ -92,7 +106,7 @@ class _Moving(Strict):
 
 
 class Wait(Strict):
-    """Stand still."""
+    """Stand still for some time."""
 
     type: Literal["wait"]
     duration_s: Duration = Field(description="time in s")

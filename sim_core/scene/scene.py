@@ -59,7 +59,8 @@ class Values:
     """Everything numeric that the mechanics depend on, without geometry.
 
     ``terms``: parameters of each term by its name. ``density``: mass per unit of a body's
-    ``unit_mass``. ``compliance``: of each compliant end effector along the world axes [m/N].
+    ``unit_mass``. ``gravity``: acceleration [m/s^2] ``(3,)``. ``compliance``: of each compliant end effector along the
+    world axes [m/N] ``(3,)``.
     """
 
     terms: dict[str, dict[str, float]]

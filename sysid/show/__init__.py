@@ -4,3 +4,8 @@ It is a room of ``sysid`` because it reads recordings and draws with matplotlib,
 it draws (surfaces, strain, curvature, pressure, slip) comes from :mod:`sim_core.postprocess`, the words of what looks
 wrong from :mod:`sim_core.preflight`.
 """
+
+from sysid.show.outputs import show
+from sysid.show.subject import Subject, subject_of
+
+__all__ = ["Subject", "show", "subject_of"]

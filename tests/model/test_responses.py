@@ -21,7 +21,8 @@ WAY = [[0, 0, 0], [0, 0, -0.006], [0.004, 0.001, -0.007], [0.004, 0.001, -0.007]
 STAMPS = np.linspace(0.013, 0.287, 21)
 
 TAKES_ANOTHER_PATH = {"contact_adhesion": 0.4, "command_lag": 0.6, "bending_plasticity": 0.6}
-"""Effects by which contact is made or lost at another time, or much of the sheet yields, and the least cosine asked of these."""
+"""Effects by which contact is made or lost at another time, or much of the sheet yields, and the least cosine asked of
+these."""
 
 
 @pytest.fixture(scope="module")
