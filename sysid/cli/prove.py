@@ -12,6 +12,9 @@ from sysid.cli.bounds import whole_number
 from sysid.cli.options import FolderOption, SeedOption, check_new, library
 from sysid.cli.progress import progress
 
+STANDS = ("strip",)
+NOISES = ("nasty", "white")
+
 app = typer.Typer(help="Benchmark: conceal physics, diagnose, then score.", rich_markup_mode=None)
 
 CasesFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder made by 'thinshell prove make'.")]
@@ -27,6 +30,31 @@ def make(
     check_new(out, "folder")
     with progress("prove make") as report:
         print(library("sysid.proof", "make_cases")(out, cases=cases, seed=seed, on_progress=report))
+
+
+@app.command("record")
+def record(
+    out: FolderOption,
+    stand: Annotated[str, typer.Option("--stand", metavar="NAME", help="What is recorded: strip.")] = "strip",
+    cases: Annotated[int, whole_number("--cases", "Number of cases.", 1, 10_000)] = 1,
+    seed: SeedOption = 0,
+    fast: Annotated[bool, typer.Option("--fast", help="Fewer and shorter recordings, for development.")] = False,
+    noise: Annotated[str, typer.Option("--noise", metavar="KIND", help="Noise: nasty or white.")] = "nasty",
+) -> None:
+    """Record cases that conceal nothing, by a simulator that shares no method with this one.
+
+    Not sealed: each case folder holds its rig, its recordings and truth.json.
+    """
+    for word, option, known in ((stand, "--stand", STANDS), (noise, "--noise", NOISES)):
+        if word not in known:
+            raise ConfigError(f"{option} is {word!r}.", f"Use {' or '.join(known)}.")
+    check_new(out, "folder")
+    with progress("prove record") as report:
+        print(
+            library("sysid.proof", "record_cases")(
+                out, stand, cases=cases, seed=seed, fast=fast, noise=noise, on_progress=report
+            )
+        )
 
 
 @app.command("run")

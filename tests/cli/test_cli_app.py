@@ -41,7 +41,19 @@ def test_without_arguments_it_shows_its_help() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["simulate", "fit", "diagnose", "prove make", "prove run", "prove score", "inspect", "track", "presses", "rigs"],
+    [
+        "simulate",
+        "fit",
+        "diagnose",
+        "prove make",
+        "prove record",
+        "prove run",
+        "prove score",
+        "inspect",
+        "track",
+        "presses",
+        "rigs",
+    ],
 )
 def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert app.main([*command.split(), "--help"]) == 0

@@ -9,6 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 GENERATOR = "sysid.proof.generator"
+TRUTHS = "sysid.proof.truths"
 
 
 def modules_of(folder: Path) -> dict[str, Path]:
@@ -72,10 +73,18 @@ def test_diagnose_command_does_not_reach_the_generator(graph: dict[str, set[str]
     assert not {m for m in reachable(graph, {"sysid.cli.diagnose"}) if m.startswith("sysid.proof")}
 
 
+def test_independent_truths_do_not_reach_the_simulator(graph: dict[str, set[str]]) -> None:
+    """Nothing of the simulator but its errors, so that both share no method."""
+    truths = {name for name in graph if name.startswith(TRUTHS)}
+    assert len(truths) > 5
+    shared = {m for name in truths for m in graph[name] if m.startswith("sim_core.")}
+    assert shared <= {"sim_core.errors"}, shared
+
+
 def test_running_and_scoring_do_not_reach_the_generator(graph: dict[str, set[str]]) -> None:
     direct = {name: graph[name] for name in ("sysid.proof.run", "sysid.proof.score", "sysid.proof.seal")}
     for name, imported in direct.items():
-        assert not {m for m in imported if m.startswith(GENERATOR)}, name
+        assert not {m for m in imported if m.startswith((GENERATOR, TRUTHS))}, name
 
 
 def test_no_name_of_the_proof_in_strings_of_the_diagnosis() -> None:
