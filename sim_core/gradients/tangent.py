@@ -55,6 +55,7 @@ class TangentSimulation(Simulation):
         """``moving``: motions of the mounts by the parameters at the start and after every step, beside those of
         offsets (:func:`sim_core.gradients.directions.command_motions`)."""
         self._along = list(along)
+        self._seen_otherwise = [k for k, direction in enumerate(along) if not _sees_alike(direction)]
         keys, self._slopes = slopes(scene, along)
         self._columns = Columns(scene, scene.values(scene.rig), keys)
         self._offsets: Motions = motions(scene.rig, along)
@@ -205,11 +206,11 @@ class TangentSimulation(Simulation):
                         total = total + by_moment @ outcome.moment[term]
                 total = total + sensed.by_frame @ self._frame_motion(sensed.mount, outcome)
                 out[name] = total.reshape(out[name].shape)
-        for k, direction in enumerate(self._along):
-            if not _sees_alike(direction):
-                ends = [self.observer.see(rig, frames) for rig in (direction.high, direction.low)]
-                for name in ends[0]:
-                    out[name][..., k] += (ends[0][name] - ends[1][name]) / direction.width
+        for k in self._seen_otherwise:
+            direction = self._along[k]
+            ends = [self.observer.see(rig, frames) for rig in (direction.high, direction.low)]
+            for name in ends[0]:
+                out[name][..., k] += (ends[0][name] - ends[1][name]) / direction.width
         for name, value in reading.items():
             out[name][np.isnan(value)] = np.nan
         return out

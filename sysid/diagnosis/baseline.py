@@ -1,10 +1,42 @@
-"""The baseline: which parameters of a rig a diagnosis leaves open."""
+"""The baseline: the rig without any further effect, fitted to the recordings as well as what is known of it allows.
+
+It goes through the same pipeline as a fit: readings that are mistakes are left out, clocks, cameras and tool poses are
+nuisance parameters within their priors, and the error of mesh and time step is measured by refinement where the fit
+stands. Two things differ. Every parameter is pulled to the rig's value by what is known of it, so that a modulus does
+not eat an effect; and offsets of wrench sensors are no nuisance but a hypothesis, to be named where there is one.
+"""
 
 from __future__ import annotations
 
-from sim_core.errors import ConfigError
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim_core.errors import ConfigError, ThinshellError
 from sim_core.rigs import Gel, Rig, Sheet
-from sysid.model.parameters import fit_parameters
+from sysid.diagnosis.model_tolerance import model_tolerance
+from sysid.fit.discretisation_refinement import discretisation
+from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
+from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
+from sysid.model.prediction_source import AnyEngine
+from sysid.model.predictor import Prediction
+from sysid.model.sparing_predictor import SparingPredictor
+from sysid.noise.estimate import ChannelNoise, channel_noise
+from sysid.observations.observations import Run
+from sysid.solve.discretisation_basis import ErrorShape
+from sysid.solve.optimum import Fitted
+from sysid.solve.outliers import Outliers, without_outliers
+from sysid.solve.residuals import Problem
+
+KNOWN_SD = {"E_pa": 0.35, "density_kg_m3": 0.05, "nu": 0.05, "friction": 0.15}
+"""How well a rig's numbers are known where nothing is said: moduli and densities by their logarithm (a data sheet of a
+similar product, a balance), Poisson ratios and friction coefficients by themselves."""
+
+FIRST, SECOND = 8, 5
+"""Evaluations allowed to the fit, and to it beside the error measured where it came to."""
+
+Tell = Callable[[float, str], None]
 
 
 def open_parameters(rig: Rig) -> list[str]:
@@ -21,3 +53,105 @@ def open_parameters(rig: Rig) -> list[str]:
     if not names:
         raise ConfigError("The rig has nothing to adjust.", "A diagnosis needs a sheet or a gel.")
     return [p.name for p in fit_parameters(rig, names)]
+
+
+def believed(parameters: Sequence[FitParameter]) -> list[FitParameter]:
+    """The parameters with what is known of each beforehand."""
+    return [
+        p if p.pulled else replace(p, known_sd=KNOWN_SD.get(p.target.rsplit(".", 1)[1], p.prior_sd)) for p in parameters
+    ]
+
+
+@dataclass
+class Baseline:
+    """``problem``, ``fitted``: the recordings given, without mistakes; ``check``, ``there``: those held out; ``noise``
+    by channel; ``outliers``: readings that were left out; ``notes``: on recordings that could not be followed."""
+
+    problem: Problem
+    fitted: Fitted
+    check: Problem
+    there: Fitted | None
+    noise: dict[str, ChannelNoise]
+    outliers: list[Outliers]
+    notes: tuple[str, ...]
+
+
+def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell) -> Baseline:
+    """Fit the baseline. Raises ``ThinshellError`` where a recording that is given cannot be simulated; ones held out
+    are left out then, with a note."""
+    parameters = believed(fit_parameters(rig, open_parameters(rig)))
+    parameters += nuisance_parameters(rig, runs, parameters, KINDS)
+    start = start_of(rig, parameters)
+    noise = channel_noise(rig, runs, held_out)
+    plain = _all(engine, rig, parameters, start, runs)
+    clean, _ = without_outliers(runs, plain, noise)
+    noise = channel_noise(rig, clean, held_out)
+    tell(0.08, "error of mesh and time step")
+    shapes = error_shapes(engine, rig, parameters, start, clean, plain)
+    sparing = SparingPredictor(engine)
+    problem = Problem(clean, noise, sparing, shapes, prior=True)
+    tell(0.15, "baseline fit")
+    fitted = problem.fit(rig, parameters, start, max_evaluations=FIRST, tolerance=2.0)
+    if fitted.interrupted:
+        raise KeyboardInterrupt
+    clean, outliers = without_outliers(runs, fitted.predictions, noise)
+    noise = channel_noise(rig, clean, held_out)
+    tell(0.28, "error of mesh and time step where the fit stands")
+    unknown = ""
+    try:
+        shapes = error_shapes(engine, rig, parameters, fitted.scaled, clean, fitted.predictions)
+    except ThinshellError as error:
+        unknown = f"it stands where its discretisation error is not known. {error}"
+    problem = Problem(clean, noise, sparing, shapes, prior=True)
+    fitted = problem.fit(rig, parameters, fitted.scaled, max_evaluations=SECOND, tolerance=2.0)
+    if unknown:
+        fitted.converged, fitted.message = False, unknown
+    if fitted.interrupted:
+        raise KeyboardInterrupt
+    problem.engine = engine
+    tell(0.38, "held-out recordings")
+    check, notes = held_out_problem(engine, fitted, noise, held_out)
+    there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
+    return Baseline(problem, fitted, check, there, noise, outliers, notes)
+
+
+def _all(
+    engine: AnyEngine, rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray, runs: Sequence[Run]
+) -> list[Prediction]:
+    jobs = [engine.submit(rig_in(rig, parameters, scaled, run.name), run) for run in runs]
+    return [job.result() for job in jobs]
+
+
+def error_shapes(
+    engine: AnyEngine,
+    rig: Rig,
+    parameters: Sequence[FitParameter],
+    scaled: np.ndarray,
+    runs: Sequence[Run],
+    plain: Sequence[Prediction],
+) -> list[ErrorShape]:
+    """What predictions ``plain`` at scaled values may be off: by mesh, by time step, and as a model."""
+    rigs = [rig_in(rig, parameters, scaled, run.name) for run in runs]
+    return [*discretisation(engine, rigs, runs, plain), model_tolerance(runs, plain)]
+
+
+def held_out_problem(
+    engine: AnyEngine, fitted: Fitted, noise: dict[str, ChannelNoise], held_out: Sequence[Run]
+) -> tuple[Problem, tuple[str, ...]]:
+    """The held-out recordings that the fitted rig can follow, without mistakes, beside the errors of their own."""
+    kept: list[Run] = []
+    shapes: list[list[ErrorShape]] = []
+    lost: list[str] = []
+    for run in held_out:
+        try:
+            plain = engine.submit(fitted.rig, run).result()
+            clean = without_outliers([run], [plain], noise)[0]
+            shapes.append([*discretisation(engine, fitted.rig, clean, [plain]), model_tolerance(clean, [plain])])
+            kept += clean
+        except ThinshellError as error:
+            lost.append(f"{run.name} is left out, it could not be simulated: {error}")
+    together = [
+        replace(first, shapes=tuple(s[k].shapes[0] for s in shapes), sight=tuple(x for s in shapes for x in s[k].sight))
+        for k, first in enumerate(shapes[0])
+    ] if shapes else []  # fmt: skip
+    return Problem(kept, noise, engine, together), tuple(lost)

@@ -1,68 +1,55 @@
-"""The diagnosis of a rig against recordings: the function behind ``thinshell diagnose``."""
+"""The diagnosis of a rig against recordings: the function behind ``thinshell diagnose``.
+
+1. The baseline is fitted through the pipeline of fits (:mod:`sysid.diagnosis.baseline`).
+2. All effects are looked at along its frozen path, with one rollout a recording (:mod:`sysid.diagnosis.screening`), and
+   what evidence chance reaches is simulated for the very case.
+3. The few that promise something are refitted, alone and in sets of up to three (:mod:`sysid.diagnosis.refits`).
+4. The verdict follows from evidence, from what they predict, and from their size (:mod:`sysid.diagnosis.verdict`).
+"""
 
 from __future__ import annotations
 
 import os
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
-from sim_core.errors import ThinshellError
+from sim_core.effects import RecordingScales
 from sim_core.rigs import Rig
 from sysid.diagnosis import wording as words
-from sysid.diagnosis.baseline import open_parameters
-from sysid.diagnosis.hypotheses import OUT_OF_SIGHT, Start, log_evidence, refit, screen
-from sysid.diagnosis.model_selection import (
-    Trial,
-    Verdict,
-    candidate,
-    decide,
-    named_parameters,
-    probabilities,
-    significance,
-)
-from sysid.diagnosis.report_notes import fates, limits, notes
-from sysid.diagnosis.residual_analysis import Structure, locate, structure
+from sysid.diagnosis.baseline import Baseline, fit_baseline
+from sysid.diagnosis.candidates import hypotheses, recording_scales
+from sysid.diagnosis.refits import Start, Trial, tempered, trials_of
+from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
+from sysid.diagnosis.residual_analysis import locate, structure
 from sysid.diagnosis.result import Diagnosis, Misfit
-from sysid.diagnosis.validation import gain_of, of_readings, seen_by_both
-from sysid.fit.discretisation_refinement import (
-    Unmeasured,
-    discretisation,
-    error_sizes,
-    fit_beside_discretisation,
-)
+from sysid.diagnosis.screening import Score, Screen, look
+from sysid.diagnosis.validation import of_readings, seen_by_both
+from sysid.diagnosis.verdict import Case, Verdict, decide, rejected, size_of
+from sysid.fit.discretisation_refinement import coarse_quantities, error_sizes
 from sysid.fit.result import plot_series, rms_errors
 from sysid.model.parallel_predictor import ParallelPredictor
-from sysid.model.parameters import fit_parameters
 from sysid.model.provenance import provenance
-from sysid.noise.estimate import ChannelNoise, channel_noise
 from sysid.observations.observations import Run, check_apart
-from sysid.solve.gauss_newton import IN_SIGHT
-from sysid.solve.optimum import Fitted
-from sysid.solve.residuals import Problem
 
 Progress = Callable[[float, str], None]
 
 REFITTED = 4
 """Effects that are refitted in full after the screening."""
 
-SECOND_STARTS = 3
+SECOND_STARTS = 2
 """Further starts of these effects that are refitted as well."""
 
-WORTH_REFITTING_NATS = 4.0
-"""Predicted improvement below which an effect is not refitted."""
+MOST_EFFECTS = 3
+"""Effects of one answer."""
 
-EVALUATIONS = 6
-"""Evaluations allowed to a refit."""
+BESIDE = 3
+"""Effects that are tried beside an answer that leaves something."""
 
-BASELINE = 5
-"""Rounds allowed to the baseline fit."""
-
-POLISHING = 5
-"""Rounds allowed to the last fit of the answer."""
+PAIRED = 6
+"""Effects whose pairs are looked at in the screening."""
 
 
 def diagnose_runs(
@@ -77,257 +64,150 @@ def diagnose_runs(
     check_apart(runs, held_out)
     started = time.monotonic()
     tell = on_progress or (lambda share, text: None)
-    noise = channel_noise(rig, runs, held_out)
-    with ParallelPredictor(min(os.cpu_count() or 1, 2 * len(runs))) as engine:
-        tell(0.0, "baseline fit")
-        parameters = fit_parameters(rig, open_parameters(rig))
-        problem, base = _kept(
-            lambda: fit_beside_discretisation(engine, runs, noise, rig, parameters, prior=True, rounds=BASELINE)
+    with ParallelPredictor(os.cpu_count()) as engine:
+        tell(0.0, "first simulations")
+        base = fit_baseline(engine, rig, runs, held_out, tell)
+        tell(0.42, "a look at all effects")
+        scales = recording_scales([*base.problem.runs, *base.check.runs])
+        wanted = hypotheses(base.fitted.rig, scales)
+        screen, failed = look(engine, base.fitted, base.problem, base.check, wanted)
+        screen.temper(base.fitted.misfit)
+        singles = screen.singles()
+        case = Case(
+            structure(base.problem, base.fitted),
+            structure(base.check, base.there) if base.there is not None else None,
+            screen.threshold(),
+            coarse_quantities(base.problem),
+            tuple(o.sentence for o in base.outliers if o.kept),
         )
-        if base.interrupted:
-            raise KeyboardInterrupt
-        before = structure(problem, base)
-        tell(0.45, "screening of effects")
-        starts, failed = screen(engine, problem, base)
-        tell(0.65, "refits")
-        check, lost = _check(engine, base.rig, noise, held_out)
-        plain = _held_out(check, base)
-        on_held_out = structure(check, plain) if plain is not None else None
-        trials = _refits(problem, check, plain, base, _chosen(starts, base), failed)
-        verdict = decide(trials, before, on_held_out)
-        while unfinished := [t for t in _in_question(verdict) if not t.finished]:
-            tell(0.85, "the answer fitted to the end")
-            final = _polished(engine, problem, check, base, unfinished[0])
-            trials = [final if t is unfinished[0] else t for t in trials]
-            verdict = decide(trials, before, on_held_out)
-        answer = verdict.named[0] if verdict.kind in ("named", "one_of") else None
-        diagnosis = _collect(rig, problem, check, base, plain, answer, verdict, trials, before, failed)
-        diagnosis.notes += lost
+        tell(0.55, "fits of the promising effects")
+        trials = _trials(engine, base, screen, singles, case, scales, failed, tell)
+        verdict = decide(trials, case)
+        tell(0.95, "report")
+        diagnosis, amended = _collect(rig, base, case, verdict, trials, Screened(screen, singles, failed))
     diagnosis.provenance = provenance(rig, list(runs), list(held_out))
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
-    return diagnosis, (answer.fitted if answer else base).rig
+    return diagnosis, amended
 
 
-def _kept(fit: Callable[[], tuple[Problem, Fitted]]) -> tuple[Problem, Fitted]:
-    """What a fit finds; where its discretisation error cannot be measured at the end, beside the one measured last, as
-    not converged."""
-    try:
-        return fit()
-    except Unmeasured as error:
-        return error.beside, error.fitted
-
-
-def _in_question(verdict: Verdict) -> tuple[Trial, ...]:
-    """The trials that the verdict rests on: all that it names, the best of those that explain too little."""
-    return verdict.named[:1] if verdict.kind == "unknown" else verdict.named
-
-
-def _chosen(starts: list[Start], base: Fitted) -> list[Start]:
-    """The best start of each promising effect, and the next best of these effects.
-
-    A law with a threshold has a misfit with several minima, so one start of it is not enough.
-    """
-    promising = [s for s in starts if s.gain > 2.0 * WORTH_REFITTING_NATS]
-    first: dict[str, Start] = {}
-    for start in promising:
-        first.setdefault(start.effect.name, start)
-    leading = list(first.values())[:REFITTED]
-    names = {f.effect.name for f in leading}
-    others = [s for s in promising if s.effect.name in names and s is not first[s.effect.name]]
-    return leading + others[:SECOND_STARTS]
-
-
-def _refits(
-    problem: Problem, check: Problem, plain: Fitted | None, base: Fitted, chosen: list[Start], failed: dict[str, str]
+def _trials(
+    engine: ParallelPredictor,
+    base: Baseline,
+    screen: Screen,
+    singles: Sequence[Score],
+    case: Case,
+    scales: RecordingScales,
+    failed: dict[str, str],
+    tell: Progress,
 ) -> list[Trial]:
-    """Refit the chosen effects side by side and score them; ``plain``: the baseline on the held-out runs."""
-
-    def attempt(start: Start) -> tuple[Start, Fitted, Fitted | None] | None:
-        try:
-            fitted = refit(problem, base, start, EVALUATIONS)
-            there = _held_out(check, fitted)
-        except ThinshellError as error:
-            failed[start.effect.name] = f"could not be simulated: {error}"
-            return None
-        if _hides(base, fitted) or _hides(plain, there):
-            failed[start.effect.name] = OUT_OF_SIGHT
-            return None
-        return start, fitted, there
-
-    with ThreadPoolExecutor(max(1, len(chosen))) as threads:
-        done = [found for found in threads.map(attempt, chosen) if found is not None]
-    best: dict[str, tuple[Start, Fitted, Fitted | None]] = {}
-    for start, fitted, there in done:
-        failed.pop(start.effect.name, None)
-        if start.effect.name not in best or fitted.chi2 < best[start.effect.name][1].chi2:
-            best[start.effect.name] = (start, fitted, there)
-    if not best:
+    """Refits of single effects, of pairs that the screening shows, and of what the best of these leave."""
+    promising = [s for s in singles if s.gain > case.needed]
+    if not promising:
         return []
-    temper = max(1.0, min(fitted.misfit for _, fitted, _ in best.values()))
-    reference = log_evidence(base, temper)
-    before = structure(problem, base)
-    trials = []
-    for start, fitted, there in best.values():
-        left = structure(problem, fitted)
-        gain = log_evidence(fitted, temper) - reference
-        trials.append(
-            Trial(
-                start.effect, fitted, gain, _explained(before, left), left, gain_of(seen_by_both(check, plain, there))
-            )
-        )
-    return sorted(trials, key=lambda t: -t.gain)
+    chosen = _distinct(screen, promising, REFITTED, SECOND_STARTS)
+    starts = [_start(screen, s) for s in chosen]
+    pair = _best_pair(screen, promising)
+    if pair is not None and pair.gain > singles[0].gain + case.needed:
+        starts.append(_start(screen, pair))
+    trials = tempered(base, trials_of(base, base.fitted, starts, scales, failed))
+    for count in range(2, MOST_EFFECTS + 1):
+        best = next((t for t in trials if not rejected(t, case)), None)
+        if best is None or not best.left.missing or len(best.hypotheses) >= count:
+            break
+        tell(0.65 + 0.1 * count, f"what '{best.title}' leaves")
+        wanted = [h for h in hypotheses(best.fitted.rig, scales) if h.effect.name not in best.names]
+        beside, _ = look(engine, best.fitted, base.problem, base.check, wanted)
+        beside.temper(best.fitted.misfit)
+        promising = [s for s in beside.singles() if s.gain > max(case.needed, beside.threshold())]
+        if not promising:
+            break
+        further = [_beside(best, _start(beside, s)) for s in _distinct(beside, promising, BESIDE, 0)]
+        more = trials_of(base, best.fitted, further, scales, failed)
+        trials = tempered(base, [*trials, *more])
+        if trials[0].gain < best.gain + case.needed:
+            break
+    return trials
 
 
-def _hides(plain: Fitted | None, amended: Fitted | None) -> bool:
-    """An amendment has less of the readings in sight."""
-    return plain is not None and amended is not None and amended.samples < IN_SIGHT * plain.samples
+def _distinct(screen: Screen, scores: Sequence[Score], effects: int, second: int) -> list[Score]:
+    """The best start of each effect, best first, and a few further ones of these effects: a law with a threshold has a
+    misfit with several minima."""
+    first: dict[str, Score] = {}
+    for score in scores:
+        first.setdefault(screen.hypotheses[score.numbers[0]].effect.name, score)
+    leading = dict(list(first.items())[:effects])
+    others = [s for s in scores if screen.hypotheses[s.numbers[0]].effect.name in leading and s not in leading.values()]
+    return [*leading.values(), *others[:second]]
 
 
-def _explained(before: Structure, left: Structure) -> float:
-    """Share of the structured misfit that is gone, 1 where there was none that stands out."""
-    if not before.whole.stands_out:
-        return 1.0
-    return min(1.0, 1.0 - left.whole.excess / before.whole.excess)
+def _best_pair(screen: Screen, promising: Sequence[Score]) -> Score | None:
+    """The two effects that fit best together, by the screening."""
+    numbers = [s.numbers[0] for s in _distinct(screen, promising, PAIRED, 0)]
+    pairs = [screen.score([a, b], cross=False) for k, a in enumerate(numbers) for b in numbers[k + 1 :]]
+    return max(pairs, key=lambda s: s.gain, default=None)
 
 
-def _check(
-    engine: ParallelPredictor, rig: Rig, noise: dict[str, ChannelNoise], held_out: Sequence[Run]
-) -> tuple[Problem, tuple[str, ...]]:
-    """The held-out runs that the fitted rig can follow, and a note for each that it cannot."""
-    try:
-        return Problem(held_out, noise, engine, discretisation(engine, rig, held_out)), ()
-    except ThinshellError:
-        kept, lost = [], []
-        for run in held_out:
-            try:
-                discretisation(engine, rig, [run])
-                kept.append(run)
-            except ThinshellError as error:
-                lost.append(f"{run.name} is left out, it could not be simulated: {error}")
-        return Problem(kept, noise, engine, discretisation(engine, rig, kept)), tuple(lost)
+def _start(screen: Screen, score: Score) -> Start:
+    return Start(tuple(screen.hypotheses[k] for k in score.numbers), score.factors, score.shift)
 
 
-def _held_out(check: Problem, fitted: Fitted) -> Fitted | None:
-    """A model on the held-out runs."""
-    return check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
+def _beside(best: Trial, start: Start) -> Start:
+    """A further effect beside those of a trial, which stay where they are fitted."""
+    return replace(start, earlier=best.hypotheses)
 
 
-def _polished(engine: ParallelPredictor, problem: Problem, check: Problem, base: Fitted, trial: Trial) -> Trial:
-    """Fit an answer to the end, with the discretisation error measured where it now stands.
-
-    The baseline is judged beside the same error, so that nothing else differs. Where that error cannot be measured, the
-    one measured last is kept, and the fit has not converged; a trial that cannot be simulated there is rejected.
-    """
-    answer, there = trial.fitted, problem
-    try:
-        there, fitted = _kept(
-            lambda: fit_beside_discretisation(
-                engine,
-                problem.runs,
-                problem.noise,
-                answer.centre,
-                answer.parameters,
-                start=answer.scaled,
-                prior=True,
-                rounds=POLISHING,
-            )
-        )
-        check = Problem(check.runs, problem.noise, engine, discretisation(engine, fitted.rig, check.runs))
-    except ThinshellError as error:
-        fitted = answer if there is problem else fitted
-        fitted = replace(
-            fitted, converged=False, message=f"it stands where its discretisation error is not known. {error}"
-        )
-    if fitted.interrupted:
-        raise KeyboardInterrupt
-    try:
-        predicted, plain = _held_out(check, fitted), _held_out(check, base)
-        unamended = there.evaluate(base.rig, [], np.zeros(0))
-    except ThinshellError as error:
-        return replace(trial, finished=True, failure=f"it could not be simulated where it fits best: {error}")
-    left, both = structure(there, fitted), seen_by_both(check, plain, predicted)
-    return replace(
-        trial,
-        fitted=fitted,
-        predicted=predicted,
-        misfits=(
-            (of_readings(unamended), None if both is None else both[0].misfit),
-            (of_readings(fitted), None if both is None else both[1].misfit),
-        ),
-        explained=_explained(structure(there, unamended), left),
-        left=left,
-        held_out=gain_of(both),
-        significance=significance(trial.effect, fitted, trial.gain),
-        finished=True,
-        failure=OUT_OF_SIGHT if _hides(base, fitted) or _hides(plain, predicted) else "",
-    )
-
-
-def _misfit(
-    problem: Problem,
-    check: Problem,
-    base: Fitted,
-    plain: Fitted | None,
-    fitted: Fitted,
-    predicted: Fitted | None,
-    misfits: tuple[float, float | None] | None = None,
-) -> Misfit:
-    """Misfit of a model, with the errors of the baseline beside its own; ``plain``, ``predicted``: the two on
-    the held-out runs; ``misfits``: on the runs given and held out, where they are told."""
-    own = error_sizes(problem)
-    errors = rms_errors(problem, base, fitted, held_out=False, own=own)
-    if plain is not None and predicted is not None:
-        errors += rms_errors(check, plain, predicted, held_out=True, own=own)
-    training, there = misfits or (of_readings(fitted), None if predicted is None else predicted.misfit)
-    return Misfit(training, there, tuple(errors))
+def _misfit(base: Baseline, shown: Trial | None) -> Misfit:
+    """Misfit of the baseline or of an answer, with the errors of the baseline beside its own."""
+    fitted = base.fitted if shown is None else shown.fitted
+    predicted = base.there if shown is None else shown.predicted
+    own = error_sizes(base.problem)
+    errors = rms_errors(base.problem, base.fitted, fitted, held_out=False, own=own)
+    if base.there is not None and predicted is not None:
+        errors += rms_errors(base.check, base.there, predicted, held_out=True, own=own)
+    both = seen_by_both(base.check, base.there, predicted)
+    return Misfit(of_readings(fitted), None if both is None else both[1].misfit, tuple(errors))
 
 
 def _collect(
-    rig: Rig,
-    problem: Problem,
-    check: Problem,
-    base: Fitted,
-    plain: Fitted | None,
-    answer: Trial | None,
-    verdict: Verdict,
-    trials: list[Trial],
-    before: Structure,
-    failed: dict[str, str],
-) -> Diagnosis:
-    located = locate(problem, base, answer.fitted if answer else None)
-    chances = probabilities(trials)
-    reported = [candidate(t, chances[t.effect.name]) for t in trials]
-    names = {t.effect.name for t in verdict.named} if verdict.kind in ("named", "one_of") else set()
-    became = fates(trials, failed, names, rig)
-    shown, predicted = (answer.fitted, answer.predicted) if answer else (base, plain)
-    misfits = answer.misfits if answer and answer.misfits else (None, None)
-    series = plot_series(problem, base, shown, held_out=False)
-    if plain is not None and predicted is not None:
-        series += plot_series(check, plain, predicted, held_out=True)
-    return Diagnosis(
+    rig: Rig, base: Baseline, case: Case, verdict: Verdict, trials: Sequence[Trial], screened: Screened
+) -> tuple[Diagnosis, Rig]:
+    """The diagnosis as data, and the rig that it ends with."""
+    answer = verdict.named[0] if verdict.kind in ("named", "one_of", "partly") else None
+    located = locate(base.problem, base.fitted, answer.fitted if answer else None)
+    named, alternatives = candidates_of(verdict, trials, case)
+    became = fates(rig, verdict, trials, case, screened)
+    fitted, predicted = (answer.fitted, answer.predicted) if answer else (base.fitted, base.there)
+    series = plot_series(base.problem, base.fitted, fitted, held_out=False)
+    if base.there is not None and predicted is not None:
+        series += plot_series(base.check, base.there, predicted, held_out=True)
+    size = size_of(answer) if answer else 0.0
+    diagnosis = Diagnosis(
         verdict=verdict.kind,
-        sentence=words.sentence(verdict, located, became, before.hidden),
+        sentence=words.sentence(verdict, located, became, case),
         rig=rig.name,
-        effects=tuple(c for c in reported if c.name in names),
-        alternatives=tuple(c for c in reported if c.name not in names),
+        effects=named,
+        alternatives=alternatives,
         located=located,
-        baseline=_misfit(problem, check, base, plain, base, plain, misfits[0]),
-        amended=_misfit(problem, check, base, plain, shown, predicted, misfits[1]) if answer else None,
-        noise_floor={c: float(np.median(n.sigma)) for c, n in problem.noise.items()},
+        baseline=_misfit(base, None),
+        amended=_misfit(base, answer) if answer else None,
+        noise_floor={c: float(np.median(n.sigma)) for c, n in base.noise.items()},
         discretisation={
-            "structured_energy": before.whole.own,
-            "structured_misfit": before.whole.excess,
-            "structured_misfit_per_score": before.whole.per_score,
+            "structured_energy": case.before.whole.own,
+            "structured_misfit": case.before.whole.excess,
+            "structured_misfit_per_score": case.before.whole.per_score,
         },
-        upper_limits=limits(trials, names),
-        baseline_parameters=named_parameters(base),
-        amended_parameters=named_parameters(shown) if answer else (),
-        not_explained=words.not_explained(verdict, before.whole.excess),
-        next_experiment=words.next_experiment(verdict, before.hidden),
+        upper_limits=limits(screened, verdict),
+        baseline_parameters=named_parameters(base.fitted),
+        amended_parameters=named_parameters(fitted) if answer else (),
+        not_explained=words.not_explained(verdict, case),
+        next_experiment=words.next_experiment(verdict, case),
         provenance={},
         seconds=0.0,
         tried=became,
-        notes=notes(base, problem, before, verdict),
+        notes=notes(base, case, verdict),
         series=series,
+        explained=size,
+        threshold=case.needed,
     )
+    return diagnosis, fitted.rig

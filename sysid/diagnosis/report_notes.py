@@ -1,67 +1,135 @@
-"""The account that a diagnosis gives of itself: what became of each effect, limits, reservations."""
+"""The account that a diagnosis gives of itself: candidates, what became of each effect, limits, reservations."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from sim_core.effects import all_effects, split_key
 from sim_core.rigs import Rig
-from sysid.diagnosis.model_selection import Trial, Verdict
-from sysid.diagnosis.residual_analysis import Structure
+from sysid.diagnosis.baseline import Baseline
+from sysid.diagnosis.candidates import Hypothesis
+from sysid.diagnosis.refits import Trial
+from sysid.diagnosis.result import Candidate, NamedParameter
+from sysid.diagnosis.screening import Score, Screen
+from sysid.diagnosis.verdict import Case, Verdict, probabilities, rejected, size_of
 from sysid.fit.discretisation_refinement import large_discretisation_errors, unresolved_quantities
 from sysid.model.parameters import start_of
 from sysid.model.windows import not_from_rest
 from sysid.noise.data_quality import data_quality_warnings
 from sysid.noise.estimate import FROM_DIFFERENCES
-from sysid.solve.covariance import uncertainty
+from sysid.solve.covariance import interval, uncertainty
 from sysid.solve.optimum import Fitted
-from sysid.solve.residuals import Problem
+
+FAR_FROM_KNOWN = 3.0
+"""Standard deviations of what was known of a parameter from which its fitted value needs explaining."""
 
 
-def limits(trials: list[Trial], named: set[str]) -> dict[str, float]:
-    """By amplitude, the farthest from none at all that the recordings still allow (95 %)."""
-    found: dict[str, float] = {}
+@dataclass(frozen=True)
+class Screened:
+    """The look at all effects: the screen beside the baseline, scores of single hypotheses, best first, and what could
+    not be looked at."""
+
+    screen: Screen
+    singles: Sequence[Score]
+    failed: dict[str, str]
+
+
+def candidates_of(
+    verdict: Verdict, trials: Sequence[Trial], case: Case
+) -> tuple[tuple[Candidate, ...], tuple[Candidate, ...]]:
+    """The effects of the answer, and the others that were refitted, as they are reported, each once."""
+    chances = probabilities(trials, case)
+    answers = verdict.named if verdict.kind in ("named", "one_of", "partly") else ()
+    named: dict[str, Candidate] = {}
+    for trial in answers:
+        for h in trial.hypotheses:
+            chance = sum(p for names, p in chances.items() if h.effect.name in names)
+            named.setdefault(h.effect.name, _candidate(trial, h, chance, ""))
+    rest: dict[str, Candidate] = {}
     for trial in trials:
-        if trial.effect.name in named:
+        for h in trial.hypotheses:
+            if h.effect.name not in named and (len(trial.hypotheses) == 1 or h.effect.name not in rest):
+                rest[h.effect.name] = _candidate(trial, h, chances[trial.names], rejected(trial, case))
+    return tuple(named.values()), tuple(rest.values())
+
+
+def _candidate(trial: Trial, h: Hypothesis, chance: float, why: str) -> Candidate:
+    effect = h.effect
+    return Candidate(
+        effect.name, effect.title, effect.slot, effect.words, min(chance, 1.0),
+        named_parameters(trial.fitted, f"effects.{h.key}."), float(trial.gain),
+        None if trial.held_out is None else float(trial.held_out), why, float(size_of(trial)),
+    )  # fmt: skip
+
+
+def named_parameters(fitted: Fitted, prefix: str = "") -> tuple[NamedParameter, ...]:
+    """Fitted values with intervals; only those whose name starts with ``prefix``."""
+    known = uncertainty(fitted)
+    return tuple(
+        NamedParameter(p.name, p.physical(s), interval(p, s, sd), p.unit, p.words)
+        for p, s, sd in zip(fitted.parameters, fitted.scaled, known.sd, strict=True)
+        if p.name.startswith(prefix)
+    )
+
+
+def limits(screened: Screened, verdict: Verdict) -> dict[str, float]:
+    """By amplitude, the size that the recordings would have shown (95 %) of effects that are not the answer: where the
+    best factor with its deviations ends, by the screening; only where that is within reach of the response."""
+    named = {h.effect.name for t in verdict.named for h in t.hypotheses}
+    found: dict[str, float] = {}
+    screen = screened.screen
+    for score in screened.singles:
+        (number,) = score.numbers
+        h = screen.hypotheses[number]
+        if h.effect.name in named:
             continue
-        known = uncertainty(trial.fitted)
-        for p, scaled, sd in zip(trial.fitted.parameters, trial.fitted.scaled, known.sd, strict=True):
-            vanishing = next(
-                (q.vanishing for q in trial.effect.parameters if p.name == f"effects.{trial.effect.name}.{q.name}"),
-                None,
-            )
-            if vanishing is None:
+        for amplitude, factor, sd in zip(h.amplitudes, score.factors[0], screen.deviations(number), strict=True):
+            name = f"effects.{h.key}.{amplitude.parameter.name}"
+            if name in found or not np.isfinite(amplitude.none):
                 continue
-            ends = [p.physical(scaled - 1.96 * sd), p.physical(scaled + 1.96 * sd)]
-            # What vanishes at infinity (a yield curvature) is bounded from below.
-            found[p.name] = max(ends, key=lambda v: abs(v - vanishing)) if np.isfinite(vanishing) else min(ends)
+            most = abs(factor) + 1.645 * sd
+            if most <= amplitude.limits[1]:
+                p = amplitude.parameter
+                found[name] = float(
+                    np.clip(amplitude.none + most * (amplitude.typical - amplitude.none), p.lower, p.upper)
+                )
     return found
 
 
-def fates(trials: list[Trial], failed: dict[str, str], named: set[str], rig: Rig) -> dict[str, str]:
+def fates(rig: Rig, verdict: Verdict, trials: Sequence[Trial], case: Case, screened: Screened) -> dict[str, str]:
     """What became of each effect of the library that the rig may lack, in a few words."""
     present = {split_key(key)[0] for key in rig.effects}
     apply = [e.name for e in all_effects().values() if e.name not in present and e.variants(rig)]
-    became = dict.fromkeys(apply, "promised no better fit") | failed
-    became |= {t.effect.name: t.rejected or "fits, but less well than the answer" for t in trials}
-    return became | {name: "the answer" for name in named}
+    became = dict.fromkeys(apply, "promised no better fit") | screened.failed
+    for trial in sorted(trials, key=lambda t: -len(t.names)):
+        why = rejected(trial, case) or "fits, but less well than the answer"
+        became |= {h.effect.name: why for h in trial.hypotheses}
+    if verdict.kind in ("named", "one_of", "partly"):
+        became |= {h.effect.name: "the answer" for t in verdict.named for h in t.hypotheses}
+    return became
 
 
-def notes(base: Fitted, problem: Problem, before: Structure, verdict: Verdict) -> tuple[str, ...]:
+def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
     """What a reader should know of the baseline, and of answers, before believing the verdict."""
-    said = [f"{run.name} does not begin at rest: {n}" for run in problem.runs for n in not_from_rest(base.rig, run)]
-    if not base.converged:
-        said.append(f"The baseline fit did not converge: {base.message}.")
+    fitted, problem = base.fitted, base.problem
+    said = [f"{run.name} does not begin at rest: {n}" for run in problem.runs for n in not_from_rest(fitted.rig, run)]
+    if not fitted.converged:
+        said.append(f"The baseline fit did not converge: {fitted.message}.")
     for trial in verdict.named if verdict.kind != "unknown" else ():
         if not trial.fitted.converged:
-            said.append(f"The fit with '{trial.effect.title}' did not converge: {trial.fitted.message}.")
-    if before.hidden:
+            said.append(f"The fit with '{trial.title}' did not converge: {trial.fitted.message}.")
+    said += [o.sentence for o in base.outliers]
+    said += case.coarse
+    if case.before.hidden:
         said.append(
             "There is misfit beyond the noise, but no more than the error of mesh and time step could leave. "
             "Finer cells or a shorter solver.dt_s in the rig would tell."
         )
     said += (
-        data_quality_warnings(base.rig, problem.runs)
+        data_quality_warnings(fitted.rig, problem.runs)
         + large_discretisation_errors(problem)
         + unresolved_quantities(problem)
     )
@@ -71,17 +139,17 @@ def notes(base: Fitted, problem: Problem, before: Structure, verdict: Verdict) -
                 f"Nothing stands still long enough to see the noise of {name}; it was taken from neighbouring "
                 "samples. If it is smooth, misfit is overrated: record a rest of 15 samples, or declare it in the rig."
             )
-    start = start_of(base.centre, base.parameters)
-    for p, scaled, first in zip(base.parameters, base.scaled, start, strict=True):
+    start = start_of(fitted.centre, fitted.parameters)
+    for p, scaled, first in zip(fitted.parameters, fitted.scaled, start, strict=True):
         low, high = p.scaled_bounds
-        value, began = p.physical(scaled), p.physical(first)
+        value, began, known = p.physical(scaled), p.physical(first), p.known_sd or p.prior_sd
         if min(scaled - low, high - scaled) < 1e-3 * p.prior_sd:
             said.append(
                 f"The baseline ends at the bound of {p.name}, {value:.4g} {p.unit}; that itself needs explaining."
             )
-        elif abs(scaled - first) > p.prior_sd:
+        elif abs(scaled - first) > FAR_FROM_KNOWN * known:
             said.append(
-                f"The baseline needs {p.name} = {value:.4g} {p.unit} where the rig says {began:.4g}; that itself "
-                "needs explaining."
+                f"The baseline needs {p.name} = {value:.4g} {p.unit} where the rig says {began:.4g}, "
+                f"{abs(scaled - first) / known:.1f} times as far off as is known of it; that itself needs explaining."
             )
-    return tuple(said)
+    return (*said, *base.notes)

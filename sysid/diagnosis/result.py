@@ -1,8 +1,15 @@
-"""The diagnosis as data: what ``diagnosis.json`` holds (schema ``thinshell.diagnosis/1``).
+"""The diagnosis as data: what ``diagnosis.json`` holds (schema ``thinshell.diagnosis/2``).
 
-``verdict``: ``nothing_missing`` (the rig explains the recordings down to noise and the discretisation
-error), ``named`` (one effect is missing), ``one_of`` (one of several that these recordings do not tell
-apart), ``unknown`` (something is missing that no known effect explains).
+``verdict``:
+
+- ``nothing_missing``: the rig explains the recordings down to noise, the discretisation error and what careful models
+  differ in;
+- ``named``: one to three effects are missing, ``effects``;
+- ``one_of``: one of several that these recordings do not tell apart;
+- ``partly``: ``effects`` are missing, but explain less than what remains unknown;
+- ``unknown``: something is missing that no known effect explains;
+- ``refine_discretisation``: the error of mesh and time step hides what there may be;
+- ``recording_fault``: the recordings themselves are at fault.
 """
 
 from __future__ import annotations
@@ -14,8 +21,10 @@ from typing import Any
 
 from sysid.fit.result import ChannelError, Series
 
-SCHEMA = "thinshell.diagnosis/1"
-VERDICTS = ("nothing_missing", "named", "one_of", "unknown")
+SCHEMA = "thinshell.diagnosis/2"
+VERDICTS = (
+    "nothing_missing", "named", "one_of", "partly", "unknown", "refine_discretisation", "recording_fault",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -34,7 +43,8 @@ class Candidate:
     """One effect as an explanation. ``place``: where it acts; ``probability``: among all that were tried;
     ``log_evidence_gain``: natural logarithm of the evidence over the baseline's; ``held_out_gain``: share of
     the robust misfit on held-out data that it removes (None without held-out data); ``rejected``: why it is
-    not an answer, empty when it may be."""
+    not an answer, empty when it may be; ``explained``: share of the baseline's structured misfit that is gone with it
+    (and with what else the answer has), the smaller of that on recordings given and held out."""
 
     name: str
     title: str
@@ -45,6 +55,7 @@ class Candidate:
     log_evidence_gain: float
     held_out_gain: float | None
     rejected: str
+    explained: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -80,8 +91,9 @@ class Misfit:
 class Diagnosis:
     """The answer, what it rests on, and what it leaves open.
 
-    ``upper_limits``: by amplitude, the farthest from none at all that the recordings still allow (95 %), of
-    effects that were refitted and are not the answer; ``tried``: what became of each effect; ``notes``: what
+    ``upper_limits``: by amplitude, the size that the recordings would have shown (95 %), of effects that are not the
+    answer; ``explained``: share of the structured misfit that is gone with the answer; ``threshold`` [nats]: evidence
+    that an effect needed, by the simulated null of the case; ``tried``: what became of each effect; ``notes``: what
     a reader should know of the fit.
     """
 
@@ -105,6 +117,8 @@ class Diagnosis:
     tried: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     series: list[Series] = field(default_factory=list)
+    explained: float = 0.0
+    threshold: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series, in the documented schema."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sysid.diagnosis.model_selection import held_out_gain
+from sysid.diagnosis.evidence import held_out_gain
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 

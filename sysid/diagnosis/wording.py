@@ -2,78 +2,102 @@
 
 from __future__ import annotations
 
-from sysid.diagnosis.model_selection import MIN_EXPLAINED, Verdict
+from collections.abc import Mapping
+
+from sysid.diagnosis.refits import Trial
 from sysid.diagnosis.result import Located
-
-_SEPARATE = {
-    frozenset({"gel_relaxation", "wrench_offset"}): "hold at two depths: relaxation grows with depth, drift does not",
-    frozenset({"gel_relaxation", "stream_delay"}): "press at two speeds: a delay shows in both, relaxation in the hold",
-    frozenset({"static_friction", "end_effector_compliance"}): "press without sliding: only compliance shows then",
-    frozenset({"bending_plasticity", "gel_relaxation"}): "wait unloaded: a bend stays, relaxation recovers",
-    frozenset({"sheet_orthotropy", "bending_plasticity"}): "press gently first: only the grain shows then",
-}
+from sysid.diagnosis.verdict import MOST_EXPLAINED, Case, Verdict, size_of
 
 
-def sentence(verdict: Verdict, located: Located, fates: dict[str, str], hidden: bool) -> str:
-    """The answer in one or two sentences. ``hidden``: the discretisation error may hide something."""
-    where = _where(located, "misfit" if verdict.kind in ("nothing_missing", "unknown") else "difference")
-    if verdict.kind == "nothing_missing" and hidden:
-        return (
-            "Nothing can be said to be missing: the misfit is beyond the noise, but no larger than the "
-            f"simulator's discretisation error could leave; it shows {where}. Refine the mesh or the time step."
-        )
+def sentence(verdict: Verdict, located: Located, fates: Mapping[str, str], case: Case) -> str:
+    """The answer in one to three sentences, size beside significance."""
+    where = _where(located, "difference" if verdict.named and verdict.kind != "unknown" else "misfit")
     if verdict.kind == "nothing_missing":
         return (
-            "Nothing is missing: the rig explains the recordings down to their noise and the "
-            f"simulator's discretisation error. {len(fates)} effects were looked for and not found."
+            "Nothing is missing: the rig explains the recordings down to their noise, the simulator's discretisation "
+            f"error and what careful models differ in. {len(fates)} effects were looked for and not found."
         )
+    if verdict.kind == "refine_discretisation":
+        why = f" {case.coarse[0]}" if case.coarse else ""
+        return (
+            "Nothing can be said to be missing or not: the misfit is no larger than the simulator's discretisation "
+            f"error could leave; it shows {where}. Refine the mesh or the time step.{why}"
+        )
+    if verdict.kind == "recording_fault":
+        return f"The recordings themselves are at fault, so nothing can be said of the rig. {' '.join(case.faults)}"
     if verdict.kind == "unknown":
-        tried = (
-            f" The best known effect, '{verdict.named[0].effect.title}', explains too little." if verdict.named else ""
-        )
+        tried = ""
+        if verdict.named:
+            best = verdict.named[0]
+            tried = f" The best known effect, that {best.title}, explains only {_percent(size_of(best))} of it."
         return f"Something is missing that no known effect explains; it shows {where}.{tried}"
+    best = verdict.named[0]
+    if verdict.kind == "partly":
+        return (
+            f"It is a part of the answer that {best.title}: that explains {_percent(size_of(best))} of the misfit. "
+            f"Something else is missing that no known effect explains. The difference shows {where}."
+        )
     if verdict.kind == "named":
-        return f"The rig leaves out that {verdict.named[0].effect.title}; it shows {where}."
-    titles = " or that ".join(t.effect.title for t in verdict.named)
-    return f"The rig leaves out that {titles}; these recordings do not tell which. It shows {where}."
+        return f"The rig leaves out that {best.title}. {_size(best)} It shows {where}."
+    titles = ", or that ".join(t.title for t in verdict.named)
+    return f"The rig leaves out that {titles}; these recordings do not tell which. {_size(best)} It shows {where}."
+
+
+def _size(trial: Trial) -> str:
+    held = (
+        f", and {_percent(trial.explained_there)} on recordings held out" if trial.explained_there is not None else ""
+    )
+    return f"With it {_percent(trial.explained)} of the misfit beyond noise is gone{held}."
+
+
+def _percent(share: float | None) -> str:
+    return f"{100.0 * max(share or 0.0, 0.0):.0f} %"
 
 
 def _where(located: Located, what: str) -> str:
-    if not located.channels:
+    if not located.channels or located.channels[0].share <= 0.0:
         return "nowhere in particular"
     first = located.channels[0]
-    return f"most in the {first.quantity} of {first.channel} ({100 * first.share:.0f} % of the {what}), {located.phase}"
+    return f"most in the {first.quantity} of {first.channel} ({_percent(first.share)} of the {what}), {located.phase}"
 
 
-def not_explained(verdict: Verdict, baseline_excess: float) -> str:
+def not_explained(verdict: Verdict, case: Case) -> str:
     """What remains after the answer."""
     if verdict.kind == "nothing_missing":
-        return "Nothing beyond noise and the discretisation error."
+        return "Nothing beyond noise, the discretisation error and what careful models differ in."
+    if verdict.kind == "refine_discretisation":
+        return "The discretisation error hides what there may be."
     if not verdict.named:
-        return f"All of the structured misfit ({baseline_excess:.4g} in squared noise units)."
+        return f"All of the structured misfit ({case.before.whole.excess:.4g} in squared noise units)."
     best = verdict.named[0]
-    left = max(0.0, 1.0 - best.explained)
-    text = f"{100 * left:.0f} % of the structured misfit remains after '{best.effect.title}'."
-    if best.explained < MIN_EXPLAINED:
+    left = max(0.0, 1.0 - size_of(best))
+    text = f"{_percent(left)} of the structured misfit remains with the knowledge that {best.title}."
+    if size_of(best) < MOST_EXPLAINED:
         text += " Another effect acts as well, or a law that is not in the library."
     return text
 
 
-def next_experiment(verdict: Verdict, hidden: bool) -> str:
+def next_experiment(verdict: Verdict, case: Case) -> str:
     """What to record or to do next."""
-    if verdict.kind == "nothing_missing" and hidden:
+    del case
+    if verdict.kind == "refine_discretisation":
         return "No new recording: repeat the diagnosis with finer cells or a shorter solver.dt_s in the rig."
     if verdict.kind == "nothing_missing":
         return "None needed; faster, deeper or longer motions would lower the limits."
-    if verdict.kind == "unknown":
+    if verdict.kind == "recording_fault":
+        return "Mend what is wrong with the recordings and record again."
+    if verdict.kind in ("unknown", "partly"):
         return (
             "Repeat the run in which the misfit is largest at half the speed, at half the depth and with "
             "another object: what changes with speed, depth or object tells rate, strength and place."
         )
     if verdict.kind == "named":
-        return "A run of another kind, held out, to confirm it."
-    names = [t.effect.name for t in verdict.named]
-    for pair, words in _SEPARATE.items():
-        if pair <= set(names):
-            return words[0].upper() + words[1:] + "."
-    return "Vary speed, depth and holding time one at a time; the candidates differ in what they follow."
+        told = verdict.named[0].hypotheses[0].effect.separated_by
+        return f"To confirm it against its twins: {told}" if told else "A run of another kind, held out, to confirm it."
+    effects = [h.effect for t in verdict.named for h in t.hypotheses]
+    names = {e.name for e in effects}
+    for effect in effects:
+        if effect.separated_by and names & set(effect.twins):
+            return f"To tell them apart: {effect.separated_by}"
+    told = next((e.separated_by for e in effects if e.separated_by), "")
+    return told or "Vary speed, depth and holding time one at a time; the candidates differ in what they follow."

@@ -27,13 +27,13 @@ import numpy as np
 from sim_core.batch import worker_ended
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
-from sysid.model.parallel_predictor import AnyEngine
 from sysid.model.parameters import FitParameter, rig_in, start_of
+from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise, quantities
 from sysid.observations.observations import Run
 from sysid.solve.covariance import uncertainty
-from sysid.solve.discretisation_basis import ErrorShape
+from sysid.solve.discretisation_basis import MODEL, ErrorShape
 from sysid.solve.interruption import ENDS_EARLY, end_unconverged
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
@@ -241,6 +241,27 @@ def large_discretisation_errors(problem: Problem) -> list[str]:
     ]
 
 
+COARSE_SHARE, COARSE_NOISE = 0.1, 3.0
+"""Error of mesh and time step from which a mesh is too coarse to ask what is missing: in units of the range of the
+readings, and of their noise; both."""
+
+
+def coarse_quantities(problem: Problem) -> tuple[str, ...]:
+    """A sentence for each quantity in which the error of mesh and time step is too large to ask what is missing."""
+    ranges: dict[tuple[str, str], float] = {}
+    for m in (m for run in problem.runs for m in run.measured):
+        for quantity, group in quantities(m):
+            seen = m.values[:, group][:, np.isfinite(m.values[:, group]).any(axis=0)]
+            span = float(np.max(np.nanmax(seen, axis=0) - np.nanmin(seen, axis=0), initial=0.0))
+            ranges[m.channel, quantity] = max(span, ranges.get((m.channel, quantity), 0.0))
+    return tuple(
+        f"The error of mesh and time step in the {quantity} of {channel} is {100.0 * max(sizes) / span:.0f} % of its "
+        f"range, {max(ratios):.0f} times the noise; below {100.0 * COARSE_SHARE:.0f} % is needed."
+        for (channel, quantity), (sizes, ratios) in _sizes(problem).items()
+        if (span := ranges[channel, quantity]) > 0.0 and max(sizes) > COARSE_SHARE * span and max(ratios) > COARSE_NOISE
+    )
+
+
 def error_sizes(problem: Problem) -> dict[tuple[str, str], float]:
     """Root mean square of the error of mesh and time step by channel and quantity, measured units: the largest of all
     runs."""
@@ -253,7 +274,9 @@ def _sizes(problem: Problem) -> dict[tuple[str, str], tuple[list[float], list[fl
     for i, run in enumerate(problem.runs):
         for m in run.measured:
             noise = problem.noise[m.channel].sigma
-            whole = np.sum([d.shapes[i].get(m.channel, 0.0 * m.values) for d in problem.error_shapes], axis=0)
+            whole = np.sum(
+                [d.shapes[i].get(m.channel, 0.0 * m.values) for d in problem.error_shapes if d.label != MODEL], axis=0
+            )
             seen = np.where(np.isfinite(m.values), whole, np.nan)
             for quantity, group in quantities(m):
                 if np.isfinite(seen[:, group]).any():

@@ -32,8 +32,9 @@ from sysid.fit.result import (
 )
 from sysid.fit.validation import all_scored
 from sysid.model.nuisance_parameters import has_bias, nuisance_parameters
-from sysid.model.parallel_predictor import AnyEngine, ParallelPredictor
+from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter, asked_for, bounds_cut, rig_at, start_of
+from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.model.provenance import provenance
 from sysid.model.windows import not_from_rest

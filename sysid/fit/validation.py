@@ -10,7 +10,7 @@ import numpy as np
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.result import ChannelError, Series, out_of_sight, plot_series, rms_errors
-from sysid.model.parallel_predictor import AnyEngine
+from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.model.windows import not_from_rest
 from sysid.noise.estimate import ChannelNoise

@@ -107,7 +107,3 @@ class ParallelPredictor:
         if on_done is not None:
             future.add_done_callback(lambda _: on_done())
         return future
-
-
-AnyEngine = SerialPredictor | ParallelPredictor
-"""In this process, or in several."""

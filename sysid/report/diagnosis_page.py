@@ -30,7 +30,10 @@ KINDS = {
     "nothing_missing": ("Nothing is missing", "good"),
     "named": ("Named", "named"),
     "one_of": ("One of several", "fair"),
+    "partly": ("Partly explained", "fair"),
     "unknown": ("Missing, but unknown", "bad"),
+    "refine_discretisation": ("Refine the mesh first", "fair"),
+    "recording_fault": ("The recordings are at fault", "bad"),
 }
 """Short form and colour of each verdict."""
 
@@ -151,9 +154,9 @@ def remainder(d: Diagnosis) -> Bar | None:
     """Probability that none of the effects takes; None where it is next to nothing."""
     known = [c.probability for c in {(c.name, c.place): c for c in (*d.alternatives, *d.effects)}.values()]
     left = 1.0 - sum(p for p in known if math.isfinite(p))
-    if d.verdict not in ("nothing_missing", "unknown") or not known or left < 0.005:
+    if d.verdict not in ("nothing_missing", "unknown", "refine_discretisation") or not known or left < 0.005:
         return None
-    return _bar("The rig as it is" if d.verdict == "nothing_missing" else "None of these", "", left, True)
+    return _bar("The rig as it is" if d.verdict != "unknown" else "None of these", "", left, True)
 
 
 def amended_with(d: Diagnosis) -> str:

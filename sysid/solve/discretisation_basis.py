@@ -42,6 +42,10 @@ import numpy as np
 from sysid.noise.estimate import ChannelNoise, column_groups
 from sysid.observations.observations import Measured, Run
 
+MODEL = "model"
+"""Label of the error shape of what careful simulations differ in (:mod:`sysid.diagnosis.model_tolerance`); others are
+those of mesh and time step."""
+
 EXPECTED = 0.5
 """Expected size of a direction, in units of the extrapolated error."""
 

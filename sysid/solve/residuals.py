@@ -11,8 +11,8 @@ import numpy as np
 from sim_core.errors import ConvergenceError, ThinshellError
 from sim_core.rigs import Rig
 from sysid.model.nuisance_parameters import bias_sd
-from sysid.model.parallel_predictor import AnyEngine
 from sysid.model.parameters import FitParameter, rig_at, rig_in, start_of
+from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.noise.autocorrelation import Samples
 from sysid.noise.estimate import ChannelNoise, column_groups

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from effect_examples import TYPICAL
 
-from sim_core.effects import active_effects, all_effects, effect_by_name
+from sim_core.effects import RecordingScales, active_effects, all_effects, effect_by_name
 from sim_core.errors import ConfigError
 from sim_core.materials.elastic import plane_stress
 from sim_core.rigs import list_parameters, parse_rig
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, simulate, step_times
-from sysid.diagnosis.hypotheses import starting_values
+from sysid.diagnosis.candidates import hypotheses
 from sysid.model.sensor_streams import predicted, predicted_back, predicted_derivatives, total_delay
 
 MOTION = (
@@ -64,13 +64,22 @@ def test_says_what_it_is(effect, small_rig):
         assert set(variant) == {p.name for p in effect.parameters}
 
 
-def test_starting_values_are_the_typical_ones(small_rig):
-    starts = {e.name: starting_values(e, commanded(small_rig())) for e in all_effects().values()}
-    assert [len(starts[n]) for n in ("gel_relaxation", "sheet_orthotropy", "bending_plasticity")] == [3, 4, 5]
-    assert starts["stream_delay"] == [{"wrench_s": 0.01, "vision_s": 0.0}, {"wrench_s": 0.0, "vision_s": 0.01}]
-    for effect in all_effects().values():
-        for p in effect.parameters:
-            assert set(p.typical) <= {s[p.name] for s in starts[effect.name]}
+def test_hypotheses_cover_the_typical_values(small_rig):
+    """Each time constant of a law is a point of the grid, and each amplitude has a column, alone."""
+    scales = RecordingScales(1.0, 0.01, 1.0, 0.01, 0.1)
+    found = hypotheses(commanded(small_rig()), scales)
+    by_name = {name: [h for h in found if h.effect.name == name] for name in all_effects()}
+    relaxation = by_name["gel_relaxation"]
+    assert {h.shape["tau_s"] for h in relaxation} == {0.01, 0.05, 0.25}
+    assert len({h.amplitudes[0].typical for h in by_name["bending_plasticity"]}) > 1
+    for h in found:
+        for amplitude, column in zip(h.amplitudes, h.columns(), strict=True):
+            values = column[h.key]
+            for other in h.amplitudes:
+                alone = values[other.parameter.name]
+                assert alone == (other.typical if other is amplitude else other.none)
+        inside = h.values([1.0] * len(h.amplitudes))
+        assert all(p.lower <= inside[p.name] <= p.upper for p in h.effect.parameters if p.name in inside)
 
 
 def test_measured_poses_have_the_lag_of_the_command_in_them(small_rig):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sysid.diagnosis.result import (
@@ -269,7 +271,16 @@ def make_diagnosis(verdict: str, **changes: object) -> Diagnosis:
             "next_experiment": "",
             "series": make_series(RUNS, before=0.0),
         }
-    if verdict == "unknown":
+    if verdict == "refine_discretisation":
+        quiet = make_diagnosis("nothing_missing", **changes)
+        said = (
+            "Nothing can be said to be missing or not: the misfit is no larger than the simulator's discretisation "
+            "error could leave. Refine the mesh or the time step."
+        )
+        return replace(quiet, verdict=verdict, sentence=said)
+    if verdict == "partly":
+        values |= {"sentence": "It is a part of the answer that the gel relaxes: that explains 34 % of the misfit."}
+    if verdict in ("unknown", "recording_fault"):
         values |= {
             "sentence": "Something is missing that no known effect explains: the forces in contact change while the "
             "robot moves slowly.",

@@ -28,13 +28,15 @@ from report_examples import (
 from sim_core.effects import all_effects
 from sim_core.rigs import load_rig
 from sim_core.simulate import Trace
+from sysid.diagnosis.baseline import Baseline
+from sysid.diagnosis.candidates import Amplitude, Hypothesis
 from sysid.diagnosis.diagnose import _collect
-from sysid.diagnosis.hypotheses import with_effect
-from sysid.diagnosis.model_selection import Trial, Verdict
+from sysid.diagnosis.report_notes import Screened
 from sysid.diagnosis.residual_analysis import structure
 from sysid.diagnosis.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
+from sysid.diagnosis.screening import Block, Screen
+from sysid.diagnosis.verdict import Case, Verdict
 from sysid.fit.result import Estimate, FitResult
-from sysid.model.parameters import fit_parameters
 from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
@@ -187,7 +189,7 @@ def test_the_diagnosis_holds_every_number_of_its_parameters(verdicts: dict[str, 
     found = {c.name for c in d.effects}
     assert {v for k, v in d.upper_limits.items() if k.split(".")[1] not in found} <= page.numbers
     assert d.sentence in page.words and d.next_experiment in page.words and d.not_explained in page.words
-    assert json.loads(page.scripts[0])["schema"] == "thinshell.diagnosis/1"
+    assert json.loads(page.scripts[0])["schema"] == "thinshell.diagnosis/2"
 
 
 def test_each_verdict_says_what_it_must(verdicts: dict[str, Page]) -> None:
@@ -231,16 +233,14 @@ def empty_diagnosis() -> Diagnosis:
         [], np.zeros(0), rig, white.ravel(), np.zeros((360, 0)), [(0, "wrench_gel", np.repeat(t, 6))], [prediction],
         rig, 1, True, "",
     )  # fmt: skip
-    with_gel = with_effect(rig, all_effects()["gel_relaxation"], {"share": 0.1, "tau_s": 0.2})
-    own = fit_parameters(with_gel, ["effects.gel_relaxation.share"])
-    tried = replace(
-        base, parameters=own, scaled=np.array([0.1]), rig=with_gel, jacobian=np.full((360, 1), 0.5), centre=with_gel
-    )
-    left = structure(problem, base)
-    trial = Trial(all_effects()["gel_relaxation"], tried, 1.0, 0.0, left, None)
-    check = Problem([], noise, cast(SerialPredictor, None))
-    verdict = Verdict("nothing_missing", ())
-    return _collect(rig, problem, check, base, None, None, verdict, [trial], left, {})
+    relaxation = all_effects()["gel_relaxation"]
+    size = next(p for p in relaxation.parameters if p.name == "share")
+    law = Hypothesis("gel_relaxation", relaxation, {"tau_s": 0.2}, (Amplitude(size, 0.0, 0.25),))
+    gram = np.array([[90.0, 3.0], [3.0, 360.0]])
+    screen = Screen(base, [law], [Block("pull", gram, 360, np.zeros(2))], [])
+    whole = Baseline(problem, base, Problem([], noise, cast(SerialPredictor, None)), None, noise, [], ())
+    case = Case(structure(problem, base), None, 3.0)
+    return _collect(rig, whole, case, Verdict("nothing_missing", ()), [], Screened(screen, screen.singles(), {}))[0]
 
 
 def test_the_examples_have_the_keys_of_real_diagnoses(tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_the_examples_have_the_keys_of_real_diagnoses(tmp_path: Path) -> None:
     assert set(real.upper_limits) <= set(example.upper_limits) and real.upper_limits
     words = diagnosis_page(tmp_path, real).words
     assert "Misfit over discretisation error" in words
-    assert f"each of the {len(all_effects())} effects" in words and "promised no better fit" in words
+    assert f"each of the {len(real.tried)} effects" in words and "promised no better fit" in words
 
 
 def test_a_fit_without_anything(tmp_path: Path) -> None:

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from sim_core.effects import effect_by_name
-from sysid.diagnosis.hypotheses import log_evidence
-from sysid.diagnosis.model_selection import Trial, decide, held_out_gain, probabilities, significance
+from sysid.diagnosis.candidates import Amplitude, Hypothesis
+from sysid.diagnosis.evidence import held_out_gain, log_evidence, significance
+from sysid.diagnosis.refits import Trial
 from sysid.diagnosis.residual_analysis import Part, Structure
+from sysid.diagnosis.verdict import Case, decide, probabilities, rejected
 from sysid.model.parameters import FitParameter
 from sysid.noise.estimate import ChannelNoise
 from sysid.noise.whitening import whiten
@@ -23,16 +25,30 @@ def structure(per_score: float, excess: float, own: float) -> Structure:
     return Structure((Part(excess, round(excess / (per_score - 1.0)), own),))
 
 
+def hypothesis(name: str) -> Hypothesis:
+    effect = effect_by_name(name)
+    sizes = [p for p in effect.parameters if p.vanishing is not None]
+    return Hypothesis(name, effect, {}, tuple(Amplitude(p, p.vanishing or 0.0, p.typical[0]) for p in sizes))
+
+
 def trial(
-    name: str, gain: float, explained: float = 0.95, held_out: float | None = 0.3, left: Structure | None = None
+    name: str,
+    gain: float,
+    explained: float = 0.95,
+    held_out: float | None = 0.3,
+    left: Structure | None = None,
+    there: float | None = None,
 ) -> Trial:
     return Trial(
-        effect_by_name(name),
+        (hypothesis(name),),
         cast(Fitted, SimpleNamespace()),
         gain,
         explained,
+        there,
         left or structure(1.1, 100, 1e3),
         held_out,
+        9.0,
+        None,
     )
 
 
@@ -47,25 +63,42 @@ LOUD = structure(5.0, 5000.0, 1000.0)
         ([], LOUD, "unknown"),
         ([trial("air_drag", 3.0)], QUIET, "nothing_missing"),
         ([trial("air_drag", 3.0)], LOUD, "unknown"),
-        ([trial("air_drag", 40.0)], QUIET, "named"),
-        ([trial("air_drag", 40.0, held_out=-0.1)], QUIET, "nothing_missing"),
+        ([trial("air_drag", 40.0)], LOUD, "named"),
         ([trial("air_drag", 40.0, held_out=-0.1)], LOUD, "unknown"),
-        ([trial("air_drag", 400.0, explained=0.3, left=LOUD)], LOUD, "unknown"),
+        # Without misfit that stands out an effect must be much surer, and remove something that can be seen.
+        ([trial("air_drag", 20.0)], QUIET, "nothing_missing"),
+        ([trial("air_drag", 40.0)], QUIET, "named"),
+        ([trial("air_drag", 40.0, held_out=0.002)], QUIET, "nothing_missing"),
+        # Size beside significance.
+        ([trial("air_drag", 400.0, explained=0.05, left=LOUD)], LOUD, "unknown"),
+        ([trial("air_drag", 400.0, explained=0.3, left=LOUD)], LOUD, "partly"),
         ([trial("air_drag", 400.0, explained=0.9, left=LOUD)], LOUD, "named"),
+        ([trial("air_drag", 400.0, explained=0.9, there=0.3, left=LOUD)], LOUD, "partly"),
         ([trial("air_drag", 40.0), trial("stream_delay", 38.0)], LOUD, "one_of"),
         ([trial("air_drag", 40.0), trial("stream_delay", 20.0)], LOUD, "named"),
-        # Structure that the discretisation error could leave is not blamed on physics.
-        ([], structure(5.0, 5000.0, 20000.0), "nothing_missing"),
+        # Structure that the discretisation error could leave is neither blamed on physics nor called nothing.
+        ([], structure(5.0, 5000.0, 20000.0), "refine_discretisation"),
         ([trial("air_drag", 400.0, explained=0.4, left=structure(2.0, 3000.0, 7000.0))], LOUD, "named"),
     ],
 )
 def test_verdicts(trials, before, kind):
-    assert decide(trials, before).kind == kind
+    assert decide(trials, Case(before, None, 5.0)).kind == kind
 
 
 def test_what_only_held_out_recordings_show_is_missing_too():
-    assert decide([], QUIET, QUIET).kind == "nothing_missing"
-    assert decide([], QUIET, LOUD).kind == "unknown"
+    assert decide([], Case(QUIET, QUIET, 5.0)).kind == "nothing_missing"
+    assert decide([], Case(QUIET, LOUD, 5.0)).kind == "unknown"
+
+
+def test_a_mesh_that_is_too_coarse_and_recordings_at_fault_are_verdicts_of_their_own():
+    assert decide([], Case(QUIET, None, 5.0, coarse=("It is coarse.",))).kind == "refine_discretisation"
+    assert decide([], Case(LOUD, None, 5.0, faults=("It jumps.",))).kind == "recording_fault"
+    assert decide([trial("air_drag", 40.0)], Case(LOUD, None, 5.0, faults=("It jumps.",))).kind == "named"
+
+
+def test_the_null_of_the_case_sets_what_is_needed():
+    assert decide([trial("air_drag", 40.0)], Case(LOUD, None, 60.0)).kind == "unknown"
+    assert "40.0 of 60.0 nats" in rejected(trial("air_drag", 40.0), Case(LOUD, None, 60.0))
 
 
 def test_a_loud_quantity_is_not_drowned_by_quiet_ones():
@@ -78,10 +111,11 @@ def test_a_loud_quantity_is_not_drowned_by_quiet_ones():
 
 
 def test_an_amplitude_that_may_be_none_is_no_answer():
+    case = Case(LOUD, None, 5.0)
     shaky = replace(trial("sheet_orthotropy", 95.0), significance=1.8)
-    assert decide([shaky], QUIET).kind == "nothing_missing"
-    assert "1.8 of 3 deviations" in shaky.rejected
-    assert decide([replace(shaky, significance=4.0)], QUIET).kind == "named"
+    assert decide([shaky], case).kind == "unknown"
+    assert "1.8 of 2.5 deviations" in rejected(shaky, case)
+    assert decide([replace(shaky, significance=4.0)], case).kind == "named"
 
 
 def fitted_with(columns, residual, parameters):
@@ -97,7 +131,7 @@ def test_an_improvement_is_worth_less_where_misfit_is_smooth_in_time():
     column = np.ones((600, 1))
     white = rng.standard_normal(600)
     smooth = white + 2.0 * np.sin(np.linspace(0.0, 2.0 * np.pi, 600))
-    effect = effect_by_name("air_drag")
+    effect = hypothesis("air_drag")
     assert significance(effect, fitted_with(column, white, drag), 50.0) == pytest.approx(10.0, rel=0.35)
     assert significance(effect, fitted_with(column, smooth, drag), 50.0) < 2.5
 
@@ -109,15 +143,16 @@ def test_an_amplitude_known_only_as_a_ratio_is_no_reason_for_doubt():
     both = [FitParameter(n, "-", False, 0.0, 9.0, 1.0, "") for n in names]
     shape = rng.standard_normal(600)
     columns = np.column_stack([shape, -shape])
-    assert significance(effect_by_name("air_drag"), fitted_with(columns, rng.standard_normal(600), both), 800.0) > 20.0
+    assert significance(hypothesis("air_drag"), fitted_with(columns, rng.standard_normal(600), both), 800.0) > 20.0
 
 
 def test_the_best_comes_first_and_probabilities_follow_the_evidence():
     trials = [trial("air_drag", 20.0), trial("stream_delay", 23.0), trial("gel_relaxation", 2.0)]
-    verdict = decide(trials, LOUD)
-    assert [t.effect.name for t in verdict.named] == ["stream_delay", "air_drag"]
-    chances = probabilities(trials)
-    assert chances["stream_delay"] / chances["air_drag"] == pytest.approx(np.exp(3.0))
+    case = Case(LOUD, None, 5.0)
+    verdict = decide(trials, case)
+    assert [t.names for t in verdict.named] == [{"stream_delay"}, {"air_drag"}]
+    chances = probabilities(trials, case)
+    assert chances[frozenset({"stream_delay"})] / chances[frozenset({"air_drag"})] == pytest.approx(np.exp(3.0))
     assert sum(chances.values()) < 1.0 + 1e-12
 
 
@@ -153,7 +188,8 @@ def test_evidence_does_not_depend_on_where_a_search_of_a_linear_model_ended(temp
         jacobian = np.append(slope, 1.0 / parameter.prior_sd)[:, None]
         residual = np.append(miss + slope * value, value / parameter.prior_sd)
         return cast(Fitted, SimpleNamespace(
-            parameters=[parameter], jacobian=jacobian, residual=residual, chi2=float(residual @ residual)))  # fmt: skip
+            parameters=[parameter], pulls=1, jacobian=jacobian, residual=residual,
+            chi2=float(residual @ residual)))  # fmt: skip
 
     best = -(slope @ miss) / temper / (slope @ slope / temper + parameter.prior_sd**-2)
     values = [log_evidence(at(value), temper) for value in (best, best + 0.3, 0.0)]
@@ -175,7 +211,8 @@ def test_a_parameter_that_the_data_do_not_touch_is_no_evidence(temper):
         jacobian = np.vstack([columns, np.diag([1.0 / p.prior_sd for p in parameters])])
         residual = np.concatenate([miss, np.zeros(len(parameters))])
         return cast(Fitted, SimpleNamespace(
-            parameters=parameters, jacobian=jacobian, residual=residual, chi2=float(residual @ residual)))  # fmt: skip
+            parameters=parameters, pulls=len(parameters), jacobian=jacobian, residual=residual,
+            chi2=float(residual @ residual)))  # fmt: skip
 
     alone = log_evidence(fitted([known], slope), temper)
     beside = log_evidence(fitted([known, idle], np.hstack([slope, np.zeros((50, 1))])), temper)

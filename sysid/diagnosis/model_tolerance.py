@@ -1,0 +1,59 @@
+"""How well two careful simulations of one experiment agree: what a model may be off without anything being missing.
+
+Two codes that solve the same problem (finite or small strain, a pad or a half space, a shell or a rod) differ by a
+percent or so of the deformation, on recordings that conceal nothing. That is no noise: it is smooth in time, common to
+neighbouring markers, and with thousands of samples any test finds it. It is therefore carried as one more error shape
+of unknown size (:mod:`sysid.solve.discretisation_basis`), as wide as :data:`MODEL_TOLERANCE` of the signal that the
+deformation makes: changes of a wrench since the start, and of markers what is left when the picture is shifted, turned
+and scaled back to the first one, since rigid motion is not what simulations differ in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sysid.model.predictor import Prediction
+from sysid.observations.observations import Measured, Run
+from sysid.solve.discretisation_basis import MODEL, ErrorShape
+from sysid.solve.outliers import DIMENSIONS
+
+MODEL_TOLERANCE = 0.015
+"""Agreement of careful simulations, in units of the deformation signal."""
+
+
+def model_tolerance(runs: Sequence[Run], predictions: Sequence[Prediction]) -> ErrorShape:
+    """The error shape of a model, measured units; its expected size is none."""
+    shapes = tuple(
+        {m.channel: MODEL_TOLERANCE * deformation(m, p.values[m.channel]) for m in run.measured}
+        for run, p in zip(runs, predictions, strict=True)
+    )
+    return ErrorShape(MODEL, shapes, mean=0.0, sd=1.0)
+
+
+def deformation(measured: Measured, values: np.ndarray) -> np.ndarray:
+    """Part of the predicted readings ``(n, m)`` that is not rigid motion of all points, measured units; 0 where a point
+    is out of sight."""
+    first = values[np.argmax(np.isfinite(values).any(axis=1))]
+    if measured.kind not in DIMENSIONS:
+        return np.asarray(np.nan_to_num(values - first))
+    k = DIMENSIONS[measured.kind]
+    points, start = values.reshape(len(values), -1, k), first.reshape(-1, k)
+    out = np.zeros(points.shape)
+    for here, left in zip(points, out, strict=True):
+        seen = np.isfinite(here).all(axis=1) & np.isfinite(start).all(axis=1)
+        if seen.sum() > k:
+            left[seen] = here[seen] - _rigid(start[seen], here[seen])
+    return np.asarray(out.reshape(values.shape))
+
+
+def _rigid(start: np.ndarray, here: np.ndarray) -> np.ndarray:
+    """Points ``(n, k)`` shifted, turned and scaled to lie best on others (Umeyama, IEEE PAMI 13, 1991)."""
+    centre, target = start.mean(axis=0), here.mean(axis=0)
+    u, s, vt = np.linalg.svd((here - target).T @ (start - centre))
+    sign = np.ones(len(s))
+    sign[-1] = np.sign(np.linalg.det(u @ vt)) or 1.0
+    spread = float(np.sum((start - centre) ** 2))
+    scale = float(s @ sign) / spread if spread > 0.0 else 1.0
+    return np.asarray(target + scale * (start - centre) @ ((u * sign) @ vt).T)

@@ -1,0 +1,195 @@
+"""Real fits of the few sets of effects that the screening promises something of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim_core.effects import RecordingScales
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig
+from sysid.diagnosis.baseline import Baseline
+from sysid.diagnosis.candidates import Hypothesis
+from sysid.diagnosis.evidence import log_evidence, significance
+from sysid.diagnosis.residual_analysis import Structure, structure
+from sysid.diagnosis.validation import gain_of, seen_by_both
+from sysid.model.parameters import FitParameter, fit_parameters, start_of
+from sysid.model.sparing_predictor import SparingPredictor
+from sysid.solve.gauss_newton import IN_SIGHT
+from sysid.solve.optimum import Fitted
+
+EVALUATIONS = 6
+"""Evaluations allowed to a refit."""
+
+TOLERANCE = 5.0
+"""Improvement of chi-square, in units of the misfit, below which a refit ends."""
+
+OUT_OF_SIGHT = "it moves readings out of sight"
+"""Why an effect is no answer that explains readings by hiding them."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """A set of hypotheses and where a refit begins: factors of their amplitudes, shift ``(p,)`` of the parameters of
+    the model that they are added to, which has the effects of ``earlier`` already."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    factors: tuple[np.ndarray, ...]
+    shift: np.ndarray
+    earlier: tuple[Hypothesis, ...] = ()
+
+    @property
+    def whole(self) -> tuple[Hypothesis, ...]:
+        """All effects of the model."""
+        return (*self.earlier, *self.hypotheses)
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset(h.effect.name for h in self.whole)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A set of effects refitted. ``gain`` [nats]: log evidence over the baseline; ``explained``: share of the
+    baseline's structured misfit that is gone, ``explained_there`` on recordings held out (None without); ``left``: what
+    is left of it; ``held_out``: share of the robust misfit on held-out recordings that it removes (negative: it
+    predicts worse); ``significance``: of the weakest of its effects (:func:`sysid.diagnosis.evidence.significance`);
+    ``failure``: why it is no answer whatever its figures; ``predicted``: the model on the recordings held out."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    fitted: Fitted
+    gain: float
+    explained: float
+    explained_there: float | None
+    left: Structure
+    held_out: float | None
+    significance: float
+    predicted: Fitted | None
+    failure: str = ""
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset(h.effect.name for h in self.hypotheses)
+
+    @property
+    def title(self) -> str:
+        """The effects in words, as clauses."""
+        return " and that ".join(h.effect.title for h in self.hypotheses)
+
+
+def amended(rig: Rig, start: Start) -> Rig:
+    """The rig with the effects where a refit begins."""
+    found = {h.key: h.values(list(f)) for h, f in zip(start.hypotheses, start.factors, strict=True)}
+    return rig.model_copy(update={"effects": {**rig.effects, **found}})
+
+
+def own_parameters(rig: Rig, hypotheses: Sequence[Hypothesis], scales: RecordingScales) -> list[FitParameter]:
+    """The parameters of the effects, with priors that fit the recordings."""
+    found = []
+    for h in hypotheses:
+        by_name = {p.name: p.fitted_to(scales) for p in h.effect.parameters}
+        names = [n for n in rig.effects[h.key] if by_name[n].lower < by_name[n].upper]
+        for p in fit_parameters(rig, [f"effects.{h.key}.{n}" for n in names]):
+            found.append(replace(p, prior_sd=by_name[p.target.rsplit(".", 1)[1]].prior_sd))
+    return found
+
+
+def refit(base: Baseline, begun: Fitted, start: Start, scales: RecordingScales) -> Fitted:
+    """Fit baseline and effects together. ``begun``: the model that the shift is counted from."""
+    rig = amended(begun.rig, start)
+    own = own_parameters(rig, start.hypotheses, scales)
+    parameters = [*begun.parameters, *own]
+    scaled = np.concatenate([begun.scaled + start.shift, start_of(rig, own)])
+    limits = np.array([p.scaled_bounds for p in parameters]).T
+    centre = begun.centre.model_copy(update={"effects": {**begun.centre.effects, **_at_rest(rig, start)}})
+    at = np.clip(scaled, *limits)
+    problem = copy(base.problem)
+    problem.engine = SparingPredictor(base.problem.engine)
+    return problem.fit(centre, parameters, at, max_evaluations=EVALUATIONS, tolerance=TOLERANCE)
+
+
+def _at_rest(rig: Rig, start: Start) -> dict[str, dict[str, float]]:
+    """Values that the priors pull to: amplitudes at nothing, if a fit can stand there."""
+    found = {}
+    for h in start.hypotheses:
+        values = dict(rig.effects[h.key])
+        for a in h.amplitudes:
+            if np.isfinite(a.none) and not a.parameter.log:
+                values[a.parameter.name] = a.none
+        found[h.key] = values
+    return found
+
+
+def trials_of(
+    base: Baseline,
+    begun: Fitted,
+    starts: Sequence[Start],
+    scales: RecordingScales,
+    failed: dict[str, str],
+) -> list[Trial]:
+    """Refit side by side and score; of several starts of one set the best. What fails is told in ``failed``."""
+
+    def attempt(start: Start) -> tuple[Start, Fitted, Fitted | None] | None:
+        label = " and ".join(sorted(start.names))
+        try:
+            fitted = refit(base, begun, start, scales)
+            there = base.check.evaluate(fitted.rig, [], np.zeros(0)) if base.check.runs else None
+        except ThinshellError as error:
+            failed[label] = f"could not be simulated: {error}"
+            return None
+        if _hides(base.fitted, fitted) or _hides(base.there, there):
+            failed[label] = OUT_OF_SIGHT
+            return None
+        return start, fitted, there
+
+    with ThreadPoolExecutor(max(1, len(starts))) as threads:
+        done = [found for found in threads.map(attempt, starts) if found is not None]
+    best: dict[frozenset[str], tuple[Start, Fitted, Fitted | None]] = {}
+    for start, fitted, there in done:
+        if fitted.interrupted:
+            raise KeyboardInterrupt
+        if start.names not in best or fitted.chi2 < best[start.names][1].chi2:
+            best[start.names] = (start, fitted, there)
+    return [_scored(base, start, fitted, there) for start, fitted, there in best.values()]
+
+
+def _scored(base: Baseline, start: Start, fitted: Fitted, there: Fitted | None) -> Trial:
+    before = structure(base.problem, base.fitted)
+    left = structure(base.problem, fitted)
+    both = seen_by_both(base.check, base.there, there)
+    on_others = None
+    if base.there is not None and there is not None:
+        on_others = explained(structure(base.check, base.there), structure(base.check, there))
+    gain = log_evidence(fitted, 1.0) - log_evidence(base.fitted, 1.0)
+    worth = min(significance(h, fitted, gain) for h in start.whole)
+    return Trial(start.whole, fitted, gain, explained(before, left), on_others, left, gain_of(both), worth, there)
+
+
+def tempered(base: Baseline, trials: Sequence[Trial]) -> list[Trial]:
+    """The trials with gains for data that count as much as the best model leaves of their misfit, best first."""
+    if not trials:
+        return []
+    temper = max(1.0, min(t.fitted.misfit for t in trials))
+    reference = log_evidence(base.fitted, temper)
+    found = []
+    for t in trials:
+        gain = log_evidence(t.fitted, temper) - reference
+        worth = min(significance(h, t.fitted, gain) for h in t.hypotheses)
+        found.append(replace(t, gain=gain, significance=worth))
+    return sorted(found, key=lambda t: -t.gain)
+
+
+def explained(before: Structure, left: Structure) -> float:
+    """Share of the structured misfit that is gone, 1 where there was none that stands out."""
+    if not before.whole.stands_out:
+        return 1.0
+    return min(1.0, 1.0 - left.whole.excess / before.whole.excess)
+
+
+def _hides(plain: Fitted | None, changed: Fitted | None) -> bool:
+    """An amendment has less of the readings in sight."""
+    return plain is not None and changed is not None and changed.samples < IN_SIGHT * plain.samples

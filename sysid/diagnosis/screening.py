@@ -1,0 +1,281 @@
+"""A look at all effects at once: one rollout a recording, then dense linear algebra.
+
+The responses of the readings to every hypothesis (:meth:`sysid.model.predictor.SerialPredictor.predict_responses`) are
+whitened, and freed of the discretisation error and of what models may be off, together with the residual and its
+derivatives by the baseline's parameters and nuisances. What is left of a recording is its Gram matrix. With the
+whitened rows A = [J D] of a recording, the residual r and the weight 1 / kappa of the data,
+
+    Phi(theta, a) = (|r + J theta + D a|^2) / kappa + |W (theta - theta_0)|^2 + |a / s|^2
+
+is minimised over the baseline's parameters theta and the factors a of any set of hypotheses, within their bounds, from
+a few hundred numbers; so are sums over some recordings to predict the others. The evidence of a set over the baseline
+is that of Laplace,
+
+    log E = (Phi_0 - Phi) / 2 - log det(1 + S^(1/2) D^T M D S^(1/2) / kappa) / 2,
+
+with M the projection that the baseline's parameters leave and S = diag(s^2).
+
+What level a statistic reaches by chance is not looked up but simulated for the very case: noise of the whitened
+recordings, alone and on a twin whose discretisation error is all or none of the expected one, runs through the same
+search a few hundred times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from sysid.diagnosis.candidates import Hypothesis
+from sysid.model.prediction_source import Responding
+from sysid.model.predictor import Prediction
+from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
+
+DRAWS = 300
+"""Recordings of the null that are drawn."""
+
+FALSE_ALARM = 0.01
+"""Probability with which the null exceeds the threshold."""
+
+TWINS = (0.0, 0.5, -0.5)
+"""Discretisation error of the twins beyond the expected one, in units of the extrapolated error."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """One recording. ``gram`` ``(c + 1, c + 1)``: of the columns, with the residual as the last one; ``samples``: their
+    number; ``twin`` ``(c + 1,)``: products with the discretisation error that is left."""
+
+    run: str
+    gram: np.ndarray
+    samples: int
+    twin: np.ndarray
+
+
+@dataclass(frozen=True)
+class Score:
+    """A set of hypotheses. ``numbers``: of the hypotheses; ``gain`` [nats]: evidence over the baseline; ``fall``: of
+    chi-square; ``factors``: of the amplitudes, hypothesis by hypothesis; ``shift`` ``(p,)``: of the baseline's
+    parameters; ``predicted``: fall of chi-square on recordings that the factors were not found from, None without."""
+
+    numbers: tuple[int, ...]
+    gain: float
+    fall: float
+    factors: tuple[np.ndarray, ...]
+    shift: np.ndarray
+    predicted: float | None
+
+
+class Screen:
+    """Gram matrices of all recordings with what is known beforehand.
+
+    ``hypotheses``: those that could be simulated; ``blocks``, ``held_out``: of recordings given and held out.
+    """
+
+    def __init__(self, base: Fitted, hypotheses: Sequence[Hypothesis], blocks: list[Block], held_out: list[Block]):
+        self.hypotheses = list(hypotheses)
+        self.blocks, self.held_out = blocks, held_out
+        self.shared = len(base.parameters)
+        ends = self.shared + np.cumsum([0, *(len(h.amplitudes) for h in hypotheses)])
+        self.places = [np.arange(a, b) for a, b in pairwise(ends)]
+        self._columns = int(ends[-1])
+        width = np.array([p.known_sd or p.prior_sd for p in base.parameters])
+        pulls = base.residual[len(base.residual) - base.pulls :]
+        amplitudes = [a for h in hypotheses for a in h.amplitudes]
+        self._sd = np.concatenate([width, [a.sd for a in amplitudes]])
+        self._at = np.concatenate([pulls if base.pulls else np.zeros(self.shared), np.zeros(len(amplitudes))])
+        reach = np.array([p.scaled_bounds for p in base.parameters]).reshape(-1, 2) - base.scaled[:, None]
+        self._limits = np.vstack([reach, np.array([a.limits for a in amplitudes]).reshape(-1, 2)])
+        self._limits[:, 0] = np.minimum(self._limits[:, 0], -1e-12)
+        self._limits[:, 1] = np.maximum(self._limits[:, 1], 1e-12)
+        self.kappa = 1.0
+
+    @cached_property
+    def whole(self) -> np.ndarray:
+        """Sum of the Gram matrices of the recordings given."""
+        return np.asarray(np.sum([b.gram for b in self.blocks], axis=0))
+
+    def temper(self, kappa: float) -> None:
+        """Weigh the data by 1 / kappa: what the best model leaves of the misfit, over noise."""
+        self.kappa = max(1.0, kappa)
+
+    def score(self, numbers: Sequence[int], cross: bool = True) -> Score:
+        """A set of hypotheses; ``cross``: also what it predicts."""
+        chosen = tuple(numbers)
+        plain, _ = self._minimum((), self.whole)
+        value, found = self._minimum(chosen, self.whole)
+        factors = tuple(np.split(found[self.shared :], np.cumsum([len(self.places[k]) for k in chosen])[:-1]))
+        fall = self._chi2((), _) - self._chi2(chosen, found)
+        predicted = self._predicted(chosen) if cross else None
+        return Score(
+            chosen, 0.5 * (plain - value) - self._occam(chosen), fall, factors, found[: self.shared], predicted
+        )
+
+    def singles(self) -> list[Score]:
+        """All hypotheses by themselves, best first."""
+        found = [self.score([k], cross=False) for k in range(len(self.hypotheses))]
+        return sorted(found, key=lambda s: -s.gain)
+
+    def threshold(self, seed: int = 0) -> float:
+        """Evidence [nats] that the best hypothesis reaches with the probability :data:`FALSE_ALARM` where nothing is
+        missing; of all twins the largest."""
+        rng = np.random.default_rng(seed)
+        c = self._columns
+        root = [_root(b.gram[:c, :c]) for b in self.blocks]
+        weight = np.sqrt(self.kappa)
+        tops: list[float] = []
+        maps = [self._gain_map((k,)) for k in range(len(self.hypotheses))]
+        for twin in TWINS:
+            fixed = twin * np.sum([b.twin[:c] for b in self.blocks], axis=0)
+            slopes = fixed + weight * sum(rng.standard_normal((DRAWS, r.shape[1])) @ r.T for r in root)
+            best = np.full(DRAWS, -np.inf)
+            for project, inverse, occam in maps:
+                g = slopes @ project
+                best = np.maximum(best, 0.5 * np.einsum("ni,ij,nj->n", g, inverse, g) - occam)
+            tops.append(float(np.quantile(best, 1.0 - FALSE_ALARM)))
+        return max(tops, default=0.0)
+
+    def deviations(self, number: int) -> np.ndarray:
+        """Standard deviations of the factors of one hypothesis beside the baseline's parameters ``(k,)``."""
+        return np.asarray(np.sqrt(np.diag(self._gain_map((number,))[1])))
+
+    # Linear algebra
+
+    def _index(self, chosen: Sequence[int]) -> np.ndarray:
+        return np.concatenate([np.arange(self.shared), *(self.places[k] for k in chosen)]).astype(int)
+
+    def _minimum(self, chosen: Sequence[int], gram: np.ndarray) -> tuple[float, np.ndarray]:
+        """Least Phi, and where."""
+        index = self._index(chosen)
+        prior = 1.0 / self._sd[index]
+        whole = np.append(index, gram.shape[0] - 1)
+        quadratic = gram[np.ix_(whole, whole)] / self.kappa
+        n = len(index)
+        quadratic[np.arange(n), np.arange(n)] += prior**2
+        quadratic[:n, n] += prior * self._at[index]
+        quadratic[n, :n] += prior * self._at[index]
+        quadratic[n, n] += float(self._at[index] @ self._at[index])
+        scale = np.sqrt(np.maximum(np.diag(quadratic), 1e-300))
+        upper = _root(quadratic / np.outer(scale, scale)).T
+        a, b = upper[:, :n] * scale[:n], -upper[:, n] * scale[n]
+        low, high = self._limits[index].T
+        spread = scale[:n]
+        step = lsq_linear(a / spread, b, bounds=(low * spread, high * spread), method="bvls" if n < 60 else "trf")
+        return 2.0 * float(step.cost), np.asarray(step.x / spread)
+
+    def _chi2(self, chosen: Sequence[int], found: np.ndarray, gram: np.ndarray | None = None) -> float:
+        gram = self.whole if gram is None else gram
+        whole = np.append(self._index(chosen), gram.shape[0] - 1)
+        vector = np.append(found, 1.0)
+        return float(vector @ gram[np.ix_(whole, whole)] @ vector)
+
+    def _occam(self, chosen: Sequence[int]) -> float:
+        return sum(self._gain_map((k,))[2] for k in chosen) if len(chosen) < 2 else self._gain_map(chosen)[2]
+
+    def _gain_map(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, float]:
+        """From slopes of all columns ``(c,)`` to those of the factors beside the baseline's parameters, ``(c, k)``, the
+        inverse of their information ``(k, k)``, and what the evidence pays for them."""
+        mine = np.concatenate([self.places[k] for k in chosen]).astype(int)
+        base = np.arange(self.shared)
+        gram = self.whole / self.kappa
+        inner = gram[np.ix_(base, base)] + np.diag(1.0 / self._sd[base] ** 2)
+        cross = gram[np.ix_(base, mine)]
+        solved = np.linalg.solve(inner, cross) if self.shared else np.zeros((0, len(mine)))
+        information = gram[np.ix_(mine, mine)] - cross.T @ solved
+        project = np.zeros((self._columns, len(mine)))
+        project[mine, np.arange(len(mine))] = 1.0
+        project[base] -= solved
+        sd = self._sd[mine]
+        occam = 0.5 * float(np.linalg.slogdet(np.eye(len(mine)) + sd[:, None] * information * sd)[1])
+        inverse = np.linalg.inv(information + np.diag(1.0 / sd**2))
+        return project / self.kappa, inverse, occam
+
+    def _predicted(self, chosen: Sequence[int]) -> float | None:
+        """Fall of chi-square on each recording, summed, with factors from the others; held-out ones with factors from
+        all that are given."""
+        folds = [(b, self.whole - b.gram) for b in self.blocks] if len(self.blocks) > 1 else []
+        folds += [(b, self.whole) for b in self.held_out]
+        if not folds:
+            return None
+        total = 0.0
+        for block, rest in folds:
+            _, plain = self._minimum((), rest)
+            _, amended = self._minimum(chosen, rest)
+            total += self._chi2((), plain, block.gram) - self._chi2(chosen, amended, block.gram)
+        return total / self.kappa
+
+
+def _root(matrix: np.ndarray) -> np.ndarray:
+    """R with R R^T = matrix, positive semidefinite but for round-off."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def look(
+    engine: Responding, base: Fitted, problem: Problem, check: Problem, wanted: Sequence[Hypothesis]
+) -> tuple[Screen, dict[str, str]]:
+    """Screen hypotheses beside a fitted baseline on the recordings of two problems; and why some could not be."""
+    sized = [column for h in wanted for column in h.columns()]
+    found: list[list[Prediction]] = []
+    for there in (problem, check):
+        at = (base.parameters, base.scaled)
+        if sized:
+            jobs = [engine.submit_responses(base.rig, r, *at, sized) for r in there.runs]
+        else:
+            jobs = [engine.submit_with_derivatives(base.rig, r, *at) for r in there.runs]
+        found.append([job.result() for job in jobs])
+    shared = len(base.parameters)
+    bad = np.zeros(len(sized), dtype=bool)
+    for prediction in (p for part in found for p in part):
+        for derivatives in prediction.derivatives.values():
+            lost = ~np.isfinite(derivatives[..., shared:])
+            seen = np.isfinite(derivatives[..., :shared]).all(axis=-1) if shared else np.ones(lost.shape[:-1], bool)
+            bad |= (lost & seen[..., None]).any(axis=(0, 1))
+    owner = np.repeat(np.arange(len(wanted)), [len(h.amplitudes) for h in wanted])
+    broken = set(owner[bad])
+    kept = [h for k, h in enumerate(wanted) if k not in broken]
+    columns = [k for k in range(len(sized)) if owner[k] not in broken]
+    parts = [
+        _blocks(there, base, predictions, columns) for there, predictions in zip((problem, check), found, strict=True)
+    ]
+    names = {h.effect.name for h in kept}
+    failed = {h.effect.name: "could not be simulated" for k, h in enumerate(wanted) if k in broken}
+    return Screen(base, kept, *parts), {n: why for n, why in failed.items() if n not in names}
+
+
+def _blocks(problem: Problem, base: Fitted, predictions: Sequence[Prediction], columns: Sequence[int]) -> list[Block]:
+    """Gram matrices of the recordings of a problem."""
+    if not problem.runs:
+        return []
+    shared = len(base.parameters)
+    index = np.concatenate([np.arange(shared), shared + np.asarray(columns, dtype=int)]).astype(int)
+    beside = []
+    for i, (run, p) in enumerate(zip(problem.runs, predictions, strict=True)):
+        derivatives = {}
+        for m in run.measured:
+            error = problem.basis(i, m).expected if problem.error_shapes else np.zeros(m.values.shape)
+            out = np.concatenate([p.derivatives[m.channel][..., index], 2.0 * error[..., None]], axis=-1)
+            derivatives[m.channel] = np.where(np.isnan(p.values[m.channel])[..., None], 0.0, np.nan_to_num(out))
+        beside.append(Prediction(p.values, derivatives, p.trace))
+    names = [str(k) for k in range(len(index) + 1)]
+    assembled = problem.assemble(beside, names, base.scaled)
+    rows: list[list[np.ndarray]] = [[] for _ in problem.runs]
+    counts = [0] * len(problem.runs)
+    at = 0
+    for i, _, times in assembled.labels:
+        rows[i].append(np.arange(at, at + len(times)))
+        at += len(times)
+    for i, run in enumerate(problem.runs):
+        counts[i] = sum(int(np.isfinite(m.values).sum()) for m in run.measured)
+    blocks = []
+    for i, run in enumerate(problem.runs):
+        mine = np.concatenate(rows[i]) if rows[i] else np.zeros(0, dtype=int)
+        j, r = assembled.jacobian[mine], assembled.residual[mine]
+        table = np.column_stack([j[:, :-1], r])
+        blocks.append(Block(run.name, table.T @ table, counts[i], table.T @ j[:, -1]))
+    return blocks

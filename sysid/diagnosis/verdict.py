@@ -1,0 +1,121 @@
+"""From screened and refitted sets of effects to a verdict.
+
+An answer has to be significant against the null that is simulated for the case, to predict recordings it was not fitted
+to, and to have size: it explains most of what the baseline leaves beyond noise, the discretisation error and what
+careful models differ in. What is real but small beside what is left is said to be just that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid.diagnosis.refits import Trial
+from sysid.diagnosis.residual_analysis import Structure
+
+LEAST_GAIN_NATS = 8.0
+"""Evidence over the baseline below which nothing is named, whatever the null of the case says."""
+
+WITHOUT_MISFIT = 3.0
+"""How many times the threshold an effect must reach where the baseline shows no misfit that stands out."""
+
+TIE_NATS = 5.0
+"""Sets of effects within this of the best are reported together."""
+
+MOST_EXPLAINED = 0.6
+"""Share of the structured misfit that an answer explains, unless it leaves none that stands out."""
+
+SOME_EXPLAINED = 0.15
+"""Share from which an effect is worth telling beside something that remains unknown."""
+
+LEAST_SIGNIFICANCE = 2.5
+"""Standard deviations that an improvement must be worth by its stability over blocks of time."""
+
+LEAST_PREDICTED = 0.005
+"""Share of the robust misfit on held-out recordings that an effect must remove where the baseline shows no misfit."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What the verdict rests on beside the trials. ``before``, ``there``: structured misfit of the baseline, and on
+    recordings held out (None without); ``threshold`` [nats]: of the simulated null; ``coarse``: quantities whose
+    discretisation error is too large for the question, in words; ``faults``: of the recordings, in words."""
+
+    before: Structure
+    there: Structure | None
+    threshold: float
+    coarse: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+
+    @property
+    def needed(self) -> float:
+        """Evidence [nats] that a set of effects must have."""
+        return max(LEAST_GAIN_NATS, self.threshold)
+
+    @property
+    def missing(self) -> bool:
+        """The baseline leaves misfit that nothing known explains."""
+        return self.before.missing or (self.there is not None and self.there.missing)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """``kind``: as in :data:`sysid.diagnosis.result.VERDICTS`; ``named``: trials of the answer, best first."""
+
+    kind: str
+    named: tuple[Trial, ...]
+
+
+def rejected(trial: Trial, case: Case) -> str:
+    """Why a set of effects is no answer; empty when it may be one."""
+    if trial.failure:
+        return trial.failure
+    if trial.gain < case.needed:
+        return f"it improves the fit too little ({trial.gain:.1f} of {case.needed:.1f} nats)"
+    if trial.held_out is not None and trial.held_out <= 0.0:
+        return f"it predicts held-out recordings worse, by {-100 * trial.held_out:.2g} %"
+    if trial.significance < LEAST_SIGNIFICANCE:
+        return f"over time its improvement is worth {trial.significance:.1f} of {LEAST_SIGNIFICANCE:g} deviations"
+    if not case.missing:
+        if trial.gain < WITHOUT_MISFIT * case.needed:
+            return "without it the recordings are explained as well, as far as noise and careful models go"
+        if trial.held_out is not None and trial.held_out < LEAST_PREDICTED:
+            return (
+                f"it takes away only {100 * trial.held_out:.2g} % of the held-out misfit, which is none that stands out"
+            )
+    return ""
+
+
+def decide(trials: Sequence[Trial], case: Case) -> Verdict:
+    """Choose the verdict."""
+    fit = sorted((t for t in trials if not rejected(t, case)), key=lambda t: -t.gain)
+    if not fit:
+        if case.faults:
+            return Verdict("recording_fault", ())
+        if case.missing:
+            return Verdict("unknown", ())
+        hidden = case.before.hidden or (case.there is not None and case.there.hidden)
+        return Verdict("refine_discretisation" if hidden or case.coarse else "nothing_missing", ())
+    best = fit[0]
+    share = size_of(best)
+    if best.left.missing and share < MOST_EXPLAINED:
+        return Verdict("partly" if share >= SOME_EXPLAINED else "unknown", (best,))
+    ties = tuple(
+        t for t in fit if best.gain - t.gain < TIE_NATS and size_of(t) > share - 0.1 and len(t.names) == len(best.names)
+    )
+    return Verdict("named" if len(ties) == 1 else "one_of", ties)
+
+
+def size_of(trial: Trial) -> float:
+    """Share of the structured misfit that is gone, the smaller of that on the recordings given and held out."""
+    return min(trial.explained, 1.0 if trial.explained_there is None else trial.explained_there)
+
+
+def probabilities(trials: Sequence[Trial], case: Case) -> dict[frozenset[str], float]:
+    """Probability of each set among all that were refitted and the baseline, from the evidence."""
+    gains = np.array([min(t.gain, 0.0) if rejected(t, case) else t.gain for t in trials] + [0.0])
+    weights = np.exp(gains - gains.max())
+    weights /= weights.sum()
+    return {t.names: float(w) for t, w in zip(trials, weights[:-1], strict=True)}

@@ -1,0 +1,53 @@
+"""What careful models may differ in: a share of the deformation, not of rigid motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sim_core.simulate import Trace
+from sysid.diagnosis.model_tolerance import MODEL_TOLERANCE, deformation, model_tolerance
+from sysid.model.predictor import Prediction
+from sysid.observations.observations import Measured, Run
+
+POINTS = np.random.default_rng(0).normal(size=(12, 2)) * 40.0
+T = np.linspace(0.0, 1.0, 7)
+
+
+def tracks(values: np.ndarray) -> Measured:
+    return Measured("camera", "tracks", T, values, tuple(str(k) for k in range(values.shape[1])))
+
+
+def moved(bend: float) -> np.ndarray:
+    """Points that turn and shift by hundreds of pixels, and bend by ``bend`` at the end."""
+    frames = []
+    for t in T:
+        turned = Rotation.from_euler("z", 2.5 * t).as_matrix()[:2, :2]
+        bent = POINTS + bend * t * np.column_stack([np.zeros(12), (POINTS[:, 0] / 40.0) ** 2])
+        frames.append((bent @ turned.T + [300.0 * t, -100.0 * t]).ravel())
+    return np.array(frames)
+
+
+def test_rigid_motion_is_no_deformation() -> None:
+    assert np.abs(deformation(tracks(moved(0.0)), moved(0.0))).max() < 1e-9
+    bent = deformation(tracks(moved(5.0)), moved(5.0))
+    assert np.abs(bent[0]).max() < 1e-9
+    parabola = (POINTS[:, 0] / 40.0) ** 2 * 5.0
+    assert np.sqrt(np.mean(bent[-1] ** 2)) == pytest.approx(np.std(parabola) / np.sqrt(2.0), rel=0.35)
+
+
+def test_points_out_of_sight_have_none() -> None:
+    values = moved(5.0)
+    values[3, :4] = np.nan
+    found = deformation(tracks(values), values)
+    assert np.isfinite(found).all() and not found[3, :4].any() and found[3, 4:].any()
+
+
+def test_of_a_wrench_it_is_the_change_since_the_start() -> None:
+    values = np.outer(T, np.arange(1.0, 7.0)) + 3.0
+    wrench = Measured("wrist", "wrench", T, values, tuple("abcdef"))
+    run = Run("run", "", (), {}, (wrench,), 1.0)
+    shape = model_tolerance([run], [Prediction({"wrist": values}, {}, Trace(T, {}, {}, {}, ()))])
+    np.testing.assert_allclose(shape.shapes[0]["wrist"], MODEL_TOLERANCE * (values - 3.0))
+    assert shape.mean == 0.0
