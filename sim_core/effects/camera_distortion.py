@@ -47,13 +47,13 @@ class CameraDistortion(Pointwise):
         return tuple(rig.cameras)
 
     def point(self, channel: Channel, points: np.ndarray, values: Values) -> np.ndarray:
-        centre, scale = _axis(channel)
+        centre, scale = axis_of(channel)
         away = points - centre
         square = (away**2).sum(axis=-1, keepdims=True) / scale**2
         return np.asarray(points + away * (values["k1"] * square + values["k2"] * square**2))
 
     def slope(self, channel: Channel, points: np.ndarray, values: Values) -> np.ndarray:
-        centre, scale = _axis(channel)
+        centre, scale = axis_of(channel)
         away = (points - centre) / scale
         square = (away**2).sum(axis=-1)[..., None, None]
         outer = away[..., :, None] * away[..., None, :]
@@ -61,7 +61,7 @@ class CameraDistortion(Pointwise):
         return np.asarray((1.0 + k1 * square + k2 * square**2) * np.eye(2) + (2.0 * k1 + 4.0 * k2 * square) * outer)
 
 
-def _axis(channel: Channel) -> tuple[np.ndarray, float]:
+def axis_of(channel: Channel) -> tuple[np.ndarray, float]:
     """Principal point [px] ``(2,)`` and unit of the radius [px]."""
     camera: Any = channel.rig.cameras[channel.name]
     centre = np.array([camera.cx_px, camera.cy_px])

@@ -313,6 +313,20 @@ class Pointwise(ReadingMap):
         return 0.0
 
 
+class Linear(Pointwise):
+    """A sensor that takes each point to a linear function of it."""
+
+    @abstractmethod
+    def matrix(self, channel: Channel, values: Values) -> Array:
+        """M of what is reported, M times the point, ``(m, m)``; the identity where the effect vanishes."""
+
+    def point(self, channel: Channel, points: Array, values: Values) -> Array:
+        return np.asarray(points @ self.matrix(channel, values).T)
+
+    def slope(self, channel: Channel, points: Array, values: Values) -> Array:
+        return self.matrix(channel, values)
+
+
 class ClockMap(Effect):
     """A clock that is off: a reading stamped t shows the state at another time."""
 

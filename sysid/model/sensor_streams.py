@@ -28,14 +28,15 @@ def reading_maps(rig: Rig, channel: str) -> list[Instance]:
     return [instance for instance in active(rig, ReadingMap) if channel in instance.targets]
 
 
-def shown_at(rig: Rig, channel: str, kind: str, stamps: np.ndarray) -> np.ndarray:
-    """Times [s] ``(k,)`` of the states that readings with these stamps show, by the rig and its effects."""
+def shown_at(rig: Rig, channel: str, kind: str, stamps: np.ndarray, since: float = 0.0) -> np.ndarray:
+    """Times [s] ``(k,)`` of the states that readings with these stamps show, by the rig and its effects. ``since``: as
+    of :func:`predicted`."""
     rig = amended(rig)
     source = rig.sensors.get(channel) or rig.cameras[channel]
     times = stamps - source.latency_s
     for instance in active(rig, ClockMap):
         if channel in instance.targets:
-            times = instance.effect.shown_at(channel_of(rig, channel, kind, times), instance.values)
+            times = instance.effect.shown_at(channel_of(rig, channel, kind, times, since), instance.values)
     return np.asarray(times)
 
 
@@ -59,7 +60,7 @@ def predicted(trace: Trace, rig: Rig, channel: str, stamps: np.ndarray, since: f
     """Readings of a channel at stamps [s], with latency and the sensor effects of the rig: ``(k, ...)``. ``since``: how
     long [s] the sensors have been at work when the trace begins."""
     kind = trace.kinds[channel]
-    true = interpolate(trace.times, trace.outputs[channel], shown_at(rig, channel, kind, stamps))
+    true = interpolate(trace.times, trace.outputs[channel], shown_at(rig, channel, kind, stamps, since))
     return reported(rig, channel, kind, stamps, true, since)
 
 
@@ -68,7 +69,7 @@ def predicted_derivatives(
 ) -> np.ndarray:
     """Derivatives ``(n_times, ..., p)`` of a channel carried to the stamps and through its sensor: ``(k, ..., p)``."""
     rig, kind = amended(rig), trace.kinds[channel]
-    at = shown_at(rig, channel, kind, stamps)
+    at = shown_at(rig, channel, kind, stamps, since)
     out, readings = interpolate(trace.times, derivatives, at), interpolate(trace.times, trace.outputs[channel], at)
     for instance in reading_maps(rig, channel):
         there = channel_of(rig, channel, kind, stamps, since)
@@ -113,7 +114,7 @@ def predicted_back(
     and effects of sensors. Points out of sight, NaN, count as zero."""
     rig, kind = amended(rig), trace.kinds[channel]
     known = np.where(np.isnan(predicted(trace, rig, channel, stamps, since)), 0.0, weights)
-    at = shown_at(rig, channel, kind, stamps)
+    at = shown_at(rig, channel, kind, stamps, since)
     stages = [interpolate(trace.times, trace.outputs[channel], at)]
     maps = reading_maps(rig, channel)
     there = channel_of(rig, channel, kind, stamps, since)

@@ -52,7 +52,7 @@ def test_own_derivatives_against_differences_of_rollouts(
     name: str, small_rig: Callable[..., Rig], rub: Experiment
 ) -> None:
     """By its own parameters in the first steps of contact, forwards and backwards."""
-    own = [f"effects.{name}.{p}" for p in TYPICAL[name]][:2]
+    own = [f"effects.{name}.{p}" for p in TYPICAL[name]][:3]
     passed, text = check_gradients(small_rig(effects={name: TYPICAL[name]}), rub, own, until_s=0.1, steps=STEPS[:2])
     assert passed, text
 
