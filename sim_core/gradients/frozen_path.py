@@ -11,6 +11,9 @@ already: one evaluation of the law and one back-substitution a step, instead of 
 order in dF and of any order in the size of the law on the given path (a secant, not a derivative). What the law would
 change by taking another path, a contact made or lost for one, is left out.
 
+A parameter may also change in time: a modulus E (1 + a f(t)), a hand that is off by a f(t). What that does is the
+parameter's derivative of each step, weighed by the course f at its end.
+
 An end effector that gives way moves by its compliance times the load that the baseline puts on it, which is propagated
 like any motion of a mount.
 """
@@ -23,7 +26,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sim_core.energies.term import DynamicTerm, Internals, StepContext
-from sim_core.gradients.boundary_motion import driven
+from sim_core.gradients.boundary_motion import Motions, driven
 from sim_core.gradients.directions import Direction, command_motions
 from sim_core.gradients.parameter_jacobian import Column, moment_on_body
 from sim_core.gradients.step import LinearStep, Motion, Outcome
@@ -60,9 +63,18 @@ class Amendment:
         self.internals = {n: terms[n].initial_internals() for n in self.affected}
 
 
+@dataclass(frozen=True)
+class Modulation:
+    """A parameter that changes in time: number ``direction`` of those that a rollout is differentiated along, by a
+    ``course`` of the time [s]."""
+
+    direction: int
+    course: Callable[[float], float]
+
+
 class FrozenPathSimulation(TangentSimulation):
-    """A simulation that carries, beside the derivatives by parameters ``along``, the responses to ``amendments``, in
-    this order along the last axis of ``derivatives``."""
+    """A simulation that carries, beside the derivatives by parameters ``along``, the responses to ``amendments`` and to
+    ``modulations``, in this order along the last axis of ``derivatives``."""
 
     def __init__(
         self,
@@ -70,10 +82,13 @@ class FrozenPathSimulation(TangentSimulation):
         along: Sequence[Direction],
         amendments: Sequence[Amendment],
         moving: Sequence[dict[str, np.ndarray]] = (),
+        modulations: Sequence[Modulation] = (),
     ) -> None:
-        self._amendments = list(amendments)
+        self._amendments, self._modulations = list(amendments), list(modulations)
         self._first = len(along)
-        whole = [*along, *(Direction(a.name, scene.rig, scene.rig, 1.0) for a in amendments)]
+        self._moved_plain: Motions = {}
+        self._moved_with: Motions | None = None
+        whole = [*along, *_idle(scene.rig, len(self._amendments) + len(self._modulations))]
         for amendment in self._amendments:
             amendment.begin(scene)
         super().__init__(scene, whole, None, moving)
@@ -88,18 +103,29 @@ class FrozenPathSimulation(TangentSimulation):
         return True
 
     def _pushed(self, linear: LinearStep, motion: Motion, before: State, after: State) -> tuple[Motion, Outcome]:
-        count, mine = len(self._along), len(self._amendments)
+        count, mine, weights = len(self._along), len(self._amendments), self._weights(after.t if self._made else 0.0)
         columns = self._columns.of_step(linear.step, before.internals, after.internals, linear.terms)
         columns = [*columns, *self._secants(linear.step, before, after)]
-        slopes = np.vstack([self._slopes, np.eye(count)[self._first :]]) if mine else self._slopes
-        moved = self._yielded()
+        own = np.eye(count)[self._first : self._first + mine]
+        slopes = np.vstack([self._slopes @ weights, own])
+        if self._moved_now is not self._moved_with:
+            self._moved_plain = self._moved_now
+        moved = self._yielded(weights)
         follow = driven(self.scene, self.frames, moved, count) if moved else None
-        self._moved_now = moved
+        self._moved_now = self._moved_with = moved
         return linear.push(motion, columns, slopes, follow)
 
-    def _yielded(self) -> dict[str, np.ndarray]:
+    def _weights(self, t: float) -> np.ndarray:
+        """From slopes along the directions to those with the modulations ``(count, count)`` at a time [s]."""
+        found = np.eye(len(self._along))
+        first = self._first + len(self._amendments)
+        for k, modulation in enumerate(self._modulations):
+            found[modulation.direction, first + k] = modulation.course(t)
+        return found
+
+    def _yielded(self, weights: np.ndarray) -> dict[str, np.ndarray]:
         """Motions of the mounts, with what compliant ones give way under the baseline's load."""
-        moved = dict(self._moved_now)
+        moved = {mount: motion @ weights for mount, motion in self._moved_plain.items()}
         loads: np.ndarray | None = None
         for k, amendment in enumerate(self._amendments):
             for mount, compliance in amendment.compliance.items():
@@ -162,25 +188,31 @@ class FrozenPathSimulation(TangentSimulation):
         return out
 
 
+def _idle(rig: Rig, count: int) -> list[Direction]:
+    """Directions along which no number of the rig changes."""
+    return [Direction(f"response {k}", rig, rig, 1.0) for k in range(count)]
+
+
 def simulate_responses(
     scene: Scene,
     poses: Mapping[str, PoseTrajectory],
     times: np.ndarray,
     along: Sequence[Direction],
     amendments: Sequence[Amendment],
+    modulations: Sequence[Modulation] = (),
     on_step: Callable[[int, int], None] | None = None,
 ) -> tuple[Trace, dict[str, np.ndarray]]:
-    """Trace of a rollout, and for every channel ``(n_times, ..., n_along + n_amendments)``: its derivatives by the
-    directions, then its responses to the amendments.
+    """Trace of a rollout, and for every channel ``(n_times, ..., n_along + n_amendments + n_modulations)``: its
+    derivatives by the directions, then its responses to the amendments, then to the modulations.
 
     A direction may also be of finite width, from the baseline to a rig with other numbers or commands; its derivative
     is then the secant in these numbers, and to first order in what they do. Times [s] ``(n_times,)``.
     """
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
     commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
-    whole = [*along, *(Direction(a.name, scene.rig, scene.rig, 1.0) for a in amendments)]
+    whole = [*along, *_idle(scene.rig, len(amendments) + len(modulations))]
     moving = command_motions(scene.rig, whole, commanded, times)
-    simulation = FrozenPathSimulation(scene, along, amendments, moving)
+    simulation = FrozenPathSimulation(scene, along, amendments, moving, modulations)
     stacked: list[dict[str, np.ndarray]] = []
 
     def record(done: int, total: int) -> None:

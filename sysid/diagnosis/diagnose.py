@@ -24,8 +24,9 @@ from sysid.diagnosis.candidates import hypotheses, recording_scales
 from sysid.diagnosis.refits import Start, Trial, tempered, trials_of
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
 from sysid.diagnosis.residual_analysis import locate, structure
-from sysid.diagnosis.result import Diagnosis, Misfit
+from sysid.diagnosis.result import Diagnosis, Misfit, UnreliablePlace
 from sysid.diagnosis.screening import Score, Screen, look
+from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.validation import of_readings, seen_by_both
 from sysid.diagnosis.verdict import Case, Verdict, decide, rejected, size_of
 from sysid.fit.discretisation_refinement import coarse_quantities, error_sizes
@@ -83,8 +84,9 @@ def diagnose_runs(
         tell(0.55, "fits of the promising effects")
         trials = _trials(engine, base, screen, singles, case, scales, failed, tell)
         verdict = decide(trials, case)
-        tell(0.95, "report")
-        diagnosis, amended = _collect(rig, base, case, verdict, trials, Screened(screen, singles, failed))
+        places = _places(engine, base, verdict, tell)
+        tell(0.97, "report")
+        diagnosis, amended = _collect(rig, base, case, verdict, trials, Screened(screen, singles, failed), places)
     diagnosis.provenance = provenance(rig, list(runs), list(held_out))
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
@@ -157,6 +159,20 @@ def _beside(best: Trial, start: Start) -> Start:
     return replace(start, earlier=best.hypotheses)
 
 
+def _places(engine: ParallelPredictor, base: Baseline, verdict: Verdict, tell: Progress) -> tuple[UnreliablePlace, ...]:
+    """Where what remains unknown may be, without a law."""
+    if verdict.kind not in ("unknown", "partly"):
+        return ()
+    tell(0.92, "which place of the model is unreliable")
+    model = verdict.named[0].fitted if verdict.kind == "partly" else base.fitted
+    found = slot_evidence(engine, base.problem, model, max(1.0, model.misfit))
+    return tuple(
+        UnreliablePlace(s.slot.place, s.slot.name, s.slot.words, float(s.gain), float(s.explained))
+        for s in found
+        if s.gain > 0.0
+    )
+
+
 def _misfit(base: Baseline, shown: Trial | None) -> Misfit:
     """Misfit of the baseline or of an answer, with the errors of the baseline beside its own."""
     fitted = base.fitted if shown is None else shown.fitted
@@ -170,7 +186,13 @@ def _misfit(base: Baseline, shown: Trial | None) -> Misfit:
 
 
 def _collect(
-    rig: Rig, base: Baseline, case: Case, verdict: Verdict, trials: Sequence[Trial], screened: Screened
+    rig: Rig,
+    base: Baseline,
+    case: Case,
+    verdict: Verdict,
+    trials: Sequence[Trial],
+    screened: Screened,
+    places: tuple[UnreliablePlace, ...] = (),
 ) -> tuple[Diagnosis, Rig]:
     """The diagnosis as data, and the rig that it ends with."""
     answer = verdict.named[0] if verdict.kind in ("named", "one_of", "partly") else None
@@ -184,7 +206,7 @@ def _collect(
     size = size_of(answer) if answer else 0.0
     diagnosis = Diagnosis(
         verdict=verdict.kind,
-        sentence=words.sentence(verdict, located, became, case),
+        sentence=words.sentence(verdict, located, became, case, places),
         rig=rig.name,
         effects=named,
         alternatives=alternatives,
@@ -209,5 +231,6 @@ def _collect(
         series=series,
         explained=size,
         threshold=case.needed,
+        places=places,
     )
     return diagnosis, fitted.rig

@@ -78,6 +78,19 @@ class Located:
 
 
 @dataclass(frozen=True)
+class UnreliablePlace:
+    """One place of the model as the cause, without a law. ``place``, ``name``: as 'gel' and the body's name; ``words``:
+    what is off there; ``log_evidence_gain`` [nats] of a closure there; ``explained``: share of the misfit beyond noise
+    that it takes away. The closure is valid inside the recordings only."""
+
+    place: str
+    name: str
+    words: str
+    log_evidence_gain: float
+    explained: float
+
+
+@dataclass(frozen=True)
 class Misfit:
     """Misfit of one model: mean squared whitened residual on training and held-out data (1 = noise), and
     the errors in measured units."""
@@ -93,7 +106,8 @@ class Diagnosis:
 
     ``upper_limits``: by amplitude, the size that the recordings would have shown (95 %), of effects that are not the
     answer; ``explained``: share of the structured misfit that is gone with the answer; ``threshold`` [nats]: evidence
-    that an effect needed, by the simulated null of the case; ``tried``: what became of each effect; ``notes``: what
+    that an effect needed, by the simulated null of the case; ``places``: of a misfit that no known effect explains, the
+    most unreliable first; ``tried``: what became of each effect; ``notes``: what
     a reader should know of the fit.
     """
 
@@ -119,6 +133,7 @@ class Diagnosis:
     series: list[Series] = field(default_factory=list)
     explained: float = 0.0
     threshold: float = 0.0
+    places: tuple[UnreliablePlace, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series, in the documented schema."""

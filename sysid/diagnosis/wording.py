@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from sysid.diagnosis.refits import Trial
-from sysid.diagnosis.result import Located
+from sysid.diagnosis.result import Located, UnreliablePlace
 from sysid.diagnosis.verdict import MOST_EXPLAINED, Case, Verdict, size_of
 
 
-def sentence(verdict: Verdict, located: Located, fates: Mapping[str, str], case: Case) -> str:
-    """The answer in one to three sentences, size beside significance."""
+def sentence(
+    verdict: Verdict,
+    located: Located,
+    fates: Mapping[str, str],
+    case: Case,
+    places: Sequence[UnreliablePlace] = (),
+) -> str:
+    """The answer in a few sentences, size beside significance. ``places``: where what is unknown may be."""
     where = _where(located, "difference" if verdict.named and verdict.kind != "unknown" else "misfit")
     if verdict.kind == "nothing_missing":
         return (
@@ -30,17 +36,27 @@ def sentence(verdict: Verdict, located: Located, fates: Mapping[str, str], case:
         if verdict.named:
             best = verdict.named[0]
             tried = f" The best known effect, that {best.title}, explains only {_percent(size_of(best))} of it."
-        return f"Something is missing that no known effect explains; it shows {where}.{tried}"
+        return f"Something is missing that no known effect explains; it shows {where}.{tried}{_place(places)}"
     best = verdict.named[0]
     if verdict.kind == "partly":
         return (
             f"It is a part of the answer that {best.title}: that explains {_percent(size_of(best))} of the misfit. "
-            f"Something else is missing that no known effect explains. The difference shows {where}."
+            f"Something else is missing that no known effect explains. The difference shows {where}." + _place(places)
         )
     if verdict.kind == "named":
         return f"The rig leaves out that {best.title}. {_size(best)} It shows {where}."
     titles = ", or that ".join(t.title for t in verdict.named)
     return f"The rig leaves out that {titles}; these recordings do not tell which. {_size(best)} It shows {where}."
+
+
+def _place(places: Sequence[UnreliablePlace]) -> str:
+    if not places:
+        return ""
+    first = places[0]
+    return (
+        f" Without any law, it is told best where {first.words}: a change there in time takes away "
+        f"{_percent(first.explained)} of what is beyond noise, inside these recordings only."
+    )
 
 
 def _size(trial: Trial) -> str:

@@ -14,7 +14,7 @@ from sim_core.batch import worker_pool
 from sim_core.rigs import Rig
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction, SerialPredictor
-from sysid.model.responses import SizedEffects
+from sysid.model.responses import Modulated, SizedEffects
 from sysid.observations.observations import Run
 
 _ENGINE: list[SerialPredictor] = []
@@ -41,8 +41,9 @@ def _predict_responses(
     parameters: Sequence[FitParameter],
     scaled: np.ndarray,
     candidates: Sequence[SizedEffects],
+    modulated: Sequence[Modulated],
 ) -> Prediction:
-    return _ENGINE[0].predict_responses(rig, run, parameters, scaled, candidates)
+    return _ENGINE[0].predict_responses(rig, run, parameters, scaled, candidates, modulated)
 
 
 class ParallelPredictor:
@@ -89,10 +90,11 @@ class ParallelPredictor:
         parameters: Sequence[FitParameter],
         scaled: np.ndarray,
         candidates: Sequence[SizedEffects],
+        modulated: Sequence[Modulated] = (),
     ) -> Future[Prediction]:
-        """Start a prediction with the responses to effects of finite size."""
+        """Start a prediction with the responses to effects of finite size, and to parameters that change."""
         at = (list(parameters), np.array(scaled))
-        return self._told(self._pool.submit(_predict_responses, rig, run, *at, list(candidates)))
+        return self._told(self._pool.submit(_predict_responses, rig, run, *at, list(candidates), list(modulated)))
 
     def predict_all(
         self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray

@@ -11,7 +11,7 @@ import numpy as np
 from sim_core.rigs import Rig
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
-from sysid.model.responses import SizedEffects
+from sysid.model.responses import Modulated, SizedEffects
 from sysid.observations.observations import Run
 
 
@@ -45,4 +45,5 @@ class Responding(AnyEngine, Protocol):
         parameters: Sequence[FitParameter],
         scaled: np.ndarray,
         candidates: Sequence[SizedEffects],
+        modulated: Sequence[Modulated] = (),
     ) -> Future[Prediction]: ...

@@ -11,14 +11,14 @@ import numpy as np
 from sim_core.effects import amended
 from sim_core.errors import ThinshellError
 from sim_core.gradients import Direction, simulate_tangent
-from sim_core.gradients.frozen_path import Amendment, simulate_responses
+from sim_core.gradients.frozen_path import Amendment, Modulation, simulate_responses
 from sim_core.rigs import Rig
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.scene import Scene, build_scene
 from sim_core.simulate import Trace, simulate
 from sysid.model.marker_registration import placed, placed_along
-from sysid.model.parameters import FitParameter, acting_in, rig_at, rig_in
-from sysid.model.responses import SizedEffects, change, way_of, with_effects
+from sysid.model.parameters import FitParameter, acting_in, fit_parameters, rig_at, rig_in, start_of
+from sysid.model.responses import Modulated, SizedEffects, change, way_of, with_effects
 from sysid.model.sensor_streams import predicted, predicted_derivatives, stream_derivatives
 from sysid.model.time_span import after_known_motion, rollout_times
 from sysid.observations.observations import Run
@@ -127,9 +127,11 @@ class SerialPredictor:
         parameters: Sequence[FitParameter],
         scaled: np.ndarray,
         candidates: Sequence[SizedEffects],
+        modulated: Sequence[Modulated] = (),
     ) -> Prediction:
-        """As :meth:`predict_with_derivatives`, with the responses of all readings to each of the ``candidates`` after
-        the derivatives (:mod:`sysid.model.responses`); NaN: one that could not be simulated."""
+        """As :meth:`predict_with_derivatives`, with the responses of all readings to each of the ``candidates``, then
+        to changes of parameters in time, after the derivatives (:mod:`sysid.model.responses`); NaN: one that could not
+        be simulated. Changes are in the fitted scale of the parameters."""
         own = acting_in(parameters, run.name)
         scene = self.scene(rig_in(rig, parameters, scaled, run.name))
         here = placed(scene, run.firsts)
@@ -143,7 +145,13 @@ class SerialPredictor:
         secants = [Direction(str(k), here, rigs[k], 1.0) for k in steps]
         amendments = [Amendment(str(k), rigs[k], self._with_laws(rigs[k])) for k in laws]
         times = rollout_times([here, *(end for d in along for end in (d.low, d.high)), *rigs], run, here.solver.dt_s)
-        trace, raw = simulate_responses(scene, run.poses, times, [*along, *secants], amendments)
+        changing = fit_parameters(here, list(dict.fromkeys(m.parameter for m in modulated)))
+        at = start_of(here, changing)
+        moved = [_direction(here, changing, at, k) for k in range(len(changing))]
+        first, names = len(along) + len(secants), [p.name for p in changing]
+        courses = [Modulation(first + names.index(m.parameter), m.course) for m in modulated]
+        whole = [*along, *secants, *moved]
+        trace, raw = simulate_responses(scene, run.poses, times, whole, amendments, courses)
         values = _at_stamps(trace, here, run)
         others: dict[int, dict[str, np.ndarray]] = {}
         for k, way in enumerate(ways):
@@ -154,7 +162,8 @@ class SerialPredictor:
                     others[k] = change(self.predict(rigs[k], run).values, values)
                 except ThinshellError:
                     others[k] = {c: np.full_like(v, np.nan) for c, v in values.items()}
-        place = {k: len(along) + n for n, k in enumerate((*steps, *laws))}
+        place = {k: len(along) + n for n, k in enumerate(steps)}
+        place |= {k: len(whole) + n for n, k in enumerate(laws)}
         derivatives = {}
         for m in run.measured:
             there = values[m.channel]
@@ -162,7 +171,9 @@ class SerialPredictor:
             readings = there.reshape(mechanical.shape[:-1])
             streams = stream_derivatives(trace, along, m.channel, m.t, run.since, readings)
             flat = mechanical.reshape(*there.shape, -1)
-            out = np.zeros((*there.shape, len(parameters) + len(candidates)))
+            ends = len(parameters) + np.cumsum([0, len(candidates), len(modulated)])
+            out = np.zeros((*there.shape, ends[-1]))
+            out[..., ends[1] :] = flat[..., flat.shape[-1] - len(modulated) :]
             out[..., own] = flat[..., : len(along)] + streams.reshape(*there.shape, len(along))
             for k in range(len(candidates)):
                 out[..., len(parameters) + k] = flat[..., place[k]] if k in place else others[k][m.channel]
@@ -183,9 +194,10 @@ class SerialPredictor:
         parameters: Sequence[FitParameter],
         scaled: np.ndarray,
         candidates: Sequence[SizedEffects],
+        modulated: Sequence[Modulated] = (),
     ) -> Future[Prediction]:
         """A prediction with responses, made at once."""
-        return _made(lambda: self.predict_responses(rig, run, parameters, scaled, candidates))
+        return _made(lambda: self.predict_responses(rig, run, parameters, scaled, candidates, modulated))
 
 
 def _made(prediction: Callable[[], Prediction]) -> Future[Prediction]:

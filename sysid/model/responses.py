@@ -9,6 +9,7 @@ by a rollout of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -27,6 +28,20 @@ from sim_core.effects.hooks import (
 )
 from sim_core.effects.registry import effect_by_name
 from sim_core.rigs import Rig
+
+
+@dataclass(frozen=True)
+class Modulated:
+    """A parameter of the rig that changes in time by a hat function: 1 at ``centre`` [s], 0 from ``width`` [s] away."""
+
+    parameter: str
+    centre: float
+    width: float
+
+    def course(self, t: float) -> float:
+        """How much of the change there is at a time [s]."""
+        return max(0.0, 1.0 - abs(t - self.centre) / self.width)
+
 
 Way = Literal["reading", "law", "numbers", "rollout"]
 

@@ -127,6 +127,7 @@ def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., D
         monkeypatch.setattr(baseline, "channel_noise", lambda *_: noise)
         monkeypatch.setattr(baseline, "nuisance_parameters", lambda *_: [])
         monkeypatch.setattr(diagnosing, "provenance", lambda *_: {})
+        monkeypatch.setattr(diagnosing, "slot_evidence", lambda *_: [])
         runs = [recording("press", 1.2 * MATERIAL + concealed * LAW, 1)]
         others = [recording("other", 1.2 * MATERIAL + held * LAW, 2)]
         found, _ = diagnosing.diagnose_runs(rig or gel_rig(SMALL), runs, others)

@@ -12,7 +12,7 @@ from sim_core.effects import all_effects
 from sim_core.rigs import Rig
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import SerialPredictor
-from sysid.model.responses import way_of
+from sysid.model.responses import Modulated, way_of
 from sysid.noise.estimate import declared_noise
 from sysid.observations.observations import Measured, Run
 
@@ -79,3 +79,22 @@ def test_sensors_are_looked_at_exactly(small_rig: Callable[..., Rig]) -> None:
             if effect.applies(rig)}  # fmt: skip
     assert ways["wrench_offset"] == ways["stream_delay"] == "reading"
     assert ways["static_friction"] == ways["gel_relaxation"] == "law"
+
+
+def test_a_parameter_that_changes_all_the_time_is_the_parameter(found: Any) -> None:
+    """A hat as wide as the ages gives the derivative, of a modulus, of friction and of where the hand is; two narrow
+    ones that add up to one give it together."""
+    predictor, rig, run, _, _ = found
+    names = ["gel.E_pa", "contacts.gel-card.friction", "finger.offset_z_m"]
+    parameters = fit_parameters(rig, names)
+    scaled = start_of(rig, parameters)
+    changing = [Modulated(name, 0.0, 1e12) for name in names]
+    changing += [Modulated(names[0], 0.0, TIMES[-1]), Modulated(names[0], TIMES[-1], TIMES[-1])]
+    columns = predictor.predict_responses(rig, run, parameters, scaled, [], changing).derivatives
+    for channel, slopes in columns.items():
+        size = np.abs(slopes[..., :3]).max()
+        np.testing.assert_allclose(slopes[..., 3:5], slopes[..., :2], atol=1e-6 * size)
+        # A hand that is off from the start on also moves where everything settled.
+        np.testing.assert_allclose(slopes[..., 5], slopes[..., 2], atol=1e-2 * size)
+        np.testing.assert_allclose(slopes[..., 6] + slopes[..., 7], slopes[..., 0], atol=1e-6 * size)
+        assert np.abs(slopes[:3, :, 7]).max() < 0.5 * np.abs(slopes[:3, :, 0]).max() + 1e-12, channel
