@@ -16,6 +16,8 @@ import numpy as np
 from sim_core.errors import ConfigError, ThinshellError
 from sim_core.rigs import Gel, Rig, Sheet
 from sysid.diagnosis.model_tolerance import model_tolerance
+from sysid.diagnosis.predictability import unpredictable, without
+from sysid.diagnosis.residual_analysis import structure
 from sysid.fit.discretisation_refinement import discretisation
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
@@ -35,6 +37,15 @@ similar product, a balance), Poisson ratios and friction coefficients by themsel
 
 FIRST, SECOND = 8, 5
 """Evaluations allowed to the fit, and to it beside the error measured where it came to."""
+
+FAR_MISFIT = 2.0
+"""Misfit over noise from which other branches of contact are looked for."""
+
+FRICTION_FACTORS, OFFSET_DRAWS = (0.7, 0.85, 1.15, 1.4), 3
+"""Friction coefficients that are tried, over where the search ended, and random places of the hands."""
+
+BETTER, CAUCHY_WIDTH = 0.98, 3.0
+"""Loss below which another branch is better, over that of the first, and whitened residual that is far."""
 
 Tell = Callable[[float, str], None]
 
@@ -94,6 +105,13 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     fitted = problem.fit(rig, parameters, start, max_evaluations=FIRST, tolerance=2.0)
     if fitted.interrupted:
         raise KeyboardInterrupt
+    if fitted.misfit > FAR_MISFIT:
+        tell(0.22, "other branches of contact")
+        elsewhere = best_branch(engine, problem, fitted)
+        if elsewhere is not None:
+            fitted = problem.fit(rig, parameters, elsewhere, max_evaluations=FIRST, tolerance=2.0)
+            if fitted.interrupted:
+                raise KeyboardInterrupt
     clean, outliers = without_outliers(runs, fitted.predictions, noise)
     noise = channel_noise(rig, clean, held_out)
     tell(0.28, "error of mesh and time step where the fit stands")
@@ -112,7 +130,70 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     tell(0.38, "held-out recordings")
     check, notes = held_out_problem(engine, fitted, noise, held_out)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
-    return Baseline(problem, fitted, check, there, noise, outliers, notes)
+    base = Baseline(problem, fitted, check, there, noise, outliers, notes)
+    far = structure(problem, fitted).missing or (there is not None and structure(check, there).missing)
+    return _where_predictable(engine, base, tell) if far else base
+
+
+def _where_predictable(engine: AnyEngine, base: Baseline, tell: Tell) -> Baseline:
+    """The baseline fitted again without what is unpredictable (:mod:`sysid.diagnosis.predictability`)."""
+    tell(0.39, "where recordings can be predicted")
+    model, everything = base.fitted, [*base.problem.runs, *base.check.runs]
+    derived = engine.predict_all(model.centre, everything, model.parameters, model.scaled)
+    found = unpredictable(engine, everything, model, base.noise, derived)
+    if not found:
+        return base
+    notes = (*base.notes, *(u.sentence for u in found))
+    sparing = SparingPredictor(engine)
+    problem = Problem(without(base.problem.runs, found), base.noise, sparing, base.problem.error_shapes, prior=True)
+    fitted = problem.fit(model.centre, model.parameters, model.scaled, max_evaluations=SECOND, tolerance=2.0)
+    if fitted.interrupted:
+        raise KeyboardInterrupt
+    problem.engine = engine
+    check = Problem(without(base.check.runs, found), base.noise, engine, base.check.error_shapes)
+    there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
+    return Baseline(problem, fitted, check, there, base.noise, base.outliers, notes)
+
+
+def best_branch(engine: AnyEngine, problem: Problem, fitted: Fitted) -> np.ndarray | None:
+    """Scaled values ``(p,)`` with another friction, or another place of a hand, at which recordings are followed better
+    than where a search has ended; None where there are none.
+
+    Whether a point sticks or slips, or to which side a sheet buckles, is no matter of derivatives. What is far off
+    counts by its logarithm (Cauchy's loss), so that a span on the right branch is worth more than a far one nearer.
+    """
+    frictions = [k for k, p in enumerate(fitted.parameters) if p.target.endswith(".friction")]
+    offsets = [k for k, p in enumerate(fitted.parameters) if p.nuisance and ".offset_" in p.target]
+    points = []
+    for factor in FRICTION_FACTORS:
+        at = fitted.scaled.copy()
+        at[frictions] *= factor
+        points += [at] if frictions else []
+    rng = np.random.default_rng(0)
+    for _ in range(OFFSET_DRAWS if offsets else 0):
+        at = fitted.scaled.copy()
+        at[offsets] += rng.standard_normal(len(offsets)) * [fitted.parameters[k].prior_sd for k in offsets]
+        points.append(at)
+    limits = np.array([p.scaled_bounds for p in fitted.parameters]).reshape(-1, 2).T
+    points = [np.clip(at, *limits) for at in points]
+    jobs = [
+        [engine.submit(rig_in(fitted.centre, fitted.parameters, at, r.name), r) for r in problem.runs] for at in points
+    ]
+    best, found = _cauchy(problem, fitted.predictions, fitted.scaled), None
+    for at, row in zip(points, jobs, strict=True):
+        try:
+            loss = _cauchy(problem, [job.result() for job in row], at)
+        except ThinshellError:
+            continue
+        if loss < BETTER * best:
+            best, found = loss, at
+    return found
+
+
+def _cauchy(problem: Problem, predictions: Sequence[Prediction], scaled: np.ndarray) -> float:
+    """Sum of log(1 + (r / c)^2) over the whitened readings, what is out of sight as far off as c."""
+    residual = problem.assemble(predictions, [], scaled).residual
+    return float(np.sum(np.log1p((residual / CAUCHY_WIDTH) ** 2)))
 
 
 def _all(

@@ -1,0 +1,142 @@
+"""Where the physics itself is unpredictable, nothing is asked: landings, snaps, stick-slip, buckling to either side.
+
+A few rollouts at parameters within what the recordings leave of them (and one on the finer mesh, one with the shorter
+step) are compared with what the derivatives of the fitted model foresee,
+
+    e_m(t) = y(theta_m) - y(theta) - J (theta_m - theta).
+
+Where the largest of these, rms over the columns of a quantity, is above both the noise and a share of the signal, two
+simulations that nobody could tell apart do not agree, and no recording can say which is right. These spans are named,
+and weigh nothing in fits and in the verdict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim_core.errors import ThinshellError
+from sysid.diagnosis.model_tolerance import deformation
+from sysid.model.parameters import rig_in
+from sysid.model.prediction_source import AnyEngine
+from sysid.model.predictor import Prediction
+from sysid.noise.estimate import ChannelNoise, column_groups
+from sysid.observations.observations import Measured, Run
+from sysid.solve.covariance import uncertainty
+from sysid.solve.optimum import Fitted
+
+MEMBERS = 4
+"""Rollouts of the ensemble."""
+
+WITHIN = 1.5
+"""How far members are, in standard deviations of each parameter."""
+
+LEAST_SD = {"friction": 0.01, "E_pa": 0.01}
+"""Least standard deviation of a member: what a formal covariance says of a friction coefficient is too good to be
+true where everything sticks or slides."""
+
+ABOVE_NOISE, OF_SIGNAL = 5.0, 0.05
+"""Disagreement from which a reading is unpredictable: over noise, and over the largest deformation of the run."""
+
+MARGIN_S = 0.03
+"""Time [s] before and after an unpredictable reading that is as well."""
+
+MOST = 0.5
+"""Share of a run from which on nothing of it is left out: then it is not a matter of events."""
+
+
+@dataclass(frozen=True)
+class Unpredictable:
+    """Spans [s] of one channel of one run."""
+
+    run: str
+    channel: str
+    spans: tuple[tuple[float, float], ...]
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        shown = ", ".join(f"{a:.2f} to {b:.2f} s" for a, b in self.spans[:4]) + (", ..." if len(self.spans) > 4 else "")
+        return (
+            f"{self.run}: what {self.channel} reads from {shown} is unpredictable: simulations that nobody can tell "
+            "apart differ there (a snap, a landing, stick and slip). It weighs nothing."
+        )
+
+
+def unpredictable(
+    engine: AnyEngine, runs: Sequence[Run], model: Fitted, noise: dict[str, ChannelNoise], derived: Sequence[Prediction]
+) -> list[Unpredictable]:
+    """Spans in which an ensemble about a fitted model disagrees. ``derived``: predictions of the runs by the model,
+    with derivatives by its parameters."""
+    rng = np.random.default_rng(0)
+    sd = uncertainty(model).sd
+    least = [LEAST_SD.get(p.target.rsplit(".", 1)[1], 0.0) for p in model.parameters]
+    limits = np.array([p.scaled_bounds for p in model.parameters]).reshape(-1, 2).T
+    known = np.array([p.known_sd or p.prior_sd for p in model.parameters])
+    reach = WITHIN * np.minimum(np.maximum(sd, least), known)
+    signs = rng.choice([-1.0, 1.0], size=(MEMBERS, len(reach)))
+    points = [np.clip(model.scaled + s * reach, *limits) for s in signs]
+    pending = [
+        [engine.submit(rig_in(model.centre, model.parameters, at, run.name), run) for run in runs] for at in points
+    ]
+    apart: list[dict[str, np.ndarray]] = [{m.channel: np.zeros(m.values.shape) for m in run.measured} for run in runs]
+    for at, jobs in zip(points, pending, strict=True):
+        for k, (run, job) in enumerate(zip(runs, jobs, strict=True)):
+            try:
+                member = job.result()
+            except ThinshellError:
+                continue
+            for m in run.measured:
+                foreseen = derived[k].values[m.channel] + derived[k].derivatives[m.channel] @ (at - model.scaled)
+                away = np.abs(np.nan_to_num(member.values[m.channel] - foreseen))
+                apart[k][m.channel] = np.maximum(apart[k][m.channel], away)
+    found = []
+    for k, run in enumerate(runs):
+        for m in run.measured:
+            mask = _mask(m, apart[k][m.channel], derived[k].values[m.channel], noise[m.channel])
+            if mask.any() and mask.mean() <= MOST:
+                found.append(Unpredictable(run.name, m.channel, _spans(m.t, mask)))
+    return found
+
+
+def _mask(measured: Measured, apart: np.ndarray, values: np.ndarray, noise: ChannelNoise) -> np.ndarray:
+    """Which instants of a channel are unpredictable ``(n,)``, those near to such ones with them."""
+    signal = np.abs(deformation(measured, values))
+    mask = np.zeros(len(measured.t), dtype=bool)
+    for group in column_groups(measured):
+        seen = group[np.isfinite(measured.values[:, group]).any(axis=0)]
+        if not len(seen):
+            continue
+        rms = np.sqrt(np.mean(apart[:, seen] ** 2, axis=1))
+        largest = float(np.sqrt(np.mean(signal[:, seen] ** 2, axis=1)).max(initial=0.0))
+        mask |= rms > max(ABOVE_NOISE * float(np.median(noise.sigma[seen])), OF_SIGNAL * largest)
+    times = measured.t[mask]
+    if not len(times):
+        return mask
+    near = np.abs(measured.t[:, None] - times).min(axis=1) <= MARGIN_S
+    return np.asarray(near)
+
+
+def _spans(t: np.ndarray, mask: np.ndarray) -> tuple[tuple[float, float], ...]:
+    change = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return tuple((float(t[a]), float(t[b - 1])) for a, b in zip(change[::2], change[1::2], strict=True))
+
+
+def without(runs: Sequence[Run], found: Sequence[Unpredictable]) -> list[Run]:
+    """The runs with the readings of these spans as missing."""
+    by_key = {(u.run, u.channel): u.spans for u in found}
+    return [
+        replace(run, measured=tuple(_blanked(m, by_key.get((run.name, m.channel), ())) for m in run.measured))
+        for run in runs
+    ]
+
+
+def _blanked(measured: Measured, spans: Sequence[tuple[float, float]]) -> Measured:
+    if not spans:
+        return measured
+    values = measured.values.copy()
+    for a, b in spans:
+        values[(measured.t >= a) & (measured.t <= b)] = np.nan
+    return replace(measured, values=values)

@@ -1,0 +1,99 @@
+"""Spans in which two simulations that nobody can tell apart disagree weigh nothing; the right branch is found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sim_core.rigs import Rig
+from sim_core.simulate import Trace
+from sysid.diagnosis.baseline import believed, best_branch
+from sysid.diagnosis.predictability import unpredictable, without
+from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
+from sysid.model.predictor import Prediction
+from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
+from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
+
+T = np.linspace(0.0, 2.0, 201)
+SIGMA, SNAP = 1e-3, (T > 0.8) & (T < 1.1)
+LIMIT = 0.4
+
+
+def readings(rig: Rig) -> np.ndarray:
+    """Linear in friction, but for a span in which it snaps through where friction is above a limit."""
+    friction = rig.contacts[0].friction
+    snapped = np.where(SNAP, 0.5, 0.0) if friction > LIMIT else 0.0 * T
+    return np.asarray((friction * np.sin(3.0 * T) + snapped)[:, None] * np.ones(6))
+
+
+class Snapping:
+    """Predictions of a wrench that snaps."""
+
+    def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        found: Future[Prediction] = Future()
+        found.set_result(Prediction({"wrist": readings(rig)}, {}, cast(Trace, None)))
+        return found
+
+    def predict_all(self, rig: Rig, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        here = rig_at(rig, parameters, scaled)
+        slopes = (np.sin(3.0 * T)[:, None] * np.ones(6))[:, :, None]
+        return [Prediction({"wrist": readings(here)}, {"wrist": slopes}, cast(Trace, None)) for _ in runs]
+
+
+@pytest.fixture
+def problem(small_rig: Callable[..., Rig]) -> Callable[[float], tuple[Problem, Rig, list[FitParameter]]]:
+    """A recording at some friction."""
+
+    def build(friction: float) -> tuple[Problem, Rig, list[FitParameter]]:
+        rig = small_rig()
+        parameters = believed(fit_parameters(rig, ["contacts.gel-card.friction"]))
+        truth = rig_at(rig, parameters, np.array([friction]))
+        data = readings(truth) + SIGMA * np.random.default_rng(0).standard_normal((len(T), 6))
+        run = Run("run", "", (), {}, (Measured("wrist", "wrench", T, data, tuple("abcdef")),), float(T[-1]))
+        noise = {"wrist": ChannelNoise(np.full(6, SIGMA), np.zeros(6), "test")}
+        return Problem([run], noise, cast(Any, Snapping()), prior=True), rig, parameters
+
+    return build
+
+
+def model(problem: Problem, rig: Rig, parameters: list[FitParameter], at: float) -> Fitted:
+    return problem.evaluate(rig, parameters, np.array([at]))
+
+
+def test_a_snap_that_a_small_change_brings_is_left_out(problem: Any) -> None:
+    """Just below the limit members snap and others do not; elsewhere the rollout is as foreseen."""
+    there, rig, parameters = problem(LIMIT - 1e-3)
+    fitted = model(there, rig, parameters, LIMIT - 1e-3)
+    derived = there.engine.predict_all(rig, there.runs, parameters, fitted.scaled)
+    (found,) = unpredictable(there.engine, there.runs, fitted, there.noise, derived)
+    ((begin, end),) = found.spans
+    assert begin == pytest.approx(0.8, abs=0.05) and end == pytest.approx(1.1, abs=0.05)
+    assert "from 0.7" in found.sentence and "wrist" in found.sentence
+    (run,) = without(there.runs, [found])
+    gone = np.isnan(run.measured[0].values[:, 0])
+    assert gone[SNAP].all() and gone.sum() < SNAP.sum() + 10
+
+
+def test_far_from_the_limit_everything_is_predictable(problem: Any) -> None:
+    there, rig, parameters = problem(0.25)
+    fitted = model(there, rig, parameters, 0.25)
+    derived = there.engine.predict_all(rig, there.runs, parameters, fitted.scaled)
+    assert unpredictable(there.engine, there.runs, fitted, there.noise, derived) == []
+
+
+def test_another_branch_that_follows_the_recording_is_found(problem: Any) -> None:
+    """The recording snaps; the model stands on the other side of the limit."""
+    there, rig, parameters = problem(0.45)
+    fitted = model(there, rig, parameters, 0.38)
+    at = best_branch(there.engine, there, fitted)
+    assert at is not None and at[0] > LIMIT
+    here, rig, parameters = problem(0.45)
+    right = model(here, rig, parameters, 0.45)
+    assert best_branch(here.engine, here, right) is None
+    assert start_of(rig, parameters)[0] > 0.0
