@@ -24,9 +24,9 @@ from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_o
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.model.sparing_predictor import SparingPredictor
-from sysid.noise.estimate import ChannelNoise, channel_noise
+from sysid.noise.estimate import ChannelNoise, channel_noise, column_groups
 from sysid.observations.observations import Run
-from sysid.solve.discretisation_basis import ErrorShape
+from sysid.solve.discretisation_basis import MODEL, ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import Outliers, without_outliers
 from sysid.solve.residuals import Problem
@@ -46,6 +46,9 @@ FRICTION_FACTORS, OFFSET_DRAWS = (0.7, 0.85, 1.15, 1.4), 3
 
 BETTER, CAUCHY_WIDTH = 0.98, 3.0
 """Loss below which another branch is better, over that of the first, and whitened residual that is far."""
+
+MEASURED_WITHIN = 1.0
+"""How far, in standard deviations of what is known of parameters, the discretisation error is that of the start."""
 
 Tell = Callable[[float, str], None]
 
@@ -105,6 +108,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     fitted = problem.fit(rig, parameters, start, max_evaluations=FIRST, tolerance=2.0)
     if fitted.interrupted:
         raise KeyboardInterrupt
+    elsewhere = None
     if fitted.misfit > FAR_MISFIT:
         tell(0.22, "other branches of contact")
         elsewhere = best_branch(engine, problem, fitted)
@@ -116,8 +120,10 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     noise = channel_noise(rig, clean, held_out)
     tell(0.28, "error of mesh and time step where the fit stands")
     unknown = ""
+    known = np.array([p.known_sd or p.prior_sd for p in parameters])
     try:
-        shapes = error_shapes(engine, rig, parameters, fitted.scaled, clean, fitted.predictions)
+        if elsewhere is not None or np.abs((fitted.scaled - start) / known).max(initial=0.0) > MEASURED_WITHIN:
+            shapes = error_shapes(engine, rig, parameters, fitted.scaled, clean, fitted.predictions)
     except ThinshellError as error:
         unknown = f"it stands where its discretisation error is not known. {error}"
     problem = Problem(clean, noise, sparing, shapes, prior=True)
@@ -135,12 +141,30 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     return _where_predictable(engine, base, tell) if far else base
 
 
+def _off(problem: Problem, fitted: Fitted) -> list[int]:
+    """Numbers of the recordings that a model misses by more than noise and what it may be off."""
+    parts = iter(structure(problem, fitted).parts)
+    found = []
+    for k, run in enumerate(problem.runs):
+        mine = [next(parts) for m in run.measured for _ in column_groups(m)]
+        if any(p.beyond_discretisation for p in mine):
+            found.append(k)
+    return found
+
+
 def _where_predictable(engine: AnyEngine, base: Baseline, tell: Tell) -> Baseline:
     """The baseline fitted again without what is unpredictable (:mod:`sysid.diagnosis.predictability`)."""
     tell(0.39, "where recordings can be predicted")
-    model, everything = base.fitted, [*base.problem.runs, *base.check.runs]
+    model = base.fitted
+    pairs = [(base.problem, model)] + ([(base.check, base.there)] if base.there is not None else [])
+    off = [(there, k) for there, fitted in pairs for k in _off(there, fitted)]
+    everything = [there.runs[k] for there, k in off]
+    refined = [
+        {m.channel: [d.shapes[k][m.channel] for d in there.error_shapes if d.label != MODEL] for m in run.measured}
+        for (there, k), run in zip(off, everything, strict=True)
+    ]
     derived = engine.predict_all(model.centre, everything, model.parameters, model.scaled)
-    found = unpredictable(engine, everything, model, base.noise, derived)
+    found = unpredictable(engine, everything, model, base.noise, derived, refined)
     if not found:
         return base
     notes = (*base.notes, *(u.sentence for u in found))

@@ -1,21 +1,23 @@
 """Where the physics itself is unpredictable, nothing is asked: landings, snaps, stick-slip, buckling to either side.
 
-A few rollouts at parameters within what the recordings leave of them (and one on the finer mesh, one with the shorter
-step) are compared with what the derivatives of the fitted model foresee,
+A few rollouts at parameters within what the recordings leave of them are compared with what the derivatives of the
+fitted model foresee,
 
     e_m(t) = y(theta_m) - y(theta) - J (theta_m - theta).
 
-Where the largest of these, rms over the columns of a quantity, is above both the noise and a share of the signal, two
-simulations that nobody could tell apart do not agree, and no recording can say which is right. These spans are named,
-and weigh nothing in fits and in the verdict.
+The change that a finer mesh or a shorter step makes counts as well, where it is an event: what is left of it beside its
+running median. Where the largest of these, rms over the columns of a quantity, is above both the noise and a share of
+the signal, two simulations that nobody could tell apart do not agree, and no recording can say which is right. These
+spans are named, and weigh nothing in fits and in the verdict.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from sim_core.errors import ThinshellError
 from sysid.diagnosis.model_tolerance import deformation
@@ -40,8 +42,14 @@ true where everything sticks or slides."""
 ABOVE_NOISE, OF_SIGNAL = 5.0, 0.05
 """Disagreement from which a reading is unpredictable: over noise, and over the largest deformation of the run."""
 
+EVENT_S = 0.3
+"""Length of the running median [s] beside which a change is an event."""
+
 MARGIN_S = 0.03
-"""Time [s] before and after an unpredictable reading that is as well."""
+"""Time [s] before an unpredictable reading, and after it where nothing vibrates, that is unpredictable as well."""
+
+RINGS_S = 0.25
+"""The same after it where there is inertia: what follows an impact has its phase."""
 
 MOST = 0.5
 """Share of a run from which on nothing of it is left out: then it is not a matter of events."""
@@ -66,10 +74,15 @@ class Unpredictable:
 
 
 def unpredictable(
-    engine: AnyEngine, runs: Sequence[Run], model: Fitted, noise: dict[str, ChannelNoise], derived: Sequence[Prediction]
+    engine: AnyEngine,
+    runs: Sequence[Run],
+    model: Fitted,
+    noise: dict[str, ChannelNoise],
+    derived: Sequence[Prediction],
+    refined: Sequence[Mapping[str, Sequence[np.ndarray]]] = (),
 ) -> list[Unpredictable]:
     """Spans in which an ensemble about a fitted model disagrees. ``derived``: predictions of the runs by the model,
-    with derivatives by its parameters."""
+    with derivatives by its parameters; ``refined``: by run and channel, what refinements change ``(n, m)``."""
     rng = np.random.default_rng(0)
     sd = uncertainty(model).sd
     least = [LEAST_SD.get(p.target.rsplit(".", 1)[1], 0.0) for p in model.parameters]
@@ -82,6 +95,10 @@ def unpredictable(
         [engine.submit(rig_in(model.centre, model.parameters, at, run.name), run) for run in runs] for at in points
     ]
     apart: list[dict[str, np.ndarray]] = [{m.channel: np.zeros(m.values.shape) for m in run.measured} for run in runs]
+    for k, (run, changes) in enumerate(zip(runs, refined, strict=False)):
+        for m in run.measured:
+            for shape in changes.get(m.channel, ()):
+                apart[k][m.channel] = np.maximum(apart[k][m.channel], np.abs(_events(m.t, shape)))
     for at, jobs in zip(points, pending, strict=True):
         for k, (run, job) in enumerate(zip(runs, jobs, strict=True)):
             try:
@@ -92,17 +109,26 @@ def unpredictable(
                 foreseen = derived[k].values[m.channel] + derived[k].derivatives[m.channel] @ (at - model.scaled)
                 away = np.abs(np.nan_to_num(member.values[m.channel] - foreseen))
                 apart[k][m.channel] = np.maximum(apart[k][m.channel], away)
+    after = RINGS_S if model.rig.solver.inertia else MARGIN_S
     found = []
     for k, run in enumerate(runs):
         for m in run.measured:
-            mask = _mask(m, apart[k][m.channel], derived[k].values[m.channel], noise[m.channel])
+            mask = _mask(m, apart[k][m.channel], derived[k].values[m.channel], noise[m.channel], after)
             if mask.any() and mask.mean() <= MOST:
                 found.append(Unpredictable(run.name, m.channel, _spans(m.t, mask)))
     return found
 
 
-def _mask(measured: Measured, apart: np.ndarray, values: np.ndarray, noise: ChannelNoise) -> np.ndarray:
-    """Which instants of a channel are unpredictable ``(n,)``, those near to such ones with them."""
+def _events(t: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """What is left of a course ``(n, m)`` beside its running median over :data:`EVENT_S`."""
+    if len(t) < 3:
+        return 0.0 * shape
+    width = max(3, 2 * int(0.5 * EVENT_S / float(np.median(np.diff(t)))) + 1)
+    return np.asarray(shape - median_filter(shape, size=(width, 1), mode="nearest"))
+
+
+def _mask(measured: Measured, apart: np.ndarray, values: np.ndarray, noise: ChannelNoise, rings_s: float) -> np.ndarray:
+    """Which instants of a channel are unpredictable ``(n,)``, those shortly before and after such ones with them."""
     signal = np.abs(deformation(measured, values))
     mask = np.zeros(len(measured.t), dtype=bool)
     for group in column_groups(measured):
@@ -115,8 +141,8 @@ def _mask(measured: Measured, apart: np.ndarray, values: np.ndarray, noise: Chan
     times = measured.t[mask]
     if not len(times):
         return mask
-    near = np.abs(measured.t[:, None] - times).min(axis=1) <= MARGIN_S
-    return np.asarray(near)
+    since = measured.t[:, None] - times
+    return np.asarray(((since >= -MARGIN_S) & (since <= rings_s)).any(axis=1))
 
 
 def _spans(t: np.ndarray, mask: np.ndarray) -> tuple[tuple[float, float], ...]:

@@ -12,7 +12,7 @@ import pytest
 from sim_core.rigs import Rig
 from sim_core.simulate import Trace
 from sysid.diagnosis.baseline import believed, best_branch
-from sysid.diagnosis.predictability import unpredictable, without
+from sysid.diagnosis.predictability import RINGS_S, unpredictable, without
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
@@ -73,11 +73,11 @@ def test_a_snap_that_a_small_change_brings_is_left_out(problem: Any) -> None:
     derived = there.engine.predict_all(rig, there.runs, parameters, fitted.scaled)
     (found,) = unpredictable(there.engine, there.runs, fitted, there.noise, derived)
     ((begin, end),) = found.spans
-    assert begin == pytest.approx(0.8, abs=0.05) and end == pytest.approx(1.1, abs=0.05)
+    assert begin == pytest.approx(0.8, abs=0.05) and end == pytest.approx(1.1 + RINGS_S, abs=0.05)
     assert "from 0.7" in found.sentence and "wrist" in found.sentence
     (run,) = without(there.runs, [found])
     gone = np.isnan(run.measured[0].values[:, 0])
-    assert gone[SNAP].all() and gone.sum() < SNAP.sum() + 10
+    assert gone[SNAP].all() and gone.sum() < SNAP.sum() + 40
 
 
 def test_far_from_the_limit_everything_is_predictable(problem: Any) -> None:

@@ -183,12 +183,15 @@ def test_an_effect_that_hides_readings_explains_nothing(diagnose: Callable[..., 
     assert found.verdict == "unknown" and not found.effects
 
 
-def test_the_baseline_goes_on_beside_the_discretisation_error_measured_last(diagnose: Callable[..., Diagnosis]) -> None:
+def test_the_baseline_goes_on_beside_the_discretisation_error_measured_last(
+    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
         if fine and stiffness(rig) > 0.1 and run.name == "press":
             raise ConvergenceError("The fine mesh does not converge.", "Use another.")
         return read(rig) + (0.02 * RIPPLE if fine else 0.0)
 
+    monkeypatch.setattr(baseline, "MEASURED_WITHIN", 0.1)
     found = diagnose(law, concealed=0.0, held=0.0)
     assert found.verdict == "nothing_missing"
     assert any("The baseline fit did not converge" in note for note in found.notes)
