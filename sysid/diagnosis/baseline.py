@@ -35,6 +35,9 @@ KNOWN_SD = {"E_pa": 0.35, "density_kg_m3": 0.05, "nu": 0.05, "friction": 0.15}
 """How well a rig's numbers are known where nothing is said: moduli and densities by their logarithm (a data sheet of a
 similar product, a balance), Poisson ratios and friction coefficients by themselves."""
 
+DAMPING_SHARE = 0.5
+"""How well a damping is known, in units of its value."""
+
 FIRST, SECOND = 8, 5
 """Evaluations allowed to the fit, and to it beside the error measured where it came to."""
 
@@ -61,6 +64,8 @@ def open_parameters(rig: Rig) -> list[str]:
             names.append(f"{name}.E_pa")
             # A quasi-static pull shows the lateral contraction, motion shows the mass.
             names.append(f"{name}.density_kg_m3" if rig.solver.inertia else f"{name}.nu")
+            if rig.solver.inertia and body.material.stiffness_damping_s > 0.0:
+                names.append(f"{name}.stiffness_damping_s")
         elif isinstance(body, Gel):
             names += [f"{name}.E_pa", f"{name}.nu"]
     names += [f"contacts.{c.name}.friction" for c in rig.contacts if c.friction > 0.0]
@@ -69,11 +74,16 @@ def open_parameters(rig: Rig) -> list[str]:
     return [p.name for p in fit_parameters(rig, names)]
 
 
-def believed(parameters: Sequence[FitParameter]) -> list[FitParameter]:
-    """The parameters with what is known of each beforehand."""
-    return [
-        p if p.pulled else replace(p, known_sd=KNOWN_SD.get(p.target.rsplit(".", 1)[1], p.prior_sd)) for p in parameters
-    ]
+def believed(rig: Rig, parameters: Sequence[FitParameter]) -> list[FitParameter]:
+    """The parameters with what is known of each beforehand; of a damping that the rig has, half its value."""
+    found = []
+    for p, at in zip(parameters, start_of(rig, parameters), strict=True):
+        quantity = p.target.rsplit(".", 1)[1]
+        sd = (
+            DAMPING_SHARE * at if quantity == "stiffness_damping_s" and at > 0.0 else KNOWN_SD.get(quantity, p.prior_sd)
+        )
+        found.append(p if p.pulled else replace(p, known_sd=float(sd)))
+    return found
 
 
 @dataclass
@@ -93,7 +103,7 @@ class Baseline:
 def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell) -> Baseline:
     """Fit the baseline. Raises ``ThinshellError`` where a recording that is given cannot be simulated; ones held out
     are left out then, with a note."""
-    parameters = believed(fit_parameters(rig, open_parameters(rig)))
+    parameters = believed(rig, fit_parameters(rig, open_parameters(rig)))
     parameters += nuisance_parameters(rig, runs, parameters, KINDS)
     start = start_of(rig, parameters)
     noise = channel_noise(rig, runs, held_out)

@@ -52,7 +52,7 @@ def problem(small_rig: Callable[..., Rig]) -> Callable[[float], tuple[Problem, R
 
     def build(friction: float) -> tuple[Problem, Rig, list[FitParameter]]:
         rig = small_rig()
-        parameters = believed(fit_parameters(rig, ["contacts.gel-card.friction"]))
+        parameters = believed(rig, fit_parameters(rig, ["contacts.gel-card.friction"]))
         truth = rig_at(rig, parameters, np.array([friction]))
         data = readings(truth) + SIGMA * np.random.default_rng(0).standard_normal((len(T), 6))
         run = Run("run", "", (), {}, (Measured("wrist", "wrench", T, data, tuple("abcdef")),), float(T[-1]))

@@ -44,7 +44,7 @@ def told(small_rig: Callable[..., Rig], visit: Callable[..., Any]) -> Callable[.
             full.append(replace(m, values=noisy))
         noise = {m.channel: as_declared(rig, m) for m in full}
         problem = Problem([replace(run, measured=tuple(full))], noise, predictor, prior=True)
-        parameters = believed(fit_parameters(rig, ["card.E", "gel.E"]))
+        parameters = believed(rig, fit_parameters(rig, ["card.E", "gel.E"]))
         base = problem.fit(rig, parameters, start_of(rig, parameters), max_evaluations=4)
         return slot_evidence(predictor, problem, base, max(1.0, base.misfit))
 
