@@ -32,6 +32,12 @@ from sysid.noise.quantisation import common_step
 from sysid.noise.sampling_interval import NEXT, in_sampling_intervals
 from sysid.observations.observations import UNITS, Measured, Run
 
+UNLIKE = 2.2
+"""Ratio of the noise of two recordings at rest from which the louder one is not at rest."""
+
+MISTAKEN, MOST_MISTAKEN = 8.0, 0.1
+"""Distance in robust standard deviations from which a reading at rest is a mistake, if no more than this share is."""
+
 MIN_REST_SAMPLES = 15
 """Samples that a quiet stretch must have to be used."""
 
@@ -367,8 +373,13 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
                     (first if stretch[0] == 0 else rest).append(scatter)
         if first:
             size = [s.size for s in first]
-            level = float(np.sqrt(np.average([s.level**2 for s in first], weights=size)))
-            colour = float(np.average([s.rho for s in first], weights=size))
+            levels = [s.level for s in first]
+            if max(levels) > UNLIKE * min(levels):
+                # Something still swings or creeps in some of them.
+                level, colour = _quantile(levels, size, 0.25), _quantile([s.rho for s in first], size, 0.5)
+            else:
+                level = float(np.sqrt(np.average(np.square(levels), weights=size)))
+                colour = float(np.average([s.rho for s in first], weights=size))
             source = "rest at the start"
         elif rest:
             # Slow decay within a stretch adds to its scatter and to its colour: the quieter half is the noise.
@@ -425,6 +436,9 @@ def _scatter(values: np.ndarray, at: np.ndarray) -> _Stretch | None:
         seen, line = values[np.ix_(there, alike)], base[there]
         residual[np.ix_(there, alike)] = seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0]
     near = (np.diff(at) < NEXT)[:, None]
+    mistakes = _mistakes(residual, good)
+    if mistakes.any():
+        return _scatter(np.where(mistakes, np.nan, values), at)
     size, pairs = int(good.sum()), int((near & good[1:] & good[:-1]).sum())
     variance = np.sum(residual**2) / (size - 2 * values.shape[1])
     # Of readings in a row the line takes up two pairs; of others in proportion.
@@ -436,6 +450,13 @@ def _scatter(values: np.ndarray, at: np.ndarray) -> _Stretch | None:
     rho = product / variance
     rho = min(float(rho + 2.0 * (1.0 + rho) * values.shape[1] / size), MOST_COLOURED)
     return _Stretch(float(np.sqrt(variance / _share_left(at, max(rho, 0.0), base))), rho, size)
+
+
+def _mistakes(residual: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Readings ``(n, m)`` that are no noise: far beyond the median scatter, and few (a tracker's mistakes)."""
+    median = 1.4826 * float(np.median(np.abs(residual[good])))
+    far = good & (np.abs(residual) > MISTAKEN * median)
+    return far if 0.0 < median and far.sum() <= MOST_MISTAKEN * good.sum() else np.zeros_like(far)
 
 
 def _share_left(at: np.ndarray, rho: float, base: np.ndarray) -> float:

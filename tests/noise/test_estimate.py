@@ -280,3 +280,21 @@ def test_a_hand_that_moves_slowly_does_not_stand_still(rate_hz: float, speed_m_s
     assert not moves(rest)
     (span,) = standing_still(rest, 0.3)
     assert span == pytest.approx((0.0, t[-1]), abs=1e-9)
+
+
+def test_mistakes_of_a_tracker_are_no_noise() -> None:
+    """Two readings in a hundred that are far off leave the noise what it is."""
+    rng = np.random.default_rng(11)
+    values = 0.1 * rng.standard_normal((301, 6))
+    clean = estimate_noise([run_with(trajectory(rng, 0.0), values.copy())], "gauge")
+    values[rng.random(values.shape) < 0.02] += 6.0
+    spoilt = estimate_noise([run_with(trajectory(rng, 0.0), values)], "gauge")
+    assert spoilt.sigma[0] == pytest.approx(clean.sigma[0], rel=0.1)
+
+
+def test_a_recording_that_still_swings_does_not_make_the_others_loud() -> None:
+    rng = np.random.default_rng(12)
+    runs = [run_with(trajectory(rng, 0.0), 0.1 * rng.standard_normal((301, 6))) for _ in range(3)]
+    swing = 1.0 * np.sin(40.0 * np.arange(301) / RATE)[:, None]
+    runs[2] = run_with(trajectory(rng, 0.0), runs[2].measured[0].values + swing)
+    assert estimate_noise(runs, "gauge").sigma[0] == pytest.approx(0.1, rel=0.15)
