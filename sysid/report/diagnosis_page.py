@@ -37,6 +37,9 @@ KINDS = {
 }
 """Short form and colour of each verdict."""
 
+MOST_PLACES = 6
+"""Places of the model that are shown where no law is known."""
+
 
 def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
     """Write the report of a diagnosis as one HTML file and return its path.
@@ -69,6 +72,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
         rivals=rivals(d),
         rest=remainder(d),
         place_and_time=place_and_time(d),
+        places=[_bar(p.words, p.place, p.explained, k == 0) for k, p in enumerate(d.places[:MOST_PLACES])],
         windows=[(run, w) for run, w in windows.items() if w],
         shifts=shift_rows(d.baseline_parameters, d.amended_parameters),
         shift_sentences=shift_sentences(d),

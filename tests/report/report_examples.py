@@ -13,6 +13,7 @@ from sysid.diagnosis.result import (
     LocatedChannel,
     Misfit,
     NamedParameter,
+    UnreliablePlace,
 )
 from sysid.fit.result import ChannelError, Estimate, FitResult, Series
 
@@ -285,6 +286,10 @@ def make_diagnosis(verdict: str, **changes: object) -> Diagnosis:
             "sentence": "Something is missing that no known effect explains: the forces in contact change while the "
             "robot moves slowly.",
             "effects": (),
+            "places": (
+                UnreliablePlace("gel", "gel", "the stiffness of gel changes", 310.0, 0.81),
+                UnreliablePlace("wrench", "wrench_gel", "wrench_gel adds something to its readings", 120.0, 0.35),
+            ),
             "alternatives": (
                 gel_relaxation(0.3, "it leaves the misfit at 31 times the noise."),
                 plasticity(0.2, "on held-out data it makes the error larger."),

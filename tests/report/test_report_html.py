@@ -215,6 +215,11 @@ def test_the_discretisation_error_is_told_in_plain_numbers(verdicts: dict[str, P
     assert "%" not in words
 
 
+def test_places_are_shown_where_no_law_is_known(verdicts: dict[str, Page]) -> None:
+    assert "the stiffness of gel changes" in verdicts["unknown"].words and "81 %" in verdicts["unknown"].words
+    assert "without any law" not in verdicts["named"].words
+
+
 def test_what_was_found_has_no_upper_limit(verdicts: dict[str, Page]) -> None:
     limits = verdicts["named"].words.split("no stronger than this")[1].split("Left open")[0]
     assert "end_effector_compliance" in limits and "gel_relaxation" not in limits
