@@ -31,7 +31,7 @@ from sim_core.contact.edge_kernels import (
     measure,
     sides,
 )
-from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, coefficients, normal_law, set_guard, set_law, slide
+from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, by_range, coefficients, normal_law, set_guard, set_law, slide
 from sim_core.contact.local_frame_derivatives import AtRest, Loads, Pairs, exerted, framed_derivatives, memory_places
 from sim_core.contact.local_frame_kernels import Frames
 from sim_core.contact.measures import Measures, SharedAreas, SquaredLengths
@@ -313,7 +313,11 @@ class EdgeContact:
         loads = -(area * fade * steep)[:, None, None] * shares[..., None] * self._now.direction[some][:, None]
         loads += (area * by_fade * push)[:, None, None] * _parallel_derivative(end)
         sizes = (len(self._x), sum(a.size for a in internals.values()), sum(a.size for a in after.values()))
-        by, total = Loads(loads, nodes, area * fade * steep, loads), exerted(self.add_gradient, self._buffers)
+        stored, wider = (EDGE_RANGE * area * found for found in by_range(self._c, self._now.gap[some]))
+        widened = -(fade * wider)[:, None, None] * shares[..., None] * self._now.direction[some][:, None]
+        widened += (by_fade * stored)[:, None, None] * _parallel_derivative(end)
+        by = Loads(loads, nodes, area * fade * steep, loads, fade * wider, widened)
+        total = exerted(self.add_gradient, self._buffers)
         opening = shares[..., None] * self._now.direction[some][:, None], _parallel_derivative(end)
         at_rest = self._at_rest(some, push, bound.by_area, *opening)
         return framed_derivatives(pairs, self._frames_by, by, at_rest, total, self._c, step.dt, sizes)

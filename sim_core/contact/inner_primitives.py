@@ -9,8 +9,9 @@ and edges of the shape are tested against the surface's triangles and edges too,
     sphere     centre, at the radius
 
 A half space has neither points nor edges. A flat triangle on a round shape is too deep by up to
-L^2 / (8 R) where its corners touch; for surfaces whose true shape is curved (quadratic faces of gels) the axis
-and the centre therefore leave twice that, at most a tenth of the radius.
+L^2 / (8 R) where its corners touch. The axis and the centre therefore leave twice that, at most a tenth of the radius,
+with the length L of the flat pieces between the points of a gel or a sheet: these bear, because the axis does not turn
+with its body and knows of no slip around it.
 """
 
 from __future__ import annotations

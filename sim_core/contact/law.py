@@ -133,6 +133,19 @@ def normal_law(c: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     return out[:, 0], out[:, 1], out[:, 2]
 
 
+def by_range(c: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of energy per area [J/m^3] and pressure [Pa/m] by the range w at gaps [m] ``(n,)``, the stiffness
+    held: with e the larger of s and the core,
+
+        dpsi/dw = 2 k w (-ln e - 1 + e) + 2 k w (e - s) (1 - e)/e,    dp/dw = 2 k (1 - e)/e
+    """
+    s = gap / c[RANGE]
+    e = np.clip(s, c[CORE], 1.0)
+    steep = 2.0 * c[STIFFNESS] * (1.0 - e) / e
+    stored = 2.0 * c[STIFFNESS] * c[RANGE] * (e - 1.0 - np.log(e))
+    return stored + np.maximum(e - s, 0.0) * c[RANGE] * steep, steep
+
+
 @ti.func
 def friction_potential(u, limit: ti.f64, stiffness: ti.f64):
     """Energy [J] of the elastic slip u [m]; ``limit`` = mu lambda_n [N], ``stiffness`` = k A [N/m]."""

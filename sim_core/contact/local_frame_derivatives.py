@@ -50,14 +50,16 @@ class Pairs:
 @dataclass(frozen=True)
 class Loads:
     """Derivatives of the loads of pairs at the end of a step: by ``nodes`` ``(n, q)`` [N/m] ``(n, q, 3)``, and by the
-    distance without gap [N/m] ``(n,)``. ``forces_by_offset``: of the nodes' normal forces by that distance, of added
-    pressures too [N/m] ``(n, q, 3)``. ``added``: normal forces on the nodes by added pressures [N] ``(n, q, 3)``;
-    ``added_by``: their derivatives by numbers."""
+    distance without gap and by the range of the law [N/m] ``(n,)`` each. ``forces_by_offset``, ``forces_by_range``: of
+    the nodes' normal forces by these [N/m] ``(n, q, 3)`` each, of added pressures by the distance too. ``added``:
+    normal forces on the nodes by added pressures [N] ``(n, q, 3)``; ``added_by``: their derivatives by numbers."""
 
     by_nodes: np.ndarray
     nodes: np.ndarray
     by_offset: np.ndarray
     forces_by_offset: np.ndarray
+    by_range: np.ndarray
+    forces_by_range: np.ndarray
     added: np.ndarray | None = None
     added_by: Mapping[str, np.ndarray] = field(default_factory=dict)
 
@@ -130,6 +132,11 @@ def framed_derivatives(
         )
         return ByNumber(gathered((along[..., 6], axes), size=whole) + share * normal, memory, np.zeros(3))
 
+    def by_law(load: np.ndarray, forces: np.ndarray) -> ByNumber:
+        """Of the pressure that keeps the surfaces apart, by a number of its law."""
+        memory = gathered((load[kept], pairs.after[kept, 3]), size=new)
+        return ByNumber(gathered((forces.reshape(count, -1), pushed_at), size=whole), memory, np.zeros(3))
+
     normal = total - gathered((rows(np.where(rubs[:, None], force, 0.0))[..., 0], axes), size=whole)
     if loads.added is not None:
         normal = normal - gathered((loads.added.reshape(count, -1), pushed_at), size=whole)
@@ -140,11 +147,8 @@ def framed_derivatives(
             for name, by in loads.added_by.items()
         },
         "stiffness_pa_per_m": by_stiffness(),
-        "offset_m": ByNumber(
-            gathered((loads.forces_by_offset.reshape(count, -1), pushed_at), size=whole),
-            gathered((loads.by_offset[kept], pairs.after[kept, 3]), size=new),
-            np.zeros(3),
-        ),
+        "offset_m": by_law(loads.by_offset, loads.forces_by_offset),
+        "range_m": by_law(loads.by_range, loads.forces_by_range),
     }
     start = rubs.nonzero()[0]
     sprung = np.where(pairs.spring > 0.0, pairs.spring, np.inf) / c[STIFFNESS]  # along the last direction

@@ -15,7 +15,7 @@ import taichi as ti
 
 from sim_core.contact.added_laws import AddedLaws
 from sim_core.contact.friction_derivatives import friction_derivatives
-from sim_core.contact.law import OFFSET, REACH, STIFFNESS, normal_law
+from sim_core.contact.law import OFFSET, REACH, STIFFNESS, by_range, normal_law
 from sim_core.contact.shapes import signed_distance
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, cross, gathered, placed, places, skew
 from sim_core.energies.term import Internals
@@ -172,6 +172,7 @@ def rigid_derivatives(
     numbers |= {q: number(none, none, none, areas * by) for q, by in laws.normal_by(gap).items()}
     numbers["stiffness_pa_per_m"] = number(none, areas, areas * push / c[STIFFNESS], none)
     numbers["offset_m"] = number(none, none, areas * steep, areas * added[:, 2])
+    numbers["range_m"] = number(none, none, areas * by_range(c, gap)[1], none)
     wider = [a[..., None] for a in changed(bound.by_area, c[STIFFNESS] * np.ones(count), whole_push)]
     sample, samples = some[:, None], len(at.areas)
     return Linearised(

@@ -1,8 +1,10 @@
 """Where a deformable surface is tested for contact: quadrature points with their areas.
 
-Sheets are sampled at their nodes (area: a third of the triangles around), gels at the nodes and the centres
-of their quadratic faces (seven-point rule of degree 3: Stroud, Approximate Calculation of Multiple Integrals,
-1971, T2:3-3), so that every node of a surface is a sample and uniform pressure gives consistent nodal forces.
+Sheets are sampled at their nodes (area: a third of the triangles around), on round rigid shapes at the middles of
+their edges too (as if each triangle were cut in four): a flat triangle stands on a drum there, and only points of the
+sheet know how the drum turns under them. Gels are sampled at the nodes and the centres of their quadratic faces
+(seven-point rule of degree 3: Stroud, Approximate Calculation of Multiple Integrals, 1971, T2:3-3), so that every node
+of a surface is a sample and uniform pressure gives consistent nodal forces.
 """
 
 from __future__ import annotations
@@ -36,12 +38,20 @@ class Samples:
         return np.asarray(np.einsum("nk,nkj->nj", self.weights, x[self.nodes]))
 
 
-def sheet_samples(mesh: SheetMesh, node_offset: int, thickness_m: float) -> Samples:
-    """Nodes of a sheet, numbered from ``node_offset`` on."""
+def sheet_samples(mesh: SheetMesh, node_offset: int, thickness_m: float, divided: bool = False) -> Samples:
+    """Nodes of a sheet, numbered from ``node_offset`` on; ``divided``: and the middles of its edges."""
     count = len(mesh.nodes)
+    offset = 0.5 * thickness_m
     nodes = np.arange(node_offset, node_offset + count, dtype=np.int32)[:, None]
     shared = equal_shares(mesh.triangles, mesh.triangles + node_offset, count)
-    return Samples(nodes, np.ones((count, 1)), mesh.node_areas, 0.5 * thickness_m, shared)
+    if not divided:
+        return Samples(nodes, np.ones((count, 1)), mesh.node_areas, offset, shared)
+    edges, inverse = _sides(mesh.triangles)
+    middles = equal_shares(inverse, shared.triangles, len(edges))
+    shares = sp.vstack([0.25 * shared.shares, 0.75 * middles.shares]).tocsr()
+    pairs = np.vstack([np.repeat(nodes, 2, axis=1), edges + node_offset]).astype(np.int32)
+    weights = np.vstack([np.tile([1.0, 0.0], (count, 1)), np.full((len(edges), 2), 0.5)])
+    return Samples(pairs, weights, shares @ mesh.areas, offset, SharedAreas(shared.triangles, shares))
 
 
 def face_samples(faces: np.ndarray, nodes: np.ndarray) -> Samples:
@@ -75,14 +85,19 @@ def triangle_edges(triangles: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray
     """Edges of a triangle mesh once each, int32 ``(k, 2)``, and their areas [m^2]: a third of the triangles beside."""
     corner = nodes[triangles]
     area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=-1).reshape(-1, 2)
-    edges, inverse = np.unique(sides, axis=0, return_inverse=True)
+    edges, inverse = _sides(triangles)
     areas = np.bincount(inverse.ravel(), weights=np.repeat(area / 3.0, 3), minlength=len(edges))
     return np.ascontiguousarray(edges, dtype=np.int32), areas
 
 
 def edge_shares(triangles: np.ndarray) -> SharedAreas:
     """Of which triangles the areas of :func:`triangle_edges` are shares."""
+    edges, inverse = _sides(triangles)
+    return equal_shares(inverse, triangles, len(edges))
+
+
+def _sides(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges of a triangle mesh once each, int ``(k, 2)``, and which of them the sides of a triangle are ``(m, 3)``."""
     sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=-1).reshape(-1, 2)
     edges, inverse = np.unique(sides, axis=0, return_inverse=True)
-    return equal_shares(inverse.reshape(-1, 3), triangles, len(edges))
+    return edges, inverse.reshape(-1, 3)

@@ -37,6 +37,7 @@ from sim_core.contact.law import (
     RANGE,
     REACH,
     STIFFNESS,
+    by_range,
     coefficients,
     normal_law,
     set_guard,
@@ -354,9 +355,10 @@ class SurfaceContact:
 
         added = self._added[some]
         by = {name: closing(change) for name, change in self.laws.normal_by(now.gap[some]).items()}
-        loads = Loads(
-            closing(steep), nodes, self._areas[some] * steep, closing(steep + added[:, 2]), closing(added[:, 1]), by
-        )
+        wider = self.bearing * by_range(self._c, now.gap[some])[1]
+        areas = self._areas[some]
+        by_law = (areas * steep, closing(steep + added[:, 2]), areas * wider, closing(wider))
+        loads = Loads(closing(steep), nodes, *by_law, closing(added[:, 1]), by)
         return loads, opening
 
     def initial_internals(self) -> Internals:

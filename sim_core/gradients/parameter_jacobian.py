@@ -21,8 +21,8 @@ from sim_core.gradients.directions import FROM_ZERO, RELATIVE_STEP, Key
 from sim_core.scene.scene import Scene, Values
 from sim_core.solve.system import System
 
-GAP_STEP_M = 1e-10
-"""Step of the distance at which a contact has no gap: small beside gaps, which are micrometres."""
+GAP_STEP_M = 2e-11
+"""Step of the distance at which a contact has no gap: small beside gaps, which are tenths of micrometres."""
 
 DAMPING_STEP = 0.1
 """Step of a damping by the rate of strain, in which forces are linear, over that of time."""

@@ -12,7 +12,7 @@ from sim_core.preflight.finding import Finding
 from sim_core.rigs import WORLD, Affine, Gel, Rigid, Sheet
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.assembly import held_nodes
-from sim_core.scene.scene import CONTACT_RANGE_M
+from sim_core.scene.contact_constants import constants_of, finest_edge
 
 INSTANTS = 80
 """Instants at which distances are looked at, at most."""
@@ -26,13 +26,14 @@ def touch_findings(layout: Layout, poses: Mapping[str, PoseTrajectory]) -> list[
         return []
     skins = {s.body: s for s in surfaces(layout)}
     times = _instants(poses)
+    edges = {name: finest_edge(body) for name, body in layout.bodies.items() if isinstance(body.spec, Gel)}
     nearest: dict[tuple[str, str], tuple[float, float]] = {}
     along = layout.frames_along(poses, times)
     carried = [layout.carried(frames) for frames in along]
     for pair in pairs:
         if pair[0] == pair[1] or not all(_knowable(layout, body) for body in pair):
             return []
-        ranges = [c.range_m or CONTACT_RANGE_M for c in layout.rig.contacts if set(c.between) == set(pair)]
+        ranges = [constants_of(rig, c, edges).range_m for c in rig.contacts if set(c.between) == set(pair)]
         wide = max(ranges, default=0.0)
         slack = sum(_reach(layout, body) for body in pair) + wide
         one, other = (skins[body] for body in pair)

@@ -147,11 +147,11 @@ class Contact(Strict):
     friction: Friction = Field(default=0.0, description="coefficient of Coulomb friction")
     stiffness_pa_per_m: Stiffness | None = Field(
         default=None,
-        description="contact pressure per approach within the range; left out: 5e9",
+        description="contact pressure per approach within the range; left out: by modulus and range",
     )
     range_m: Range | None = Field(
         default=None,
-        description="gap over which contact pressure sets in, small against the indentation; left out: 3e-5",
+        description="gap over which contact pressure sets in; left out: small against cells and thicknesses",
     )
 
     @property

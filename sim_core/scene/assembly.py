@@ -225,11 +225,13 @@ def grain(body: BuiltBody) -> np.ndarray:
     return np.asarray(np.einsum("mki,mk->mi", sides, np.linalg.inv(flat[..., :2].transpose(0, 2, 1))[..., 0]))
 
 
-def contact_samples(body: BuiltBody, rest: np.ndarray) -> Samples:
-    """Where a body is tested for contact (a gel: on the faces that are neither bonded nor planes of symmetry)."""
+def contact_samples(body: BuiltBody, rest: np.ndarray, on_round: bool = False) -> Samples:
+    """Where a body is tested for contact (a gel: on the faces that are neither bonded nor planes of symmetry).
+    ``on_round``: with a rigid shape that is curved."""
     if isinstance(body.mesh, sheets.SheetMesh):
+        is_sheet = isinstance(body.spec, Sheet)
         thickness = body.spec.material.thickness_m if isinstance(body.spec, Sheet) else 0.0
-        return sheet_samples(body.mesh, int(body.nodes[0]), thickness)
+        return sheet_samples(body.mesh, int(body.nodes[0]), thickness, divided=on_round and is_sheet)
     return face_samples(_free_faces(body), rest)
 
 

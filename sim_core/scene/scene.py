@@ -29,6 +29,7 @@ from sim_core.scene.assembly import (
     strain_laws,
     world_pose,
 )
+from sim_core.scene.contact_constants import constants_of, finest_edge
 from sim_core.scene.fields import Fields
 from sim_core.scene.joints import Link, embedding, guides, joint_label, make_link
 from sim_core.scene.touching import (
@@ -37,15 +38,10 @@ from sim_core.scene.touching import (
     contact_of_surfaces,
     contact_with_rigid,
     half_thicknesses,
+    without_gap,
 )
 from sim_core.solve.system import System
 from sim_core.solve.unknowns import Compliant
-
-CONTACT_STIFFNESS_PA_PER_M = 5e9
-"""Contact pressure per approach where a rig names none."""
-
-CONTACT_RANGE_M = 3e-5
-"""Gap over which contact pressure sets in, the roughness of paper and skins; 50 kPa leave 17 um of it."""
 
 PARTS: dict[str, type[Membrane | Bending]] = {"membrane": Membrane, "bending": Bending}
 """Terms of a sheet by the part of it that a material law amends."""
@@ -220,6 +216,7 @@ class Scene:
 
     def _terms(self) -> list[Term]:
         terms: list[Term] = []
+        self._edges = {b.name: finest_edge(b) for b in self.bodies.values() if isinstance(b.spec, Gel)}
         self._beyond: dict[str, float] = {}  # distance at which a contact has no gap, beyond half the thicknesses
         for body in self.bodies.values():
             if body.mesh is not None and not isinstance(body.spec, Affine):
@@ -316,13 +313,14 @@ class Scene:
                 values.terms[f"{name}.mass_damping"] = damping
         for contact in rig.contacts:
             terms = self.contacts[contact.name]
-            stiffness = contact.stiffness_pa_per_m or CONTACT_STIFFNESS_PA_PER_M
+            law = constants_of(rig, contact, self._edges)
             for term in terms:
+                offset = self._beyond[term.name] + half_thicknesses(rig, contact)
                 values.terms[term.name] = {
                     "friction": contact.friction,
-                    "stiffness_pa_per_m": stiffness / bearing_surfaces(contact, terms),
-                    "range_m": contact.range_m or CONTACT_RANGE_M,
-                    "offset_m": self._beyond[term.name] + half_thicknesses(rig, contact),
+                    "stiffness_pa_per_m": law.stiffness_pa_per_m / bearing_surfaces(contact, terms),
+                    "range_m": law.range_m,
+                    "offset_m": without_gap(term, offset, law),
                 }
         for instance in active_effects(rig):
             effect, given = instance.effect, instance.values

@@ -15,10 +15,10 @@ from sim_core.contact.samples import Samples, edge_shares, triangle_edges
 from sim_core.contact.start_depth import distances, over_triangles
 from sim_core.contact.surface import SurfaceContact
 from sim_core.errors import ConfigError
-from sim_core.geometry import sheets
-from sim_core.rigs import Gel, Rig, Rigid, Sheet
+from sim_core.rigs import Affine, Gel, Rig, Rigid, Sheet
 from sim_core.rigs.schema import Contact
 from sim_core.scene.assembly import BuiltBody, contact_samples, contact_triangles, rigid_shape
+from sim_core.scene.contact_constants import OF_OFFSET, ContactConstants
 
 ContactTerm = RigidContact | SurfaceContact | EdgeContact
 
@@ -73,14 +73,15 @@ def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, 
     """Contact of a simulated body with a rigid one: its points with the shape, its faces and edges with the core, whose
     points stand for as much area as is typical of the body's (``rest``, ``drawn``: as above)."""
     assert isinstance(b.spec, Rigid)
-    samples, triangles, shape = contact_samples(a, rest), contact_triangles(a), rigid_shape(b.spec)
+    triangles, shape = contact_triangles(a), rigid_shape(b.spec)
+    samples = contact_samples(a, rest, on_round=any(core.round for core in cores(shape)))
     _check_outside(a, b, rest, triangles, samples.offset, shape)
     edges, areas = triangle_edges(triangles, rest)
     cell, typical = _cell(triangles, drawn), float(np.median(contact_samples(replace(a, mesh=a.layout), drawn).areas))
     terms: list[ContactTerm] = [RigidContact(name, samples, int(b.nodes[0]), shape, b.rotation)]
     first = int(b.nodes[0]) + 1
     for k, core in enumerate(cores(shape)):
-        offset = samples.offset + core.reach(0.0 if isinstance(a.mesh, sheets.SheetMesh) else cell)
+        offset = samples.offset + core.reach(_facet(a, cell))
         count = len(core.points)
         points = Samples(
             np.arange(first, first + count, dtype=np.int32)[:, None],
@@ -96,6 +97,13 @@ def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, 
             )
         first += count
     return terms
+
+
+def _facet(body: BuiltBody, cell: float) -> float:
+    """Length [m] of flat pieces between neighbouring samples of a surface on a round shape, 0 where flat is true."""
+    if isinstance(body.spec, Affine):
+        return 0.0
+    return 0.5 * cell if isinstance(body.spec, Sheet) else cell
 
 
 def _check_outside(
@@ -140,6 +148,14 @@ def half_thicknesses(rig: Rig, contact: Contact) -> float:
     """Half thicknesses [m] of the sheets on both sides of a contact together."""
     sides = (rig.bodies[b] for b in contact.between)
     return sum(0.5 * side.material.thickness_m for side in sides if isinstance(side, Sheet))
+
+
+def without_gap(term: ContactTerm, offset: float, law: ContactConstants) -> float:
+    """Distance [m] at which a term has no gap, of surfaces that are ``offset`` [m] apart where they touch: nearer by
+    what the law keeps them apart. The distance of two surfaces has no sign, so there it stays positive."""
+    if isinstance(term, RigidContact):
+        return offset - law.displacement_m
+    return offset - min(law.displacement_m, OF_OFFSET * offset)
 
 
 def _cell(triangles: np.ndarray, rest: np.ndarray) -> float:

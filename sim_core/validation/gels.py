@@ -13,18 +13,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation
 
-from sim_core.contact.rigid import RigidContact
-from sim_core.contact.samples import face_samples
-from sim_core.contact.shapes import SPHERE
-from sim_core.energies.neo_hookean import NeoHookean
-from sim_core.geometry.solids import block
-from sim_core.solve.step import advance
-from sim_core.solve.system import System
+from sim_core.rigs import Rig, parse_rig
+from sim_core.scene import build_scene
+from sim_core.simulate import Simulation
 from sim_core.validation.case import FORCES, STATICS, Case, NotCovered
-from sim_core.validation.specimens import rest
 
 LAYER = {0.3: (0.43556, 1.59091), 0.45: (0.424178, 1.75048), 0.49: (0.418804, 1.83201)}
 """Poisson's ratio: sqrt(R d)/h and F/F_Hertz at a/h = 0.5."""
@@ -47,7 +42,6 @@ MARKERS: dict[float, dict[float, tuple[float, float | None]]] = {
 """Poisson's ratio: at the distances r/a, radial motion (outward) and sinking of the surface over the depth."""
 
 THICKNESS, HALF_SIDE, RADIUS, MODULUS = 4e-3, 20e-3, 40e-3, 2e5
-CONTACT = {"stiffness_pa_per_m": 2e11, "range_m": 4e-7, "friction": 0.0}
 SOURCE = "Lebedev-Ufliand equation"
 
 
@@ -66,44 +60,58 @@ class Pressed:
         return float(outward), float(sunk)
 
 
-def sphere_on_layer(nu: float, cells: tuple[int, int], steps: int = 4) -> Pressed:
-    """A quarter of the layer. ``cells``: along half a side and through the thickness."""
-    mesh = block(
-        (2 * HALF_SIDE, 2 * HALF_SIDE, THICKNESS),
-        (2 * cells[0], 2 * cells[0], cells[1]),
-        {"x_middle": 0.12, "y_middle": 0.12, "top": 0.5},
-        cut=(0, 1),
+def layer_rig(nu: float, cells: tuple[int, int]) -> Rig:
+    """A quarter of the layer and the sphere above it, with the contact that rigs have by default. ``cells``: along half
+    a side and through the thickness."""
+    graded = [{"towards": place, "ratio": ratio} for place, ratio in
+              (("x_middle", 0.12), ("y_middle", 0.12), ("top", 0.5))]  # fmt: skip
+    layer = {
+        "type": "block",
+        "size_m": [2 * HALF_SIDE, 2 * HALF_SIDE, THICKNESS],
+        "cells": [2 * cells[0], 2 * cells[0], cells[1]],
+        "graded": graded,
+        "symmetry": ["x", "y"],
+    }
+    return parse_rig(
+        {
+            "name": "sphere_on_layer",
+            "gravity_m_s2": [0.0, 0.0, 0.0],
+            "solver": {"dt_s": 1.0, "inertia": False},
+            "bodies": {
+                "gel": {
+                    "type": "gel",
+                    "shape": layer,
+                    "material": {"E_pa": MODULUS, "nu": nu, "density_kg_m3": 1000.0},
+                    "pose": {"position_m": [0.0, 0.0, -0.5 * THICKNESS]},
+                    "bonded": "bottom",
+                    "mount": "world",
+                },
+                "sphere": {"type": "rigid", "shape": {"type": "sphere", "radius_m": RADIUS}, "mount": "hand"},
+            },
+            "end_effectors": {"hand": {"start": {"position_m": [0.0, 0.0, RADIUS + 1e-4]}}},
+            "contacts": [{"between": ["gel", "sphere"]}],
+            "sensors": {
+                "wrench": {"type": "wrench", "on": "sphere", "frame_id": "sphere", "rate_hz": 1.0, "topic": "wrench"}
+            },
+        },
+        "sphere_on_layer",
     )
-    nodes, tets = mesh.nodes - [0.0, 0.0, THICKNESS], mesh.tets
-    top = mesh.surface[mesh.face_sets["top"]]
-    chi, _ = LAYER[nu]
-    depth = (chi * THICKNESS) ** 2 / RADIUS
 
-    everything = np.vstack([nodes, [0.0, 0.0, RADIUS + 1e-6]])
-    body = len(nodes)
-    elastic = NeoHookean("gel", tets, everything)
-    elastic.configure({"E_pa": MODULUS, "nu": nu})
-    sphere = RigidContact(
-        "contact", face_samples(top, everything), body, np.array([SPHERE, RADIUS, 0, 0, 0]), np.eye(3)
-    )
-    sphere.configure(CONTACT)
-    prescribed = np.zeros((len(everything), 3), dtype=bool)
-    prescribed[:body, 0] = nodes[:, 0] < 1e-9
-    prescribed[:body, 1] = nodes[:, 1] < 1e-9
-    prescribed[:body][nodes[:, 2] < -THICKNESS + 1e-9] = True
-    prescribed[body] = True
-    empty = sp.csr_matrix((len(everything),) * 2)
-    system = System(everything, empty, prescribed, [elastic, sphere], np.zeros(3), inertia=False)
-    state = rest(system)
+
+def sphere_on_layer(nu: float, cells: tuple[int, int], steps: int = 4) -> Pressed:
+    """Force on the sphere and motion of the surface, as :func:`layer_rig` gives them."""
+    depth = (LAYER[nu][0] * THICKNESS) ** 2 / RADIUS
+    simulation = Simulation(build_scene(layer_rig(nu, cells)))
     for k in range(1, steps + 1):
-        targets = everything.copy()
-        targets[body, 2] = RADIUS - depth * k / steps
-        state, _ = advance(system, state, targets, 1.0)
-    force = -4.0 * float(system.static_gradient()[body, 2])
+        place = np.array([0.0, 0.0, RADIUS - depth * k / steps])
+        simulation.step({"hand": (place, Rotation.identity())}, 1.0)
+    force = 4.0 * float(simulation.read()["wrench"][2])
     hertz = 4.0 / 3.0 * MODULUS / (1.0 - nu**2) * np.sqrt(RADIUS) * depth**1.5
+    nodes = simulation.scene.bodies["gel"].rest
     line = np.flatnonzero((np.abs(nodes[:, 1]) < 1e-9) & (nodes[:, 2] > -1e-9))
     line = line[np.argsort(nodes[line, 0])]
-    moved = (state.x[line] - nodes[line])[:, [0, 2]] * [1.0, -1.0] / depth
+    own = simulation.scene.bodies["gel"].nodes[line]
+    moved = (simulation.state.x[own] - nodes[line])[:, [0, 2]] * [1.0, -1.0] / depth
     return Pressed(float(force / hertz), nodes[line, 0] / (0.5 * THICKNESS), moved)
 
 

@@ -172,7 +172,7 @@ def test_friction_holds_as_before_where_its_springs_are_stretched_by_a_move_of_t
         assert np.abs(kept - memory)[anchor].max() < 0.02 * np.abs(moved - memory)[anchor].max(), name
 
 
-def test_distance_without_gap_and_stiffness_of_every_contact():
+def test_distance_without_gap_range_and_stiffness_of_every_contact():
     """What contacts say of themselves against central differences of their forces, memory and moments."""
     simulation, before, step = last_step(*forming())
     scene, after = simulation.scene, simulation.state.internals
@@ -181,7 +181,7 @@ def test_distance_without_gap_and_stiffness_of_every_contact():
         if not term.name.startswith("contact."):
             continue
         own = term.linearise(step, before.internals[term.name], after[term.name]).numbers
-        for number in ("offset_m", "stiffness_pa_per_m"):
+        for number in ("offset_m", "range_m", "stiffness_pa_per_m"):
             column = columns._of_term(term, number, step, before.internals[term.name], after[term.name])
             force, memory, moment = (
                 column.force.ravel(),
