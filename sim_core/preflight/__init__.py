@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 from sim_core.postprocess import Layout, lay_out
 from sim_core.preflight.bonds import bond_findings
+from sim_core.preflight.coarse import coarse_findings
 from sim_core.preflight.finding import Finding
 from sim_core.preflight.overlaps import overlap_findings
 from sim_core.preflight.sight import sight_findings
@@ -25,5 +26,6 @@ def review(
 ) -> list[Finding]:
     """Findings on a rig as it stands and, with ``poses`` by end effector, on the motion; none where all looks right."""
     layout = layout or lay_out(rig)
-    found = [*overlap_findings(layout), *bond_findings(layout), *sight_findings(layout, poses)]
+    found = [*overlap_findings(layout), *bond_findings(layout), *coarse_findings(layout)]
+    found += sight_findings(layout, poses)
     return [*found, *(touch_findings(layout, poses) if poses is not None else [])]

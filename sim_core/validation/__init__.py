@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 from sim_core.validation.anticlastic import anticlastic_cases
 from sim_core.validation.buckling import buckling_cases
+from sim_core.validation.capstan import capstan_cases
 from sim_core.validation.case import Case, NotCovered
 from sim_core.validation.damping import damping_cases
 from sim_core.validation.elasticas import elastica_cases
@@ -36,6 +37,7 @@ GROUPS: dict[str, tuple[Callable[[], Iterator[Case | NotCovered]], float]] = {
     "damping": (damping_cases, 5.0),
     "friction": (friction_cases, 5.0),
     "rough plane": (rough_plane_cases, 22.0),
+    "capstan": (capstan_cases, 15.0),
 }
 """What is compared, group by group, and its share of the time, about seconds."""
 
