@@ -317,11 +317,8 @@ class Backward:
         step = step_context(made.before.x, made.before.v, made.dt)
         force = passed = np.zeros_like(x)
         if state.force is not None:
-            force = state.force
-            if system.passes_on:
-                passed = passed_on_by(system, force)
-                force = force + passed
-                v = v - system.mass @ passed / made.dt if system.inertia else v
+            force, passed = passed_on_by(system, state.force)
+            v = v - system.mass @ passed / made.dt if system.inertia else v
             for k, column in enumerate(self._columns.of_step(step, made.before.internals, made.after.internals, {})):
                 parts = ((column.force, force), (column.body, passed))
                 numbers[k] = sum(float(np.vdot(by, w)) for by, w in parts if by is not None)

@@ -46,8 +46,8 @@ class Motion:
 @dataclass
 class Outcome:
     """Derivatives of what readings depend on at the end of a step: ``x`` ``(n, 3, p)``; ``force``: of dE/dx of all
-    terms, and of what embedded nodes pass on to prescribed ones, ``(n, 3, p)``; ``moment``: of rigid contacts
-    ``(3, p)``; ``unknowns`` ``(., p)``."""
+    terms, and of what prescribed nodes bear beside (:meth:`System.passed_on`), ``(n, 3, p)``; ``moment``: of rigid
+    contacts ``(3, p)``; ``unknowns`` ``(., p)``."""
 
     x: np.ndarray
     force: np.ndarray
@@ -176,11 +176,10 @@ class LinearStep:
         if driven is not None:
             x += driven.x
         force = force.reshape(shape) + np.stack([self._stiffness(x[..., k]) for k in range(count)], axis=-1)
-        if system.passes_on:
-            whole = force + body.reshape(shape)
-            if self.inertia:
-                whole += (system.mass @ x.reshape(len(x), -1) / step.tau**2).reshape(shape)
-            force += np.stack([system.passed_on(whole[..., k]) for k in range(count)], axis=-1)
+        body = body.reshape(shape)
+        if self.inertia:
+            body = body + (system.mass @ x.reshape(len(x), -1) / step.tau**2).reshape(shape)
+        force += np.stack([system.passed_on(force[..., k], body[..., k]) for k in range(count)], axis=-1)
         for name, term in self.terms.items():
             memory[name] += times(term.memory_end, x.reshape(-1, count))
             if term.moment_end is not None:
@@ -204,7 +203,7 @@ class LinearStep:
     def pull(self, weights: Weights, columns: list[Column], turning: Container[str]) -> Pulled:
         """Weights of everything that the step depended on. ``turning``: terms of the rigid bodies that can turn."""
         system, step = self._system, self.step
-        x, past, passed = weights.x.copy(), weights.past, np.zeros_like(weights.x)
+        x, past, zero = weights.x.copy(), weights.past, np.zeros_like(weights.x)
         moving = self.inertia
         if moving:
             x += weights.v / step.tau
@@ -212,18 +211,18 @@ class LinearStep:
             x += self._back(term.memory_end, weights.memory[name])
             if term.moment_end is not None and name in weights.moment:
                 x += self._back(term.moment_end, weights.moment[name])
+        by_terms, by_body = zero, zero
         if weights.force is not None:
-            x += self._stiffness(weights.force)
-            if system.passes_on:
-                passed = passed_on_by(system, weights.force)
-                x += self._hessian.product(passed)
+            by_terms, by_body = passed_on_by(system, weights.force)
+            x += self._stiffness(by_terms)
+            if moving:
+                x += system.mass @ by_body / step.tau**2
         pulled = self._restrict(x)
         if weights.unknowns is not None:
             pulled += weights.unknowns
         answer = -self._hessian.solve(pulled)
         spread = system.spread(answer)
-        borne = spread + passed
-        exerted = borne if weights.force is None else borne + weights.force
+        borne, exerted = spread + by_body, spread + by_terms
         start, memory = np.zeros_like(x), {}
         turns: dict[str, np.ndarray] = {}
         for name, internals in self._before.internals.items():
@@ -321,12 +320,15 @@ def linearised_terms(system: System, step: StepContext, before: State, after: St
     return terms
 
 
-def passed_on_by(system: System, weights: np.ndarray) -> np.ndarray:
-    """Transpose of :meth:`System.passed_on`: weights ``(n, 3)`` of nodal gradients from those of what is passed on."""
-    held = np.where(system.prescribed, weights, 0.0)
-    out = held.copy()
-    system.embed(out)
-    return np.asarray(out - held)
+def passed_on_by(system: System, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Transpose of what mounts bear (:meth:`System.reactions`): weights ``(n, 3)`` of dE/dx of the terms, and of
+    inertia and weight, from those of their negative on all nodes."""
+    through = np.zeros_like(weights)
+    if system.passes_on:
+        held = np.where(system.prescribed, weights, 0.0)
+        system.embed(through := held.copy())
+        through = through - held
+    return weights + through, np.where(system.holding, weights, 0.0) + through
 
 
 def no_memory(state: State, count: int | None = None) -> dict[str, np.ndarray]:

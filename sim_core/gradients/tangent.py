@@ -128,8 +128,8 @@ class TangentSimulation(Simulation):
             gradient = system.nodal_product(move)
             if system.inertia:
                 gradient -= system.mass @ move / dt**2
-            borne = gradient - system.mass @ v[..., k] / dt if system.inertia else gradient
-            force[..., k] = gradient + system.passed_on(borne) if system.passes_on else gradient
+            body = -(system.mass @ v[..., k]) / dt if system.inertia else np.zeros_like(gradient)
+            force[..., k] = gradient + system.passed_on(gradient, body)
         self.derivatives = self._read_derivatives(Outcome(x, force, {}, np.zeros((system.n_unknowns, count))))
 
     def _add_what_mounts_bear(self) -> None:

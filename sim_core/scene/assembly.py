@@ -41,9 +41,10 @@ class BuiltBody:
     and points, those of ``layout``; ``formed``: where the nodes are at rest, in that frame too, folded where the sheet
     is; ``rest``: the same in the world at the start [m]; ``drawn``: as ``rest``, by the rig alone, whatever shape was
     given since. ``mesh``: by which areas, volumes and masses are measured. ``unit_mass``: csr over the body's nodes,
-    per unit density (a sheet: per unit density and thickness); None for rigid bodies, whose nodes are the origin and
-    the points of their cores (:mod:`sim_core.contact.inner_primitives`). The last four nodes of an affine body are its
-    control nodes (:mod:`sim_core.scene.joints`).
+    per unit density (a sheet: per unit density and thickness), without the elements that a mount holds wholly: these
+    are part of it. None for rigid bodies, whose nodes are the origin and the points of their cores
+    (:mod:`sim_core.contact.inner_primitives`). The last four nodes of an affine body are its control nodes
+    (:mod:`sim_core.scene.joints`).
     """
 
     name: str
@@ -56,6 +57,8 @@ class BuiltBody:
     mesh: sheets.SheetMesh | solids.TetMesh | None
     layout: sheets.SheetMesh | solids.TetMesh | None
     unit_mass: sp.csr_matrix | None
+    outside: np.ndarray | None = None
+    """Whether an element is not held wholly, bool ``(m,)``; None: none is."""
     terms: list[Term] = field(default_factory=list)
     rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
 
@@ -184,6 +187,30 @@ def affine_moments(spec: Affine) -> tuple[float, np.ndarray]:
     if shape.type == "cylinder":
         return closed.cylinder_moments(shape.radius_m, shape.length_m)
     return closed.box_moments(shape.size_m)
+
+
+def leave_to_mount(body: BuiltBody, inside: np.ndarray) -> None:
+    """Take the elements whose nodes are all ``inside`` what holds them, bool over the nodes, out of the body's mass."""
+    held = inside[elements(body)].all(axis=1)
+    if held.any():
+        body.outside = ~held if body.outside is None else body.outside & ~held
+        body.unit_mass = mass_of(body, body.outside.astype(float))
+
+
+def elements(body: BuiltBody) -> np.ndarray:
+    """Nodes of the elements of a sheet or a gel among those of the body."""
+    if isinstance(body.mesh, solids.TetMesh):
+        return body.mesh.tets
+    assert isinstance(body.mesh, sheets.SheetMesh)
+    return body.mesh.triangles
+
+
+def mass_of(body: BuiltBody, factor: np.ndarray) -> sp.csr_matrix:
+    """Mass of a sheet or a gel per unit of density, of each element times its factor ``(m,)``."""
+    if isinstance(body.mesh, sheets.SheetMesh):
+        return sp.diags(body.mesh.shared(factor * body.mesh.areas)).tocsr()
+    assert isinstance(body.mesh, solids.TetMesh)
+    return solids.consistent_mass(body.mesh, factor)
 
 
 def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray, loose: np.ndarray) -> None:

@@ -30,7 +30,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse as sp
 
 from sim_core.energies.bending import Bending
 from sim_core.energies.membrane import Membrane
@@ -43,7 +42,7 @@ from sim_core.materials.elastic import poisson_ratios
 from sim_core.rigs import Gel, Rig, Sheet
 from sim_core.rigs.fields import split_unit
 from sim_core.rigs.parameters import nearest_names
-from sim_core.scene.assembly import BuiltBody
+from sim_core.scene.assembly import elements, mass_of
 
 if TYPE_CHECKING:
     from sim_core.scene.scene import Scene
@@ -235,7 +234,7 @@ class Fields:
         built = self._scene.bodies[body]
         if key == REST:
             return np.array(built.rest)
-        corners = self.bending(body).hinges.nodes[:, :2] if key == REST_ANGLE else _elements(built)[:, :4]
+        corners = self.bending(body).hinges.nodes[:, :2] if key == REST_ANGLE else elements(built)[:, :4]
         return np.asarray(built.rest[corners].mean(axis=1))
 
     def bending(self, body: str) -> Bending:
@@ -249,10 +248,10 @@ class Fields:
         if part != MASS:
             term = next(t for t in built.terms if t.name == part)
             powers = {q.name: q.power for q in term.quantities if q.power} if isinstance(term, Declaring) else {}
-        out = np.ones(len(_elements(built)))
+        out = np.ones(len(elements(built)))
         for key, power in powers.items():
             out *= self.share(body, key) ** power
-        return out
+        return out if part != MASS or built.outside is None else out * built.outside
 
     def mass_blocks(self, body: str) -> tuple[np.ndarray, np.ndarray]:
         """Nodes ``(m, k)`` of a body's elements among all, and masses ``(m, k, k)`` of the elements as they are, per
@@ -264,16 +263,16 @@ class Fields:
         else:
             assert isinstance(mesh, solids.TetMesh)
             blocks = solids.element_masses(mesh)
-        return built.nodes[_elements(built)], factor[:, None, None] * blocks
+        return built.nodes[elements(built)], factor[:, None, None] * blocks
 
     def share(self, body: str, key: str) -> np.ndarray:
         """What the elements of a body ``(m,)`` have of the rig's number for a quantity that is kept as a share."""
         share = self._shares.get(f"{body}.{key}")
-        return np.ones(len(_elements(self._scene.bodies[body]))) if share is None else share
+        return np.ones(len(elements(self._scene.bodies[body]))) if share is None else share
 
     def _beside(self, body: str, key: str) -> np.ndarray:
         beside = self._shifts.get(f"{body}.{key}")
-        return np.zeros(len(_elements(self._scene.bodies[body]))) if beside is None else beside
+        return np.zeros(len(elements(self._scene.bodies[body]))) if beside is None else beside
 
     def _spread(self, name: str) -> None:
         """Hand a body's factors, differences and shares on to its terms and its mass."""
@@ -288,16 +287,8 @@ class Fields:
             if isinstance(term, NeoHookean):
                 term.scale_relaxation(*(self.share(name, key) for key in RELAXATION))
         factor, more = self.factor(name, MASS), self._beside(name, MASS_DAMPING)
-        body.unit_mass = _mass(body, factor)
-        self._scene.renew_mass(body, _mass(body, factor * more) if more.any() else None)
-
-
-def _mass(body: BuiltBody, factor: np.ndarray) -> sp.csr_matrix:
-    """Mass of a body per unit of density, of each element times its factor ``(m,)``."""
-    if isinstance(body.mesh, SheetMesh):
-        return sp.diags(body.mesh.shared(factor * body.mesh.areas)).tocsr()
-    assert isinstance(body.mesh, solids.TetMesh)
-    return solids.consistent_mass(body.mesh, factor)
+        body.unit_mass = mass_of(body, factor)
+        self._scene.renew_mass(body, mass_of(body, factor * more) if more.any() else None)
 
 
 def _check_values(full: str, values: np.ndarray, number: float | None = None) -> None:
@@ -319,11 +310,3 @@ def _check_values(full: str, values: np.ndarray, number: float | None = None) ->
             f"With {number:.6g}, the number of the rig, the field {full} has {words}.",
             "Give the rig another number, or set the field anew.",
         )
-
-
-def _elements(body: BuiltBody) -> np.ndarray:
-    """Nodes of the elements among those of the body."""
-    if isinstance(body.mesh, solids.TetMesh):
-        return body.mesh.tets
-    assert isinstance(body.mesh, SheetMesh)
-    return body.mesh.triangles

@@ -26,6 +26,7 @@ from sim_core.scene.assembly import (
     affine_moments,
     build_body,
     held_nodes,
+    leave_to_mount,
     strain_laws,
     world_pose,
 )
@@ -184,6 +185,8 @@ class Scene:
             for label, holder in held_nodes(self.rig, body).items():
                 if all(holder.axes):
                     held |= holder.inside
+                    if isinstance(body.spec, Sheet | Gel):
+                        leave_to_mount(body, holder.inside)
                 self._follow(label, holder.mount, body.nodes[holder.inside], holder.axes)
             self._held[body.name] = held
         for label, (mount, nodes) in self._stands.items():

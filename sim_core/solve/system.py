@@ -380,19 +380,31 @@ class System:
         return np.asarray(out)
 
     def reactions(self) -> np.ndarray:
-        """Force [N] ``(n, 3)`` that the terms exert on every node; on prescribed nodes in which others are embedded
-        (joints) also what these pass on, weight and inertia included."""
-        passed = self.passed_on(self.gradient()) if self.passes_on else 0.0
-        return np.asarray(-self.static_gradient() - passed)
+        """Force [N] ``(n, 3)`` that the terms exert on every node; on prescribed nodes what their mount has to bear:
+        also their weight and inertia, and what those pass on that are embedded in them (joints)."""
+        whole = self.gradient().copy()
+        exerted = self.static_gradient()
+        return np.asarray(-exerted - self.passed_on(exerted, whole - exerted))
 
     @property
     def passes_on(self) -> bool:
         """Whether nodes are embedded in prescribed ones, which then bear what acts on them (joints)."""
         return self._embedding is not None and bool(self._embedding.weights[:, self.prescribed.any(axis=1)].nnz)
 
-    def passed_on(self, gradient: np.ndarray) -> np.ndarray:
-        """Part of a nodal gradient [N] ``(n, 3)`` on embedded nodes that prescribed ones bear."""
-        return np.where(self.prescribed, self.fold(gradient) - gradient, 0.0)
+    def passed_on(self, exerted: np.ndarray, body: np.ndarray) -> np.ndarray:
+        """What prescribed nodes bear [N] ``(n, 3)`` beside what the terms exert on them: inertia and weight of their
+        own, and all that acts on nodes embedded in them. ``exerted``: dE/dx of the terms; ``body``: of inertia, weight
+        and loads, ``(n, 3)`` both."""
+        out = np.where(self.holding, body, 0.0)
+        if self.passes_on:
+            whole = exerted + body
+            out += np.where(self.prescribed, self.fold(whole) - whole, 0.0)
+        return out
+
+    @property
+    def holding(self) -> np.ndarray:
+        """Nodes of which some component is prescribed, bool ``(n, 1)``."""
+        return np.asarray(self.prescribed.any(axis=1, keepdims=True))
 
     def fold(self, gradient: np.ndarray) -> np.ndarray:
         """A nodal gradient ``(n, 3)`` with that of embedded nodes carried to those that they are embedded in."""

@@ -34,10 +34,7 @@ def test_a_beam_on_two_supports():
     assert -sim.state.x[body.nodes[middle], 2].mean() == pytest.approx(expected, rel=0.01)
     load = sim.read()
     for name in ("pin", "roller"):
-        # The reading is what the strip does to its support, without the weight of the nodes there.
-        nodes = sim.scene.holders[name]
-        own = G * sim.scene.system.mass[nodes].sum()
-        assert -load[f"on_{name}"][2] == pytest.approx(0.5 * weight * W * L - own, rel=1e-4)
+        assert -load[f"on_{name}"][2] == pytest.approx(0.5 * weight * W * L, rel=1e-4)
     assert np.abs(load["on_roller"][:2]).max() < 1e-9
 
 
