@@ -147,11 +147,13 @@ class Contact(Strict):
     friction: Friction = Field(default=0.0, description="coefficient of Coulomb friction")
     stiffness_pa_per_m: Stiffness | None = Field(
         default=None,
-        description="contact pressure per approach within the range; left out: by modulus and range",
+        description="contact pressure per approach within the range; left out: a quarter of Young's modulus of the "
+        "softer gel over the range, without a gel 150 kPa over the range",
     )
     range_m: Range | None = Field(
         default=None,
-        description="gap over which contact pressure sets in; left out: small against cells and thicknesses",
+        description="gap over which contact pressure sets in; left out: 0.5 % of the shortest edges of a gel's "
+        "surface, 30 % of the thickness of a sheet, 30 um, whichever is least",
     )
 
     @property
