@@ -16,7 +16,7 @@ from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Observer, frame_of
 from sim_core.solve.integrator import step_context
 from sim_core.solve.step import NewtonSettings, State, StepReport, advance
-from sim_core.state_history import StateHistory, StateRecorder
+from sim_core.state_history import StateHistory, StateRecorder, pair_forces
 
 __all__ = [
     "Simulation",
@@ -170,6 +170,12 @@ class Simulation:
     def read(self) -> dict[str, np.ndarray]:
         """Readings of all channels now."""
         return self.observer.read(self.scene.rig, self.actual_frames())
+
+    def contact_forces(self) -> dict[str, np.ndarray]:
+        """Force [N] ``(N, 3)`` in the world that each declared contact exerts now on every node of the scene, friction
+        included; that on a rigid body is at its nodes. Those of ``scene.bodies[name].nodes`` sum to the force on a
+        body."""
+        return pair_forces(self)
 
 
 def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSettings) -> tuple[Settling, ...]:

@@ -93,3 +93,7 @@ def test_a_sheet_lies_on_the_table_at_half_its_thickness() -> None:
             simulation.step({}, 0.02)
         height = simulation.state.x[simulation.scene.bodies["sheet"].nodes, 2]
         assert np.abs(height - 5e-5).max() < 0.1 * WIDEST_M + 1e-8
+        forces, weight = simulation.contact_forces()["sheet-table"], PAPER["density_kg_m3"] * 1e-4 * 4e-4 * gravity
+        borne = forces[simulation.scene.bodies["sheet"].nodes].sum(axis=0)
+        np.testing.assert_allclose(borne, [0.0, 0.0, weight], rtol=1e-4, atol=1e-6 * weight)
+        np.testing.assert_allclose(forces.sum(axis=0), 0.0, atol=1e-9 * weight)
