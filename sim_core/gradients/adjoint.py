@@ -32,7 +32,7 @@ from sim_core.gradients.camera_gradients import Pictures
 from sim_core.gradients.directions import Direction, checked, command_motions, motions, slopes
 from sim_core.gradients.elements import Alongs, OwnNumbers
 from sim_core.gradients.fields import FieldSums
-from sim_core.gradients.losses import Loss, in_sight, one_number
+from sim_core.gradients.losses import Loss, end_memory, in_sight, one_number
 from sim_core.gradients.parameter_jacobian import Columns
 from sim_core.gradients.step import LinearStep, Pulled, Weights, linearised_terms, no_memory, passed_on_by
 from sim_core.gradients.step_record import Made
@@ -121,11 +121,18 @@ class Backward:
         """The readings of the rollout."""
         return self._tape.trace
 
-    def gradient(self, value: float, by_readings: Mapping[str, np.ndarray]) -> Gradient:
+    def gradient(
+        self,
+        value: float,
+        by_readings: Mapping[str, np.ndarray],
+        by_end_memory: Mapping[str, Mapping[str, np.ndarray]] | None = None,
+    ) -> Gradient:
         """Gradient of the loss with these derivatives by the readings, by channel in the shape of ``trace.outputs``.
 
-        Raises ``ConfigError`` where they are of no channel of the trace, of another shape, or not finite where the
-        reading is in sight, and where the scene was changed since it was recorded.
+        ``by_end_memory``: its derivatives by internal variables of terms at the end of the rollout, by term and name in
+        the shape of :attr:`Tape.end` (the plastic curvature of a sheet, say). Raises ``ConfigError`` where they are of
+        no channel or variable of the rollout, of another shape, or not finite where the reading is in sight, and where
+        the scene was changed since it was recorded.
         """
         tape, scene = self._tape, self._scene
         tape.check_scene()
@@ -134,7 +141,10 @@ class Backward:
         self._numbers = np.zeros(len(self._slopes))
         self._pictures.clear()
         self._fields.clear()
-        zero, state = np.zeros_like(scene.rest), None
+        zero: np.ndarray = np.zeros_like(scene.rest)
+        state: Weights | None = None
+        if by_end_memory:
+            state = Weights(zero, zero, end_memory(tape.end, by_end_memory))
         poses = [_Frames() for _ in range(count)]
         for first in reversed(tape.segments):
             intervals = tape.intervals(first)

@@ -6,8 +6,10 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from sim_core.energies.linearised import flatten
 from sim_core.errors import ConfigError
 from sim_core.simulate import Trace
+from sim_core.solve.step import State
 
 Loss = Callable[[Trace], tuple[float, Mapping[str, np.ndarray]]]
 """Value of a loss and its derivatives by the readings, by channel in the shape of ``trace.outputs`` (a channel may be
@@ -49,6 +51,30 @@ def in_sight(trace: Trace, by_readings: Mapping[str, np.ndarray]) -> dict[str, n
             )
         found[channel] = np.where(hidden, 0.0, weights)
     return found
+
+
+def end_memory(end: State, given: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Derivatives of a loss by the internal variables of the last state, by term, as one vector each: zero where none
+    are ``given``, by term and name in the shape of the variables.
+
+    Raises ``ConfigError`` where a term or a variable is none of the state's, and where a shape is not its own.
+    """
+    for term, variables in given.items():
+        known = end.internals.get(term, {})
+        for name, values in variables.items():
+            if name not in known or np.shape(values) != known[name].shape or not np.isfinite(values).all():
+                has = {n: a.shape for n, a in known.items()}
+                raise ConfigError(
+                    f"The loss has derivatives by {name!r} of the term {term!r} of shape {np.shape(values)}, which are "
+                    f"no finite derivatives by an internal variable of the rollout.",
+                    f"That term has {has}." if has else f"Terms that have some: {', '.join(end.internals)}.",
+                )
+    return {
+        term: flatten(
+            {n: np.asarray(given.get(term, {}).get(n, np.zeros_like(a)), dtype=float) for n, a in own.items()}
+        )
+        for term, own in end.internals.items()
+    }
 
 
 def one_number(value: float) -> float:

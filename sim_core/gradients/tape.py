@@ -134,9 +134,12 @@ class Tape:
         memory_mb: float = MEMORY_MB,
         on_step: Callable[[int, int], None] | None = None,
         factors: bool = False,
+        watch: Callable[[int, Mapping[str, np.ndarray], int], None] | None = None,
     ) -> None:
         """Make the rollout. ``memory_mb``: bound on the steps that are kept; ``factors``: let their factorisations be
-        kept too, which pays from six to ten losses on. Raises ``ConvergenceError``."""
+        kept too, which pays from six to ten losses on; ``watch`` is called with the number of each step, the readings
+        after it and how many steps were halved so far, and ends the rollout by what it raises. Raises
+        ``ConvergenceError``."""
         self.scene, self.system = scene, scene.system
         self._set_to = _set_to(scene)
         self._times = np.asarray(times, dtype=float)
@@ -174,6 +177,8 @@ class Tape:
                 size += last
                 reports.append(report)
                 readings.append(simulation.read())
+                if watch is not None:
+                    watch(k + 1, readings[-1], simulation.halvings)
                 if on_step is not None:
                     on_step(k + 1, count)
             self.most_bytes = max(self.most_bytes, self.kept_bytes + size)
@@ -188,6 +193,8 @@ class Tape:
         outputs = {c: np.stack([r[c] for r in readings]) for c in readings[0]}
         self.observer = observer = simulation.observer
         self.trace = Trace(self._times, outputs, observer.kinds, observer.ids, tuple(reports))
+        self.end = simulation.state
+        """The state at the end, internal variables included."""
 
     def check_scene(self) -> None:
         """Raise ``ConfigError`` if the scene is another one than that of the rollout."""

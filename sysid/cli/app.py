@@ -16,6 +16,7 @@ import typer
 from sim_core.errors import ThinshellError
 from sysid.cli import (
     bench,
+    benchmark,
     check_gradients,
     coverage,
     diagnose,
@@ -24,6 +25,7 @@ from sysid.cli import (
     experiments,
     fit,
     inspect,
+    optimise,
     plan,
     presses,
     prove,
@@ -31,6 +33,7 @@ from sysid.cli import (
     show,
     simulate,
     soak,
+    tasks,
     track,
     trajectory,
     validate,
@@ -84,6 +87,9 @@ app.command("rigs")(rigs.rigs)
 app.command("params")(rigs.params)
 app.command("effects")(effects.effects)
 app.command("experiments")(experiments.experiments)
+app.command("tasks")(tasks.tasks)
+app.command("optimise")(optimise.optimise)
+app.command("benchmark")(benchmark.benchmark)
 app.command("check-gradients")(check_gradients.check_gradients)
 app.command("validate")(validate.validate)
 app.command("bench")(bench.bench)

@@ -10,9 +10,10 @@ from test_tangent import PRESS
 
 from sim_core.errors import ConfigError
 from sim_core.gradients import Backward, Tape, directions, simulate_adjoint, simulate_tangent
-from sim_core.gradients.losses import in_sight, one_number
+from sim_core.gradients.losses import end_memory, in_sight, one_number
 from sim_core.scene import build_scene
 from sim_core.simulate import Trace, step_times
+from sim_core.solve.step import State
 
 
 def trace_of(readings: np.ndarray) -> Trace:
@@ -79,3 +80,34 @@ def test_names_are_no_directions(small_rig, visit):
         simulate_adjoint(scene, visit(*PRESS), step_times(0.0, 0.06, 0.02), lambda trace: pytest.fail("late"), names)
     with pytest.raises(ConfigError, match=words):
         simulate_tangent(scene, visit(*PRESS), step_times(0.0, 0.06, 0.02), names)
+
+
+def test_derivatives_by_what_the_end_remembers_are_put_where_it_is() -> None:
+    end = State(
+        0.1,
+        np.zeros((1, 3)),
+        np.zeros((1, 3)),
+        {
+            "sheet.bending": {"plastic_curvature": np.ones((2, 3)), "accumulated": np.ones(2)},
+            "other": {"slip": np.ones(2)},
+        },
+    )
+    by = np.arange(6.0).reshape(2, 3)
+    found = end_memory(end, {"sheet.bending": {"plastic_curvature": by}})
+    np.testing.assert_array_equal(found["sheet.bending"], [0, 1, 2, 3, 4, 5, 0, 0])
+    np.testing.assert_array_equal(found["other"], [0, 0])
+
+
+@pytest.mark.parametrize(
+    ("term", "name", "values", "told"),
+    [
+        ("sheet.bending", "plastic_curvature", np.ones(3), r"of shape \(3,\).*That term has .*\(2, 3\)"),
+        ("sheet.bending", "curvature", np.ones((2, 3)), r"'curvature' of the term 'sheet.bending'"),
+        ("sheet.bend", "plastic_curvature", np.ones((2, 3)), r"Terms that have some: sheet.bending\."),
+        ("sheet.bending", "plastic_curvature", np.full((2, 3), np.nan), "no finite derivatives"),
+    ],
+)
+def test_derivatives_by_what_nothing_remembers_are_refused(term: str, name: str, values: np.ndarray, told: str) -> None:
+    end = State(0.1, np.zeros((1, 3)), np.zeros((1, 3)), {"sheet.bending": {"plastic_curvature": np.ones((2, 3))}})
+    with pytest.raises(ConfigError, match=told):
+        end_memory(end, {term: {name: values}})

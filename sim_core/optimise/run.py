@@ -1,0 +1,241 @@
+"""One optimisation of a task: a folder with everything that it was made with and that came of it.
+
+    run.json          task, variant, method, budget, seed, versions
+    task.yaml, rig.yaml  the task and the rig with the numbers of the variant
+    evaluations.jsonl every action that was tried, in order (:mod:`sim_core.optimise.problem`)
+    result.json       the best action, its reward, whether it is a success, rollouts, seconds
+    trajectory.json   the best motion, with what the sensors of the rig will read (:mod:`sim_core.trajectories`)
+    trace.npz         its rollout with all states (:mod:`sim_core.trace_file`): 'thinshell show' draws it
+
+A folder with a log goes on from there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from sim_core.errors import ConfigError, ConvergenceError
+from sim_core.optimise.evaluators import Parameters, evaluator
+from sim_core.optimise.methods import method
+from sim_core.optimise.problem import Budget, BudgetSpent, OnRollout, Problem
+from sim_core.rigs import rig_to_yaml
+from sim_core.tasks.actions import ActionSpace
+from sim_core.tasks.load import MadeTask
+from sim_core.tasks.rollout import Outcome, TaskRollouts
+from sim_core.trace_file import save_trace
+from sim_core.trajectories import Limits, make_trajectory, write_trajectory
+
+RUN, LOG, RESULT = "run.json", "evaluations.jsonl", "result.json"
+TRAJECTORY, TRACE = "trajectory.json", "trace.npz"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Of one search. ``draws``: sets of parameters over which the fitness is meant, and ``quantile`` its least share;
+    ``stop_at_success``: the search ends with the first success."""
+
+    method: str = "hybrid"
+    rollouts: int = 200
+    seconds: float = float("inf")
+    seed: int = 0
+    workers: int = 1
+    draws: tuple[Parameters, ...] = ()
+    quantile: float = 0.0
+    stop_at_success: bool = False
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a search found.
+
+    ``reward``, ``success``: of the best action with the cells and the parameters of the rig; ``searched_reward``: its
+    fitness in the search, with its cells, over the draws, of which ``success_share`` are successes; ``to_success``:
+    rollouts up to the first success in the search (None: there is none); ``cpu_s``, ``wall_s`` [s]; ``curve``:
+    rollouts, best fitness so far, and what the method was doing.
+    """
+
+    action: np.ndarray
+    reward: float
+    success: bool
+    stopped: str
+    force_n: float
+    searched_reward: float
+    success_share: float
+    rollouts: int
+    to_success: int | None
+    cpu_s: float
+    wall_s: float
+    interrupted: bool
+    curve: tuple[tuple[int, float, str], ...]
+
+    def to_json(self) -> str:
+        """As text."""
+        data = {**asdict(self), "action": self.action.tolist()}
+        return json.dumps(data, indent=1)
+
+
+def optimise(
+    made: MadeTask, settings: Settings, folder: Path | None = None, on_rollout: OnRollout | None = None
+) -> Result:
+    """Search for the best action of a task.
+
+    ``folder``: new, or one in which the same search was begun. Ctrl-C ends the search, and what was found is kept.
+    Raises ``ConfigError`` where the folder has another search, and where no rollout came to an end.
+    """
+    search = method(settings.method).search
+    space = ActionSpace(made)
+    log = None
+    if folder is not None:
+        log = _open(made, settings, folder)
+    interrupted = False
+    with evaluator(made, settings.workers, made.has_coarse, space.size) as rollouts:
+        problem = Problem(
+            rollouts,
+            Budget(settings.rollouts, settings.seconds),
+            log=log,
+            on_rollout=on_rollout,
+            draws=settings.draws,
+            quantile=settings.quantile,
+            stop_at_success=settings.stop_at_success,
+        )
+        try:
+            search(problem, np.zeros(space.size), np.random.default_rng(settings.seed))
+        except BudgetSpent:
+            pass
+        except KeyboardInterrupt:
+            interrupted = True
+        finally:
+            problem.close()
+        if problem.best is None or problem.best.outcomes[0].stopped:
+            why = "none was made" if problem.best is None else problem.best.outcomes[0].stopped
+            raise ConfigError(
+                f"No rollout of {made.name} came to its end in {problem.rollouts}: {why}.",
+                "Allow more rollouts, or smaller steps of the hands.",
+            )
+    nominal = made.has_coarse or settings.draws
+    final = TaskRollouts(made).outcome(problem.best.action) if nominal else problem.best.outcomes[0]
+    result = _result(problem, final, interrupted)
+    if folder is not None:
+        (folder / RESULT).write_text(result.to_json() + "\n", encoding="utf-8")
+        write_motion(made, settings, result, folder)
+    return result
+
+
+def _result(problem: Problem, final: Outcome, interrupted: bool) -> Result:
+    assert problem.best is not None
+    best, count, curve, to_success = -np.inf, 0, [], None
+    for evaluation in problem.history:
+        count += len(evaluation.outcomes)
+        if evaluation.fitness > best:
+            best = evaluation.fitness
+        curve.append((count, float(best), evaluation.phase))
+        if to_success is None and evaluation.success:
+            to_success = count
+    cpu = sum(o.cpu_s for e in problem.history for o in e.outcomes)
+    return Result(
+        problem.best.action,
+        final.reward,
+        final.success,
+        final.stopped,
+        final.force_n,
+        problem.best.fitness,
+        float(np.mean([o.success for o in problem.best.outcomes])),
+        count,
+        to_success,
+        cpu,
+        problem.wall_s,
+        interrupted,
+        tuple(curve),
+    )
+
+
+def write_motion(made: MadeTask, settings: Settings, result: Result, folder: Path) -> None:
+    """Write the trajectory of the best action with its prediction, and its trace, in place of those before; without
+    prediction and trace where the rig has other cells than the search and its rollout fails."""
+    rollouts = TaskRollouts(made)
+    try:
+        traces = [rollouts.trace(result.action)]
+    except ConvergenceError:
+        traces = []
+    trajectory = make_trajectory(
+        made.rig,
+        rollouts.space.poses(result.action),
+        rollouts.space.times,
+        limits=Limits(max_force_n=made.stop.most_force_n),
+        traces=traces,
+        name=made.task.name,
+        description=made.task.title,
+        provenance={
+            "task": made.name,
+            "method": settings.method,
+            "seed": str(settings.seed),
+            "reward": f"{result.reward:.6g}",
+            "success": str(result.success).lower(),
+        },
+    )
+    for name in (TRAJECTORY, TRACE):
+        (folder / name).unlink(missing_ok=True)
+    write_trajectory(folder / TRAJECTORY, trajectory)
+    if traces:
+        save_trace(folder / TRACE, traces[0])
+
+
+def _open(made: MadeTask, settings: Settings, folder: Path) -> Path:
+    """The log in a folder, which is made, or has the same search."""
+    about = _about(made, settings)
+    path = folder / RUN
+    try:
+        if path.exists():
+            _same(json.loads(path.read_text(encoding="utf-8")), about, folder)
+        else:
+            if folder.exists() and any(folder.iterdir()):
+                raise ConfigError(f"The folder {folder} has other files in it.", "Name a new folder.")
+            folder.mkdir(parents=True, exist_ok=True)
+            task = made.task.model_dump(mode="json", exclude_none=True)
+            (folder / "task.yaml").write_text(yaml.safe_dump(task, sort_keys=False), encoding="utf-8")
+            (folder / "rig.yaml").write_text(rig_to_yaml(made.rig), encoding="utf-8")
+            path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    except (OSError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"The folder {folder} cannot be used: {error}.", "Name another one.") from None
+    return folder / LOG
+
+
+def _about(made: MadeTask, settings: Settings) -> dict[str, Any]:
+    packages = {name: version(name) for name in ("numpy", "scipy", "taichi", "cma")}
+    return {
+        "task": made.task.name,
+        "variant": made.variant_name,
+        "method": settings.method,
+        "seed": settings.seed,
+        "workers": settings.workers,
+        "draws": [dict(d) for d in settings.draws],
+        "quantile": settings.quantile,
+        "rollouts": settings.rollouts,
+        "seconds": None if settings.seconds == float("inf") else settings.seconds,
+        "python": platform.python_version(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "packages": packages,
+    }
+
+
+def _same(stored: Mapping[str, Any], about: Mapping[str, Any], folder: Path) -> None:
+    """Raise where a search cannot go on in a folder: budgets may differ, and the machine."""
+    free: Sequence[str] = ("rollouts", "seconds", "python", "machine", "packages")
+    for key, value in about.items():
+        if key not in free and stored.get(key) != value:
+            raise ConfigError(
+                f"The folder {folder} has a search with {key} {stored.get(key)!r}, not {value!r}.",
+                "Name a new folder, or ask for the same search.",
+            )

@@ -1,0 +1,103 @@
+"""Find and read task files, and make a task with the numbers of one of its variants."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sim_core.errors import ConfigError, nearest_match
+from sim_core.rigs import Rig, Sheet, load_rig, with_parameters
+from sim_core.rigs.load import find_config, names_in
+from sim_core.rigs.yamlfile import read_mapping, validate
+from sim_core.tasks.schema import Actions, Stop, Task, Variant, check_names
+
+DEFAULT_VARIANT = "real"
+
+
+@dataclass(frozen=True)
+class MadeTask:
+    """A task with the numbers of one variant. ``rig``: with its parameters and starts; ``coarse_rig``: with the cells
+    of searches."""
+
+    task: Task
+    variant_name: str
+    variant: Variant
+    rig: Rig
+    coarse_rig: Rig
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """``task`` or ``task:variant``."""
+        return self.task.name if self.variant_name == DEFAULT_VARIANT else f"{self.task.name}:{self.variant_name}"
+
+    @property
+    def actions(self) -> Actions:
+        """What the hands may do."""
+        return self.variant.actions or self.task.actions
+
+    @property
+    def stop(self) -> Stop:
+        """When a rollout ends early."""
+        return self.variant.stop or self.task.stop
+
+    @property
+    def has_coarse(self) -> bool:
+        """Whether searches have other cells than the rig."""
+        return bool(self.task.coarse)
+
+
+def task_names() -> list[str]:
+    """Names of the tasks that come with the package."""
+    return names_in("tasks")
+
+
+def read_task(name_or_path: str | Path) -> Task:
+    """A task file, by the name of one that comes with the package or by its path."""
+    path = find_config(name_or_path, "tasks")
+    return validate(Task, read_mapping(path), str(path))
+
+
+def load_task(name: str, parameters: Mapping[str, float] | None = None) -> MadeTask:
+    """The task ``NAME`` or ``NAME:VARIANT`` (default: ``real``, else the first one).
+
+    ``parameters``: of the rig, over those of the variant. Raises ``ConfigError``, which names the key and the remedy.
+    """
+    stem, _, wanted = str(name).rpartition(":") if ":" in str(name) else (str(name), "", "")
+    task = read_task(stem)
+    chosen = wanted or (DEFAULT_VARIANT if DEFAULT_VARIANT in task.variants else next(iter(task.variants)))
+    if chosen not in task.variants:
+        raise ConfigError(f"The task {task.name!r} has no variant {chosen!r}.", nearest_match(chosen, task.variants))
+    variant, source = task.variants[chosen], f"task {task.name}"
+    rig = load_rig(task.rig)
+    check_names(task, variant, rig, source)
+    try:
+        rig = with_parameters(rig, {**variant.parameters, **(parameters or {})})
+    except ConfigError as error:
+        raise ConfigError(f"{source}, variant {chosen}: {error.problem}", error.remedy) from None
+    rig = _started(rig, variant)
+    return MadeTask(task, chosen, variant, rig, _with_cells(rig, task.coarse), dict(variant.settings))
+
+
+def _started(rig: Rig, variant: Variant) -> Rig:
+    """The rig with affine bodies that move or stand elsewhere at the start."""
+    bodies: dict[str, Any] = dict(rig.bodies)
+    for name, start in variant.start.items():
+        update: dict[str, Any] = {}
+        if start.velocity_m_s is not None:
+            update["velocity_m_s"] = start.velocity_m_s
+        if start.position_m is not None:
+            update["pose"] = bodies[name].pose.model_copy(update={"position_m": start.position_m})
+        bodies[name] = bodies[name].model_copy(update=update)
+    return rig.model_copy(update={"bodies": bodies})
+
+
+def _with_cells(rig: Rig, cells: Mapping[str, tuple[int, ...]]) -> Rig:
+    bodies: dict[str, Any] = dict(rig.bodies)
+    for name, given in cells.items():
+        body = bodies[name]
+        assert isinstance(body, Sheet)
+        bodies[name] = body.model_copy(update={"shape": body.shape.model_copy(update={"cells": tuple(given)})})
+    return rig.model_copy(update={"bodies": bodies})

@@ -1,0 +1,87 @@
+"""``thinshell optimise``: a motion for a task."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sysid.cli.bounds import whole_number
+from sysid.cli.options import SeedOption
+from sysid.cli.progress import progress
+
+
+def optimise(
+    task: Annotated[
+        str, typer.Argument(metavar="TASK", help="A name from 'thinshell tasks' (lifting, lifting:paper) or a file.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder of the run: a new one, or one that goes on.")
+    ],
+    method: Annotated[
+        str, typer.Option("--method", metavar="NAME", help="hybrid, gradient, adam, cma or cem.")
+    ] = "hybrid",
+    budget: Annotated[int, whole_number("--budget", "Rollouts; one with a gradient counts as one.", 1)] = 200,
+    minutes: Annotated[
+        float | None, typer.Option("--minutes", metavar="N", help="Wall time after which no rollout begins.", min=0.0)
+    ] = None,
+    seed: SeedOption = 0,
+    workers: Annotated[int, whole_number("--workers", "Processes; 0: one a core.", 0)] = 0,
+    stop_at_success: Annotated[bool, typer.Option("--stop-at-success", help="End with the first success.")] = False,
+    posterior: Annotated[
+        Path | None,
+        typer.Option("--posterior", metavar="FIT", help="fit.json: seek the mean over what that fit leaves open."),
+    ] = None,
+    draws: Annotated[int, whole_number("--draws", "Sets of parameters from the posterior.", 1)] = 8,
+    quantile: Annotated[
+        float,
+        typer.Option(
+            "--quantile", metavar="Q", help="Mean of the worst share Q of the draws; 0: of all.", min=0, max=1
+        ),
+    ] = 0.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Search for a motion that does a task, and write it with the way it was found.
+
+    Example: thinshell optimise lifting --method hybrid --budget 100 --out runs/lifting
+    """
+    from sim_core.optimise import Settings
+    from sim_core.optimise import method as method_named
+    from sim_core.optimise import optimise as search
+    from sim_core.optimise.posterior import posterior_draws
+    from sim_core.tasks import load_task
+    from sysid.report.optimisation_curve import write_curve
+
+    made = load_task(task)
+    method_named(method)
+    chosen = posterior_draws(posterior, made.rig, draws, seed) if posterior is not None else ()
+    settings = Settings(
+        method=method,
+        rollouts=budget * max(1, len(chosen)),
+        seconds=float("inf") if minutes is None else 60.0 * minutes,
+        seed=seed,
+        workers=workers or os.cpu_count() or 1,
+        draws=tuple(chosen),
+        quantile=quantile,
+        stop_at_success=stop_at_success,
+    )
+    with progress(f"optimise {made.name}") as report:
+        result = search(made, settings, out, report)
+    write_curve(out / "curve.png", [(method, result)], made)
+    if as_json:
+        print(result.to_json())
+        return
+    verdict = "success" if result.success else "no success"
+    print(f"{made.name}, {method}, seed {seed}: reward {result.reward:.5g}, {verdict} (from {made.variant.success:g})")
+    print(f"  success is: {made.variant.words}")
+    if chosen:
+        print(f"  over {len(chosen)} draws: {result.searched_reward:.5g}, {100 * result.success_share:.0f} % successes")
+    elif made.has_coarse:
+        print(f"  with the coarser cells of the search: {result.searched_reward:.5g}")
+    first = "none was a success" if result.to_success is None else f"the first success after {result.to_success}"
+    print(f"  {result.rollouts} rollouts ({first}), {result.cpu_s:.0f} s of process time, {result.wall_s:.0f} s in all")
+    print(f"  largest force on a finger {result.force_n:.3g} N; written: {out}")
+    if result.interrupted:
+        print("  interrupted: the same command goes on from here")

@@ -1,0 +1,164 @@
+"""Methods of optimisation on problems with known answers; budgets, logs, interruption."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_task import small_task
+
+from sim_core.errors import ConfigError
+from sim_core.optimise import METHODS, Budget, BudgetSpent, Problem, Settings, optimise
+from sim_core.optimise.evaluators import Request
+from sim_core.optimise.posterior import posterior_draws
+from sim_core.rigs import load_rig
+from sim_core.tasks import Outcome
+
+Value = Callable[[np.ndarray], tuple[float, np.ndarray]]
+TARGET = np.array([0.5, -0.3, 0.2, 1.4])  # the last one is beyond the bounds
+
+
+def bowl(x: np.ndarray) -> tuple[float, np.ndarray]:
+    """Best at the target within the bounds: -0.4^2."""
+    weights = np.array([1.0, 4.0, 2.0, 1.0])
+    return -float(weights @ (x - TARGET) ** 2), -2.0 * weights * (x - TARGET)
+
+
+def shelf(x: np.ndarray) -> tuple[float, np.ndarray]:
+    """No slope until the first entry is above 0.4, as where nothing touches."""
+    if x[0] < 0.4:
+        return -5.0, np.zeros(4)
+    return bowl(x)
+
+
+class Toy:
+    """Evaluates a function instead of a rollout. Actions with a third entry above 0.7 end early."""
+
+    size, workers = 4, 2
+
+    def __init__(self, value: Value, fail_after: int = 10**9) -> None:
+        self.value, self.made, self.fail_after = value, 0, fail_after
+
+    def outcomes(self, requests: Sequence[Request]) -> list[Outcome]:
+        found = []
+        for request in requests:
+            if self.made >= self.fail_after:
+                raise KeyboardInterrupt
+            self.made += 1
+            shift = (request.parameters or {}).get("shift", 0.0)
+            if request.action[2] > 0.7:
+                found.append(Outcome(float("nan"), False, 0.5, "too far", 0.0, 1, 0.0))
+                continue
+            value, slope = self.value(request.action - shift)
+            found.append(Outcome(value, value > -0.2, 1.0, "", 0.0, 1, 0.0, slope if request.gradient else None))
+        return found
+
+
+def search(name: str, problem: Problem, seed: int = 0) -> Problem:
+    with pytest.raises(BudgetSpent):
+        METHODS[name].search(problem, np.zeros(4), np.random.default_rng(seed))
+    return problem
+
+
+ENOUGH = {"hybrid": 60, "gradient": 30, "adam": 120, "cma": 400, "cem": 500}
+"""Rollouts in which each method finds the best of a bowl."""
+
+
+@pytest.mark.parametrize(("name", "rollouts"), ENOUGH.items())
+def test_each_method_finds_the_best_within_the_bounds(name: str, rollouts: int) -> None:
+    problem = search(name, Problem(Toy(bowl), Budget(rollouts)))
+    assert problem.best is not None and problem.rollouts == rollouts
+    assert problem.best.fitness == pytest.approx(-0.16, abs=1e-2 if name == "cem" else 2e-3)
+    assert np.abs(problem.best.action - [0.5, -0.3, 0.2, 1.0]).max() < 0.05
+
+
+@pytest.mark.parametrize("name", ["hybrid", "cma"])
+def test_where_nothing_touches_evolution_finds_the_way(name: str) -> None:
+    problem = search(name, Problem(Toy(shelf), Budget(300)))
+    assert problem.best is not None and problem.best.fitness == pytest.approx(-0.16, abs=0.01)
+
+
+def test_hybrid_needs_fewer_rollouts_than_evolution() -> None:
+    counts = {}
+    for name in ("hybrid", "cma"):
+        problem = search(name, Problem(Toy(bowl), Budget(400), stop_at_success=True))
+        assert problem.best is not None and problem.best.success
+        counts[name] = problem.rollouts
+    assert counts["hybrid"] < 0.5 * counts["cma"]
+
+
+@pytest.mark.parametrize("name", sorted(METHODS))
+def test_a_search_that_was_ended_goes_on_as_if_it_had_not_been(tmp_path: Path, name: str) -> None:
+    whole = search(name, Problem(Toy(bowl), Budget(50)))
+    log = tmp_path / "log.jsonl"
+    part = search(name, Problem(Toy(bowl), Budget(23), log=log))
+    part.close()
+    with log.open("a") as stored:
+        stored.write('{"action": [0.1,')  # as of a process that was killed
+    toy = Toy(bowl)
+    rest = search(name, Problem(toy, Budget(50), log=log))
+    assert toy.made == 50 - 23
+    for a, b in zip(whole.history, rest.history, strict=True):
+        assert np.array_equal(a.action, b.action) and a.fitness == b.fitness
+
+
+def test_a_log_of_another_search_is_refused(tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    search("cma", Problem(Toy(bowl), Budget(20), log=log), seed=1).close()
+    problem = Problem(Toy(bowl), Budget(40), log=log)
+    with pytest.raises(ConfigError, match="does not go the way that its log has from evaluation 0 on"):
+        METHODS["cma"].search(problem, np.zeros(4), np.random.default_rng(2))
+
+
+def test_the_mean_over_draws_and_over_the_worst_of_them() -> None:
+    draws = [{"shift": s} for s in (-0.1, 0.0, 0.3)]
+    action = np.zeros(4)
+    values = [bowl(action - d["shift"]) for d in draws]
+    for quantile, chosen in ((0.0, [0, 1, 2]), (0.34, [int(np.argmin([v for v, _ in values]))])):
+        problem = Problem(Toy(bowl), Budget(30), draws=draws, quantile=quantile)
+        found = problem.gradients([action])[0]
+        assert found.fitness == pytest.approx(np.mean([values[k][0] for k in chosen]))
+        assert found.gradient is not None
+        np.testing.assert_allclose(found.gradient, np.mean([values[k][1] for k in chosen], axis=0))
+        assert problem.rollouts == 3
+
+
+def test_draws_of_a_posterior_have_its_spread_and_stay_within_bounds(tmp_path: Path) -> None:
+    rig = load_rig("folding")
+    fit = {
+        "estimates": [
+            {"name": "sheet.E_pa", "value": 3e9, "sd": 0.2, "log": True},
+            {"name": "gel-sheet.friction", "value": 0.6, "sd": 0.1, "log": False},
+        ],
+        "correlation": [[1.0, 0.8], [0.8, 1.0]],
+    }
+    path = tmp_path / "fit.json"
+    path.write_text(json.dumps(fit))
+    draws = posterior_draws(path, rig, 4000, 0)
+    drawn = np.array([[np.log(d["sheet.E_pa"]), d["contacts.gel-sheet.friction"]] for d in draws])
+    np.testing.assert_allclose(drawn.mean(axis=0), [np.log(3e9), 0.6], atol=0.02)
+    np.testing.assert_allclose(drawn.std(axis=0), [0.2, 0.1], rtol=0.05)
+    assert np.corrcoef(drawn.T)[0, 1] == pytest.approx(0.8, abs=0.03)
+    fit["estimates"][1]["sd"] = 5.0  # type: ignore[index]
+    path.write_text(json.dumps(fit))
+    assert min(d["contacts.gel-sheet.friction"] for d in posterior_draws(path, rig, 50, 0)) >= 0.0
+    path.write_text("{}")
+    with pytest.raises(ConfigError, match=r"no result of a fit.*thinshell fit"):
+        posterior_draws(path, rig, 5, 0)
+
+
+def test_a_run_is_a_folder_that_goes_on(tmp_path: Path) -> None:
+    made, out = small_task(tmp_path), tmp_path / "run"
+    first = optimise(made, Settings(method="gradient", rollouts=2), out)
+    again = optimise(made, Settings(method="gradient", rollouts=4), out)
+    assert (first.rollouts, again.rollouts) == (2, 4) and again.reward >= first.reward
+    assert {p.name for p in out.iterdir()} == {
+        "run.json", "task.yaml", "rig.yaml", "evaluations.jsonl", "result.json", "trajectory.json", "trace.npz",
+    }  # fmt: skip
+    whole = optimise(made, Settings(method="gradient", rollouts=4))
+    assert whole.reward == again.reward
+    with pytest.raises(ConfigError, match="has a search with method 'gradient', not 'cma'"):
+        optimise(made, Settings(method="cma"), out)

@@ -1,0 +1,78 @@
+"""Actions of hands as poses of end effectors, and derivatives back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from small_task import TASK, small_task
+
+from sim_core.errors import ConfigError
+from sim_core.tasks import ActionSpace, load_task
+
+
+def test_a_gripper_turns_about_its_middle_and_closes() -> None:
+    space = ActionSpace(load_task("following"))
+    rng = np.random.default_rng(0)
+    action = np.clip(rng.standard_normal(space.size), -1.0, 1.0)
+    poses = space.poses(action)
+    above, below = poses["above"], poses["below"]
+    gap = np.linalg.norm(above.positions - below.positions, axis=1)[space.first :]
+    closing = action.reshape(5, 7)[:, 6]
+    first = gap[0] - gap[-1]
+    # Each finger moves by the sum of the weights of a knot, which is steps / (knots + 1), times the bound.
+    assert first == pytest.approx(2.0 * 1e-4 * 60 / 6 * closing.sum(), rel=1e-9)
+    ways = [Rotation.from_quat(p.quaternions[-1]) * Rotation.from_quat(p.quaternions[space.first]).inv()
+            for p in (above, below)]  # fmt: skip
+    np.testing.assert_allclose(ways[0].as_matrix(), ways[1].as_matrix(), atol=1e-12)
+    axis = above.positions - below.positions
+    np.testing.assert_allclose(
+        ways[0].apply(axis[space.first]) / gap[0], axis[-1] / np.linalg.norm(axis[-1]), atol=1e-12
+    )
+    assert np.abs(action).max() == 1.0
+    middle = 0.5 * (above.positions + below.positions)
+    assert np.abs(np.diff(middle[:, 0])).max() <= 0.002 + 1e-12
+
+
+def test_derivatives_by_actions_are_those_of_central_differences() -> None:
+    """For a loss that is any function of the poses: here a linear one of positions and of turned vectors."""
+    space = ActionSpace(load_task("following"))
+    rng = np.random.default_rng(1)
+    action, along = 0.5 * rng.standard_normal((2, space.size))
+    n = len(space.times)
+    pull = {f: rng.standard_normal((n, 3)) for f in ("above", "below")}
+    arms = {f: rng.standard_normal((n, 3)) for f in ("above", "below")}
+
+    def loss(a: np.ndarray) -> float:
+        total = 0.0
+        for f, pose in space.poses(a).items():
+            tips = pose.positions + 0.01 * Rotation.from_quat(pose.quaternions).apply(arms[f])
+            total += float((pull[f] * tips).sum())
+        return total
+
+    by_poses = {}
+    for f, pose in space.poses(action).items():
+        turns = Rotation.from_quat(pose.quaternions)
+        force = turns.inv().apply(pull[f])
+        by_poses[f] = np.hstack([force, np.cross(0.01 * arms[f], force)])
+    slope = float(space.pull(action, by_poses) @ along)
+    h = 1e-5
+    assert (loss(action + h * along) - loss(action - h * along)) / (2 * h) == pytest.approx(slope, rel=1e-6)
+
+
+def test_an_action_of_another_length_is_told(tmp_path: Path) -> None:
+    space = ActionSpace(small_task(tmp_path))
+    with pytest.raises(ConfigError, match=r"has 12 finite numbers, not an array of shape \(3,\)"):
+        space.poses(np.zeros(3))
+
+
+def test_constant_profiles_hold_each_velocity(tmp_path: Path) -> None:
+    made = small_task(tmp_path, text=TASK.replace("knots: 2", "knots: 2\n  profile: constant"))
+    space = ActionSpace(made)
+    action = np.zeros((2, 6))
+    action[0, 0], action[1, 1] = 1.0, -0.5
+    way = np.diff(space.poses(action.ravel())["finger"].positions[space.first :], axis=0)
+    np.testing.assert_allclose(way[:4], [[6e-4, 0, 0]] * 4, atol=1e-15)
+    np.testing.assert_allclose(way[4:], [[0, -3e-4, 0]] * 4, atol=1e-15)

@@ -1,0 +1,67 @@
+"""Rollouts of a small task: gradients, repeatability, early stops."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_task import TASK, small_task
+
+from sim_core.tasks import TaskRollouts
+
+
+@pytest.mark.parametrize("reward", ["folding", "forming"])
+def test_the_gradient_is_that_of_central_differences(tmp_path: Path, reward: str) -> None:
+    """Through contact, friction and yielding; by a reward of fold angles and one of positions."""
+    rollouts = TaskRollouts(small_task(tmp_path, reward))
+    rng = np.random.default_rng(2)
+    action = 0.3 * rng.standard_normal(rollouts.space.size)
+    action[[2, 8]] = -0.9, -0.8  # down, so that the strip yields
+    along = rng.standard_normal(rollouts.space.size)
+    found = rollouts.gradient(action)
+    assert found.gradient is not None and found.reward != 0.0
+    slope, h = float(found.gradient @ along), 1e-4
+    ends = [rollouts.outcome(action + s * h * along).reward for s in (1.0, -1.0)]
+    assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(slope, rel=2e-4)
+
+
+def test_a_rollout_does_not_depend_on_those_before(tmp_path: Path) -> None:
+    rollouts = TaskRollouts(small_task(tmp_path))
+    rng = np.random.default_rng(3)
+    one, other = 0.5 * rng.standard_normal((2, rollouts.space.size))
+    first = rollouts.outcome(one).reward
+    rollouts.outcome(other)
+    rollouts.gradient(other)
+    assert rollouts.outcome(one).reward == first
+    assert TaskRollouts(small_task(tmp_path)).outcome(one).reward == first
+    assert rollouts.gradient(one).reward == pytest.approx(first, rel=1e-6)
+
+
+def test_a_force_above_the_limit_ends_the_rollout(tmp_path: Path) -> None:
+    rollouts = TaskRollouts(small_task(tmp_path, text=TASK + "stop: {most_force_n: 0.012}\n"))
+    action = np.zeros((2, 6))
+    action[:, 2] = -1.0
+    for outcome in (rollouts.outcome(action.ravel()), rollouts.gradient(action.ravel())):
+        assert "a finger bears" in outcome.stopped and "more than 0.012" in outcome.stopped
+        assert 0.0 < outcome.completed < 1.0 and outcome.gradient is None
+        assert outcome.fitness < -1e8
+
+
+def test_no_contact_ends_the_rollout(tmp_path: Path) -> None:
+    rollouts = TaskRollouts(small_task(tmp_path, text=TASK + "stop: {least_force_n: 0.01, touching_from: 6}\n"))
+    away = np.zeros((2, 6))
+    away[:, 2] = 1.0
+    assert "no finger bears" in rollouts.outcome(away.ravel()).stopped
+    assert not rollouts.outcome(-away.ravel()).stopped
+
+
+def test_a_fold_angle_is_the_turn_of_a_strip_that_kept_it(tmp_path: Path) -> None:
+    """A strip whose end was pressed down turns downwards by what all of it kept: a negative angle across its length."""
+    text = TASK.replace("at_m: -0.01, over_m: 0.02", "at_m: 0.005, over_m: 0.05")
+    rollouts = TaskRollouts(small_task(tmp_path, "pick_folding", text))
+    action = np.zeros((2, 6))
+    action[:, 2] = -1.0
+    seen, reward = rollouts.seen(action.ravel())
+    assert seen.folds["middle"] < -0.01
+    assert reward == pytest.approx(-3.0 * seen.folds["middle"])
