@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,10 +10,10 @@ import typer
 
 from sim_core.errors import ConfigError
 from sysid.cli.bounds import whole_number
-from sysid.cli.options import FolderOption, SeedOption, check_new, library
+from sysid.cli.options import FolderOption, SeedOption, check_new, library, parse_names
 from sysid.cli.progress import progress
 
-STANDS = ("strip",)
+RIGS = ("bench", "strip", "gel")
 NOISES = ("nasty", "white")
 
 app = typer.Typer(help="Benchmark: conceal physics, diagnose, then score.", rich_markup_mode=None)
@@ -20,39 +21,68 @@ app = typer.Typer(help="Benchmark: conceal physics, diagnose, then score.", rich
 CasesFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder made by 'thinshell prove make'.")]
 
 
+FastOption = Annotated[bool, typer.Option("--fast", help="Fewer and shorter recordings, for development.")]
+
+
 @app.command("make")
 def make(
     out: FolderOption,
-    cases: Annotated[int, whole_number("--cases", "Number of cases.", 1, 10_000)] = 12,
+    cases: Annotated[int, whole_number("--cases", "Number of cases.", 1, 10_000)] = 20,
     seed: SeedOption = 0,
+    rigs: Annotated[
+        str,
+        typer.Option(
+            "--rigs",
+            metavar="A,B",
+            help="Rigs that take turns: bench, simulated on a finer mesh; strip and "
+            "gel, recorded by simulators that share no method with this one.",
+        ),
+    ] = "bench,strip,gel",
+    fast: FastOption = False,
 ) -> None:
     """Simulate recordings with concealed effects; the truth is sealed beside them."""
+    chosen = parse_names(rigs, "--rigs", "strip,gel")
+    for word in chosen:
+        _check_word(word, "--rigs", RIGS)
     check_new(out, "folder")
     with progress("prove make") as report:
-        print(library("sysid.proof", "make_cases")(out, cases=cases, seed=seed, on_progress=report))
+        print(
+            library("sysid.proof", "make_cases")(
+                out, cases=cases, seed=seed, rigs=tuple(dict.fromkeys(chosen)), fast=fast, on_progress=report
+            )
+        )
 
 
 @app.command("record")
 def record(
     out: FolderOption,
-    stand: Annotated[str, typer.Option("--stand", metavar="NAME", help="What is recorded: strip.")] = "strip",
+    stand: Annotated[str, typer.Option("--stand", metavar="NAME", help="What is recorded: strip or gel.")] = "strip",
     cases: Annotated[int, whole_number("--cases", "Number of cases.", 1, 10_000)] = 1,
     seed: SeedOption = 0,
-    fast: Annotated[bool, typer.Option("--fast", help="Fewer and shorter recordings, for development.")] = False,
+    conceal: Annotated[
+        list[str] | None,
+        typer.Option("--conceal", metavar="NAME", help="What each case conceals; may be repeated. Default: nothing."),
+    ] = None,
+    fast: FastOption = False,
     noise: Annotated[str, typer.Option("--noise", metavar="KIND", help="Noise: nasty or white.")] = "nasty",
 ) -> None:
-    """Record cases that conceal nothing, by a simulator that shares no method with this one.
+    """Record cases by a simulator that shares no method with this one.
 
     Not sealed: each case folder holds its rig, its recordings and truth.json.
+
+    Example: thinshell prove record --stand gel --cases 3 --conceal gel_relaxation --out cases
     """
-    for word, option, known in ((stand, "--stand", STANDS), (noise, "--noise", NOISES)):
-        if word not in known:
-            raise ConfigError(f"{option} is {word!r}.", f"Use {' or '.join(known)}.")
+    from sysid.proof import concealable
+
+    _check_word(stand, "--stand", RIGS[1:])
+    _check_word(noise, "--noise", NOISES)
+    for name in conceal or []:
+        _check_word(name, "--conceal", concealable(stand))
     check_new(out, "folder")
     with progress("prove record") as report:
         print(
             library("sysid.proof", "record_cases")(
-                out, stand, cases=cases, seed=seed, fast=fast, noise=noise, on_progress=report
+                out, stand, cases=cases, seed=seed, effects=conceal or (), fast=fast, noise=noise, on_progress=report
             )
         )
 
@@ -72,6 +102,19 @@ def score(folder: CasesFolder) -> None:
     print(library("sysid.proof", "score_cases")(folder))
 
 
+@app.command("keep")
+def keep(folder: CasesFolder, out: FolderOption) -> None:
+    """Copy seal, truth, answers and score of a scored shard, without recordings and reports."""
+    _check_cases(folder)
+    check_new(out, "folder")
+    print(library("sysid.proof", "keep_shard")(folder, out))
+
+
 def _check_cases(folder: Path) -> None:
     if not folder.is_dir():
         raise ConfigError(f"The folder {folder} does not exist.", "Make one with 'thinshell prove make --out DIR'.")
+
+
+def _check_word(word: str, option: str, known: Sequence[str]) -> None:
+    if word not in known:
+        raise ConfigError(f"{option} is {word!r}.", f"Use one of: {', '.join(known)}.")

@@ -6,28 +6,51 @@ Only :mod:`sysid.proof.generator` and :mod:`sysid.proof.truths` know how cases a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-__all__ = ["make_cases", "record_cases", "run_cases", "score_cases"]
+__all__ = ["concealable", "keep_shard", "make_cases", "record_cases", "run_cases", "score_cases"]
 
 Progress = Callable[[float, str], None]
 
 
-def make_cases(out: Path, *, cases: int, seed: int, on_progress: Progress | None = None) -> str:
-    """Simulate cases with concealed effects into ``out`` and seal what they conceal."""
+def make_cases(
+    out: Path,
+    *,
+    cases: int,
+    seed: int,
+    rigs: Sequence[str],
+    fast: bool = False,
+    on_progress: Progress | None = None,
+) -> str:
+    """Simulate cases with concealed effects on ``rigs`` into ``out`` and seal what they conceal."""
     from sysid.proof.generator import make_cases as make
 
-    return make(out, cases=cases, seed=seed, on_progress=on_progress)
+    return make(out, cases=cases, seed=seed, rigs=rigs, fast=fast, on_progress=on_progress)
 
 
 def record_cases(
-    out: Path, stand: str, *, cases: int, seed: int, fast: bool, noise: str, on_progress: Progress | None = None
+    out: Path,
+    stand: str,
+    *,
+    cases: int,
+    seed: int,
+    effects: Sequence[str] = (),
+    fast: bool = False,
+    noise: str = "nasty",
+    on_progress: Progress | None = None,
 ) -> str:
-    """Record cases of an independent truth that conceal nothing, unsealed, into ``out``."""
+    """Record cases of an independent truth, unsealed, into ``out``; each conceals ``effects``."""
     from sysid.proof.truths.make import record_cases as record
 
-    return record(out, stand, cases=cases, seed=seed, fast=fast, noise=noise, on_progress=on_progress)
+    return record(out, stand, cases=cases, seed=seed, effects=effects, fast=fast, noise=noise, on_progress=on_progress)
+
+
+def concealable(stand: str) -> tuple[str, ...]:
+    """What the cases of a stand may conceal, in the library of effects or outside it."""
+    from sysid.proof.truths.conceal import LIBRARY, OUTSIDE
+
+    return (*LIBRARY[stand], *OUTSIDE[stand])
 
 
 def run_cases(folder: Path, *, on_progress: Progress | None = None) -> str:
@@ -35,6 +58,13 @@ def run_cases(folder: Path, *, on_progress: Progress | None = None) -> str:
     from sysid.proof.run import run_cases as run
 
     return run(folder, on_progress=on_progress)
+
+
+def keep_shard(folder: Path, out: Path) -> str:
+    """Copy seal, truth, answers and score, without recordings and reports, to be kept beside the code."""
+    from sysid.proof.keep import keep_shard as keep
+
+    return keep(folder, out)
 
 
 def score_cases(folder: Path) -> str:

@@ -1,7 +1,8 @@
 """Diagnose the cases blind: each in a process of its own that sees a copy of its case folder and nothing else.
 
 Writes ``answers/case_XX/`` (what ``thinshell diagnose`` writes, and ``run.json``: time and exit), then
-``answers.json`` with the digest of every diagnosis, and its own digest ``answers.json.sha256``.
+``answers.json`` with what every diagnosis says (:mod:`sysid.proof.answer`) and its digest, and its own digest
+``answers.json.sha256``. Seal, truth, answers and score are small and can be kept without the recordings.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ import yaml
 
 import sysid
 from sim_core.errors import ConfigError
+from sysid.proof.answer import read_answer
 from sysid.proof.seal import SEAL_FILE, file_digest
 
 Progress = Callable[[float, str], None]
@@ -119,13 +122,11 @@ def _seal(folder: Path) -> str:
 
 
 def _entry(answer: Path) -> dict[str, Any]:
-    """What is known of one answer: its digest, the verdict, the effects named, time, error."""
+    """What is known of one answer: its digest, what it says, time, error."""
     run = json.loads((answer / RUN_FILE).read_text())
     entry: dict[str, Any] = {"seconds": run["seconds"], "error": run["error"]}
     path = answer / DIAGNOSIS_FILE
     if path.is_file():
-        diagnosis = json.loads(path.read_text())
         entry["sha256"] = file_digest(path)
-        entry["verdict"] = diagnosis["verdict"]
-        entry["effects"] = [e["name"] for e in diagnosis["effects"]]
+        entry["answer"] = asdict(read_answer(path))
     return entry

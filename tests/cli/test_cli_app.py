@@ -47,6 +47,7 @@ def test_without_arguments_it_shows_its_help() -> None:
         "diagnose",
         "prove make",
         "prove record",
+        "prove keep",
         "prove run",
         "prove score",
         "inspect",

@@ -21,9 +21,12 @@ from sysid.noise.estimate import estimate_noise
 from sysid.observations.observations import Measured, Run
 from sysid.proof import make_cases
 from sysid.proof.generator import bench, make
-from sysid.proof.generator.concealed import DRAWS, assign_effects, draw_amplitudes
+from sysid.proof.generator.concealed import DRAWS, draw_amplitudes
 from sysid.proof.generator.noise import ColouredNoise
+from sysid.proof.generator.plan import plan_cases
+from sysid.proof.outcome import kind_of
 from sysid.proof.seal import open_seal
+from sysid.proof.truths.conceal import LIBRARY, OUTSIDE
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +72,7 @@ def contents(bag: Path) -> dict:
 def test_a_case_with_an_effect_differs_from_one_without_in_readings_only(
     quick: None, tmp_path: Path, effect: str
 ) -> None:
-    for name, concealed in (("null", None), ("effect", effect)):
+    for name, concealed in (("null", ()), ("effect", (effect,))):
         (tmp_path / name).mkdir()
         make.make_case(tmp_path / name / "case_01", concealed, np.random.SeedSequence(7), lambda share: None)
     null, other = (tmp_path / name / "case_01" for name in ("null", "effect"))
@@ -83,7 +86,7 @@ def test_a_case_with_an_effect_differs_from_one_without_in_readings_only(
 
 def test_cases_differ_in_readings_and_poses_only(quick: None, tmp_path: Path) -> None:
     """Across independent cases: same topics, counts, stamps and files."""
-    make_cases(tmp_path / "out", cases=8, seed=2)
+    make_cases(tmp_path / "out", cases=8, seed=2, rigs=("bench",))
     seen = set()
     for case in sorted((tmp_path / "out").glob("case_*")):
         for run, kind in bench.KINDS.items():
@@ -95,7 +98,7 @@ def test_cases_differ_in_readings_and_poses_only(quick: None, tmp_path: Path) ->
 
 def test_what_is_handed_out(quick: None, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    make_cases(out, cases=4, seed=11)
+    make_cases(out, cases=4, seed=11, rigs=("bench",))
     assert sorted(p.name for p in out.iterdir()) == [
         "case_01", "case_02", "case_03", "case_04", "sealed", "sealed.json.sha256",
     ]  # fmt: skip
@@ -113,17 +116,18 @@ def test_what_is_handed_out(quick: None, tmp_path: Path) -> None:
             assert told[name] != pytest.approx(value, rel=1e-4)
         text = (folder / "rig.yaml").read_text()
         assert not [e.name for e in all_effects().values() if e.name in text]
-        if case["effect"]:
-            effect = effect_by_name(case["effect"])
+        for concealed in case["effects"]:
+            effect = effect_by_name(concealed["name"])
             bounds = {p.name: (p.lower, p.upper) for p in effect.parameters}
-            assert set(case["parameters"]) == set(bounds)
-            assert all(bounds[k][0] <= v <= bounds[k][1] for k, v in case["parameters"].items())
+            assert concealed["slot"] == effect.slot
+            assert set(concealed["parameters"]) == set(bounds)
+            assert all(bounds[k][0] <= v <= bounds[k][1] for k, v in concealed["parameters"].items())
         assert [m.channel for m in load_run(rig, folder / "run_a").measured] == ["force", "gel_markers", "side"]
 
 
 def test_same_seed_same_cases(quick: None, tmp_path: Path) -> None:
     for name, seed in (("a", 4), ("b", 4), ("c", 5)):
-        make_cases(tmp_path / name, cases=2, seed=seed)
+        make_cases(tmp_path / name, cases=2, seed=seed, rigs=("bench",))
     files = [p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*") if p.is_file()]
     assert files
     for path in files:
@@ -131,14 +135,34 @@ def test_same_seed_same_cases(quick: None, tmp_path: Path) -> None:
     assert (tmp_path / "a" / "sealed.json.sha256").read_text() != (tmp_path / "c" / "sealed.json.sha256").read_text()
 
 
-def test_plan_of_twelve() -> None:
+def test_a_shard_of_twenty() -> None:
+    """Seven empty cases, eight with one effect, two with two, three outside the library; every rig its share."""
     for seed in range(20):
-        plan = assign_effects(np.random.default_rng(seed), 12)
-        counts = Counter(plan)
-        assert counts.pop(None) == 3
-        assert set(counts) == set(DRAWS)
-        assert sorted(counts.values()) == [1] * 7 + [2]
-    assert len({tuple(map(str, assign_effects(np.random.default_rng(s), 12))) for s in range(20)}) == 20
+        plan = plan_cases(np.random.default_rng(seed), 20, ("bench", "strip", "gel"))
+        sealed = [
+            [{"in_library": name in {**DRAWS, **LIBRARY.get(case.rig, {})}} for name in case.effects] for case in plan
+        ]
+        assert Counter(map(kind_of, sealed)) == {"empty": 7, "one": 8, "two": 2, "outside": 3}
+        rigs = Counter(case.rig for case in plan)
+        assert min(rigs.values()) >= 4 and rigs["strip"] + rigs["gel"] >= 12
+        for case in plan:
+            assert len(set(case.effects)) == len(case.effects)
+            assert all(n in {**LIBRARY.get(case.rig, DRAWS), **OUTSIDE.get(case.rig, {})} for n in case.effects)
+    assert len({str(plan_cases(np.random.default_rng(s), 20, ("strip", "gel"))) for s in range(20)}) == 20
+
+
+def test_every_effect_of_a_rig_comes_once_before_any_comes_twice() -> None:
+    plan = plan_cases(np.random.default_rng(1), 40, ("bench",))
+    assert {case.rig for case in plan} == {"bench"}
+    singles = Counter(name for case in plan for name in case.effects)
+    assert set(singles) == set(DRAWS)
+    assert max(singles.values()) - min(singles.values()) <= 1
+
+
+@pytest.mark.parametrize("rig", sorted(LIBRARY))
+def test_what_the_stands_conceal_is_known_by_name_where_it_should_be(rig: str) -> None:
+    assert set(LIBRARY[rig]) <= set(all_effects())
+    assert not set(OUTSIDE[rig]) & set(all_effects())
 
 
 def test_amplitudes_stay_within_physical_bounds() -> None:
@@ -181,9 +205,9 @@ def test_noise_has_its_level_and_colour() -> None:
 @pytest.mark.slow
 def test_one_case_simulated(tmp_path: Path) -> None:
     """A real case: it fits its rig's channels, touches, and its noise is as sealed."""
-    make_cases(tmp_path / "out", cases=1, seed=1)
+    make_cases(tmp_path / "out", cases=1, seed=1, rigs=("bench",))
     case = open_seal(tmp_path / "out")["cases"][0]
-    assert case["signal"] >= 12.0
+    assert all(effect["signal"] >= 12.0 for effect in case["effects"])
     rig = load_rig(tmp_path / "out" / "case_01" / "rig.yaml")
     runs = [load_run(rig, tmp_path / "out" / "case_01" / name) for name in bench.KINDS]
     assert forces(runs[0])[:, 2].min() < -0.3

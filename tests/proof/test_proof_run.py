@@ -39,7 +39,9 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         if len(made) == 2:
             return subprocess.CompletedProcess(command, 2, "", "It did not converge.")
         (cwd / "answer").mkdir()
-        text = json.dumps({"verdict": "nothing_missing", "effects": []})
+        fit = {"baseline": {"held_out": 1.0}, "amended": None}
+        said = {"verdict": "nothing_missing", "effects": [], "fit": fit, "baseline_parameters": []}
+        text = json.dumps({**said, "amended_parameters": []})
         (cwd / "answer" / "diagnosis.json").write_text(text)
         return subprocess.CompletedProcess(command, 0, "", "")
 
@@ -61,7 +63,7 @@ def test_a_diagnosis_sees_a_copy_of_its_case_and_nothing_else(folder: Path, call
 def test_errors_are_recorded_and_tried_again(folder: Path, calls: list[dict[str, Any]]) -> None:
     assert "1 of 2 cases diagnosed" in run_cases(folder)
     answers = json.loads((folder / "answers.json").read_text())
-    assert answers["cases"]["case_01"]["verdict"] == "nothing_missing"
+    assert answers["cases"]["case_01"]["answer"]["verdict"] == "nothing_missing"
     assert answers["cases"]["case_02"]["error"] == "It did not converge."
     assert answers["seal"] == (folder / "sealed.json.sha256").read_text().strip()
     assert (folder / "answers.json.sha256").read_text().strip() == file_digest(folder / "answers.json")

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
 from sim_core.errors import ConfigError
-from sysid.proof import score_cases
+from sysid.proof import keep_shard, score_cases
+from sysid.proof.answer import read_answer
+from sysid.proof.outcome import outcome, sure_and_wrong
 from sysid.proof.run import ANSWERS_FILE
-from sysid.proof.score import outcome, wilson, within
+from sysid.proof.score import wilson, within
 from sysid.proof.seal import digest_of, file_digest, open_seal, write_seal
 
 SHARE = {"name": "share", "value": 0.2, "ci95": [0.1, 0.3], "unit": "-", "words": ""}
+
+
+def sealed(name: str, slot: str = "air", *, in_library: bool = True) -> dict:
+    return {"name": name, "slot": slot, "in_library": in_library, "parameters": {"share": 0.25}, "signal": 40.0}
 
 
 def truth_of(*effects: str | None) -> dict:
@@ -22,9 +29,9 @@ def truth_of(*effects: str | None) -> dict:
         "cases": [
             {
                 "case": f"case_{k + 1:02d}",
-                "effect": effect,
-                "parameters": {"share": 0.25} if effect else {},
-                "signal": 40.0 if effect else 0.0,
+                "rig": "gel" if k == 1 else "bench",
+                "truth": "layer" if k == 1 else "simulator",
+                "effects": [sealed(effect)] if effect else [],
                 "materials": {"gel.E_pa": 1e5},
             }
             for k, effect in enumerate(effects)
@@ -35,7 +42,9 @@ def truth_of(*effects: str | None) -> dict:
 def diagnosis(verdict: str, names: list[str]) -> dict:
     return {
         "verdict": verdict,
-        "effects": [{"name": n, "parameters": [SHARE]} for n in names],
+        "effects": [{"name": n, "parameters": [SHARE], "probability": 0.95 - 0.1 * k} for k, n in enumerate(names)],
+        "alternatives": [{"name": "stream_delay", "parameters": [], "probability": 0.02}],
+        "places": [{"place": "robot"}, {"place": "sheet"}],
         "fit": {"baseline": {"held_out": 9.0}, "amended": {"held_out": 1.1} if names else None},
         "baseline_parameters": [{"name": "gel.E_pa", "ci95": [0.9e5, 1.1e5]}],
         "amended_parameters": [],
@@ -55,9 +64,8 @@ def folder(tmp_path: Path) -> Path:
         path = tmp_path / "answers" / name / "diagnosis.json"
         path.parent.mkdir(parents=True)
         path.write_text(json.dumps(data))
-        names = [e["name"] for e in data["effects"]]
         entries[name] = {
-            "seconds": 60.0, "error": "", "sha256": file_digest(path), "verdict": data["verdict"], "effects": names,
+            "seconds": 60.0, "error": "", "sha256": file_digest(path), "answer": asdict(read_answer(path)),
         }  # fmt: skip
     answers = tmp_path / ANSWERS_FILE
     answers.write_text(json.dumps({"seal": "", "cases": entries}))
@@ -79,7 +87,7 @@ def test_changed_truth_is_detected(folder: Path) -> None:
 def test_changed_number_and_salt_change_the_digest() -> None:
     truth = truth_of("air_drag")
     other = truth_of("air_drag")
-    other["cases"][0]["parameters"]["share"] = 0.25000001
+    other["cases"][0]["effects"][0]["parameters"]["share"] = 0.25000001
     assert digest_of(truth, "a") == digest_of(truth_of("air_drag"), "a")
     assert len({digest_of(truth, "a"), digest_of(other, "a"), digest_of(truth, "b")}) == 3
 
@@ -96,32 +104,70 @@ def test_score_counts(folder: Path) -> None:
     text = score_cases(folder)
     score = json.loads((folder / "score.json").read_text())
     assert [c["outcome"] for c in score["cases"]] == ["clear", "named", "right set", "error"]
-    summary = score["summary"]
+    assert [c["kind"] for c in score["cases"]] == ["empty", "one", "one", "one"]
+    summary = score["summary"]["all"]
     assert summary["false_alarm"]["count"] == 0 and summary["false_alarm"]["of"] == 1
     assert (summary["named"]["count"], summary["named_or_right_set"]["count"]) == (1, 2)
-    assert summary["held_out_lower"] == {"count": 2, "of": 2, "ci95": [0.3424, 1.0]}
+    assert (summary["first_three"]["count"], summary["first_three"]["of"]) == (2, 3)
+    assert (summary["held_out_worse"]["count"], summary["held_out_worse"]["of"]) == (0, 2)
+    assert summary["held_out_excess_halved"] == {"count": 2, "of": 2, "ci95": [0.3424, 1.0]}
     assert summary["parameters_recovered"]["count"] == 2
     assert summary["errors"] == 1
-    assert "right set" in text and "False alarms: 0 of 1" in text
+    apart = score["summary"]["independent"]
+    assert (apart["named"]["count"], apart["named"]["of"], apart["false_alarm"]["of"]) == (1, 1, 0)
+    assert "right set" in text and "False alarms in cases that conceal nothing: 0 of 1" in text
+    assert "Truth by another formulation (1 cases)" in text
+
+
+def test_a_kept_shard_scores_alike_and_stays_sealed(folder: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    with pytest.raises(ConfigError, match="Run and score"):
+        keep_shard(folder, kept)
+    text = score_cases(folder)
+    keep_shard(folder, kept)
+    assert not list(kept.rglob("diagnosis.json"))
+    assert score_cases(kept).splitlines()[:-1] == text.splitlines()[:-1]
+    answers = kept / "answers.json"
+    answers.write_text(answers.read_text().replace("one_of", "named"))
+    with pytest.raises(ConfigError, match="has changed"):
+        score_cases(kept)
+
+
+DRAG, LATE = sealed("air_drag"), sealed("stream_delay", "clock")
+PLAY = sealed("backlash", "robot", in_library=False)
 
 
 @pytest.mark.parametrize(
-    ("effect", "verdict", "answer", "expected"),
+    ("effects", "verdict", "names", "expected"),
     [
-        (None, "nothing_missing", [], "clear"),
-        (None, "named", ["air_drag"], "false alarm"),
-        (None, "unknown", [], "false alarm"),
-        ("air_drag", "nothing_missing", [], "missed"),
-        ("air_drag", "unknown", [], "unknown"),
-        ("air_drag", "named", ["air_drag"], "named"),
-        ("air_drag", "named", ["air_drag", "stream_delay"], "wrong"),
-        ("air_drag", "named", ["stream_delay"], "wrong"),
-        ("air_drag", "one_of", ["stream_delay", "air_drag"], "right set"),
-        ("air_drag", "one_of", ["stream_delay", "wrench_offset"], "wrong"),
+        ([], "nothing_missing", [], "clear"),
+        ([], "named", ["air_drag"], "false alarm"),
+        ([], "unknown", [], "false alarm"),
+        ([], "refine_discretisation", [], "refine"),
+        ([DRAG], "nothing_missing", [], "missed"),
+        ([DRAG], "unknown", [], "unknown"),
+        ([DRAG], "named", ["air_drag"], "named"),
+        ([DRAG], "partly", ["air_drag"], "named"),
+        ([DRAG], "named", ["air_drag", "stream_delay"], "wrong"),
+        ([DRAG], "named", ["stream_delay"], "wrong"),
+        ([DRAG], "one_of", ["stream_delay", "air_drag"], "right set"),
+        ([DRAG], "one_of", ["stream_delay", "wrench_offset"], "wrong"),
+        ([DRAG, LATE], "named", ["stream_delay", "air_drag"], "named"),
+        ([DRAG, LATE], "named", ["stream_delay"], "one of two"),
+        ([DRAG, LATE], "named", ["stream_delay", "wrench_offset"], "wrong"),
+        ([PLAY], "unknown", [], "right slot"),
+        ([sealed("jump", "sheet", in_library=False)], "unknown", [], "other slot"),
+        ([PLAY], "named", ["air_drag"], "wrong"),
+        ([PLAY], "one_of", ["air_drag", "stream_delay"], "wrong"),
     ],
 )
-def test_outcomes(effect: str | None, verdict: str, answer: list[str], expected: str) -> None:
-    assert outcome(effect, verdict, answer) == expected
+def test_outcomes(tmp_path: Path, effects: list[dict], verdict: str, names: list[str], expected: str) -> None:
+    path = tmp_path / "diagnosis.json"
+    path.write_text(json.dumps(diagnosis(verdict, names)))
+    answer = read_answer(path)
+    assert outcome(effects, answer) == expected
+    wrong = verdict in ("named", "partly") and bool(names) and names[0] not in [e["name"] for e in effects]
+    assert sure_and_wrong(effects, answer) == wrong
 
 
 def test_within_matches_full_names_and_misses() -> None:

@@ -11,11 +11,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sim_core.effects import all_effects
-
-NULL_SHARE = 0.25
-"""Share of the cases that conceal nothing (3 of 12)."""
-
 MIN_SIGNAL = 12.0
 """Least norm of the whitened trace that an effect leaves beside the parameters; weaker draws are redrawn."""
 
@@ -92,16 +87,6 @@ DRAWS: dict[str, Callable[[np.random.Generator], Amplitudes]] = {
 def draw_amplitudes(rng: np.random.Generator, effect: str) -> Amplitudes:
     """Random parameters of one effect, in the units of its registry entry."""
     return DRAWS[effect](rng)
-
-
-def assign_effects(rng: np.random.Generator, cases: int) -> list[str | None]:
-    """One effect (or none) for each case, in random order; every effect once before any comes twice."""
-    nulls = round(NULL_SHARE * cases)
-    names = [name for name in DRAWS if name in all_effects()]
-    drawn: list[str | None] = [None] * nulls
-    while len(drawn) < cases:
-        drawn += list(rng.permutation(names))[: cases - len(drawn)]
-    return [None if drawn[k] is None else str(drawn[k]) for k in rng.permutation(cases)]
 
 
 def _direction(rng: np.random.Generator) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -10,16 +10,19 @@ from typing import Any
 import numpy as np
 import yaml
 
+from sim_core.effects import effect_by_name
 from sim_core.errors import ConvergenceError
 from sim_core.rigs import Rig, rig_to_yaml
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate, step_times
 from sysid.proof.generator import bench
-from sysid.proof.generator.concealed import MIN_SIGNAL, Amplitudes, assign_effects, draw_amplitudes
+from sysid.proof.generator.concealed import MIN_SIGNAL, Amplitudes, draw_amplitudes
 from sysid.proof.generator.noise import ColouredNoise
+from sysid.proof.generator.plan import RIGS, plan_cases
 from sysid.proof.generator.signal import Sight
 from sysid.proof.seal import write_seal
+from sysid.proof.truths.make import make_case as make_independent
 from sysid.simulate import write_trace
 
 Progress = Callable[[float, str], None]
@@ -35,36 +38,33 @@ MAX_DRAWS = 20
 
 
 @dataclass(frozen=True)
-class Truth:
-    """What a case conceals. ``signal``: how far it stands out (:mod:`sysid.proof.generator.signal`), 0
-    without an effect; ``materials`` and ``parameters`` in the units of their names."""
-
-    case: str
-    effect: str | None
-    parameters: dict[str, float]
-    signal: float
-    materials: dict[str, float]
-    noise: dict[str, dict[str, float]]
-    draws: int
-
-
-@dataclass(frozen=True)
 class _Case:
-    truth: Truth
+    truth: dict[str, Any]
     rig: Rig
     told: Rig
     poses: dict[str, dict[str, PoseTrajectory]]
     noise: dict[str, ColouredNoise]
 
 
-def make_cases(out: Path, *, cases: int, seed: int, on_progress: Progress | None = None) -> str:
-    """Write ``cases`` folders into ``out`` and seal what they conceal; the returned text says what was made."""
+def make_cases(
+    out: Path,
+    *,
+    cases: int,
+    seed: int,
+    rigs: Sequence[str] = RIGS,
+    fast: bool = False,
+    on_progress: Progress | None = None,
+) -> str:
+    """Write ``cases`` folders into ``out`` and seal what they conceal; the returned text says what was made.
+
+    ``rigs``: those that take turns; ``fast``: fewer and shorter recordings of rigs with an independent truth.
+    """
     root = np.random.SeedSequence(seed)
-    plan, salt, *seeds = root.spawn(cases + 2)
-    effects = assign_effects(np.random.default_rng(plan), cases)
+    order, salt, *seeds = root.spawn(cases + 2)
+    plan = plan_cases(np.random.default_rng(order), cases, rigs)
     out.mkdir(parents=True, exist_ok=True)
     truths = []
-    for k, (effect, own) in enumerate(zip(effects, seeds, strict=True)):
+    for k, (planned, own) in enumerate(zip(plan, seeds, strict=True)):
         name = f"case_{k + 1:02d}"
 
         def report(share: float, k: int = k, name: str = name) -> None:
@@ -72,20 +72,24 @@ def make_cases(out: Path, *, cases: int, seed: int, on_progress: Progress | None
                 on_progress((k + share) / cases, name)
 
         report(0.0)
-        truths.append(make_case(out / name, effect, own, report))
-    truth = {"seed": seed, "refine": REFINE, "step_share": STEP_SHARE, "cases": [asdict(t) for t in truths]}
+        if planned.rig == "bench":
+            truths.append(make_case(out / name, planned.effects, own, report))
+        else:
+            truths.append(
+                make_independent(out / name, planned.rig, own, effects=planned.effects, fast=fast, on_progress=report)
+            )
+    truth = {"seed": seed, "refine": REFINE, "step_share": STEP_SHARE, "fast": fast, "cases": truths}
     digest = write_seal(out, truth, salt=salt.generate_state(8).tobytes().hex())
-    return (
-        f"{out}: {cases} cases, {len(bench.TRAINING)} recordings to use and {len(bench.HELD_OUT)} held out in each.\n"
-        f"Sealed: {digest}"
-    )
+    return f"{out}: {cases} cases on {', '.join(rigs)}.\nSealed: {digest}"
 
 
-def make_case(folder: Path, effect: str | None, seed: np.random.SeedSequence, report: Callable[[float], None]) -> Truth:
-    """One case. Drawn again, with new random numbers, where the simulator does not converge."""
-    for attempt, own in enumerate(seed.spawn(MAX_DRAWS)):
+def make_case(
+    folder: Path, effects: Sequence[str], seed: np.random.SeedSequence, report: Callable[[float], None]
+) -> dict[str, Any]:
+    """One case on the bench. Drawn again, with new random numbers, where the simulator does not converge."""
+    for own in seed.spawn(MAX_DRAWS):
         try:
-            case = _draw(folder.name, effect, own, attempt)
+            case = _draw(folder.name, effects, own)
             traces = []
             for k, run in enumerate(case.poses):
                 report((k + 1) / (len(case.poses) + 1))
@@ -102,7 +106,7 @@ def make_case(folder: Path, effect: str | None, seed: np.random.SeedSequence, re
     raise ConvergenceError(f"{folder.name}: no draw could be simulated.", "Use another seed.")
 
 
-def _draw(name: str, effect: str | None, seed: np.random.SeedSequence, attempt: int) -> _Case:
+def _draw(name: str, effects: Sequence[str], seed: np.random.SeedSequence) -> _Case:
     """Everything random of a case. What is concealed has random numbers of its own, so that nothing else
     depends on it."""
     for_materials, for_motion, for_noise, for_guess, for_effect = seed.spawn(5)
@@ -112,15 +116,26 @@ def _draw(name: str, effect: str | None, seed: np.random.SeedSequence, attempt: 
     motion = np.random.default_rng(for_motion)
     poses = {run: bench.draw_poses(motion, rig, kind) for run, kind in bench.KINDS.items()}
     told = bench.told_rig(np.random.default_rng(for_guess), rig, levels)
-    amplitudes: Amplitudes = {}
-    signal = 0.0
-    if effect is not None:
-        amplitudes, signal = _visible(
-            np.random.default_rng(for_effect), effect, Sight(rig, [poses[r] for r in bench.TRAINING], levels)
-        )
-        rig = rig.model_copy(update={"effects": {effect: amplitudes}})
+    concealed = []
+    if effects:
+        rng = np.random.default_rng(for_effect)
+        sight = Sight(rig, [poses[r] for r in bench.TRAINING], levels)
+        for effect in effects:
+            amplitudes, signal = _visible(rng, effect, sight)
+            slot = effect_by_name(effect).slot
+            concealed.append(
+                {"name": effect, "slot": slot, "in_library": True, "parameters": amplitudes, "signal": signal}
+            )
+        rig = rig.model_copy(update={"effects": {str(e["name"]): e["parameters"] for e in concealed}})
     streams = dict(zip(bench.KINDS, for_noise.spawn(len(bench.KINDS)), strict=True))
-    truth = Truth(name, effect, amplitudes, signal, materials, {k: asdict(n) for k, n in levels.items()}, attempt + 1)
+    truth = {
+        "case": name,
+        "rig": "bench",
+        "truth": "simulator",
+        "effects": concealed,
+        "materials": materials,
+        "noise": {k: asdict(n) for k, n in levels.items()},
+    }
     noise = {run: ColouredNoise(rig, levels, stream) for run, stream in streams.items()}
     return _Case(truth, rig, told, poses, noise)
 

@@ -121,6 +121,15 @@ def write_bag(
         )
 
 
+def noise_free(clean: Clean, camera: Pinhole, wrench: WrenchFaults, clocks: ClockFaults) -> tuple[Array, Array]:
+    """Wrenches ``(n, 6)`` and pixels ``(k, m, 2)`` at even stamps, as a bag without noise would have them."""
+    end = float(clean.t[-1])
+    t = np.arange(0.0, end, 1.0 / WRENCH_RATE_HZ)
+    read = _mean(clean.t, wrench.read(clean.t, clean.wrench), t - clocks.wrench_s)
+    t = np.arange(0.0, end, 1.0 / CAMERA_RATE_HZ)
+    return read, _seen(clean, camera, (t - clocks.vision_s) / (1.0 + clocks.vision_drift))
+
+
 def _mean(t: Array, values: Array, at: Array) -> Array:
     """Mean over the window around each stamp."""
     total = cumulative_trapezoid(values, t, axis=0, initial=0.0)

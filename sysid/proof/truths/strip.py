@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from sysid.proof.truths.arm import RIGID, ArmFaults, through
 from sysid.proof.truths.camera import Pinhole, look_at
 from sysid.proof.truths.noise import NoiseLevels, nasty
 from sysid.proof.truths.paths import Path
@@ -27,6 +28,7 @@ STOCKS = {
 }
 """Young's modulus from, to [Pa] and density [kg/m^3]."""
 
+NAME = "strip_on_a_table"
 DAMPING_RATIO = 0.015
 COLUMNS, ROWS = 13, 2
 STEP_S = 1e-3
@@ -66,6 +68,9 @@ class StripEffects:
     cushion: float = 0.0
     tilt_rad: float = 0.0
     excess: float = 0.0
+
+
+NOTHING = StripEffects()
 
 
 @dataclass(frozen=True)
@@ -177,14 +182,15 @@ class StripTruth:
     """Simulates the recordings of one strip in their order: what yielded stays so."""
 
     strip: Strip
-    effects: StripEffects = field(default_factory=StripEffects)
+    effects: StripEffects = NOTHING
+    arm: ArmFaults = RIGID
     elements: int = 60
     step_s: float = STEP_S
     _plastic: Array | None = None
 
-    def run(self, path: Path, hand: Callable[[float], Array] | None = None) -> Clean:
-        """One recording. ``hand``: true (x, z, angle), by default the path itself."""
-        hand = hand or path
+    def run(self, path: Path) -> Clean:
+        """One recording."""
+        hand, measured = through(path, self.arm)
         rod = self.rod(hand)
         if self._plastic is not None:
             rod.bending.plastic = self._plastic
@@ -193,14 +199,14 @@ class StripTruth:
         t = self.step_s * np.arange(count + 1)
         states += [rod.step(float(at), self.step_s) for at in t[1:]]
         self._plastic = rod.bending.plastic
-        angle = np.array([hand(float(at))[2] for at in t])
+        angle = hand(t)[:, 2]
         force, moment = np.array([s.force for s in states]), np.array([s.moment for s in states])
         wrench = np.zeros((len(t), 6))
         wrench[:, 0] = np.cos(angle) * force[:, 0] + np.sin(angle) * force[:, 1]
         wrench[:, 2] = -np.sin(angle) * force[:, 0] + np.cos(angle) * force[:, 1]
         wrench[:, 4] = -moment
         markers = self._markers(np.array([s.position for s in states]))
-        return Clean(t, wrench, markers, lambda at: poses(path(at)), lambda at: poses(path(at)))
+        return Clean(t, wrench, markers, lambda at: poses(path(at)), lambda at: poses(measured(at)))
 
     def rod(self, hand: Callable[[float], Array], *, touches: bool = True) -> Rod:
         """The rod of this strip in the hand; ``touches``: above the table."""
@@ -352,13 +358,9 @@ def setup(strip: Strip, recordings: list[str]) -> dict[str, Any]:
     }
 
 
-def truth_values(strip: Strip) -> dict[str, float]:
-    """True values by the names of the rig's parameters."""
-    return {
-        "strip.E_pa": strip.modulus,
-        "strip.density_kg_m3": strip.density,
-        "contacts.strip-table.friction": strip.friction,
-    }
+def marker_count(strip: Strip) -> int:
+    """Number of markers."""
+    return len(strip.markers[0])
 
 
 def quaternion(rotation: Array) -> Array:
