@@ -162,7 +162,7 @@ class Problem:
         chosen = np.arange(len(values))
         if self._quantile > 0.0:
             chosen = np.argsort(values, kind="stable")[: max(1, round(self._quantile * len(values)))]
-        slopes = [outcomes[k].gradient for k in chosen]
+        slopes = [outcomes[int(k)].gradient for k in chosen]
         slope = None
         if gradient and all(s is not None for s in slopes):
             slope = np.mean([s for s in slopes if s is not None], axis=0)
