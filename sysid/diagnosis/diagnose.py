@@ -37,11 +37,14 @@ from sysid.observations.observations import Run, check_apart
 
 Progress = Callable[[float, str], None]
 
-REFITTED = 4
+REFITTED = 3
 """Effects that are refitted in full after the screening."""
 
-SECOND_STARTS = 2
+SECOND_STARTS = 1
 """Further starts of these effects that are refitted as well."""
+
+BY_RECORDING = 2
+"""Further effects that are refitted since they explain single recordings best."""
 
 MOST_EFFECTS = 3
 """Effects of one answer."""
@@ -105,10 +108,13 @@ def _trials(
 ) -> list[Trial]:
     """Refits of single effects, of pairs that the screening shows, and of what the best of these leave."""
     promising = [s for s in singles if s.gain > case.needed]
-    if not promising:
+    apart = [s for s in screen.by_recording() if s.gain > case.needed]
+    if not promising and not apart:
         return []
     chosen = _distinct(screen, promising, REFITTED, SECOND_STARTS)
-    starts = [_start(screen, s) for s in chosen]
+    names = {screen.hypotheses[s.numbers[0]].effect.name for s in chosen}
+    apart = [s for s in apart if screen.hypotheses[s.numbers[0]].effect.name not in names]
+    starts = [_start(screen, s) for s in (*chosen, *_distinct(screen, apart, BY_RECORDING, 0))]
     pair = _best_pair(screen, promising)
     if pair is not None and pair.gain > singles[0].gain + case.needed:
         starts.append(_start(screen, pair))

@@ -121,6 +121,27 @@ class Screen:
         found = [self.score([k], cross=False) for k in range(len(self.hypotheses))]
         return sorted(found, key=lambda s: -s.gain)
 
+    def by_recording(self) -> list[Score]:
+        """All hypotheses with factors of their own in each recording, best first: the gains of recordings in which they
+        have any, summed, with the factors of the recording that they explain best.
+
+        A response is exact to first order on the path only. In a recording near a resonance, or where contact changes,
+        it is not, and would forbid in all others what it gets wrong there.
+        """
+        found = []
+        plain = [self._minimum((), b.gram)[0] for b in self.blocks]
+        for k in range(len(self.hypotheses)):
+            occam = self._occam((k,))
+            gains, ends = [], []
+            for block, before in zip(self.blocks, plain, strict=True):
+                value, end = self._minimum((k,), block.gram)
+                gains.append(0.5 * (before - value) - occam)
+                ends.append(end)
+            best = ends[int(np.argmax(gains))]
+            gain = sum(max(g, 0.0) for g in gains)
+            found.append(Score((k,), gain, 0.0, (best[self.shared :],), np.zeros(self.shared), None))
+        return sorted(found, key=lambda s: -s.gain)
+
     def threshold(self, seed: int = 0) -> float:
         """Evidence [nats] that the best hypothesis reaches with the probability :data:`FALSE_ALARM` where nothing is
         missing; of all twins the largest."""

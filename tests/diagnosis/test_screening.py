@@ -120,3 +120,16 @@ def test_two_laws_are_scored_together(small_rig: Any) -> None:
     both = screen.score([0, 1])
     assert len(both.factors) == 2 and both.fall >= screen.score([0]).fall - 1e-6
     assert isinstance(screen, Screen) and isinstance(base, Fitted)
+
+
+def test_a_recording_that_forbids_a_law_does_not_hide_it_in_the_others(small_rig: Any) -> None:
+    """In the second recording the response is wrong, as near a resonance: far too large, and against the residual."""
+    screen, _, _ = screened(small_rig, SHARE, (1, 2))
+    place = screen.places[0][0]
+    spoilt = screen.blocks[1].gram
+    spoilt[place] *= -30.0
+    spoilt[:, place] *= -30.0
+    assert screen.score([0]).gain < 0.0
+    best = screen.by_recording()[0]
+    assert best.numbers == (0,) and best.gain > 20.0
+    assert best.factors[0][0] * 0.1 == pytest.approx(SHARE, abs=0.02)
