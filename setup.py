@@ -36,6 +36,7 @@ setup(
             "sim_node = thinshell_ros.sim_node:main",
             "record_node = thinshell_ros.record_node:main",
             "sysid_node = thinshell_ros.sysid_node:main",
+            "replay_node = thinshell_ros.replay_node:main",
         ],
     },
 )

@@ -1,4 +1,4 @@
-"""Who else publishes on the topics of a node."""
+"""Who else publishes on the topics of a node, and who listens."""
 
 from __future__ import annotations
 
@@ -26,3 +26,8 @@ def other_publishers(node: Node, topics: Sequence[str]) -> dict[str, list[str]]:
 def most_publishers(node: Node, topics: Sequence[str]) -> int:
     """Publishers of that of the topics which has most."""
     return max((node.count_publishers(node.resolve_topic_name(topic)) for topic in topics), default=0)
+
+
+def subscribers(node: Node, topic: str) -> list[str]:
+    """Names, without namespaces, of the nodes that subscribe to a topic."""
+    return [offer.node_name for offer in node.get_subscriptions_info_by_topic(node.resolve_topic_name(topic))]

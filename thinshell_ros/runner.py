@@ -50,6 +50,9 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
 class FinishingNode(Node):
     """A node whose work is not done when it is told to end."""
 
+    def told_to_end(self) -> None:
+        """What must be done at once; nothing by default."""
+
     def finish(self) -> int:
         """Bring the work to its end; returns the exit code."""
         raise NotImplementedError
@@ -58,7 +61,7 @@ class FinishingNode(Node):
 def run_and_finish(make: Callable[[], FinishingNode], args: Sequence[str] | None = None) -> int:
     """Like :func:`run`, but a signal does not cut the node off from what has already arrived.
 
-    It goes on for ``DRAIN_S``, then its ``finish`` gives the exit code.
+    Its ``told_to_end`` is called at once; it goes on for ``DRAIN_S``, then its ``finish`` gives the exit code.
     """
     told: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -72,6 +75,8 @@ def run_and_finish(make: Callable[[], FinishingNode], args: Sequence[str] | None
         executor.add_node(node)
         while not told and ok():
             executor.spin_once(timeout_sec=0.1)
+        if ok():
+            node.told_to_end()
         end = time.monotonic() + DRAIN_S
         while time.monotonic() < end and ok():
             executor.spin_once(timeout_sec=0.02)

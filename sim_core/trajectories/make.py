@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,9 +13,10 @@ from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sim_core.rigs.digest import rig_sha256
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.rigs.yamlfile import validate
-from sim_core.scene import build_scene
-from sim_core.simulate import Trace, simulate, step_times
 from sim_core.trajectories.model import Limits, Prediction, RigReference, Trajectory
+
+if TYPE_CHECKING:
+    from sim_core.simulate import Trace
 
 
 def make_trajectory(
@@ -110,5 +111,9 @@ def rollout(
     Raises:
         ConvergenceError: a step does not converge.
     """
+    # Imported only now: who reads and checks trajectories needs no simulator, which takes seconds to import.
+    from sim_core.scene import build_scene
+    from sim_core.simulate import simulate, step_times
+
     end = max(float(path.times[-1]) for path in poses.values())
     return simulate(build_scene(rig), poses, step_times(0.0, end, rig.solver.dt_s), on_step)

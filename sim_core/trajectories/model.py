@@ -21,6 +21,9 @@ VERSION = 1
 UNIT_TOLERANCE = 1e-3
 """How far the length of a quaternion may be from 1; it is normalised."""
 
+EffectorName = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+"""Name of an end effector, which may be the frame of a robot's tool."""
+
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0)]
 IntArray = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -193,7 +196,7 @@ class Trajectory(_Part):
     rig: RigReference | None = None
     limits: Limits = Limits()
     times_s: Times = Field(description="time [s] of each sample since the start, n")
-    end_effectors: dict[Name, EffectorPath] = Field(min_length=1, description="end effector -> its poses")
+    end_effectors: dict[EffectorName, EffectorPath] = Field(min_length=1, description="end effector -> its poses")
     predicted: Prediction = Prediction()
     provenance: dict[Text, Text] = Field(default={})
 

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +47,20 @@ def group(leader: int) -> list[int]:
 class NodeProcess:
     """A node started as a user would, with its output in a file. ``module``: of thinshell_ros, or a script."""
 
-    def __init__(self, module: str, log: Path, namespace: str = "/", **parameters: Any) -> None:
+    def __init__(
+        self,
+        module: str,
+        log: Path,
+        namespace: str = "/",
+        *,
+        remaps: Mapping[str, str] | None = None,
+        **parameters: Any,
+    ) -> None:
         self._log = log
         program = [module] if module.endswith(".py") else ["-m", f"thinshell_ros.{module}"]
         command = [sys.executable, *program, "--ros-args", "-r", f"__ns:={namespace}"]
+        for name, topic in (remaps or {}).items():
+            command += ["-r", f"{name}:={topic}"]
         for name, value in parameters.items():
             command += ["-p", f"{name}:={value}"]
         with log.open("w") as output:
