@@ -43,7 +43,7 @@ class Figure:
     @property
     def exceeded(self) -> bool:
         """Whether the value is above its limit; round-off of the file is not."""
-        return self.limit is not None and self.value > self.limit * (1.0 + 1e-9)
+        return self.limit is not None and not self.value <= self.limit * (1.0 + 1e-9)
 
     def __str__(self) -> str:
         limit = "no limit" if self.limit is None else f"at most {self.limit:.6g} {self.unit}"

@@ -24,6 +24,9 @@ UNIT_TOLERANCE = 1e-3
 EffectorName = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 """Name of an end effector, which may be the frame of a robot's tool."""
 
+LARGEST = 1e9
+"""Largest number in an array, in its SI unit."""
+
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0)]
 IntArray = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -35,9 +38,12 @@ def _array(*shape: int | None) -> Callable[[object], FloatArray]:
     def convert(value: object) -> FloatArray:
         wanted = f"Write a list of {words} finite numbers."
         try:
-            array = np.array(value, dtype=np.float64)
+            given = np.asarray(value)
         except (TypeError, ValueError, OverflowError):
             raise trouble(f"is {describe(value)}, no array of numbers.", wanted) from None
+        if given.dtype.kind not in "iuf" and given.size:
+            raise trouble(f"is {describe(value)}, no array of numbers.", wanted)
+        array = given.astype(np.float64)
         fits = array.ndim == len(shape) and all(
             size in (None, length) for size, length in zip(shape, array.shape, strict=True)
         )
@@ -45,6 +51,9 @@ def _array(*shape: int | None) -> Callable[[object], FloatArray]:
             raise trouble(f"has the shape {' x '.join(map(str, array.shape)) or 'of one number'}.", wanted)
         if not np.isfinite(array).all():
             raise trouble(f"holds a value that is not finite in row {_first(~np.isfinite(array))}.", wanted)
+        if (np.abs(array) > LARGEST).any():
+            row = _first(np.abs(array) > LARGEST)
+            raise trouble(f"holds a value above {LARGEST:g} in row {row}.", "Check the unit.")
         array.setflags(write=False)
         return array
 

@@ -207,6 +207,18 @@ def test_stamps_may_be_off_by_the_time_out_and_no_more(sign: int, said: str) -> 
     assert f"The stamp of the pose of hand is {said}, at most 0.06 s" in bench.session.reason
 
 
+def test_a_reading_that_was_late_already_and_then_nothing_is_told_as_silence() -> None:
+    bench = Bench().start().run(0.05)
+    bench.at_s += 0.001
+    bench.feed(late=0.0009)
+    for _ in range(6):
+        bench.at_s += PERIOD_S
+        bench.session.tick(bench.now)
+    assert bench.session.reason == (
+        "The last reading of the pose of hand is from 0.061 s ago, at most 0.06 s is allowed."
+    )
+
+
 @pytest.mark.parametrize("jump", [-0.2, -0.051, -0.049, 0.049, 0.051, 0.2, 1e6])
 def test_a_jump_of_the_clock_ends_the_replay(jump: float) -> None:
     bench = Bench().start().run(0.05)

@@ -277,8 +277,8 @@ FAULTS = {
     "force_step": ("The force on pad_wrench is", 10.5),
     "jump": ("away from its commanded pose, at most 0.01 m", 0.011),
     "stop": ("away from its commanded pose, at most 0.0003 m", 0.0),
-    "pose_silent": ("The last reading of the pose of probe came", 0.0),
-    "wrench_silent": ("The last reading of the wrench pad_wrench came", 0.0),
+    "pose_silent": ("The last reading of the pose of probe", 0.0),
+    "wrench_silent": ("The last reading of the wrench pad_wrench", 0.0),
     "late": ("The last reading of the", 3.0),  # stamps before those that have come are no new readings
 }
 

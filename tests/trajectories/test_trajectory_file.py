@@ -20,8 +20,11 @@ from sim_core.rigs.digest import rig_sha256
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.rigs.yamlfile import validate
 from sim_core.trajectories import (
+    EffectorPath,
     Limits,
+    MarkerPrediction,
     Trajectory,
+    WrenchPrediction,
     make_trajectory,
     parse_trajectory,
     read_trajectory,
@@ -124,7 +127,14 @@ def test_the_least_file_is_read_and_has_the_meaning_that_the_keys_say() -> None:
     assert trajectory.limits == Limits()
 
 
-HAND = "end_effectors.hand"
+def test_the_example_of_the_documentation_is_a_trajectory_and_names_every_key() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "trajectories.md").read_text()
+    example = text.split("```json\n")[1].split("```")[0]
+    trajectory = parse_trajectory(example, "docs")
+    assert trajectory.predicted.wrenches["wrench_gel"].forces_n[2].tolist() == [0.0, 0.0, -0.1]
+    for part in (Trajectory, EffectorPath, Limits, WrenchPrediction, MarkerPrediction):
+        for key in set(part.model_fields) - {"end_effectors", "predicted", "rig", "limits", "provenance"}:
+            assert f"{key}`" in text, f"{part.__name__}.{key}"
 
 
 @pytest.mark.parametrize(
@@ -145,6 +155,9 @@ HAND = "end_effectors.hand"
         (changed("end_effectors.hand.positions_m", [[0, 0], [0, 0]]), "positions_m has the shape 2 x 2"),
         (changed("end_effectors.hand.positions_m", [[0, 0, 0], [0, 0]]), "positions_m is .* no array of numbers"),
         (changed("end_effectors.hand.positions_m", [["a", 0, 0]] * 2), "no array of numbers"),
+        (changed("end_effectors.hand.positions_m", [["1", 0, 0]] * 2), "no array of numbers"),
+        (changed("end_effectors.hand.positions_m", [[0, 0, 0], [0, 0, None]]), "no array of numbers"),
+        (changed("end_effectors.hand.positions_m", [[0, 0, 0], [1e10, 0, 0]]), r"value above 1e\+09 in row 1"),
         (changed("end_effectors.hand.positions_m", [[0, 0, 0], [0, 0, 1e999]]), "not a finite number"),
         (changed("end_effectors.hand.positions_mm", [[0, 0, 0]]), "write positions_m"),
         (changed("end_effectors.hand.quaternions_xyzw", [[0, 0, 0, 1], [0, 0, 0, 2]]), "length 2 in row 1"),
