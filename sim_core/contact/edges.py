@@ -73,8 +73,9 @@ class EdgeContact:
         offset: float,
         margin_m: float,
         shared: Sequence[SharedAreas] = (),
+        stops: bool = False,
     ) -> None:
-        self.name = name
+        self.name, self.stops = name, stops
         self._shared = list(shared)
         self._ours = np.ascontiguousarray(ours, dtype=np.int32)
         self._theirs = self._ours if theirs is None else np.ascontiguousarray(theirs, dtype=np.int32)

@@ -68,7 +68,8 @@ class SurfaceContact:
 
     ``triangles``: int32 ``(m, 3)``, node indices. ``offset``: [m], half thicknesses of both surfaces
     together. ``margin_m``: how much wider than a step needs partners are looked for. ``bearing``: share of the
-    law's range, less than one for samples that are to bear only where others fail.
+    law's range, less than one for samples that are to bear only where others fail. ``stops``: whether it keeps a
+    surface out of a rigid shape where no point of the surface would, and so stands at its place whatever bears.
     """
 
     mirrored = True
@@ -82,9 +83,10 @@ class SurfaceContact:
         offset: float,
         margin_m: float,
         bearing: float = 1.0,
+        stops: bool = False,
     ) -> None:
         self.name = name
-        self.bearing = bearing
+        self.bearing, self.stops = bearing, stops
         self.samples = samples
         self._triangles = np.ascontiguousarray(triangles, dtype=np.int32)
         self._margin = margin_m

@@ -1,4 +1,4 @@
-"""Sheets whose cells are too coarse for the round bodies that they may lie on."""
+"""Sheets whose cells are too coarse for the drums that they may lie around."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ a turn is off by 2 %: each edge turns by D = L/R, and 2 atanh(mu tan(D/2)) is mo
 
 
 def coarse_findings(layout: Layout) -> list[Finding]:
-    """A finding for each sheet that may touch a ball or a cylinder and has cells too long to lie around it."""
+    """A finding for each sheet that may rub on a cylinder and has cells too long to lie around it."""
     found = []
     for contact in layout.rig.contacts:
         one, other = contact.between
-        for sheet, round_body in ((one, other), (other, one)):
-            spec = layout.rig.bodies[round_body]
+        for sheet, drum in ((one, other), (other, one)):
+            spec = layout.rig.bodies[drum]
             if not (isinstance(layout.rig.bodies[sheet], Sheet) and isinstance(spec, Rigid)):
                 continue
-            if spec.shape.type not in ("sphere", "cylinder"):
+            if spec.shape.type != "cylinder" or contact.friction == 0.0:
                 continue
             radius, edge = spec.shape.radius_m, _edge(layout.bodies[sheet])
             if edge > WIDEST * radius:
                 found.append(
                     Finding(
                         "coarse cells",
-                        f"The cells of {sheet} are {1e3 * edge:.3g} mm long, too coarse to lie around {round_body}, "
+                        f"The cells of {sheet} are {1e3 * edge:.3g} mm long, too coarse to lie around {drum}, "
                         f"whose radius is {1e3 * radius:.3g} mm: friction around it would be wrong.",
                         f"Use cells of at most {1e3 * WIDEST * radius:.3g} mm where it may touch.",
                     )

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from sim_core.contact.edges import EDGE_RANGE, EdgeContact
-from sim_core.contact.inner_primitives import cores
+from sim_core.contact.inner_primitives import Core, cores
 from sim_core.contact.intersection_check import cross
 from sim_core.contact.rigid import RigidContact
 from sim_core.contact.samples import Samples, edge_shares, triangle_edges
 from sim_core.contact.start_depth import distances, over_triangles
 from sim_core.contact.surface import SurfaceContact
 from sim_core.errors import ConfigError
-from sim_core.rigs import Affine, Gel, Rig, Rigid, Sheet
+from sim_core.rigs import Gel, Rig, Rigid, Sheet
 from sim_core.rigs.schema import Contact
 from sim_core.scene.assembly import BuiltBody, contact_samples, contact_triangles, rigid_shape
 from sim_core.scene.contact_constants import OF_OFFSET, ContactConstants
@@ -81,7 +81,7 @@ def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, 
     terms: list[ContactTerm] = [RigidContact(name, samples, int(b.nodes[0]), shape, b.rotation)]
     first = int(b.nodes[0]) + 1
     for k, core in enumerate(cores(shape)):
-        offset = samples.offset + core.reach(_facet(a, cell))
+        offset = samples.offset + core.reach(_facet(a, cell, core))
         count = len(core.points)
         points = Samples(
             np.arange(first, first + count, dtype=np.int32)[:, None],
@@ -89,21 +89,24 @@ def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, 
             np.full(count, typical),
             0.0,
         )
-        terms.append(SurfaceContact(f"{name}.core{k}.points", points, triangles, offset, MARGIN * cell, EDGE_RANGE))
+        margin = MARGIN * cell
+        terms.append(
+            SurfaceContact(f"{name}.core{k}.points", points, triangles, offset, margin, EDGE_RANGE, stops=core.round)
+        )
         if len(core.edges):
             sides = (edges, areas, core.edges + first, None)
-            terms.append(
-                EdgeContact(f"{name}.core{k}.edges", *sides, rest, offset, MARGIN * cell, [edge_shares(triangles)])
-            )
+            shares = [edge_shares(triangles)]
+            terms.append(EdgeContact(f"{name}.core{k}.edges", *sides, rest, offset, margin, shares, stops=core.round))
         first += count
     return terms
 
 
-def _facet(body: BuiltBody, cell: float) -> float:
-    """Length [m] of flat pieces between neighbouring samples of a surface on a round shape, 0 where flat is true."""
-    if isinstance(body.spec, Affine):
-        return 0.0
-    return 0.5 * cell if isinstance(body.spec, Sheet) else cell
+def _facet(body: BuiltBody, cell: float, core: Core) -> float:
+    """Length [m] of flat pieces between neighbouring samples of a surface on a round shape, 0 where flat is true: so is
+    a sheet with cells that are coarse beside the shape, and lies on it with what is between its samples."""
+    if isinstance(body.spec, Gel):
+        return cell
+    return 0.5 * cell if isinstance(body.spec, Sheet) and cell < core.offset else 0.0
 
 
 def _check_outside(
@@ -155,6 +158,8 @@ def without_gap(term: ContactTerm, offset: float, law: ContactConstants) -> floa
     what the law keeps them apart. The distance of two surfaces has no sign, so there it stays positive."""
     if isinstance(term, RigidContact):
         return offset - law.displacement_m
+    if term.stops:
+        return offset
     return offset - min(law.displacement_m, OF_OFFSET * offset)
 
 
