@@ -8,13 +8,14 @@ LOCKER := $(VENV)/.locker
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-variations lint format lock clean
+.PHONY: help demo docs test test-all test-variations lint format lock clean
 
 help:
 	@echo "make demo      simulate a press, record it, fit it back, and write a report"
 	@echo "make test      all tests but those marked slow (11 to 40 minutes on 2 cores, as busy as they are)"
 	@echo "make test-all  those too"
 	@echo "make test-variations  tests of the physics as other processors compute: other vector widths, round-off, factorisation"
+	@echo "make docs      documentation as a site in out/site, links checked; needs no network"
 	@echo "make lint      style and types"
 	@echo "make format    put the code into the style that lint asks for"
 	@echo "make lock      resolve requirements.lock again from pyproject.toml"
@@ -31,6 +32,10 @@ test-all: $(READY)
 
 test-variations: $(READY)
 	$(BIN)/python tests/support/variations.py
+
+docs: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "Open out/site/index.html"
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -53,7 +58,7 @@ $(READY): requirements.lock pyproject.toml setup.py
 	@touch $@
 
 lock: $(LOCKER)
-	$(LOCKER)/bin/uv pip compile pyproject.toml --extra ros --extra dev --universal --python-version 3.10 \
+	$(LOCKER)/bin/uv pip compile pyproject.toml --extra ros --extra dev --extra docs --universal --python-version 3.10 \
 		--no-annotate --no-header --quiet --upgrade --generate-hashes --no-strip-extras --output-file .requirements.new
 	{ echo "# Exact versions and hashes for Python 3.10 to 3.13, resolved from pyproject.toml with: make lock"; \
 		cat .requirements.new; } > requirements.lock

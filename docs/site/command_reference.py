@@ -45,7 +45,9 @@ def _section(name: str, command: Any) -> str:
     if arguments or options:
         lines += ["| | default | meaning |", "| --- | --- | --- |"]
     lines += [_row(f"`{_metavar(p)}`", p) for p in arguments]
-    lines += [_row(f"`{', '.join([*p.opts, *p.secondary_opts])}`", p) for p in options]
+    lines += [
+        _row(f"`{' '.join([', '.join([*p.opts, *p.secondary_opts]), p.metavar or '']).strip()}`", p) for p in options
+    ]
     return "\n".join(lines)
 
 

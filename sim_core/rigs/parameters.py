@@ -102,9 +102,11 @@ def _choice(names: Collection[str]) -> str:
 
 
 def with_parameters(rig: Rig, values: Mapping[str, float]) -> Rig:
-    """A new rig with some values changed; names and bounds are checked."""
+    """A new rig with some values changed; names and bounds are checked. ``effects.KEY.PARAMETER`` adds the effect where
+    the rig does not name it."""
     if not values:
         return rig
+    rig = _with_effects(rig, values)
     places = {parameter.name: path for path, parameter in _walk(rig)}
     data: dict[str, Any] = rig.model_dump()
     given: dict[str, str] = {}
@@ -124,6 +126,17 @@ def with_parameters(rig: Rig, values: Mapping[str, float]) -> Rig:
             target = target[step]
         target[last] = float(value)
     return validate(Rig, data, f"rig {rig.name!r} with {', '.join(given)} changed")
+
+
+def _with_effects(rig: Rig, values: Mapping[str, float]) -> Rig:
+    """The rig with the effects that ``values`` set and that it does not name."""
+    added: dict[str, dict[str, float]] = {}
+    for name, value in values.items():
+        prefix, _, rest = name.strip().partition(".")
+        key, _, parameter = rest.rpartition(".")
+        if prefix == "effects" and key and key not in rig.effects:
+            added.setdefault(key, {})[parameter] = float(value)
+    return rig.model_copy(update={"effects": {**rig.effects, **added}}) if added else rig
 
 
 def bounds_of(model: type[Strict], key: str) -> tuple[float, float]:
@@ -182,18 +195,9 @@ def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
             yield ("effects", instance.key, p.name), Parameter(label, value, p.unit, p.lower, p.upper, p.words)
 
 
-_MEANINGS = {
-    "friction": "Coulomb friction coefficient",
-    "stiffness_pa_per_m": "contact pressure per approach",
-    "latency_s": "delay of the stamps",
-    "cx_px": "principal point u",
-    "cy_px": "principal point v",
-}
-
-
 def _parameter(name: str, owner: Strict, key: str, frame: str = "") -> Parameter:
     lower, upper = bounds_of(type(owner), key)
-    meaning = type(owner).model_fields[key].description or _MEANINGS.get(key, "")
+    meaning = type(owner).model_fields[key].description or ""
     return Parameter(name, getattr(owner, key), unit_of(key), lower, upper, meaning + frame)
 
 

@@ -40,7 +40,9 @@ def make_trajectory(
         gripper_closing_m: closing [m] of grippers by end effector, each ``(n,)``.
         limits: none by default.
         traces: rollouts along the poses, of which :func:`predict` makes the prediction; by default there is none.
-        name, description, provenance: text for people.
+        name: of the trajectory, for people.
+        description: one sentence.
+        provenance: where it is from, by key.
 
     Raises:
         ConfigError: an end effector is not one of the rig, or something does not fit.

@@ -1,0 +1,117 @@
+"""The site: it is built without a warning, its links are whole, and a browser shows it without a network."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import pytest
+from public_api import PUBLIC, names
+
+ROOT = Path(__file__).parents[2]
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built as 'make docs' does."""
+    pytest.importorskip("mkdocs", reason="mkdocs is not installed: pip install '.[docs]'")
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(folder)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    made = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment)
+    assert made.returncode == 0, made.stdout + made.stderr
+    return folder
+
+
+class _Links(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.loads: list[str] = []
+        self.anchors: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {key: value or "" for key, value in attrs}
+        self.anchors |= {given[key] for key in ("id", "name") if key in given}
+        if tag == "a" and "href" in given:
+            self.links.append(given["href"])
+        if tag in ("script", "img", "link") and given.get("rel") not in ("canonical", "prev", "next"):
+            self.loads += [given[key] for key in ("src", "href") if given.get(key)]
+
+
+def parsed(page: Path) -> _Links:
+    parser = _Links()
+    parser.feed(page.read_text())
+    return parser
+
+
+def test_all_links_lead_somewhere_and_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    pages = {page: parsed(page) for page in site.rglob("*.html") if page.name != "404.html"}
+    assert len(pages) > 50
+    broken = []
+    for page, found in pages.items():
+        for link in found.links + found.loads:
+            parts = urlsplit(link)
+            if parts.scheme or link.startswith("//"):
+                if link in found.loads and parts.scheme != "data":
+                    broken.append((page.name, link))
+                continue
+            target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
+            target = target / "index.html" if target.is_dir() else target
+            if not target.exists():
+                broken.append((page.name, link))
+            elif parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].anchors:
+                if not parts.fragment.startswith("__"):
+                    broken.append((page.name, link))
+    assert broken == []
+
+
+def test_every_public_name_has_its_place(site: Path) -> None:
+    for module in PUBLIC:
+        anchors = parsed(site / "reference" / "api" / f"{module}.html").anchors
+        missing = [name for name in names(module) if not any(a.split(".")[-1] == name for a in anchors)]
+        assert not missing, (module, missing)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Headless Chromium without a network."""
+    driver = shutil.which("chromedriver")
+    if BROWSER is None or driver is None:
+        pytest.skip("no Chromium with its driver")
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = BROWSER
+    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--host-resolver-rules=MAP * ~NOTFOUND"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    chromium = webdriver.Chrome(options=options, service=Service(driver))
+    yield chromium
+    chromium.quit()
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("page", ["index.html", "reference/rig.html", "reference/api/sim_core.simulate.html"])
+def test_a_page_is_shown_from_a_folder(site: Path, browser: Any, page: str, width: int) -> None:
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False},
+    )
+    browser.get((site / page).as_uri())
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    assert browser.find_element("tag name", "h1").is_displayed()
+    wide = "return document.scrollingElement.scrollWidth - window.innerWidth"
+    assert browser.execute_script(wide) <= 1, "nothing is wider than the window"
