@@ -1,0 +1,56 @@
+"""Electrostatic attraction: charged surfaces pull at each other before they touch.
+
+    psi(g) = -p_0 d / 3 (1 - g / d)^3,    p(g) = -p_0 (1 - g / d)^2    0 <= g <= d;    p(g) = -p_0    g < 0
+
+with the attraction p_0 of closed surfaces and its range d. A capacitor with a layer of the thickness d_0 at the voltage
+V has p_0 / (1 + g / d_0)^2, p_0 = epsilon V^2 / (2 d_0^2) (Jackson, Classical Electrodynamics, 3rd ed., sec. 1.11); in
+place of the inverse square one of finite range, next to it over d = 3 d_0."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import Normal, NormalLaw
+from sim_core.rigs import Rig
+
+
+class ElectrostaticAttraction(NormalLaw):
+    """Contacts that attract over a distance."""
+
+    name = "electrostatic_attraction"
+    title = "charged surfaces attract"
+    words = "Charged surfaces pull at each other from a distance, the more the nearer they are."
+    signature = "Light sheets move towards the finger, and the force is a pull, before there is contact."
+    source = "Jackson, Classical Electrodynamics, 3rd ed., 1999, sec. 1.11"
+    slot = "contact"
+    follows = "session"
+    passive = True
+    needs = "a contact"
+    twins = ("contact_adhesion", "air_drag")
+    separated_by = "A slow approach that ends short of contact, before and after the surfaces were ionised or grounded."
+    parameters = (
+        EffectParameter("pressure_pa", "Pa", 0.0, 1e5, (20.0, 200.0), 0.0, False, 100.0, "attraction without a gap"),
+        EffectParameter("range_m", "m", 1e-5, 5e-2, (1e-3,), None, True, 1.0, "distance from which on there is none"),
+    )
+    example = {"pressure_pa": 60.0, "range_m": 0.001}
+
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(c.name for c in rig.contacts)
+
+    def reach(self, values: Values) -> float:
+        return values["range_m"] if values["pressure_pa"] > 0.0 else 0.0
+
+    def normal(self, gap: np.ndarray, values: Values) -> Normal:
+        most, span = values["pressure_pa"], values["range_m"]
+        left = np.clip(1.0 - gap / span, 0.0, 1.0)
+        energy = -most * span / 3.0 * left**3 + most * np.minimum(gap, 0.0)
+        return Normal(energy, -most * left**2, np.where(gap > 0.0, -2.0 * most / span * left, 0.0))
+
+    def normal_by(self, gap: np.ndarray, values: Values) -> Mapping[str, np.ndarray]:
+        most, span = values["pressure_pa"], values["range_m"]
+        left = np.clip(1.0 - gap / span, 0.0, 1.0)
+        by_range = np.where(gap > 0.0, -2.0 * most * left * gap / span**2, 0.0)
+        return {"pressure_pa": -(left**2), "range_m": by_range}
