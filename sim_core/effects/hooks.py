@@ -8,7 +8,8 @@ abstract: an effect that lacks a derivative cannot be made, and the registry say
 | :class:`RigMap` | numbers of the rig: tool pose, gravity, density, intrinsics | all that reads them |
 | :class:`MechanicsMap` | numbers of terms that a rig has no key for | :meth:`sim_core.scene.scene.Scene.values` |
 | :class:`BodyForce` | terms of the incremental potential | :class:`sim_core.scene.scene.Scene` |
-| :class:`MaterialLaw` | stress by strain of a sheet, with memory | :mod:`sim_core.energies.strain_law` |
+| :class:`MaterialLaw` | stress by strain of a sheet or a gel, with memory | :mod:`sim_core.energies.strain_law` |
+| :class:`FieldMap` | stiffness from place to place and in time | :mod:`sim_core.energies.grading` |
 | :class:`NormalLaw` | contact pressure against the gap | contact terms |
 | :class:`FrictionLaw` | the bound of friction | contact terms |
 | :class:`CommandMap` | poses to poses, with memory | :mod:`sim_core.commands` |
@@ -97,8 +98,9 @@ class Strained:
     """n elements in one step, from its start to its end, as a material law sees them; or changes of all that.
 
     ``strain``, ``before``: generalised strains at the end and at the start ``(n, k)``, in the material axes: Green
-    strains 11, 22, twice 12 of a membrane [-], curvatures likewise [1/m]. ``stiffness``: of the law that is amended,
-    D [N/m] or [N m] ``(n, k, k)``, whose stress is D times strain. ``state``: internal variables at the start, ``(n,
+    strains 11, 22, twice 12 of a membrane [-], curvatures likewise [1/m], Green strains 11, 22, 33, twice 23, 13, 12
+    of a solid. ``stiffness``: of the law that is amended, D [N/m] or [N m] ``(n, k, k)``, whose stress is D times
+    strain; of a solid that of shear at small strain [Pa]. ``state``: internal variables at the start, ``(n,
     ...)`` each. ``dt`` [s].
     """
 
@@ -111,8 +113,9 @@ class Strained:
 
 @dataclass(frozen=True)
 class Response:
-    """What a material law adds in a step, per unit of area: ``energy`` of the incremental potential ``(n,)``, its
-    derivatives ``stress`` ``(n, k)`` and ``tangent`` ``(n, k, k)`` by the strain at the end, and the new ``state``."""
+    """What a material law adds in a step, per unit of area or volume: ``energy`` of the incremental potential ``(n,)``,
+    its derivatives ``stress`` ``(n, k)`` and ``tangent`` ``(n, k, k)`` by the strain at the end, and the new
+    ``state``."""
 
     energy: Array
     stress: Array
@@ -120,8 +123,8 @@ class Response:
     state: Mapping[str, Array]
 
 
-Part = Literal["membrane", "bending"]
-"""What of a sheet a material law amends."""
+Part = Literal["membrane", "bending", "solid"]
+"""What of a sheet, or of a gel, a material law amends."""
 
 
 class MaterialLaw(Effect):
@@ -147,6 +150,28 @@ class MaterialLaw(Effect):
     def push(self, at: Strained, change: Strained, values: Values, by: Values) -> tuple[Array, Mapping[str, Array]]:
         """Changes of stress ``(..., n, k)`` and of the new state ``(..., n, ...)`` along changes of all inputs and of
         the parameters, ``by``. Changes may have further first axes; no one asks for a change of ``dt``."""
+
+
+class FieldMap(Effect):
+    """A stiffness that is not the same all over a body, or all the time: a factor on the elastic energy of each
+    element, and on its damping and its own memory.
+
+    Places are middles of elements [m] ``(m, 3)`` where the rig has them, in the frame of the body; they stay with the
+    material. Masses are as they are.
+    """
+
+    parts: ClassVar[tuple[Part, ...]] = ()
+    """What it scales of each of its targets."""
+    changes: ClassVar[bool] = False
+    """Whether it depends on time."""
+
+    @abstractmethod
+    def factor(self, places: Array, time: float, values: Values) -> Array:
+        """Factors ``(m,)`` above zero at ``time`` [s] since the start of the rollout; 1 where the effect vanishes."""
+
+    @abstractmethod
+    def factor_by(self, places: Array, time: float, values: Values) -> Mapping[str, Array]:
+        """Derivatives of the factors by each parameter ``(m,)``."""
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ import scipy.sparse as sp
 
 from sim_core.energies import bending_kernels as kernels
 from sim_core.energies.curvature import Stencils, curvature_operator
+from sim_core.energies.grading import Grading
 from sim_core.energies.linearised import Blocks, ByNumber, Linearised, axes_of, gathered, placed, places
 from sim_core.energies.membrane import material_frames
 from sim_core.energies.plastic_flow import PlasticFlow
@@ -72,6 +73,9 @@ class Bending:
         self._hinge = np.ascontiguousarray(self.hinges.nodes + node_offset, dtype=np.int32)
         self._whole_areas = mesh.areas
         self._areas: np.ndarray = self._whole_areas.copy()
+        self._factors = np.ones(count)
+        self.grading: Grading | None = None
+        """Of effects that scale its stiffness from place to place."""
         self._stencils = Stencils(self._kappa, self._hinge)
         n_hinges = len(self._hinge)
         self._deviation, self._moment = np.zeros(n_hinges), np.zeros(n_hinges)
@@ -138,7 +142,16 @@ class Bending:
     def scale(self, factors: np.ndarray) -> None:
         """Let each triangle have ``factors`` ``(m,)`` times the stiffness that is configured, and of its damping; the
         curvature at which it yields stays as it is."""
-        self._areas[:] = self._whole_areas * factors
+        self._factors[:] = factors
+        self._weigh()
+
+    def grade(self, grading: Grading) -> None:
+        """Let effects scale the stiffness of triangles."""
+        self.grading = grading
+
+    def _weigh(self) -> None:
+        graded = 1.0 if self.grading is None else self.grading.factor
+        self._areas[:] = self._whole_areas * self._factors * graded
 
     def scale_flow(self, onset: np.ndarray, hardening: np.ndarray) -> None:
         """Let each triangle yield at ``onset`` ``(m,)`` times the curvature that is configured, and harden by
@@ -163,6 +176,9 @@ class Bending:
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._given, self._slope = dict(parameters), None
+        if self.grading is not None:
+            self.grading.configure(parameters)
+            self._weigh()
         self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside)
         self._d[:] = self._rigidity(plane_stress(parameters, self._nu))
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
@@ -218,6 +234,8 @@ class Bending:
         return self._slope
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
+        if self.grading is not None and self.grading.go_to(step.time):
+            self._weigh()
         self._onset[:] = np.inf
         if internals:
             self._plastic[:] = internals["plastic_curvature"]

@@ -13,6 +13,7 @@ import scipy.sparse as sp
 
 from sim_core.energies import bending_kernels as kernels
 from sim_core.energies.bending import Bending
+from sim_core.energies.grading import Grading
 from sim_core.energies.term import Buffers, Quantity
 from sim_core.kernels import BoundKernel
 
@@ -20,6 +21,7 @@ from sim_core.kernels import BoundKernel
 class BendingStrain:
     """Curvatures of the sheet that a bending term is of."""
 
+    components = 3
     quantities: tuple[Quantity, ...] = (
         Quantity("E_pa", "Pa", power=1),
         Quantity("nu", "-"),
@@ -46,8 +48,18 @@ class BendingStrain:
     def stiffness(self) -> np.ndarray:
         return self._sheet.stiffness
 
+    @property
+    def grading(self) -> Grading | None:
+        return self._sheet.grading
+
     def stiffness_by(self, quantity: str) -> np.ndarray:
         return self._sheet.stiffness_by(quantity)
+
+    def at_points(self, values: np.ndarray) -> np.ndarray:
+        return values
+
+    def of_elements(self, values: np.ndarray) -> np.ndarray:
+        return values
 
     def blocks(self) -> np.ndarray:
         return self._sheet.blocks()

@@ -21,6 +21,7 @@ from collections.abc import Mapping
 import numpy as np
 import taichi as ti
 
+from sim_core.energies.grading import Grading
 from sim_core.energies.linearised import Blocks, Linearised, axes_of, placed
 from sim_core.energies.sheet_vjp import SheetAlong
 from sim_core.energies.term import Buffers, Internals, Memoryless, Quantity, StepContext
@@ -195,6 +196,9 @@ class Membrane(Memoryless):
         self._dm_inverse: np.ndarray = np.ascontiguousarray(np.linalg.inv(dm))
         self._whole_area: np.ndarray = 0.5 * np.linalg.det(dm)
         self._area: np.ndarray = self._whole_area.copy()
+        self._factors = np.ones(len(self._area))
+        self.grading: Grading | None = None
+        """Of effects that scale its stiffness from place to place."""
         count = len(triangles)
         self._elastic, self._c = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
         self._before, self._strains = np.zeros((count, 3)), np.zeros((count, 3))
@@ -237,7 +241,16 @@ class Membrane(Memoryless):
 
     def scale(self, factors: np.ndarray) -> None:
         """Let each triangle have ``factors`` ``(m,)`` times the stiffness that is configured, and of its damping."""
-        self._area[:] = self._whole_area * factors
+        self._factors[:] = factors
+        self._weigh()
+
+    def grade(self, grading: Grading) -> None:
+        """Let effects scale the stiffness of triangles."""
+        self.grading = grading
+
+    def _weigh(self) -> None:
+        graded = 1.0 if self.grading is None else self.grading.factor
+        self._area[:] = self._whole_area * self._factors * graded
 
     def shift_nu(self, beside: np.ndarray) -> None:
         """Let each triangle have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
@@ -296,6 +309,9 @@ class Membrane(Memoryless):
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._given, self._slope = dict(parameters), None
+        if self.grading is not None:
+            self.grading.configure(parameters)
+            self._weigh()
         self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside)
         self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters, self._nu)
         self._damping[:] = parameters.get("stiffness_damping_s", 0.0) + self._more_damping
@@ -338,6 +354,8 @@ class Membrane(Memoryless):
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         del internals
+        if self.grading is not None and self.grading.go_to(step.time):
+            self._weigh()
         if not self._damped:
             return
         rate = self._damping / step.tau

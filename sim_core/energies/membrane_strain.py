@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from sim_core.energies.grading import Grading
 from sim_core.energies.linearised import axes_of, placed
 from sim_core.energies.membrane import PAIRS, Membrane, as_strain, as_stress
 from sim_core.energies.term import Buffers, Quantity
@@ -18,6 +19,7 @@ from sim_core.energies.term import Buffers, Quantity
 class MembraneStrain:
     """Strains of the sheet that a membrane term is of."""
 
+    components = 3
     quantities: tuple[Quantity, ...] = (
         Quantity("E_pa", "Pa", power=1),
         Quantity("nu", "-"),
@@ -43,8 +45,18 @@ class MembraneStrain:
     def stiffness(self) -> np.ndarray:
         return self._sheet.stiffness
 
+    @property
+    def grading(self) -> Grading | None:
+        return self._sheet.grading
+
     def stiffness_by(self, quantity: str) -> np.ndarray:
         return self._sheet.stiffness_by(quantity)
+
+    def at_points(self, values: np.ndarray) -> np.ndarray:
+        return values
+
+    def of_elements(self, values: np.ndarray) -> np.ndarray:
+        return values
 
     def blocks(self) -> np.ndarray:
         return self._sheet.blocks()

@@ -41,6 +41,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim_core.energies import neo_hookean_kernels as kernels
+from sim_core.energies.grading import Grading
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, placed
 from sim_core.energies.neo_hookean_kernels import BULK_SHARE, SHARE
 from sim_core.energies.neo_hookean_memory import (
@@ -49,7 +50,7 @@ from sim_core.energies.neo_hookean_memory import (
     stress_forces,
     volume_derivatives,
 )
-from sim_core.energies.neo_hookean_moduli import BULK, MU, OWN, moduli
+from sim_core.energies.neo_hookean_moduli import BULK, MU, OWN, moduli, moduli_by_nu
 from sim_core.energies.neo_hookean_rest import GelStep, as_tensors, by_rest
 from sim_core.energies.neo_hookean_vjp import Changes, NeoHookeanAlong, Remembered
 from sim_core.energies.term import Buffers, Internals, Quantity, StepContext
@@ -92,6 +93,9 @@ class NeoHookean:
         self._grad = np.ascontiguousarray(grad.reshape(4 * m, 10, 3))
         self._whole_weight = det * weights
         self._weight = self._whole_weight.copy()
+        self._factors = np.ones(m)
+        self.grading: Grading | None = None
+        """Of effects that scale its stiffness from place to place."""
         self._moduli, self._beside, self._nu = np.zeros((m, 3)), np.zeros(m), np.zeros(m)
         self._given: dict[str, float] = {}
         self._constants = np.tile([1.0, 1.0, 0.0], (m, 1))
@@ -101,6 +105,37 @@ class NeoHookean:
         self._fade, self._blend, self._constant = np.ones(m), np.ones(m), 0.0
         self._relaxes = self._damped = self._isotropic_known = False
         self._seen = np.full((0, 3), np.nan)
+
+    @property
+    def tets(self) -> np.ndarray:
+        """Nodes of the elements among all, int32 ``(m, 10)``."""
+        return self._tets
+
+    @property
+    def gradients(self) -> np.ndarray:
+        """Of the shape functions at the quadrature points [1/m] ``(4 m, 10, 3)``."""
+        return self._grad
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Volumes of the points [m^3] ``(m, 4)``, times the factors of the modulus; changed in place."""
+        return self._weight
+
+    @property
+    def whole_weights(self) -> np.ndarray:
+        """Volumes of the points [m^3] ``(m, 4)``."""
+        return self._whole_weight
+
+    @property
+    def shear_moduli(self) -> np.ndarray:
+        """Of the elements [Pa] ``(m,)``."""
+        return self._moduli[:, MU]
+
+    def shear_moduli_by(self, quantity: str) -> np.ndarray:
+        """Derivative of :attr:`shear_moduli` by ``E_pa`` or ``nu`` ``(m,)``."""
+        if quantity == "E_pa":
+            return np.asarray(self._moduli[:, MU] / self._given["E_pa"])
+        return moduli_by_nu(self._given["E_pa"], self._nu)[:, MU]
 
     def blocks(self) -> np.ndarray:
         """Return all ordered pairs of the ten nodes of each element, ``(100 m, 2)``."""
@@ -153,7 +188,16 @@ class NeoHookean:
     def scale(self, factors: np.ndarray) -> None:
         """Let each element have ``factors`` ``(m,)`` times the modulus that is configured: all of its energy, relaxing
         and damping parts included, is linear in it."""
-        self._weight[:] = self._whole_weight * factors[:, None]
+        self._factors[:] = factors
+        self._weigh()
+
+    def grade(self, grading: Grading) -> None:
+        """Let effects scale the modulus of elements."""
+        self.grading = grading
+
+    def _weigh(self) -> None:
+        graded = 1.0 if self.grading is None else self.grading.factor
+        self._weight[:] = self._whole_weight * (self._factors * graded)[:, None]
         self._isotropic_known = False
 
     def shift_nu(self, beside: np.ndarray) -> None:
@@ -176,6 +220,10 @@ class NeoHookean:
         """Take ``E_pa``, ``nu`` and, if the gel relaxes or is damped, the other parameters."""
         values = {"relaxation_g": 0.0, "relaxation_tau_s": 1.0, "stiffness_damping_s": 0.0, **parameters}
         known = ("E_pa", "nu", "relaxation_g", "relaxation_tau_s", "stiffness_damping_s")
+        if self.grading is not None:
+            self.grading.configure(parameters)
+            self._weigh()
+            values = {name: value for name, value in values.items() if name not in self.grading.numbers}
         for name in values:
             if name not in known:
                 raise ConfigError(f"{self.name} has no parameter {name!r}.", nearest_match(name, known))
@@ -207,6 +255,8 @@ class NeoHookean:
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         """Freeze the memory stress H_n of the step, and what rates are measured from."""
+        if self.grading is not None and self.grading.go_to(step.time):
+            self._weigh()
         if not self._remembers:
             return
         self._isotropic_known = False
@@ -302,7 +352,7 @@ class NeoHookean:
         shape, grad = (len(self._tets), 4, 3, 3), self._grad.reshape(len(self._tets), 4, 10, 3)
 
         def deformation(x: np.ndarray) -> np.ndarray:
-            return np.asarray(np.eye(3) + self._displacement_gradients(x).reshape(shape))
+            return np.asarray(np.eye(3) + self.displacement_gradients(x).reshape(shape))
 
         fresh, rate = ((self._blend * self._g)[:, None], (self._damping / step.tau)[:, None])
         earlier = []
@@ -346,7 +396,7 @@ class NeoHookean:
             return None
         count, whole = len(self._grad), self._x.size
         axes = np.repeat(axes_of(self._tets), 4, axis=0)
-        f = np.eye(3) + self._displacement_gradients(self._x)
+        f = np.eye(3) + self.displacement_gradients(self._x)
         push = self._weight.reshape(-1, 1, 1) * stress_forces(f, self._grad)
         fade, fresh, rate = (
             _at_points(each)[..., None] for each in (self._fade, self._blend * self._g, self._damping / step.tau)
@@ -420,17 +470,17 @@ class NeoHookean:
     def _pressure_blocks(self, x: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Derivative by other positions ``x`` of the force that a memory of pressure, K (J - 1) there times ``weight``
         ``(m,)``, exerts at those at hand: blocks of the elements, and where they are."""
-        moved, axes = (self._displacement_gradients(at) for at in (self._x, x)), axes_of(self._tets)
+        moved, axes = (self.displacement_gradients(at) for at in (self._x, x)), axes_of(self._tets)
         here, there = (volume_derivatives(np.eye(3) + g, self._grad) for g in moved)
         blocks = pressure_blocks(here, there, self._weight, self._moduli[:, BULK], self._moduli[:, OWN])
         return weight[:, None, None] * blocks, axes, axes
 
     def _stress_derivatives(self, x: np.ndarray) -> np.ndarray:
         """Derivative of S_dev at ``x`` by the nodes of each point's element [Pa/m], ``(4 m, 6, 30)``."""
-        return stress_derivatives(self._displacement_gradients(x), self._grad, np.repeat(self._moduli[:, MU], 4))
+        return stress_derivatives(self.displacement_gradients(x), self._grad, np.repeat(self._moduli[:, MU], 4))
 
-    def _displacement_gradients(self, x: np.ndarray) -> np.ndarray:
-        """F - 1 at all points, ``(4 m, 3, 3)``."""
+    def displacement_gradients(self, x: np.ndarray) -> np.ndarray:
+        """F - 1 at all points when nodes are at ``x`` [m] ``(n, 3)``, ``(4 m, 3, 3)``."""
         moved = np.repeat((x - self._rest)[self._tets], 4, axis=0)
         return np.asarray(np.einsum("pai,paj->pij", moved, self._grad))
 

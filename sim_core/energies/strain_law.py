@@ -7,10 +7,9 @@ strains e(x') and L = de/dx', the term of all laws of one strain measure is
     E = sum_T A_T w(e_T; e_0, z),    dE/dx' = L^T A s,    d2E/dx'^2 = L^T A (ds/de) L + A s . d2e/dx'^2
 
 and its derivatives by anything else are those of the law, by :meth:`~sim_core.effects.hooks.MaterialLaw.push`, and of
-the strains, by the measure (:mod:`sim_core.energies.membrane_strain`, :mod:`sim_core.energies.bending_strain`).
-Without ``exact`` the tangents are made positive semidefinite triangle by triangle, so that any law may be added to any
-other.
-"""
+the strains, by the measure (:mod:`sim_core.energies.membrane_strain`, :mod:`sim_core.energies.bending_strain`,
+:mod:`sim_core.energies.solid_strain`). Without ``exact`` the tangents are made positive semidefinite one by one, so
+that any law may be added to any other."""
 
 from __future__ import annotations
 
@@ -22,6 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sim_core.effects.hooks import MaterialLaw, Response, Strained
+from sim_core.energies.grading import Grading
 from sim_core.energies.linearised import ByNumber, Linearised, placed, places, size_of
 from sim_core.energies.term import Buffers, Internals, Quantity, StepContext
 from sim_core.materials.elastic import applied
@@ -31,12 +31,14 @@ if TYPE_CHECKING:
 
 
 class StrainMeasure(Protocol):
-    """Strains ``(m, 3)`` of the m triangles of a sheet, and what they do to nodes ``(n, 3)``. ``areas``: of the
-    triangles times the factors of their stiffness [m^2], ``whole_areas`` without; ``stiffness``: of the sheet's own
-    law, ``(m, 3, 3)``; all change in place."""
+    """Strains ``(m, k)`` of the m triangles of a sheet, or quadrature points of a gel, and what they do to nodes ``(n,
+    3)``. ``areas``: of the triangles times the factors of their stiffness [m^2], ``whole_areas`` without, of points
+    volumes [m^3]; ``stiffness``: of the body's own law, ``(m, k, k)``; all change in place."""
 
+    components: int
+    """k."""
     quantities: tuple[Quantity, ...]
-    """Of the numbers of the sheet's own law those that its stiffness depends on."""
+    """Of the numbers of the body's own law those that its stiffness depends on."""
 
     @property
     def areas(self) -> np.ndarray: ...
@@ -47,8 +49,19 @@ class StrainMeasure(Protocol):
     @property
     def stiffness(self) -> np.ndarray: ...
 
+    @property
+    def grading(self) -> Grading | None: ...
+
     def stiffness_by(self, quantity: str) -> np.ndarray:
-        """Derivative of ``stiffness`` by one of the sheet's numbers ``(m, 3, 3)``."""
+        """Derivative of ``stiffness`` by one of the body's numbers ``(m, k, k)``."""
+        ...
+
+    def at_points(self, values: np.ndarray) -> np.ndarray:
+        """Values of the body's elements, each at all that it has strains of, ``(m,)``."""
+        ...
+
+    def of_elements(self, values: np.ndarray) -> np.ndarray:
+        """Sums of values ``(m,)`` over the elements."""
         ...
 
     def blocks(self) -> np.ndarray:
@@ -81,15 +94,15 @@ class StrainMeasure(Protocol):
         ...
 
     def by_positions(self, x: np.ndarray) -> sp.csr_matrix:
-        """Derivative of all strains by all positions at ``x``, ``(3 m, 3 n)``."""
+        """Derivative of all strains by all positions at ``x``, ``(k m, 3 n)``."""
         ...
 
     def by_rest_angles(self, weights: np.ndarray) -> np.ndarray:
-        """Derivative of strains with the weights ``(m, 3)`` by the rest angles of the sheet's hinges."""
+        """Derivative of strains with the weights ``(m, k)`` by the rest angles of the sheet's hinges."""
         ...
 
     def add_gradient(self, stress: np.ndarray) -> None:
-        """Add the forces of stresses times areas, ``(m, 3)``, to the gradient."""
+        """Add the forces of stresses times areas, ``(m, k)``, to the gradient."""
         ...
 
     def add_hessian(self, stress: np.ndarray, tangent: np.ndarray, exact: bool) -> None:
@@ -101,7 +114,7 @@ class StrainMeasure(Protocol):
 @dataclass(frozen=True)
 class RestWeights:
     """What the work of forces along nodal vectors and the weighted new internal variables know of the shape at rest:
-    weights of the strains at the end, at the start, and along the vectors ``(m, 3)``, and derivatives by the areas
+    weights of the strains at the end, at the start, and along the vectors ``(m, k)``, and derivatives by the areas
     ``(m,)``."""
 
     end: np.ndarray
@@ -134,14 +147,16 @@ class StrainLaws:
     def numbers(self, body: Mapping[str, float], laws: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         """What to configure the term with: of the numbers of the ``body``'s own term those of its stiffness, and the
         values of the laws by their keys."""
-        own = {q.name: body[q.name] for q in self.measure.quantities if q.name in body}
+        graded = () if self.measure.grading is None else self.measure.grading.numbers
+        own = {name: body[name] for name in (*(q.name for q in self.measure.quantities), *graded) if name in body}
         return {**own, **{f"{key}.{name}": value for key in self._laws for name, value in laws[key].items()}}
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """What its elements differ in, and its other numbers."""
         laws = (Quantity(f"{key}.{p.name}", p.unit) for key, law in self._laws.items() for p in law.parameters)
-        return (*self.measure.quantities, *laws)
+        graded = {} if self.measure.grading is None else self.measure.grading.numbers
+        return (*self.measure.quantities, *(Quantity(name, unit) for name, unit in graded.items()), *laws)
 
     def blocks(self) -> np.ndarray:
         return self.measure.blocks()
@@ -220,7 +235,7 @@ class StrainLaws:
     def _pushed(
         self, key: str, change: Mapping[str, np.ndarray], by: Mapping[str, float] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Changes of stress ``(..., m, 3)`` and of the new state of one law, a row an element ``(..., m, q)``, along
+        """Changes of stress ``(..., m, k)`` and of the new state of one law, a row an element ``(..., m, q)``, along
         changes of what it sees; what is not named does not change."""
         at = self._strained(key, self.measure.strains())
         state = {name: change.get(name, np.zeros_like(z)) for name, z in at.state.items()}
@@ -239,19 +254,21 @@ class StrainLaws:
         return stress, np.concatenate([*rows, np.empty((*lead, count, 0))], axis=-1)
 
     def _by_strain(self, key: str, which: str) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of stress ``(m, 3, 3)`` and state ``(m, q, 3)`` by the strain at the end or ``before``."""
+        """Derivatives of stress ``(m, k, k)`` and state ``(m, q, k)`` by the strain at the end or ``before``."""
         count = len(self.measure.areas)
-        units = np.repeat(np.eye(3)[:, None], count, axis=1)
+        units = np.repeat(np.eye(self.measure.components)[:, None], count, axis=1)
         stress, state = self._pushed(key, {which: units})
         return np.moveaxis(stress, 0, -1), np.moveaxis(state, 0, -1)
 
     def _by_state(self, key: str) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of stress ``(m, 3, q)`` and state ``(m, q, q)`` by the state of the same element."""
+        """Derivatives of stress ``(m, k, q)`` and state ``(m, q, q)`` by the state of the same element."""
         parts, count = [], len(self.measure.areas)
         for name, shape in self._laws[key].state().items():
             size = int(np.prod(shape))
             units = np.broadcast_to(np.eye(size).reshape(size, 1, *shape), (size, count, *shape))
             parts.append(self._pushed(key, {name: units}))
+        if not parts:
+            return np.zeros((count, self.measure.components, 0)), np.zeros((count, 0, 0))
         stress, state = (np.concatenate([np.moveaxis(p[k], 0, -1) for p in parts], axis=-1) for k in range(2))
         return stress, state
 
@@ -259,7 +276,8 @@ class StrainLaws:
         """Places of the state of one law in the flattened internal variables, a row an element ``(m, q)``."""
         place = places(internals)
         count = len(self.measure.areas)
-        return np.concatenate([place[f"{key}.{name}"].reshape(count, -1) for name in self._laws[key].state()], axis=1)
+        rows = [place[f"{key}.{name}"].reshape(count, -1) for name in self._laws[key].state()]
+        return np.concatenate(rows, axis=1) if rows else np.empty((count, 0), dtype=int)
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised:
         """Derivatives by the start of the step, by the internal variables, and by all numbers of the term."""
@@ -267,9 +285,9 @@ class StrainLaws:
         area, size = self.measure.areas[:, None, None], size_of(internals)
         end, start = self.measure.by_positions(self._x), self.measure.by_positions(step.x_start)
         count = len(self.measure.areas)
-        strains = np.arange(3 * count).reshape(count, 3)
-        by_start, by_memory = _Sum((3 * count, 3 * count)), _Sum((3 * count, size))
-        kept_end, kept_start = _Sum((size, 3 * count)), _Sum((size, 3 * count))
+        strains = np.arange(self.measure.components * count).reshape(count, -1)
+        by_start, by_memory = _Sum((strains.size, strains.size)), _Sum((strains.size, size))
+        kept_end, kept_start = _Sum((size, strains.size)), _Sum((size, strains.size))
         kept_kept = _Sum((size, size))
         for key in self._laws:
             rows = self._rows(internals, key)
@@ -296,6 +314,11 @@ class StrainLaws:
 
     def _changes(self, quantity: str) -> Iterator[tuple[str, tuple[np.ndarray, np.ndarray]]]:
         """What a number of the term changes: keys of laws, with stress and state as of :meth:`_pushed`."""
+        if self.measure.grading is not None and quantity in self.measure.grading.numbers:
+            grown = self.measure.at_points(self.measure.grading.by(quantity))[:, None]
+            for key, found in self._responses().items():
+                yield key, (grown * found.stress, np.zeros((len(grown), self._rows(self._internals, key).shape[1])))
+            return
         owner, _, parameter = quantity.rpartition(".")
         if owner:
             yield owner, self._pushed(owner, {}, {parameter: 1.0})
@@ -305,7 +328,7 @@ class StrainLaws:
             yield key, self._pushed(key, {"stiffness": slope})
 
     def _by_number(self, quantity: str, internals: Internals) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the stresses ``(m, 3)`` and of the new internal variables, flattened, by one number."""
+        """Derivatives of the stresses ``(m, k)`` and of the new internal variables, flattened, by one number."""
         stress, kept = np.zeros_like(self._before), np.zeros(size_of(internals))
         for key, (more, state) in self._changes(quantity):
             stress = stress + more
@@ -314,7 +337,7 @@ class StrainLaws:
 
     def along(self, vectors: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> StrainLawsAlong:
         """What forces along nodal ``vectors`` ``(n, 3)``, and new internal variables with the weights ``kept``,
-        flattened, know of the body's numbers at the end of a step from ``internals``, triangle by triangle."""
+        flattened, know of the body's numbers at the end of a step from ``internals``, element by element."""
         self.begin_step(step, internals)
         virtual = self.measure.areas[:, None] * self.measure.along(vectors)
 
@@ -322,9 +345,9 @@ class StrainLaws:
             total = np.zeros(len(virtual))
             for key, (stress, state) in self._changes(quantity):
                 total += (virtual * stress).sum(axis=1) + (kept[self._rows(internals, key)] * state).sum(axis=1)
-            return total
+            return self.measure.of_elements(total)
 
-        return StrainLawsAlong((virtual * self._stress()).sum(axis=1), by)
+        return StrainLawsAlong(self.measure.of_elements((virtual * self._stress()).sum(axis=1)), by)
 
     def rest_weights(self, along: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> RestWeights:
         """Of a step that ends at the positions at hand; ``along``, ``kept`` as of :meth:`along`."""
@@ -353,7 +376,7 @@ class StrainLaws:
 
 @dataclass(frozen=True)
 class StrainLawsAlong:
-    """Triangle by triangle ``(m,)``: the work of the forces, and what gives the derivative of it, and of the weighted
+    """Element by element ``(m,)``: the work of the forces, and what gives the derivative of it, and of the weighted
     new internal variables, by a number. Good for as long as the term does not go on."""
 
     _work: np.ndarray

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 if TYPE_CHECKING:
+    from sim_core.energies.grading import Grading
     from sim_core.energies.linearised import Linearised
 
 Internals = dict[str, np.ndarray]
@@ -88,7 +89,8 @@ class StepContext:
     """Constants of one step: positions and velocities at its start, its length [s], and what the velocity
     (``x_base``, ``tau`` [s]) and the acceleration (``v_base``) at its end are measured from
     (:func:`sim_core.solve.integrator.step_context`). ``x_past``: positions at the start of the step before, where the
-    integrator looks back; ``weights``: of start and past in ``x_base``."""
+    integrator looks back; ``weights``: of start and past in ``x_base``; ``time`` [s]: since the start of the rollout,
+    at that of the step."""
 
     x_start: np.ndarray
     v_start: np.ndarray
@@ -98,6 +100,7 @@ class StepContext:
     tau: float
     x_past: np.ndarray | None = None
     weights: tuple[float, float] = (1.0, 0.0)
+    time: float = 0.0
 
     def base(self, quantity: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """What the rate of a quantity q(x) at the end of the step is measured from: dq/dt = (q(x') - base) / tau.
@@ -238,6 +241,17 @@ class ByRestAngles(Protocol):
     ) -> np.ndarray:
         """Derivative by the rest angles ``(n_hinges,)`` of the work of the forces along nodal vectors ``(n, 3)``, and
         of the product of the new internal variables, flattened, with ``kept``."""
+        ...
+
+
+@runtime_checkable
+class GradedTerm(Term, Protocol):
+    """A term whose elements effects scale from place to place and in time (None: none does)."""
+
+    grading: Grading | None
+
+    def grade(self, grading: Grading) -> None:
+        """Take the factors of effects."""
         ...
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_core.energies.term import Along, Declaring, Internals, StepContext
+from sim_core.energies.term import Along, Declaring, GradedTerm, Internals, StepContext
 from sim_core.gradients.directions import Key
 from sim_core.gradients.step import Pulled
 from sim_core.scene.scene import Scene, Values
@@ -73,6 +73,9 @@ class OwnNumbers:
             term, given = self._terms[name], self._values.terms[name]
             body, declared = name.rpartition(".")[0], {q.name: q for q in term.quantities}
             for place, quantity in wanted:
+                if _is_graded(term, quantity):
+                    found[place] = float(alongs.work(term) @ term.grading.by(quantity))
+                    continue
                 of = declared[quantity]
                 if not of.closed:
                     found[place] = of.power * float(alongs.work(term).sum()) / given[quantity]
@@ -86,4 +89,11 @@ def _is_own(key: Key, terms: Mapping[str, Any]) -> bool:
     """Whether a number is one that its term differentiates itself along weights."""
     kind, owner, quantity = key
     term = terms.get(owner)
-    return kind == "terms" and isinstance(term, Declaring) and any(q.name == quantity for q in term.quantities)
+    if kind != "terms" or not isinstance(term, Declaring):
+        return False
+    return any(q.name == quantity for q in term.quantities) or _is_graded(term, quantity)
+
+
+def _is_graded(term: Any, quantity: str) -> bool:
+    """Whether a number is one by which effects scale the elements of a term."""
+    return isinstance(term, GradedTerm) and term.grading is not None and quantity in term.grading.numbers

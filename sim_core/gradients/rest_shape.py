@@ -23,6 +23,7 @@ from sim_core.energies.linearised import Linearised, times_back
 from sim_core.energies.membrane import Membrane
 from sim_core.energies.membrane_strain import MembraneStrain
 from sim_core.energies.neo_hookean import NeoHookean
+from sim_core.energies.solid_strain import SolidStrain
 from sim_core.energies.strain_law import StrainLaws
 from sim_core.energies.term import ByAreas, Internals, StepContext
 from sim_core.geometry import tet10
@@ -202,6 +203,7 @@ class _Gel:
         self._tets, self._rest = body.mesh.tets + int(body.nodes[0]), scene.rest
         self._factor = scene.fields.factor(body.name, MASS)
         self._elastic = next(t for t in body.terms if isinstance(t, NeoHookean))
+        self._laws = [t for t in body.terms if isinstance(t, StrainLaws)]
         self.clear()
 
     def clear(self) -> None:
@@ -219,6 +221,10 @@ class _Gel:
         term = self._elastic
         term.begin_step(step, internals[term.name])
         self._tensor += term.by_rest(exerted, memory[term.name], step)
+        for laws in self._laws:
+            weights = laws.rest_weights(exerted, memory[laws.name], step, internals[laws.name])
+            if isinstance(laws.measure, SolidStrain):
+                self._tensor += laws.measure.by_rest(weights, exerted, step.x_start)
         for factor, v, w in borne:
             weights = np.broadcast_to(factor, len(self._tets))[:, None, None]
             self._by_mass += weights * v[self._tets] @ w[self._tets].swapaxes(-1, -2)

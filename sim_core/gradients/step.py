@@ -95,7 +95,7 @@ class LinearStep:
         self.inertia = system.inertia
         """Whether the system had inertia in the step."""
         self._dt = dt
-        self.step: StepContext = step_context(before.x, before.v, dt, before.past)
+        self.step: StepContext = step_context(before.x, before.v, dt, before.past, before.t)
         self._hessian = keeper.keep()
         self.terms = linearised_terms(system, self.step, before, after)
         """What the terms with memory know of themselves in this step."""

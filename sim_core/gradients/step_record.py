@@ -32,7 +32,7 @@ class Made:
         targets = scene.targets(self.frames)
         system.x[:] = before.x
         system.set_targets(targets)
-        step = step_context(before.x, before.v, self.dt, before.past)
+        step = step_context(before.x, before.v, self.dt, before.past, before.t)
         system.begin_step(replace(step, v_start=(self.after.x - before.x) / self.dt), before.internals)
         system.set_unknowns(self.unknowns)
         system.cover()

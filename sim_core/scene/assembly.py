@@ -18,7 +18,8 @@ from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.membrane import Membrane
 from sim_core.energies.membrane_strain import MembraneStrain
 from sim_core.energies.neo_hookean import NeoHookean
-from sim_core.energies.strain_law import StrainLaws
+from sim_core.energies.solid_strain import SolidStrain
+from sim_core.energies.strain_law import StrainLaws, StrainMeasure
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
 from sim_core.geometry import closed, sheets, solids
@@ -234,9 +235,13 @@ def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray, loose: np.nda
         body.terms.append(MassDamping(f"{body.name}.mass_damping", body.unit_mass, int(body.nodes[0]), loose))
 
 
-def strain_laws(own: Membrane | Bending) -> StrainLaws:
-    """The term of the material laws that effects add to a sheet's ``own`` term."""
-    measure = MembraneStrain(own) if isinstance(own, Membrane) else BendingStrain(own)
+def strain_laws(own: Membrane | Bending | NeoHookean) -> StrainLaws:
+    """The term of the material laws that effects add to the ``own`` term of a sheet or a gel."""
+    measure: StrainMeasure
+    if isinstance(own, NeoHookean):
+        measure = SolidStrain(own)
+    else:
+        measure = MembraneStrain(own) if isinstance(own, Membrane) else BendingStrain(own)
     return StrainLaws(f"{own.name}_laws", measure)
 
 
@@ -250,6 +255,13 @@ def grain(body: BuiltBody) -> np.ndarray:
         return np.tile(body.rotation[:, 0], (len(triangles), 1))
     flat, sides = (x[triangles[:, 1:]] - x[triangles[:, :1]] for x in (body.local, body.drawn))
     return np.asarray(np.einsum("mki,mk->mi", sides, np.linalg.inv(flat[..., :2].transpose(0, 2, 1))[..., 0]))
+
+
+def element_middles(body: BuiltBody) -> np.ndarray:
+    """Middles of the elements of a sheet or a gel where the rig has them, in the body's frame [m] ``(m, 3)``."""
+    assert body.mesh is not None
+    corners = body.mesh.triangles if isinstance(body.mesh, sheets.SheetMesh) else body.mesh.tets[:, :4]
+    return np.asarray(body.local[corners].mean(axis=1))
 
 
 def contact_samples(body: BuiltBody, rest: np.ndarray, on_round: bool = False) -> Samples:

@@ -10,12 +10,14 @@ import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from sim_core.effects.base import Instance
-from sim_core.effects.hooks import BodyForce, FrictionLaw, MaterialLaw, MechanicsMap, NormalLaw
+from sim_core.effects.hooks import BodyForce, FieldMap, FrictionLaw, MaterialLaw, MechanicsMap, NormalLaw
 from sim_core.effects.registry import active, active_effects, amended
 from sim_core.energies.affine import AffineShape, coordinates
 from sim_core.energies.bending import Bending
+from sim_core.energies.grading import Grading
 from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.membrane import Membrane
+from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.energies.strain_law import StrainLaws
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
@@ -25,6 +27,7 @@ from sim_core.scene.assembly import (
     add_terms,
     affine_moments,
     build_body,
+    element_middles,
     held_nodes,
     leave_to_mount,
     strain_laws,
@@ -44,8 +47,12 @@ from sim_core.scene.touching import (
 from sim_core.solve.system import System
 from sim_core.solve.unknowns import Compliant
 
-PARTS: dict[str, type[Membrane | Bending]] = {"membrane": Membrane, "bending": Bending}
-"""Terms of a sheet by the part of it that a material law amends."""
+PARTS: dict[str, type[Membrane | Bending | NeoHookean]] = {
+    "membrane": Membrane,
+    "bending": Bending,
+    "solid": NeoHookean,
+}
+"""Terms of a sheet or a gel by the part of it that a material law amends, or a field map scales."""
 
 Frame = tuple[np.ndarray, Rotation]
 """Origin [m] ``(3,)`` and rotation of a frame in the world."""
@@ -257,6 +264,11 @@ class Scene:
             terms = instance.effect.terms(self, instance.key, instance.targets, instance.values)
             self._by_effects[instance.key] = [term.name for term in terms]
             found += terms
+        for instance in active(self.rig, FieldMap):
+            for term in self._graded(instance):
+                grading = term.grading or Grading(element_middles(self.bodies[term.name.rpartition(".")[0]]))
+                grading.add(instance.key, instance.effect)
+                term.grade(grading)
         for instance in active(self.rig, MaterialLaw):
             for laws in self._amended(instance):
                 laws.add(instance.key, instance.effect)
@@ -276,6 +288,11 @@ class Scene:
                     hosts[part] = own.name, strain_laws(own)
                     body.terms.append(hosts[part][1])
                 yield hosts[part][1]
+
+    def _graded(self, instance: Instance) -> list[Membrane | Bending | NeoHookean]:
+        """Terms whose elements an effect scales."""
+        kinds = tuple(PARTS[part] for part in instance.effect.parts)
+        return [term for name in instance.targets for term in self.bodies[name].terms if isinstance(term, kinds)]
 
     def _touched(self, instance: Instance) -> list[ContactTerm]:
         """Terms of the contacts that an effect acts on."""
@@ -332,6 +349,9 @@ class Scene:
             if isinstance(effect, BodyForce):
                 for name in self._by_effects.get(instance.key, ()):
                     values.terms[name] = dict(effect.numbers(given))
+            if isinstance(effect, FieldMap):
+                for graded in self._graded(instance):
+                    values.terms[graded.name].update({f"{instance.key}.{key}": v for key, v in given.items()})
             if isinstance(effect, NormalLaw | FrictionLaw):
                 for term in self._touched(instance):
                     values.terms[term.name].update({f"{instance.key}.{key}": v for key, v in given.items()})

@@ -33,12 +33,12 @@ class Past:
     dt: float
 
 
-def step_context(x: np.ndarray, v: np.ndarray, dt: float, past: Past | None = None) -> StepContext:
-    """Constants of a step: BDF2 where there is a past, else implicit Euler."""
+def step_context(x: np.ndarray, v: np.ndarray, dt: float, past: Past | None = None, time: float = 0.0) -> StepContext:
+    """Constants of a step that starts at a ``time`` [s]: BDF2 where there is a past, else implicit Euler."""
     if past is None:
-        return StepContext(x, v, dt, x, v, dt)
+        return StepContext(x, v, dt, x, v, dt, time=time)
     r = dt / past.dt
     now, before = (1.0 + r) ** 2 / (1.0 + 2.0 * r), r**2 / (1.0 + 2.0 * r)
     tau = dt * (1.0 + r) / (1.0 + 2.0 * r)
     base = now * x - before * past.x, now * v - before * past.v
-    return StepContext(x, v, dt, *base, tau, past.x, (now, -before))
+    return StepContext(x, v, dt, *base, tau, past.x, (now, -before), time)

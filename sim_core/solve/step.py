@@ -45,7 +45,7 @@ def advance(
     off; the returned state is then the last iterate.
     """
     settings = settings or NewtonSettings()
-    step = step_context(state.x, state.v, dt, state.past)
+    step = step_context(state.x, state.v, dt, state.past, state.t)
     x = system.x
     system.set_targets(targets)
     x[:] = state.x

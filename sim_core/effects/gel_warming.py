@@ -1,0 +1,52 @@
+"""Warming of a gel: its stiffness changes from the start of a recording on, and settles.
+
+f(t) = 1 + a (1 - exp(-t / tau))
+
+a factor on the modulus: E grows with the absolute temperature, 0.3 % a kelvin (Treloar, The Physics of Rubber
+Elasticity, 3rd ed., eq. 4.9), and the lamps and the chip below a gel warm it like a first-order system."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import FieldMap
+from sim_core.rigs import Gel, Rig
+
+
+class GelWarming(FieldMap):
+    """A gel that warms up, or cools down, while it is used."""
+
+    name = "gel_warming"
+    title = "the gel warms up"
+    words = "The stiffness of the gel changes in the course of a recording, as its temperature does, and settles."
+    signature = "The same press is harder, or softer, from one time to the next, whatever was done in between."
+    source = "Treloar, The Physics of Rubber Elasticity, 3rd ed., 1975, eq. 4.9"
+    slot = "gel"
+    follows = "session"
+    needs = "a gel"
+    twins = ("wrench_warm_up", "gel_relaxation")
+    separated_by = "The same press every two minutes, with rests in air, and a thermometer."
+    parameters = (
+        EffectParameter("change", "-", -0.9, 5.0, (0.1, -0.1), 0.0, False, 0.1, "share by which it stiffens"),
+        EffectParameter(
+            "tau_s", "s", 0.01, 1e5, (10.0,), None, True, 1.5, "time constant of the warming", "duration_s", (0.3,)
+        ),
+    )
+    parts = ("solid",)
+    changes = True
+    example = {"change": 0.3, "tau_s": 0.2}
+
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
+
+    def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
+        return np.full(len(places), 1.0 - values["change"] * np.expm1(-time / values["tau_s"]))
+
+    def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
+        ratio = time / values["tau_s"]
+        whole = np.ones(len(places))
+        by_tau = -values["change"] * np.exp(-ratio) * ratio / values["tau_s"]
+        return {"change": -np.expm1(-ratio) * whole, "tau_s": by_tau * whole}

@@ -1,0 +1,66 @@
+"""Crease of a sheet: a line along which it was folded once, and bends more easily since.
+
+f(X) = 1 - a exp(-d^2 / (2 w^2)),    d = x cos phi + y sin phi - c
+
+a factor on the bending stiffness at the place X of the flat sheet, with the distance d from a line whose normal is
+turned by phi from x, and w half its width (Lechenault, Thiria & Adda-Bedia, Phys. Rev. Lett. 112, 244301, 2014, whose
+hinge has the compliance that is missing here along the line, spread over its width). Creases are wider than an element
+of the mesh. Below zero, a is a seam, or a line of glue."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import FieldMap
+from sim_core.rigs import Rig, Sheet
+
+
+class SheetCrease(FieldMap):
+    """A sheet with a line of weakness."""
+
+    name = "sheet_crease"
+    title = "the sheet has a crease"
+    words = "Along a line the sheet bends more easily, or less, than elsewhere: it was folded there, or has a seam."
+    signature = "Bends concentrate along a line, and forces jump as the finger crosses it."
+    source = "Lechenault, Thiria & Adda-Bedia, Phys. Rev. Lett. 112, 244301, 2014"
+    slot = "sheet"
+    passive = True
+    needs = "a sheet"
+    twins = ("sheet_soft_spot", "bending_plasticity")
+    separated_by = "Presses on a grid across the line: a crease acts all along it, a spot in one place."
+    parameters = (
+        EffectParameter("softening", "-", -20.0, 0.98, (0.4,), 0.0, False, 0.4, "share by which it is softer there"),
+        EffectParameter("offset_m", "m", -10.0, 10.0, (0.0,), None, False, 0.02, "c"),
+        EffectParameter("angle_rad", "rad", -1.6, 1.6, (0.0,), None, False, 0.8, "phi"),
+        EffectParameter("width_m", "m", 1e-4, 1.0, (0.005,), None, True, 0.7, "w"),
+    )
+    parts = ("bending",)
+    example = {"softening": 0.5, "offset_m": -0.005, "angle_rad": 0.3, "width_m": 0.008}
+
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
+
+    def equivalents(self, values: Values) -> tuple[Values, ...]:
+        """The normal turned round."""
+        turned = {**values, "offset_m": -values["offset_m"]}
+        return tuple({**turned, "angle_rad": values["angle_rad"] + s * np.pi} for s in (-1.0, 1.0))
+
+    def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
+        return np.asarray(1.0 - values["softening"] * _near(places, values)[0])
+
+    def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
+        near, away, along = _near(places, values)
+        slope = values["softening"] * near * away / values["width_m"] ** 2  # by the distance
+        by_width = -slope * away / values["width_m"]
+        return {"softening": -near, "offset_m": -slope, "angle_rad": slope * along, "width_m": by_width}
+
+
+def _near(places: np.ndarray, values: Values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """exp(-d^2 / (2 w^2)), d [m], and the places along the line [m], ``(m,)`` each."""
+    c, s = np.cos(values["angle_rad"]), np.sin(values["angle_rad"])
+    x, y = places[:, 0], places[:, 1]
+    away = c * x + s * y - values["offset_m"]
+    return np.exp(-0.5 * (away / values["width_m"]) ** 2), away, c * y - s * x

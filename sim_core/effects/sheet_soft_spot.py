@@ -1,0 +1,70 @@
+"""Soft spot of a sheet: a place where it is softer, or stiffer, in stretching and in bending.
+
+f(X) = 1 - a exp(-r^2 / (2 s^2)),    r^2 = (x - x_0)^2 + (y - y_0)^2
+
+a factor on the stiffness at the place X of the flat sheet: the field of a modulus in one bump (Avril et al.,
+Experimental Mechanics 48, 2008, sec. 5: identification of stiffness fields). Spots are wider than an element of the
+mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import FieldMap
+from sim_core.rigs import Rig, Sheet
+
+PARAMETERS = (
+    EffectParameter("depth", "-", -20.0, 0.95, (0.3, -0.3), 0.0, False, 0.3, "share by which it is softer there"),
+    EffectParameter("x_m", "m", -10.0, 10.0, (0.0,), None, False, 0.02, "middle along x"),
+    EffectParameter("y_m", "m", -10.0, 10.0, (0.0,), None, False, 0.02, "middle along y"),
+    EffectParameter("radius_m", "m", 1e-4, 10.0, (0.01,), None, True, 0.7, "s"),
+)
+
+
+class SheetSoftSpot(FieldMap):
+    """A sheet with a weak place."""
+
+    name = "sheet_soft_spot"
+    title = "the sheet has a soft spot"
+    words = "In one place the sheet is softer, or stiffer, than elsewhere: it is thin, damp, damaged or printed there."
+    signature = "Forces and shapes are off only while the spot is bent or stretched, wherever the finger is."
+    source = "Avril et al., Experimental Mechanics 48, 2008 (stiffness fields)"
+    slot = "sheet"
+    passive = True
+    needs = "a sheet"
+    twins = ("sheet_crease", "sheet_stiffness_gradient", "end_effector_compliance")
+    separated_by = "The same motion with the sheet shifted, or turned round: the spot moves with it."
+    parameters = PARAMETERS
+    parts = ("membrane", "bending")
+    example = {"depth": 0.4, "x_m": -0.01, "y_m": 0.003, "radius_m": 0.012}
+
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
+
+    def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
+        return spot(places, values)
+
+    def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
+        return spot_by(places, values)
+
+
+def spot(places: np.ndarray, values: Values) -> np.ndarray:
+    """f at places [m] ``(m, 3)``."""
+    return np.asarray(1.0 - values["depth"] * _bump(places, values)[0])
+
+
+def spot_by(places: np.ndarray, values: Values) -> dict[str, np.ndarray]:
+    """Its derivatives by the parameters ``(m,)``."""
+    bump, away = _bump(places, values)
+    slope = -values["depth"] * bump / values["radius_m"] ** 2
+    by_radius = slope * (away**2).sum(axis=1) / values["radius_m"]
+    return {"depth": -bump, "x_m": slope * away[:, 0], "y_m": slope * away[:, 1], "radius_m": by_radius}
+
+
+def _bump(places: np.ndarray, values: Values) -> tuple[np.ndarray, np.ndarray]:
+    """exp(-r^2 / (2 s^2)) ``(m,)``, and how far places are from the middle [m] ``(m, 2)``."""
+    away = places[:, :2] - np.array([values["x_m"], values["y_m"]])
+    return np.exp(-0.5 * (away**2).sum(axis=1) / values["radius_m"] ** 2), away

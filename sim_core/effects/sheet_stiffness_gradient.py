@@ -1,0 +1,49 @@
+"""Gradient of a sheet's stiffness: it gets stiffer from one side to the other, in stretching and in bending.
+
+f(X) = exp(g_x x + g_y y)
+
+a factor on the stiffness at the place X of the flat sheet, 1 in its middle: the first mode of a stiffness field (Avril
+et al., Experimental Mechanics 48, 2008, sec. 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import FieldMap
+from sim_core.rigs import Rig, Sheet
+
+NAMES = ("x_per_m", "y_per_m")
+
+
+class SheetStiffnessGradient(FieldMap):
+    """A sheet that is stiffer on one side."""
+
+    name = "sheet_stiffness_gradient"
+    title = "the sheet is stiffer on one side"
+    words = "The stiffness of the sheet grows from one side to the other, by a constant share a length."
+    signature = "Forces are too large on one side of the sheet and too small on the other."
+    source = "Avril et al., Experimental Mechanics 48, 2008 (stiffness fields)"
+    slot = "sheet"
+    passive = True
+    needs = "a sheet"
+    twins = ("sheet_soft_spot", "gravity_direction", "sheet_orthotropy")
+    separated_by = "The same motion with the sheet turned round by 180 degrees."
+    parameters = tuple(
+        EffectParameter(n, "1/m", -1e3, 1e3, (3.0,), 0.0, False, 5.0, f"growth of the stiffness along {n[0]}")
+        for n in NAMES
+    )
+    parts = ("membrane", "bending")
+    example = {"x_per_m": 8.0, "y_per_m": -15.0}
+
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
+
+    def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
+        return np.exp(places[:, :2] @ np.array([values[n] for n in NAMES]))
+
+    def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
+        f = self.factor(places, time, values)
+        return {n: f * places[:, k] for k, n in enumerate(NAMES)}
