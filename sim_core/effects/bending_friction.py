@@ -1,0 +1,83 @@
+"""Internal friction of a sheet in bending: fibres slide on each other once they are bent far enough.
+
+A spring of g times the bending stiffness D in series with a slider, beside the sheet's own law: the curvature z of the
+spring follows that of the sheet until it has the size y, and is dragged along from there on,
+
+    z' = z_t min(1, y / n(z_t)),    z_t = z + kappa' - kappa,    n(z)^2 = z . D z / T,    T = 1 / (D^-1)_11
+    moment added: g D z',    w = g T n^2 / 2    n <= y,    g T (y n - y^2 / 2)    n > y,    n = n(z_t)
+
+the projection onto |z| <= y in the metric of D (Prandtl's element; Brokate & Sprekels, Hysteresis and Phase
+Transitions, 1996, sec. 2.3). The loop that a strip makes in moment and curvature has the half height g B y, whatever
+its speed. Several instances, by labels, are the model of Prandtl and Ishlinskii."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import MaterialLaw, Response, Strained
+from sim_core.effects.sheet_stiffening import Stretched
+from sim_core.materials.elastic import applied
+from sim_core.rigs import Rig, Sheet
+
+
+class BendingFriction(MaterialLaw):
+    """A sheet whose fibres rub on each other as it bends."""
+
+    name = "bending_friction"
+    title = "the sheet rubs within itself as it bends"
+    words = "Fibres of the sheet slide on each other in a bend: it takes more moment to bend it than it gives back."
+    signature = "Bent to and fro the sheet makes a loop in force and deflection that is the same at every speed."
+    source = "Brokate & Sprekels, Hysteresis and Phase Transitions, 1996, sec. 2.3 (Prandtl's element)"
+    slot = "sheet"
+    passive = True
+    needs = "a sheet"
+    twins = ("bending_plasticity", "viscoelastic_sheet", "hand_backlash")
+    separated_by = "Small loops at two speeds: friction makes the same loop in both, and a loop however small the bend."
+    parameters = (
+        EffectParameter("share", "-", 0.0, 20.0, (0.3,), 0.0, False, 0.5, "stiffness of the spring over the sheet's"),
+        EffectParameter(
+            "slip_curvature_per_m", "1/m", 1e-2, 1e4, (0.5, 2.0, 8.0), None, True, 1.5, "curvature at which it slides"
+        ),
+    )
+    parts = ("bending",)
+    example = {"share": 0.5, "slip_curvature_per_m": 0.5}
+
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
+
+    def state(self) -> Mapping[str, tuple[int, ...]]:
+        return {"spring": (3,)}
+
+    def respond(self, at: Strained, values: Values) -> Response:
+        g, y = values["share"], values["slip_curvature_per_m"]
+        tried = Stretched.of(at, at.state["spring"] + at.strain - at.before)
+        size = np.sqrt(tried.square / tried.unit)
+        slides, safe = size > y, np.maximum(size, y)
+        held = Stretched.of(at, at.state["spring"])
+        energy = g * tried.unit * np.where(slides, y * size - 0.5 * y**2, 0.5 * size**2) - 0.5 * g * held.square
+        share = (y / safe)[:, None]
+        along = tried.linear / (tried.unit * safe)[:, None]
+        turned = np.where(slides, y / safe, 0.0)[:, None, None] * along[:, :, None] * along[:, None]
+        tangent = g * (share[..., None] * at.stiffness - turned * tried.unit[:, None, None])
+        new = share * (at.state["spring"] + at.strain - at.before)
+        return Response(energy, g * share * tried.linear, tangent, {"spring": new})
+
+    def push(
+        self, at: Strained, change: Strained, values: Values, by: Values
+    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
+        g, y = values["share"], values["slip_curvature_per_m"]
+        z = at.state["spring"] + at.strain - at.before
+        moved = change.state["spring"] + change.strain - change.before
+        tried = Stretched.of(at, z)
+        size = np.sqrt(tried.square / tried.unit)
+        slides, safe = size > y, np.maximum(size, y)
+        square = (2.0 * tried.linear * moved + applied(change.stiffness, z) * z).sum(axis=-1)
+        longer = (square / tried.unit - size**2 / tried.unit * tried.unit_along(change.stiffness)) / (2.0 * safe)
+        grown = np.where(slides, (by["slip_curvature_per_m"] - y * longer / safe) / safe, 0.0)
+        new, share = (y / safe)[:, None] * z, (y / safe)[:, None]
+        spring = share * moved + grown[..., None] * z
+        stress = by["share"] * share * tried.linear + g * applied(change.stiffness, new)
+        return stress + g * applied(at.stiffness, spring), {"spring": spring}

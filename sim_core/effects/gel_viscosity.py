@@ -1,0 +1,54 @@
+"""Viscosity of a gel (Kelvin-Voigt): stress in proportion to the rate of strain, beside the elastic one.
+
+    S = S_e(C) + beta dS_e/dt
+
+added to what the rig says for beta (Christensen, Theory of Viscoelasticity, 2nd ed., sec. 1.3;
+:mod:`sim_core.energies.neo_hookean`): the viscosity is beta times the shear modulus.
+"""
+
+from __future__ import annotations
+
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import RigMap
+from sim_core.rigs import Gel, Rig
+
+
+class GelViscosity(RigMap):
+    """A gel that resists being deformed quickly."""
+
+    name = "gel_viscosity"
+    title = "the gel is viscous"
+    words = (
+        "The gel resists fast deformation, with a stress proportional to the rate of strain that ends with the motion."
+    )
+    signature = "The force is too small while the finger presses in, too large while it draws back, and right in holds."
+    source = "Christensen, Theory of Viscoelasticity, 2nd ed., 1982, sec. 1.3 (Kelvin-Voigt)"
+    slot = "gel"
+    follows = "sensor"
+    passive = True
+    needs = "a gel"
+    twins = ("stream_delay", "gel_relaxation", "wrench_low_pass")
+    separated_by = (
+        "The same press on a soft and on a hard object: a late clock scales with the stiffness, viscosity does not."
+    )
+    parameters = (
+        EffectParameter(
+            "beta_s", "s", 0.0, 10.0, (2e-3, 2e-2), 0.0, False, 0.02, "viscous over elastic modulus", "sampling_s",
+            (0.2, 2.0),
+        ),
+    )  # fmt: skip
+    example = {"beta_s": 0.02}
+
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
+
+    def amend_rig(self, rig: Rig, targets: tuple[str, ...], values: Values) -> Rig:
+        if self.vanishes(values):
+            return rig
+        changed = dict(rig.bodies)
+        for name in targets:
+            body = changed[name]
+            assert isinstance(body, Gel)
+            update = {"stiffness_damping_s": body.material.stiffness_damping_s + values["beta_s"]}
+            changed[name] = body.model_copy(update={"material": body.material.model_copy(update=update)})
+        return rig.model_copy(update={"bodies": changed})

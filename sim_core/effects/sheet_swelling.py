@@ -1,0 +1,60 @@
+"""Swelling of a sheet: at rest it is longer, or shorter, than the rig says, in each of its directions.
+
+    psi(e) = -e . D e_0:    N = D (e - e_0)
+
+with the membrane stiffness D and the strains e_0 along x and y at which it bears no tension: of moisture or heat
+(Timoshenko & Goodier, Theory of Elasticity, 3rd ed., eq. 239). Paper grows by 0.1 to 1 % across its grain as it gets
+damp."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.hooks import MaterialLaw, Response, Strained
+from sim_core.materials.elastic import applied
+from sim_core.rigs import Rig, Sheet
+
+
+class SheetSwelling(MaterialLaw):
+    """A sheet that has grown, or shrunk."""
+
+    name = "sheet_swelling"
+    title = "the sheet has swollen"
+    words = "The sheet is longer, or shorter, than it is said to be, along x and along y: of moisture, heat or wear."
+    signature = "Tensions are off by a constant where the sheet is held at its edges, and it bulges or is drawn tight."
+    source = "Timoshenko & Goodier, Theory of Elasticity, 3rd ed., chapter 13 (thermal strain)"
+    slot = "sheet"
+    follows = "session"
+    passive = True
+    needs = "a sheet"
+    twins = ("sheet_precurvature", "tool_offset")
+    separated_by = "Points on the sheet where it hangs free: their distances grow by the same share everywhere."
+    parameters = tuple(
+        EffectParameter(f"strain_{a}", "-", -0.2, 0.5, (2e-3,), 0.0, False, 5e-3, f"strain at rest along {a}")
+        for a in "xy"
+    )
+    parts = ("membrane",)
+    example = {"strain_x": 0.004, "strain_y": -0.003}
+
+    def targets(self, rig: Rig) -> tuple[str, ...]:
+        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
+
+    def state(self) -> Mapping[str, tuple[int, ...]]:
+        return {}
+
+    def respond(self, at: Strained, values: Values) -> Response:
+        stress = -applied(at.stiffness, np.broadcast_to(_at_rest(values), at.strain.shape))
+        return Response((stress * at.strain).sum(axis=-1), stress, np.zeros_like(at.stiffness), {})
+
+    def push(
+        self, at: Strained, change: Strained, values: Values, by: Values
+    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
+        rest, more = (np.broadcast_to(_at_rest(v), at.strain.shape) for v in (values, by))
+        return -applied(change.stiffness, rest) - applied(at.stiffness, more), {}
+
+
+def _at_rest(values: Values) -> np.ndarray:
+    return np.array([values["strain_x"], values["strain_y"], 0.0])
