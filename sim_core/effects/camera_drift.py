@@ -33,10 +33,10 @@ class CameraDrift(Pointwise):
     separated_by = "A mark that stands still in the picture."
     parameters = (
         *(
-            EffectParameter(name, "px/s", -1e3, 1e3, (0.0,), 0.0, False, 1.0, f"speed of the picture along {name[0]}")
+            EffectParameter(name, "px/s", -1e3, 1e3, (1.0,), 0.0, False, 1.0, f"speed of the picture along {name[0]}")
             for name in RATES
         ),
-        EffectParameter("zoom_per_s", "1/s", -1.0, 1.0, (0.0,), 0.0, False, 1e-3, "rate of growth of the picture"),
+        EffectParameter("zoom_per_s", "1/s", -1.0, 1.0, (1e-3,), 0.0, False, 1e-3, "rate of growth of the picture"),
     )
     example = {"u_px_per_s": 2.0, "v_px_per_s": -3.0, "zoom_per_s": 0.02}
 

@@ -11,9 +11,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.base import EffectParameter, RecordingScales, Values
 from sim_core.effects.hooks import FieldMap
-from sim_core.effects.sheet_soft_spot import spot, spot_by
+from sim_core.effects.sheet_soft_spot import spot, spot_by, spread_over
 from sim_core.rigs import Gel, Rig
 
 
@@ -32,7 +32,7 @@ class GelSoftSpot(FieldMap):
     twins = ("gel_stiffness_gradient", "tool_offset", "camera_distortion")
     separated_by = "The same tip pressed into five places of the sensor."
     parameters = (
-        EffectParameter("depth", "-", -20.0, 0.95, (0.3, -0.3), 0.0, False, 0.3, "share by which it is softer there"),
+        EffectParameter("depth", "-", -20.0, 0.95, (0.3,), 0.0, False, 0.3, "share by which it is softer there"),
         EffectParameter("x_m", "m", -10.0, 10.0, (0.0,), None, False, 5e-3, "middle along x"),
         EffectParameter("y_m", "m", -10.0, 10.0, (0.0,), None, False, 5e-3, "middle along y"),
         EffectParameter("radius_m", "m", 1e-4, 10.0, (3e-3,), None, True, 0.7, "s"),
@@ -42,6 +42,11 @@ class GelSoftSpot(FieldMap):
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
+
+    def variants(self, rig: Rig, scales: RecordingScales | None = None) -> tuple[Mapping[str, tuple[float, ...]], ...]:
+        """Spots of a fifth of its size, in the middle of the gel and around it."""
+        gels = [body for body in rig.bodies.values() if isinstance(body, Gel)]
+        return tuple(spread_over(body.shape.bounds(), self.parameters) for body in gels[:1])
 
     def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
         return spot(places, values)

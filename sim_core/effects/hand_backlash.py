@@ -42,7 +42,7 @@ class HandBacklash(CommandMap[Pose]):
     separated_by = "Slow reversals in air at several speeds: play is a distance, a lag is a time."
     parameters = (
         EffectParameter("play_m", "m", 0.0, 0.05, (2e-4, 1e-3), 0.0, False, 5e-4, "half the play of places"),
-        EffectParameter("play_deg", "deg", 0.0, 30.0, (0.0,), 0.0, False, 0.3, "half the play of turns"),
+        EffectParameter("play_deg", "deg", 0.0, 30.0, (0.2,), 0.0, False, 0.3, "half the play of turns"),
     )
     example = {"play_m": 4e-4, "play_deg": 0.0}
 

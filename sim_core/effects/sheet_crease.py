@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.base import EffectParameter, RecordingScales, Values
 from sim_core.effects.hooks import FieldMap
 from sim_core.rigs import Rig, Sheet
 
@@ -42,6 +42,19 @@ class SheetCrease(FieldMap):
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
+
+    def variants(self, rig: Rig, scales: RecordingScales | None = None) -> tuple[Mapping[str, tuple[float, ...]], ...]:
+        """Creases across x and across y, in the middle of the sheet and beside it, a twentieth of its size wide."""
+        found = []
+        for bounds in [body.shape.bounds() for body in rig.bodies.values() if isinstance(body, Sheet)][:1]:
+            middle, size = bounds.mean(axis=0), np.ptp(bounds, axis=0)
+            for axis, angle in enumerate((0.0, 0.5 * np.pi)):
+                offsets = tuple(float(middle[axis] + s * size[axis]) for s in (0.0, -0.25, 0.25))
+                own = {p.name: p.typical for p in self.parameters}
+                found.append(
+                    {**own, "offset_m": offsets, "angle_rad": (angle,), "width_m": (0.05 * float(size[axis]),)}
+                )
+        return tuple(found)
 
     def equivalents(self, values: Values) -> tuple[Values, ...]:
         """The normal turned round."""

@@ -35,7 +35,7 @@ class SheetPrecurvature(MaterialLaw):
     twins = ("gravity_direction", "sheet_density", "tool_offset")
     separated_by = "The same motion with the sheet turned over: what is curled changes its sign, weight does not."
     parameters = tuple(
-        EffectParameter(n, "1/m", -1e3, 1e3, (0.5,) if n[0] != "t" else (0.0,), 0.0, False, 1.0, words)
+        EffectParameter(n, "1/m", -1e3, 1e3, (0.5,), 0.0, False, 1.0, words)
         for n, words in zip(NAMES, ("curvature along x", "curvature along y", "twist"), strict=True)
     )
     parts = ("bending",)

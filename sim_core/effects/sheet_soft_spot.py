@@ -12,16 +12,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim_core.effects.base import EffectParameter, Values
+from sim_core.effects.base import EffectParameter, RecordingScales, Values
 from sim_core.effects.hooks import FieldMap
 from sim_core.rigs import Rig, Sheet
-
-PARAMETERS = (
-    EffectParameter("depth", "-", -20.0, 0.95, (0.3, -0.3), 0.0, False, 0.3, "share by which it is softer there"),
-    EffectParameter("x_m", "m", -10.0, 10.0, (0.0,), None, False, 0.02, "middle along x"),
-    EffectParameter("y_m", "m", -10.0, 10.0, (0.0,), None, False, 0.02, "middle along y"),
-    EffectParameter("radius_m", "m", 1e-4, 10.0, (0.01,), None, True, 0.7, "s"),
-)
 
 
 class SheetSoftSpot(FieldMap):
@@ -37,18 +30,36 @@ class SheetSoftSpot(FieldMap):
     needs = "a sheet"
     twins = ("sheet_crease", "sheet_stiffness_gradient", "end_effector_compliance")
     separated_by = "The same motion with the sheet shifted, or turned round: the spot moves with it."
-    parameters = PARAMETERS
+    parameters = (
+        EffectParameter("depth", "-", -20.0, 0.95, (0.3,), 0.0, False, 0.3, "share by which it is softer there"),
+        EffectParameter("x_m", "m", -10.0, 10.0, (0.0,), None, False, 0.02, "middle along x"),
+        EffectParameter("y_m", "m", -10.0, 10.0, (0.0,), None, False, 0.02, "middle along y"),
+        EffectParameter("radius_m", "m", 1e-4, 10.0, (0.01,), None, True, 0.7, "s"),
+    )
     parts = ("membrane", "bending")
     example = {"depth": 0.4, "x_m": -0.01, "y_m": 0.003, "radius_m": 0.012}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
+    def variants(self, rig: Rig, scales: RecordingScales | None = None) -> tuple[Mapping[str, tuple[float, ...]], ...]:
+        """Spots of a fifth of its size, in the middle of the sheet and around it."""
+        sheets = [body for body in rig.bodies.values() if isinstance(body, Sheet)]
+        return tuple(spread_over(body.shape.bounds(), self.parameters) for body in sheets[:1])
+
     def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
         return spot(places, values)
 
     def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
         return spot_by(places, values)
+
+
+def spread_over(bounds: np.ndarray, parameters: tuple[EffectParameter, ...]) -> dict[str, tuple[float, ...]]:
+    """Starting values for spots in a box with these corners [m] ``(2, 3)``."""
+    middle, size = bounds.mean(axis=0), np.ptp(bounds, axis=0)
+    x, y = (tuple(float(middle[k] + s * size[k]) for s in (0.0, -0.25, 0.25)) for k in range(2))
+    own = {p.name: p.typical for p in parameters}
+    return {**own, "x_m": x, "y_m": y, "radius_m": (0.2 * float(np.sqrt(size[0] * size[1])),)}
 
 
 def spot(places: np.ndarray, values: Values) -> np.ndarray:

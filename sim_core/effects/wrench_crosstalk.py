@@ -23,7 +23,7 @@ def _coupling(to: str, by: str) -> EffectParameter:
     """How much of the component ``by`` is read in the component ``to``."""
     unit, size = {"ff": ("-", 1.0), "tt": ("-", 1.0), "ft": ("1/m", 1.0 / ARM_M), "tf": ("m", ARM_M)}[to[0] + by[0]]
     words = f"share of {by} that is read as {to}"
-    return EffectParameter(f"{to}_by_{by}", unit, -size, size, (0.0,), 0.0, False, 0.02 * size, words)
+    return EffectParameter(f"{to}_by_{by}", unit, -size, size, (0.02 * size,), 0.0, False, 0.02 * size, words)
 
 
 class WrenchCrosstalk(Linear):

@@ -21,7 +21,8 @@ def _amount(name: str) -> EffectParameter:
     bound, unit = (100.0, "N") if force else (10.0, "N m")
     scale: Scale = "force_n" if force else "torque_nm"
     words = "offset in the end of the " + " along ".join(name.split("_")[:2])
-    return EffectParameter(name, unit, -bound, bound, (0.0,), 0.0, False, 5e-3 * bound, words, scale, (), 0.1)
+    width = 5e-3 * bound
+    return EffectParameter(name, unit, -bound, bound, (width,), 0.0, False, width, words, scale, (0.1,), 0.1)
 
 
 class WrenchWarmUp(Additive):

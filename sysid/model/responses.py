@@ -19,6 +19,7 @@ from sim_core.effects.hooks import (
     BodyForce,
     ClockMap,
     CommandMap,
+    FieldMap,
     FrictionLaw,
     MaterialLaw,
     MechanicsMap,
@@ -63,7 +64,7 @@ def way_of(rig: Rig, effects: SizedEffects, geometry: Callable[[Rig], object]) -
 
     if all_are(ReadingMap, ClockMap):
         return "reading"
-    if all_are(BodyForce, FrictionLaw, MaterialLaw, MechanicsMap, NormalLaw):
+    if all_are(BodyForce, FieldMap, FrictionLaw, MaterialLaw, MechanicsMap, NormalLaw):
         return "law"
     if all_are(RigMap, CommandMap):
         bare = with_effects(rig, effects)
