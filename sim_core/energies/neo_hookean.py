@@ -263,8 +263,9 @@ class NeoHookean:
         ratio = step.dt / self._tau
         self._fade[:], self._blend[:] = np.exp(-ratio), -np.expm1(-ratio) / ratio
         self._constants[:, SHARE] = 1.0 - self._g + self._blend * self._g
-        self._fading[:] = _at_points(self._fade) * internals["Q"].reshape(-1, 6)
+        self._fading[:] = 0.0
         if self._relaxes:
+            self._fading[:] = _at_points(self._fade) * internals["Q"].reshape(-1, 6)
             self._fading -= _at_points(self._blend * self._g) * self._stress_at(step.x_start)
         self._history[:, :6], self._history[:, 6] = self._fading, 0.0
         if self._damped:
