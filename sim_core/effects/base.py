@@ -11,8 +11,8 @@ act on, on one target, and as one of several instances (two relaxation branches 
 
     effects:
       static_friction: {excess: 0.2}
-      gel_relaxation@pad#fast: {share: 0.1, tau_s: 0.05}
-      gel_relaxation@pad#slow: {share: 0.2, tau_s: 2.0}
+      viscoelastic_gel@pad#fast: {share: 0.1, tau_s: 0.05}
+      viscoelastic_gel@pad#slow: {share: 0.2, tau_s: 2.0}
 
 This module imports nothing of rigs or scenes.
 """

@@ -37,7 +37,7 @@ class BendingStiffening(MaterialLaw):
         EffectParameter("coefficient_m2", "m^2", 1e-9, 100.0, (1e-3,), 0.0, True, 3.0, "stiffening at curvature 1/m"),
     )
     parts = ("bending",)
-    example = {"coefficient_m2": 0.2}
+    example = {"coefficient_m2": 0.01}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))

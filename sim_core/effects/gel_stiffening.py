@@ -37,7 +37,7 @@ class GelStiffening(MaterialLaw):
         EffectParameter("coefficient", "-", 1e-3, 1e4, (0.5, 5.0), 0.0, True, 2.0, "relative stiffening at strain 1"),
     )
     parts = ("solid",)
-    example = {"coefficient": 10.0}
+    example = {"coefficient": 300.0}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))

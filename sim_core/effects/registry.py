@@ -18,7 +18,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from sim_core.effects.base import Effect, Instance, split_key
-from sim_core.effects.hooks import RigMap
+from sim_core.effects.hooks import MechanicsMap, RigMap
 from sim_core.errors import ConfigError, nearest_match
 
 if TYPE_CHECKING:
@@ -114,6 +114,7 @@ def active_effects(rig: Rig) -> list[Instance]:
         effect = effect_by_name(key)
         values = _complete(effect, key, given)
         found.append(Instance(key, effect, _scope(rig, effect, key), values))
+    _check_numbers(found)
     return found
 
 
@@ -151,6 +152,19 @@ def _scope(rig: Rig, effect: Effect, key: str) -> tuple[str, ...]:
             nearest_match(target, list(possible)),
         )
     return (target,)
+
+
+def _check_numbers(found: list[Instance]) -> None:
+    """Refuse two instances that would set the same numbers of one target, of which only the last would count."""
+    taken: dict[tuple[str, str], str] = {}
+    for instance in found:
+        for target in instance.targets if isinstance(instance.effect, MechanicsMap) else ():
+            other = taken.setdefault((instance.effect.name, target), instance.key)
+            if other != instance.key:
+                raise ConfigError(
+                    f"The effects {other} and {instance.key} set the same numbers of {target}, of which there is one.",
+                    "Remove one of them; several branches of one law are effects of the interface MaterialLaw.",
+                )
 
 
 def _complete(effect: Effect, key: str, given: Mapping[str, float]) -> dict[str, float]:

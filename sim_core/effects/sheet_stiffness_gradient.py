@@ -42,7 +42,7 @@ class SheetStiffnessGradient(FieldMap):
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
-        return np.exp(places[:, :2] @ np.array([values[n] for n in NAMES]))
+        return np.asarray(np.exp(places[:, :2] @ np.array([values[n] for n in NAMES])))
 
     def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
         f = self.factor(places, time, values)

@@ -119,23 +119,23 @@ class NeoHookean:
     @property
     def weights(self) -> np.ndarray:
         """Volumes of the points [m^3] ``(m, 4)``, times the factors of the modulus; changed in place."""
-        return self._weight
+        return np.asarray(self._weight)
 
     @property
     def whole_weights(self) -> np.ndarray:
         """Volumes of the points [m^3] ``(m, 4)``."""
-        return self._whole_weight
+        return np.asarray(self._whole_weight)
 
     @property
     def shear_moduli(self) -> np.ndarray:
         """Of the elements [Pa] ``(m,)``."""
-        return self._moduli[:, MU]
+        return np.asarray(self._moduli[:, MU])
 
     def shear_moduli_by(self, quantity: str) -> np.ndarray:
         """Derivative of :attr:`shear_moduli` by ``E_pa`` or ``nu`` ``(m,)``."""
         if quantity == "E_pa":
             return np.asarray(self._moduli[:, MU] / self._given["E_pa"])
-        return moduli_by_nu(self._given["E_pa"], self._nu)[:, MU]
+        return np.asarray(moduli_by_nu(self._given["E_pa"], self._nu)[:, MU])
 
     def blocks(self) -> np.ndarray:
         """Return all ordered pairs of the ten nodes of each element, ``(100 m, 2)``."""

@@ -62,14 +62,14 @@ class SolidStrain:
 
     @property
     def stiffness(self) -> np.ndarray:
-        return self.at_points(self._solid.shear_moduli)[:, None, None] * SHEAR
+        return np.asarray(self.at_points(self._solid.shear_moduli)[:, None, None] * SHEAR)
 
     @property
     def grading(self) -> Grading | None:
         return self._solid.grading
 
     def stiffness_by(self, quantity: str) -> np.ndarray:
-        return self.at_points(self._solid.shear_moduli_by(quantity))[:, None, None] * SHEAR
+        return np.asarray(self.at_points(self._solid.shear_moduli_by(quantity))[:, None, None] * SHEAR)
 
     def at_points(self, values: np.ndarray) -> np.ndarray:
         return np.repeat(values, POINTS)

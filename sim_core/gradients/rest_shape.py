@@ -222,9 +222,9 @@ class _Gel:
         term.begin_step(step, internals[term.name])
         self._tensor += term.by_rest(exerted, memory[term.name], step)
         for laws in self._laws:
-            weights = laws.rest_weights(exerted, memory[laws.name], step, internals[laws.name])
+            found = laws.rest_weights(exerted, memory[laws.name], step, internals[laws.name])
             if isinstance(laws.measure, SolidStrain):
-                self._tensor += laws.measure.by_rest(weights, exerted, step.x_start)
+                self._tensor += laws.measure.by_rest(found, exerted, step.x_start)
         for factor, v, w in borne:
             weights = np.broadcast_to(factor, len(self._tets))[:, None, None]
             self._by_mass += weights * v[self._tets] @ w[self._tets].swapaxes(-1, -2)

@@ -265,10 +265,10 @@ class Scene:
             self._by_effects[instance.key] = [term.name for term in terms]
             found += terms
         for instance in active(self.rig, FieldMap):
-            for term in self._graded(instance):
-                grading = term.grading or Grading(element_middles(self.bodies[term.name.rpartition(".")[0]]))
+            for graded in self._graded(instance):
+                grading = graded.grading or Grading(element_middles(self.bodies[graded.name.rpartition(".")[0]]))
                 grading.add(instance.key, instance.effect)
-                term.grade(grading)
+                graded.grade(grading)
         for instance in active(self.rig, MaterialLaw):
             for laws in self._amended(instance):
                 laws.add(instance.key, instance.effect)

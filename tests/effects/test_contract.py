@@ -80,6 +80,17 @@ def test_scope_narrows_what_it_acts_on(name: str, small_rig: Callable[..., Rig])
         active_effects(small_rig(effects={f"{name}@nobody": TYPICAL[name]}))
 
 
+def test_two_branches_that_would_be_one_number_are_refused(small_rig: Callable[..., Rig]) -> None:
+    """Numbers of a term are there once; material laws, which add up, take as many branches as are named."""
+    from sim_core.effects import active_effects
+
+    branch = {"share": 0.2, "tau_s": 0.1}
+    with pytest.raises(ConfigError, match="set the same numbers of gel"):
+        active_effects(small_rig(effects={"gel_relaxation@gel#fast": branch, "gel_relaxation#slow": branch}))
+    both = active_effects(small_rig(effects={"viscoelastic_gel@gel#fast": branch, "viscoelastic_gel#slow": branch}))
+    assert [instance.targets for instance in both] == [("gel",), ("gel",)]
+
+
 AMOUNT = EffectParameter("amount", "N", 0.0, 1.0, (0.1,), 0.0, False, 0.1, "how much")
 
 

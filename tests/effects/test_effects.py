@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -71,6 +72,8 @@ def test_says_what_it_is(effect, small_rig):
     assert any(p.vanishing is not None for p in effect.parameters)
     for variant in effect.variants(rig):
         assert set(variant) == {p.name for p in effect.parameters}
+    assert set(effect.twins) < {*all_effects()} - {effect.name} and (effect.separated_by or not effect.twins)
+    assert f"`{effect.name}`" in (Path(__file__).parents[2] / "docs" / "effects.md").read_text()
 
 
 def test_hypotheses_cover_the_typical_values(small_rig):

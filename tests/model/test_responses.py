@@ -20,9 +20,16 @@ TIMES = [0.0, 0.06, 0.12, 0.2, 0.3]
 WAY = [[0, 0, 0], [0, 0, -0.006], [0.004, 0.001, -0.007], [0.004, 0.001, -0.007], [0, 0, -0.003]]
 STAMPS = np.linspace(0.013, 0.287, 21)
 
-TAKES_ANOTHER_PATH = {"contact_adhesion": 0.4, "command_lag": 0.6, "bending_plasticity": 0.6}
-"""Effects by which contact is made or lost at another time, or much of the sheet yields, and the least cosine asked of
-these."""
+TAKES_ANOTHER_PATH = {
+    "contact_adhesion": 0.4,
+    "command_lag": 0.6,
+    "bending_plasticity": 0.6,
+    "electrostatic_attraction": 0.9,
+    "gel_viscosity": 0.8,
+    "sheet_stiffening": 0.9,
+}
+"""Effects by which contact is made or lost at another time, much of the sheet yields or hardly stretches any more, or
+forces are many times as large along the frozen path; and the least cosine asked of these."""
 
 
 @pytest.fixture(scope="module")
