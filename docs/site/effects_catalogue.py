@@ -52,9 +52,15 @@ def _section(effect: Effect) -> str:
         lines += ['??? note "The law"', "", "    ```text", indented, "    ```", ""]
     lines += ["| parameter | unit | bounds | does nothing at | meaning |", "| --- | --- | --- | --- | --- |"]
     lines += [_row(p) for p in effect.parameters]
-    given = ", ".join(f"{key}: {value:g}" for key, value in effect.example.items())
+    given = ", ".join(f"{key}: {_number(value)}" for key, value in effect.example.items())
     lines += ["", "```yaml", "effects:", f"  {effect.name}: {{{given}}}", "```"]
     return "\n".join(lines)
+
+
+def _number(value: float) -> str:
+    """A number as YAML reads it: 1e+10 without a point would be a text."""
+    text = f"{value:g}"
+    return text if "e" not in text or "." in text else text.replace("e", ".0e")
 
 
 def _row(p: EffectParameter) -> str:

@@ -49,3 +49,12 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 def on_page_content(html: str, **_: Any) -> str:
     """Leave out the roles of cross-references in docstrings, which name what follows as code."""
     return ROLE.sub("", html)
+
+
+SHIM = "https://unpkg.com/iframe-worker/shim"
+"""What the theme loads so that search works in pages opened from a folder."""
+
+
+def on_post_page(output: str, **_: Any) -> str:
+    """Load nothing from elsewhere; search then needs the site to be served, as by 'python -m http.server'."""
+    return output.replace(SHIM, "data:text/javascript,")

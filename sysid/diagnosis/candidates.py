@@ -123,10 +123,14 @@ def _of_variant(
     found = []
     for point in points:
         chosen = dict(zip(grid, point, strict=True))
+        starts = {n: chosen.get(n, variant[n][0]) for n in sizes}
+        if all(starts[n] == _none(parameters[n]) for n in sizes):
+            # Searches begin at nothing; what is looked at is as large as the prior lets expect.
+            starts = {n: min(_none(p) + p.prior_sd, p.upper) for n in sizes for p in (parameters[n],)}
         amplitudes = tuple(
-            Amplitude(parameters[n], _none(parameters[n]), chosen.get(n, variant[n][0]))
+            Amplitude(parameters[n], _none(parameters[n]), starts[n])
             for n in sizes
-            if chosen.get(n, variant[n][0]) != _none(parameters[n])
+            if starts[n] != _none(parameters[n])
         )
         if amplitudes:
             found.append(Hypothesis(effect.name, effect, {n: chosen[n] for n in shapes}, amplitudes))

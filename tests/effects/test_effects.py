@@ -84,6 +84,7 @@ def test_hypotheses_cover_the_typical_values(small_rig):
     relaxation = by_name["gel_relaxation"]
     assert {h.shape["tau_s"] for h in relaxation} == {0.01, 0.05, 0.25}
     assert len({h.amplitudes[0].typical for h in by_name["bending_plasticity"]}) > 1
+    assert len(by_name["wrench_offset"][0].amplitudes) == 12, "searches of offsets begin at nothing"
     for h in found:
         for amplitude, column in zip(h.amplitudes, h.columns(), strict=True):
             values = column[h.key]

@@ -10,10 +10,16 @@ import pytest
 import yaml
 
 from sim_core.rigs import load_rig, with_parameters
+from sim_core.rigs.load import parse_rig
+from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene import build_scene
+from sim_core.simulate import simulate, step_times
 from sysid.model.load import load_run
 from sysid.model.predictor import SerialPredictor
 from sysid.proof import record_cases
+from sysid.proof.truths import gel
 from sysid.proof.truths.noise import coloured, nasty, spoil_tracks, stamps, wrench_noise
+from sysid.proof.truths.paths import Path as Route
 
 
 def test_noise_is_common_coloured_heavy_and_lossy() -> None:
@@ -67,3 +73,24 @@ def test_the_rod_and_the_simulator_agree_within_the_noise(strip: Path) -> None:
     assert np.sqrt(np.mean(force**2)) < 1.25 * truth["noise"]["force"]
     pixels = measured["outside"].values - found["outside"].reshape(len(measured["outside"].t), -1)
     assert np.nanmedian(np.abs(pixels)) / 0.6745 < 1.5 * truth["noise"]["px"]
+
+
+@pytest.mark.slow
+def test_the_layer_and_the_simulator_agree_as_far_as_a_coarse_mesh_goes() -> None:
+    """Pressed and slid: errors of the markers below the noise, forces within what 10 x 10 x 3 cells can do."""
+    pad = gel.draw_pad(np.random.default_rng(5))
+    path = Route((0.0, 0.0, 2e-5)).wait(0.2).move((0.0, 0.0, -pad.depth - 2e-5), 0.4).wait(0.2)
+    path.move((1.5e-3, 0.0, 0.0), 0.8).wait(0.2)
+    clean = gel.PadTruth(pad).run(path)
+    pixels = pad.camera.project(clean.markers)
+    described = gel.rig(pad, "pad", values={"E_pa": pad.modulus, "nu": pad.poisson, "friction": pad.friction})
+    described["bodies"]["gel"]["shape"]["cells"] = [10, 10, 3]
+    rig = parse_rig(described, "pad")
+    t = np.arange(0.0, path.end_s + 1e-9, 0.02)
+    poses = PoseTrajectory(t, pad.origin + path(t), np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)))
+    trace = simulate(build_scene(rig), {"hand": poses}, step_times(0.0, path.end_s, 0.1))
+    for at in (0.7, 1.7):
+        k, j = int(np.argmin(np.abs(trace.times - at))), int(np.argmin(np.abs(clean.t - at)))
+        assert trace.outputs["wrench"][k][[0, 2]] == pytest.approx(clean.wrench[j][[0, 2]], rel=0.06, abs=1e-3)
+        moved = (trace.outputs["below"][k] - trace.outputs["below"][0]).reshape(-1, 2) - (pixels[j] - pixels[0])
+        assert np.sqrt(np.mean(moved**2)) < pad.levels.px
