@@ -59,16 +59,15 @@ def finest_edge(body: BuiltBody) -> float:
 def constants_of(rig: Rig, contact: Contact, edges: dict[str, float]) -> ContactConstants:
     """Constants of a contact. ``edges``: :func:`finest_edge` of the gels [m], by name.
 
-    What the rig gives stands; a stiffness without a range, or the other way round, keeps the scale of pressure.
+    What the rig gives stands. A range without a stiffness keeps the scale of pressure; a stiffness without a range is
+    within the range of such bodies.
     """
     specs = {name: rig.bodies[name] for name in contact.between}
     gels = {name: spec for name, spec in specs.items() if isinstance(spec, Gel)}
     sheets = [spec for spec in specs.values() if isinstance(spec, Sheet)]
     pressure = min((OF_MODULUS * gel.material.E_pa for gel in gels.values()), default=PRESSURE_PA)
     span = contact.range_m
-    if span is None and contact.stiffness_pa_per_m is not None:
-        span = pressure / contact.stiffness_pa_per_m
-    elif span is None:
+    if span is None:
         spans = [OF_EDGE * edges[name] for name in gels]
         spans += [OF_THICKNESS * sheet.material.thickness_m for sheet in sheets]
         span = min([WIDEST_M, *spans])

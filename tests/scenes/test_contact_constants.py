@@ -66,8 +66,10 @@ def test_contact_of_a_foil_is_thin_beside_it() -> None:
 def test_what_a_rig_gives_stands() -> None:
     given = law({"between": ["gel", "table"], "range_m": 2e-6, "stiffness_pa_per_m": 3e10})
     assert (given["range_m"], given["stiffness_pa_per_m"]) == (2e-6, 3e10)
-    softer = law({"between": ["gel", "table"], "stiffness_pa_per_m": 1e9})
-    assert softer["range_m"] * 1e9 == pytest.approx(0.25 * 2e5)
+    softer = law({"between": ["gel", "table"], "stiffness_pa_per_m": 1e6})
+    assert softer["range_m"] == law({"between": ["gel", "table"]})["range_m"]
+    wider = law({"between": ["gel", "table"], "range_m": 1e-4})
+    assert wider["stiffness_pa_per_m"] * 1e-4 == pytest.approx(0.25 * 2e5)
 
 
 def test_the_softer_of_two_gels_counts() -> None:
