@@ -24,7 +24,7 @@ from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_o
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.model.sparing_predictor import SparingPredictor
-from sysid.noise.estimate import ChannelNoise, channel_noise, column_groups
+from sysid.noise.estimate import ChannelNoise, channel_noise, column_groups, quantities
 from sysid.observations.observations import Run
 from sysid.solve.discretisation_basis import MODEL, ErrorShape
 from sysid.solve.optimum import Fitted
@@ -49,6 +49,9 @@ FRICTION_FACTORS, OFFSET_DRAWS = (0.7, 0.85, 1.15, 1.4), 3
 
 BETTER, CAUCHY_WIDTH = 0.98, 3.0
 """Loss below which another branch is better, over that of the first, and whitened residual that is far."""
+
+TOO_COARSE = 5.0
+"""Discretisation error over noise, median over readings, from which a recording weighs nothing."""
 
 MEASURED_WITHIN = 1.0
 """How far, in standard deviations of what is known of parameters, the discretisation error is that of the start."""
@@ -112,6 +115,10 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     noise = channel_noise(rig, clean, held_out)
     tell(0.08, "error of mesh and time step")
     shapes = error_shapes(engine, rig, parameters, start, clean, plain)
+    fine, left_out = fine_enough(clean, shapes, noise)
+    if left_out:
+        runs, clean = [runs[k] for k in fine], [clean[k] for k in fine]
+        shapes = [replace(s, shapes=tuple(s.shapes[k] for k in fine), sight=_chosen(s.sight, fine)) for s in shapes]
     sparing = SparingPredictor(engine)
     problem = Problem(clean, noise, sparing, shapes, prior=True)
     tell(0.15, "baseline fit")
@@ -146,7 +153,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     tell(0.38, "held-out recordings")
     check, notes = held_out_problem(engine, fitted, noise, held_out)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
-    base = Baseline(problem, fitted, check, there, noise, outliers, notes)
+    base = Baseline(problem, fitted, check, there, noise, outliers, (*left_out, *notes))
     far = structure(problem, fitted).missing or (there is not None and structure(check, there).missing)
     return _where_predictable(engine, base, tell) if far else base
 
@@ -187,6 +194,35 @@ def _where_predictable(engine: AnyEngine, base: Baseline, tell: Tell) -> Baselin
     check = Problem(without(base.check.runs, found), base.noise, engine, base.check.error_shapes)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
     return Baseline(problem, fitted, check, there, base.noise, base.outliers, notes)
+
+
+def fine_enough(
+    runs: Sequence[Run], shapes: Sequence[ErrorShape], noise: dict[str, ChannelNoise]
+) -> tuple[list[int], tuple[str, ...]]:
+    """Numbers of the recordings that mesh and time step can follow, and a sentence for each other one, which would only
+    be fitted by what makes up for the discretisation error. Where there is none, all are kept."""
+    kept, said = list(range(len(runs))), []
+    for k, run in enumerate(runs):
+        for m in run.measured:
+            errors = [s.shapes[k][m.channel] for s in shapes if s.label != MODEL]
+            whole = np.where(np.isfinite(m.values), np.sum(errors, axis=0), np.nan)
+            for name, group in quantities(m):
+                seen = whole[:, group][:, np.isfinite(whole[:, group]).any(axis=0)]
+                if not seen.size or k not in kept:
+                    continue
+                ratio = float(np.nanmedian(np.abs(seen)) / np.median(noise[m.channel].sigma[group]))
+                if ratio > TOO_COARSE:
+                    kept.remove(k)
+                    said.append(
+                        f"{run.name} weighs nothing: the error of mesh and time step in the {name} of {m.channel} is "
+                        f"{ratio:.0f} times the noise most of the time, more than {TOO_COARSE:g} times. Use finer "
+                        "cells or a shorter solver.dt_s to ask it."
+                    )
+    return (kept, tuple(said)) if kept else (list(range(len(runs))), ())
+
+
+def _chosen(items: tuple[dict[str, np.ndarray], ...], numbers: Sequence[int]) -> tuple[dict[str, np.ndarray], ...]:
+    return tuple(items[k] for k in numbers) if items else ()
 
 
 def best_branch(engine: AnyEngine, problem: Problem, fitted: Fitted) -> np.ndarray | None:

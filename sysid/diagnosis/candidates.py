@@ -19,10 +19,11 @@ from sim_core.effects.base import EffectParameter
 from sim_core.rigs import Rig
 from sysid.observations.observations import Run
 
-MOST_SHAPES = 6
-"""Points of the grid over the shapes of one effect."""
+MOST_POINTS, MOST_THRESHOLDS = 4, 6
+"""Points of the grid over the shapes and sizes of one effect, and of one with a threshold, whose misfit has several
+minima. Each costs an evaluation of the law a step."""
 
-MOST_SIZES = 3
+MOST_SIZES = 2
 """Typical sizes of an amplitude that stands alone, each looked at by itself: laws are not linear in them."""
 
 FARTHEST = 3.0
@@ -119,7 +120,8 @@ def _of_variant(
     grid = {n: variant[n] for n in shapes} | {n: variant[n] for n in sizes if not np.isfinite(_none(parameters[n]))}
     if len(sizes) == 1 and np.isfinite(_none(parameters[sizes[0]])):
         grid[sizes[0]] = tuple(spaced(variant[sizes[0]], MOST_SIZES))
-    points = spaced(list(itertools.product(*grid.values())), MOST_SHAPES * (MOST_SIZES if len(sizes) == 1 else 1))
+    threshold = any(not np.isfinite(_none(parameters[n])) for n in sizes)
+    points = spaced(list(itertools.product(*grid.values())), MOST_THRESHOLDS if threshold else MOST_POINTS)
     found = []
     for point in points:
         chosen = dict(zip(grid, point, strict=True))

@@ -11,12 +11,13 @@ import pytest
 
 from sim_core.rigs import Rig
 from sim_core.simulate import Trace
-from sysid.diagnosis.baseline import believed, best_branch
+from sysid.diagnosis.baseline import believed, best_branch, fine_enough
 from sysid.diagnosis.predictability import RINGS_S, unpredictable, without
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -97,3 +98,14 @@ def test_another_branch_that_follows_the_recording_is_found(problem: Any) -> Non
     right = model(here, rig, parameters, 0.45)
     assert best_branch(here.engine, here, right) is None
     assert start_of(rig, parameters)[0] > 0.0
+
+
+def test_a_recording_that_the_step_cannot_follow_weighs_nothing(problem: Any) -> None:
+    """One of two has an error of mesh and step of 20 times the noise; where both have it, both stay."""
+    there, _, _ = problem(0.3)
+    (run,) = there.runs
+    shape = np.ones((len(T), 6))
+    good, bad = {"wrist": 0.5 * SIGMA * shape}, {"wrist": 20.0 * SIGMA * shape}
+    kept, said = fine_enough([run, run], [ErrorShape("mesh", (good, bad))], there.noise)
+    assert kept == [0] and "20 times the noise" in said[0]
+    assert fine_enough([run, run], [ErrorShape("mesh", (bad, bad))], there.noise) == ([0, 1], ())
