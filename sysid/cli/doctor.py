@@ -63,7 +63,7 @@ from sim_core.rigs import parse_rig, with_parameters
 from sim_core.rigs.motion import Experiment
 from sysid.fit import FitOptions, fit_runs
 from sysid.model.load import load_run
-from sysid.model.predictor import Engine
+from sysid.model.predictor import SerialPredictor
 from sysid.simulate import simulate_to_bag
 rig = parse_rig({
     "name": "doctor",
@@ -88,7 +88,7 @@ with tempfile.TemporaryDirectory() as folder:
     simulate_to_bag(with_parameters(rig, {"strip.E_pa": 3.0e9}), experiment, Path(folder) / "bag", seed=1)
     run = load_run(rig, Path(folder) / "bag")
     options = FitOptions(nuisance=["none"], intervals="quadratic", robust=False)
-    result, _ = fit_runs(rig, [run], ["strip.E_pa"], options, engine=Engine())
+    result, _ = fit_runs(rig, [run], ["strip.E_pa"], options, engine=SerialPredictor())
 found = result.estimates[0].value
 assert abs(found / 3.0e9 - 1.0) < 0.02, f"fitted {found:.4g} Pa where 3e9 Pa was simulated"
 """

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from sysid.cli.bounds import whole_number
+from sysid.cli.bounds import number, whole_number
 from sysid.cli.options import SeedOption
 from sysid.cli.progress import progress
 
@@ -25,7 +25,7 @@ def optimise(
     ] = "hybrid",
     budget: Annotated[int, whole_number("--budget", "Rollouts; one with a gradient counts as one.", 1)] = 200,
     minutes: Annotated[
-        float | None, typer.Option("--minutes", metavar="N", help="Wall time after which no rollout begins.", min=0.0)
+        float | None, number("--minutes", "Wall time after which no rollout begins.", 0.0, metavar="MINUTES")
     ] = None,
     seed: SeedOption = 0,
     workers: Annotated[int, whole_number("--workers", "Processes; 0: one a core.", 0)] = 0,
@@ -37,9 +37,7 @@ def optimise(
     draws: Annotated[int, whole_number("--draws", "Sets of parameters from the posterior.", 1)] = 8,
     quantile: Annotated[
         float,
-        typer.Option(
-            "--quantile", metavar="Q", help="Mean of the worst share Q of the draws; 0: of all.", min=0, max=1
-        ),
+        number("--quantile", "Mean of the worst share of the draws; 0: of all.", 0.0, 1.0, metavar="Q"),
     ] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
