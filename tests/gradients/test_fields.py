@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from explicit_contact import explicit_contact
 from scipy.optimize import minimize
 from test_adjoint import EFFECTS, TIGHT, small, weights
 from test_linearised import PRESS, ball, damped
@@ -20,6 +21,12 @@ BALL = {
     "type": "affine", "shape": {"type": "sphere", "radius_m": 0.004}, "pose": {"position_m": [0.0, 0.1, 0.05]},
     "material": {"density_kg_m3": 1000.0},
 }  # fmt: skip
+
+
+@pytest.fixture
+def small_rig(small_rig):
+    """The small rig with contacts that follow neither cells nor moduli: derivatives by these are told apart."""
+    return lambda **changes: explicit_contact(small_rig(**changes))
 
 
 def shaken(small_rig, visit, **changes):

@@ -48,11 +48,12 @@ def test_curvature_operator_against_its_differences(pattern):
 
 
 def cards():
-    """Two cards 10 um apart; their edges are parallel but for half a degree."""
+    """Two cards 10 um apart, beside the gap of 27 um that contact counts from before it; their edges are parallel but
+    for half a degree."""
     shape = {"type": "rectangle", "length_m": 0.03, "width_m": 0.02, "cells": [3, 2]}
     material = {"E_pa": 2.0e9, "nu": 0.3, "thickness_m": 2.0e-4, "density_kg_m3": 700.0}
-    pose = {"position_m": [1e-3, 4e-5, 2.1e-4], "rpy_deg": [0.0, 0.0, 0.5]}
-    plate = {"position_m": [2e-3, 1e-3, -1.1e-4 - 0.01]}
+    pose = {"position_m": [1e-3, 4e-5, 2.1e-4 - 2.7e-5], "rpy_deg": [0.0, 0.0, 0.5]}
+    plate = {"position_m": [2e-3, 1e-3, -1.1e-4 + 2.7e-5 - 0.01]}
     return parse_rig(
         {
             "name": "cards",

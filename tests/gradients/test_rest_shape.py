@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from explicit_contact import explicit_contact
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 from test_adjoint import EFFECTS, TIGHT, weights
@@ -19,6 +20,12 @@ from sim_core.rigs.motion import compile_experiment, load_experiment
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import assembly, build_scene
 from sim_core.simulate import Simulation, simulate
+
+
+@pytest.fixture
+def small_rig(small_rig):
+    """The small rig with contacts that follow neither cells nor moduli: derivatives by these are told apart."""
+    return lambda **changes: explicit_contact(small_rig(**changes))
 
 
 def sagging(inertia, **sheet):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from explicit_contact import explicit_contact
 
 from sim_core.gradients import directions, simulate_tangent
 from sim_core.rigs import list_parameters, parse_rig, with_parameters
@@ -17,6 +18,12 @@ RUB = (
     [[0, 0, 0], [0.055, 0, 0], [0.055, 0, -0.0008], [0.055, 0, -0.0008], [0.059, 0, -0.0008]],
 )
 TIGHT = NewtonSettings(step_tolerance_m=1e-13, force_tolerance=1e-12)
+
+
+@pytest.fixture
+def small_rig(small_rig):
+    """The small rig with contacts that follow neither cells nor moduli: derivatives by these are told apart."""
+    return lambda **changes: explicit_contact(small_rig(**changes))
 
 
 def compare(rig, poses, name, tolerance=1e-6, wide=1e-4):
