@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ import pytest
 
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
+from sim_core.solve.report import NewtonSettings
 from sysid.fit.discretisation_refinement import discretisation, discretisation_with_slopes
+from sysid.model import predictor
 from sysid.model.load import load_run
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import SerialPredictor
@@ -27,7 +30,11 @@ PRESS: list[dict[str, Any]] = [
     }
 ]
 NAMES = ["card.E_pa", "gel.E_pa", "finger.offset_z_m"]
-STEPS = 3e-3, 1e-3
+STEPS = 3e-5, 1e-5
+"""Of the differences, in plausible ranges: small, since contact is made and lost beside larger ones, so rollouts are
+solved to round-off."""
+
+TIGHT = NewtonSettings(step_tolerance_m=1e-13)
 """Contacts are made within the longer one, rounding shows in the shorter one."""
 
 
@@ -39,8 +46,12 @@ def pressed(small_rig: Callable[..., Rig], tmp_path_factory: pytest.TempPathFact
     return rig, load_run(rig, bag)
 
 
-def test_slopes_of_the_discretisation_error_are_its_differences(pressed: tuple[Rig, Run]) -> None:
+def test_slopes_of_the_discretisation_error_are_its_differences(
+    pressed: tuple[Rig, Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig, run = pressed
+    for name in ("simulate", "simulate_tangent"):
+        monkeypatch.setattr(predictor, name, partial(getattr(predictor, name), settings=TIGHT))
     parameters: list[FitParameter] = fit_parameters(rig, NAMES)
     engine, at = SerialPredictor(), start_of(rig, parameters)
     # In units of what is plausible, so that a step is as large for an offset as for a modulus.
@@ -67,4 +78,4 @@ def test_slopes_of_the_discretisation_error_are_its_differences(pressed: tuple[R
                     assert largest > 0.0
                     error = np.max(np.abs(slopes[:, :, k] - difference)) / largest
                     errors.setdefault((known.label, channel), []).append(error)
-        assert max(min(e) for e in errors.values()) < 1e-2, (NAMES[k], errors)
+        assert max(min(e) for e in errors.values()) < 1e-3, (NAMES[k], errors)
