@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from explicit_contact import explicit_contact
 from scipy.spatial.transform import Rotation
 from test_linearised import ball, damped, forming, laid
 from test_tangent import PRESS, RUB
@@ -219,8 +218,6 @@ def test_memory_at_the_start_against_differences_of_rollouts(term, small_rig, vi
     rig, poses, times = (
         rests(small_rig, visit) if term.startswith("contact") else pressed(small_rig, visit, effects=EFFECTS)
     )
-    if not term.startswith("contact"):
-        rig = explicit_contact(rig)
     scene = build_scene(rig)
     tracks = {n: p.sample(times) for n, p in poses.items()}
     frames = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]

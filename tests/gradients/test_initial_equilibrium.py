@@ -33,9 +33,7 @@ def drooping(height_m=0.006, **effects):
                 "table": {"type": "rigid", "shape": {"type": "plane"}},
             },
             "clamps": [{"name": "hold", "body": "strip", "region": {"x_m": [-0.05, -0.037]}, "mount": "hand"}],
-            "contacts": [
-                {"between": ["strip", "table"], "friction": 0.3, "range_m": 3e-5, "stiffness_pa_per_m": 5e9}
-            ],
+            "contacts": [{"between": ["strip", "table"], "friction": 0.3}],
             "end_effectors": {"hand": {"start": {"position_m": [-0.05, 0.0, height_m]}}},
             "sensors": {
                 "wrench": {

@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from explicit_contact import explicit_contact
 from scipy.spatial.transform import Rotation
 from step_differences import differences, last_step, respond
 
@@ -40,11 +39,11 @@ def damped(integrator, small_rig, visit):
 
 def forming():
     """A round gel presses a card on a table and draws it: points and faces both ways, edges, a plane."""
-    rig = explicit_contact(load_rig("forming")).model_copy(update={"effects": {"static_friction": {"excess": 0.5}}})
+    rig = load_rig("forming").model_copy(update={"effects": {"static_friction": {"excess": 0.5}}})
     start = rig.end_effectors["finger"].start.position()
     path = start + np.array([[0, 0, 0], [0, 0, -6.5e-3], [1e-2, 0, -6.5e-3]])
     poses = {"finger": PoseTrajectory(np.array([0.0, 0.15, 0.30]), path, np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)))}
-    return rig, poses, np.linspace(0.0, 0.17, 35)
+    return rig, poses, np.linspace(0.0, 0.165, 34)
 
 
 def ball():
