@@ -22,6 +22,8 @@ pytestmark = pytest.mark.ros
 
 DEPTH_M = 0.0012
 NODE = "trajectory_deploy"
+PLACE = "/guarded"
+"""Namespace of the node of the module: a ``sim_node`` of other tests may publish beside it."""
 PATIENT = {"pose_timeout_s": 2.0, "wrench_timeout_s": 2.0, "clock_tolerance_s": 2.0}
 """Time-outs for a machine that may be busy."""
 SLOW_PLANT = {"pose_timeout_s": 4.0, "wrench_timeout_s": 4.0, "check_stamps": "false", "max_force_n": 5.0}
@@ -148,8 +150,8 @@ class Plant:
 def replayer(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Replayer]:
     """A node, and a client of it; it must end with code 0 and without a traceback."""
     folder = tmp_path_factory.mktemp("replay")
-    process = NodeProcess("replay_node", folder / "output", rig=RIG, record="false")
-    client = Replayer(process)
+    process = NodeProcess("replay_node", folder / "output", PLACE, rig=RIG, record="false")
+    client = Replayer(process, PLACE, PLACE)
     try:
         client.wait(lambda: client.statuses, f"no status: {process.output}", START_S)
         yield client
@@ -163,7 +165,7 @@ def replayer(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Re
 @pytest.fixture(scope="module")
 def plant(replayer: Replayer) -> Plant:
     """What the node of the module moves."""
-    return Plant(replayer)
+    return Plant(replayer, PLACE, f"{PLACE}/current_pose")
 
 
 @pytest.fixture
@@ -218,7 +220,7 @@ def test_a_trajectory_that_must_not_be_replayed_is_refused_when_it_is_configured
 def test_a_dry_run_commands_nothing(unconfigured: Replayer, plant: Plant, tmp_path: Path) -> None:
     from geometry_msgs.msg import PoseStamped
 
-    shown = unconfigured.listen(PoseStamped, f"{NODE}/dry_run/target_pose")
+    shown = unconfigured.listen(PoseStamped, f"{PLACE}/{NODE}/dry_run/target_pose")
     active(unconfigured, press(), tmp_path, dry_run=True)
     execute(unconfigured)
     ended = unconfigured.until("succeeded", "aborted")
@@ -265,12 +267,12 @@ def test_it_does_not_begin_where_somebody_else_commands(unconfigured: Replayer, 
     from geometry_msgs.msg import PoseStamped
 
     active(unconfigured, press(), tmp_path)
-    other = unconfigured.node.create_publisher(PoseStamped, "target_pose", 1)
+    other = unconfigured.node.create_publisher(PoseStamped, f"{PLACE}/target_pose", 1)
     try:
         unconfigured.spin(1.0)
         answer = unconfigured.trigger("execute")
         assert not answer.success
-        assert "/operator also publishes on /target_pose. Stop it first." in answer.message
+        assert f"/operator also publishes on {PLACE}/target_pose. Stop it first." in answer.message
     finally:
         unconfigured.node.destroy_publisher(other)
 
@@ -335,7 +337,7 @@ def test_a_trajectory_may_come_as_a_message(unconfigured: Replayer, plant: Plant
     from thinshell_ros.replay.messages import to_message
 
     quality = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    publisher = unconfigured.node.create_publisher(MultiDOFJointTrajectory, f"{NODE}/trajectory", quality)
+    publisher = unconfigured.node.create_publisher(MultiDOFJointTrajectory, f"{PLACE}/{NODE}/trajectory", quality)
     publisher.publish(to_message(press()))
     unconfigured.wait(lambda: "A trajectory has come" in unconfigured.process.output, "it does not come")
     assert not unconfigured.change("configure"), "a message has no workspace box"

@@ -18,7 +18,8 @@ FAR = 20.0
 """Distance from the middle of the neighbours, over the usual one, of a spike."""
 
 BACK = 0.2
-"""Distance of the two neighbours from each other, over the height of a spike, at most."""
+"""Distance of the two neighbours from each other (of the vector: a force that turns peaks in one component), over the
+height of a spike, at most."""
 
 FAR_STEPS = 5.0
 """Height of a spike over the step in which a sensor reads, at least."""
@@ -33,7 +34,7 @@ LEAST_M = 1e-3
 def spikes(recording: Recording) -> Iterator[Finding]:
     """Spikes of poses, which are left out, and of sensors, which fits find and leave out by themselves."""
     for name, pose in recording.poses.items():
-        at = np.asarray(single(pose.position, LEAST_M / FAR_STEPS).any(axis=1))
+        at = np.asarray(single(pose.position, 3, LEAST_M / FAR_STEPS).any(axis=1))
         if at.any():
             height = _height(pose.position)[at].max()
             yield Finding(
@@ -52,13 +53,13 @@ def spikes(recording: Recording) -> Iterator[Finding]:
             )
     for wrench in recording.wrenches.values():
         values = components(wrench)
-        at = single(values, np.repeat([common_step(values[:, :3].T), common_step(values[:, 3:].T)], 3))
+        at = single(values, 3, np.repeat([common_step(values[:, :3].T), common_step(values[:, 3:].T)], 3))
         for k in np.flatnonzero(at.any(axis=0)):
             height = float(_height(values)[at[:, k], k].max())
             yield _of_sensor(wrench.topic, wrench.t, at[:, k], WORDS[k], height, unit(int(k)))
     for role, _, topic, t, places in placed_markers(recording):
         flat = places.reshape(len(places), -1)
-        at = single(flat, SEEN / FAR_STEPS * (usual_spacing(places) or np.inf))
+        at = single(flat, places.shape[-1], SEEN / FAR_STEPS * (usual_spacing(places) or np.inf))
         if at.any():
             height = float(_height(flat)[at].max())
             yield _of_sensor(
@@ -66,8 +67,11 @@ def spikes(recording: Recording) -> Iterator[Finding]:
             )
 
 
-def single(values: np.ndarray, least: float | np.ndarray) -> np.ndarray:
-    """Which readings ``(n, c)`` are spikes, of more than ``least`` (one number, or one for each column)."""
+def single(values: np.ndarray, size: int, least: float | np.ndarray) -> np.ndarray:
+    """Which readings ``(n, c)`` are spikes, of more than ``least`` (one number, or one for each column).
+
+    Every ``size`` columns are the components of one vector.
+    """
     at = np.zeros(values.shape, dtype=bool)
     if len(values) < 10:
         return at
@@ -77,7 +81,8 @@ def single(values: np.ndarray, least: float | np.ndarray) -> np.ndarray:
     usual[told] = np.nanmedian(inner[:, told], axis=0)
     # A column that mostly repeats has no usual distance of its own.
     usual = np.maximum(usual, np.median(usual[told]) if told.any() else np.inf)
-    apart = np.abs(values[2:] - values[:-2])
+    change = (values[2:] - values[:-2]).reshape(len(inner), -1, size)
+    apart = np.repeat(np.linalg.norm(change, axis=2), size, axis=1)
     with np.errstate(invalid="ignore"):
         at[1:-1] = (inner > FAR * usual) & (inner > FAR_STEPS * least) & (apart < BACK * inner)
     return at
