@@ -8,12 +8,15 @@ added to what the rig says for beta (Christensen, Theory of Viscoelasticity, 2nd
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import RigMap
+from sim_core.effects.hooks import MaterialMap
 from sim_core.rigs import Gel, Rig
 
 
-class GelViscosity(RigMap):
+class GelViscosity(MaterialMap):
     """A gel that resists being deformed quickly."""
 
     name = "gel_viscosity"
@@ -42,13 +45,5 @@ class GelViscosity(RigMap):
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
 
-    def amend_rig(self, rig: Rig, targets: tuple[str, ...], values: Values) -> Rig:
-        if self.vanishes(values):
-            return rig
-        changed = dict(rig.bodies)
-        for name in targets:
-            body = changed[name]
-            assert isinstance(body, Gel)
-            update = {"stiffness_damping_s": body.material.stiffness_damping_s + values["beta_s"]}
-            changed[name] = body.model_copy(update={"material": body.material.model_copy(update=update)})
-        return rig.model_copy(update={"bodies": changed})
+    def amend_material(self, material: Any, values: Values) -> Mapping[str, float]:
+        return {"stiffness_damping_s": material.stiffness_damping_s + values["beta_s"]}

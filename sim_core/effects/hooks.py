@@ -5,7 +5,8 @@ abstract: an effect that lacks a derivative cannot be made, and the registry say
 
 | interface | what it changes | who calls it |
 | --- | --- | --- |
-| :class:`RigMap` | numbers of the rig: tool pose, gravity, density, intrinsics | all that reads them |
+| :class:`RigMap` | numbers of the rig: tool pose, gravity, intrinsics | all that reads them |
+| :class:`MaterialMap` | numbers of the material of bodies: density, thickness, damping | the same |
 | :class:`MechanicsMap` | numbers of terms that a rig has no key for | :meth:`sim_core.scene.scene.Scene.values` |
 | :class:`BodyForce` | terms of the incremental potential | :class:`sim_core.scene.scene.Scene` |
 | :class:`MaterialLaw` | stress by strain of a sheet or a gel, with memory | :mod:`sim_core.energies.strain_law` |
@@ -67,6 +68,24 @@ class RigMap(Effect):
     @abstractmethod
     def amend_rig(self, rig: Rig, targets: tuple[str, ...], values: Values) -> Rig:
         """The rig with its numbers changed; the very same object where the effect vanishes."""
+
+
+class MaterialMap(RigMap):
+    """An amendment of numbers of the material of bodies."""
+
+    @abstractmethod
+    def amend_material(self, material: Any, values: Values) -> Mapping[str, float]:
+        """New values of some of the numbers of a body's ``material``, by their keys in the rig."""
+
+    def amend_rig(self, rig: Rig, targets: tuple[str, ...], values: Values) -> Rig:
+        if self.vanishes(values):
+            return rig
+        changed = dict(rig.bodies)
+        for name in targets:
+            material = changed[name].material  # type: ignore[union-attr]
+            made = material.model_copy(update=dict(self.amend_material(material, values)))
+            changed[name] = changed[name].model_copy(update={"material": made})
+        return rig.model_copy(update={"bodies": changed})
 
 
 class MechanicsMap(Effect):

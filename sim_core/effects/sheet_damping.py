@@ -7,12 +7,15 @@ added to what the rig says (Clough & Penzien, Dynamics of Structures, 3rd ed., e
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import RigMap
+from sim_core.effects.hooks import MaterialMap
 from sim_core.rigs import Rig, Sheet
 
 
-class SheetDamping(RigMap):
+class SheetDamping(MaterialMap):
     """A sheet that loses energy as it moves."""
 
     name = "sheet_damping"
@@ -34,16 +37,8 @@ class SheetDamping(RigMap):
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
-    def amend_rig(self, rig: Rig, targets: tuple[str, ...], values: Values) -> Rig:
-        if self.vanishes(values):
-            return rig
-        changed = dict(rig.bodies)
-        for name in targets:
-            body = changed[name]
-            assert isinstance(body, Sheet)
-            update = {
-                "mass_damping_per_s": body.material.mass_damping_per_s + values["mass_per_s"],
-                "stiffness_damping_s": body.material.stiffness_damping_s + values["stiffness_s"],
-            }
-            changed[name] = body.model_copy(update={"material": body.material.model_copy(update=update)})
-        return rig.model_copy(update={"bodies": changed})
+    def amend_material(self, material: Any, values: Values) -> Mapping[str, float]:
+        return {
+            "mass_damping_per_s": material.mass_damping_per_s + values["mass_per_s"],
+            "stiffness_damping_s": material.stiffness_damping_s + values["stiffness_s"],
+        }

@@ -7,12 +7,15 @@ A coat of print, glue on a joint, or moisture: paper takes up some 5 % of its ma
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import RigMap
+from sim_core.effects.hooks import MaterialMap
 from sim_core.rigs import Rig, Sheet
 
 
-class SheetDensity(RigMap):
+class SheetDensity(MaterialMap):
     """A sheet that is heavier than it is said to be."""
 
     name = "sheet_density"
@@ -31,13 +34,5 @@ class SheetDensity(RigMap):
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
-    def amend_rig(self, rig: Rig, targets: tuple[str, ...], values: Values) -> Rig:
-        if self.vanishes(values):
-            return rig
-        changed = dict(rig.bodies)
-        for name in targets:
-            body = changed[name]
-            assert isinstance(body, Sheet)
-            update = {"density_kg_m3": (1.0 + values["excess"]) * body.material.density_kg_m3}
-            changed[name] = body.model_copy(update={"material": body.material.model_copy(update=update)})
-        return rig.model_copy(update={"bodies": changed})
+    def amend_material(self, material: Any, values: Values) -> Mapping[str, float]:
+        return {"density_kg_m3": (1.0 + values["excess"]) * material.density_kg_m3}

@@ -8,12 +8,15 @@ chapter 13). Contact finds the surfaces half a thickness from the middle, too.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import RigMap
+from sim_core.effects.hooks import MaterialMap
 from sim_core.rigs import Rig, Sheet
 
 
-class SheetThickness(RigMap):
+class SheetThickness(MaterialMap):
     """A sheet that is thicker than it is said to be."""
 
     name = "sheet_thickness"
@@ -32,13 +35,5 @@ class SheetThickness(RigMap):
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
-    def amend_rig(self, rig: Rig, targets: tuple[str, ...], values: Values) -> Rig:
-        if self.vanishes(values):
-            return rig
-        changed = dict(rig.bodies)
-        for name in targets:
-            body = changed[name]
-            assert isinstance(body, Sheet)
-            update = {"thickness_m": (1.0 + values["excess"]) * body.material.thickness_m}
-            changed[name] = body.model_copy(update={"material": body.material.model_copy(update=update)})
-        return rig.model_copy(update={"bodies": changed})
+    def amend_material(self, material: Any, values: Values) -> Mapping[str, float]:
+        return {"thickness_m": (1.0 + values["excess"]) * material.thickness_m}

@@ -74,7 +74,7 @@ def diagnose_runs(
         tell(0.42, "a look at all effects")
         scales = recording_scales([*base.problem.runs, *base.check.runs])
         wanted = hypotheses(base.fitted.rig, scales)
-        screen, failed = look(engine, base.fitted, base.problem, base.check, wanted)
+        screen, failed = look(engine, base.fitted, base.problem, wanted)
         screen.temper(base.fitted.misfit)
         singles = screen.singles()
         case = Case(
@@ -125,7 +125,7 @@ def _trials(
             break
         tell(0.65 + 0.1 * count, f"what '{best.title}' leaves")
         wanted = [h for h in hypotheses(best.fitted.rig, scales) if h.effect.name not in best.names]
-        beside, _ = look(engine, best.fitted, base.problem, base.check, wanted)
+        beside, _ = look(engine, best.fitted, base.problem, wanted)
         beside.temper(best.fitted.misfit)
         promising = [s for s in beside.singles() if s.gain > max(case.needed, beside.threshold())]
         if not promising:
@@ -152,7 +152,7 @@ def _distinct(screen: Screen, scores: Sequence[Score], effects: int, second: int
 def _best_pair(screen: Screen, promising: Sequence[Score]) -> Score | None:
     """The two effects that fit best together, by the screening."""
     numbers = [s.numbers[0] for s in _distinct(screen, promising, PAIRED, 0)]
-    pairs = [screen.score([a, b], cross=False) for k, a in enumerate(numbers) for b in numbers[k + 1 :]]
+    pairs = [screen.score([a, b]) for k, a in enumerate(numbers) for b in numbers[k + 1 :]]
     return max(pairs, key=lambda s: s.gain, default=None)
 
 

@@ -8,7 +8,7 @@ whitened rows A = [J D] of a recording, the residual r and the weight 1 / kappa 
     Phi(theta, a) = (|r + J theta + D a|^2) / kappa + |W (theta - theta_0)|^2 + |a / s|^2
 
 is minimised over the baseline's parameters theta and the factors a of any set of hypotheses, within their bounds, from
-a few hundred numbers; so are sums over some recordings to predict the others. The evidence of a set over the baseline
+a few hundred numbers. The evidence of a set over the baseline
 is that of Laplace,
 
     log E = (Phi_0 - Phi) / 2 - log det(1 + S^(1/2) D^T M D S^(1/2) / kappa) / 2,
@@ -48,12 +48,11 @@ TWINS = (0.0, 0.5, -0.5)
 
 @dataclass(frozen=True)
 class Block:
-    """One recording. ``gram`` ``(c + 1, c + 1)``: of the columns, with the residual as the last one; ``samples``: their
-    number; ``twin`` ``(c + 1,)``: products with the discretisation error that is left."""
+    """One recording. ``gram`` ``(c + 1, c + 1)``: of the columns, with the residual as the last one; ``twin``
+    ``(c + 1,)``: products with the discretisation error that is left."""
 
     run: str
     gram: np.ndarray
-    samples: int
     twin: np.ndarray
 
 
@@ -61,25 +60,24 @@ class Block:
 class Score:
     """A set of hypotheses. ``numbers``: of the hypotheses; ``gain`` [nats]: evidence over the baseline; ``fall``: of
     chi-square; ``factors``: of the amplitudes, hypothesis by hypothesis; ``shift`` ``(p,)``: of the baseline's
-    parameters; ``predicted``: fall of chi-square on recordings that the factors were not found from, None without."""
+    parameters."""
 
     numbers: tuple[int, ...]
     gain: float
     fall: float
     factors: tuple[np.ndarray, ...]
     shift: np.ndarray
-    predicted: float | None
 
 
 class Screen:
     """Gram matrices of all recordings with what is known beforehand.
 
-    ``hypotheses``: those that could be simulated; ``blocks``, ``held_out``: of recordings given and held out.
+    ``hypotheses``: those that could be simulated; ``blocks``: of the recordings.
     """
 
-    def __init__(self, base: Fitted, hypotheses: Sequence[Hypothesis], blocks: list[Block], held_out: list[Block]):
+    def __init__(self, base: Fitted, hypotheses: Sequence[Hypothesis], blocks: list[Block]) -> None:
         self.hypotheses = list(hypotheses)
-        self.blocks, self.held_out = blocks, held_out
+        self.blocks = blocks
         self.shared = len(base.parameters)
         ends = self.shared + np.cumsum([0, *(len(h.amplitudes) for h in hypotheses)])
         self.places = [np.arange(a, b) for a, b in pairwise(ends)]
@@ -104,21 +102,18 @@ class Screen:
         """Weigh the data by 1 / kappa: what the best model leaves of the misfit, over noise."""
         self.kappa = max(1.0, kappa)
 
-    def score(self, numbers: Sequence[int], cross: bool = True) -> Score:
-        """A set of hypotheses; ``cross``: also what it predicts."""
+    def score(self, numbers: Sequence[int]) -> Score:
+        """A set of hypotheses."""
         chosen = tuple(numbers)
-        plain, _ = self._minimum((), self.whole)
+        plain, alone = self._minimum((), self.whole)
         value, found = self._minimum(chosen, self.whole)
         factors = tuple(np.split(found[self.shared :], np.cumsum([len(self.places[k]) for k in chosen])[:-1]))
-        fall = self._chi2((), _) - self._chi2(chosen, found)
-        predicted = self._predicted(chosen) if cross else None
-        return Score(
-            chosen, 0.5 * (plain - value) - self._occam(chosen), fall, factors, found[: self.shared], predicted
-        )
+        fall = self._chi2((), alone) - self._chi2(chosen, found)
+        return Score(chosen, 0.5 * (plain - value) - self._occam(chosen), fall, factors, found[: self.shared])
 
     def singles(self) -> list[Score]:
         """All hypotheses by themselves, best first."""
-        found = [self.score([k], cross=False) for k in range(len(self.hypotheses))]
+        found = [self.score([k]) for k in range(len(self.hypotheses))]
         return sorted(found, key=lambda s: -s.gain)
 
     def by_recording(self) -> list[Score]:
@@ -139,7 +134,7 @@ class Screen:
                 ends.append(end)
             best = ends[int(np.argmax(gains))]
             gain = sum(max(g, 0.0) for g in gains)
-            found.append(Score((k,), gain, 0.0, (best[self.shared :],), np.zeros(self.shared), None))
+            found.append(Score((k,), gain, 0.0, (best[self.shared :],), np.zeros(self.shared)))
         return sorted(found, key=lambda s: -s.gain)
 
     def threshold(self, seed: int = 0) -> float:
@@ -189,14 +184,13 @@ class Screen:
         step = lsq_linear(a / spread, b, bounds=(low * spread, high * spread), method="bvls" if n < 60 else "trf")
         return 2.0 * float(step.cost), np.asarray(step.x / spread)
 
-    def _chi2(self, chosen: Sequence[int], found: np.ndarray, gram: np.ndarray | None = None) -> float:
-        gram = self.whole if gram is None else gram
-        whole = np.append(self._index(chosen), gram.shape[0] - 1)
+    def _chi2(self, chosen: Sequence[int], found: np.ndarray) -> float:
+        whole = np.append(self._index(chosen), self.whole.shape[0] - 1)
         vector = np.append(found, 1.0)
-        return float(vector @ gram[np.ix_(whole, whole)] @ vector)
+        return float(vector @ self.whole[np.ix_(whole, whole)] @ vector)
 
     def _occam(self, chosen: Sequence[int]) -> float:
-        return sum(self._gain_map((k,))[2] for k in chosen) if len(chosen) < 2 else self._gain_map(chosen)[2]
+        return self._gain_map(chosen)[2] if chosen else 0.0
 
     def _gain_map(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, float]:
         """From slopes of all columns ``(c,)`` to those of the factors beside the baseline's parameters, ``(c, k)``, the
@@ -216,20 +210,6 @@ class Screen:
         inverse = np.linalg.inv(information + np.diag(1.0 / sd**2))
         return project / self.kappa, inverse, occam
 
-    def _predicted(self, chosen: Sequence[int]) -> float | None:
-        """Fall of chi-square on each recording, summed, with factors from the others; held-out ones with factors from
-        all that are given."""
-        folds = [(b, self.whole - b.gram) for b in self.blocks] if len(self.blocks) > 1 else []
-        folds += [(b, self.whole) for b in self.held_out]
-        if not folds:
-            return None
-        total = 0.0
-        for block, rest in folds:
-            _, plain = self._minimum((), rest)
-            _, amended = self._minimum(chosen, rest)
-            total += self._chi2((), plain, block.gram) - self._chi2(chosen, amended, block.gram)
-        return total / self.kappa
-
 
 def _root(matrix: np.ndarray) -> np.ndarray:
     """R with R R^T = matrix, positive semidefinite but for round-off."""
@@ -238,21 +218,19 @@ def _root(matrix: np.ndarray) -> np.ndarray:
 
 
 def look(
-    engine: Responding, base: Fitted, problem: Problem, check: Problem, wanted: Sequence[Hypothesis]
+    engine: Responding, base: Fitted, problem: Problem, wanted: Sequence[Hypothesis]
 ) -> tuple[Screen, dict[str, str]]:
-    """Screen hypotheses beside a fitted baseline on the recordings of two problems; and why some could not be."""
+    """Screen hypotheses beside a fitted baseline on the recordings of a problem; and why some could not be."""
     sized = [column for h in wanted for column in h.columns()]
-    found: list[list[Prediction]] = []
-    for there in (problem, check):
-        at = (base.parameters, base.scaled)
-        if sized:
-            jobs = [engine.submit_responses(base.rig, r, *at, sized) for r in there.runs]
-        else:
-            jobs = [engine.submit_with_derivatives(base.rig, r, *at) for r in there.runs]
-        found.append([job.result() for job in jobs])
+    at = (base.parameters, base.scaled)
+    if sized:
+        jobs = [engine.submit_responses(base.rig, run, *at, sized) for run in problem.runs]
+    else:
+        jobs = [engine.submit_with_derivatives(base.rig, run, *at) for run in problem.runs]
+    found = [job.result() for job in jobs]
     shared = len(base.parameters)
     bad = np.zeros(len(sized), dtype=bool)
-    for prediction in (p for part in found for p in part):
+    for prediction in found:
         for derivatives in prediction.derivatives.values():
             lost = ~np.isfinite(derivatives[..., shared:])
             seen = np.isfinite(derivatives[..., :shared]).all(axis=-1) if shared else np.ones(lost.shape[:-1], bool)
@@ -261,18 +239,15 @@ def look(
     broken = set(owner[bad])
     kept = [h for k, h in enumerate(wanted) if k not in broken]
     columns = [k for k in range(len(sized)) if owner[k] not in broken]
-    parts = [
-        _blocks(there, base, predictions, columns) for there, predictions in zip((problem, check), found, strict=True)
-    ]
     names = {h.effect.name for h in kept}
     failed = {h.effect.name: "could not be simulated" for k, h in enumerate(wanted) if k in broken}
-    return Screen(base, kept, *parts), {n: why for n, why in failed.items() if n not in names}
+    return Screen(base, kept, _blocks(problem, base, found, columns)), {
+        n: why for n, why in failed.items() if n not in names
+    }
 
 
 def _blocks(problem: Problem, base: Fitted, predictions: Sequence[Prediction], columns: Sequence[int]) -> list[Block]:
     """Gram matrices of the recordings of a problem."""
-    if not problem.runs:
-        return []
     shared = len(base.parameters)
     index = np.concatenate([np.arange(shared), shared + np.asarray(columns, dtype=int)]).astype(int)
     beside = []
@@ -286,17 +261,14 @@ def _blocks(problem: Problem, base: Fitted, predictions: Sequence[Prediction], c
     names = [str(k) for k in range(len(index) + 1)]
     assembled = problem.assemble(beside, names, base.scaled)
     rows: list[list[np.ndarray]] = [[] for _ in problem.runs]
-    counts = [0] * len(problem.runs)
     at = 0
     for i, _, times in assembled.labels:
         rows[i].append(np.arange(at, at + len(times)))
         at += len(times)
-    for i, run in enumerate(problem.runs):
-        counts[i] = sum(int(np.isfinite(m.values).sum()) for m in run.measured)
     blocks = []
     for i, run in enumerate(problem.runs):
         mine = np.concatenate(rows[i]) if rows[i] else np.zeros(0, dtype=int)
         j, r = assembled.jacobian[mine], assembled.residual[mine]
         table = np.column_stack([j[:, :-1], r])
-        blocks.append(Block(run.name, table.T @ table, counts[i], table.T @ j[:, -1]))
+        blocks.append(Block(run.name, table.T @ table, table.T @ j[:, -1]))
     return blocks

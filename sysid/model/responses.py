@@ -8,7 +8,7 @@ by a rollout of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -81,8 +81,3 @@ def _changes_rig(key: str) -> bool:
 def change(now: Mapping[str, np.ndarray], before: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Change of readings by channel ``(n, m)``; 0 where a point is out of sight in either."""
     return {c: np.nan_to_num(now[c] - v) for c, v in before.items()}
-
-
-def columns_of(found: Sequence[Mapping[str, np.ndarray]], channel: str) -> np.ndarray:
-    """Responses of one channel side by side ``(n, m, k)``."""
-    return np.stack([f[channel] for f in found], axis=-1)
