@@ -1,13 +1,16 @@
-"""Evolution to find a way, gradients to go it: CMA-ES and L-BFGS-B in turns.
+"""Straight motions and evolution to find a way, gradients to go it.
 
-The paper runs CMA-ES over four fifths of the budget and gradient descent over the rest. Here gradients come first, as
-long as they help, because they tell at once whether a reward can be followed from the start; then
+ThinShellLab runs CMA-ES over four fifths of the budget and gradient descent over the rest. Here
 
-* a few generations of CMA-ES from the best so far, wide enough to reach other contacts,
-* L-BFGS-B from the best of those, until it converges or gains little,
+1. a few gradients from the start tell whether the reward can be followed from there. Often it cannot: what sticks, or
+   is not touched, has a gradient of its stuck state, which says nothing about where it goes once it slides;
+2. so each straight motion of the hands is tried, at half of its bounds, and slower where its rollout ends early. The
+   best of them has broken contacts that stick, and L-BFGS-B climbs from there;
+3. then CMA-ES for a few generations from the best so far, wide enough to reach other contacts, and L-BFGS-B from the
+   best of those, again and again, with evolution the narrower the later.
 
-again and again, with evolution the narrower the later. Where rollouts end early, or the gradient is zero because
-nothing touches, evolution goes on until it has found an action that has a gradient.
+A climb ends when it converges or gains little. Where rollouts end early, or the gradient is zero because nothing
+touches, evolution goes on until it has found an action that has a gradient.
 """
 
 from __future__ import annotations
@@ -18,8 +21,11 @@ from sim_core.optimise.descent import lbfgsb
 from sim_core.optimise.evolution import SIGMA, evolution
 from sim_core.optimise.problem import Evaluation, Problem
 
-PROBE = 12
-"""Gradients from the start before evolution begins."""
+PROBE = 5
+"""Gradients from the start before other motions are tried."""
+
+SHARES = (0.5, 0.2, 0.08)
+"""Of the bounds, at which straight motions are tried: the next one where a rollout ends early."""
 
 GENERATIONS = 4
 """Of evolution between two climbs."""
@@ -39,6 +45,9 @@ NARROWER = 0.7
 def hybrid(problem: Problem, start: np.ndarray, rng: np.random.Generator) -> None:
     """Search from ``start`` ``(size,)`` until the budget is spent."""
     lbfgsb(problem, start, most=PROBE, enough=_Gains())
+    way = _straight(problem, start)
+    if way is not None:
+        lbfgsb(problem, way.action, most=CLIMB, enough=_Gains())
     sigma = SIGMA
     while True:
         centre = start if problem.best is None else problem.best.action
@@ -46,6 +55,19 @@ def hybrid(problem: Problem, start: np.ndarray, rng: np.random.Generator) -> Non
         assert problem.best is not None
         lbfgsb(problem, problem.best.action, most=CLIMB, enough=_Gains())
         sigma = max(NARROWER * sigma, 0.2 * SIGMA)
+
+
+def _straight(problem: Problem, start: np.ndarray) -> Evaluation | None:
+    """The best of straight motions added to ``start`` that come to an end, if there is one."""
+    left, first = list(range(len(problem.straight))), len(problem.history)
+    for share in SHARES:
+        problem.phase = "straight motions"
+        at = len(problem.history)
+        problem.values([start + share * problem.straight[k] for k in left])
+        tried = problem.history[at:]
+        left = [k for k, evaluation in zip(left, tried, strict=True) if evaluation.outcomes[0].stopped]
+    found = [e for e in problem.history[first:] if not any(o.stopped for o in e.outcomes)]
+    return max(found, key=lambda e: e.fitness, default=None)
 
 
 class _Gains:

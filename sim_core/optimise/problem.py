@@ -57,7 +57,8 @@ class Problem:
     """A task as an optimisation problem over actions in [-1, 1]. ``history``: all evaluations; ``best``: the fittest.
 
     ``draws``: sets of parameters over which the mean of the fitness, and with ``quantile`` q > 0 the mean of its least
-    share q, is sought. ``stop_at_success``: the search ends with the first success.
+    share q, is sought. ``stop_at_success``: the search ends with the first success. ``straight`` ``(m, size)``: motions
+    that may be tried first (:meth:`sim_core.tasks.ActionSpace.straight`).
     """
 
     def __init__(
@@ -70,7 +71,9 @@ class Problem:
         draws: Sequence[Parameters] = (),
         quantile: float = 0.0,
         stop_at_success: bool = False,
+        straight: np.ndarray | None = None,
     ) -> None:
+        self.straight = np.zeros((0, evaluator.size)) if straight is None else straight
         self.size, self.workers = evaluator.size, evaluator.workers
         self._evaluator, self.budget, self._on_rollout = evaluator, budget, on_rollout
         self._draws: list[Parameters | None] = list(draws) or [None]

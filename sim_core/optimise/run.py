@@ -107,6 +107,7 @@ def optimise(
             draws=settings.draws,
             quantile=settings.quantile,
             stop_at_success=settings.stop_at_success,
+            straight=space.straight(),
         )
         try:
             search(problem, np.zeros(space.size), np.random.default_rng(settings.seed))

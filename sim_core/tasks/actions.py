@@ -59,8 +59,9 @@ class _Way:
 
 
 class ActionSpace:
-    """Actions of a task. ``size``: of the vector; ``names``: of its entries; ``times`` [s]: of all steps, from the
-    approach to the end; ``first``, ``last``: step numbers between which the hands act."""
+    """Actions of a task. ``size``: of the vector; ``names``: of its entries; ``components``: of each entry, 0 to 2 a
+    translation along x, y, z, 3 to 5 a turn about them, 6 closing; ``times`` [s]: of all steps, from the approach to
+    the end; ``first``, ``last``: step numbers between which the hands act."""
 
     def __init__(self, made: MadeTask) -> None:
         task, self._actions, rig = made.task, made.actions, made.rig
@@ -75,6 +76,9 @@ class ActionSpace:
             for k in self._active[name]
         ]
         self.size = len(self.names)
+        self.components: np.ndarray = np.concatenate(
+            [np.tile(self._active[name], self._actions.knots) for name in self._hands]
+        )
         experiment = Experiment(
             name="approach",
             command_rate_hz=1.0 / task.step_s,
@@ -109,6 +113,27 @@ class ActionSpace:
         return np.concatenate(
             [np.tile(hand.bounds()[self._active[name]], self._actions.knots) for name, hand in self._hands.items()]
         )
+
+    def straight(self) -> np.ndarray:
+        """Motions that a person would try first, ``(m, size)``: each translation at a constant share of its bound, of
+        all hands alike, and of each hand against those before it; both ways. Their largest entry is 1."""
+        hands = list(self._hands)
+        motions: list[np.ndarray] = []
+        for axis in range(3):
+            acting = [name for name in hands if axis in self._active[name]]
+            for count in range(1, len(acting) + 1):
+                # All alike, then the second against the first, the third against the first two, ...
+                shares = [1.0] * len(acting) if count == 1 else [1.0] * (count - 1) + [-1.0]
+                motion = self._constant(dict(zip(acting, shares, strict=False)), axis)
+                motions += [motion, -motion]
+        return np.array(motions).reshape(len(motions), self.size)
+
+    def _constant(self, shares: Mapping[str, float], axis: int) -> np.ndarray:
+        """The action in which hands move along one axis at constant shares of their bounds."""
+        own = np.concatenate(
+            [np.full(self._actions.knots * len(self._active[name]), shares.get(name, 0.0)) for name in self._hands]
+        )
+        return np.where(self.components == axis, own, 0.0)
 
     def _ways(self, action: np.ndarray) -> dict[str, _Way]:
         action = np.asarray(action, dtype=float)

@@ -47,11 +47,13 @@ class Seen:
 
 @dataclass(frozen=True)
 class Scored:
-    """A reward and its derivatives by what it is made of, in the same shapes; what is left out counts as zero."""
+    """A reward and its derivatives by what it is made of, in the same shapes; what is left out counts as zero.
+    ``holds``: whether what a success asks besides a high reward is so."""
 
     reward: float
     by_points: Mapping[str, np.ndarray]
     by_folds: Mapping[str, float]
+    holds: bool = True
 
 
 Reward = Callable[[Seen], Scored]

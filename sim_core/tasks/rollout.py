@@ -15,19 +15,17 @@ from sim_core.gradients.tape import Tape
 from sim_core.rigs import Rig, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import Scene, build_scene
-from sim_core.sensing.observe import frame_of
 from sim_core.simulate import Simulation, Trace, run
 from sim_core.tasks.actions import ActionSpace
+from sim_core.tasks.episode import EarlyStop, Episode, Watch
 from sim_core.tasks.load import MadeTask
-from sim_core.tasks.measure import FORCE, Measure, Reward, Seen, instrumented
-from sim_core.tasks.schema import Stop
+from sim_core.tasks.measure import Measure, Reward, Scored, Seen, instrumented
 
 STOPPED = -1e9
 """Fitness of a rollout that ended at once; it rises with the steps that were made, and is below that of all others."""
 
-
-MOST_HALVINGS = 12
-"""Steps that do not converge at once and are halved, in one rollout: what goes on so is violent, and slow."""
+DRAWS = 20
+"""Motions that are drawn for a target at most."""
 
 
 @dataclass(frozen=True)
@@ -66,35 +64,10 @@ def reward_of(name: str) -> Reward:
     return function
 
 
-class EarlyStop(Exception):
-    """A rollout ends before its time."""
-
-
-class _Watch:
-    """Ends a rollout that does not count. ``steps``: so many were made; ``force_n``: largest force on a finger [N]."""
-
-    def __init__(self, stop: Stop, fingers: list[str], times: np.ndarray, touching: range) -> None:
-        self._stop, self._fingers, self._times, self._touching = stop, fingers, times, touching
-        self.steps, self.force_n = 0, 0.0
-
-    def __call__(self, step: int, reading: Mapping[str, np.ndarray], halvings: int) -> None:
-        self.steps = step
-        now = max(float(np.linalg.norm(reading[f"{FORCE}{f}"][:3])) for f in self._fingers)
-        self.force_n = max(self.force_n, now)
-        at = f"at {self._times[step]:.3f} s"
-        if not np.isfinite(now):
-            raise EarlyStop(f"a force is not finite {at}")
-        if now > self._stop.most_force_n:
-            raise EarlyStop(f"a finger bears {now:.3g} N {at}, more than {self._stop.most_force_n:g}")
-        if step in self._touching and now < self._stop.least_force_n:
-            raise EarlyStop(f"no finger bears {self._stop.least_force_n:g} N {at}")
-        if halvings > MOST_HALVINGS:
-            raise EarlyStop(f"more than {MOST_HALVINGS} steps were halved {at}")
-
-
 class TaskRollouts:
     """Makes rollouts of one task, one after the other, in one scene. What a rollout gives does not depend on those
-    before. ``coarse``: with the cells of searches."""
+    before. ``coarse``: with the cells of searches. ``episode``: the rollout that is being made, or was made last
+    without a gradient; ``fingers``: end effectors that the hands move."""
 
     def __init__(self, made: MadeTask, coarse: bool = False) -> None:
         self.made = made
@@ -103,57 +76,72 @@ class TaskRollouts:
         self.rig: Rig = instrumented(made, made.coarse_rig if coarse else made.rig)
         self.scene: Scene = build_scene(self.rig)
         _take_weight(self.scene, made.variant.weightless)
-        self._simulation = Simulation(self.scene)
-        self._fingers = [f for hand in made.actions.hands.values() for f in hand.fingers]
+        self.episode = Episode(Simulation(self.scene), self.space.times)
+        self.fingers = [f for hand in made.actions.hands.values() for f in hand.fingers]
         self._target = self._make_target()
         self._measure = Measure(made, self.scene, self.space.first, self._target)
 
     def _make_target(self) -> dict[str, np.ndarray]:
         """Points at the end of a motion drawn at random, for tasks that are to reach a shape: with the setting
-        ``target_seed``."""
-        if "target_seed" not in self.made.settings:
+        ``target_seed``. Entries of the motion are normal with the standard deviations ``target_scale``, one for each
+        component (or one for all), and motions are drawn until one brings the points ``target_least_m`` (root mean
+        square) away from where they are without any."""
+        settings = self.made.settings
+        if "target_seed" not in settings:
             return {}
-        rng = np.random.default_rng(int(self.made.settings["target_seed"]))
-        scale = float(self.made.settings.get("target_scale", 0.5))
-        outputs = None
-        for _ in range(20):
-            action = np.clip(scale * rng.standard_normal(self.space.size), -1.0, 1.0)
-            outputs, reason, _, _ = self._forward(self.space.poses(action))
-            if not reason:
-                break
-        if outputs is None or reason:
-            raise ConfigError(
-                f"No motion drawn for the target of {self.made.name} comes to an end without an early stop.",
-                "Choose another target_seed, or a smaller target_scale.",
-            )
-        measure = Measure(self.made, self.scene, self.space.first, {})
-        seen = measure.seen(self.space.times, outputs, self._simulation.state.internals)
+        rng = np.random.default_rng(int(settings["target_seed"]))
+        given = np.atleast_1d(np.asarray(settings["target_scale"], dtype=float))
+        scale = (np.full(7, given[0]) if len(given) == 1 else np.append(given, np.zeros(7))[:7])[self.space.components]
+        least = float(settings["target_least_m"])
+        still = self._end(np.zeros(self.space.size))
+        for _ in range(DRAWS):
+            drawn = self._end(np.clip(scale * rng.standard_normal(self.space.size), -1.0, 1.0))
+            if still and drawn and _distance(drawn, still) >= least:
+                return drawn
+        raise ConfigError(
+            f"None of {DRAWS} motions drawn for the target of {self.made.name} comes to an end {1e3 * least:g} mm away "
+            "from where doing nothing leads.",
+            "Choose another target_seed, another target_scale or a smaller target_least_m.",
+        )
+
+    def _end(self, action: np.ndarray) -> dict[str, np.ndarray]:
+        """Positions of the observed points at the end; none where the rollout ends early."""
+        if self._forward(self.space.poses(action)):
+            return {}
+        seen = self.episode.seen(Measure(self.made, self.scene, self.space.first, {}))
         return {name: p[-1] for name, p in seen.points.items()}
 
-    def _forward(self, poses: dict[str, PoseTrajectory]) -> tuple[dict[str, np.ndarray] | None, str, int, float]:
-        """Readings, why the rollout ended early (empty where it did not), steps made, and the largest force [N]."""
-        times = self.space.times
-        tracks = {name: (p.positions, p.quaternions) for name, p in poses.items()}
-        frames = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
-        simulation, watch = self._simulation, self._watch()
-        self.scene.system.forget()
-        simulation.reset(frames[0])
-        readings = [simulation.read()]
-        k = 0
-        try:
-            for k in range(1, len(times)):
-                simulation.step(frames[k], float(times[k] - times[k - 1]))
-                readings.append(simulation.read())
-                watch(k, readings[-1], simulation.halvings)
-        except ConvergenceError as error:
-            return None, f"the step at {times[k]:.3f} s did not converge: {error.problem}", k - 1, watch.force_n
-        except EarlyStop as stop:
-            return None, str(stop), k, watch.force_n
-        return {c: np.stack([r[c] for r in readings]) for c in readings[0]}, "", len(times) - 1, watch.force_n
+    def _forward(self, poses: Mapping[str, PoseTrajectory]) -> str:
+        """Make a whole rollout as the :attr:`episode`. Gives why it ended early; empty where it did not."""
+        self.begin(poses)
+        return self.advance(poses, len(self.space.times) - 1)
 
-    def _watch(self) -> _Watch:
+    def begin(self, poses: Mapping[str, PoseTrajectory]) -> None:
+        """Begin an :attr:`episode`, at rest where the poses begin."""
+        self.episode.begin(poses, self._watch())
+
+    def advance(self, poses: Mapping[str, PoseTrajectory], to: int) -> str:
+        """Go on with the :attr:`episode` to a step. Gives why it ended early; empty where it did not."""
+        try:
+            self.episode.advance(poses, to)
+        except ConvergenceError as error:
+            at = self.space.times[self.episode.at + 1]
+            return f"the step at {at:.3f} s did not converge: {error.problem}"
+        except EarlyStop as stop:
+            return str(stop)
+        return ""
+
+    def scored(self) -> Scored:
+        """The reward of the :attr:`episode` as if it ended now."""
+        return self._reward(self.episode.seen(self._measure))
+
+    def successful(self, scored: Scored) -> bool:
+        """Whether a rollout with this reward is a success."""
+        return scored.reward >= self.made.variant.success and scored.holds
+
+    def _watch(self) -> Watch:
         stop, first = self.made.stop, self.space.first
-        return _Watch(stop, self._fingers, self.space.times, range(first + stop.touching_from, self.space.last + 1))
+        return Watch(stop, self.fingers, self.space.times, range(first + stop.touching_from, self.space.last + 1))
 
     def use(self, parameters: Mapping[str, float]) -> None:
         """Take values of named parameters of the rig, in place of those that it has."""
@@ -164,11 +152,11 @@ class TaskRollouts:
     def outcome(self, action: np.ndarray) -> Outcome:
         """Of one action ``(size,)``."""
         began = time.process_time()
-        outputs, reason, steps, most = self._forward(self.space.poses(action))
-        if outputs is None:
-            return self._early(reason, steps, most, began)
-        scored = self._reward(self._measure.seen(self.space.times, outputs, self._simulation.state.internals))
-        return self._whole(scored.reward, most, began, None)
+        reason = self._forward(self.space.poses(action))
+        episode = self.episode
+        if reason:
+            return self._early(reason, episode.at, episode.watch.force_n, began)
+        return self._whole(self.scored(), episode.watch.force_n, began, None)
 
     def gradient(self, action: np.ndarray) -> Outcome:
         """The outcome of an action with the gradient of its reward; without it where the rollout ends early."""
@@ -182,22 +170,22 @@ class TaskRollouts:
         scored = self._reward(self._measure.seen(self.space.times, tape.trace.outputs, tape.end.internals))
         readings, memory = self._measure.back(scored)
         found = Backward(tape, []).gradient(scored.reward, readings, memory)
-        return self._whole(scored.reward, watch.force_n, began, self.space.pull(action, found.poses))
+        return self._whole(scored, watch.force_n, began, self.space.pull(action, found.poses))
 
     def _early(self, reason: str, steps: int, most: float, began: float) -> Outcome:
         share = steps / (len(self.space.times) - 1)
         return Outcome(float("nan"), False, share, reason, most, steps, time.process_time() - began)
 
-    def _whole(self, reward: float, most: float, began: float, slope: np.ndarray | None) -> Outcome:
-        success, steps = reward >= self.made.variant.success, len(self.space.times) - 1
-        return Outcome(reward, success, 1.0, "", most, steps, time.process_time() - began, slope)
+    def _whole(self, scored: Scored, most: float, began: float, slope: np.ndarray | None) -> Outcome:
+        steps = len(self.space.times) - 1
+        return Outcome(scored.reward, self.successful(scored), 1.0, "", most, steps, time.process_time() - began, slope)
 
     def seen(self, action: np.ndarray) -> tuple[Seen, float]:
         """What the reward of an action is made of, and the reward. Raises ``ConvergenceError`` where it stops early."""
-        outputs, reason, _, _ = self._forward(self.space.poses(action))
-        if outputs is None:
+        reason = self._forward(self.space.poses(action))
+        if reason:
             raise ConvergenceError(f"The rollout of {self.made.name} ended early: {reason}.", "Choose another action.")
-        seen = self._measure.seen(self.space.times, outputs, self._simulation.state.internals)
+        seen = self.episode.seen(self._measure)
         return seen, self._reward(seen).reward
 
     def trace(self, action: np.ndarray) -> Trace:
@@ -205,6 +193,12 @@ class TaskRollouts:
         scene = build_scene(self.made.rig)
         _take_weight(scene, self.made.variant.weightless)
         return run(Simulation(scene), self.space.poses(action), self.space.times, keep_states=True)
+
+
+def _distance(one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> float:
+    """Root mean square distance of points [m]."""
+    squares = np.concatenate([((one[name] - other[name]) ** 2).sum(axis=1) for name in one])
+    return float(np.sqrt(squares.mean()))
 
 
 def _take_weight(scene: Scene, bodies: tuple[str, ...]) -> None:

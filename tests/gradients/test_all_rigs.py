@@ -30,6 +30,7 @@ RUNS: dict[str, tuple[str | dict[str, object], float]] = {
     "bouncing": ("fall", 0.05),
     "card_flip": ("flip_card", 0.02),
     "card_press": ("slide", 0.8),
+    "curled_card": ("fold", 0.3),
     "folding": ("fold", 0.3),
     "forming": ("form", 0.3),
     "gel_sensor": ("press_twist", 1.6),

@@ -48,6 +48,9 @@ actions:
     finger: {fingers: [finger], step_m: [0.0006, 0.0006, 0.0012], step_deg: [1.0, 1.0, 1.0]}
 points:
   sheet: {body: card, grid: [4, 2]}
+  before: {body: card, grid: [5, 2], row: [-0.016, -0.014]}
+  middle: {body: card, grid: [5, 2], row: [-0.001, 0.001]}
+  after: {body: card, grid: [5, 2], row: [0.014, 0.016]}
 folds:
   here: {body: card, at_m: -0.015, over_m: 0.01}
   there: {body: card, at_m: 0.005, over_m: 0.01}
@@ -56,7 +59,7 @@ variants:
   real:
     words: The strip is bent.
     success: 0.05
-    settings: {hinges: 3, sign: -1, target_seed: 3, target_scale: 0.3}
+    settings: {hinges: 3, sign: -1, target_seed: 3, target_scale: 0.3, target_least_m: 0.0001}
 """
 
 

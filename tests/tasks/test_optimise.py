@@ -81,6 +81,32 @@ def test_where_nothing_touches_evolution_finds_the_way(name: str) -> None:
     assert problem.best is not None and problem.best.fitness == pytest.approx(-0.16, abs=0.01)
 
 
+def stuck(x: np.ndarray) -> tuple[float, np.ndarray]:
+    """What sticks: near the start a slope that leads away from where the first entry, once it is below -0.15, goes."""
+    if x[0] > -0.15:
+        return -9.0 + 0.01 * x[0], np.array([0.01, 0.0, 0.0, 0.0])
+    return -25.0 * float((x[0] + 0.6) ** 2), np.array([-50.0 * (x[0] + 0.6), 0.0, 0.0, 0.0])
+
+
+def test_a_straight_motion_breaks_what_sticks_and_a_gradient_goes_on() -> None:
+    straight = np.array([s * row for row in np.eye(4)[:3] for s in (1.0, -1.0)])
+    found = {}
+    for name, given in (("with", straight), ("without", None)):
+        problem = search("hybrid", Problem(Toy(stuck), Budget(25), straight=given))
+        assert problem.best is not None
+        found[name] = problem.best.fitness
+    assert found["with"] > -1e-3 and found["without"] < -5.0
+
+
+def test_a_straight_motion_that_ends_early_is_made_slower() -> None:
+    """Actions with a third entry above 0.7 end early in the toy; here the only way leads there."""
+    straight = np.array([[0.0, 0.0, 2.0, 0.0]])
+    problem = Problem(Toy(bowl), Budget(40), straight=straight)
+    search("hybrid", problem)
+    tried = [e.action[2] for e in problem.history if e.phase == "straight motions"]
+    assert tried == pytest.approx([1.0, 0.4])
+
+
 def test_hybrid_needs_fewer_rollouts_than_evolution() -> None:
     counts = {}
     for name in ("hybrid", "cma"):

@@ -62,6 +62,19 @@ def test_derivatives_by_actions_are_those_of_central_differences() -> None:
     assert (loss(action + h * along) - loss(action - h * along)) / (2 * h) == pytest.approx(slope, rel=1e-6)
 
 
+def test_straight_motions_are_of_all_hands_alike_and_of_one_against_the_other() -> None:
+    space = ActionSpace(load_task("pick_folding"))
+    motions = space.straight()
+    assert motions.shape == (12, space.size)
+    ends = []
+    for motion in motions[:4]:
+        way = {f: p.positions[-1] - p.positions[space.first] for f, p in space.poses(motion).items()}
+        ends.append([way["left"][0], way["right"][0]])
+        assert all(abs(w[1]) + abs(w[2]) == 0.0 for w in way.values())
+    whole = 0.001 * 60 * 5 / 6  # the share of the steps that the knots' weights add up to
+    np.testing.assert_allclose(ends, whole * np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]), rtol=1e-9)
+
+
 def test_an_action_of_another_length_is_told(tmp_path: Path) -> None:
     space = ActionSpace(small_task(tmp_path))
     with pytest.raises(ConfigError, match=r"has 12 finite numbers, not an array of shape \(3,\)"):

@@ -49,7 +49,8 @@ def test_a_force_above_the_limit_ends_the_rollout(tmp_path: Path) -> None:
 
 
 def test_no_contact_ends_the_rollout(tmp_path: Path) -> None:
-    rollouts = TaskRollouts(small_task(tmp_path, text=TASK + "stop: {least_force_n: 0.01, touching_from: 6}\n"))
+    text = TASK.replace(", target_seed: 3", "") + "stop: {least_force_n: 0.01, touching_from: 6}\n"
+    rollouts = TaskRollouts(small_task(tmp_path, text=text))
     away = np.zeros((2, 6))
     away[:, 2] = 1.0
     assert "no finger bears" in rollouts.outcome(away.ravel()).stopped
@@ -64,4 +65,8 @@ def test_a_fold_angle_is_the_turn_of_a_strip_that_kept_it(tmp_path: Path) -> Non
     action[:, 2] = -1.0
     seen, reward = rollouts.seen(action.ravel())
     assert seen.folds["middle"] < -0.01
-    assert reward == pytest.approx(-3.0 * seen.folds["middle"])
+    # Beside it a hundredth of the whole angle between the chords before and after the middle, negative too.
+    chords = np.diff([seen.points[name][-1].mean(axis=0) for name in ("before", "middle", "after")], axis=0)
+    slopes = np.arctan2(chords[:, 2], chords[:, 0])
+    assert slopes[1] < slopes[0]
+    assert reward == pytest.approx(-3.0 * (seen.folds["middle"] + 0.01 * (slopes[1] - slopes[0])))

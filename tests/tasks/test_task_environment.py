@@ -1,0 +1,89 @@
+"""Tasks as Gymnasium environments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from small_task import small_task
+
+from sim_core.errors import ConfigError
+from sim_core.tasks.environment import FAILED, TaskEnv
+
+
+def small_env(folder: Path, **options: object) -> TaskEnv:
+    small_task(folder)
+    return TaskEnv(str(folder / "small.yaml"), every=3, **options)  # type: ignore[arg-type]
+
+
+def episode(env: TaskEnv, seed: int) -> tuple[list[np.ndarray], list[float], dict[str, object]]:
+    observation, info = env.reset(seed=seed)
+    seen, gained, over = [observation], [], False
+    rng = np.random.default_rng(7)
+    while not over:
+        observation, reward, over, _, info = env.step(rng.uniform(-1.0, 0.2, env.action_space.shape))
+        seen.append(observation)
+        gained.append(reward)
+    return seen, gained, info
+
+
+@pytest.mark.filterwarnings("ignore:.*render.*")
+def test_gymnasium_finds_nothing_wrong(tmp_path: Path) -> None:
+    check_env(small_env(tmp_path), skip_render_check=True)
+
+
+def test_a_seed_determines_an_episode_and_its_parameters(tmp_path: Path) -> None:
+    vary = {"card.E_pa": (1.5e9, 2.5e9)}
+    env = small_env(tmp_path, vary=vary)
+    first, gained, info = episode(env, 5)
+    episode(env, 6)
+    again, regained, same = episode(small_env(tmp_path, vary=vary), 5)
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True)) and gained == regained
+    assert info["parameters"] == same["parameters"] != episode(env, 6)[2]["parameters"]
+    fixed, _ = env.reset(seed=5, options={"parameters": {"card.E_pa": 1.7e9}})
+    assert env.reset(seed=6, options={"parameters": {"card.E_pa": 1.7e9}})[0].tolist() == fixed.tolist()
+
+
+def test_an_episode_is_a_rollout_of_the_task(tmp_path: Path) -> None:
+    """Its return is what the reward of the same action says, and its last observation is one of order one."""
+    env = small_env(tmp_path)
+    seen, gained, info = episode(env, 0)
+    outcome = env.rollouts.outcome(env.action_so_far)
+    assert outcome.reward == info["reward"] and not outcome.stopped
+    env.reset(seed=0)
+    start = env.rollouts.scored().reward
+    assert sum(gained) == pytest.approx((outcome.reward - start) / abs(env.made.variant.success - start), rel=1e-9)
+    assert seen[-1][-1] == 1.0 and 0.3 < np.abs(seen[-1][:-1]).max() < 10.0
+    assert len(gained) == 3 and len(seen) == 4
+
+
+def test_too_much_force_ends_an_episode(tmp_path: Path) -> None:
+    made = small_task(tmp_path)
+    path = tmp_path / "small.yaml"
+    path.write_text(path.read_text() + "stop: {most_force_n: 0.012}\n")
+    env = TaskEnv(str(path), every=4)
+    env.reset(seed=0)
+    down = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+    _, reward, over, truncated, info = env.step(down)
+    if not over:
+        _, reward, over, truncated, info = env.step(down)
+    assert over and not truncated and reward == FAILED and "a finger bears" in info["stopped"]
+    assert not info["success"] and made.stop.most_force_n == 10.0
+    with pytest.raises(ConfigError, match=r"episode is over.*reset"):
+        env.step(down)
+
+
+def test_mistakes_are_told(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"every is 9, but the hands of small act in 8 steps.*1 to 8"):
+        small_task(tmp_path)
+        TaskEnv(str(tmp_path / "small.yaml"), every=9)
+    with pytest.raises(ConfigError, match=r"card.E_pa is drawn from 2 to 1, but may be"):
+        small_env(tmp_path, vary={"card.E_pa": (2.0, 1.0)})
+
+
+def test_all_tasks_are_known_to_gymnasium() -> None:
+    names = set(gymnasium.registry)
+    assert {"thinshell/lifting-v0", "thinshell/lifting-paper-v0", "thinshell/folding_l-v0"} <= names
