@@ -284,6 +284,6 @@ def with_imaging(mechanical: Mapping[str, np.ndarray], imaging: Imaging) -> dict
     """Derivatives ``(n_times, ..., n_parameters)`` by channel with what parameters change in cameras alone."""
     found = {name: derivatives.copy() for name, derivatives in mechanical.items()}
     for name, derivatives in found.items():
-        for k, slopes in imaging.slopes(name).items():
-            derivatives[..., k] += slopes
+        for k, slope in imaging.slopes(name).items():
+            derivatives[..., k] += slope
     return found
