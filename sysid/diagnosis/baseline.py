@@ -19,6 +19,7 @@ from sysid.diagnosis.model_tolerance import model_tolerance
 from sysid.diagnosis.predictability import unpredictable, without
 from sysid.diagnosis.residual_analysis import structure
 from sysid.fit.discretisation_refinement import discretisation
+from sysid.fit.time_steps import followed, with_steps
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.prediction_source import AnyEngine
@@ -110,7 +111,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     parameters += nuisance_parameters(rig, runs, parameters, KINDS)
     start = start_of(rig, parameters)
     noise = channel_noise(rig, runs, held_out)
-    plain = _all(engine, rig, parameters, start, runs)
+    runs, plain = _with_steps(engine, [rig_in(rig, parameters, start, run.name) for run in runs], runs, noise)
     clean, _ = without_outliers(runs, plain, noise)
     noise = channel_noise(rig, clean, held_out)
     tell(0.08, "error of mesh and time step")
@@ -266,11 +267,18 @@ def _cauchy(problem: Problem, predictions: Sequence[Prediction], scaled: np.ndar
     return float(np.sum(np.log1p((residual / CAUCHY_WIDTH) ** 2)))
 
 
-def _all(
-    engine: AnyEngine, rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray, runs: Sequence[Run]
-) -> list[Prediction]:
-    jobs = [engine.submit(rig_in(rig, parameters, scaled, run.name), run) for run in runs]
-    return [job.result() for job in jobs]
+def _with_steps(
+    engine: AnyEngine, rigs: Sequence[Rig], runs: Sequence[Run], noise: dict[str, ChannelNoise]
+) -> tuple[list[Run], list[Prediction]]:
+    """The runs with steps of the solver that follow their readings, and their predictions, by the rig of each."""
+    pending = [engine.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
+    shorter = with_steps(engine, rigs, runs, noise)
+    plain = [job.result() for job in pending]
+    there = [
+        p if run is given else engine.submit(rig, run).result()
+        for rig, run, given, p in zip(rigs, shorter, runs, plain, strict=True)
+    ]
+    return followed(runs, plain, shorter, there, noise)
 
 
 def error_shapes(
@@ -293,14 +301,14 @@ def held_out_problem(
     kept: list[Run] = []
     shapes: list[list[ErrorShape]] = []
     lost: list[str] = []
-    for run in held_out:
+    for given in held_out:
         try:
-            plain = engine.submit(fitted.rig, run).result()
-            clean = without_outliers([run], [plain], noise)[0]
-            shapes.append([*discretisation(engine, fitted.rig, clean, [plain]), model_tolerance(clean, [plain])])
+            run, plain = _with_steps(engine, [fitted.rig], [given], noise)
+            clean = without_outliers(run, plain, noise)[0]
+            shapes.append([*discretisation(engine, fitted.rig, clean, plain), model_tolerance(clean, plain)])
             kept += clean
         except ThinshellError as error:
-            lost.append(f"{run.name} is left out, it could not be simulated: {error}")
+            lost.append(f"{given.name} is left out, it could not be simulated: {error}")
     together = [
         replace(first, shapes=tuple(s[k].shapes[0] for s in shapes), sight=tuple(x for s in shapes for x in s[k].sight))
         for k, first in enumerate(shapes[0])
