@@ -5,9 +5,9 @@ of the time step, and it is local: it is told by one more step halfway,
 
     e = y(t_1/2) - (y(t_0) + y(t_1)) / 2.
 
-Steps are halved where e is above a share of the noise, and their halves again, until none is or the shortest is reached.
-With inertia an error made in one place goes on in others; steps are then left as they are, and the error that is
-measured by halving all of them is taken into account.
+Steps are halved where e is above a share of the noise, and their halves again, until none is or the shortest is
+reached. With inertia an error made in one place goes on in others; steps are then left as they are, and the error that
+is measured by halving all of them is taken into account.
 
 A recording may itself be a simulation with the steps of the rig. It then follows the readings r with these steps, not
 those d further on that shorter ones give: they are kept where d . (m - r) / d . d is below a half for the readings m.

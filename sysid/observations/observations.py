@@ -67,8 +67,8 @@ class Run:
     end, if it has one; ``changes``: until then, by channel. ``unlike``: in what it differs from recordings of the rig,
     in words. ``doubts``: those of the ``notes`` on how it was read that may change a result; ``lacking``: those on
     topics of the rig that it does not have. ``counted``: notes that count samples, which
-    :func:`sysid.model.windows.window_of` tells for the window, or for the whole. ``steps`` [s] ``(k,)``: instants of the
-    solver's steps from 0 to ``end`` where they are not ``solver.dt_s`` apart (:mod:`sysid.fit.time_steps`)."""
+    :func:`sysid.model.windows.window_of` tells for the window, or for the whole. ``steps`` [s] ``(k,)``: instants of
+    the solver's steps from 0 to ``end`` where they are not ``solver.dt_s`` apart (:mod:`sysid.fit.time_steps`)."""
 
     name: str
     path: str
