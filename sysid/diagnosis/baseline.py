@@ -18,6 +18,7 @@ from sim_core.rigs import Gel, Rig, Sheet
 from sysid.diagnosis.model_tolerance import model_tolerance
 from sysid.diagnosis.predictability import unpredictable, without
 from sysid.diagnosis.residual_analysis import structure
+from sysid.fit.contact_mesh import ContactMesh, refined_where_touched
 from sysid.fit.discretisation_refinement import discretisation
 from sysid.fit.time_steps import followed, with_steps
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
@@ -107,6 +108,8 @@ class Baseline:
 def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell) -> Baseline:
     """Fit the baseline. Raises ``ThinshellError`` where a recording that is given cannot be simulated; ones held out
     are left out then, with a note."""
+    mesh = refined_where_touched(rig, [*runs, *held_out])
+    rig = rig if mesh is None else mesh.rig
     parameters = believed(rig, fit_parameters(rig, open_parameters(rig)))
     parameters += nuisance_parameters(rig, runs, parameters, KINDS)
     start = start_of(rig, parameters)
@@ -115,7 +118,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     clean, _ = without_outliers(runs, plain, noise)
     noise = channel_noise(rig, clean, held_out)
     tell(0.08, "error of mesh and time step")
-    shapes = error_shapes(engine, rig, parameters, start, clean, plain)
+    shapes = error_shapes(engine, rig, parameters, start, clean, plain, mesh)
     fine, left_out = fine_enough(clean, shapes, noise)
     if left_out:
         runs, clean = [runs[k] for k in fine], [clean[k] for k in fine]
@@ -141,7 +144,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     known = np.array([p.known_sd or p.prior_sd for p in parameters])
     try:
         if elsewhere is not None or np.abs((fitted.scaled - start) / known).max(initial=0.0) > MEASURED_WITHIN:
-            shapes = error_shapes(engine, rig, parameters, fitted.scaled, clean, fitted.predictions)
+            shapes = error_shapes(engine, rig, parameters, fitted.scaled, clean, fitted.predictions, mesh)
     except ThinshellError as error:
         unknown = f"it stands where its discretisation error is not known. {error}"
     problem = Problem(clean, noise, sparing, shapes, prior=True)
@@ -152,9 +155,9 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         raise KeyboardInterrupt
     problem.engine = engine
     tell(0.38, "held-out recordings")
-    check, notes = held_out_problem(engine, fitted, noise, held_out)
+    check, notes = held_out_problem(engine, fitted, noise, held_out, mesh)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
-    base = Baseline(problem, fitted, check, there, noise, outliers, (*left_out, *notes))
+    base = Baseline(problem, fitted, check, there, noise, outliers, (*(mesh.notes if mesh else ()), *left_out, *notes))
     far = structure(problem, fitted).missing or (there is not None and structure(check, there).missing)
     return _where_predictable(engine, base, tell) if far else base
 
@@ -288,14 +291,19 @@ def error_shapes(
     scaled: np.ndarray,
     runs: Sequence[Run],
     plain: Sequence[Prediction],
+    mesh: ContactMesh | None = None,
 ) -> list[ErrorShape]:
     """What predictions ``plain`` at scaled values may be off: by mesh, by time step, and as a model."""
     rigs = [rig_in(rig, parameters, scaled, run.name) for run in runs]
-    return [*discretisation(engine, rigs, runs, plain), model_tolerance(runs, plain)]
+    return [*discretisation(engine, rigs, runs, plain, mesh), model_tolerance(runs, plain)]
 
 
 def held_out_problem(
-    engine: AnyEngine, fitted: Fitted, noise: dict[str, ChannelNoise], held_out: Sequence[Run]
+    engine: AnyEngine,
+    fitted: Fitted,
+    noise: dict[str, ChannelNoise],
+    held_out: Sequence[Run],
+    mesh: ContactMesh | None = None,
 ) -> tuple[Problem, tuple[str, ...]]:
     """The held-out recordings that the fitted rig can follow, without mistakes, beside the errors of their own."""
     kept: list[Run] = []
@@ -305,7 +313,7 @@ def held_out_problem(
         try:
             run, plain = _with_steps(engine, [fitted.rig], [given], noise)
             clean = without_outliers(run, plain, noise)[0]
-            shapes.append([*discretisation(engine, fitted.rig, clean, plain), model_tolerance(clean, plain)])
+            shapes.append([*discretisation(engine, fitted.rig, clean, plain, mesh), model_tolerance(clean, plain)])
             kept += clean
         except ThinshellError as error:
             lost.append(f"{given.name} is left out, it could not be simulated: {error}")
