@@ -4,7 +4,8 @@ With the pressure p_0 of :mod:`sim_core.contact.law` and the pressures p_i and f
 
     p = p_0 + sum_i p_i,    friction bound = mu lambda_n prod_i f_i(lambda_n / A, slip speed),    lambda_n = A p_0
 
-p_i of a law that bonds counts where the surfaces have touched, as :attr:`AddedLaws.bonded` says. Each is evaluated in numpy at the gaps and loads that the kernels have measured, and handed to them as numbers.
+p_i of a law that bonds counts where the surfaces have touched (:attr:`AddedLaws.bonded`). Each is evaluated in numpy at
+the gaps and loads that the kernels have measured, and handed to them as numbers.
 """
 
 from __future__ import annotations
