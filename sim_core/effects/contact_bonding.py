@@ -28,9 +28,7 @@ class ContactBonding(ContactAdhesion):
         "square metre, and the force turns negative before they part. As they approach, nothing pulls them together."
     )
     signature = "On the way out the measured force is a pull; on the way in it is that of surfaces that do not stick."
-    source = (
-        "Raous, Cangemi & Cocu, Comput. Methods Appl. Mech. Eng. 177, 1999 (bonds); Israelachvili 2011 (hysteresis)"
-    )
+    source = "Raous, Cangemi & Cocu, Comput. Methods Appl. Mech. Eng. 177, 1999; Israelachvili 2011, 17.12"
     needs = "a contact with a rigid body"
     twins = ("contact_adhesion", "gel_relaxation")
     separated_by = "Slow approaches: a reversible attraction pulls surfaces together before they touch."

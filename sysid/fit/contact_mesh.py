@@ -1,9 +1,10 @@
 """Finer cells of gels where rigid bodies touch them in recordings, and the error of the mesh from the coarser rig.
 
 A contact is told from where points of the gel's undeformed surface would be inside the rigid body along the recorded
-poses. Those of a sphere reach out to sqrt(2 R delta), the contact on a deep gel to a = sqrt(R delta) (Hertz), so what is
-touched is nearer to the middle by sqrt(2) there. Cells that reach into the box around all that is touched get edges of
-at most :data:`OF_RADIUS` times its half width a. The mesh of the rig is then the coarser of two, and with readings y, edges H of it and h,
+poses. Those of a sphere reach out to sqrt(2 R delta), the contact on a deep gel to a = sqrt(R delta) (Hertz), so what
+is touched is nearer to the middle by sqrt(2) there. Cells that reach into the box around all that is touched get edges
+of at most :data:`OF_RADIUS` times its half width a. The mesh of the rig is then the coarser of two, and with readings
+y, edges H of it and h,
 
     y* - y_h = (y_h - y_H) / ((H / h)^2 - 1)
 
@@ -80,8 +81,8 @@ def refined_where_touched(rig: Rig, runs: Sequence[Run]) -> ContactMesh | None:
         shapes[name], finer = gel.shape, min(finer, ratio)
         bodies[name] = gel.model_copy(update={"shape": gel.shape.model_copy(update={"refine": (box,)})})
         notes.append(
-            f"Cells of {name} are at most {1e3 * box.edge_m:.2g} mm long where it is touched, {1e3 * own:.2g} mm in the "
-            f"rig: the radius of the contact is {1e3 * radius:.2g} mm."
+            f"Cells of {name} are at most {1e3 * box.edge_m:.2g} mm long where it is touched, {1e3 * own:.2g} mm in "
+            f"the rig: the radius of the contact is {1e3 * radius:.2g} mm."
         )
     if not bodies:
         return None

@@ -1,4 +1,4 @@
-"""Adhesion that forms on touch: nothing on the way in, the cohesive law on the way out, until the surfaces are apart."""
+"""Adhesion that forms on touch: nothing on the way in, the cohesive law on the way out, until surfaces are apart."""
 
 from __future__ import annotations
 
