@@ -18,7 +18,7 @@ from sim_core.rigs import Gel, Rig, Sheet
 from sysid.diagnosis.model_tolerance import model_tolerance
 from sysid.diagnosis.predictability import unpredictable, without
 from sysid.diagnosis.residual_analysis import structure
-from sysid.fit.contact_mesh import ContactMesh, refined_where_touched
+from sysid.fit.contact_mesh import ContactMesh, follow_finer, refined_where_touched
 from sysid.fit.discretisation_refinement import discretisation
 from sysid.fit.time_steps import followed, with_steps
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
@@ -108,13 +108,19 @@ class Baseline:
 def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell) -> Baseline:
     """Fit the baseline. Raises ``ThinshellError`` where a recording that is given cannot be simulated; ones held out
     are left out then, with a note."""
-    mesh = refined_where_touched(rig, [*runs, *held_out])
-    rig = rig if mesh is None else mesh.rig
     parameters = believed(rig, fit_parameters(rig, open_parameters(rig)))
     parameters += nuisance_parameters(rig, runs, parameters, KINDS)
     start = start_of(rig, parameters)
     noise = channel_noise(rig, runs, held_out)
     runs, plain = _with_steps(engine, [rig_in(rig, parameters, start, run.name) for run in runs], runs, noise)
+    mesh = refined_where_touched(rig, [*runs, *held_out])
+    if mesh is not None:
+        derived = engine.predict_all(rig, runs, parameters, start)
+        finer = _all(engine, mesh.rig, parameters, start, runs)
+        if follow_finer(runs, derived, finer, noise, np.array([p.known_sd or p.prior_sd for p in parameters])):
+            rig, plain = mesh.rig, finer
+        else:
+            mesh = None
     clean, _ = without_outliers(runs, plain, noise)
     noise = channel_noise(rig, clean, held_out)
     tell(0.08, "error of mesh and time step")
@@ -270,6 +276,13 @@ def _cauchy(problem: Problem, predictions: Sequence[Prediction], scaled: np.ndar
     return float(np.sum(np.log1p((residual / CAUCHY_WIDTH) ** 2)))
 
 
+def _all(
+    engine: AnyEngine, rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray, runs: Sequence[Run]
+) -> list[Prediction]:
+    jobs = [engine.submit(rig_in(rig, parameters, scaled, run.name), run) for run in runs]
+    return [job.result() for job in jobs]
+
+
 def _with_steps(
     engine: AnyEngine, rigs: Sequence[Rig], runs: Sequence[Run], noise: dict[str, ChannelNoise]
 ) -> tuple[list[Run], list[Prediction]]:
@@ -311,7 +324,8 @@ def held_out_problem(
     lost: list[str] = []
     for given in held_out:
         try:
-            run, plain = _with_steps(engine, [fitted.rig], [given], noise)
+            run, plain = _with_steps(engine, [mesh.coarse(fitted.rig) if mesh else fitted.rig], [given], noise)
+            plain = [engine.submit(fitted.rig, run[0]).result()] if mesh else plain
             clean = without_outliers(run, plain, noise)[0]
             shapes.append([*discretisation(engine, fitted.rig, clean, plain, mesh), model_tolerance(clean, plain)])
             kept += clean

@@ -9,6 +9,10 @@ y, edges H of it and h,
     y* - y_h = (y_h - y_H) / ((H / h)^2 - 1)
 
 (Richardson's extrapolation): what a fit takes into account, at the cost of the coarser mesh.
+
+A recording may itself be a simulation with the cells of the rig. Of readings m, predictions y_H with derivatives J, and
+d = y_h - y_H, all in units of the noise, the least squares m - y_H = J dtheta + a d with what is known of theta tell:
+the cells of the rig are kept where a is below a half.
 """
 
 from __future__ import annotations
@@ -23,6 +27,8 @@ from sim_core.postprocess import Layout, Surface, lay_out, surfaces
 from sim_core.preflight.distance import sampled, signed_distance
 from sim_core.rigs import Gel, Rig, Rigid, Sheet
 from sim_core.rigs.regions import RefinedBox
+from sysid.model.predictor import Prediction
+from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Run
 
 OF_RADIUS = 1.25
@@ -36,6 +42,9 @@ LEAST_FINER = 1.2
 
 MARGIN = 0.2
 """What the box reaches beyond what is touched, over the radius of the contact."""
+
+FAR = 100.0
+"""Misfit over noise from which it counts no more."""
 
 INSTANTS = 60
 """Instants of a recording at which contacts are looked for."""
@@ -87,6 +96,33 @@ def refined_where_touched(rig: Rig, runs: Sequence[Run]) -> ContactMesh | None:
     if not bodies:
         return None
     return ContactMesh(rig.model_copy(update={"bodies": {**rig.bodies, **bodies}}), shapes, float(finer), tuple(notes))
+
+
+def follow_finer(
+    runs: Sequence[Run],
+    coarse: Sequence[Prediction],
+    fine: Sequence[Prediction],
+    noise: dict[str, ChannelNoise],
+    known_sd: np.ndarray,
+) -> bool:
+    """Whether recordings follow the finer mesh rather than that of the rig, which they do unless they tell otherwise.
+    ``coarse``: predictions by that, with derivatives by parameters that are known to ``known_sd`` ``(p,)``."""
+    count = len(known_sd)
+    normal, right = np.zeros((count + 1, count + 1)), np.zeros(count + 1)
+    normal[np.arange(count), np.arange(count)] = 1.0 / known_sd**2
+    for run, there, here in zip(runs, coarse, fine, strict=True):
+        for m in run.measured:
+            sigma = noise[m.channel].sigma
+            left = (m.values - there.values[m.channel]) / sigma
+            change = (here.values[m.channel] - there.values[m.channel]) / sigma
+            table = np.concatenate([there.derivatives[m.channel] / sigma[:, None], change[..., None]], axis=-1)
+            seen = np.isfinite(left) & np.isfinite(table).all(axis=-1)
+            rows = table[seen]
+            normal += rows.T @ rows
+            right += rows.T @ np.clip(left[seen], -FAR, FAR)
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    found = np.linalg.lstsq(normal / np.outer(scale, scale), right / scale, rcond=1e-12)[0] / scale
+    return normal[-1, -1] == 0.0 or bool(found[-1] >= 0.5)
 
 
 def _touched(
