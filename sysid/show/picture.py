@@ -311,8 +311,8 @@ class Board:
         words = f"{int(np.isfinite(now).all(axis=1).sum())} of {len(now)} points in the picture"
         if largest > 0.05:
             zoom = max(1.0, float(round_length(ARROWS_PX / largest)) if largest < ARROWS_PX else 1.0)
-            shift = zoom * (now - before)
-            self._keep(axes.quiver(*before.T, *shift.T, angles="xy", scale_units="xy", scale=1.0, color=MARKER,
+            arrows = zoom * (now - before)
+            self._keep(axes.quiver(*before.T, *arrows.T, angles="xy", scale_units="xy", scale=1.0, color=MARKER,
                                    width=0.0042, zorder=5))  # fmt: skip
             if zoom > 1.0:
                 words += f"; arrows {zoom:g} times as long as the motion"
