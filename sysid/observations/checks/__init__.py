@@ -22,6 +22,7 @@ from sysid.observations.checks.marker_layout import marker_layout
 from sysid.observations.checks.pictures import pictures
 from sysid.observations.checks.rates import rates
 from sysid.observations.checks.resolution import resolution
+from sysid.observations.checks.restarts import resets, time_left_out
 from sysid.observations.checks.spikes import spikes
 from sysid.observations.checks.start_poses import start_poses
 from sysid.observations.checks.tares import tares
@@ -33,6 +34,7 @@ __all__ = ["AGAINST_ITSELF", "AGAINST_RIG", "Finding", "Severity", "examine", "w
 
 AGAINST_ITSELF: tuple[Callable[[Recording], Iterable[Finding]], ...] = (
     clocks,
+    resets,
     two_publishers,
     lost_markers,
     frozen,
@@ -52,6 +54,7 @@ AGAINST_RIG: tuple[Callable[[Recording, Rig], Iterable[Finding]], ...] = (
     cameras,
     marker_layout,
     rates,
+    time_left_out,
 )
 
 _ORDER: tuple[Severity, ...] = ("stops a fit", "warning", "note")
