@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable
 
 from sim_core.rigs import Rig
 from sysid.observations.checks.cameras import cameras
-from sysid.observations.checks.clipped import clipped
+from sysid.observations.checks.clipped import clipped, constant
 from sysid.observations.checks.clocks import clocks
 from sysid.observations.checks.finding import Finding, Severity, without_faulty
-from sysid.observations.checks.frozen import frozen
+from sysid.observations.checks.frozen import frozen, frozen_poses
 from sysid.observations.checks.identity import frames, numbers
 from sysid.observations.checks.lost_markers import lost_markers
 from sysid.observations.checks.marker_identity import coincident_markers, exchanged_markers
@@ -37,7 +37,9 @@ AGAINST_ITSELF: tuple[Callable[[Recording], Iterable[Finding]], ...] = (
     resets,
     two_publishers,
     lost_markers,
+    frozen_poses,
     frozen,
+    constant,
     clipped,
     coincident_markers,
     exchanged_markers,
