@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sysid.fit.given_values import rose, worsened
 from sysid.fit.result import LOOK_FIRST
 from sysid.noise.estimate import REPLACED_FROM
 from sysid.report.numbers import MISSING, Number, seconds, significant, times, with_unit
@@ -41,10 +42,6 @@ NEAR_NOISE = 4.0
 SHORT_TABLE = 16
 """Rows up to which errors are shown for each recording at once."""
 
-
-WORSE = 1.1
-"""Factor by which the error of a channel must rise to be called larger than before; it must also stand out of the
-noise."""
 
 Shown = Number | str
 """A piece of a sentence on a page."""
@@ -111,18 +108,6 @@ class ErrorTables:
         return ErrorTables(short, full if len(full) > len(short) else [])
 
 
-def worsened(errors: Iterable[ChannelError]) -> list[ChannelError]:
-    """Channels of the recordings that were fitted whose error the fit made larger, beyond the noise."""
-    return [
-        e
-        for e in errors
-        if not e.held_out
-        and e.before_over_noise is not None
-        and e.after_over_noise is not None
-        and e.after_over_noise > WORSE * max(e.before_over_noise, 1.0)
-    ]
-
-
 def explains(result: FitResult) -> str:
     """How near the fit comes to the noise: 'good', 'fair' or 'bad'; empty where that is not known."""
     chi2 = result.reduced_chi2
@@ -134,18 +119,11 @@ def explains(result: FitResult) -> str:
 
 def overall_level(result: FitResult) -> str:
     """The colour of the headline."""
-    if not result.converged or result.contradicted or _rose(result):
+    if not result.converged or result.contradicted or rose(result.errors):
         return "bad"
     held_out = level(over_noise([e for e in result.errors if e.held_out], after=True, own=True))
     worst = {"bad": 2, "fair": 1}
     return max((explains(result), held_out), key=lambda x: worst.get(x, 0))
-
-
-def _rose(result: FitResult) -> bool:
-    """Whether the error over all channels has become larger, and some channel's visibly so."""
-    training = [e for e in result.errors if not e.held_out]
-    before, after = over_noise(training, after=False), over_noise(training, after=True)
-    return before is not None and after is not None and after > before and bool(worsened(training))
 
 
 def headline(result: FitResult) -> str:
@@ -156,7 +134,7 @@ def headline(result: FitResult) -> str:
         return "Nothing was fitted: the rig as it is, against the recordings."
     if result.contradicted:
         return "The recordings contradict what was known before, and the fit lies between the two."
-    if _rose(result):
+    if rose(result.errors):
         return "The fitted rig errs more than the rig as it was given: do not take its values without knowing why."
     found = explains(result)
     held_out = [e for e in result.errors if e.held_out]
