@@ -69,8 +69,8 @@ class Run:
     in words. ``doubts``: those of the ``notes`` on how it was read that may change a result; ``lacking``: those on
     topics of the rig that it does not have. ``counted``: notes that count samples, which
     :func:`sysid.model.windows.window_of` tells for the window, or for the whole; ``breaks``: instants at which it
-    begins anew, each with the error of a window across it. ``steps`` [s] ``(k,)``: instants of the solver's steps from 0
-    to ``end`` where they are not ``solver.dt_s`` apart (:mod:`sysid.fit.time_steps`)."""
+    begins anew, each with the error of a window across it. ``steps`` [s] ``(k,)``: instants of the solver's steps from
+    0 to ``end`` where they are not ``solver.dt_s`` apart (:mod:`sysid.fit.time_steps`)."""
 
     name: str
     path: str
