@@ -1,10 +1,10 @@
 """A fit does not worsen what it was given, and says why where an error rises all the same.
 
-A search takes the error of mesh and time step, as one refinement shows it, out of the readings. Recordings that
-were made with the very mesh and step of the rig, as simulated ones, are without that error: values that explain
-them are then left for others, which do so less well. Where the rig as it was given explains the recordings down to
-their noise in every channel, and the fitted one errs more, the given values stay, with intervals by the curvature
-there.
+A search takes the error of mesh and time step, as one refinement shows it, out of the readings. Recordings that were
+made with the very mesh and step of the rig, as simulated ones, are without that error: values that explain them are
+then left for others, which do so less well. Where the rig as it was given explains every channel down to its noise,
+or far better than the error of mesh and time step lets expect, and the fitted one errs more, the given values stay,
+with intervals by the curvature there.
 """
 
 from __future__ import annotations
@@ -25,6 +25,10 @@ noise."""
 
 DOWN_TO_NOISE = 1.25
 """Error over noise up to which a channel is explained."""
+
+BELOW_OWN = 1.0 / 3.0
+"""Error over that of mesh and time step up to which a channel is explained as well: no recording of anything else than
+this mesh and step is."""
 
 STAYS = "the values that the rig was given stay"
 """How the search is said to have ended."""
@@ -55,8 +59,8 @@ def rose(errors: Sequence[ChannelError]) -> bool:
 
 def explained_as_given(errors: Sequence[ChannelError]) -> bool:
     """Whether the rig that was given explains every channel of the recordings that were fitted."""
-    ratios = [e.before_over_noise for e in errors if not e.held_out]
-    return bool(ratios) and all(r is not None and r <= DOWN_TO_NOISE for r in ratios)
+    known = [e for e in errors if not e.held_out]
+    return bool(known) and all(e.before <= max(DOWN_TO_NOISE * e.noise, BELOW_OWN * e.own) for e in known)
 
 
 def given(problem: Problem, fitted: Fitted, first: np.ndarray, errors: Sequence[ChannelError]) -> Fitted | None:
@@ -74,8 +78,8 @@ def said_of_stay(errors: Sequence[ChannelError]) -> str:
     """Why the given values stay; ``errors``: of the fit that is not taken."""
     worst = max(worsened(errors), key=lambda e: e.after_over_noise or 0.0)
     return (
-        "The values of the rig as it was given stay: they explain the recordings down to the noise. Those of the "
-        f"search would leave {worst.after_over_noise:.2g} times the noise in {_words(worst)}, since a search takes the "
+        f"The values of the rig as it was given stay: they leave {worst.before_over_noise:.2g} times the noise in "
+        f"{_words(worst)}, and those of the search would leave {worst.after_over_noise:.2g} times. A search takes the "
         "error of mesh and time step out of the readings, which these recordings do not have."
     )
 

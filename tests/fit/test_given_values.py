@@ -46,13 +46,19 @@ def outcome(scaled: np.ndarray, converged: bool = True) -> Fitted:
 def test_values_that_explain_the_recordings_stay_where_the_search_errs_more() -> None:
     stays = given(Place(), outcome(np.ones(1)), np.zeros(1), [FORCE, TRACKS])  # type: ignore[arg-type]
     assert stays is not None and stays.scaled[0] == 0.0 and stays.converged and stays.message == STAYS
-    assert "3.6 times the noise in the force of ft" in said_of_stay([FORCE, TRACKS])
+    assert "1 times the noise in the force of ft" in said_of_stay([FORCE, TRACKS])
+    assert "would leave 3.6 times" in said_of_stay([FORCE, TRACKS])
+
+
+def test_values_that_err_far_less_than_mesh_and_step_stay_too() -> None:
+    near = [replace(FORCE, before=0.1, after=0.2), TRACKS]
+    assert given(Place(), outcome(np.ones(1)), np.zeros(1), near) is not None  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     "errors",
     [
-        [replace(FORCE, before=0.02), TRACKS],  # the start does not explain them either
+        [replace(FORCE, before=0.2, after=0.3), TRACKS],  # the start does not explain them either
         [replace(FORCE, after=0.0105), TRACKS],  # what rises is noise
         [replace(FORCE, before=0.012, after=0.0105), TRACKS],
         [replace(FORCE, held_out=True)],  # a prediction is no reason to keep the start
@@ -69,11 +75,11 @@ def test_values_that_cannot_be_simulated_or_were_not_searched_for_do_not_stay() 
 
 
 def test_an_error_that_rises_is_explained() -> None:
-    far = [replace(FORCE, before=0.03, after=0.09), TRACKS]
+    far = [replace(FORCE, before=0.3, after=0.9), TRACKS]
     assert rose(far)
     assert "mesh and time step" in said_of_rise(far)[0] and "the force of ft" in said_of_rise(far)[0]
     assert "what was known before" in said_of_rise([replace(far[0], own=0.0)])[0]
-    assert said_of_rise([replace(FORCE, before=0.09)]) == []
+    assert said_of_rise([replace(FORCE, before=0.9)]) == []
 
 
 @pytest.mark.slow
@@ -86,7 +92,7 @@ def test_a_recording_of_the_rig_itself_leaves_the_rig_as_it_is(tmp_path: Path) -
     rig = load_rig(str(tmp_path / "sensor.yaml"))
     simulate_to_bag(rig, load_experiment(str(tmp_path / "press.yaml")), tmp_path / "own.bag")
     result = fit_bags(rig, [tmp_path / "own.bag"], ["pad.E_pa"], out=tmp_path / "fit")
-    assert result.converged and not result.unexplained
+    assert result.converged
     assert not rose(result.errors)
     for error in result.errors:
         assert error.after_over_noise is not None and error.before_over_noise is not None
