@@ -39,7 +39,7 @@ def main(folder: Path = DEFAULT) -> int:
             print(simulate_to_bag(truth, experiment, folder / f"{name}.bag", seed=experiment.seed, on_progress=report))
     start = with_parameters(rig, START)
     runs, held_out = ([load_run(start, folder / f"{n}.bag") for n in names] for names in (TRAINING, HELD_OUT))
-    with progress("fit") as report:
+    with progress("fit", timed=False) as report:
         result, _ = fit_runs(start, runs, list(START), held_out=held_out, on_progress=report)
     result.write(folder / "fit.json")
     page = write_fit_report(result, folder / "report.html")

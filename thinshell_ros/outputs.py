@@ -115,7 +115,8 @@ class Outputs:
             heapq.heappush(self._held, (due, self._order, reading))
         self.publish(arrival)
         if left_out > SKIP_S:
-            self.tell("skip", f"Stamps leave out {left_out:.3f} s in which the simulation did not go on.")
+            words = f"Stamps leave out {left_out:.3f} s in which the simulation did not go on."
+            self.tell("skip", words, {"left_out_s": f"{left_out:.6g}"})
         return left_out
 
     def publish(self, now: float, running: bool = False) -> None:

@@ -180,6 +180,9 @@ class SimNode(Node):
         if not self._physics.ready:
             response.success, response.message = False, "the scene is still being built"
             return response
+        if fault := self._physics.fault():
+            response.success, response.message = False, f"{fault} Call ~/reset to start it again."
+            return response
         missing = self._outputs.zero()
         response.success = not missing
         response.message = f"no reading yet of {', '.join(missing)}" if missing else "zeroed"

@@ -4,7 +4,8 @@ With the pressure p_0 of :mod:`sim_core.contact.law` and the pressures p_i and f
 
     p = p_0 + sum_i p_i,    friction bound = mu lambda_n prod_i f_i(lambda_n / A, slip speed),    lambda_n = A p_0
 
-Each is evaluated in numpy at the gaps and loads that the kernels have measured, and handed to them as numbers.
+p_i of a law that bonds counts where the surfaces have touched (:attr:`AddedLaws.bonded`). Each is evaluated in numpy at
+the gaps and loads that the kernels have measured, and handed to them as numbers.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ class AddedLaws:
         self._normal: dict[str, NormalLaw] = {}
         self._friction: dict[str, FrictionLaw] = {}
         self._values: dict[str, dict[str, float]] = {}
+        self.bonded: np.ndarray | None = None
+        """Which points have touched and were not torn off since, 0 or 1 ``(n,)``; None where nothing is remembered."""
 
     def add(self, key: str, effect: Effect) -> None:
         """Take a law whose numbers are called ``<key>.<parameter>``."""
@@ -65,19 +68,35 @@ class AddedLaws:
         """Gap [m] from which on no added pressure acts."""
         return max((law.reach(self._values[key]) for key, law in self._normal.items()), default=0.0)
 
-    def write_normal(self, gap: np.ndarray, out: np.ndarray) -> None:
-        """Write added energy [J/m^2], pressure [Pa] and slope [Pa/m] at gaps [m] ``(n,)`` into ``out`` ``(n, 3)``."""
+    @property
+    def bonds(self) -> bool:
+        """Whether any law acts only where surfaces have touched."""
+        return any(law.bonds for law in self._normal.values())
+
+    def bonded_after(self, gap: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        """Which points are bonded when a step has ended at gaps [m] ``(n,)``, and which of them touch."""
+        held = np.zeros_like(gap) if self.bonded is None else self.bonded
+        reach = max((law.reach(self._values[key]) for key, law in self._normal.items() if law.bonds), default=0.0)
+        return np.where(touching, 1.0, np.where(gap < reach, held, 0.0))
+
+    def _share(self, law: NormalLaw, some: np.ndarray | slice) -> np.ndarray | float:
+        """How much of a law counts at some points."""
+        return self.bonded[some] if law.bonds and self.bonded is not None else 1.0
+
+    def write_normal(self, gap: np.ndarray, out: np.ndarray, some: np.ndarray | slice = slice(None)) -> None:
+        """Write added energy [J/m^2], pressure [Pa] and slope [Pa/m] at gaps [m] ``(n,)`` into ``out`` ``(n, 3)``;
+        ``some``: numbers of these points among those of the term."""
         out[:] = 0.0
         for key, law in self._normal.items():
-            found = law.normal(gap, self._values[key])
-            out[:, 0] += found.energy
-            out[:, 1] += found.pressure
-            out[:, 2] += found.slope
+            found, share = law.normal(gap, self._values[key]), self._share(law, some)
+            out[:, 0] += share * found.energy
+            out[:, 1] += share * found.pressure
+            out[:, 2] += share * found.slope
 
-    def normal_by(self, gap: np.ndarray) -> dict[str, np.ndarray]:
-        """Derivatives of the added pressure by the numbers of its laws ``(n,)``."""
+    def normal_by(self, gap: np.ndarray, some: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
+        """Derivatives of the added pressure by the numbers of its laws ``(n,)``; ``some``: as above."""
         return {
-            f"{key}.{name}": np.asarray(by)
+            f"{key}.{name}": np.asarray(self._share(law, some) * by)
             for key, law in self._normal.items()
             for name, by in law.normal_by(gap, self._values[key]).items()
         }

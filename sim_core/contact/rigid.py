@@ -308,6 +308,7 @@ class RigidContact:
         self._rotation[:] = self._target
         self._rotation_start[:] = internals["rotation"]
         self._anchor[:] = internals["anchor"]
+        self.laws.bonded = internals.get("bonded")
         self._start()
         self._limit[:] = self.laws.bound(self._c, internals["load"], self._areas, internals["slip_speed"]).value
 
@@ -376,12 +377,13 @@ class RigidContact:
         stiffness = self._c[STIFFNESS] * self._areas
         anchor, speed = slide(slip, self._normal, self._limit, stiffness, step.dt)
         touching = self._load > 0.0
-        return {
+        found = {
             "rotation": rotation.copy(),
             "anchor": np.where(touching[:, None], anchor @ rotation, 0.0),
             "load": self._load.copy(),
             "slip_speed": np.where(touching, speed, 0.0),
         }
+        return {**found, "bonded": self.laws.bonded_after(self._gap, touching)} if self.laws.bonds else found
 
     def carried(self, internals: Internals, move: np.ndarray) -> Internals:
         """Internal variables with the springs of friction stretched by a move of the start."""
@@ -391,12 +393,13 @@ class RigidContact:
 
     def initial_internals(self) -> Internals:
         count = len(self._areas)
-        return {
+        found = {
             "rotation": self._target.copy(),
             "anchor": np.zeros((count, 3)),
             "load": np.zeros(count),
             "slip_speed": np.zeros(count),
         }
+        return {**found, "bonded": np.zeros(count)} if self.laws.bonds else found
 
     def linearise(self, step: StepContext, internals: Internals, after: Internals) -> Linearised:
         """Derivatives by the start of the step, the memory and the turn of the body."""

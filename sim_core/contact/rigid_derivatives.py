@@ -88,7 +88,7 @@ def rigid_derivatives(
     gap, normal_now, curved_now = gap[some], normal_now[some], curved_now[some]
     _, push, steep = normal_law(c, gap)
     added = np.zeros((count, 3))
-    laws.write_normal(gap, added)
+    laws.write_normal(gap, added, some)
     whole_push, whole_steep = push + added[:, 1], steep + added[:, 2]
     rub = friction_derivatives(
         anchor @ r.T + after - y @ r.T, normal @ r.T, at.limit[some], c[STIFFNESS] * areas, at.dt
@@ -169,7 +169,7 @@ def rigid_derivatives(
 
     none = np.zeros(count)
     numbers = {q: number(limit, none, none, none) for q, limit in bound.by_number.items()}
-    numbers |= {q: number(none, none, none, areas * by) for q, by in laws.normal_by(gap).items()}
+    numbers |= {q: number(none, none, none, areas * by) for q, by in laws.normal_by(gap, some).items()}
     numbers["stiffness_pa_per_m"] = number(none, areas, areas * push / c[STIFFNESS], none)
     numbers["offset_m"] = number(none, none, areas * steep, areas * added[:, 2])
     numbers["range_m"] = number(none, none, areas * by_range(c, gap)[1], none)

@@ -209,7 +209,12 @@ class NormalLaw(Effect):
     Friction goes with the pressure that keeps surfaces apart, not with this one, so that attraction adds to the load of
     friction as far as it presses the surfaces together (Derjaguin, Z. Phys. 88, 1934). Gaps may be negative while an
     iteration is on its way; the law must go on there smoothly.
+
+    ``bonds``: it acts at a point from the step after one in which the surfaces have touched there, until they are its
+    reach apart. Points of rigid bodies remember that; a law that bonds acts on no other contacts.
     """
+
+    bonds: ClassVar[bool] = False
 
     @abstractmethod
     def reach(self, values: Values) -> float:

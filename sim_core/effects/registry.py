@@ -182,5 +182,8 @@ def _complete(effect: Effect, key: str, given: Mapping[str, float]) -> dict[str,
     absent = {name: p.vanishing for name, p in known.items() if p.vanishing is not None and isfinite(p.vanishing)}
     missing = [name for name in known if name not in given and name not in absent]
     if missing:
-        raise ConfigError(f"The effect {key} needs the parameter {missing[0]!r}.", "Add it to the rig's effects.")
+        raise ConfigError(
+            f"The effect {key} needs the parameter {missing[0]!r}.",
+            f"Add it to the rig's effects, or give it with --set effects.{key}.{missing[0]}=VALUE.",
+        )
     return {name: given[name] if name in given else absent[name] for name in known}

@@ -24,7 +24,17 @@ import scipy.sparse as sp
 from sim_core.energies import bending_kernels as kernels
 from sim_core.energies.curvature import Stencils, curvature_operator
 from sim_core.energies.grading import Grading
-from sim_core.energies.linearised import Blocks, ByNumber, Linearised, axes_of, gathered, placed, places
+from sim_core.energies.linearised import (
+    Blocks,
+    ByNumber,
+    Chain,
+    Linearised,
+    Transposed,
+    axes_of,
+    gathered,
+    placed,
+    places,
+)
 from sim_core.energies.membrane import material_frames
 from sim_core.energies.plastic_flow import PlasticFlow
 from sim_core.energies.sheet_vjp import Flowing, SheetAlong
@@ -371,41 +381,46 @@ class Bending:
         del after
         if not internals and not self._damped:
             return None
-        curvatures = self.by_positions()
+        now = self._turns_by_positions()
         start = past = None
         if self._damped:
-            viscous = (curvatures.T @ self._by_area(-self._rate[:, None, None] * self._d)).tocsr()
-            start = (step.weights[0] * viscous @ self.by_positions(step.x_start)).tocoo()
+            rate = -(self._rate * self._areas)[:, None, None] * self._d
+            outward = (Transposed(now), self._kappa.T, self._by_triangle(rate), self._kappa)
+            start = Chain((*outward, self._turns_by_positions(step.x_start, step.weights[0])))
             if step.x_past is not None:
-                past = (step.weights[1] * viscous @ self.by_positions(step.x_past)).tocoo()
+                past = Chain((*outward, self._turns_by_positions(step.x_past, step.weights[1])))
         if not internals:
             return Linearised(force_start=start, force_past=past)
-        return self._with_flow(step, internals, curvatures, start, past)
+        return self._with_flow(step, internals, (self._kappa @ now.tocsr()).tocsr(), start, past)
 
-    def by_positions(self, x: np.ndarray | None = None) -> sp.csr_matrix:
-        """Derivative of all curvatures by all positions, ``(3 m, 3 n)``, at ``x`` (None: at those at hand)."""
+    def by_positions(self, x: np.ndarray) -> sp.csr_matrix:
+        """Derivative of all curvatures by all positions, ``(3 m, 3 n)``, at ``x``."""
+        return (self._kappa @ self._turns_by_positions(x).tocsr()).tocsr()
+
+    def _turns_by_positions(self, x: np.ndarray | None = None, weight: float = 1.0) -> Blocks:
+        """Derivative of all angles by all positions, ``(n_hinges, 3 n)``, at ``x`` (None: at those at hand), times a
+        weight."""
         if x is None:
             self._gradients()
         else:
             self._elsewhere[:] = x
             self._gradients_there()
         hinge = np.arange(len(self._hinge))[:, None]
-        angles = placed((self._g[:, None], hinge, axes_of(self._hinge)), shape=(len(self._hinge), self._x.size))
-        return (self._kappa @ angles.tocsr()).tocsr()
+        return placed((weight * self._g[:, None], hinge, axes_of(self._hinge)), shape=(len(self._hinge), self._x.size))
 
-    def _by_area(self, stiffness: np.ndarray) -> sp.csr_matrix:
-        """Block diagonal matrix of a stiffness ``(3, 3)`` or one a triangle, times the areas."""
-        rows = np.arange(3 * len(self._areas)).reshape(-1, 3)
-        blocks = self._areas[:, None, None] * stiffness
-        return placed((blocks, rows, rows), shape=(rows.size, rows.size)).tocsr()
+    @staticmethod
+    def _by_triangle(stiffness: np.ndarray) -> Blocks:
+        """Block diagonal matrix of a stiffness of each triangle ``(m, 3, 3)``."""
+        rows = np.arange(3 * len(stiffness)).reshape(-1, 3)
+        return placed((stiffness, rows, rows), shape=(rows.size, rows.size))
 
     def _with_flow(
         self,
         step: StepContext,
         internals: Internals,
         curvatures: sp.csr_matrix,
-        start: sp.coo_matrix | None,
-        past: sp.coo_matrix | None,
+        start: Chain | None,
+        past: Chain | None,
     ) -> Linearised:
         place, flow = places(internals), self._flow(internals)
         plastic, accumulated = place["plastic_curvature"], place["accumulated_curvature"][:, None]

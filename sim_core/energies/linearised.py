@@ -37,12 +37,18 @@ class Blocks:
 
     def __matmul__(self, other: np.ndarray) -> np.ndarray:
         """Product with a vector, or with several in the columns of a matrix."""
-        if other.ndim > 1:
-            return np.asarray(self.tocsr() @ other)
-        return gathered(
-            *((np.einsum("nab,nb->na", v, other[columns]), rows) for v, rows, columns in self.parts),
-            size=self.shape[0],
+        if other.ndim == 1:
+            return gathered(
+                *((np.einsum("nab,nb->na", v, other[columns]), rows) for v, rows, columns in self.parts),
+                size=self.shape[0],
+            )
+        count = other.shape[1]
+        each = np.arange(count)
+        found = gathered(
+            *((v @ other[columns], rows[..., None] * count + each) for v, rows, columns in self.parts),
+            size=self.shape[0] * count,
         )
+        return found.reshape(self.shape[0], count)
 
     def back(self, other: np.ndarray) -> np.ndarray:
         """Product of the transpose with a vector."""
@@ -62,8 +68,52 @@ class Blocks:
         return sp.csr_matrix((values, (at, by)), shape=self.shape)
 
 
+@dataclass(frozen=True)
+class Chain:
+    """A product of sparse matrices that is not multiplied out: what it is applied to goes through one after the other,
+    the last first."""
+
+    factors: tuple[Matrix, ...]
+
+    @property
+    def nbytes(self) -> int:
+        return sum(_nbytes(f) for f in self.factors)
+
+    def __matmul__(self, other: np.ndarray) -> np.ndarray:
+        """Product with a vector, or with several in the columns of a matrix."""
+        for factor in reversed(self.factors):
+            other = np.asarray(factor @ other)
+        return other
+
+    def back(self, other: np.ndarray) -> np.ndarray:
+        """Product of the transpose with a vector."""
+        for factor in self.factors:
+            other = np.asarray(times_back(factor, other))
+        return other
+
+
+@dataclass(frozen=True)
+class Transposed:
+    """The transpose of a sparse matrix that is not formed."""
+
+    matrix: Blocks
+
+    @property
+    def nbytes(self) -> int:
+        return self.matrix.nbytes
+
+    def __matmul__(self, other: np.ndarray) -> np.ndarray:
+        """Product with a vector, or with several in the columns of a matrix."""
+        parts = ((v.transpose(0, 2, 1), columns, rows) for v, rows, columns in self.matrix.parts)
+        return Blocks(tuple(parts), self.matrix.shape[::-1]) @ other
+
+    def back(self, other: np.ndarray) -> np.ndarray:
+        """Product of the matrix itself with a vector."""
+        return self.matrix @ other
+
+
 Matrix = Any
-"""A sparse matrix: :class:`Blocks` or one of scipy's."""
+"""A sparse matrix: :class:`Blocks`, a :class:`Chain`, :class:`Transposed`, or one of scipy's."""
 
 
 @dataclass(frozen=True)
@@ -116,12 +166,15 @@ class Linearised:
     def size_bytes(self) -> int:
         """Memory of all matrices and numbers."""
         total = sum(a.nbytes for n in self.numbers.values() for a in (n.force, n.memory, n.moment))
-        for matrix in vars(self).values():
-            if isinstance(matrix, Blocks):
-                total += matrix.nbytes
-            elif sp.issparse(matrix):
-                total += 2 * matrix.data.nbytes  # two indices of half the length a value
-        return total
+        return total + sum(_nbytes(matrix) for matrix in vars(self).values() if not isinstance(matrix, dict))
+
+
+def _nbytes(matrix: Matrix | None) -> int:
+    """Memory of a matrix."""
+    if matrix is None:
+        return 0
+    # Of one of scipy's two indices of half the length a value.
+    return int(2 * matrix.data.nbytes if sp.issparse(matrix) else matrix.nbytes)
 
 
 def times(matrix: Matrix | None, vector: np.ndarray) -> np.ndarray | float:
@@ -133,13 +186,17 @@ def times_back(matrix: Matrix | None, vector: np.ndarray) -> np.ndarray | float:
     """Product of the transpose of a matrix that may be zero with a vector."""
     if matrix is None:
         return 0.0
-    return np.asarray(matrix.back(vector) if isinstance(matrix, Blocks) else matrix.T @ vector)
+    return np.asarray(matrix.T @ vector if sp.issparse(matrix) else matrix.back(vector))
 
 
 def vanishes(matrix: Matrix | None) -> bool:
     """Whether a matrix is zero."""
     if isinstance(matrix, Blocks):
         return not any(values.any() for values, _, _ in matrix.parts)
+    if isinstance(matrix, Transposed):
+        return vanishes(matrix.matrix)
+    if isinstance(matrix, Chain):
+        return any(vanishes(factor) for factor in matrix.factors)
     return matrix is None or not matrix.count_nonzero()
 
 

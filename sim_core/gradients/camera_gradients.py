@@ -1,4 +1,4 @@
-"""Derivatives by what cameras are, where they look and how they image, summed up on the way back.
+"""Derivatives by what cameras are, where they look and how they image, forwards and summed up on the way back.
 
 Nothing in the mechanics depends on these, so what a camera sees is kept in the frame of its mount and imaged by one
 camera with a little more and one with a little less of each parameter, many pictures at once.
@@ -11,10 +11,53 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sim_core.gradients.directions import Direction
-from sim_core.sensing.observe import taken
+from sim_core.rigs import Rig
+from sim_core.scene.scene import Frame
+from sim_core.sensing.observe import Observer, taken
 
 POINTS = 3000
 """Points that are imaged at once: calls of OpenCV have their price, and so have large tables of its derivatives."""
+
+
+class Imaging:
+    """What the parameters ``along`` that change cameras change in the pictures of a rollout."""
+
+    def __init__(self, along: Sequence[Direction]) -> None:
+        self._along = along
+        self._changing = [k for k, d in enumerate(along) if d.low.cameras != d.high.cameras]
+        self._kept: dict[tuple[str, int, bool], list[np.ndarray]] = {}
+
+    def take(self, observer: Observer, rig: Rig, frames: Mapping[str, Frame]) -> None:
+        """One picture of each camera, at the positions that the scene of ``rig`` holds."""
+        if not self._changing:
+            return
+        plain = observer.before_cameras(frames)
+        for k in self._changing:
+            for high in (True, False):
+                end = self._end(k, high)
+                alike = {name: end.cameras[name].sees == camera.sees for name, camera in rig.cameras.items()}
+                points = plain if all(alike.values()) else observer.before_cameras(frames, end)
+                for name in plain:
+                    self._kept.setdefault((name, k, high), []).append(points[name])
+
+    def slopes(self, channel: str) -> dict[int, np.ndarray]:
+        """Derivatives of the pictures taken ``(t, n, 2)``, by number of the parameter; others change nothing."""
+        found = {}
+        for k in self._changing:
+            high, low = (self._imaged(channel, k, high) for high in (True, False))
+            if high is not None and low is not None:
+                found[k] = (high - low) / self._along[k].width
+        return found
+
+    def _end(self, k: int, high: bool) -> Rig:
+        return self._along[k].high if high else self._along[k].low
+
+    def _imaged(self, channel: str, k: int, high: bool) -> np.ndarray | None:
+        if (channel, k, high) not in self._kept:
+            return None
+        points, camera = np.stack(self._kept[channel, k, high]), self._end(k, high).cameras[channel]
+        at_once = max(1, POINTS // max(1, points.shape[1]))
+        return np.concatenate([taken(camera, points[a : a + at_once]) for a in range(0, len(points), at_once)])
 
 
 class Pictures:

@@ -30,12 +30,12 @@ from sim_core.gradients.boundary_motion import Motions, driven
 from sim_core.gradients.directions import Direction, command_motions
 from sim_core.gradients.parameter_jacobian import Column, moment_on_body
 from sim_core.gradients.step import LinearStep, Motion, Outcome
-from sim_core.gradients.tangent import TangentSimulation
+from sim_core.gradients.tangent import TangentSimulation, recorded
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene, Values
 from sim_core.sensing.observe import frame_of
-from sim_core.simulate import Trace, run
+from sim_core.simulate import Trace
 from sim_core.solve.step import State
 
 
@@ -142,10 +142,10 @@ class FrozenPathSimulation(TangentSimulation):
         system = self.scene.system
         own = {t.name: t for t in system.terms}
         known: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        found = []
+        targets, found = self.scene.targets(self.frames), []
         for amendment in self._amendments:
             force, moment = np.zeros_like(system.x), {}
-            for name, exerted, turned in self._exerted(amendment, step, before, after):
+            for name, exerted, turned in self._exerted(amendment, step, before, after, targets):
                 force += exerted
                 if name in own:
                     if name not in known:
@@ -158,7 +158,7 @@ class FrozenPathSimulation(TangentSimulation):
         return found
 
     def _exerted(
-        self, amendment: Amendment, step: StepContext, before: State, after: State
+        self, amendment: Amendment, step: StepContext, before: State, after: State, targets: np.ndarray
     ) -> list[tuple[str, np.ndarray, np.ndarray]]:
         """Force [N] ``(n, 3)`` and moment on its rigid body [N m] of each amended term; what they remember goes on."""
         if not amendment.affected:
@@ -168,7 +168,8 @@ class FrozenPathSimulation(TangentSimulation):
         wanted = [terms[n] for n in amendment.affected]
         for term in wanted:
             term.configure(amendment.values.terms[term.name])
-        targets = scene.targets(self.frames)
+        for name, body in self.scene.bodies.items():
+            scene.bodies[name].rotation[:] = body.rotation
         if any(isinstance(t, DynamicTerm) for t in wanted):
             internals = {n: amendment.internals.get(n, before.internals.get(n, {})) for n in terms}
             system.guard(True)
@@ -213,12 +214,4 @@ def simulate_responses(
     whole = [*along, *_idle(scene.rig, len(amendments) + len(modulations))]
     moving = command_motions(scene.rig, whole, commanded, times)
     simulation = FrozenPathSimulation(scene, along, amendments, moving, modulations)
-    stacked: list[dict[str, np.ndarray]] = []
-
-    def record(done: int, total: int) -> None:
-        stacked.append(simulation.derivatives)
-        if on_step is not None:
-            on_step(done, total)
-
-    trace = run(simulation, poses, times, record, on_reset=lambda: stacked.append(simulation.derivatives))
-    return trace, {c: np.stack([s[c] for s in stacked]) for c in trace.outputs}
+    return recorded(simulation, poses, times, whole, on_step)

@@ -15,7 +15,7 @@ forces of the terms on the nodes, so a weight w on these forces joins lambda.
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -116,9 +116,13 @@ class LinearStep:
         return np.asarray(self._system.restrict(gradient) - self._system.restrict(np.zeros_like(gradient)))
 
     def _stiffness(self, move: np.ndarray) -> np.ndarray:
-        """Change of what the terms exert for a move of the nodes."""
+        """Change of what the terms exert for a move of the nodes ``(n, 3)``."""
         system, out = self._system, self._hessian.product(move)
         return np.asarray(out - system.mass @ move / self.step.tau**2) if self.inertia else out
+
+    def _carried(self, moves: np.ndarray) -> np.ndarray:
+        """What inertia adds to the residual for moves of the nodes ``(n, 3, k)``."""
+        return np.asarray(self._system.mass @ moves.reshape(len(moves), -1) / self.step.tau**2).reshape(moves.shape)
 
     def foresee(self) -> None:
         """Let what :meth:`pull` solves with be factorised on a second core meanwhile."""
@@ -156,30 +160,27 @@ class LinearStep:
         if self.inertia:
             begun = (step.x_base + step.tau * step.v_base).reshape(-1, 3 * count)
             body -= (system.mass @ begun / step.tau**2).reshape(-1, count)
+        force += _combined([c.force for c in columns], slopes, whole)
+        body += _combined([c.body for c in columns], slopes, whole)
+        unknowns += _combined([c.unknowns for c in columns], slopes, len(unknowns))
         for column, slope in zip(columns, slopes, strict=True):
-            if column.force is not None:
-                force += np.outer(column.force, slope)
-            if column.body is not None:
-                body += np.outer(column.body, slope)
-            if column.unknowns is not None:
-                unknowns += np.outer(column.unknowns, slope)
             for name, kept in column.memory.items():
                 memory[name] += np.outer(kept, slope)
             for name, turned in column.moment.items():
                 moment[name] = moment.get(name, 0.0) + np.outer(turned, slope)
         total = (force + body).reshape(shape)
         if driven is not None:
-            total = total + np.stack([self._hessian.product(driven.x[..., k]) for k in range(count)], axis=-1)
-        residual = np.column_stack([self._restrict(np.ascontiguousarray(total[..., k])) for k in range(count)])
-        moved = -self._hessian.solve(residual + unknowns)
-        x = np.stack([system.spread(moved[:, k]) for k in range(count)], axis=-1)
+            total = total + self._hessian.products(driven.x)
+        spread = system.spread_matrix
+        moved = -self._hessian.solve(spread.T @ total.reshape(whole, count) + unknowns)
+        x = np.asarray(spread @ moved).reshape(shape)
         if driven is not None:
             x += driven.x
-        force = force.reshape(shape) + np.stack([self._stiffness(x[..., k]) for k in range(count)], axis=-1)
-        body = body.reshape(shape)
+        force, body = force.reshape(shape) + self._hessian.products(x), body.reshape(shape)
         if self.inertia:
-            body = body + (system.mass @ x.reshape(len(x), -1) / step.tau**2).reshape(shape)
-        force += np.stack([system.passed_on(force[..., k], body[..., k]) for k in range(count)], axis=-1)
+            carried = self._carried(x)
+            force, body = force - carried, body + carried
+        force += system.passed_on(force, body)
         for name, term in self.terms.items():
             memory[name] += times(term.memory_end, x.reshape(-1, count))
             if term.moment_end is not None:
@@ -308,6 +309,13 @@ class LinearStep:
         out += sum(float(kept @ weights.memory[name]) for name, kept in column.memory.items())
         out += sum(float(m @ weights.moment[name]) for name, m in column.moment.items() if name in weights.moment)
         return out
+
+
+def _combined(columns: Sequence[np.ndarray | None], slopes: np.ndarray, size: int) -> np.ndarray:
+    """Sum of columns of ``size``, None being zero, with slopes ``(k, p)``: ``(size, p)``."""
+    given = [k for k, column in enumerate(columns) if column is not None]
+    table = np.array([columns[k] for k in given]).reshape(len(given), size)
+    return np.asarray(table.T @ slopes[given])
 
 
 def linearised_terms(system: System, step: StepContext, before: State, after: State) -> dict[str, Linearised]:

@@ -25,6 +25,7 @@ from sim_core.gradients.boundary_motion import (
     driven,
     midway_motion,
 )
+from sim_core.gradients.camera_gradients import Imaging
 from sim_core.gradients.directions import Direction, checked, command_motions, motions, slopes, together
 from sim_core.gradients.initial_equilibrium import linearised
 from sim_core.gradients.parameter_jacobian import Columns
@@ -42,7 +43,8 @@ from sim_core.solve.step import NewtonSettings, State, StepReport
 class TangentSimulation(Simulation):
     """A simulation that carries the derivative of its state along several parameters.
 
-    ``derivatives``: of the readings now, by channel ``(..., n_parameters)``.
+    ``mechanical``: derivatives of the readings now, by channel ``(..., n_parameters)``, but for what parameters change
+    in cameras alone.
     """
 
     def __init__(
@@ -55,7 +57,6 @@ class TangentSimulation(Simulation):
         """``moving``: motions of the mounts by the parameters at the start and after every step, beside those of
         offsets (:func:`sim_core.gradients.directions.command_motions`)."""
         self._along = list(along)
-        self._seen_otherwise = [k for k, direction in enumerate(along) if not _sees_alike(direction)]
         keys, self._slopes = slopes(scene, along)
         self._columns = Columns(scene, scene.values(scene.rig), keys)
         self._offsets: Motions = motions(scene.rig, along)
@@ -72,13 +73,28 @@ class TangentSimulation(Simulation):
         self._moved = self._moved_now = self._moved_at(0)
         zero = np.zeros((*self.state.x.shape, count))
         self._motion = Motion(zero, zero, no_memory(self.state, count))
-        self.derivatives = self._read_derivatives(None)
+        self.mechanical = self._read_derivatives(None)
         if not self.settling:
             if self._moved:
                 self._put()
             self._add_what_mounts_bear()
         elif self._depends:
             self._settle_along()
+
+    @property
+    def derivatives(self) -> dict[str, np.ndarray]:
+        """Derivatives of the readings now, by channel ``(..., n_parameters)``."""
+        imaging = Imaging(self._along)
+        self.picture(imaging)
+        stacked = {name: derivatives[None] for name, derivatives in self.mechanical.items()}
+        return {name: found[0] for name, found in with_imaging(stacked, imaging).items()}
+
+    def picture(self, imaging: Imaging) -> None:
+        """Take the pictures of now."""
+        imaging.take(self.observer, self.scene.rig, self.actual_frames())
+
+    def read(self) -> dict[str, np.ndarray]:
+        return self._reading
 
     @property
     def _depends(self) -> bool:
@@ -113,7 +129,7 @@ class TangentSimulation(Simulation):
         for made, linear in linearised(self.scene, self._keeper, self.settling, self.frames, backwards=False):
             still = Motion(motion.x, np.zeros_like(motion.v), motion.memory)
             motion, outcome = self._pushed(linear, still, made.before, made.after)
-        self._motion, self.derivatives = motion, self._read_derivatives(outcome)
+        self._motion, self.mechanical = motion, self._read_derivatives(outcome)
 
     def _put(self) -> None:
         """Derivatives at a start at which nothing settled: bodies are where their mounts put them."""
@@ -130,7 +146,7 @@ class TangentSimulation(Simulation):
                 gradient -= system.mass @ move / dt**2
             body = -(system.mass @ v[..., k]) / dt if system.inertia else np.zeros_like(gradient)
             force[..., k] = gradient + system.passed_on(gradient, body)
-        self.derivatives = self._read_derivatives(Outcome(x, force, {}, np.zeros((system.n_unknowns, count))))
+        self.mechanical = self._read_derivatives(Outcome(x, force, {}, np.zeros((system.n_unknowns, count))))
 
     def _add_what_mounts_bear(self) -> None:
         """Derivatives of the loads on mounts at a start that does not depend on the parameters itself."""
@@ -145,7 +161,7 @@ class TangentSimulation(Simulation):
         for k, direction in enumerate(self._along):
             high, low = read(direction.high), read(direction.low)
             for name in high:
-                self.derivatives[name][..., k] += (high[name] - low[name]) / direction.width
+                self.mechanical[name][..., k] += (high[name] - low[name]) / direction.width
         read(scene.rig)
 
     def step(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
@@ -174,14 +190,14 @@ class TangentSimulation(Simulation):
         if self._depends:
             self._propagate(before, dt)
         else:
-            self.derivatives = self._read_derivatives(None)
+            self.mechanical = self._read_derivatives(None)
         return report
 
     def _propagate(self, before: State, dt: float) -> None:
         """Carry the derivatives over the step of ``dt`` [s] from ``before`` that has just been solved."""
         linear = LinearStep(self.scene, self._keeper, before, self.state, dt)
         self._motion, outcome = self._pushed(linear, self._motion, before, self.state)
-        self.derivatives = self._read_derivatives(outcome)
+        self.mechanical = self._read_derivatives(outcome)
 
     def _pushed(self, linear: LinearStep, motion: Motion, before: State, after: State) -> tuple[Motion, Outcome]:
         """Derivatives at the end of a step, which the system holds."""
@@ -190,9 +206,9 @@ class TangentSimulation(Simulation):
         return linear.push(motion, columns, self._slopes, follow)
 
     def _read_derivatives(self, outcome: Outcome | None) -> dict[str, np.ndarray]:
-        """Of all channels, by the parameters: through the state, and of the sensors and cameras themselves."""
+        """Of all channels, by the parameters, through the state."""
         frames, count = self.actual_frames(), len(self._along)
-        reading = self.observer.read(self.scene.rig, frames)
+        self._reading = reading = self.observer.read(self.scene.rig, frames)
         out = {}
         for name, value in reading.items():
             out[name] = np.zeros((*value.shape, count))
@@ -206,11 +222,6 @@ class TangentSimulation(Simulation):
                         total = total + by_moment @ outcome.moment[term]
                 total = total + sensed.by_frame @ self._frame_motion(sensed.mount, outcome)
                 out[name] = total.reshape(out[name].shape)
-        for k in self._seen_otherwise:
-            direction = self._along[k]
-            ends = [self.observer.see(rig, frames) for rig in (direction.high, direction.low)]
-            for name in ends[0]:
-                out[name][..., k] += (ends[0][name] - ends[1][name]) / direction.width
         for name, value in reading.items():
             out[name][np.isnan(value)] = np.nan
         return out
@@ -225,10 +236,6 @@ class TangentSimulation(Simulation):
             rotation = self.frames[mount][1].as_matrix()
             out[:3] += rotation.T @ deflections.reshape(-1, 3, count)[group]
         return out
-
-
-def _sees_alike(direction: Direction) -> bool:
-    return direction.low.cameras == direction.high.cameras
 
 
 def simulate_tangent(
@@ -246,12 +253,37 @@ def simulate_tangent(
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
     commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
     simulation = TangentSimulation(scene, along, settings, command_motions(scene.rig, along, commanded, times))
+    return recorded(simulation, poses, times, along, on_step)
+
+
+def recorded(
+    simulation: TangentSimulation,
+    poses: Mapping[str, PoseTrajectory],
+    times: np.ndarray,
+    along: Sequence[Direction],
+    on_step: Callable[[int, int], None] | None = None,
+) -> tuple[Trace, dict[str, np.ndarray]]:
+    """Trace of a simulation run at ``times`` [s], and its derivatives ``(n_times, ..., n_parameters)`` by channel."""
     stacked: list[dict[str, np.ndarray]] = []
+    imaging = Imaging(along)
+
+    def keep() -> None:
+        stacked.append(simulation.mechanical)
+        simulation.picture(imaging)
 
     def record(done: int, total: int) -> None:
-        stacked.append(simulation.derivatives)
+        keep()
         if on_step is not None:
             on_step(done, total)
 
-    trace = run(simulation, poses, times, record, on_reset=lambda: stacked.append(simulation.derivatives))
-    return trace, {c: np.stack([s[c] for s in stacked]) for c in trace.outputs}
+    trace = run(simulation, poses, times, record, on_reset=keep)
+    return trace, with_imaging({c: np.stack([s[c] for s in stacked]) for c in trace.outputs}, imaging)
+
+
+def with_imaging(mechanical: Mapping[str, np.ndarray], imaging: Imaging) -> dict[str, np.ndarray]:
+    """Derivatives ``(n_times, ..., n_parameters)`` by channel with what parameters change in cameras alone."""
+    found = {name: derivatives.copy() for name, derivatives in mechanical.items()}
+    for name, derivatives in found.items():
+        for k, slope in imaging.slopes(name).items():
+            derivatives[..., k] += slope
+    return found

@@ -63,6 +63,13 @@ def out_of_picture(camera: Camera, optic: np.ndarray) -> np.ndarray:
     return np.asarray(np.isnan(project(camera, optic)).any(axis=1))
 
 
+def _sideways(point: np.ndarray) -> str:
+    """How far a point in the optical frame [m] ``(3,)`` is beside the axis, in words."""
+    named = ((point[0], "right", "left"), (point[1], "down", "up"))
+    least = 0.01 * float(np.linalg.norm(point))
+    return " and ".join(f"{1e3 * abs(v):.3g} mm {a if v > 0.0 else b}" for v, a, b in named if abs(v) > least)
+
+
 def _seen_at(
     layout: Layout, name: str, camera: Camera, body: str, world: np.ndarray, frames: Mapping[str, Frame]
 ) -> list[Finding]:
@@ -83,7 +90,7 @@ def _seen_at(
             half = np.rad2deg(np.arctan2(0.5 * camera.width_px, camera.fx_px))  # type: ignore[union-attr]
             where = (
                 f"they are {off:.0f} deg off its axis, and its picture reaches {half:.0f} deg to each side "
-                f"({1e3 * mean[0]:.3g} mm right, {1e3 * mean[1]:.3g} mm down at {1e3 * mean[2]:.3g} mm distance)"
+                f"({_sideways(mean)} at {1e3 * mean[2]:.3g} mm distance)"
             )
         return [
             Finding(
@@ -156,11 +163,11 @@ def _hidden(layout: Layout, name: str, camera: Camera, body: str, world: np.ndar
     for other, hidden in blocked.items():
         if hidden.any():
             what = f"{other} stands before them" if other != body else f"they are on the far side of {body}"
+            of = f"any of its {len(world)}" if hidden.all() else f"{int(hidden.sum())} of its {len(world)}"
             found.append(
                 Finding(
                     "markers hidden",
-                    f"The camera {name} cannot see {int(hidden.sum())} of the {len(world)} markers on "
-                    f"{body} at the start: {what}.",
+                    f"The camera {name} cannot see {of} markers on {body} at the start: {what}.",
                     "Move the camera or the markers, or take them out of 'sees'.",
                 )
             )

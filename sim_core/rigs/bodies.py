@@ -298,7 +298,11 @@ class Gel(Strict):
     )
     pose: Pose = Field(default=Pose(), description="pose in the frame of its mount, or in the base frame")
     material: GelMaterial = Field(description="E_pa, nu, density_kg_m3, or a preset")
-    bonded: Text | None = Field(default=None, description="face that is glued to the mount")
+    bonded: Text | None = Field(
+        default=None,
+        description="face that is glued to the mount (block: bottom, top, x_min, x_max, y_min, y_max; disc: bottom, "
+        "top, side; dome: base, outer, inner)",
+    )
     mount: Name | None = Field(
         default=None, description="end effector or `world` to which it is glued; left out, with `bonded`: it is free"
     )

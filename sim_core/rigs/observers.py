@@ -54,7 +54,7 @@ class Points(Strict):
     is simulated without a recording.
     """
 
-    face: Text | None = Field(default=None, description="face of a gel on which the grid lies")
+    face: Text | None = Field(default=None, description="face of a gel on which the grid lies, as in `bonded`")
     grid: Cells2 | None = Field(
         default=None,
         description="numbers of points along the first and the second axis; on a dome rings and points of a ring",

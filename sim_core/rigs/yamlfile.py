@@ -161,7 +161,7 @@ def _steps(location: tuple[int | str, ...], data: object) -> list[int | str]:
 def _join(steps: list[int | str]) -> str:
     text = ""
     for step in steps:
-        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
+        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else str(step)
     return text
 
 

@@ -17,8 +17,10 @@ import copy
 import weakref
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
 from sim_core.energies.term import PairTable
 from sim_core.kernels import BoundKernel
@@ -114,6 +116,10 @@ class Stiffness:
         """Change of the nodal gradient [N] for a move of all nodes [m], ``(n, 3)`` both, as
         :meth:`System.nodal_product`."""
         return self._keeper.prepared(self.layout).product(self.layout, self._values, move)
+
+    def products(self, moves: np.ndarray) -> np.ndarray:
+        """As :meth:`product`, for several moves at once, ``(n, 3, k)``."""
+        return self._keeper.prepared(self.layout).products(self.layout, self._values, moves)
 
     def factorise(self) -> None:
         """Make and keep a factorisation of its own."""
@@ -221,6 +227,32 @@ class _Prepared:
         self._move[:] = move
         self._product()
         return np.array(self._out)
+
+    def products(self, layout: Pattern, values: np.ndarray, moves: np.ndarray) -> np.ndarray:
+        """H ``moves``, as :meth:`product`, of several moves ``(n, 3, k)``."""
+        self._take(layout, values)
+        whole = 3 * len(moves)
+        data, indices, starts = self._values[self._entries[0]], *self._entries[1:]
+        matrix = sp.csr_matrix((data, indices, starts), shape=(whole, whole))
+        return np.asarray(matrix @ moves.reshape(whole, -1)).reshape(moves.shape)
+
+    @cached_property
+    def _entries(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of all of H as a sparse matrix: where each entry is among the values, its column, and the starts of rows."""
+        table = self._layout.table
+        row = np.repeat(np.arange(len(table.start) - 1), np.diff(table.start))
+        column, base = table.column[: len(row)].astype(int), 9 * table.place[: len(row)].astype(int)
+        a, b = (axis.ravel() for axis in np.indices((3, 3)))
+        own = (row == column)[:, None]
+        upper = base[:, None] + 3 * np.where(own, np.minimum(a, b), a) + np.where(own, np.maximum(a, b), b)
+        down, across = 3 * row[:, None] + a, 3 * column[:, None] + b
+        apart = ~own[:, 0]
+        rows = np.concatenate([down.ravel(), across[apart].ravel()])
+        columns = np.concatenate([across.ravel(), down[apart].ravel()])
+        where = np.concatenate([upper.ravel(), upper[apart].ravel()])
+        order = np.lexsort((columns, rows))
+        starts = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=3 * (len(table.start) - 1)))])
+        return where[order], columns[order], starts
 
     def data(self, layout: Pattern, values: np.ndarray, springs: np.ndarray) -> np.ndarray:
         """Entries of H as its factorisation takes them."""

@@ -217,9 +217,14 @@ class System:
         """Change of all nodes ``(n, 3)`` for a change of the unknowns."""
         return self._unknowns.spread(direction)
 
+    @property
+    def spread_matrix(self) -> sp.csr_matrix:
+        """:meth:`spread` as a matrix ``(3 n, n_unknowns)``; its transpose is :meth:`restrict` without springs."""
+        return self._pattern.spread
+
     def reduced_mass(self) -> sp.csr_matrix:
         """Mass matrix over the unknowns [kg]."""
-        spread = self._pattern.spread
+        spread = self.spread_matrix
         return (spread.T @ sp.kron(self.mass, sp.identity(3)) @ spread).tocsr()
 
     @property
@@ -394,7 +399,11 @@ class System:
     def passed_on(self, exerted: np.ndarray, body: np.ndarray) -> np.ndarray:
         """What prescribed nodes bear [N] ``(n, 3)`` beside what the terms exert on them: inertia and weight of their
         own, and all that acts on nodes embedded in them. ``exerted``: dE/dx of the terms; ``body``: of inertia, weight
-        and loads, ``(n, 3)`` both."""
+        and loads, ``(n, 3)`` both, or several of them, ``(n, 3, k)``."""
+        if exerted.ndim > 2 and not self.passes_on:
+            return np.where(self.holding[..., None], body, 0.0)
+        if exerted.ndim > 2:
+            return np.stack([self.passed_on(exerted[..., k], body[..., k]) for k in range(exerted.shape[2])], axis=-1)
         out = np.where(self.holding, body, 0.0)
         if self.passes_on:
             whole = exerted + body

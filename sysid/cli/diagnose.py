@@ -32,7 +32,7 @@ def diagnose(
     check_parts(bags, held_out or [])
     check_new(out, "folder")
     find = library("sysid.workflow", "diagnose_bags")
-    with progress("diagnose") as report:
+    with progress("diagnose", timed=False) as report:
         summary = find(
             chosen,
             bags,

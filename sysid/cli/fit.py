@@ -101,7 +101,7 @@ def fit(
     check_new(out, "folder")
     for finding in review(chosen):
         warn(finding.text)
-    with interrupts_told(KEPT) as pressed, progress("fit") as report:
+    with interrupts_told(KEPT) as pressed, progress("fit", timed=False) as report:
         result = fit_bags(
             chosen,
             bags,

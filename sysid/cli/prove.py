@@ -91,7 +91,7 @@ def record(
 def run(folder: CasesFolder) -> None:
     """Diagnose every case without looking at the truth."""
     _check_cases(folder)
-    with progress("prove run") as report:
+    with progress("prove run", timed=False) as report:
         print(library("sysid.proof", "run_cases")(folder, on_progress=report))
 
 

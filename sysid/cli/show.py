@@ -58,7 +58,7 @@ def show(
     name = "_".join(["show", chosen.name, *([Path(what.rpartition("@")[0] or what).stem] if what else [])])
     folder = out or Path(name)
     check_folder(folder)
-    with progress("show") as report:
+    with progress("show", timed=False) as report:
         subject = draw(chosen, what, folder, by=by, animation=animation, on_progress=report)  # type: ignore[arg-type]
     for finding in subject.findings:
         warn(finding.text)

@@ -18,7 +18,9 @@ from sim_core.rigs import Gel, Rig, Sheet
 from sysid.diagnosis.model_tolerance import model_tolerance
 from sysid.diagnosis.predictability import unpredictable, without
 from sysid.diagnosis.residual_analysis import structure
+from sysid.fit.contact_mesh import ContactMesh, follow_finer, refined_where_touched
 from sysid.fit.discretisation_refinement import discretisation
+from sysid.fit.time_steps import followed, with_steps
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.prediction_source import AnyEngine
@@ -110,11 +112,19 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     parameters += nuisance_parameters(rig, runs, parameters, KINDS)
     start = start_of(rig, parameters)
     noise = channel_noise(rig, runs, held_out)
-    plain = _all(engine, rig, parameters, start, runs)
+    runs, plain = _with_steps(engine, [rig_in(rig, parameters, start, run.name) for run in runs], runs, noise)
+    mesh = refined_where_touched(rig, [*runs, *held_out])
+    if mesh is not None:
+        derived = engine.predict_all(rig, runs, parameters, start)
+        finer = _all(engine, mesh.rig, parameters, start, runs)
+        if follow_finer(runs, derived, finer, noise, np.array([p.known_sd or p.prior_sd for p in parameters])):
+            rig, plain = mesh.rig, finer
+        else:
+            mesh = None
     clean, _ = without_outliers(runs, plain, noise)
     noise = channel_noise(rig, clean, held_out)
     tell(0.08, "error of mesh and time step")
-    shapes = error_shapes(engine, rig, parameters, start, clean, plain)
+    shapes = error_shapes(engine, rig, parameters, start, clean, plain, mesh)
     fine, left_out = fine_enough(clean, shapes, noise)
     if left_out:
         runs, clean = [runs[k] for k in fine], [clean[k] for k in fine]
@@ -140,7 +150,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     known = np.array([p.known_sd or p.prior_sd for p in parameters])
     try:
         if elsewhere is not None or np.abs((fitted.scaled - start) / known).max(initial=0.0) > MEASURED_WITHIN:
-            shapes = error_shapes(engine, rig, parameters, fitted.scaled, clean, fitted.predictions)
+            shapes = error_shapes(engine, rig, parameters, fitted.scaled, clean, fitted.predictions, mesh)
     except ThinshellError as error:
         unknown = f"it stands where its discretisation error is not known. {error}"
     problem = Problem(clean, noise, sparing, shapes, prior=True)
@@ -151,9 +161,9 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         raise KeyboardInterrupt
     problem.engine = engine
     tell(0.38, "held-out recordings")
-    check, notes = held_out_problem(engine, fitted, noise, held_out)
+    check, notes = held_out_problem(engine, fitted, noise, held_out, mesh)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
-    base = Baseline(problem, fitted, check, there, noise, outliers, (*left_out, *notes))
+    base = Baseline(problem, fitted, check, there, noise, outliers, (*(mesh.notes if mesh else ()), *left_out, *notes))
     far = structure(problem, fitted).missing or (there is not None and structure(check, there).missing)
     return _where_predictable(engine, base, tell) if far else base
 
@@ -273,6 +283,20 @@ def _all(
     return [job.result() for job in jobs]
 
 
+def _with_steps(
+    engine: AnyEngine, rigs: Sequence[Rig], runs: Sequence[Run], noise: dict[str, ChannelNoise]
+) -> tuple[list[Run], list[Prediction]]:
+    """The runs with steps of the solver that follow their readings, and their predictions, by the rig of each."""
+    pending = [engine.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
+    shorter = with_steps(engine, rigs, runs, noise)
+    plain = [job.result() for job in pending]
+    there = [
+        p if run is given else engine.submit(rig, run).result()
+        for rig, run, given, p in zip(rigs, shorter, runs, plain, strict=True)
+    ]
+    return followed(runs, plain, shorter, there, noise)
+
+
 def error_shapes(
     engine: AnyEngine,
     rig: Rig,
@@ -280,27 +304,33 @@ def error_shapes(
     scaled: np.ndarray,
     runs: Sequence[Run],
     plain: Sequence[Prediction],
+    mesh: ContactMesh | None = None,
 ) -> list[ErrorShape]:
     """What predictions ``plain`` at scaled values may be off: by mesh, by time step, and as a model."""
     rigs = [rig_in(rig, parameters, scaled, run.name) for run in runs]
-    return [*discretisation(engine, rigs, runs, plain), model_tolerance(runs, plain)]
+    return [*discretisation(engine, rigs, runs, plain, mesh), model_tolerance(runs, plain)]
 
 
 def held_out_problem(
-    engine: AnyEngine, fitted: Fitted, noise: dict[str, ChannelNoise], held_out: Sequence[Run]
+    engine: AnyEngine,
+    fitted: Fitted,
+    noise: dict[str, ChannelNoise],
+    held_out: Sequence[Run],
+    mesh: ContactMesh | None = None,
 ) -> tuple[Problem, tuple[str, ...]]:
     """The held-out recordings that the fitted rig can follow, without mistakes, beside the errors of their own."""
     kept: list[Run] = []
     shapes: list[list[ErrorShape]] = []
     lost: list[str] = []
-    for run in held_out:
+    for given in held_out:
         try:
-            plain = engine.submit(fitted.rig, run).result()
-            clean = without_outliers([run], [plain], noise)[0]
-            shapes.append([*discretisation(engine, fitted.rig, clean, [plain]), model_tolerance(clean, [plain])])
+            run, plain = _with_steps(engine, [mesh.coarse(fitted.rig) if mesh else fitted.rig], [given], noise)
+            plain = [engine.submit(fitted.rig, run[0]).result()] if mesh else plain
+            clean = without_outliers(run, plain, noise)[0]
+            shapes.append([*discretisation(engine, fitted.rig, clean, plain, mesh), model_tolerance(clean, plain)])
             kept += clean
         except ThinshellError as error:
-            lost.append(f"{run.name} is left out, it could not be simulated: {error}")
+            lost.append(f"{given.name} is left out, it could not be simulated: {error}")
     together = [
         replace(first, shapes=tuple(s[k].shapes[0] for s in shapes), sight=tuple(x for s in shapes for x in s[k].sight))
         for k, first in enumerate(shapes[0])

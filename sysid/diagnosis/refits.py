@@ -17,13 +17,16 @@ from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.evidence import log_evidence, significance
 from sysid.diagnosis.residual_analysis import Structure, structure
 from sysid.diagnosis.validation import gain_of, seen_by_both
-from sysid.model.parameters import FitParameter, fit_parameters, start_of
+from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.solve.gauss_newton import IN_SIGHT
 from sysid.solve.optimum import Fitted
 
-EVALUATIONS = 6
+EVALUATIONS = 5
 """Evaluations allowed to a refit."""
+
+IN_FULL = 3
+"""Sets that are refitted: those that simulations at their starts explain best."""
 
 TOLERANCE = 5.0
 """Improvement of chi-square, in units of the misfit, below which a refit ends."""
@@ -98,15 +101,47 @@ def own_parameters(rig: Rig, hypotheses: Sequence[Hypothesis], scales: Recording
     return found
 
 
-def refit(base: Baseline, begun: Fitted, start: Start, scales: RecordingScales) -> Fitted:
-    """Fit baseline and effects together. ``begun``: the model that the shift is counted from."""
+def _begun_at(begun: Fitted, start: Start, scales: RecordingScales) -> tuple[Rig, list[FitParameter], np.ndarray]:
+    """Rig that the priors pull to, parameters of baseline and effects, and their scaled values where a refit begins."""
     rig = amended(begun.rig, start)
     own = own_parameters(rig, start.hypotheses, scales)
     parameters = [*begun.parameters, *own]
     scaled = np.concatenate([begun.scaled + start.shift, start_of(rig, own)])
     limits = np.array([p.scaled_bounds for p in parameters]).T
     centre = begun.centre.model_copy(update={"effects": {**begun.centre.effects, **_at_rest(rig, start)}})
-    at = np.clip(scaled, *limits)
+    return centre, parameters, np.clip(scaled, *limits)
+
+
+def _ahead(
+    base: Baseline, begun: Fitted, starts: Sequence[Start], scales: RecordingScales, failed: dict[str, str]
+) -> list[Start]:
+    """The starts of the sets that simulations there explain best, at most :data:`IN_FULL` sets."""
+    if len({s.names for s in starts}) <= IN_FULL and len(starts) <= IN_FULL:
+        return list(starts)
+    jobs = []
+    for start in starts:
+        centre, parameters, at = _begun_at(begun, start, scales)
+        rigs = [rig_in(centre, parameters, at, run.name) for run in base.problem.runs]
+        runs = zip(rigs, base.problem.runs, strict=True)
+        jobs.append((start, at, [base.problem.engine.submit(rig, run) for rig, run in runs]))
+    found: list[tuple[float, Start]] = []
+    for start, at, row in jobs:
+        try:
+            residual = base.problem.assemble([job.result() for job in row], [], at).residual
+        except ThinshellError as error:
+            failed[" and ".join(sorted(start.names))] = f"could not be simulated: {error}"
+            continue
+        found.append((float(residual @ residual), start))
+    found.sort(key=lambda pair: pair[0])
+    best: dict[frozenset[str], Start] = {}
+    for _, start in found:
+        best.setdefault(start.names, start)
+    return list(best.values())[:IN_FULL]
+
+
+def refit(base: Baseline, begun: Fitted, start: Start, scales: RecordingScales) -> Fitted:
+    """Fit baseline and effects together. ``begun``: the model that the shift is counted from."""
+    centre, parameters, at = _begun_at(begun, start, scales)
     problem = copy(base.problem)
     problem.engine = SparingPredictor(base.problem.engine)
     return problem.fit(centre, parameters, at, max_evaluations=EVALUATIONS, tolerance=TOLERANCE)
@@ -131,7 +166,9 @@ def trials_of(
     scales: RecordingScales,
     failed: dict[str, str],
 ) -> list[Trial]:
-    """Refit side by side and score; of several starts of one set the best. What fails is told in ``failed``."""
+    """Refit the most promising side by side and score; of several starts of one set the best. What fails is told in
+    ``failed``."""
+    starts = _ahead(base, begun, starts, scales, failed)
 
     def attempt(start: Start) -> tuple[Start, Fitted, Fitted | None] | None:
         label = " and ".join(sorted(start.names))

@@ -14,7 +14,8 @@ from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.refits import Trial
 from sysid.diagnosis.result import Candidate, NamedParameter
 from sysid.diagnosis.screening import Score, Screen
-from sysid.diagnosis.verdict import Case, Verdict, probabilities, rejected, size_of
+from sysid.diagnosis.verdict import Case, Verdict, probabilities, size_of
+from sysid.diagnosis.wording import reason
 from sysid.fit.discretisation_refinement import large_discretisation_errors, unresolved_quantities
 from sysid.model.parameters import start_of
 from sysid.model.windows import not_from_rest
@@ -22,6 +23,9 @@ from sysid.noise.data_quality import data_quality_warnings
 from sysid.noise.estimate import FROM_DIFFERENCES
 from sysid.solve.covariance import interval, uncertainty
 from sysid.solve.optimum import Fitted
+
+TOLD = 0.7
+"""Deviation of an amplitude, as a share of that of what is known before, below which recordings limit it."""
 
 FAR_FROM_KNOWN = 3.0
 """Standard deviations of what was known of a parameter from which its fitted value needs explaining."""
@@ -52,7 +56,7 @@ def candidates_of(
     for trial in trials:
         for h in trial.hypotheses:
             if h.effect.name not in named and (len(trial.hypotheses) == 1 or h.effect.name not in rest):
-                rest[h.effect.name] = _candidate(trial, h, chances[trial.names], rejected(trial, case))
+                rest[h.effect.name] = _candidate(trial, h, chances[trial.names], reason(trial, case))
     return tuple(named.values()), tuple(rest.values())
 
 
@@ -76,8 +80,9 @@ def named_parameters(fitted: Fitted, prefix: str = "") -> tuple[NamedParameter, 
 
 
 def limits(screened: Screened, verdict: Verdict) -> dict[str, float]:
-    """By amplitude, the size that the recordings would have shown (95 %) of effects that are not the answer: where the
-    best factor with its deviations ends, by the screening; only where that is within reach of the response."""
+    """By amplitude, the size that the recordings would have shown (95 %) of effects that are not the answer: how far
+    from the value at which the effect vanishes the best factor with its deviations ends, by the screening. Only where
+    that is within reach of the response, and where the recordings tell more than what was known before."""
     named = {h.effect.name for t in verdict.named for h in t.hypotheses}
     found: dict[str, float] = {}
     screen = screened.screen
@@ -91,11 +96,10 @@ def limits(screened: Screened, verdict: Verdict) -> dict[str, float]:
             if name in found or not np.isfinite(amplitude.none):
                 continue
             most = abs(factor) + 1.645 * sd
-            if most <= amplitude.limits[1]:
+            if most <= amplitude.limits[1] and sd < TOLD * amplitude.sd:
                 p = amplitude.parameter
-                found[name] = float(
-                    np.clip(amplitude.none + most * (amplitude.typical - amplitude.none), p.lower, p.upper)
-                )
+                reach = max(amplitude.none - p.lower, p.upper - amplitude.none)
+                found[name] = float(min(most * abs(amplitude.typical - amplitude.none), reach))
     return found
 
 
@@ -105,7 +109,7 @@ def fates(rig: Rig, verdict: Verdict, trials: Sequence[Trial], case: Case, scree
     apply = [e.name for e in all_effects().values() if e.name not in present and e.variants(rig)]
     became = dict.fromkeys(apply, "promised no better fit") | screened.failed
     for trial in sorted(trials, key=lambda t: -len(t.names)):
-        why = rejected(trial, case) or "fits, but less well than the answer"
+        why = reason(trial, case) or "fits, but less well than the answer"
         became |= {h.effect.name: why for h in trial.hypotheses}
     if verdict.kind in ("named", "one_of", "partly"):
         became |= {h.effect.name: "the answer" for t in verdict.named for h in t.hypotheses}
@@ -145,11 +149,12 @@ def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
         value, began, known = p.physical(scaled), p.physical(first), p.known_sd or p.prior_sd
         if min(scaled - low, high - scaled) < 1e-3 * p.prior_sd:
             said.append(
-                f"The baseline ends at the bound of {p.name}, {value:.4g} {p.unit}; that itself needs explaining."
+                f"The baseline ends at the bound of {p.name}, {f'{value:.4g} {p.unit}'.rstrip()}; that itself needs "
+                "explaining."
             )
         elif abs(scaled - first) > FAR_FROM_KNOWN * known:
             said.append(
-                f"The baseline needs {p.name} = {value:.4g} {p.unit} where the rig says {began:.4g}, "
+                f"The baseline needs {p.name} = {f'{value:.4g} {p.unit}'.rstrip()} where the rig says {began:.4g}, "
                 f"{abs(scaled - first) / known:.1f} times as far off as is known of it; that itself needs explaining."
             )
     return (*said, *base.notes)

@@ -6,7 +6,12 @@ from collections.abc import Mapping, Sequence
 
 from sysid.diagnosis.refits import Trial
 from sysid.diagnosis.result import Located, UnreliablePlace
-from sysid.diagnosis.verdict import MOST_EXPLAINED, Case, Verdict, size_of
+from sysid.diagnosis.verdict import MOST_EXPLAINED, Case, Verdict, rejected, size_of
+
+NOWHERE = "nowhere in particular"
+
+LITTLE = 0.005
+"""Share of the misfit below which none is said to be left."""
 
 
 def sentence(
@@ -72,9 +77,18 @@ def _percent(share: float | None) -> str:
 
 def _where(located: Located, what: str) -> str:
     if not located.channels or located.channels[0].share <= 0.0:
-        return "nowhere in particular"
+        return NOWHERE
     first = located.channels[0]
-    return f"most in the {first.quantity} of {first.channel} ({_percent(first.share)} of the {what}), {located.phase}"
+    when = f", mostly while {located.phase}" if located.phase not in ("", NOWHERE) else ""
+    return f"most in the {first.quantity} of {first.channel} ({_percent(first.share)} of the {what}){when}"
+
+
+def reason(trial: Trial, case: Case) -> str:
+    """Why a set of effects is no answer, in words of everyday use; empty when it may be one."""
+    why = rejected(trial, case)
+    if not why or trial.failure or trial.gain >= case.needed:
+        return why
+    return "Chance alone improves a fit as much."
 
 
 def not_explained(verdict: Verdict, case: Case) -> str:
@@ -84,10 +98,12 @@ def not_explained(verdict: Verdict, case: Case) -> str:
     if verdict.kind == "refine_discretisation":
         return "The discretisation error hides what there may be."
     if not verdict.named:
-        return f"All of the structured misfit ({case.before.whole.excess:.4g} in squared noise units)."
+        return "All of the misfit beyond noise and the discretisation error."
     best = verdict.named[0]
     left = max(0.0, 1.0 - size_of(best))
-    text = f"{_percent(left)} of the structured misfit remains with the knowledge that {best.title}."
+    if left < LITTLE:
+        return f"With the knowledge that {best.title}, no misfit beyond noise and the discretisation error is left."
+    text = f"{_percent(left)} of the misfit beyond noise is left with the knowledge that {best.title}."
     if size_of(best) < MOST_EXPLAINED:
         text += " Another effect acts as well, or a law that is not in the library."
     return text

@@ -27,6 +27,7 @@ import numpy as np
 from sim_core.batch import worker_ended
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
+from sysid.fit.contact_mesh import ContactMesh
 from sysid.model.parameters import FitParameter, rig_in, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
@@ -73,10 +74,12 @@ def discretisation(
     rig: Rig | Sequence[Rig],
     runs: Sequence[Run],
     plain: Sequence[Prediction] | None = None,
+    mesh: ContactMesh | None = None,
 ) -> list[ErrorShape]:
     """How the predictions change when the mesh, and when the time step, is refined once.
 
-    ``rig``: one for all runs, or one for each; ``plain``: its predictions as it is, where they are at hand.
+    ``rig``: one for all runs, or one for each; ``plain``: its predictions as it is, where they are at hand; ``mesh``:
+    cells that were made finer, which are compared with those as they were (:mod:`sysid.fit.contact_mesh`).
 
     The true error is about 2^p / (2^p - 1) of these differences, with the order p of the mesh
     (:data:`MESH_ORDER`) and of the rig's integrator; the shapes are scaled accordingly. Raises
@@ -85,10 +88,21 @@ def discretisation(
     rigs = rig if isinstance(rig, Sequence) else [rig] * len(runs)
     pairs = list(zip(rigs, runs, strict=True))
     pending = [engine.submit(there, run) for there, run in pairs] if plain is None else []
-    fine = [engine.submit(there, run, 2) for there, run in pairs]
+    if mesh is None:
+        fine = [engine.submit(there, run, 2) for there, run in pairs]
+    else:
+        fine = [engine.submit(mesh.coarse(there), run) for there, run in pairs]
     short = [engine.submit(there, run, 1, 0.5 * there.solver.dt_s) for there, run in pairs]
     base = plain or [_outcome(f, run, "as it is") for f, run in zip(pending, runs, strict=True)]
-    return _error_shapes(rigs, runs, base, fine, short)
+    found = _error_shapes(rigs, runs, base, fine, short)
+    return found if mesh is None else [_from_coarser(found[0], mesh.finer), *found[1:]]
+
+
+def _from_coarser(shape: ErrorShape, finer: float) -> ErrorShape:
+    """The error of a mesh from the change to a coarser one, the cells of which are ``finer`` times as wide."""
+    halved = 2.0**MESH_ORDER / (2.0**MESH_ORDER - 1.0)
+    share = -1.0 / (finer**MESH_ORDER - 1.0) / halved
+    return replace(shape, shapes=tuple({c: share * d for c, d in run.items()} for run in shape.shapes))
 
 
 def discretisation_with_slopes(

@@ -19,6 +19,7 @@ from sysid.fit.discretisation_refinement import (
     large_discretisation_errors,
     unresolved_quantities,
 )
+from sysid.fit.given_values import given, said_of_rise, said_of_stay
 from sysid.fit.minimum_norm import minimum_norm_solution
 from sysid.fit.multistart import SEARCHED, Evaluations, Progress, Searches, Step
 from sysid.fit.options import FitOptions, Intervals
@@ -143,9 +144,17 @@ def _fit_runs(
         on_progress(0.97, "interrupted; what was found is put together")
     with interrupts_ignored():
         before = problem.compare([future.result() for future in as_given], rig, [], np.zeros(0))
-        nuisances = nuisances_of(problem, fitted)
         own = error_sizes(problem)
         errors = rms_errors(problem, before, fitted, held_out=False, own=own)
+        stays = given(problem, fitted, first, errors)
+        if stays is not None:
+            why = [said_of_stay(errors)]
+            found = _at_given(found, stays, first)
+            fitted = stays
+            errors = rms_errors(problem, before, fitted, held_out=False, own=own)
+        else:
+            why = said_of_rise(errors)
+        nuisances = nuisances_of(problem, fitted)
         series = plot_series(problem, before, fitted, held_out=False, raw=runs)
         sentences, left = [f.sentence for f in found.findings], unexplained(problem, fitted)
         open_ended = names_undetermined(found.findings)
@@ -211,7 +220,8 @@ def _fit_runs(
             outliers=look.outliers,
             unexplained=left,
             contradicted=found.contradicted,
-            cautions=data_quality_warnings(rig, runs)
+            cautions=why
+            + data_quality_warnings(rig, runs)
             + large_discretisation_errors(problem)
             + unresolved_quantities(problem),
             undetermined=open_ended | {p.name for p in found.profiles if p.undetermined},
@@ -232,6 +242,15 @@ class _Found:
     reduced_chi2: float
     profiles: list[Profile]
     contradicted: list[str]
+
+
+def _at_given(found: _Found, stays: Fitted, first: np.ndarray) -> _Found:
+    """What is known of the parameters where the given values stay."""
+    estimates, correlation, findings, reduced = estimates_of(stays, first)
+    return replace(
+        found, fitted=stays, estimates=estimates, correlation=correlation, findings=findings, reduced_chi2=reduced,
+        profiles=[], contradicted=[],
+    )  # fmt: skip
 
 
 def _searched(

@@ -52,7 +52,8 @@ class Estimate:
 class ChannelError:
     """Root-mean-square error of one channel of one run in its own unit (wrench: forces; torques apart). ``noise``: what
     the fit used; ``declared``: what the rig says; ``own``: error of mesh and time step, as far as one refinement of the
-    recordings that were fitted shows it."""
+    recordings that were fitted shows it; ``before_over_noise``, ``after_over_noise``: the errors as multiples of the
+    noise, None where one of the two is not known."""
 
     run: str
     channel: str
@@ -64,6 +65,13 @@ class ChannelError:
     held_out: bool
     declared: float | None = None
     own: float = 0.0
+    before_over_noise: float | None = field(init=False, default=None)
+    after_over_noise: float | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        for name, error in (("before_over_noise", self.before), ("after_over_noise", self.after)):
+            known = error is not None and np.isfinite(error) and np.isfinite(self.noise) and self.noise > 0.0
+            object.__setattr__(self, name, float(error / self.noise) if known else None)
 
 
 @dataclass(frozen=True)

@@ -80,12 +80,16 @@ def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
     unlike = " ".join(found.problem for found in findings if found.of_another_rig)
     if unlike:
         unlike += " Give the rig that it was recorded with, if that is another one."
+    breaks: list[tuple[float, RecordingError]] = []
     for found in findings:
         if found.severity == "stops a fit" and found.name not in despite:
-            raise RecordingError(
+            stop = RecordingError(
                 " ".join(filter(None, [f"{path}: {found.channel}: {found.problem}", unlike])),
                 f"{found.remedy} To go on all the same: --despite {found.name}.",
             )
+            if not found.breaks:
+                raise stop
+            breaks += [(t, stop) for t in found.times]
     poses: dict[str, PoseTrajectory] = {}
     corners: list[str] = []
     for name in rig.end_effectors:
@@ -141,6 +145,7 @@ def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
         doubts=tuple(told_once([note for note in said if note.severity == "warning"])),
         lacking=lacking,
         counted=tuple(note for note in notes if note.times),
+        breaks=tuple(breaks),
     )
 
 

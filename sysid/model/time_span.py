@@ -27,12 +27,20 @@ STILL_S = 0.1
 
 def rollout_times(rigs: Sequence[Rig], run: Run, dt: float) -> np.ndarray:
     """Instants of the steps [s], at most ``dt`` apart, that tell the readings of ``run`` by any of ``rigs``. Those
-    until the end of the run do not depend on the rigs."""
+    until the end of the run do not depend on the rigs. Where a run has steps of its own, these are divided as ``dt``
+    divides the rig's."""
     ends = (m.t[-1] - total_delay(rig, m.channel, m.kind) for rig in rigs for m in run.measured)
     shown = max(ends, default=run.end)
     further = min(shown, known_until(rigs[0], run)) - run.end
     count = max(0, int(np.ceil(further / dt - 1e-9)))
-    return np.concatenate([step_times(0.0, run.end, dt), run.end + dt * np.arange(1, count + 1)])
+    own = step_times(0.0, run.end, dt) if run.steps is None else _divided(run.steps, round(rigs[0].solver.dt_s / dt))
+    return np.concatenate([own, run.end + dt * np.arange(1, count + 1)])
+
+
+def _divided(steps: np.ndarray, parts: int) -> np.ndarray:
+    """Every interval in equal parts."""
+    whole = np.arange(parts * (len(steps) - 1) + 1) / parts
+    return np.asarray(np.interp(whole, np.arange(len(steps)), steps))
 
 
 def after_known_motion(rig: Rig, run: Run, measured: Measured) -> np.ndarray:

@@ -37,6 +37,9 @@ FAR_OFF = 6.0
 def window_of(rig: Rig, run: Run, part: Part) -> Run:
     """The readings of a run in a window, its time counted from there. Raises ``RecordingError`` where there are none,
     and ``ConfigError`` where it cannot be known how the window begins."""
+    for at, stop in run.breaks:
+        if part.begin < at < min(part.end, run.end):
+            raise stop
     counted = [n for n in (note.between(part.begin, part.end) for note in run.counted) if n.times]
     doubts = told_once([n for n in counted if n.severity == "warning"])
     notes = told_once(counted)

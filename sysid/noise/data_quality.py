@@ -37,7 +37,8 @@ def data_quality_warnings(rig: Rig, runs: Sequence[Run]) -> list[str]:
             more = f"; and {len(run.doubts) - LISTED} more, in the notes" if len(run.doubts) > LISTED else ""
             said.append(
                 f"{run.name} was read with {plural(len(run.doubts), 'fault')} that may change the result: "
-                f"{'; '.join(run.doubts[:LISTED])}{more}."
+                f"{'; '.join(run.doubts[:LISTED])}{more}".rstrip(".")
+                + "."
             )
         said += _dead(run)
         if run.poses and not any(moves(p) for p in run.poses.values()):

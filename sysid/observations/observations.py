@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sim_core.errors import RecordingError
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.observations.selection import Part, given_again
 from sysid.recording.notes import Note
@@ -67,7 +68,9 @@ class Run:
     end, if it has one; ``changes``: until then, by channel. ``unlike``: in what it differs from recordings of the rig,
     in words. ``doubts``: those of the ``notes`` on how it was read that may change a result; ``lacking``: those on
     topics of the rig that it does not have. ``counted``: notes that count samples, which
-    :func:`sysid.model.windows.window_of` tells for the window, or for the whole."""
+    :func:`sysid.model.windows.window_of` tells for the window, or for the whole; ``breaks``: instants at which it
+    begins anew, each with the error of a window across it. ``steps`` [s] ``(k,)``: instants of the solver's steps from
+    0 to ``end`` where they are not ``solver.dt_s`` apart (:mod:`sysid.fit.time_steps`)."""
 
     name: str
     path: str
@@ -84,6 +87,8 @@ class Run:
     doubts: tuple[str, ...] = ()
     lacking: tuple[str, ...] = ()
     counted: tuple[Note, ...] = ()
+    breaks: tuple[tuple[float, RecordingError], ...] = ()
+    steps: np.ndarray | None = None
 
     def has(self, channel: str) -> bool:
         """Whether it has readings of a channel."""

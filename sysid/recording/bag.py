@@ -28,8 +28,14 @@ from sysid.recording.storage import FileIndex, Payloads
 
 METADATA = "metadata.yaml"
 
+WHAT = "a rosbag2 directory, an .mcap, .db3 or .bag file, or tables (.csv)"
+"""What a recording may be."""
+
 LARGEST_MESSAGE = 1 << 30
 """Bytes that a message may unpack to."""
+
+LONGEST_REMARK = 300
+"""Characters of a remark of the metadata that are shown."""
 
 
 @dataclass(frozen=True)
@@ -174,10 +180,10 @@ def _files_of(path: Path, notes: Notes) -> tuple[list[Path], Mapping[str, Any]]:
     if not path.is_dir():
         raise RecordingError(
             f"{path} is neither a file nor a folder (a device, a pipe or a socket).",
-            "Give a rosbag2 recording: its directory, an .mcap file or a .db3 file.",
+            f"Give {WHAT}.",
         )
     here = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_natural)
-    tables = sorted(path.glob(f"*{TABLE}"), key=_natural)
+    tables = sorted((p for p in path.iterdir() if p.suffix.lower() == TABLE), key=_natural)
     if tables and not here and not (path / METADATA).exists():
         return tables, {}
     metadata = _metadata(path / METADATA, notes)
@@ -205,8 +211,8 @@ def _files_of(path: Path, notes: Notes) -> tuple[list[Path], Mapping[str, Any]]:
             )
         listing = f"a {METADATA} that lists nothing" if (path / METADATA).exists() else f"no {METADATA}"
         raise RecordingError(
-            f"{path} is not a recording: it holds {listing} and no .mcap or .db3 file.",
-            "Give a rosbag2 directory, an .mcap file or a .db3 file.",
+            f"{path} is not a recording: it holds {listing} and no .mcap, .db3, .bag or .csv file.",
+            f"Give {WHAT}.",
         )
     notes.warning(METADATA, f"missing or unusable; {plural(len(here), 'storage file')} read in the order of names")
     return here, {}
@@ -287,4 +293,6 @@ def _note_remarks(metadata: Mapping[str, Any], notes: Notes) -> None:
     """Pass on what the metadata says of the recording in its own words."""
     remarks = metadata.get("custom_data")
     for name, text in remarks.items() if isinstance(remarks, Mapping) else ():
-        notes.info(METADATA, f"{name}: {text}")
+        words = " ".join(str(text).split())
+        short = words if len(words) <= LONGEST_REMARK else f"{words[:LONGEST_REMARK]} ... ({len(str(text))} characters)"
+        notes.info(METADATA, f"{name}: {short}")

@@ -52,7 +52,7 @@ class _Converted:
         self._folder = tempfile.TemporaryDirectory(prefix="thinshell-bag-")
         out = Path(self._folder.name) / "bag"
         self.problems: tuple[str, ...] = ()
-        if path.suffix == TABLE:
+        if path.suffix.lower() == TABLE:
             self.problems = write_table(path, out)
         else:
             self.problems = write_as_ros2(path, out, path)
@@ -75,6 +75,8 @@ def index_file(path: Path) -> FileIndex:
         index = (storage_sqlite.index_sqlite if is_sqlite else storage_mcap.index_mcap)(plain, path)
     except PermissionError as error:
         raise permission_denied(path) from error
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.", "Use another copy.") from error
     if compressed:
         index = replace(index, compression="+".join(filter(None, [index.compression, "zstd file"])))
     if cut_short:
@@ -119,7 +121,7 @@ def _converted(path: Path, _modified_ns: int) -> _Converted:
 
 def _foreign(path: Path) -> str:
     """The kind of a file that is no ROS 2 recording, '' of one that is."""
-    if path.suffix == TABLE:
+    if path.suffix.lower() == TABLE:
         return "csv"
     with path.open("rb") as file:
         return "rosbag1" if file.read(9) == b"#ROSBAG V" else ""

@@ -18,6 +18,7 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
+EVENTS = "diagnostic_msgs/msg/DiagnosticArray"
 
 POSES = (POSE, TRANSFORM, COVARIANCE_POSE, PLAIN_POSE)
 """Types that hold one pose. What has no header has no stamp: the time of recording stands for it."""

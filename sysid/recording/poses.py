@@ -28,6 +28,7 @@ _UNIT_TOLERANCE = 1e-9
 _ZERO_QUATERNION = 1e-3
 _HALF_TURN_X = 0.99
 _JUMP_M_S, _JUMP_M = 2.0, 0.01
+_JUMP_RAD_S, _JUMP_RAD = 10.0, 0.2
 
 
 def pose_content(message: Any) -> tuple[float, ...]:
@@ -59,6 +60,7 @@ def pose_stream(series: Series, declared: EETopics, t0_ns: int, notes: Notes) ->
     position = _metres(topic, t, values[:, :3], declared, notes)
     quaternion = _unit_quaternions(topic, values[:, 3:], declared, notes)
     _note_jumps(topic, t, position, notes)
+    _note_turns(topic, t, quaternion, notes)
     note_gaps(topic, t, notes)
     return PoseStream(
         topic=topic,
@@ -191,6 +193,20 @@ def _note_jumps(topic: str, t: Floats, position: Floats, notes: Notes) -> None:
             topic,
             f"{plural(count, 'jump')} of the position, the largest {step[k]:.4g} m within "
             f"{t[k + 1] - t[k]:.4g} s at t={t[k]:.4g} s; kept as recorded",
+        )
+
+
+def _note_turns(topic: str, t: Floats, quaternion: Floats, notes: Notes) -> None:
+    if len(t) < 3:
+        return
+    step = 2.0 * np.arccos(np.minimum(1.0, np.abs(np.sum(quaternion[1:] * quaternion[:-1], axis=1))))
+    jump = (step > _JUMP_RAD) & (step > _JUMP_RAD_S * np.diff(t)) & (step > 20.0 * np.median(step))
+    if jump.any():
+        k = int(np.argmax(np.where(jump, step, 0.0)))
+        notes.warning(
+            topic,
+            f"{plural(int(jump.sum()), 'jump')} of the orientation, the largest {np.degrees(step[k]):.3g} degrees "
+            f"within {t[k + 1] - t[k]:.4g} s at t={t[k]:.4g} s; kept as recorded",
         )
 
 

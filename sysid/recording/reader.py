@@ -10,6 +10,7 @@ from typing import Any
 from sim_core.errors import RecordingError
 from sysid.recording import clouds, poses, sensors
 from sysid.recording.bag import Bag, open_bag
+from sysid.recording.events import event_topics, read_events, with_one_zero
 from sysid.recording.files import sha256
 from sysid.recording.images import ImageStream
 from sysid.recording.messages import Series, read_series
@@ -34,7 +35,7 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
     """Read a recording that follows the bag contract, or that ``topics`` maps onto it.
 
     Args:
-        path: a rosbag2 directory, a directory of splits, or one .mcap or .db3 file.
+        path: a rosbag2 directory, a directory of splits, one .mcap, .db3 or .bag file, or tables (.csv).
         topics: the rig's topic names; None finds the names of the contract in any namespace.
         need_pose: refuse a recording without the pose of an end effector.
 
@@ -71,13 +72,15 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
     }
     targets = {name: poses.pose_stream(s, names.ee[name], t0_ns, notes) for name, s in of("target_pose").items()}
     measured = {name: poses.pose_stream(s, names.ee[name], t0_ns, notes) for name, s in of("current_pose").items()}
+    events = read_events(bag, t0_ns, names.time, notes)
+    wrenches, tared = {}, {}
+    for name, one in of("wrench").items():
+        stream = sensors.wrench_stream(one, sensor_topic(names.wrench[name]), t0_ns, notes)
+        wrenches[name], tared[name] = with_one_zero(stream, events, notes)
     recording = Recording(
         poses=_inputs(names, measured, targets, notes),
         target_poses=targets,
-        wrenches={
-            name: sensors.wrench_stream(s, sensor_topic(names.wrench[name]), t0_ns, notes)
-            for name, s in of("wrench").items()
-        },
+        wrenches=wrenches,
         markers={
             name: clouds.marker_stream(s, sensor_topic(names.markers[name]), t0_ns, notes)
             for name, s in of("markers").items()
@@ -88,10 +91,13 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
         ),
         notes=(),
         provenance=_provenance(bag, t0_ns),
+        events=events,
+        tared=tared,
     )
     used = {topic for found in roles.values() for topic in found.values()}
     used |= {topic for topic in calibrations.values() if topic}
     used |= set(tf_topics(bag)) if by_tf else set()
+    used |= set(event_topics(bag))
     _note_unused(bag, used, notes)
     return replace(recording, notes=notes.collected())
 

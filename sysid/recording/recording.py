@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from sim_core.errors import RecordingError
+from sysid.recording.events import Event
 from sysid.recording.images import ImageStream
 from sysid.recording.notes import Note, plural
 from sysid.recording.streams import MarkerStream, PoseStream, Stream, StreamT, TrackStream, WrenchStream
@@ -58,6 +59,8 @@ class Recording:
         images: by camera, decoded on demand.
         notes: everything that was repaired, assumed or found odd, warnings first.
         provenance: files, counts and checksums.
+        events: tares, resets and time left out that it tells of, in order of time; tares that could be undone are.
+        tared: by wrench sensor, times [s] of tares and resets that could not be undone.
     """
 
     poses: dict[str, PoseStream]
@@ -68,6 +71,8 @@ class Recording:
     images: dict[str, ImageStream]
     notes: tuple[Note, ...]
     provenance: Provenance
+    events: tuple[Event, ...] = ()
+    tared: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def t0_ns(self) -> int:

@@ -51,7 +51,7 @@ def wrench_stream(series: Series, declared: SensorTopic, t0_ns: int, notes: Note
         values[:, 3:] *= 1e-3
     largest = float(np.nanmax(np.abs(np.where(mask, values, 0.0))[:, :3]))
     if largest > LARGEST_N:
-        notes.warning(topic, f"forces up to {largest:.4g} N: looks like another unit than newton")
+        notes.info(topic, f"forces up to {largest:.4g} N: look whether they are in newtons")
     note_gaps(topic, t, notes)
     return WrenchStream(
         topic=topic,

@@ -222,7 +222,7 @@ def index_mcap(path: Path, shown: Path) -> FileIndex:
         if magic != MAGIC:
             raise RecordingError(
                 f"{shown} is not an MCAP file: it starts with {magic!r}.",
-                "Give a rosbag2 recording: its directory, an .mcap file or a .db3 file.",
+                "Give a rosbag2 directory, an .mcap, .db3 or .bag file, or tables (.csv).",
             )
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             return _scanned(data, size, shown).index(shown)

@@ -1,30 +1,37 @@
-"""The report of a diagnosis."""
+"""The report of a diagnosis.
+
+Every number of the page stands in ``diagnosis.json`` as well: where, in the attribute ``data-at`` (a JSON pointer), and
+in which unit it is shown, in ``data-unit``.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid.report.fit_page import ErrorTables, Tile, plural, recordings
-from sysid.report.numbers import MISSING, TIMES, Number, percent, raw_number, seconds, significant, times, with_unit
+from sysid.diagnosis.wording import NOWHERE
+from sysid.report.fit_page import SHORT_TABLE, ErrorTables, Shown, Tile, plural, recordings
+from sysid.report.numbers import MISSING, Number, percent, raw_number, scale_for, seconds, significant
 from sysid.report.page import embedded_json, write_page
 from sysid.report.panels import run_views, showcase
 from sysid.report.strips import LEVELS
 from sysid.report.tables import (
+    ErrorRow,
     ParameterRow,
+    PlacedError,
+    ShiftRow,
     bag_notes,
-    level,
+    error_row,
     named_row,
-    over_noise,
     provenance_of,
     shift_rows,
 )
 
 if TYPE_CHECKING:
     from sysid.diagnosis.result import Candidate, Diagnosis
-    from sysid.fit.result import ChannelError
 
 KINDS = {
     "nothing_missing": ("Nothing is missing", "good"),
@@ -36,6 +43,21 @@ KINDS = {
     "recording_fault": ("The recordings are at fault", "bad"),
 }
 """Short form and colour of each verdict."""
+
+LIKELIHOOD = (
+    (0.99, "practically certain"),
+    (0.9, "very likely"),
+    (0.66, "likely"),
+    (0.33, "about as likely as not"),
+    (0.1, "unlikely"),
+    (0.01, "very unlikely"),
+    (0.0, "practically excluded"),
+)
+"""Words for probabilities from so much on (after Mastrandrea et al., Guidance note on consistent treatment of
+uncertainties, IPCC 2010)."""
+
+SHORT_LIMITS = 12
+"""Upper limits up to which their table is open."""
 
 MOST_PLACES = 6
 """Places of the model that are shown where no law is known."""
@@ -51,9 +73,11 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
     kind, colour = KINDS.get(d.verdict, (d.verdict.replace("_", " "), ""))
     both = d.amended is not None
     names = ("baseline", "amended" if both else "baseline")
-    errors = paired_errors(d)
+    placed = paired_errors(d)
+    errors = [p.error for p in placed]
     windows = d.located.windows
     worst = max(d.located.channels, key=lambda c: _finite(c.share)) if d.located.channels else None
+    shifts = shift_rows(d.baseline_parameters, d.amended_parameters)
     return write_page(
         "diagnosis.html.j2",
         path,
@@ -66,22 +90,26 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
         amended_with=amended_with(d),
         first=showcase(d.series, errors, windows=windows, both=both, names=names, place=worst),
         lead=lead(d),
-        tiles=tiles(d),
-        effects=[EffectView.of(c) for c in d.effects],
-        shares=shares(d),
+        tiles=tiles(d, placed),
+        effects=[EffectView.of(c, f"/effects/{k}") for k, c in enumerate(d.effects)],
+        shares=[
+            _bar(f"{c.channel} {c.quantity}".strip(), "", c.share, f"/located/channels/{k}/share", True)
+            for k, c in enumerate(d.located.channels)
+        ],
         rivals=rivals(d),
-        rest=remainder(d),
-        place_and_time=place_and_time(d),
-        places=[_bar(p.words, p.place, p.explained, k == 0) for k, p in enumerate(d.places[:MOST_PLACES])],
-        windows=[(run, w) for run, w in windows.items() if w],
-        shifts=shift_rows(d.baseline_parameters, d.amended_parameters),
-        shift_sentences=shift_sentences(d),
-        errors=ErrorTables.of(errors),
-        held_out_sentence=held_out_sentence(d),
-        budget=budget(d),
+        places=[
+            _bar(p.words, p.place, p.explained, f"/places/{k}/explained", k == 0)
+            for k, p in enumerate(d.places[:MOST_PLACES])
+        ],
+        windows=spans(d),
+        shifts=[s for s in shifts if not s.nuisance],
+        nuisances=[s for s in shifts if s.nuisance],
+        shift_sentences=shift_sentences(shifts),
+        errors=error_tables(placed),
+        prediction=prediction(d, placed),
         limits=limits(d),
-        discretisation=discretisation_facts(d),
-        noise=[(k, significant(v), raw_number(v)) for k, v in d.noise_floor.items()],
+        short_limits=SHORT_LIMITS,
+        plan=plan_command(d),
         runs=run_views(d.series, errors, windows=windows, both=both, names=names, held_out_first=True),
         level_edges=LEVELS,
         provenance=provenance_of(d.provenance),
@@ -98,9 +126,9 @@ class EffectView:
     parameters: list[ParameterRow]
 
     @staticmethod
-    def of(candidate: Candidate) -> EffectView:
-        """Prepare for showing."""
-        return EffectView(candidate, [named_row(p) for p in candidate.parameters])
+    def of(candidate: Candidate, at: str) -> EffectView:
+        """Prepare for showing; ``at``: where the result as JSON has it."""
+        return EffectView(candidate, [named_row(p, f"{at}/parameters/{k}") for k, p in enumerate(candidate.parameters)])
 
 
 @dataclass(frozen=True)
@@ -109,58 +137,58 @@ class Bar:
 
     label: str
     detail: str
-    text: str
+    value: Number
     percent: float
     accent: bool = False
 
 
-def _bar(label: str, detail: str, share: float, accent: bool = False) -> Bar:
+def _bar(label: str, detail: str, share: float, at: str, accent: bool = False) -> Bar:
     length = 100.0 * min(max(share, 0.0), 1.0) if math.isfinite(share) else 0.0
-    return Bar(label, detail, percent(share), round(length, 2), accent)
+    return Bar(label, detail, share_number(share, at), round(length, 2), accent)
 
 
-def shares(d: Diagnosis) -> list[Bar]:
-    """Where the baseline's excess misfit is, or what the answer changes."""
-    return [_bar(f"{c.channel} {c.quantity}".strip(), "", c.share, True) for c in d.located.channels]
+def share_number(share: float, at: str) -> Number:
+    """A share as a percentage, with its place."""
+    return Number(raw_number(share), percent(share), "%", at)
+
+
+def likelihood(probability: float) -> str:
+    """A probability in words."""
+    return next((words for least, words in LIKELIHOOD if probability >= least), "not known")
 
 
 @dataclass(frozen=True)
 class Rival:
-    """One line of the ranking."""
+    """One line of the ranking: probability in words, the shares of the misfit that it takes away."""
 
     bar: Bar
     effect: EffectView
-    gain: str
-    held_out: str
+    words: str
+    explained: Number | None
+    held_out: Number | None
     answer: bool
 
 
 def rivals(d: Diagnosis) -> list[Rival]:
     """All that was tried, most probable first; the answer or answers are marked."""
     answers = {(c.name, c.place) for c in d.effects}
-    rest = [c for c in d.alternatives if (c.name, c.place) not in answers]
+    placed = [(f"/effects/{k}", c) for k, c in enumerate(d.effects)]
+    rest = [(f"/alternatives/{k}", c) for k, c in enumerate(d.alternatives) if (c.name, c.place) not in answers]
     out = []
-    for c in [*d.effects, *sorted(rest, key=lambda c: -_finite(c.probability))]:
+    for at, c in [*placed, *sorted(rest, key=lambda found: -_finite(found[1].probability))]:
         answer = (c.name, c.place) in answers
+        gain = c.held_out_gain
         out.append(
             Rival(
-                _bar(c.title, c.place, c.probability, answer),
-                EffectView.of(c),
-                _signed(c.log_evidence_gain),
-                MISSING if c.held_out_gain is None else percent(c.held_out_gain),
+                _bar(c.title, c.place, c.probability, f"{at}/probability", answer),
+                EffectView.of(c, at),
+                likelihood(c.probability),
+                share_number(c.explained, f"{at}/explained") if c.explained > 0.0 else None,
+                None if gain is None or gain <= 0.0 else share_number(gain, f"{at}/held_out_gain"),
                 answer,
             )
         )
     return out
-
-
-def remainder(d: Diagnosis) -> Bar | None:
-    """Probability that none of the effects takes; None where it is next to nothing."""
-    known = [c.probability for c in {(c.name, c.place): c for c in (*d.alternatives, *d.effects)}.values()]
-    left = 1.0 - sum(p for p in known if math.isfinite(p))
-    if d.verdict not in ("nothing_missing", "unknown", "refine_discretisation") or not known or left < 0.005:
-        return None
-    return _bar("The rig as it is" if d.verdict != "unknown" else "None of these", "", left, True)
 
 
 def amended_with(d: Diagnosis) -> str:
@@ -176,35 +204,52 @@ def _finite(value: float) -> float:
     return value if math.isfinite(value) else -1.0
 
 
-def _signed(value: float) -> str:
-    text = significant(value)
-    return f"+{text}" if math.isfinite(value) and value > 0 else text
-
-
-def tiles(d: Diagnosis) -> list[Tile]:
+def tiles(d: Diagnosis, placed: Sequence[PlacedError]) -> list[Tile]:
     """The numbers that sum the diagnosis up."""
     out = []
     if d.effects:
-        total = sum(c.probability for c in d.effects if math.isfinite(c.probability))
-        together = "together" if len(d.effects) > 1 else "among all that was tried"
-        out.append(Tile("Probability", percent(min(total, 1.0)), together))
-    for label, before, after in (
-        ("Misfit, training", d.baseline.training, d.amended.training if d.amended else None),
-        ("Misfit, held out", d.baseline.held_out, d.amended.held_out if d.amended else None),
-    ):
-        if before is None:
-            out.append(Tile(label, MISSING, "no recording was held out"))
+        first = d.effects[0]
+        chance = share_number(first.probability, "/effects/0/probability")
+        out.append(Tile("How sure", (likelihood(first.probability),), ("probability ", chance)))
+        out.append(
+            Tile(
+                "Explained", (share_number(d.explained, "/explained"),), ("of the misfit beyond noise is gone with it",)
+            )
+        )
+    for label, held_out in (("Error", False), ("Error, held out", True)):
+        row = telling_row(d, placed, held_out)
+        if row is None:
+            out.append(Tile(label, (MISSING,), ("no recording was held out" if held_out else "not known",)))
             continue
-        last = before if after is None else after
-        shown = significant(before) if after is None else f"{significant(before)} → {significant(after)}"
-        out.append(Tile(label, shown, "mean square over noise; 1 = noise", level(math.sqrt(max(last, 0.0)))))
-    gains = [c.held_out_gain for c in d.effects if c.held_out_gain is not None]
-    if gains and d.verdict == "named":
-        out.append(Tile("Held-out gain", percent(max(gains)), "of the misfit is removed"))
-    if d.located.phase and d.located.channels:
-        out.append(Tile("Mostly while", d.located.phase, "phase of the motion"))
-    out.append(Tile("Took", seconds(d.seconds), "for the whole search"))
+        before: tuple[Shown, ...] = (row.before, " → ") if d.amended else ()
+        multiple: tuple[Shown, ...] = (row.first, " → ") if d.amended else ()
+        out.append(
+            Tile(
+                label,
+                (*before, row.after, f" {row.unit}"),
+                (f"{row.label}: ", *multiple, row.last, " the noise"),
+                row.level,
+            )
+        )
+    if d.located.phase not in ("", NOWHERE) and d.located.channels:
+        out.append(Tile("Mostly while", (d.located.phase,), ("phase of the motion",)))
+    took = Number(raw_number(d.seconds), seconds(d.seconds), seconds(d.seconds).rpartition(" ")[2], "/seconds")
+    out.append(Tile("Took", (took,), ("for the whole search",)))
     return out
+
+
+def telling_row(d: Diagnosis, placed: Sequence[PlacedError], held_out: bool) -> ErrorRow | None:
+    """The errors of the channel that says most, on recordings of one role: where most of the misfit is, and of several
+    such recordings that which the baseline misses most."""
+    known = [p for p in placed if p.error.held_out == held_out and p.error.before_over_noise is not None]
+    share = {(c.channel, c.quantity): _finite(c.share) for c in d.located.channels}
+
+    def says(p: PlacedError) -> tuple[float, float]:
+        e = p.error
+        where = share.get((e.channel, e.quantity or "position"), 0.0)
+        return (where, e.before_over_noise or 0.0)
+
+    return error_row(max(known, key=says)) if known else None
 
 
 def lead(d: Diagnosis) -> list[str]:
@@ -215,127 +260,89 @@ def lead(d: Diagnosis) -> list[str]:
     if used:
         more = f"; {kept} more {'was' if kept == 1 else 'were'} held out" if kept else ""
         out.append(f"The rig {d.rig} was fitted to {plural(used, 'recording')}{more}.")
-    if d.verdict != "nothing_missing":
-        out.append(place_and_time(d))
-    out.append(held_out_sentence(d))
-    return [s for s in out if s]
-
-
-def paired_errors(d: Diagnosis) -> list[ChannelError]:
-    """Errors of the baseline (before) and of the amended model (after)."""
-    amended = {(e.run, e.channel, e.quantity, e.held_out): e for e in d.amended.errors} if d.amended else {}
-    out = []
-    for e in d.baseline.errors:
-        other = amended.pop((e.run, e.channel, e.quantity, e.held_out), None)
-        out.append(replace(e, before=e.after, after=other.after if other else e.after))
-    return [*out, *amended.values()]
-
-
-def held_out_sentence(d: Diagnosis) -> str:
-    """What the held-out recordings say."""
-    pairs = [e for e in paired_errors(d) if e.held_out]
-    before, after = over_noise(pairs, after=False), over_noise(pairs, after=True)
-    if d.baseline.held_out is None and before is None:
-        return (
+    if not kept and d.baseline.held_out is None:
+        out.append(
             "No recording was held out, so the finding rests on the recordings it was made from. "
             "Give some with --held-out to test it."
-        )
-    if d.amended is None:
-        text = significant(before) if before is not None else MISSING
-        return f"On recordings that the fit has not seen, the baseline errs by {text} times the noise."
-    if before is None or after is None:
-        return ""
-    verb = "falls" if after < before else "rises"
-    return (
-        f"On recordings that no fit has seen, the error {verb} from {significant(before)} to "
-        f"{significant(after)} times the noise."
-    )
-
-
-def place_and_time(d: Diagnosis) -> str:
-    """Where and when the baseline fails, in one sentence."""
-    channels = [c for c in d.located.channels if math.isfinite(c.share)]
-    if not channels:
-        return ""
-    top = max(channels, key=lambda c: c.share)
-    name = f"{top.channel} {top.quantity}".strip()
-    what = "what the answer changes" if d.effects and d.amended else "the baseline's excess misfit"
-    sentence = f"{percent(top.share)} of {what} is in {name}"
-    if d.located.phase:
-        sentence += f", mostly while {d.located.phase}"
-    total = sum(b - a for spans in d.located.windows.values() for a, b in spans)
-    if total > 0.0:
-        runs = sum(1 for spans in d.located.windows.values() if spans)
-        sentence += f"; it shows for {significant(total, 2)} s in {runs} recording{'s' if runs > 1 else ''}"
-    return sentence + "."
-
-
-def shift_sentences(d: Diagnosis) -> list[str]:
-    """What leaving the effect out did to the other parameters."""
-    after = {p.name: p for p in d.amended_parameters}
-    out = []
-    for p in d.baseline_parameters:
-        q = after.get(p.name)
-        if q is None or not all(map(math.isfinite, (p.value, q.value))) or q.value == 0.0:
-            continue
-        apart = p.ci95[1] < q.ci95[0] or q.ci95[1] < p.ci95[0]
-        if not apart:
-            continue
-        off = p.value / q.value - 1.0
-        low = "low" if p.value < q.value else "high"
-        amount = (
-            f"{significant(100.0 * abs(off), 2)} %" if abs(off) < 2.0 else f"{significant(p.value / q.value, 2)}{TIMES}"
-        )
-        out.append(
-            f"{p.name} was {amount} too {low} without it: {with_unit(p.value, p.unit)} instead of "
-            f"{with_unit(q.value, q.unit)}."
         )
     return out
 
 
-def budget(d: Diagnosis) -> list[Bar]:
-    """The baseline's mean squared misfit, split into what explains it; empty where it is only noise."""
-    if not math.isfinite(d.baseline.training) or d.baseline.training <= 1.0 or d.amended is None:
+def paired_errors(d: Diagnosis) -> list[PlacedError]:
+    """Errors of the baseline (before) and of the amended model (after), with their places."""
+    amended = {}
+    for k, e in enumerate(d.amended.errors if d.amended else ()):
+        amended[e.run, e.channel, e.quantity, e.held_out] = (k, e)
+    out = []
+    for k, e in enumerate(d.baseline.errors):
+        at = f"/fit/baseline/errors/{k}/after"
+        other = amended.pop((e.run, e.channel, e.quantity, e.held_out), None)
+        if other is None:
+            out.append(PlacedError(replace(e, before=e.after), at, at))
+        else:
+            found = replace(e, before=e.after, after=other[1].after)
+            out.append(PlacedError(found, at, f"/fit/amended/errors/{other[0]}/after"))
+    for k, e in amended.values():
+        out.append(PlacedError(e, f"/fit/amended/errors/{k}/before", f"/fit/amended/errors/{k}/after"))
+    return out
+
+
+def error_tables(placed: Sequence[PlacedError]) -> ErrorTables:
+    """Errors as tables; where there are many, first those of the recording of each role that has the largest."""
+    rows = sorted(placed, key=lambda p: p.error.held_out)
+    full = [error_row(p) for p in rows]
+    if len(full) <= SHORT_TABLE:
+        return ErrorTables(full, [])
+    largest: dict[bool, tuple[float, str]] = {}
+    for p in rows:
+        e = p.error
+        largest[e.held_out] = max(largest.get(e.held_out, (-1.0, "")), (e.before_over_noise or 0.0, e.run))
+    short = [r for r in full if r.run == largest[r.held_out][1]]
+    return ErrorTables(short, full if len(full) > len(short) else [])
+
+
+def prediction(d: Diagnosis, placed: Sequence[PlacedError]) -> list[Shown]:
+    """What the held-out recordings say, words and numbers in turns."""
+    row = telling_row(d, placed, held_out=True)
+    if row is None:
         return []
-    total = d.baseline.training
-    left = min(max(d.amended.training, 0.0), total)
-    parts = [
-        ("noise", min(1.0, left)),
-        ("explained by the effect", total - left),
-        ("not explained", max(left - 1.0, 0.0)),
-    ]
-    return [_bar(name, significant(value), value / total) for name, value in parts]
+    if d.amended is None:
+        return [f"On recordings that the fit has not seen, the error of {row.label} is ", row.after, f" {row.unit}, ",
+                row.last, " the noise."]  # fmt: skip
+    verb = "falls" if (row.last.raw or 0.0) < (row.first.raw or 0.0) else "rises"
+    return [f"On recordings that no fit has seen, the error of {row.label} {verb} from ", row.before, " to ", row.after,
+            f" {row.unit}, from ", row.first, " to ", row.last, " the noise."]  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Fact:
-    """One number with what it says. ``raw``: as computed, None where there is none."""
+def spans(d: Diagnosis) -> list[tuple[str, list[tuple[Number, Number]]]]:
+    """When the baseline fails, by recording."""
+    out = []
+    for run, found in d.located.windows.items():
+        at = f"/located/windows/{run.replace('~', '~0').replace('/', '~1')}"
+        ends = [
+            [Number(float(t), f"{t:.2f}", "s", f"{at}/{k}/{i}") for i, t in enumerate(w)] for k, w in enumerate(found)
+        ]
+        if ends:
+            out.append((run, [(a, b) for a, b in ends]))
+    return out
 
-    label: str
-    text: str
-    raw: float | None
-    meaning: str
+
+def shift_sentences(shifts: Sequence[ShiftRow]) -> list[list[Shown]]:
+    """What leaving the effect out did to the other parameters, words and numbers in turns."""
+    out: list[list[Shown]] = []
+    for s in shifts:
+        if s.apart and s.baseline and s.amended:
+            a, b = s.baseline, s.amended
+            low = "low" if (a.value.raw or 0.0) < (b.value.raw or 0.0) else "high"
+            out.append([f"{s.name} was fitted too {low} without it: ", a.value, f" {a.unit}".rstrip() + " instead of ",
+                        b.value, f" {b.unit}".rstrip() + "."])  # fmt: skip
+    return out
 
 
-def discretisation_facts(d: Diagnosis) -> list[Fact]:
-    """The discretisation error beside the baseline's misfit, both as structured energies."""
-    energy, misfit = d.discretisation.get("structured_energy"), d.discretisation.get("structured_misfit")
-    per_score = d.discretisation.get("structured_misfit_per_score")
-    if energy is None or misfit is None or per_score is None:
-        return []
-    ratio = misfit / energy if energy > 0.0 else math.nan
-    squares = "squared noise units, summed over blocks of time and all columns"
-    return [
-        Fact("Error of mesh and time step", significant(energy), raw_number(energy), squares),
-        Fact("Baseline's misfit beyond noise", significant(misfit), raw_number(misfit), squares),
-        Fact(
-            "Misfit over discretisation error",
-            times(ratio),
-            raw_number(ratio),
-            "far below 1: the simulator itself may be to blame; far above: something is missing",
-        ),
-        Fact("Baseline's misfit per score", significant(per_score), raw_number(per_score), "mean square; 1 = noise"),
-    ]
+def plan_command(d: Diagnosis) -> str:
+    """The command that says what a motion would tell of the answer."""
+    names = [p.name for c in d.effects for p in c.parameters]
+    return f"thinshell plan amended_rig.yaml motion.yaml --params {','.join(names)}" if names else ""
 
 
 @dataclass(frozen=True)
@@ -346,7 +353,6 @@ class Limit:
     name: str
     words: str
     number: Number
-    unit: str
 
 
 def limits(d: Diagnosis) -> list[Limit]:
@@ -357,8 +363,9 @@ def limits(d: Diagnosis) -> list[Limit]:
         if key.removeprefix("effects.").split(".")[0] in answers:
             continue
         title, words, unit = _effect_words(key)
-        text = with_unit(value, unit)
-        out.append(Limit(title, key, words, Number(raw_number(value), text), ""))
+        scale = scale_for(unit, value)
+        number = Number(raw_number(value), significant(value * scale.factor, 2), scale.unit, f"/upper_limits/{key}")
+        out.append(Limit(title, key, words, number))
     return out
 
 

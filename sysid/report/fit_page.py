@@ -8,15 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sysid.fit.given_values import rose, worsened
 from sysid.fit.result import LOOK_FIRST
 from sysid.noise.estimate import REPLACED_FROM
-from sysid.report.numbers import MISSING, seconds, significant, times, with_unit
+from sysid.report.numbers import MISSING, Number, seconds, significant, times, with_unit
 from sysid.report.page import embedded_json, write_page
 from sysid.report.panels import run_views, showcase
 from sysid.report.profiles import profile_pictures
 from sysid.report.strips import LEVELS
 from sysid.report.tables import (
     ErrorRow,
+    PlacedError,
     correlation_cells,
     error_row,
     estimate_row,
@@ -41,13 +43,17 @@ SHORT_TABLE = 16
 """Rows up to which errors are shown for each recording at once."""
 
 
+Shown = Number | str
+"""A piece of a sentence on a page."""
+
+
 @dataclass(frozen=True)
 class Tile:
-    """One number that sums up, with what it means. ``level``: 'good', 'fair', 'bad' or ''."""
+    """One number that sums up, with what it means, both in pieces. ``level``: 'good', 'fair', 'bad' or ''."""
 
     label: str
-    value: str
-    meaning: str
+    value: tuple[Shown, ...]
+    meaning: tuple[Shown, ...]
     level: str = ""
 
 
@@ -74,6 +80,7 @@ def write_fit_report(result: FitResult, path: Path) -> Path:
         both=True,
         errors=ErrorTables.of(result.errors),
         noise=noise_rows(result),
+        reduced=significant(result.reduced_chi2),
         noise_replaced_from=REPLACED_FROM,
         level_edges=LEVELS,
         provenance=provenance_of(result.provenance),
@@ -94,7 +101,7 @@ class ErrorTables:
     @staticmethod
     def of(errors: Sequence[ChannelError]) -> ErrorTables:
         """Errors as tables; training first."""
-        full = [error_row(e) for e in sorted(errors, key=lambda e: e.held_out)]
+        full = [error_row(PlacedError(e)) for e in sorted(errors, key=lambda e: e.held_out)]
         short = merged_errors(errors)
         if len(full) <= SHORT_TABLE:
             return ErrorTables(full, [])
@@ -112,7 +119,7 @@ def explains(result: FitResult) -> str:
 
 def overall_level(result: FitResult) -> str:
     """The colour of the headline."""
-    if not result.converged or result.contradicted:
+    if not result.converged or result.contradicted or rose(result.errors):
         return "bad"
     held_out = level(over_noise([e for e in result.errors if e.held_out], after=True, own=True))
     worst = {"bad": 2, "fair": 1}
@@ -127,6 +134,8 @@ def headline(result: FitResult) -> str:
         return "Nothing was fitted: the rig as it is, against the recordings."
     if result.contradicted:
         return "The recordings contradict what was known before, and the fit lies between the two."
+    if rose(result.errors):
+        return "The fitted rig errs more than the rig as it was given: do not take its values without knowing why."
     found = explains(result)
     held_out = [e for e in result.errors if e.held_out]
     there = level(over_noise(held_out, after=True, own=True))
@@ -167,6 +176,11 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
         if c is not None and d is not None:
             sentence += f"; on held-out recordings it {_went(c, d)}"
         out.append(sentence + ".")
+    out += [
+        f"The error of {f'{e.channel} {e.quantity}'.strip()} in {e.run} rose from {with_unit(e.before, e.unit)} to "
+        f"{with_unit(e.after, e.unit)}, from {times(e.before_over_noise)} to {times(e.after_over_noise)} the noise."
+        for e in worsened(training)
+    ]
     bounds = [e.name for e in result.estimates if e.at_bound]
     if undetermined:
         named = [e.name for e in result.estimates if e.name in undetermined]
@@ -199,7 +213,6 @@ def _went(start: float, end: float) -> str:
 
 def tiles(result: FitResult, undetermined: set[str]) -> list[Tile]:
     """The numbers that sum the fit up."""
-    chi2 = result.reduced_chi2
     training = over_noise([e for e in result.errors if not e.held_out], after=True)
     held_out = over_noise([e for e in result.errors if e.held_out], after=True)
     n = len(result.estimates)
@@ -207,32 +220,26 @@ def tiles(result: FitResult, undetermined: set[str]) -> list[Tile]:
     out = [
         Tile(
             "Error, training",
-            times(training),
-            "the noise",
+            (times(training),),
+            ("the noise",),
             level(over_noise([e for e in result.errors if not e.held_out], after=True, own=True)),
         ),
         Tile(
             "Error, held out",
-            times(held_out),
-            "the noise" if held_out is not None else "no recording was held out",
+            (times(held_out),),
+            ("the noise" if held_out is not None else "no recording was held out",),
             level(over_noise([e for e in result.errors if e.held_out], after=True, own=True)),
         ),
         Tile(
-            "Reduced chi-square",
-            significant(chi2) if chi2 is not None and math.isfinite(chi2) else MISSING,
-            "up to 1 = nothing but noise and error of mesh and step",
-            explains(result),
-        ),
-        Tile(
             "Determined",
-            f"{n - len(open_ended)} of {n}",
-            "parameters",
+            (f"{n - len(open_ended)} of {n}",),
+            ("parameters",),
             "good" if n and not open_ended else "fair" if n else "",
         ),
         Tile(
             "Search",
-            "converged" if result.converged else "not converged",
-            f"{plural(result.evaluations, 'evaluation')} in {seconds(result.seconds)}",
+            ("converged" if result.converged else "not converged",),
+            (f"{plural(result.evaluations, 'evaluation')} in {seconds(result.seconds)}",),
             "good" if result.converged else "bad",
         ),
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 MISSING = "\u2013"
 """Shown where there is no number."""
@@ -21,10 +21,17 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 @dataclass(frozen=True)
 class Number:
-    """A number to be shown. ``raw``: as computed, in SI units; None where missing; ``text``: in words."""
+    """A number to be shown. ``raw``: as computed, in SI units; None where missing; ``text``: in words; ``unit``: that
+    of the text; ``at``: where the result as JSON has it, as a JSON pointer (RFC 6901)."""
 
     raw: float | None
     text: str
+    unit: str = ""
+    at: str = ""
+
+    def found_at(self, at: str, unit: str = "") -> Number:
+        """The same number with its place in the result, and the unit that stands beside it."""
+        return replace(self, at=at, unit=unit)
 
 
 @dataclass(frozen=True)
@@ -98,20 +105,31 @@ def value_and_interval(value: float, interval: tuple[float, float], factor: floa
     low, high = interval
     half = 0.5 * abs(high - low) * factor
     numbers = (value, low, high)
+    signed = not low < 0.0 < high
     if not math.isfinite(half) or half == 0.0:
         return tuple(Number(raw_number(v), significant(v * factor, 4)) for v in numbers)  # type: ignore[return-value]
     decimals = max(0, 1 - math.floor(math.log10(half)))
-    return tuple(Number(raw_number(v), _decimals(v * factor, decimals)) for v in numbers)  # type: ignore[return-value]
+    return tuple(Number(raw_number(v), _decimals(v * factor, decimals, signed)) for v in numbers)  # type: ignore[return-value]
 
 
-def _decimals(value: float, decimals: int) -> str:
-    """With these decimals, or two significant digits where those would show less."""
+def scale_of_interval(unit: str, value: float, interval: tuple[float, float], *others: float) -> Scale:
+    """Prefix for a value with its interval: by the value, but by the interval where that dwarfs it."""
+    ends = [abs(end) for end in interval if math.isfinite(end)]
+    if ends and math.isfinite(value) and abs(value) < 0.01 * max(ends):
+        return scale_for(unit, max(ends))
+    return scale_for(unit, value, *interval, *others)
+
+
+def _decimals(value: float, decimals: int, signed: bool) -> str:
+    """With these decimals, or two significant digits where those would show less of a value whose sign is known."""
     if not math.isfinite(value):
         return significant(value)
     power = math.floor(math.log10(abs(value))) if value else 0
+    if not signed and decimals <= 4 and power < 0:
+        return fixed(value, decimals)
     if value and not -4 <= power < 5:
         return significant(value, min(max(decimals + power + 1, 2), 6))
-    if value:
+    if value and signed:
         decimals = max(decimals, 1 - power)
     return fixed(value, min(decimals, 9))
 

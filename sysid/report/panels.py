@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid.report.numbers import MINUS, Scale, scale_for, significant, times
+from sysid.report.numbers import MINUS, Scale, scale_for
 from sysid.report.strips import Strip, noise_of, residual_strips
 from sysid.report.svg import AFTER, BAND, BEFORE, INK, LINE, MEASURED, RC, WINDOW, inline_svg
 from sysid.report.tables import level, over_noise
@@ -33,21 +33,26 @@ MOST_POINTS = 300
 STEPS = [1, 2, 2.5, 5, 10]
 """Distances between ticks."""
 
+LEVELS = ("", "good", "fair", "bad")
+"""From the best to the worst; '' where it is not known."""
+
+NEARNESS = {"good": "every channel down to the noise", "fair": "near the noise", "bad": "far above the noise"}
+"""How near the worst channel of a recording comes, noise and error of mesh and time step together."""
+
 
 @dataclass(frozen=True)
 class Panel:
-    """One column of one channel. ``channel``, ``label``: which; ``note``: errors in words."""
+    """One column of one channel. ``channel``, ``label``: which."""
 
     channel: str
     label: str
     unit: str
-    note: str
     svg: str
 
 
 @dataclass
 class RunView:
-    """All that the page shows of one recording."""
+    """All that the page shows of one recording. ``level``, ``words``: how near the last model comes to the noise."""
 
     name: str
     held_out: bool
@@ -57,8 +62,8 @@ class RunView:
     panels: list[Panel] = field(default_factory=list)
     left_out: int = 0
     open: bool = False
-    ratio: str = ""
     level: str = ""
+    words: str = ""
 
 
 def run_views(
@@ -88,7 +93,7 @@ def run_views(
             first = held_out not in roles_seen
             shown = _worst(columns, errors, max(quota, MOST_IN_OPEN) if first else quota)
             own = [e for e in errors if (e.run, e.held_out) == (run, held_out)]
-            ratio = over_noise(own, after=True)
+            found = max((level(over_noise([e], after=True, own=True)) for e in own), key=LEVELS.index, default="")
             view = RunView(
                 run,
                 held_out,
@@ -97,8 +102,8 @@ def run_views(
                 max(float(s.t[-1]) for s in columns),
                 left_out=len(columns) - len(shown),
                 open=first,
-                ratio=times(ratio) if ratio is not None else "",
-                level=level(over_noise(own, after=True, own=True)),
+                level=found,
+                words=NEARNESS.get(found, ""),
             )
             roles_seen.add(held_out)
             if len(views) < MOST_PANELS:
@@ -118,7 +123,7 @@ def showcase(
     names: tuple[str, str] = ("before", "after"),
     place: LocatedChannel | None = None,
 ) -> tuple[str, bool, Panel] | None:
-    """The one panel to show first, with its run and role: where ``before`` misses most, held-out data first.
+    """The one panel to show first, with its run and role: where either model misses most, held-out data first.
     ``place``: look only there, if it has data."""
     import matplotlib
 
@@ -131,7 +136,8 @@ def showcase(
         return None
 
     def misfit(s: Series) -> float:
-        return rms(residual(s, s.before)) / (noise_of(errors, s) or float(np.nanstd(as_floats(s.measured))) or 1.0)
+        missed = [rms(residual(s, values)) for values in (s.before, s.after)]
+        return float(np.nanmax(missed)) / (noise_of(errors, s) or float(np.nanstd(as_floats(s.measured))) or 1.0)
 
     best = max(able, key=misfit)
     with matplotlib.rc_context(RC):
@@ -227,18 +233,13 @@ def _panel(
     below = f"measured {MINUS} simulated"
     low.text(0.0, 1.06, below, transform=low.transAxes, fontsize=8.5, ha="left", va="bottom")
 
-    errors = [(names[1], rms(residual(series, series.after))), ("noise", noise)]
-    if both:
-        errors.insert(0, (names[0], rms(residual(series, series.before))))
-    in_unit = [(n, significant(None if v is None else v * scale.factor, 2)) for n, v in errors]
-    note = ", ".join(f"{n} {v}" for n, v in in_unit)
     unit = f" [{scale.unit}]" if scale.unit else ""
     label = (
-        f"{series.channel} {series.label} of {series.run} against time, {len(t)} instants from {t[0]:.3g} to "
-        f"{t[-1]:.3g} s. Root-mean-square error{unit}: {note}."
+        f"{series.channel} {series.label} of {series.run}{unit} against time, {len(t)} instants from {t[0]:.3g} to "
+        f"{t[-1]:.3g} s, above {below}."
     )
     svg = inline_svg(figure, key, label)
-    return Panel(series.channel, series.label, scale.unit, note, svg)
+    return Panel(series.channel, series.label, scale.unit, svg)
 
 
 def _residuals(

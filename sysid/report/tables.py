@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,12 +12,14 @@ import numpy as np
 
 from sysid.report.numbers import (
     MISSING,
+    TIMES,
     Number,
     Scale,
     change,
     fixed,
     raw_number,
     scale_for,
+    scale_of_interval,
     significant,
     times,
     value_and_interval,
@@ -26,6 +29,10 @@ if TYPE_CHECKING:
     from sysid.diagnosis.result import NamedParameter
     from sysid.fit.result import ChannelError, Estimate
     from sysid.uncertainty.nuisance_estimates import Nuisance
+
+
+NUISANCES = re.compile(r"\.(latency_s|offset_r?[xyz]_(m|deg)|[fc][xy]_px|scale_m_per_px)$")
+"""Names of the numbers of a rig that fits allow for beside what they are asked for."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +53,7 @@ class ParameterRow:
 def estimate_row(estimate: Estimate, undetermined: bool) -> ParameterRow:
     """Row of a fitted parameter."""
     e = estimate
-    scale = scale_for(e.unit, e.value, *e.ci95, e.start)
+    scale = scale_of_interval(e.unit, e.value, e.ci95, e.start)
     value, low, high = value_and_interval(e.value, e.ci95, scale.factor)
     remarks = []
     if e.at_bound:
@@ -57,11 +64,13 @@ def estimate_row(estimate: Estimate, undetermined: bool) -> ParameterRow:
     return ParameterRow(e.name, "", value, low, high, scale.unit, start, change(e.start, e.value), tuple(remarks))
 
 
-def named_row(parameter: NamedParameter) -> ParameterRow:
-    """Row of a parameter of an effect."""
+def named_row(parameter: NamedParameter, at: str) -> ParameterRow:
+    """Row of a fitted parameter of a diagnosis; ``at``: where the result as JSON has it."""
     p = parameter
-    scale = scale_for(p.unit, p.value, *p.ci95)
-    value, low, high = value_and_interval(p.value, p.ci95, scale.factor)
+    scale = scale_of_interval(p.unit, p.value, p.ci95)
+    found = value_and_interval(p.value, p.ci95, scale.factor)
+    places = (f"{at}/value", f"{at}/ci95/0", f"{at}/ci95/1")
+    value, low, high = (n.found_at(place, scale.unit) for n, place in zip(found, places, strict=True))
     return ParameterRow(p.name, p.words, value, low, high, scale.unit, None, "", ())
 
 
@@ -82,32 +91,33 @@ def _nuisance_row(n: Nuisance, scale: Scale) -> ParameterRow:
 
 @dataclass(frozen=True)
 class ShiftRow:
-    """One parameter in the baseline and in the amended model; either may lack it."""
+    """One parameter in the baseline and in the amended model; either may lack it. ``nuisance``: of clocks, cameras and
+    tool poses, which every fit allows for."""
 
     name: str
     words: str
     baseline: ParameterRow | None
     amended: ParameterRow | None
-    change: str
     apart: bool
+    nuisance: bool
 
 
 def shift_rows(baseline: Sequence[NamedParameter], amended: Sequence[NamedParameter]) -> list[ShiftRow]:
     """Both models' parameters side by side. ``apart``: the intervals do not overlap."""
-    first = {p.name: p for p in baseline}
-    second = {p.name: p for p in amended}
+    first = {p.name: (k, p) for k, p in enumerate(baseline)}
+    second = {p.name: (k, p) for k, p in enumerate(amended)}
     rows = []
     for name in dict.fromkeys([*first, *second]):
         a, b = first.get(name), second.get(name)
-        apart = a is not None and b is not None and (a.ci95[1] < b.ci95[0] or b.ci95[1] < a.ci95[0])
+        apart = a is not None and b is not None and (a[1].ci95[1] < b[1].ci95[0] or b[1].ci95[1] < a[1].ci95[0])
         rows.append(
             ShiftRow(
                 name,
-                (b or a).words if (b or a) else "",  # type: ignore[union-attr]
-                named_row(a) if a else None,
-                named_row(b) if b else None,
-                change(a.value, b.value) if a and b else "",
+                (b or a)[1].words,  # type: ignore[index]
+                named_row(a[1], f"/baseline_parameters/{a[0]}") if a else None,
+                named_row(b[1], f"/amended_parameters/{b[0]}") if b else None,
                 apart,
+                bool(NUISANCES.search(name)),
             )
         )
     return rows
@@ -115,8 +125,8 @@ def shift_rows(baseline: Sequence[NamedParameter], amended: Sequence[NamedParame
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """Root-mean-square errors of one channel, all in ``unit``; ``ratio``: after over noise; ``level``:
-    'good', 'fair' or 'bad'."""
+    """Root-mean-square errors of one channel, all in ``unit``; ``first``, ``last``: the errors over the noise; ``own``:
+    error of mesh and time step; ``level``: 'good', 'fair' or 'bad'."""
 
     run: str
     held_out: bool
@@ -125,23 +135,38 @@ class ErrorRow:
     before: Number
     after: Number
     noise: Number
-    ratio: str
+    own: Number
+    first: Number
+    last: Number
     level: str
 
 
-def error_row(error: ChannelError) -> ErrorRow:
+@dataclass(frozen=True)
+class PlacedError:
+    """Errors of a channel before and after; ``first``, ``last``: where the result as JSON has them, '' nowhere."""
+
+    error: ChannelError
+    first: str = ""
+    last: str = ""
+
+
+def error_row(placed: PlacedError) -> ErrorRow:
     """Row of one channel of one run."""
-    e = error
+    e = placed.error
     scale = scale_for(e.unit, e.after, e.noise, e.before)
+    entry = placed.last.rpartition("/")[0]
 
-    def shown(value: float) -> Number:
-        return Number(raw_number(value), significant(value * scale.factor, 3))
+    def shown(value: float, at: str) -> Number:
+        return Number(raw_number(value), significant(value * scale.factor, 3), scale.unit, at)
 
-    ratio = over_noise([e], after=True)
-    colour = level(over_noise([e], after=True, own=True))
+    def multiple(value: float | None, at: str) -> Number:
+        return Number(value, times(value), TIMES, at and f"{at}_over_noise")
+
     return ErrorRow(
-        e.run, e.held_out, f"{e.channel} {e.quantity}".strip(), scale.unit, shown(e.before), shown(e.after),
-        shown(e.noise), times(ratio), colour,
+        e.run, e.held_out, f"{e.channel} {e.quantity}".strip(), scale.unit, shown(e.before, placed.first),
+        shown(e.after, placed.last), shown(e.noise, entry and f"{entry}/noise"), shown(e.own, entry and f"{entry}/own"),
+        multiple(e.before_over_noise, placed.first), multiple(e.after_over_noise, placed.last),
+        level(over_noise([e], after=True, own=True)),
     )  # fmt: skip
 
 
@@ -174,16 +199,18 @@ def merged_errors(errors: Sequence[ChannelError]) -> list[ErrorRow]:
         runs = len({e.run for e in members})
         rows.append(
             error_row(
-                type(first)(
-                    run=f"{runs} recordings" if runs > 1 else first.run,
-                    channel=first.channel,
-                    quantity=first.quantity,
-                    unit=first.unit,
-                    before=_mean([e.before for e in members]),
-                    after=_mean([e.after for e in members]),
-                    noise=_mean([e.noise for e in members]),
-                    own=_mean([e.own for e in members]),
-                    held_out=first.held_out,
+                PlacedError(
+                    type(first)(
+                        run=f"{runs} recordings" if runs > 1 else first.run,
+                        channel=first.channel,
+                        quantity=first.quantity,
+                        unit=first.unit,
+                        before=_mean([e.before for e in members]),
+                        after=_mean([e.after for e in members]),
+                        noise=_mean([e.noise for e in members]),
+                        own=_mean([e.own for e in members]),
+                        held_out=first.held_out,
+                    )
                 )
             )
         )

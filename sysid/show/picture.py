@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,9 @@ RC: dict[Any, Any] = {
 
 CAMERAS = 2
 """Cameras whose own view is drawn at most."""
+
+FINDING_WIDTH, FINDING_LINES = 185, 3
+"""Letters of a line of what looks wrong, and such lines."""
 
 ARROWS_PX = 18.0
 """Length in the camera's picture, in pixels of the drawing, to which the largest displacement of a marker is drawn."""
@@ -157,10 +161,16 @@ class Board:
                              "bonded faces point away from what is touched.", fontsize=9, color="#17713f",
                              va="center")  # fmt: skip
             return
-        for k, finding in enumerate(findings[:2]):
-            more = f"  (and {len(findings) - 2} more)" if k == 1 and len(findings) > 2 else ""
-            self.figure.text(0.012, 0.038 - 0.024 * k, _cut(f"\u26a0 {finding.text}", 190) + more, fontsize=9.5,
-                             color=BAD, weight="bold", va="center")  # fmt: skip
+        lines: list[str] = []
+        for k, finding in enumerate(findings):
+            wrapped = wrap(f"\u26a0 {finding.text}", FINDING_WIDTH)
+            if len(lines) + len(wrapped) > FINDING_LINES and lines:
+                lines[-1] += f"  (and {len(findings) - k} more)"
+                break
+            lines += wrapped[:FINDING_LINES]
+        for k, line in enumerate(lines):
+            at = 0.018 + 0.020 * (len(lines) - 1 - k)
+            self.figure.text(0.012, at, line, fontsize=9, color=BAD, weight="bold", va="center")
 
     def _scale(self) -> None:
         coloured = self.coloured
@@ -311,8 +321,8 @@ class Board:
         words = f"{int(np.isfinite(now).all(axis=1).sum())} of {len(now)} points in the picture"
         if largest > 0.05:
             zoom = max(1.0, float(round_length(ARROWS_PX / largest)) if largest < ARROWS_PX else 1.0)
-            shift = zoom * (now - before)
-            self._keep(axes.quiver(*before.T, *shift.T, angles="xy", scale_units="xy", scale=1.0, color=MARKER,
+            arrows = zoom * (now - before)
+            self._keep(axes.quiver(*before.T, *arrows.T, angles="xy", scale_units="xy", scale=1.0, color=MARKER,
                                    width=0.0042, zorder=5))  # fmt: skip
             if zoom > 1.0:
                 words += f"; arrows {zoom:g} times as long as the motion"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import yaml
 
-from sim_core.rigs import Rig, rig_to_yaml
+from sim_core.rigs import Gel, Rig, rig_to_yaml
 from sysid.diagnosis.diagnose import Progress, diagnose_runs
 from sysid.diagnosis.result import Diagnosis
 from sysid.io.atomic_folder import whole_folder, write_results
@@ -53,7 +53,12 @@ def diagnose_bags(
 
 
 def write_rigs(rig: Rig, diagnosis: Diagnosis, amended: Rig, folder: Path) -> None:
-    """Write the rig as it was given, and what the diagnosis changes in it as an overlay of that."""
+    """Write the rig as it was given, with the cells of the diagnosis, and what that changes in it as an overlay."""
+    bodies = dict(rig.bodies)
+    for name, body in amended.bodies.items():
+        given = rig.bodies[name]
+        if isinstance(body, Gel) and isinstance(given, Gel):
+            bodies[name] = given.model_copy(update={"shape": body.shape})
     overlay = {
         "overlay_of": "rig.yaml",
         "name": f"{rig.name}_amended",
@@ -65,5 +70,5 @@ def write_rigs(rig: Rig, diagnosis: Diagnosis, amended: Rig, folder: Path) -> No
         },
         "effects": {name: dict(values) for name, values in amended.effects.items()},
     }
-    (folder / "rig.yaml").write_text(rig_to_yaml(rig))
+    (folder / "rig.yaml").write_text(rig_to_yaml(rig.model_copy(update={"bodies": bodies})))
     (folder / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))

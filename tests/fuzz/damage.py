@@ -9,6 +9,7 @@ for which that does not hold, and keeps them as they were edited in ``corpus/``:
 from __future__ import annotations
 
 import argparse
+import copy
 import json
 import random
 import resource
@@ -17,12 +18,14 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import meshio
 import numpy as np
+import yaml
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -33,17 +36,35 @@ from rosbags.typesys import Stores, get_typestore
 from sim_core.errors import ThinshellError
 from sim_core.geometry.mesh_file import read_sheet
 from sim_core.rigs import config_folder, load_rig
+from sim_core.rigs.motion import load_experiment
+from sim_core.tasks.load import load_task
 from sysid.observations.checks import examine
 from sysid.recording import RecordingWriter, read_recording
 
 CORPUS = Path(__file__).parent / "corpus"
 
+STRUCTURED = {
+    "rig_press": "rigs/card_press.yaml",
+    "rig_gel": "rigs/gel_sensor.yaml",
+    "rig_free": "rigs/push_block.yaml",
+    "experiment_press": "experiments/press_post.yaml",
+    "task_lifting": "tasks/lifting.yaml",
+}
+"""Files of which what they say is changed as well, below the folder of configurations."""
+
 Edit = tuple[str, float, int]
 """Kind of an edit, where (share of the length, 0 to 1), and a number: bit, byte or count."""
 
 KINDS = ("flip", "set", "zero", "delete", "insert", "repeat", "cut")
+VALUES = ("value", "remove", "scale", "double", "add")
+"""Kinds of edits of what a file of YAML or JSON says, which is still YAML or JSON after them."""
+WRONG: tuple[Any, ...] = (
+    None, [], {}, -1, 0, 1, 2.5, float("nan"), float("inf"), 1e300, -1e300, 1e-300, 10**30, "", "x", "1 mm", True,
+    [0, 0, 0], [1], [[1, 2], [3]], {"a": 1}, [float("nan")] * 3,
+)  # fmt: skip
+FACTORS = (-1, 0, 1e-9, 1e9, 1e3, 1e-3, 0.5, 2)
 LONGEST_S = 20.0
-"""Time in which an input is read or refused."""
+"""Processor time in which an input is read or refused."""
 MOST_BYTES = 3 << 30
 """Address space beyond what is in use in which it is."""
 
@@ -83,6 +104,9 @@ def sound(folder: Path) -> dict[str, Path]:
     found["csv"].write_text("\n".join([header, *rows]) + "\n")
     found["rig"] = folder / "rig.yaml"
     found["rig"].write_text((config_folder() / "rigs" / "card_press.yaml").read_text())
+    for name, source in STRUCTURED.items():
+        found[name] = folder / f"{name}{Path(source).suffix}"
+        found[name].write_text((config_folder() / source).read_text())
     points = np.array([[x, y, 0.0] for x in range(4) for y in range(3)])
     cells = [[3 * i + j, 3 * i + j + 3, 3 * i + j + 4, 3 * i + j + 1] for i in range(3) for j in range(2)]
     triangles = np.array([[a, b, c] for a, b, c, d in cells] + [[a, c, d] for a, b, c, d in cells])
@@ -116,9 +140,42 @@ def damaged(data: bytes, edits: Sequence[Edit]) -> bytes:
     return bytes(out)
 
 
+def changed(data: bytes, edits: Sequence[Edit]) -> bytes:
+    """The YAML or JSON text after edits of what it says; those of bytes (:func:`damaged`) come last."""
+    content = yaml.safe_load(data)
+    for kind, where, number in edits:
+        places = [place for place in _places(content) if place]
+        if kind not in VALUES or not places:
+            continue
+        *way, last = places[min(int(where * len(places)), len(places) - 1)]
+        inner = content
+        for step in way:
+            inner = inner[step]
+        value = copy.deepcopy(WRONG[number % len(WRONG)])
+        if kind == "value":
+            inner[last] = value
+        elif kind == "remove":
+            del inner[last]
+        elif kind == "scale" and isinstance(inner[last], int | float):
+            inner[last] *= FACTORS[number % len(FACTORS)]
+        elif kind == "double" and isinstance(inner, list):
+            inner.append(copy.deepcopy(inner[last]))
+        elif kind == "add" and isinstance(inner, dict):
+            inner[("zz", 1, None, "type")[number % 4]] = value
+    return damaged(yaml.safe_dump(content).encode(), edits)
+
+
+def _places(content: Any, before: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The ways to all values in nested mappings and lists."""
+    yield before
+    items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    for key, value in list(items):
+        yield from _places(value, (*before, key))
+
+
 def judge(name: str, original: Path, edits: Sequence[Edit], folder: Path) -> str:
     """What is wrong with how a damaged input is read, '' if nothing."""
-    data = damaged(original.read_bytes(), edits)
+    data = (changed if name in STRUCTURED else damaged)(original.read_bytes(), edits)
     try:
         _try(name, original, data, folder)
     except ThinshellError as error:
@@ -130,10 +187,15 @@ def judge(name: str, original: Path, edits: Sequence[Edit], folder: Path) -> str
 
 
 def _try(name: str, original: Path, data: bytes, folder: Path) -> None:
-    if name == "rig":
-        path = folder / "rig.yaml"
+    if name == "rig" or name in STRUCTURED:
+        path = folder / original.name
         path.write_bytes(data)
-        load_rig(path)
+        if name.startswith("experiment"):
+            load_experiment(path)
+        elif name.startswith("task"):
+            load_task(path)
+        else:
+            load_rig(path)
         return
     if name.startswith("mesh"):
         path = folder / original.name
@@ -198,10 +260,13 @@ def _ros1(path: Path) -> Path:
     return path
 
 
-def drawn(random_: random.Random) -> list[Edit]:
+def drawn(random_: random.Random, kinds: Sequence[str] = KINDS) -> list[Edit]:
     """A few edits, mostly one."""
     count = random_.choice([1, 1, 1, 2, 3, 8])
-    return [(random_.choice(KINDS), random_.random(), random_.choice([1, 3, 7, 64, 255, 4096])) for _ in range(count)]
+    return [
+        (random_.choice(kinds), random_.random(), random_.choice([1, 3, 7, 64, 255, 4096] + list(range(len(WRONG)))))
+        for _ in range(count)
+    ]
 
 
 class _Hung(BaseException):
@@ -217,21 +282,21 @@ def search(minutes: float, seed: int, say: Callable[[str], None] = print) -> int
     random_ = random.Random(seed)
     used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     resource.setrlimit(resource.RLIMIT_AS, (used + MOST_BYTES, resource.RLIM_INFINITY))
-    signal.signal(signal.SIGALRM, _alarm)
+    signal.signal(signal.SIGPROF, _alarm)
     end, tried, failures = time.monotonic() + 60.0 * minutes, 0, set()
     with tempfile.TemporaryDirectory() as base:
         inputs = sound(Path(base))
         while time.monotonic() < end:
             name = random_.choice(sorted(inputs))
-            edits = drawn(random_)
+            edits = drawn(random_, VALUES if name in STRUCTURED else KINDS)
             with tempfile.TemporaryDirectory() as folder:
-                signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
+                signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
                 try:
                     fault = judge(name, inputs[name], edits, Path(folder))
                 except _Hung:
                     fault = f"more than {LONGEST_S:g} s"
                 finally:
-                    signal.setitimer(signal.ITIMER_REAL, 0.0)
+                    signal.setitimer(signal.ITIMER_PROF, 0.0)
             tried += 1
             kind = (name, fault.partition(":")[0], fault[:60])
             if fault and kind not in failures:

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from damage import CORPUS, KINDS, damaged, judge, sound
+from damage import CORPUS, KINDS, STRUCTURED, VALUES, damaged, judge, sound
 
 hypothesis = pytest.importorskip("hypothesis", reason="hypothesis is not installed")
 from hypothesis import HealthCheck, given, settings  # noqa: E402
@@ -16,11 +16,9 @@ from hypothesis import strategies as st  # noqa: E402
 EXAMPLES = 12
 """Damaged inputs of each kind in a run of the tests; ``damage.py`` looks for more."""
 
-EDITS = st.lists(
-    st.tuples(st.sampled_from(KINDS), st.floats(0.0, 1.0, exclude_max=True), st.sampled_from([1, 3, 7, 64, 255, 4096])),
-    min_size=1,
-    max_size=4,
-)
+WHERE = st.floats(0.0, 1.0, exclude_max=True)
+BYTES = st.tuples(st.sampled_from(KINDS), WHERE, st.sampled_from([1, 3, 7, 64, 255, 4096]))
+MEANING = st.tuples(st.sampled_from(VALUES), WHERE, st.integers(0, 255))
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +28,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 NAMES = (
     "mcap", "mcap_records", "mcap_plain", "mcap_lz4", "db3", "db3_messages", "metadata", "rosbag1", "csv", "rig",
-    "picture", "mesh_obj", "mesh_stl", "mesh_ply",
+    "picture", "mesh_obj", "mesh_stl", "mesh_ply", *STRUCTURED,
 )  # fmt: skip
 
 
@@ -46,7 +44,7 @@ def test_damaged_inputs_are_read_or_refused(inputs: dict[str, Path], name: str) 
         max_examples=EXAMPLES, deadline=None, derandomize=True, database=None,
         suppress_health_check=[HealthCheck.too_slow],
     )  # fmt: skip
-    @given(edits=EDITS)
+    @given(edits=st.lists(MEANING if name in STRUCTURED else BYTES, min_size=1, max_size=4))
     def check(edits: list[tuple[str, float, int]]) -> None:
         with tempfile.TemporaryDirectory() as folder:
             assert judge(name, inputs[name], edits, Path(folder)) == ""

@@ -124,3 +124,70 @@ def test_inspect_prints_what_is_found(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "640 x 360 px, the rig 1280 x 720 px" in said
     assert main(["inspect", str(bag)]) == 0
     assert "picture_size" not in capsys.readouterr().out
+
+
+def test_readings_in_steps_as_coarse_as_their_noise_are_no_lost_markers(tmp_path: Path) -> None:
+    recording = press()
+    recording.tracks.uv = np.round(recording.tracks.uv * 16.0) / 16.0
+    found = findings(write(recording, tmp_path / "bag"), load_rig(RIG))
+    assert [f.name for f in found if f.severity != "note"] == []
+
+
+def test_a_machine_of_twenty_kilonewtons_is_not_accused(tmp_path: Path) -> None:
+    recording, rig = press(), load_rig(RIG)
+    scale = 2e4 / np.abs(recording.wrench.values[:, :3]).max()
+    recording.wrench.values *= scale
+    gauge = rig.sensors["wrench_gel"]
+    noise = gauge.noise.model_copy(update={"force_n": scale * 0.002, "torque_nm": scale * 1e-5})
+    strong = rig.model_copy(
+        update={"sensors": {**rig.sensors, "wrench_gel": gauge.model_copy(update={"noise": noise})}}
+    )
+    bag = write(recording, tmp_path / "bag")
+    assert findings(bag, strong) == [] and not any("forces up to" in note.text for note in read(bag, strong).warnings)
+
+
+def test_a_pose_that_freezes_stops_a_fit_where_sensors_go_on(tmp_path: Path) -> None:
+    """Of poses with noise at rest; those without may stand still."""
+    recording = press()
+    recording.pose.position += 2e-6 * np.random.default_rng(3).standard_normal(recording.pose.position.shape)
+    assert findings(write(recording, tmp_path / "sound"), load_rig(RIG)) == []
+    frozen = slice(int(np.searchsorted(recording.pose.t, 2.0)), int(np.searchsorted(recording.pose.t, 3.5)))
+    recording.pose.position[frozen] = recording.pose.position[frozen.start]
+    found = [f for f in findings(write(recording, tmp_path / "bag"), load_rig(RIG)) if f.name == "frozen_pose"]
+    assert [f.severity for f in found] == ["stops a fit"]
+    assert found[0].times[0] == pytest.approx(2.0, abs=0.02) and found[0].times[1] == pytest.approx(3.5, abs=0.02)
+
+
+def test_a_component_that_nothing_measures_is_left_out(tmp_path: Path) -> None:
+    """As of a load cell of one axis, whose driver fills the others with zeros."""
+    recording = press()
+    recording.wrench.values[:, [0, 1, 3, 4, 5]] = 0.0
+    bag = write(recording, tmp_path / "bag")
+    (found,) = [f for f in findings(bag, load_rig(RIG)) if f.name == "constant"]
+    assert "force x (0 N), force y (0 N), torque x" in found.problem and "`measures`" in found.remedy
+    gauge = next(m for m in load_run(load_rig(RIG), bag).measured if m.channel == "wrench_gel")
+    assert np.isnan(gauge.values[:, [0, 1, 3, 4, 5]]).all() and np.isfinite(gauge.values[:, 2]).all()
+
+
+def test_torques_in_another_unit_are_told_by_their_noise(tmp_path: Path) -> None:
+    """Where the lever arm is short enough to be believed."""
+    recording = press()
+    force = recording.wrench.values[:, :3]
+    noise = 1e-5 * np.random.default_rng(4).standard_normal(force.shape)
+    recording.wrench.values[:, 3:] = 1000.0 * (1e-5 * force + noise)
+    found = findings(write(recording, tmp_path / "bag"), load_rig(RIG))
+    assert [f.name for f in found] == ["torque_unit"] and "newton millimetres" in found[0].problem
+
+
+def test_markers_that_change_places_out_of_sight_are_named(tmp_path: Path) -> None:
+    recording = press()
+    recording.tracks.uv[70:80, [4, 5]] = np.nan
+    recording.tracks.uv[80:, [4, 5]] = recording.tracks.uv[80:, [5, 4]]
+    assert [f.name for f in findings(write(recording, tmp_path / "bag"), load_rig(RIG))] == ["markers_exchanged"]
+
+
+def test_a_jump_of_the_orientation_is_said(tmp_path: Path) -> None:
+    recording = press()
+    recording.pose.quaternion[300:340] = [0.0, 0.0, 1.0, 0.0]
+    notes = read(write(recording, tmp_path / "bag"), load_rig(RIG)).warnings
+    assert ["2 jumps of the orientation, the largest 180 degrees" in note.text for note in notes] == [True]

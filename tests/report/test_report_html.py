@@ -185,7 +185,6 @@ def test_the_diagnosis_holds_every_number_of_its_parameters(verdicts: dict[str, 
             assert p.words in page.words
     for p in (*d.baseline_parameters, *d.amended_parameters):
         assert {p.value, *p.ci95} <= page.numbers
-    assert {*d.discretisation.values(), *d.noise_floor.values()} <= page.numbers
     found = {c.name for c in d.effects}
     assert {v for k, v in d.upper_limits.items() if k.split(".")[1] not in found} <= page.numbers
     assert d.sentence in page.words and d.next_experiment in page.words and d.not_explained in page.words
@@ -194,25 +193,26 @@ def test_the_diagnosis_holds_every_number_of_its_parameters(verdicts: dict[str, 
 
 def test_each_verdict_says_what_it_must(verdicts: dict[str, Page]) -> None:
     words = {v: page.words for v, page in verdicts.items()}
-    assert "card.E_pa was 14 % too high without it: 2.31 GPa instead of 2.03 GPa." in words["named"]
-    assert "the error falls from 7.12 to 1.05 times the noise" in words["named"]
-    assert "71 % of what the answer changes is in wrench_gel force" in words["named"]
-    assert f"Rejected: {REJECTED}" in words["named"]
+    assert "card.E_pa was fitted too high without it: 2.310 GPa instead of 2.030 GPa." in words["named"]
+    falls = f"error of wrench_gel force falls from 14.2 to 2.06 mN, from 7.10{TIMES} to 1.03{TIMES} the noise"
+    assert falls in words["named"]
+    assert "wrench_gel force71 %" in words["named"]
+    assert f"Not an answer: {REJECTED}" in words["named"]
+    assert "Practically certain. Takes away 97 % of the misfit beyond noise" in words["named"]
+    assert "thinshell plan amended_rig.yaml motion.yaml --params effects.gel_relaxation.share" in words["named"]
     assert "What would separate them" in words["one_of"]
     assert "do not tell them apart" in words["one_of"]
     assert "Upper limits" in words["nothing_missing"]
-    assert "31.0 µm/N" in words["nothing_missing"] and "displacement per force" in words["nothing_missing"]
+    assert "31 µm/N" in words["nothing_missing"] and "displacement per force" in words["nothing_missing"]
     assert "What it changed" not in words["nothing_missing"]
     assert "none of the effects that were tried accounts for it" in words["unknown"]
     assert "Next experiment" in words["unknown"]
 
 
-def test_the_discretisation_error_is_told_in_plain_numbers(verdicts: dict[str, Page]) -> None:
-    words = verdicts["named"].words.split("The discretisation error")[-1].split("Noise floor")[0]
-    assert "Error of mesh and time step 412 squared noise units" in words
-    assert f"Misfit over discretisation error 17.8{TIMES}" in words
-    assert "Baseline's misfit per score 13.7 mean square; 1 = noise" in words
-    assert "%" not in words
+def test_the_discretisation_error_stands_beside_the_error_in_its_unit(verdicts: dict[str, Page]) -> None:
+    words = verdicts["named"].words
+    assert f"wrench_gel force [mN] 14.22.06 7.10{TIMES} to 1.03{TIMES} 2.000.400" in words
+    assert "the error of the simulator's own mesh and time step" in words
 
 
 def test_places_are_shown_where_no_law_is_known(verdicts: dict[str, Page]) -> None:
@@ -221,7 +221,7 @@ def test_places_are_shown_where_no_law_is_known(verdicts: dict[str, Page]) -> No
 
 
 def test_what_was_found_has_no_upper_limit(verdicts: dict[str, Page]) -> None:
-    limits = verdicts["named"].words.split("no stronger than this")[1].split("Left open")[0]
+    limits = verdicts["named"].words.split("not larger than this")[1].split("Left open")[0]
     assert "end_effector_compliance" in limits and "gel_relaxation" not in limits
 
 
@@ -253,8 +253,7 @@ def test_the_examples_have_the_keys_of_real_diagnoses(tmp_path: Path) -> None:
     assert list(real.discretisation) == list(example.discretisation)
     assert set(real.upper_limits) <= set(example.upper_limits) and real.upper_limits
     words = diagnosis_page(tmp_path, real).words
-    assert "Misfit over discretisation error" in words
-    assert f"each of the {len(real.tried)} effects" in words and "promised no better fit" in words
+    assert "What became of each effect" in words and "promised no better fit" in words
 
 
 def test_a_fit_without_anything(tmp_path: Path) -> None:
@@ -370,21 +369,21 @@ def test_more_than_noise_in_one_quantity_is_said_first_however_good_the_rest(tmp
     assert "explains the recordings" in good.words
     left = "The rig does not explain the recordings: what it leaves is 3 times the noise in the torque of load_cell."
     page = fit_page(tmp_path, make_fit(unexplained=[left], series=[]))
-    first = page.words.split("Reduced chi-square")[0]
+    first = page.words.split("95 % interval")[0]
     assert left in first and "leaves more than their noise" in first
 
 
 def test_what_was_known_and_is_contradicted_is_said_first_however_good_the_rest(tmp_path: Path) -> None:
     said = "The recordings contradict what was known of card.E_pa before, 1e+09 +- 1e+07 Pa."
     fit = make_fit(contradicted=[said], series=[])
-    first = fit_page(tmp_path, fit).words.split("Reduced chi-square")[0]
+    first = fit_page(tmp_path, fit).words.split("95 % interval")[0]
     assert said in first and "contradict what was known before" in first and "explains the recordings" not in first
     assert fit.table().index(said) < fit.table().index("95 % interval")
 
 
 def test_what_intervals_rest_on_is_said_first(tmp_path: Path) -> None:
     fit = make_fit(cautions=["The error of mesh and time step may be 28 times the noise."], series=[])
-    assert fit.cautions[0] in fit_page(tmp_path, fit).words.split("Reduced chi-square")[0]
+    assert fit.cautions[0] in fit_page(tmp_path, fit).words.split("95 % interval")[0]
     assert fit.table().index(fit.cautions[0]) < fit.table().index("95 % interval")
 
 
@@ -432,7 +431,7 @@ def test_what_is_determined_is_said_first(tmp_path: Path) -> None:
     ]
     for sentences, names, words in cases:
         page = fit_page(tmp_path, make_fit(identifiability=sentences, undetermined=names, series=[]))
-        assert words in page.words.split("Reduced chi-square")[0]
+        assert words in page.words.split("95 % interval")[0]
 
 
 @pytest.mark.parametrize(("after", "verb"), [(1.0, "fell from"), (3.0, "rose from"), (2.0, "stayed at 2.00")])
@@ -484,7 +483,7 @@ def test_what_is_estimated_beside_shares_the_prefix_of_its_unit() -> None:
     late = Nuisance("wrench.latency_s", "a", "s", 0.0, 0.02, (0.018, 0.022), 0.001, 0.03, False, ())
     found = [late, replace(late, run="b", value=4e-5, ci95=(-2e-4, 3e-4)), replace(late, run="c")]
     rows = nuisance_rows(found)
-    assert [row.unit for row in rows] == ["ms"] * 3 and [row.value.text for row in rows] == ["20.0", "0.040", "20.0"]
+    assert [row.unit for row in rows] == ["ms"] * 3 and [row.value.text for row in rows] == ["20.0", "0.04", "20.0"]
 
 
 @pytest.mark.parametrize(("own", "level", "says"), [(0.0, "bad", "but not those held out"), (8.0, "good", "as well")])

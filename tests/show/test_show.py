@@ -6,6 +6,7 @@ import base64
 import json
 import re
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,11 @@ from sysid.cli.app import main
 from sysid.show.outputs import PAGE, PICTURE, show
 from sysid.show.page import page
 from sysid.show.payload import payload
+from sysid.show.picture import Board
 from sysid.show.raster import Skin, View, look_at, render
 from sysid.show.scenery import camera_view
 from sysid.show.style import round_length, round_up
-from sysid.show.subject import still, subject_of
+from sysid.show.subject import resting, still, subject_of
 
 WHITE = np.ones(3)
 SQUARE = np.array([[0, 1, 2], [0, 2, 3]])
@@ -143,6 +145,26 @@ def test_a_rig_that_cannot_be_simulated_is_shown_as_it_is_commanded(tmp_path: Pa
     gel = subject.layout.bodies["gel"].nodes
     moved = subject.states.positions[-1][gel] - subject.states.positions[0][gel]
     assert moved == pytest.approx(np.tile([0.0, 0.0, -0.0015], (len(gel), 1)), abs=1e-9)
+
+
+def test_what_was_measured_is_drawn_where_it_was_measured_however_far_markers_moved() -> None:
+    start = still(load_rig("gel_sensor"))
+    moved = start.layout.rest + np.array([4e-4, 0.0, 0.0])
+    positions = np.stack([start.layout.rest, moved])
+    frames = [start.layout.start] * 2
+    subject = replace(
+        start, times=np.array([0.0, 1.0]), states=resting(start.layout, positions, frames), frames=tuple(frames)
+    )
+    (camera,) = subject.rig.cameras
+    pixels = np.stack([subject.pixels(camera, k) for k in (0, 1)])
+    assert np.linalg.norm(pixels[1] - pixels[0], axis=1).max() > 1.0
+    subject = replace(subject, tracks={camera: replace(subject.tracks[camera], measured=pixels)})
+    board = Board(subject, None, small=True)
+    board.draw(1)
+    axes = board._cameras[camera]
+    scale = board._size(axes)[1] / subject.rig.cameras[camera].height_px
+    crosses = axes.collections[-1].get_offsets()
+    assert np.abs(crosses - scale * pixels[1]).max() < 0.01 * np.abs(crosses).max()
 
 
 def test_the_command_says_what_looks_wrong_and_where_the_files_are(

@@ -50,7 +50,7 @@ def test_torques_in_newton_millimetres_can_be_declared(tmp_path: Path) -> None:
 
 def test_forces_of_another_unit_are_said(tmp_path: Path) -> None:
     items = [("/wrench", WRENCH, t, wrench(t, (0, 0, 2e4))) for t in map(log_time, range(5))]
-    assert "looks like another unit than newton" in notes(read(tmp_path, poses() + items))
+    assert "look whether they are in newtons" in notes(read(tmp_path, poses() + items))
 
 
 def assert_markers(recording: Recording) -> None:

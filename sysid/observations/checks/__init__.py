@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable
 
 from sim_core.rigs import Rig
 from sysid.observations.checks.cameras import cameras
-from sysid.observations.checks.clipped import clipped
+from sysid.observations.checks.clipped import clipped, constant
 from sysid.observations.checks.clocks import clocks
 from sysid.observations.checks.finding import Finding, Severity, without_faulty
-from sysid.observations.checks.frozen import frozen
+from sysid.observations.checks.frozen import frozen, frozen_poses
 from sysid.observations.checks.identity import frames, numbers
 from sysid.observations.checks.lost_markers import lost_markers
 from sysid.observations.checks.marker_identity import coincident_markers, exchanged_markers
@@ -22,6 +22,7 @@ from sysid.observations.checks.marker_layout import marker_layout
 from sysid.observations.checks.pictures import pictures
 from sysid.observations.checks.rates import rates
 from sysid.observations.checks.resolution import resolution
+from sysid.observations.checks.restarts import resets, time_left_out
 from sysid.observations.checks.spikes import spikes
 from sysid.observations.checks.start_poses import start_poses
 from sysid.observations.checks.tares import tares
@@ -33,9 +34,12 @@ __all__ = ["AGAINST_ITSELF", "AGAINST_RIG", "Finding", "Severity", "examine", "w
 
 AGAINST_ITSELF: tuple[Callable[[Recording], Iterable[Finding]], ...] = (
     clocks,
+    resets,
     two_publishers,
     lost_markers,
+    frozen_poses,
     frozen,
+    constant,
     clipped,
     coincident_markers,
     exchanged_markers,
@@ -52,6 +56,7 @@ AGAINST_RIG: tuple[Callable[[Recording, Rig], Iterable[Finding]], ...] = (
     cameras,
     marker_layout,
     rates,
+    time_left_out,
 )
 
 _ORDER: tuple[Severity, ...] = ("stops a fit", "warning", "note")

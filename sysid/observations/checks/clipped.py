@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sysid.noise.estimate import by_differences
+from sysid.noise.quantisation import step_of
 from sysid.observations.checks.finding import Finding, runs_of, when
 from sysid.observations.checks.frozen import BY_CHANCE, NOISY
 from sysid.observations.checks.motion import WORDS, at_rest, components, noisy, repeats_at_rest, unit
@@ -38,6 +40,34 @@ def clipped(recording: Recording) -> Iterator[Finding]:
                     part=name,
                     faulty=at[:, None] & (np.arange(6) == component),
                 )
+
+
+def constant(recording: Recording) -> Iterator[Finding]:
+    """Components of a wrench that have one value throughout, beside others with noise: nothing measures them."""
+    for name, wrench in recording.wrenches.items():
+        values = components(wrench)
+        if len(values) < 4 * FEWEST:
+            continue
+        finite = np.isfinite(values).all(axis=0)
+        same = finite & (np.ptp(np.where(np.isfinite(values), values, 0.0), axis=0) == 0.0)
+        others = values[:, finite & ~same]
+        if not same.any() or not others.size or not noisy(others, wrench.t):
+            continue
+        if any((step_of(c) or 0.0) > max(by_differences(c[:, None], wrench.t), default=0.0) for c in others.T):
+            continue  # less than a step is read as nothing
+        words = [f"{WORDS[k]} ({values[0, k]:.4g} {unit(int(k))})" for k in np.flatnonzero(same)]
+        yield Finding(
+            "constant",
+            wrench.topic,
+            "note",
+            f"{', '.join(words)} of {name} never change in {len(values)} readings, while the others have noise: the "
+            "sensor does not measure them.",
+            "They are left out. List what it measures under `measures` in the rig.",
+            values=tuple(float(v) for v in values[0, same]),
+            role="wrench",
+            part=name,
+            faulty=np.broadcast_to(same, values.shape).copy(),
+        )
 
 
 def _levels(column: np.ndarray, t: np.ndarray, still: np.ndarray) -> Iterator[float]:

@@ -34,6 +34,7 @@ class Finding:
         part: name of the end effector, sensor or camera.
         faulty: readings that are left out: ``(n,)`` of poses, ``(n, 6)`` of a wrench, ``(n, m)`` of markers.
         of_another_rig: it may be that the recording was made with another rig.
+        breaks: the recording begins anew at ``times``; a window without them in it is not concerned.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Finding:
     part: str = ""
     faulty: np.ndarray | None = None
     of_another_rig: bool = False
+    breaks: bool = False
 
     @property
     def text(self) -> str:

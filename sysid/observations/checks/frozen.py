@@ -1,4 +1,5 @@
-"""Readings that do not change any more: a driver or a bridge that repeats its last message under new stamps."""
+"""Readings and poses that do not change any more: a driver or a bridge that repeats its last message under new
+stamps."""
 
 from __future__ import annotations
 
@@ -17,6 +18,15 @@ BY_CHANCE = 1e-4
 """Expected number of such stretches in a recording, by how often its readings repeat otherwise, below which one is no
 chance."""
 
+CHANGED = 3.0
+"""Change over its noise that is one."""
+
+BLOCK = 16
+"""Poses in a row that are looked at together."""
+
+RESTS = 3
+"""Such blocks at rest, with noise, from which poses have noise at rest."""
+
 NOISY = 0.5
 """Share of repeated readings at rest below which a sensor has noise that shows."""
 
@@ -33,6 +43,72 @@ def frozen(recording: Recording) -> Iterator[Finding]:
     for name, tracks in recording.tracks.items():
         values = tracks.uv.reshape(len(tracks), -1)
         yield from _frozen(recording, "tracks", name, tracks.topic, tracks.t, values, tracks.uv.shape[:2])
+
+
+def frozen_poses(recording: Recording) -> Iterator[Finding]:
+    """Stretches in which the pose of an end effector repeats exactly, where at rest it otherwise has noise."""
+    for name, pose in recording.poses.items():
+        values = np.hstack([pose.position, pose.quaternion])
+        if len(values) < 2 * FEWEST:
+            continue
+        same = same_as_before(values)
+        found = [(a + 1, b + 1) for a, b in runs_of(same) if b - a >= BLOCK]
+        if not found or not _noise_at_rest(values, same):
+            continue
+        spans = [(float(pose.t[a - 1]), float(pose.t[b - 1])) for a, b in found]
+        felt = [sensor for sensor, t, of in _sensors(recording) if any(_changes(t, of, *span) for span in spans)]
+        yield Finding(
+            "frozen_pose",
+            pose.topic,
+            "stops a fit" if felt else "warning",
+            f"{sum(b - a for a, b in found)} of {len(values)} poses of {name} repeat the one before exactly, "
+            f"{when(pose.t, found)}, while it otherwise has noise at rest"
+            + (f", and {', '.join(felt)} changes meanwhile" if felt else "")
+            + ": its driver was stuck.",
+            "Fit windows of the recording without these times, BAG@BEGIN:END.",
+            times=tuple(time for span in spans for time in span),
+            values=tuple(end - begin for begin, end in spans),
+            bound=float(FEWEST),
+            part=name,
+        )
+
+
+def _noise_at_rest(values: np.ndarray, same: np.ndarray) -> bool:
+    """Whether values ``(n, m)`` scatter about places at which they stand still: so does a sensor with noise. One
+    without repeats itself there. ``same`` ``(n - 1,)``: values are those before."""
+    count = len(values) // BLOCK
+    blocks = values[: count * BLOCK].reshape(count, BLOCK, -1)
+    repeats = np.append(same, False)[: count * BLOCK].reshape(count, BLOCK).any(axis=1)
+    noise = np.std(np.diff(blocks, axis=1), axis=1) / np.sqrt(2.0)
+    half = BLOCK // 2
+    drift = np.abs(blocks[:, half:].mean(axis=1) - blocks[:, :half].mean(axis=1))
+    rest = (drift <= CHANGED * noise * np.sqrt(2.0 / half)).all(axis=1) & (noise > 0.0).any(axis=1) & ~repeats
+    return bool(rest.sum() >= RESTS)
+
+
+def _sensors(recording: Recording) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Names, times [s] and readings ``(n, m)`` of wrench sensors and markers."""
+    for name, wrench in recording.wrenches.items():
+        yield name, wrench.t, components(wrench)
+    for name, markers in recording.markers.items():
+        yield name, markers.t, markers.position.reshape(len(markers), -1)
+    for name, tracks in recording.tracks.items():
+        yield name, tracks.t, tracks.uv.reshape(len(tracks), -1)
+
+
+def _changes(t: np.ndarray, values: np.ndarray, begin: float, end: float) -> bool:
+    """Whether readings are others in the second half of a stretch of time than in the first, beyond their noise."""
+    middle = 0.5 * (begin + end)
+    first, second = values[(t >= begin) & (t < middle)], values[(t >= middle) & (t <= end)]
+    if min(len(first), len(second)) < FEWEST:
+        return False
+    columns = np.isfinite(first).all(axis=0) & np.isfinite(second).all(axis=0)
+    if not columns.any():
+        return False
+    whole = np.vstack([first, second])[:, columns]
+    noise = np.std(np.diff(whole, axis=0), axis=0) / np.sqrt(2.0)
+    apart = np.abs(first[:, columns].mean(axis=0) - second[:, columns].mean(axis=0))
+    return bool((apart > CHANGED * noise).any())
 
 
 def same_as_before(values: np.ndarray) -> np.ndarray:

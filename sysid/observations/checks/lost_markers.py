@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sysid.observations.checks.finding import Finding
+from sysid.noise.quantisation import common_step
+from sysid.observations.checks.finding import Finding, runs_of
 from sysid.observations.checks.motion import at_rest, noisy, repeats_at_rest
 from sysid.recording import Recording
 from sysid.recording.notes import plural
@@ -16,6 +17,9 @@ FEWEST = 3
 
 NOISY = 0.2
 """Share of readings that repeat at rest below which an exact repetition is no reading."""
+
+BY_CHANCE = 1e-3
+"""Expected number of stretches of repetitions in a recording below which one is no chance."""
 
 NEARLY = 0.05
 """Step of a marker, over the usual one, that is as good as none."""
@@ -66,6 +70,16 @@ def lost_markers(recording: Recording) -> Iterator[Finding]:
             )
 
 
+def _beyond_chance(repeated: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Those of the repetitions ``(n, m)`` of readings in coarse steps that are more in a row than chance makes."""
+    chance = float(repeated.sum()) / max(int(seen.sum()), 1)
+    kept = np.zeros_like(repeated)
+    for column in range(repeated.shape[1]):
+        for a, b in runs_of(repeated[:, column]):
+            kept[a:b, column] = seen.sum() * chance ** (b - a) < BY_CHANCE
+    return kept
+
+
 def placed_markers(recording: Recording) -> Iterator[tuple[str, str, str, np.ndarray, np.ndarray]]:
     """Role, name, topic, times [s] ``(n,)`` and places ``(n, m, d)`` of all markers, in space [m] or a picture [px]."""
     for name, m in recording.markers.items():
@@ -105,7 +119,7 @@ def _repeated(recording: Recording, t: np.ndarray, places: np.ndarray) -> np.nda
     repeated = np.zeros(places.shape[:2], dtype=bool)
     if len(places) < FEWEST or places.shape[1] < FEWEST:
         return repeated
-    before = _last_seen(places)
+    before = last_seen(places)
     repeated[1:] = (places[1:] == before[:-1]).all(axis=-1)
     seen = np.isfinite(places).all(axis=-1)
     share = repeated.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
@@ -121,12 +135,14 @@ def _repeated(recording: Recording, t: np.ndarray, places: np.ndarray) -> np.nda
     nearly = int((steps < NEARLY * np.median(steps)).sum()) if len(steps) else 0
     if max(usual, rest) > NOISY or others.sum() < max(FEWEST, MORE * nearly):
         return np.zeros_like(repeated)
+    if common_step(places.reshape(len(places), -1).T) > NEARLY * float(np.median(steps)):
+        repeated = _beyond_chance(repeated, seen)
     repeated[mostly] = False
     repeated[:, repeated.sum(axis=0) > 0.5 * seen.sum(axis=0)] = False  # what never moves is not lost
     return repeated if repeated.sum() >= FEWEST else np.zeros_like(repeated)
 
 
-def _last_seen(places: np.ndarray) -> np.ndarray:
+def last_seen(places: np.ndarray) -> np.ndarray:
     """Where each marker was last seen, up to each reading ``(n, m, d)``."""
     seen = np.isfinite(places).all(axis=-1)
     index = np.where(seen, np.arange(len(places))[:, None], 0)

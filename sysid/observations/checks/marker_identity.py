@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sysid.observations.checks.finding import Finding, runs_of, when
-from sysid.observations.checks.lost_markers import placed_markers
+from sysid.observations.checks.lost_markers import last_seen, placed_markers
 from sysid.recording import Recording
 
 SAME = 1e-4
@@ -72,8 +72,9 @@ def exchanged_markers(recording: Recording) -> Iterator[Finding]:
         faulty = np.zeros(places.shape[:2], dtype=bool)
         own = np.arange(places.shape[1])  # which marker each number stands for
         instants, largest = [], 0
+        before = last_seen(places)  # markers may change places while they are out of sight
         for k in range(1, len(places)):
-            taken = _taken(places[k - 1], places[k], spacing)
+            taken = _taken(before[k - 1], places[k], spacing)
             if taken:
                 instants.append(k)
                 largest = max(largest, len(taken))

@@ -21,8 +21,22 @@ ZERO = 4.0
 
 
 def tares(recording: Recording) -> Iterator[Finding]:
-    """Steps to zero of all that a sensor measures, at rest."""
+    """Tares that the recording tells of and that could not be undone, and steps to zero of all that a sensor measures,
+    at rest."""
     for name, wrench in recording.wrenches.items():
+        for t in recording.tared.get(name, ()):
+            yield Finding(
+                "tare",
+                wrench.topic,
+                "warning",
+                f"{name} was set to zero at {t:.3f} s, as the events of the recording say, and what had been taken "
+                "off before is not known.",
+                f"Fit the recording in two windows, BAG@0:{t:.3f} and what follows: each has its own bias.",
+                times=(t,),
+                part=name,
+            )
+        if recording.tared.get(name):
+            continue
         values, still = components(wrench), at_rest(recording, wrench.t)
         measured = np.flatnonzero(np.isfinite(values).all(axis=0) & (np.ptp(values, axis=0) > 0.0))
         if not len(measured) or len(values) < 3 * BESIDE:

@@ -15,6 +15,9 @@ from sysid.observations.checks.rig_size import extent_of
 from sysid.recording import Recording
 from sysid.recording.streams import WrenchStream
 
+TORQUE_UNITS = {"newton millimetres": 1000.0, "newton centimetres": 100.0}
+"""How many of a unit are one newton metre."""
+
 UNITS = {"gram-force": 101.97, "millinewtons": 1000.0, "pounds-force": 0.2248, "kilogram-force": 0.10197}
 """How many of a unit are one newton."""
 
@@ -39,15 +42,18 @@ def wrench_units(recording: Recording, rig: Rig) -> Iterator[Finding]:
     for name, wrench in recording.wrenches.items():
         sensor = rig.sensors[name]
         assert isinstance(sensor, WrenchSensor)
-        yield from _force_unit(name, wrench, sensor)
+        yield from _noise_unit(name, wrench, sensor, "force", "N", sensor.noise.force_n)
+        if sensor.length_unit is None:
+            yield from _noise_unit(name, wrench, sensor, "torque", "N m", sensor.noise.torque_nm)
         yield from _range(name, wrench, sensor)
         yield from _lever(name, wrench, sensor, rig)
 
 
-def _force_unit(name: str, wrench: WrenchStream, sensor: WrenchSensor) -> Iterator[Finding]:
-    declared = sensor.noise.force_n
-    columns = [k for k, c in enumerate(("force_x", "force_y", "force_z")) if c in sensor.measures]
-    values = wrench.force[:, columns]
+def _noise_unit(
+    name: str, wrench: WrenchStream, sensor: WrenchSensor, quantity: str, unit: str, declared: float
+) -> Iterator[Finding]:
+    columns = [k for k, axis in enumerate("xyz") if f"{quantity}_{axis}" in sensor.measures]
+    values = (wrench.force if quantity == "force" else wrench.torque)[:, columns]
     values = values[:, np.isfinite(values).any(axis=0)]
     if declared == 0.0 or len(values) < 50 or not values.size:
         return
@@ -55,15 +61,19 @@ def _force_unit(name: str, wrench: WrenchStream, sensor: WrenchSensor) -> Iterat
     ratio = noise / declared
     if ratio < LOUD or noise < common_step(values.T):
         return  # as quiet as it should be, or rounding, which is another matter
-    found = [(w, s) for w, s in UNITS.items() if s > 1.0 and 1.0 / AS_UNIT < ratio / s < AS_UNIT]
-    as_unit = f" In {found[0][0]} it would be {noise / found[0][1]:.2g} N." if found else ""
+    units = UNITS if quantity == "force" else TORQUE_UNITS
+    found = [(w, s) for w, s in units.items() if s > 1.0 and 1.0 / AS_UNIT < ratio / s < AS_UNIT]
+    as_unit = f" In {found[0][0]} it would be {noise / found[0][1]:.2g} {unit}." if found else ""
+    if quantity == "torque" and not found:
+        return
+    remedy = "Record newtons" if quantity == "force" else "Write `length_unit: mm` into this sensor for N mm"
     yield Finding(
-        "force_unit" if found else "force_noise",
+        f"{quantity}_unit" if found else f"{quantity}_noise",
         wrench.topic,
         "warning",
-        f"The noise of the force of {name} is {noise:.3g} N, {ratio:.3g} times what the rig declares ({declared:g} N)."
-        + as_unit,
-        "Record newtons, or correct `noise` in the rig." if found else "Look at the sensor, or correct the rig.",
+        f"The noise of the {quantity} of {name} is {noise:.3g} {unit}, {ratio:.3g} times what the rig declares "
+        f"({declared:g} {unit}).{as_unit}",
+        f"{remedy}, or correct `noise` in the rig." if found else "Look at the sensor, or correct the rig.",
         values=(noise,),
         bound=LOUD * declared,
         part=name,
