@@ -73,10 +73,33 @@ def test_responses_point_where_rollouts_go(found: Any) -> None:
                 {c: prediction.derivatives[c][..., 2 + k] for c in base},
             )
         )
+        if name == "contact_bonding":
+            assert max(np.abs(true).max(), np.abs(seen).max()) < 1e-9, "the finger does not touch the post"
+            continue
         cosine = float(true @ seen / (np.linalg.norm(true) * np.linalg.norm(seen)))
         assert cosine > TAKES_ANOTHER_PATH.get(name, 0.9), (name, cosine)
         if name not in TAKES_ANOTHER_PATH:
             assert 0.5 < np.linalg.norm(seen) / np.linalg.norm(true) < 2.0, name
+
+
+def test_bonds_are_carried_along_the_path(small_rig: Callable[..., Rig], visit: Callable[..., Any]) -> None:
+    """Of a press on the post: nothing on the way in, a pull on the way out."""
+    rig, predictor = small_rig(), SerialPredictor()
+    shift = np.array([0.055, 0.0, 0.005])
+    way = (np.array([[0, 0, 0], [0, 0, -0.0055], [0, 0, -0.0055], [0, 0, -0.0035], [0, 0, 0]]) + shift).tolist()
+    stamps = np.linspace(0.013, 0.287, 41)
+    blank = Measured("wrench", "wrench", stamps, np.zeros((41, 6)), tuple("abcdef"))
+    run = Run("own", "own", (), visit(TIMES, way), (blank,), TIMES[-1])
+    effects = {"contact_bonding": {"work_j_m2": 0.02, "range_m": 2e-4}}
+    parameters = fit_parameters(rig, ["gel.E_pa"])
+    seen = predictor.predict_responses(rig, run, parameters, start_of(rig, parameters), [effects])
+    base = predictor.predict(rig, run).values["wrench"]
+    true = predictor.predict(rig.model_copy(update={"effects": effects}), run).values["wrench"] - base
+    found = seen.derivatives["wrench"][..., 1]
+    assert not true[stamps < 0.05].any() and not found[stamps < 0.05].any()
+    assert true.any()
+    cosine = float(true.ravel() @ found.ravel() / (np.linalg.norm(true) * np.linalg.norm(found)))
+    assert cosine > 0.5, cosine
 
 
 def test_sensors_are_looked_at_exactly(small_rig: Callable[..., Rig]) -> None:
