@@ -37,8 +37,8 @@ from sysid.observations.observations import Run, check_apart
 
 Progress = Callable[[float, str], None]
 
-REFITTED = 3
-"""Effects that are refitted in full after the screening."""
+SIMULATED = 8
+"""Effects that are simulated where the screening says, before the best of them are refitted."""
 
 SECOND_STARTS = 1
 """Further starts of these effects that are refitted as well."""
@@ -111,7 +111,7 @@ def _trials(
     apart = [s for s in screen.by_recording() if s.gain > case.needed]
     if not promising and not apart:
         return []
-    chosen = _distinct(screen, promising, REFITTED, SECOND_STARTS)
+    chosen = _distinct(screen, promising, SIMULATED, SECOND_STARTS)
     names = {screen.hypotheses[s.numbers[0]].effect.name for s in chosen}
     apart = [s for s in apart if screen.hypotheses[s.numbers[0]].effect.name not in names]
     starts = [_start(screen, s) for s in (*chosen, *_distinct(screen, apart, BY_RECORDING, 0))]

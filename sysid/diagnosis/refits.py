@@ -115,7 +115,11 @@ def _begun_at(begun: Fitted, start: Start, scales: RecordingScales) -> tuple[Rig
 def _ahead(
     base: Baseline, begun: Fitted, starts: Sequence[Start], scales: RecordingScales, failed: dict[str, str]
 ) -> list[Start]:
-    """The starts of the sets that simulations there explain best, at most :data:`IN_FULL` sets."""
+    """The starts of the sets that simulations there explain best, at most :data:`IN_FULL` sets.
+
+    Where the baseline has taken up part of an effect, the way back to its own values is long and not straight, so what
+    one more linear step of its parameters takes away of the misfit does not count.
+    """
     if len({s.names for s in starts}) <= IN_FULL and len(starts) <= IN_FULL:
         return list(starts)
     jobs = []
@@ -131,12 +135,24 @@ def _ahead(
         except ThinshellError as error:
             failed[" and ".join(sorted(start.names))] = f"could not be simulated: {error}"
             continue
-        found.append((float(residual @ residual), start))
+        found.append((_least(begun, residual), start))
     found.sort(key=lambda pair: pair[0])
     best: dict[frozenset[str], Start] = {}
     for _, start in found:
         best.setdefault(start.names, start)
     return list(best.values())[:IN_FULL]
+
+
+def _least(begun: Fitted, residual: np.ndarray) -> float:
+    """Least chi-square of a whitened residual along the derivatives of a model, within what is known of its parameters;
+    its chi-square where other readings are in sight than in that model."""
+    data = len(begun.residual) - begun.pulls
+    if len(residual) != data or not begun.parameters:
+        return float(residual @ residual)
+    j = begun.jacobian[:data]
+    known = np.array([p.known_sd or p.prior_sd for p in begun.parameters])
+    slope = j.T @ residual
+    return float(residual @ residual - slope @ np.linalg.solve(j.T @ j + np.diag(1.0 / known**2), slope))
 
 
 def refit(base: Baseline, begun: Fitted, start: Start, scales: RecordingScales) -> Fitted:
