@@ -113,14 +113,8 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     start = start_of(rig, parameters)
     noise = channel_noise(rig, runs, held_out)
     runs, plain = _with_steps(engine, [rig_in(rig, parameters, start, run.name) for run in runs], runs, noise)
-    mesh = refined_where_touched(rig, [*runs, *held_out])
-    if mesh is not None:
-        derived = engine.predict_all(rig, runs, parameters, start)
-        finer = _all(engine, mesh.rig, parameters, start, runs)
-        if follow_finer(runs, derived, finer, noise, np.array([p.known_sd or p.prior_sd for p in parameters])):
-            rig, plain = mesh.rig, finer
-        else:
-            mesh = None
+    mesh, plain, told = _with_cells(engine, rig, parameters, runs, held_out, plain, noise)
+    rig = rig if mesh is None else mesh.rig
     clean, _ = without_outliers(runs, plain, noise)
     noise = channel_noise(rig, clean, held_out)
     tell(0.08, "error of mesh and time step")
@@ -163,7 +157,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     tell(0.38, "held-out recordings")
     check, notes = held_out_problem(engine, fitted, noise, held_out, mesh)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
-    base = Baseline(problem, fitted, check, there, noise, outliers, (*(mesh.notes if mesh else ()), *left_out, *notes))
+    base = Baseline(problem, fitted, check, there, noise, outliers, (*told, *left_out, *notes))
     far = structure(problem, fitted).missing or (there is not None and structure(check, there).missing)
     return _where_predictable(engine, base, tell) if far else base
 
@@ -283,17 +277,42 @@ def _all(
     return [job.result() for job in jobs]
 
 
+def _with_cells(
+    engine: AnyEngine,
+    rig: Rig,
+    parameters: Sequence[FitParameter],
+    runs: Sequence[Run],
+    held_out: Sequence[Run],
+    plain: Sequence[Prediction],
+    noise: dict[str, ChannelNoise],
+) -> tuple[ContactMesh | None, list[Prediction], tuple[str, ...]]:
+    """Finer cells where gels are touched, if recordings follow them and simulations with them end; predictions, those
+    of the rig as it is being ``plain``; and what was done, in words."""
+    mesh = refined_where_touched(rig, [*runs, *held_out])
+    if mesh is None:
+        return None, list(plain), ()
+    start = start_of(rig, parameters)
+    derived = engine.predict_all(rig, runs, parameters, start)
+    try:
+        finer = _all(engine, mesh.rig, parameters, start, runs)
+    except ThinshellError as error:
+        return None, list(plain), (f"The cells of the rig are kept: with finer ones, simulations do not end. {error}",)
+    if follow_finer(runs, derived, finer, noise, np.array([p.known_sd or p.prior_sd for p in parameters])):
+        return mesh, finer, mesh.notes
+    return None, list(plain), ()
+
+
 def _with_steps(
     engine: AnyEngine, rigs: Sequence[Rig], runs: Sequence[Run], noise: dict[str, ChannelNoise]
 ) -> tuple[list[Run], list[Prediction]]:
     """The runs with steps of the solver that follow their readings, and their predictions, by the rig of each."""
     pending = [engine.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
     shorter = with_steps(engine, rigs, runs, noise)
-    plain = [job.result() for job in pending]
-    there = [
-        p if run is given else engine.submit(rig, run).result()
-        for rig, run, given, p in zip(rigs, shorter, runs, plain, strict=True)
+    again = [
+        job if run is given else engine.submit(rig, run)
+        for rig, run, given, job in zip(rigs, shorter, runs, pending, strict=True)
     ]
+    plain, there = ([job.result() for job in jobs] for jobs in (pending, again))
     return followed(runs, plain, shorter, there, noise)
 
 

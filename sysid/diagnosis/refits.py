@@ -17,6 +17,8 @@ from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.evidence import log_evidence, significance
 from sysid.diagnosis.residual_analysis import Structure, structure
 from sysid.diagnosis.validation import gain_of, seen_by_both
+from sysid.fit.discretisation_refinement import error_sizes
+from sysid.fit.result import rms_errors
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.solve.gauss_newton import IN_SIGHT
@@ -30,6 +32,9 @@ IN_FULL = 3
 
 TOLERANCE = 5.0
 """Improvement of chi-square, in units of the misfit, below which a refit ends."""
+
+WORSE = 0.1
+"""Rise of a held-out error, over that of the baseline, from which a model predicts a quantity worse."""
 
 OUT_OF_SIGHT = "it moves readings out of sight"
 """Why an effect is no answer that explains readings by hiding them."""
@@ -60,7 +65,8 @@ class Trial:
     """A set of effects refitted. ``gain`` [nats]: log evidence over the baseline; ``explained``: share of the
     baseline's structured misfit that is gone, ``explained_there`` on recordings held out (None without); ``left``: what
     is left of it; ``held_out``: share of the robust misfit on held-out recordings that it removes (negative: it
-    predicts worse); ``significance``: of the weakest of its effects (:func:`sysid.diagnosis.evidence.significance`);
+    predicts worse); ``worse``: what it predicts there worse than the baseline, in words (:func:`worse_there`);
+    ``significance``: of the weakest of its effects (:func:`sysid.diagnosis.evidence.significance`);
     ``failure``: why it is no answer whatever its figures; ``predicted``: the model on the recordings held out."""
 
     hypotheses: tuple[Hypothesis, ...]
@@ -73,6 +79,7 @@ class Trial:
     significance: float
     predicted: Fitted | None
     failure: str = ""
+    worse: str = ""
 
     @property
     def names(self) -> frozenset[str]:
@@ -219,7 +226,24 @@ def _scored(base: Baseline, start: Start, fitted: Fitted, there: Fitted | None) 
         on_others = explained(structure(base.check, base.there), structure(base.check, there))
     gain = log_evidence(fitted, 1.0) - log_evidence(base.fitted, 1.0)
     worth = min(significance(h, fitted, gain) for h in start.whole)
-    return Trial(start.whole, fitted, gain, explained(before, left), on_others, left, gain_of(both), worth, there)
+    return Trial(start.whole, fitted, gain, explained(before, left), on_others, left, gain_of(both), worth, there,
+                 worse=worse_there(base, there))  # fmt: skip
+
+
+def worse_there(base: Baseline, there: Fitted | None) -> str:
+    """The quantity of recordings held out whose error a model raises most, in words; '' where it raises none by
+    :data:`WORSE` of it, the noise, and half the error of mesh and time step. Hundreds of markers that err a little less
+    do not make up for a force that errs more."""
+    if base.there is None or there is None:
+        return ""
+    found, most = "", 1.0
+    for error in rms_errors(base.check, base.there, there, held_out=True, own=error_sizes(base.problem)):
+        rise = float(np.sqrt(max(error.after**2 - error.before**2, 0.0)))
+        ratio = error.after / max(error.before, 1e-300)
+        if ratio > max(1.0 + WORSE, most) and rise > max(error.noise, 0.5 * error.own):
+            quantity = f"{error.quantity} of {error.channel}" if error.quantity else error.channel
+            found, most = f"the {quantity} in {error.run}, {error.before:.3g} -> {error.after:.3g} {error.unit}", ratio
+    return found
 
 
 def tempered(base: Baseline, trials: Sequence[Trial]) -> list[Trial]:

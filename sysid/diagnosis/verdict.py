@@ -76,6 +76,8 @@ def rejected(trial: Trial, case: Case) -> str:
         return f"it improves the fit too little ({trial.gain:.1f} of {case.needed:.1f} nats)"
     if trial.held_out is not None and trial.held_out <= 0.0:
         return f"it predicts held-out recordings worse, by {-100 * trial.held_out:.2g} %"
+    if trial.worse:
+        return f"it predicts worse: {trial.worse}"
     if trial.significance < LEAST_SIGNIFICANCE:
         return f"over time its improvement is worth {trial.significance:.1f} of {LEAST_SIGNIFICANCE:g} deviations"
     if not case.missing:

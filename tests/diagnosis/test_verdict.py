@@ -217,3 +217,12 @@ def test_a_parameter_that_the_data_do_not_touch_is_no_evidence(temper):
     alone = log_evidence(fitted([known], slope), temper)
     beside = log_evidence(fitted([known, idle], np.hstack([slope, np.zeros((50, 1))])), temper)
     assert beside == pytest.approx(alone, abs=1e-9)
+
+
+def test_an_answer_that_predicts_one_quantity_worse_is_none() -> None:
+    """However much it gains in all others."""
+    best = replace(trial("air_drag", 700.0), worse="the force of wrench in rec_04, 0.0147 -> 0.0186 N")
+    case = Case(LOUD, LOUD, 5.0)
+    assert decide([trial("air_drag", 700.0)], case).kind == "named"
+    assert decide([best], case).kind == "unknown"
+    assert rejected(best, case) == "it predicts worse: the force of wrench in rec_04, 0.0147 -> 0.0186 N"
