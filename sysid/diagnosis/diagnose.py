@@ -74,7 +74,7 @@ def diagnose_runs(
         tell(0.42, "a look at all effects")
         scales = recording_scales([*base.problem.runs, *base.check.runs])
         wanted = hypotheses(base.fitted.rig, scales)
-        screen, failed = look(engine, base.fitted, base.problem, wanted)
+        screen, failed = look(base.engine, base.fitted, base.problem, wanted)
         screen.temper(base.fitted.misfit)
         singles = screen.singles()
         case = Case(
@@ -85,9 +85,9 @@ def diagnose_runs(
             tuple(o.sentence for o in base.outliers if o.kept),
         )
         tell(0.55, "fits of the promising effects")
-        trials = _trials(engine, base, screen, singles, case, scales, failed, tell)
+        trials = _trials(base, screen, singles, case, scales, failed, tell)
         verdict = decide(trials, case)
-        places = _places(engine, base, verdict, tell)
+        places = _places(base, verdict, tell)
         tell(0.97, "report")
         diagnosis, amended = _collect(rig, base, case, verdict, trials, Screened(screen, singles, failed), places)
     diagnosis.provenance = provenance(rig, list(runs), list(held_out))
@@ -97,7 +97,6 @@ def diagnose_runs(
 
 
 def _trials(
-    engine: ParallelPredictor,
     base: Baseline,
     screen: Screen,
     singles: Sequence[Score],
@@ -125,7 +124,7 @@ def _trials(
             break
         tell(0.65 + 0.1 * count, f"what '{best.title}' leaves")
         wanted = [h for h in hypotheses(best.fitted.rig, scales) if h.effect.name not in best.names]
-        beside, _ = look(engine, best.fitted, base.problem, wanted)
+        beside, _ = look(base.engine, best.fitted, base.problem, wanted)
         beside.temper(best.fitted.misfit)
         promising = [s for s in beside.singles() if s.gain > max(case.needed, beside.threshold())]
         if not promising:
@@ -165,13 +164,13 @@ def _beside(best: Trial, start: Start) -> Start:
     return replace(start, earlier=best.hypotheses)
 
 
-def _places(engine: ParallelPredictor, base: Baseline, verdict: Verdict, tell: Progress) -> tuple[UnreliablePlace, ...]:
+def _places(base: Baseline, verdict: Verdict, tell: Progress) -> tuple[UnreliablePlace, ...]:
     """Where what remains unknown may be, without a law."""
     if verdict.kind not in ("unknown", "partly"):
         return ()
     tell(0.92, "which place of the model is unreliable")
     model = verdict.named[0].fitted if verdict.kind == "partly" else base.fitted
-    found = slot_evidence(engine, base.problem, model, max(1.0, model.misfit))
+    found = slot_evidence(base.engine, base.problem, model, max(1.0, model.misfit))
     return tuple(
         UnreliablePlace(s.slot.place, s.slot.name, s.slot.words, float(s.gain), float(s.explained))
         for s in found
@@ -239,4 +238,4 @@ def _collect(
         threshold=case.needed,
         places=places,
     )
-    return diagnosis, fitted.rig
+    return diagnosis, fitted.rig if base.reference is None else base.reference.fine(fitted.rig)

@@ -243,7 +243,7 @@ def empty_diagnosis() -> Diagnosis:
     law = Hypothesis("gel_relaxation", relaxation, {"tau_s": 0.2}, (Amplitude(size, 0.0, 0.25),))
     gram = np.array([[90.0, 3.0], [3.0, 360.0]])
     screen = Screen(base, [law], [Block("pull", gram, np.zeros(2))])
-    whole = Baseline(problem, base, Problem([], noise, cast(SerialPredictor, None)), None, noise, [], ())
+    whole = Baseline(problem, base, Problem([], noise, cast(SerialPredictor, None)), None, noise, [], (), None)
     case = Case(structure(problem, base), None, 3.0)
     return _collect(rig, whole, case, Verdict("nothing_missing", ()), [], Screened(screen, screen.singles(), {}))[0]
 
