@@ -28,7 +28,7 @@ from sysid.diagnosis.result import Diagnosis, Misfit, UnreliablePlace
 from sysid.diagnosis.screening import Score, Screen, look
 from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.validation import of_readings, seen_by_both
-from sysid.diagnosis.verdict import Case, Verdict, decide, rejected, size_of
+from sysid.diagnosis.verdict import WITHOUT_MISFIT, Case, Verdict, decide, rejected, size_of
 from sysid.fit.discretisation_refinement import coarse_quantities, error_sizes
 from sysid.fit.result import plot_series, rms_errors
 from sysid.model.parallel_predictor import ParallelPredictor
@@ -45,6 +45,9 @@ SECOND_STARTS = 1
 
 BY_RECORDING = 2
 """Further effects that are refitted since they explain single recordings best."""
+
+WORTH_TRYING = 0.5
+"""Share of the evidence that is needed where the baseline shows no misfit, from which an effect is refitted there."""
 
 MOST_EFFECTS = 3
 """Effects of one answer."""
@@ -106,8 +109,9 @@ def _trials(
     tell: Progress,
 ) -> list[Trial]:
     """Refits of single effects, of pairs that the screening shows, and of what the best of these leave."""
-    promising = [s for s in singles if s.gain > case.needed]
-    apart = [s for s in screen.by_recording() if s.gain > case.needed]
+    least = case.needed if case.missing else WORTH_TRYING * WITHOUT_MISFIT * case.needed
+    promising = [s for s in singles if s.gain > least]
+    apart = [s for s in screen.by_recording() if s.gain > least]
     if not promising and not apart:
         return []
     chosen = _distinct(screen, promising, SIMULATED, SECOND_STARTS)

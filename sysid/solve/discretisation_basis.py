@@ -225,7 +225,6 @@ def basis_of(
         expected += direction.mean * shape
         if direction.slopes:
             slopes += direction.mean * direction.slopes[index][measured.channel]
-        lasting = np.zeros(shape.shape)
         for quantity in column_groups(measured):
             group = quantity[np.isfinite(measured.values[:, quantity]).any(axis=0)]
             if not len(group):
@@ -234,13 +233,13 @@ def basis_of(
                 wide = np.zeros(shape.shape)
                 wide[:, group] = direction.sd * part.shape
                 common.append(replace(part, shape=wide))
-            size = _largest(_rms(shape[:, group]), t, run.end)[:, None]
-            lasting[:, group] = ROUGH * size
-            largest[:, group] += size**2
+            largest[:, group] += _largest(_rms(shape[:, group]), t, run.end)[:, None] ** 2
             if direction.unforeseen:
                 missed = direction.unforeseen[index][measured.channel][:, group]
                 unforeseen[:, group] += _largest(_rms(missed), t, run.end)[:, None] ** 2
-        own += [Changes(direction.sd * shape, drift, instants), Changes(lasting, drift, instants)]
+        own.append(Changes(direction.sd * shape, drift, instants))
+    if directions:
+        own.append(Changes(ROUGH * np.sqrt(largest), drift, instants))
     if bias is not None:
         always = np.ones((len(t), 1))
         own.append(Changes(bias * always, always, np.array([0.5 * run.end])))

@@ -329,7 +329,7 @@ def test_many_runs_stay_small_and_are_grouped(tmp_path: Path) -> None:
     )
     assert sum(t == "details" and k == "class" and v == "run" for t, k, v in page.attributes) == 40
     assert "30 recordings" in page.words and "run_39" in page.words
-    assert "more columns fit better than those shown" in page.words
+    assert "Columns that fit better than those shown are left out" in page.words
 
 
 def test_long_names_and_markup_in_names(tmp_path: Path) -> None:
