@@ -21,6 +21,7 @@ from sim_core.rigs import Rig
 from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import hypotheses, recording_scales
+from sysid.diagnosis.confirmation import confirmed
 from sysid.diagnosis.refits import Start, Trial, tempered, trials_of
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
 from sysid.diagnosis.residual_analysis import locate, structure
@@ -89,7 +90,7 @@ def diagnose_runs(
         )
         tell(0.55, "fits of the promising effects")
         trials = _trials(base, screen, singles, case, scales, failed, tell)
-        verdict = decide(trials, case)
+        verdict, trials = _confirmed(base, trials, case, failed, tell)
         places = _places(base, verdict, tell)
         tell(0.97, "report")
         diagnosis, amended = _collect(rig, base, case, verdict, trials, Screened(screen, singles, failed), places)
@@ -139,6 +140,22 @@ def _trials(
         if trials[0].gain < best.gain + case.needed:
             break
     return trials
+
+
+def _confirmed(
+    base: Baseline, trials: list[Trial], case: Case, failed: dict[str, str], tell: Progress
+) -> tuple[Verdict, list[Trial]]:
+    """The verdict, with every set of effects that it names measured against the reference model where it stands."""
+    verdict, known = decide(trials, case), set[frozenset[str]]()
+    while base.reference is not None and any(t.names not in known for t in verdict.named):
+        tell(0.9, "the answer with finer cells")
+        wanted = [t for t in verdict.named if t.names not in known]
+        known |= {t.names for t in wanted}
+        found = [confirmed(base, t, failed) for t in wanted]
+        others = [t for t in trials if t not in wanted]
+        trials = tempered(base, [*others, *(t for t in found if t is not None)])
+        verdict = decide(trials, case)
+    return verdict, trials
 
 
 def _distinct(screen: Screen, scores: Sequence[Score], effects: int, second: int) -> list[Score]:

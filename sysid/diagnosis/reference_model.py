@@ -130,14 +130,14 @@ def standing(
     if reference is None:
         added = Added({}, None)
     else:
-        added = known or _added(engine, reference, rigs, runs, own)
+        added = known or added_at(engine, reference, rigs, runs, own)
     shapes = discretisation(engine, rigs, runs, own, added.error)
     plain = [mapped(p, run, added.readings) for p, run in zip(own, runs, strict=True)]
     shapes.append(model_tolerance(rigs[0], runs, plain))
     return Standing(SpaceMappedPredictor(engine, added.readings), plain, shapes)
 
 
-def _added(
+def added_at(
     engine: AnyEngine, reference: Reference, rigs: Sequence[Rig], runs: Sequence[Run], own: Sequence[Prediction]
 ) -> Added:
     """What the reference adds to predictions ``own`` of the given rigs."""
