@@ -56,6 +56,9 @@ MOST_EFFECTS = 3
 BESIDE = 3
 """Effects that are tried beside an answer that leaves something."""
 
+OF_MISFIT = 0.1
+"""Share of the misfit that is in a sensor's readings, up to which it is no place where to look."""
+
 PAIRED = 6
 """Effects whose pairs are looked at in the screening."""
 
@@ -192,10 +195,13 @@ def _places(base: Baseline, verdict: Verdict, tell: Progress) -> tuple[Unreliabl
     tell(0.92, "which place of the model is unreliable")
     model = verdict.named[0].fitted if verdict.kind == "partly" else base.fitted
     found = slot_evidence(base.engine, base.problem, model, max(1.0, model.misfit))
+    shares: dict[str, float] = {}
+    for channel in locate(base.problem, model).channels:
+        shares[channel.channel] = shares.get(channel.channel, 0.0) + channel.share
     return tuple(
         UnreliablePlace(s.slot.place, s.slot.name, s.slot.words, float(s.gain), float(s.explained))
         for s in found
-        if s.gain > 0.0
+        if s.gain > 0.0 and shares.get(s.slot.name, 1.0) > OF_MISFIT
     )
 
 

@@ -25,7 +25,7 @@ from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import MODEL, ErrorShape
 from sysid.solve.outliers import DIMENSIONS
 
-MODEL_TOLERANCE = 0.015
+MODEL_TOLERANCE = 0.01
 """Agreement of careful simulations, in units of the deformation signal."""
 
 GEL_TOLERANCE = 0.05
