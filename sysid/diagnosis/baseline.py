@@ -58,6 +58,9 @@ TOO_COARSE = 5.0
 MEASURED_WITHIN = 1.0
 """How far, in standard deviations of what is known of parameters, the discretisation error is that of the start."""
 
+ADDED_WITHIN = 0.3
+"""The same for what a reference model adds."""
+
 Tell = Callable[[float, str], None]
 
 
@@ -155,9 +158,10 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     tell(0.28, "error of mesh and time step where the fit stands")
     unknown = ""
     known = np.array([p.known_sd or p.prior_sd for p in parameters])
-    far = bool(np.abs((fitted.scaled - start) / known).max(initial=0.0) > MEASURED_WITHIN)
+    within = MEASURED_WITHIN if reference is None else ADDED_WITHIN
+    far = bool(np.abs((fitted.scaled - start) / known).max(initial=0.0) > within)
     try:
-        if elsewhere is not None or reference is not None or far:
+        if elsewhere is not None or far:
             model = stands(fitted.scaled, sparing.predict_all(rig, runs, parameters, fitted.scaled))
             shapes = model.shapes
     except ThinshellError as error:

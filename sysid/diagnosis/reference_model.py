@@ -82,27 +82,25 @@ def reference_for(
     noise: dict[str, ChannelNoise],
 ) -> tuple[Reference | None, Added | None, tuple[str, ...]]:
     """The reference model whose extent and cells the recordings ``runs`` follow, None where those of the rig are as
-    good, what it adds, and what was not possible, in words. For this, the steps of the solver are those of the rig."""
+    good, what it adds, and what was not possible, in words."""
     wide, mesh = widened(rig), refined_where_touched(rig, [*runs, *held_out])
     if wide is None and mesh is None:
         return None, None, ()
     known = np.array([p.known_sd or p.prior_sd for p in parameters])
-    derived = engine.predict_all(rig, runs, parameters, start_of(rig, parameters))
-    steady = [replace(run, steps=None) for run in runs]
-    own = [replace(p, derivatives=d.derivatives) for p, d in zip(_all(engine, rig, steady), derived, strict=True)]
+    own = engine.predict_all(rig, runs, parameters, start_of(rig, parameters))
     extended, there = rig, own
     notes: list[str] = []
     fine: list[Prediction] | None = None
     told: tuple[str, ...] = ()
     try:
         if wide is not None:
-            here = _all(engine, wide.rig, steady)
+            here = _all(engine, wide.rig, runs)
             if follows(runs, own, here, noise, known).extends:
                 extended, mesh = wide.rig, refined_where_touched(wide.rig, [*runs, *held_out])
                 there = [replace(d, values=h.values) for d, h in zip(own, here, strict=True)]
                 notes += wide.notes
         if mesh is not None:
-            fine = _all(engine, mesh.rig, steady)
+            fine = _all(engine, mesh.rig, runs)
             if follows(runs, there, fine, noise, known).refines:
                 notes += mesh.notes
             else:
