@@ -14,7 +14,7 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.offset import with_offsets
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Observer, frame_of
-from sim_core.solve.integrator import step_context
+from sim_core.solve.integrator import at_start
 from sim_core.solve.step import NewtonSettings, State, StepReport, advance
 from sim_core.state_history import StateHistory, StateRecorder, pair_forces
 
@@ -108,7 +108,7 @@ class Simulation:
             self.state = State(0.0, after.x, np.zeros_like(after.x), after.internals)
         else:
             scene.system.set_targets(targets)
-            scene.system.begin_step(step_context(x, self.state.v, scene.rig.solver.dt_s), self.state.internals)
+            scene.system.begin_step(at_start(x, v, scene.rig.solver.dt_s), self.state.internals)
 
     def step(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
         """Move the mounts to ``frames``, as told, within ``dt`` [s]; halve the step where it does not converge."""
@@ -179,21 +179,21 @@ class Simulation:
 
 
 def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSettings) -> tuple[Settling, ...]:
-    """The way to equilibrium under gravity with everything held in place: short, then ever longer damped steps, and a
-    last one without inertia."""
+    """The way to equilibrium under gravity and loads with everything held in place: short, then ever longer damped
+    steps, and a last one without inertia. All of them end at the time 0, at which loads are those of the start."""
     system = scene.system
     inertia = system.inertia
     made: list[Settling] = []
     dt = 1e-3
 
-    def still() -> State:
+    def still(dt: float) -> State:
         last = made[-1].after if made else state
-        return State(0.0, last.x, np.zeros_like(last.x), last.internals)
+        return State(-dt, last.x, np.zeros_like(last.x), last.internals)
 
     try:
         system.inertia = True
         while dt < SETTLED_AFTER_S:
-            before = still()
+            before = still(dt)
             after, report = advance(system, before, targets, dt, settings, check=False)
             if report.converged:
                 made.append(Settling(before, after, dt, True, system.unknowns()))
@@ -206,7 +206,7 @@ def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSett
                     "Check that bodies do not overlap at the start, and that every body is held.",
                 )
         system.inertia = False
-        before = still()
+        before = still(FOREVER_S)
         after, _ = advance(system, before, targets, FOREVER_S, settings)
         made.append(Settling(before, after, FOREVER_S, False, system.unknowns()))
     finally:

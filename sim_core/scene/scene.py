@@ -36,6 +36,7 @@ from sim_core.scene.assembly import (
 from sim_core.scene.contact_constants import constants_of, finest_edge
 from sim_core.scene.fields import Fields
 from sim_core.scene.joints import Link, embedding, guides, joint_label, make_link
+from sim_core.scene.loads import load_numbers, load_terms, term_name
 from sim_core.scene.touching import (
     ContactTerm,
     bearing_surfaces,
@@ -242,7 +243,7 @@ class Scene:
             self.contacts[contact.name] = built = self._contact(contact.name, first, second)
             self._beyond.update({t.name: t.offset - half_thicknesses(self.rig, contact) for t in built})
             terms += built
-        return terms
+        return [*terms, *load_terms(self.rig, self.bodies)]
 
     def _contact(self, name: str, a: BuiltBody, b: BuiltBody) -> list[ContactTerm]:
         if isinstance(a.spec, Rigid) and isinstance(b.spec, Rigid):
@@ -331,6 +332,8 @@ class Scene:
             if isinstance(spec, Sheet | Gel):
                 damping = {"mass_damping_per_s": spec.material.mass_damping_per_s, "density": values.density[name]}
                 values.terms[f"{name}.mass_damping"] = damping
+        for load in rig.loads:
+            values.terms[term_name(load)] = load_numbers(load, values.gravity)
         for contact in rig.contacts:
             terms = self.contacts[contact.name]
             law = constants_of(rig, contact, self._edges)
