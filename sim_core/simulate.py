@@ -13,6 +13,7 @@ from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.offset import with_offsets
 from sim_core.scene.scene import Frame, Scene
+from sim_core.scene.strain_range import check_strains
 from sim_core.sensing.observe import Observer, frame_of
 from sim_core.solve.integrator import at_start
 from sim_core.solve.step import NewtonSettings, State, StepReport, advance
@@ -115,9 +116,11 @@ class Simulation:
         self._check_scene()
         begin, target = self.frames, {**self.frames, **with_offsets(self.scene.rig, frames)}
         try:
-            return self._step(begin, target, dt, MAX_HALVINGS)
+            report = self._step(begin, target, dt, MAX_HALVINGS)
         except ConvergenceError as error:
             raise ConvergenceError(f"{error.problem} {self._unmade(begin, target)}".strip(), error.remedy) from error
+        check_strains(self.scene, self.state.t)
+        return report
 
     def _check_scene(self) -> None:
         """Raise if the scene was built anew since the simulation was made."""

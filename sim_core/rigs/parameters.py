@@ -175,7 +175,8 @@ def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
         yield ("gravity_m_s2", index), found
     for name, body in rig.bodies.items():
         if body.type != "rigid":
-            for key in body.material.quantities:
+            fixed = ("nu",) if body.type == "sheet" and body.law == "neo_hookean" else ()
+            for key in (k for k in body.material.quantities if k not in fixed):
                 yield ("bodies", name, "material", key), _parameter(f"{name}.{key}", body.material, key)
     for index, load in enumerate(rig.loads):
         yield from _of_load(("loads", index, load.number), load)

@@ -95,6 +95,8 @@ class Scene:
         self.start: dict[str, Frame] = {WORLD: (np.zeros(3), Rotation.identity())}
         for name, effector in rig.end_effectors.items():
             self.start[name] = (effector.start.position(), effector.start.rotation())
+        self.strained: set[str] = set()
+        """Sheets of which it was told that they are strained beyond the range of their law."""
         self._build({})
         self.fields = Fields(self)
         """Material values, rest angles and shapes at rest that differ from node to node, element to element."""
