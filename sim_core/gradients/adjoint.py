@@ -240,7 +240,7 @@ class Backward:
         self._fields.shapes.follow(targets, frames)
         for follower in self._followers:
             rotation = frames[follower.mount][1].as_matrix()
-            force = targets[follower.nodes] @ rotation
+            force = (follower.axes * targets[follower.nodes]) @ rotation
             target.of(follower.mount)[:3] += force.sum(axis=0)
             target.of(follower.mount)[3:] += cross(follower.local, force).sum(axis=0)
         for term, turn in turns.items():

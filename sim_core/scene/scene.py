@@ -76,11 +76,13 @@ class Values:
 
 @dataclass(frozen=True)
 class Follower:
-    """Nodes that follow a mount rigidly. ``local``: in the mount's frame [m], ``(k, 3)``."""
+    """Nodes that follow a mount rigidly. ``local``: in the mount's frame [m], ``(k, 3)``; ``axes``: components that are
+    held, 1 or 0 ``(3,)``; others a mount may hold that is told of later."""
 
     mount: str
     nodes: np.ndarray
     local: np.ndarray
+    axes: np.ndarray
 
 
 class Scene:
@@ -206,7 +208,8 @@ class Scene:
         self, label: str, mount: str, nodes: np.ndarray, axes: tuple[bool, bool, bool] = (True, True, True)
     ) -> None:
         origin, rotation = self.start[mount]
-        self.followers.append(Follower(mount, nodes, rotation.inv().apply(self.rest[nodes] - origin)))
+        local = rotation.inv().apply(self.rest[nodes] - origin)
+        self.followers.append(Follower(mount, nodes, local, np.array(axes, dtype=float)))
         self.holders[label] = nodes
         self._prescribed[nodes] |= np.array(axes)
 
@@ -413,11 +416,18 @@ class Scene:
         Also turns the rigid bodies, so call it just before the step.
         """
         out: np.ndarray = self.rest.copy()
+        places: list[np.ndarray] = []
         for follower in self.followers:
             if frames[follower.mount] is self.start[follower.mount]:
-                continue  # it rests
+                places.append(self.rest[follower.nodes])  # it rests
+                continue
             origin, rotation = frames[follower.mount]
-            out[follower.nodes] = origin + rotation.apply(follower.local)
+            places.append(origin + rotation.apply(follower.local))
+            out[follower.nodes] = places[-1]
+        if any(not follower.axes.all() for follower in self.followers):
+            for follower, there in zip(self.followers, places, strict=True):  # components may follow different mounts
+                axes = follower.axes > 0.0
+                out[np.ix_(follower.nodes, axes)] = there[:, axes]
         for body in self.bodies.values():
             if isinstance(body.spec, Rigid):
                 _, rotation = world_pose(body.spec.pose, frames[body.spec.mount])
