@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from sim_core.commands import driven_frames
+from sim_core.contact_wrenches import contact_wrenches
 from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.offset import with_offsets
@@ -179,6 +180,11 @@ class Simulation:
         included; that on a rigid body is at its nodes. Those of ``scene.bodies[name].nodes`` sum to the force on a
         body."""
         return pair_forces(self)
+
+    def contact_wrenches(self) -> dict[str, np.ndarray]:
+        """Force [N] and torque [N m] ``(6,)`` of each declared contact now on the first body that it names, in the
+        world and about its origin (:func:`sim_core.contact_wrenches.contact_wrenches`)."""
+        return contact_wrenches(self.scene, self.scene.system.x, self.contact_forces())
 
 
 def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSettings) -> tuple[Settling, ...]:
