@@ -134,9 +134,7 @@ def tension_of(s):
 
 
 @ti.func
-def add_triangle(
-    e: ti.i32, area: ti.template(), s, cl, f1, f2, b, slots: ti.template(), out: ti.template()
-):
+def add_triangle(e: ti.i32, area: ti.template(), s, cl, f1, f2, b, slots: ti.template(), out: ti.template()):
     """Add the Hessian of a triangle with the stress s and the stiffness cl by Green strain, times its area."""
     # d eps / d x_a = (f1 b1, f2 b2, f1 b2 + f2 b1), so the material part is a sum of f_p f_q^T.
     block = 6 * e
