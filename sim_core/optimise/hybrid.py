@@ -1,4 +1,4 @@
-"""Straight motions and evolution to find a way, gradients to go it.
+"""Generic motions and evolution to find a way, gradients to go it.
 
 ThinShellLab runs CMA-ES over four fifths of the budget and gradient descent over the rest. Here
 
@@ -6,8 +6,13 @@ ThinShellLab runs CMA-ES over four fifths of the budget and gradient descent ove
    is not touched, has a gradient of its stuck state, which says nothing about where it goes once it slides;
 2. so each straight motion of the hands is tried, at half of its bounds, and slower where its rollout ends early. The
    best of them has broken contacts that stick, and L-BFGS-B climbs from there;
-3. then CMA-ES for a few generations from the best so far, wide enough to reach other contacts, and L-BFGS-B from the
+3. then each motion out and back, which begins and ends where the hands are: it acts by its speed, so it is tried at its
+   bounds first. What is thrown, shaken or tapped moves by it where no straight motion of the hands moves it;
+4. then CMA-ES for a few generations from the best so far, wide enough to reach other contacts, and L-BFGS-B from the
    best of those, again and again, with evolution the narrower the later.
+
+L-BFGS-B climbs from the best motion of a kind where that is the best action so far. Only evolution draws at random: a
+search that ends before it is the same for every seed.
 
 A climb ends when it converges or gains little. Where rollouts end early, or the gradient is zero because nothing
 touches, evolution goes on until it has found an action that has a gradient.
@@ -15,17 +20,20 @@ touches, evolution goes on until it has found an action that has a gradient.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from sim_core.optimise.descent import lbfgsb
 from sim_core.optimise.evolution import SIGMA, evolution
 from sim_core.optimise.problem import Evaluation, Problem
+from sim_core.tasks.actions import OUT_AND_BACK, STRAIGHT
 
 PROBE = 5
 """Gradients from the start before other motions are tried."""
 
-SHARES = (0.5, 0.2, 0.08)
-"""Of the bounds, at which straight motions are tried: the next one where a rollout ends early."""
+SHARES = {STRAIGHT: (0.5, 0.2, 0.08), OUT_AND_BACK: (1.0, 0.4, 0.16)}
+"""Of the bounds, at which motions of a kind are tried: the next one where a rollout ends early."""
 
 GENERATIONS = 4
 """Of evolution between two climbs."""
@@ -45,9 +53,10 @@ NARROWER = 0.7
 def hybrid(problem: Problem, start: np.ndarray, rng: np.random.Generator) -> None:
     """Search from ``start`` ``(size,)`` until the budget is spent."""
     lbfgsb(problem, start, most=PROBE, enough=_Gains())
-    way = _straight(problem, start)
-    if way is not None:
-        lbfgsb(problem, way.action, most=CLIMB, enough=_Gains())
+    for kind, shares in SHARES.items():
+        way = _tried(problem, start, kind, shares)
+        if way is not None and way is problem.best:
+            lbfgsb(problem, way.action, most=CLIMB, enough=_Gains())
     sigma = SIGMA
     while True:
         centre = start if problem.best is None else problem.best.action
@@ -57,13 +66,14 @@ def hybrid(problem: Problem, start: np.ndarray, rng: np.random.Generator) -> Non
         sigma = max(NARROWER * sigma, 0.2 * SIGMA)
 
 
-def _straight(problem: Problem, start: np.ndarray) -> Evaluation | None:
-    """The best of straight motions added to ``start`` that come to an end, if there is one."""
-    left, first = list(range(len(problem.straight))), len(problem.history)
-    for share in SHARES:
-        problem.phase = "straight motions"
+def _tried(problem: Problem, start: np.ndarray, kind: str, shares: Sequence[float]) -> Evaluation | None:
+    """The best of the motions of a kind, added to ``start``, that come to an end, if there is one."""
+    motions = problem.motions.get(kind, np.zeros((0, problem.size)))
+    left, first = list(range(len(motions))), len(problem.history)
+    for share in shares:
+        problem.phase = kind
         at = len(problem.history)
-        problem.values([start + share * problem.straight[k] for k in left])
+        problem.values([start + share * motions[k] for k in left])
         tried = problem.history[at:]
         left = [k for k, evaluation in zip(left, tried, strict=True) if evaluation.outcomes[0].stopped]
     found = [e for e in problem.history[first:] if not any(o.stopped for o in e.outcomes)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -57,8 +57,8 @@ class Problem:
     """A task as an optimisation problem over actions in [-1, 1]. ``history``: all evaluations; ``best``: the fittest.
 
     ``draws``: sets of parameters over which the mean of the fitness, and with ``quantile`` q > 0 the mean of its least
-    share q, is sought. ``stop_at_success``: the search ends with the first success. ``straight`` ``(m, size)``: motions
-    that may be tried first (:meth:`sim_core.tasks.ActionSpace.straight`).
+    share q, is sought. ``stop_at_success``: the search ends with the first success. ``motions``: those that may be
+    tried first, by kind, each ``(m, size)`` (:meth:`sim_core.tasks.ActionSpace.generic`).
     """
 
     def __init__(
@@ -71,9 +71,9 @@ class Problem:
         draws: Sequence[Parameters] = (),
         quantile: float = 0.0,
         stop_at_success: bool = False,
-        straight: np.ndarray | None = None,
+        motions: Mapping[str, np.ndarray] | None = None,
     ) -> None:
-        self.straight = np.zeros((0, evaluator.size)) if straight is None else straight
+        self.motions = dict(motions or {})
         self.size, self.workers = evaluator.size, evaluator.workers
         self._evaluator, self.budget, self._on_rollout = evaluator, budget, on_rollout
         self._draws: list[Parameters | None] = list(draws) or [None]

@@ -29,6 +29,7 @@ from sim_core.optimise.evaluators import Parameters, evaluator
 from sim_core.optimise.methods import method
 from sim_core.optimise.problem import Budget, BudgetSpent, OnRollout, Problem
 from sim_core.rigs import rig_to_yaml
+from sim_core.simulate import Trace
 from sim_core.tasks.actions import ActionSpace
 from sim_core.tasks.load import MadeTask
 from sim_core.tasks.rollout import Outcome, TaskRollouts
@@ -107,7 +108,7 @@ def optimise(
             draws=settings.draws,
             quantile=settings.quantile,
             stop_at_success=settings.stop_at_success,
-            straight=space.straight(),
+            motions=space.generic(),
         )
         try:
             search(problem, np.zeros(space.size), np.random.default_rng(settings.seed))
@@ -162,12 +163,16 @@ def _result(problem: Problem, final: Outcome, interrupted: bool) -> Result:
 
 def write_motion(made: MadeTask, settings: Settings, result: Result, folder: Path) -> None:
     """Write the trajectory of the best action with its prediction, and its trace, in place of those before; without
-    prediction and trace where the rig has other cells than the search and its rollout fails."""
+    prediction and trace where the rig has other cells than the search and its rollout fails.
+
+    With draws of parameters the prediction is the mean and the standard deviation of their rollouts, as far as they
+    come to an end, and the trace is that of the rig as it is.
+    """
     rollouts = TaskRollouts(made)
-    try:
-        traces = [rollouts.trace(result.action)]
-    except ConvergenceError:
-        traces = []
+    traces = [t for t in (_traced(rollouts, result.action, draw) for draw in settings.draws) if t is not None]
+    trace = _traced(rollouts, result.action, {})
+    if len(traces) < 2:
+        traces = [trace] if trace is not None else []
     trajectory = make_trajectory(
         made.rig,
         rollouts.space.poses(result.action),
@@ -187,8 +192,16 @@ def write_motion(made: MadeTask, settings: Settings, result: Result, folder: Pat
     for name in (TRAJECTORY, TRACE):
         (folder / name).unlink(missing_ok=True)
     write_trajectory(folder / TRAJECTORY, trajectory)
-    if traces:
-        save_trace(folder / TRACE, traces[0])
+    if trace is not None:
+        save_trace(folder / TRACE, trace)
+
+
+def _traced(rollouts: TaskRollouts, action: np.ndarray, parameters: Parameters) -> Trace | None:
+    """The rollout of an action; None where it fails."""
+    try:
+        return rollouts.trace(action, parameters)
+    except ConvergenceError:
+        return None
 
 
 def _open(made: MadeTask, settings: Settings, folder: Path) -> Path:

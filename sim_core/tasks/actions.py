@@ -27,6 +27,9 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.tasks.load import MadeTask
 from sim_core.tasks.schema import Actions
 
+STRAIGHT, OUT_AND_BACK = "straight motions", "motions out and back"
+"""Kinds of motions that a search may try before it knows anything (:meth:`ActionSpace.generic`)."""
+
 
 def knot_weights(actions: Actions) -> np.ndarray:
     """Share of each knot's velocity in each step, ``(steps, knots)``; rows sum to at most 1."""
@@ -114,24 +117,42 @@ class ActionSpace:
             [np.tile(hand.bounds()[self._active[name]], self._actions.knots) for name, hand in self._hands.items()]
         )
 
-    def straight(self) -> np.ndarray:
-        """Motions that a person would try first, ``(m, size)``: each translation at a constant share of its bound, of
-        all hands alike, and of each hand against those before it; both ways. Their largest entry is 1."""
+    def generic(self) -> dict[str, np.ndarray]:
+        """Motions that a person would try first, by kind, each ``(m, size)`` with the largest entry 1.
+
+        Each kind has every translation of all hands alike, and of each hand against those before it, both ways:
+        :data:`STRAIGHT` at a constant share of the bounds, :data:`OUT_AND_BACK` so in the first half of the steps and
+        back to where it began in the second half (none with a single knot).
+        """
+        straight, back = np.ones(self._actions.knots), self._back_and_forth()
+        return {STRAIGHT: self._translations(straight), OUT_AND_BACK: self._translations(back)}
+
+    def _back_and_forth(self) -> np.ndarray:
+        """Shares of the knots ``(knots,)`` in a motion that is back at its start at the end; a middle knot rests."""
+        half, moved = self._actions.knots // 2, self._weights.sum(axis=0)
+        shares = np.zeros(self._actions.knots)
+        if half:
+            shares[:half], shares[-half:] = 1.0 / moved[:half].sum(), -1.0 / moved[-half:].sum()
+            shares /= np.abs(shares).max()
+        return shares
+
+    def _translations(self, profile: np.ndarray) -> np.ndarray:
+        """Translations of hands with shares of their bounds at the knots ``(knots,)``: ``(m, size)``."""
         hands = list(self._hands)
         motions: list[np.ndarray] = []
-        for axis in range(3):
+        for axis in range(3) if profile.any() else ():
             acting = [name for name in hands if axis in self._active[name]]
             for count in range(1, len(acting) + 1):
                 # All alike, then the second against the first, the third against the first two, ...
                 shares = [1.0] * len(acting) if count == 1 else [1.0] * (count - 1) + [-1.0]
-                motion = self._constant(dict(zip(acting, shares, strict=False)), axis)
+                motion = self._along(dict(zip(acting, shares, strict=False)), axis, profile)
                 motions += [motion, -motion]
         return np.array(motions).reshape(len(motions), self.size)
 
-    def _constant(self, shares: Mapping[str, float], axis: int) -> np.ndarray:
-        """The action in which hands move along one axis at constant shares of their bounds."""
+    def _along(self, shares: Mapping[str, float], axis: int, profile: np.ndarray) -> np.ndarray:
+        """The action in which hands move along one axis at shares of their bounds times the profile ``(knots,)``."""
         own = np.concatenate(
-            [np.full(self._actions.knots * len(self._active[name]), shares.get(name, 0.0)) for name in self._hands]
+            [np.repeat(shares.get(name, 0.0) * profile, len(self._active[name])) for name in self._hands]
         )
         return np.where(self.components == axis, own, 0.0)
 

@@ -188,9 +188,12 @@ class TaskRollouts:
         seen = self.episode.seen(self._measure)
         return seen, self._reward(seen).reward
 
-    def trace(self, action: np.ndarray) -> Trace:
-        """The rollout of an action with its states, on the rig with its own sensors and cameras, weights included."""
-        scene = build_scene(self.made.rig)
+    def trace(self, action: np.ndarray, parameters: Mapping[str, float] | None = None) -> Trace:
+        """The rollout of an action with its states, on the rig with its own sensors and cameras, weights included.
+
+        ``parameters``: of the rig, in place of those that it has.
+        """
+        scene = build_scene(with_parameters(self.made.rig, parameters or {}))
         _take_weight(scene, self.made.variant.weightless)
         return run(Simulation(scene), self.space.poses(action), self.space.times, keep_states=True)
 

@@ -91,12 +91,12 @@ class NodeProcess:
 
 
 class Client:
-    """A node in this process: keeps what it hears, sends targets, calls services."""
+    """A node in this process: keeps what it hears, sends targets, calls services. Names are below ``namespace``."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, namespace: str = "/") -> None:
         import rclpy
 
-        self.node = rclpy.create_node(name)
+        self.node = rclpy.create_node(name, namespace=namespace)
         self._publishers: dict[str, Any] = {}
         self.heard: dict[str, list[Any]] = {}
 

@@ -13,9 +13,11 @@ from small_task import small_task
 from sim_core.errors import ConfigError
 from sim_core.optimise import METHODS, Budget, BudgetSpent, Problem, Settings, optimise
 from sim_core.optimise.evaluators import Request
+from sim_core.optimise.hybrid import PROBE
 from sim_core.optimise.posterior import posterior_draws
 from sim_core.rigs import load_rig
 from sim_core.tasks import Outcome
+from sim_core.tasks.actions import OUT_AND_BACK, STRAIGHT
 
 Value = Callable[[np.ndarray], tuple[float, np.ndarray]]
 TARGET = np.array([0.5, -0.3, 0.2, 1.4])  # the last one is beyond the bounds
@@ -89,10 +91,10 @@ def stuck(x: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def test_a_straight_motion_breaks_what_sticks_and_a_gradient_goes_on() -> None:
-    straight = np.array([s * row for row in np.eye(4)[:3] for s in (1.0, -1.0)])
+    straight = {STRAIGHT: np.array([s * row for row in np.eye(4)[:3] for s in (1.0, -1.0)])}
     found = {}
     for name, given in (("with", straight), ("without", None)):
-        problem = search("hybrid", Problem(Toy(stuck), Budget(25), straight=given))
+        problem = search("hybrid", Problem(Toy(stuck), Budget(25), motions=given))
         assert problem.best is not None
         found[name] = problem.best.fitness
     assert found["with"] > -1e-3 and found["without"] < -5.0
@@ -100,11 +102,43 @@ def test_a_straight_motion_breaks_what_sticks_and_a_gradient_goes_on() -> None:
 
 def test_a_straight_motion_that_ends_early_is_made_slower() -> None:
     """Actions with a third entry above 0.7 end early in the toy; here the only way leads there."""
-    straight = np.array([[0.0, 0.0, 2.0, 0.0]])
-    problem = Problem(Toy(bowl), Budget(40), straight=straight)
+    motion = np.array([[0.0, 0.0, 1.0, 0.0]])
+    problem = Problem(Toy(bowl), Budget(60), motions={STRAIGHT: 2.0 * motion, OUT_AND_BACK: motion})
     search("hybrid", problem)
-    tried = [e.action[2] for e in problem.history if e.phase == "straight motions"]
-    assert tried == pytest.approx([1.0, 0.4])
+    tried = {kind: [e.action[2] for e in problem.history if e.phase == kind] for kind in (STRAIGHT, OUT_AND_BACK)}
+    assert tried[STRAIGHT] == pytest.approx([1.0, 0.4])
+    assert tried[OUT_AND_BACK] == pytest.approx([1.0, 0.4])  # at its bounds first
+
+
+def thrown(x: np.ndarray) -> tuple[float, np.ndarray]:
+    """What is thrown where the first two entries differ by more than 1.2 and end where they began, as a ball is where
+    hands turn about fast enough; near the start a small hill of its own, and a cliff for going away."""
+    away, speed = x[0] + x[1], x[0] - x[1]
+    if speed < 1.2:
+        return 0.3 * speed - speed**2 - 20.0 * away**2 - 3.0, np.array(
+            [0.3 - 2.0 * speed - 40.0 * away, -0.3 + 2.0 * speed - 40.0 * away, 0.0, 0.0]
+        )
+    return speed - 2.15 - 20.0 * away**2, np.array([1.0 - 40.0 * away, -1.0 - 40.0 * away, 0.0, 0.0])
+
+
+def test_a_motion_out_and_back_throws_what_no_straight_motion_throws() -> None:
+    straight = np.array([[1.0, 1.0, 0.0, 0.0], [-1.0, -1.0, 0.0, 0.0]])
+    back = np.array([[1.0, -1.0, 0.0, 0.0], [-1.0, 1.0, 0.0, 0.0]])
+    counts = {}
+    for name, given in (("with", {STRAIGHT: straight, OUT_AND_BACK: back}), ("without", {STRAIGHT: straight})):
+        problem = search("hybrid", Problem(Toy(thrown), Budget(200), motions=given, stop_at_success=True))
+        assert problem.best is not None
+        counts[name] = problem.rollouts if problem.best.success else 200
+    assert counts["with"] < 0.5 * counts["without"]
+
+
+def test_seeds_differ_from_evolution_on() -> None:
+    """So seeds say nothing of how often a search succeeds that ends before it."""
+    one, other = (search("hybrid", Problem(Toy(bowl), Budget(60)), seed).history for seed in (0, 1))
+    evolved = next(k for k, e in enumerate(one) if e.phase == "CMA-ES")
+    assert evolved == PROBE
+    same = [np.array_equal(a.action, b.action) for a, b in zip(one, other, strict=True)]
+    assert all(same[:evolved]) and not any(same[evolved : evolved + 5])
 
 
 def test_hybrid_needs_fewer_rollouts_than_evolution() -> None:

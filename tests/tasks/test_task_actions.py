@@ -11,6 +11,7 @@ from small_task import TASK, small_task
 
 from sim_core.errors import ConfigError
 from sim_core.tasks import ActionSpace, load_task
+from sim_core.tasks.actions import OUT_AND_BACK, STRAIGHT
 
 
 def test_a_gripper_turns_about_its_middle_and_closes() -> None:
@@ -64,7 +65,7 @@ def test_derivatives_by_actions_are_those_of_central_differences() -> None:
 
 def test_straight_motions_are_of_all_hands_alike_and_of_one_against_the_other() -> None:
     space = ActionSpace(load_task("pick_folding"))
-    motions = space.straight()
+    motions = space.generic()[STRAIGHT]
     assert motions.shape == (12, space.size)
     ends = []
     for motion in motions[:4]:
@@ -73,6 +74,25 @@ def test_straight_motions_are_of_all_hands_alike_and_of_one_against_the_other() 
         assert all(abs(w[1]) + abs(w[2]) == 0.0 for w in way.values())
     whole = 0.001 * 60 * 5 / 6  # the share of the steps that the knots' weights add up to
     np.testing.assert_allclose(ends, whole * np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["throwing", "lifting:paper", "folding_l:paper", "separating:paper"])
+def test_motions_out_and_back_end_where_they_began(name: str) -> None:
+    """Whatever the profile between knots, also where 29 steps are shared unevenly by 5 knots."""
+    space = ActionSpace(load_task(name))
+    kinds = space.generic()
+    assert kinds[OUT_AND_BACK].shape == kinds[STRAIGHT].shape
+    for motion, straight in zip(kinds[OUT_AND_BACK], kinds[STRAIGHT], strict=True):
+        assert np.abs(motion).max() == 1.0
+        turn = (space.first + space.last) // 2
+        axes = []
+        for pose, other in zip(space.poses(motion).values(), space.poses(straight).values(), strict=True):
+            way, whole = (p.positions[space.first : space.last + 1] - p.positions[space.first] for p in (pose, other))
+            np.testing.assert_allclose(way[-1], 0.0, atol=1e-12)
+            far = np.abs(way[turn - space.first]).max()
+            assert 0.35 <= far / max(np.abs(whole[-1]).max(), 1e-9) <= 0.55 or far == np.abs(whole).max() == 0.0
+            axes.append(np.flatnonzero(np.abs(way).max(axis=0) > 1e-12))
+        assert len({tuple(a) for a in axes if len(a)}) == 1
 
 
 def test_an_action_of_another_length_is_told(tmp_path: Path) -> None:

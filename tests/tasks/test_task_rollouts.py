@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from small_task import TASK, small_task
 
-from sim_core.tasks import TaskRollouts
+from sim_core.tasks import TaskRollouts, load_task
+from sim_core.tasks.actions import OUT_AND_BACK
 
 
 @pytest.mark.parametrize("reward", ["folding", "forming"])
@@ -70,3 +71,22 @@ def test_a_fold_angle_is_the_turn_of_a_strip_that_kept_it(tmp_path: Path) -> Non
     slopes = np.arctan2(chords[:, 2], chords[:, 0])
     assert slopes[1] < slopes[0]
     assert reward == pytest.approx(-3.0 * (seen.folds["middle"] + 0.01 * (slopes[1] - slopes[0])))
+
+
+@pytest.mark.slow
+def test_both_hands_up_and_back_throw_a_ball_as_free_flight_says() -> None:
+    """With knots a sixth of T = 0.2 s apart, hands go up at v = 0.6 m/s from T/6 on and slow down from T/3 on, then
+    vT/4 high, at 18 m/s^2. So there the ball leaves: it flies v^2 / 2g higher, and for the 2T/3 that are left."""
+    rollouts = TaskRollouts(load_task("throwing"))
+    duration, speed, gravity = 0.2, 0.6, 9.81
+    up = rollouts.space.generic()[OUT_AND_BACK][8]
+    start = next(iter(rollouts.space.poses(up).values())).positions[rollouts.space.first]
+    lifted = max(np.max(p.positions[:, 2]) for p in rollouts.space.poses(up).values()) - start[2]
+    assert lifted == pytest.approx(speed * duration / 3, rel=0.01)
+    found = rollouts.outcome(up)
+    assert found.success, found
+    heights = rollouts.episode.outputs()["task_points_ball"][:, 0, 2]
+    left, flight = speed * duration / 4, 2.0 * duration / 3
+    assert np.ptp(heights) == pytest.approx(left + speed**2 / (2.0 * gravity), abs=1.5e-3)
+    end = left + speed * flight - 0.5 * gravity * flight**2
+    assert heights[-1] - heights[0] == pytest.approx(end, abs=1.5e-3)
