@@ -9,12 +9,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from sim_core.commands import driven_frames
+from sim_core.contact_wrenches import contact_wrenches
 from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.offset import with_offsets
 from sim_core.scene.scene import Frame, Scene
+from sim_core.scene.strain_range import check_strains
 from sim_core.sensing.observe import Observer, frame_of
-from sim_core.solve.integrator import step_context
+from sim_core.solve.integrator import at_start
 from sim_core.solve.step import NewtonSettings, State, StepReport, advance
 from sim_core.state_history import StateHistory, StateRecorder, pair_forces
 
@@ -108,16 +110,18 @@ class Simulation:
             self.state = State(0.0, after.x, np.zeros_like(after.x), after.internals)
         else:
             scene.system.set_targets(targets)
-            scene.system.begin_step(step_context(x, self.state.v, scene.rig.solver.dt_s), self.state.internals)
+            scene.system.begin_step(at_start(x, v, scene.rig.solver.dt_s), self.state.internals)
 
     def step(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
         """Move the mounts to ``frames``, as told, within ``dt`` [s]; halve the step where it does not converge."""
         self._check_scene()
         begin, target = self.frames, {**self.frames, **with_offsets(self.scene.rig, frames)}
         try:
-            return self._step(begin, target, dt, MAX_HALVINGS)
+            report = self._step(begin, target, dt, MAX_HALVINGS)
         except ConvergenceError as error:
             raise ConvergenceError(f"{error.problem} {self._unmade(begin, target)}".strip(), error.remedy) from error
+        check_strains(self.scene, self.state.t)
+        return report
 
     def _check_scene(self) -> None:
         """Raise if the scene was built anew since the simulation was made."""
@@ -177,23 +181,28 @@ class Simulation:
         body."""
         return pair_forces(self)
 
+    def contact_wrenches(self) -> dict[str, np.ndarray]:
+        """Force [N] and torque [N m] ``(6,)`` of each declared contact now on the first body that it names, in the
+        world and about its origin (:func:`sim_core.contact_wrenches.contact_wrenches`)."""
+        return contact_wrenches(self.scene, self.scene.system.x, self.contact_forces())
+
 
 def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSettings) -> tuple[Settling, ...]:
-    """The way to equilibrium under gravity with everything held in place: short, then ever longer damped steps, and a
-    last one without inertia."""
+    """The way to equilibrium under gravity and loads with everything held in place: short, then ever longer damped
+    steps, and a last one without inertia. All of them end at the time 0, at which loads are those of the start."""
     system = scene.system
     inertia = system.inertia
     made: list[Settling] = []
     dt = 1e-3
 
-    def still() -> State:
+    def still(dt: float) -> State:
         last = made[-1].after if made else state
-        return State(0.0, last.x, np.zeros_like(last.x), last.internals)
+        return State(-dt, last.x, np.zeros_like(last.x), last.internals)
 
     try:
         system.inertia = True
         while dt < SETTLED_AFTER_S:
-            before = still()
+            before = still(dt)
             after, report = advance(system, before, targets, dt, settings, check=False)
             if report.converged:
                 made.append(Settling(before, after, dt, True, system.unknowns()))
@@ -206,7 +215,7 @@ def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSett
                     "Check that bodies do not overlap at the start, and that every body is held.",
                 )
         system.inertia = False
-        before = still()
+        before = still(FOREVER_S)
         after, _ = advance(system, before, targets, FOREVER_S, settings)
         made.append(Settling(before, after, FOREVER_S, False, system.unknowns()))
     finally:

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from sim_core.contact_wrenches import contact_topic, contact_wrenches
 from sim_core.errors import ConfigError
 from sim_core.rigs import MarkerSensor, OrthographicCamera, PinholeCamera, Rig, WrenchSensor
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import Scene, build_scene
 from sim_core.sensing.observe import Observer
-from sim_core.simulate import Trace, simulate, step_times
+from sim_core.simulate import Trace, interpolate, simulate, step_times
 from sysid.model.sensor_streams import predicted, total_delay
 from sysid.recording import RecordingWriter
 
@@ -28,6 +29,10 @@ START_NS = 1_000_000_000
 """Stamp of the first message; zero stamps mean 'no stamp'."""
 
 POSE_RATE_HZ = 100.0
+"""Rate of poses, and of the wrenches of contacts."""
+
+BASE_FRAME = "base_link"
+"""Frame of the world where a rig has no end effectors that name it."""
 
 Noise = Callable[[str, str, np.ndarray, np.ndarray], np.ndarray]
 """Noise for (channel, kind, stamps ``(k,)``, clean readings ``(k, ...)``): same shape as the readings."""
@@ -60,13 +65,15 @@ def simulate_to_bag(
     seed: int = 0,
     refine: int = 1,
     noise: Noise | None = None,
+    contact_forces: bool = False,
     on_progress: Callable[[float, str], None] | None = None,
 ) -> str:
     """Simulate and write a contract bag; the returned text says what was written.
 
     ``noise``: what it adds to clean readings; by default what the rig declares, drawn from ``seed``.
     ``refine``: cells in each direction and steps in time, as a multiple of the rig's, so that the recording
-    carries less of the error of mesh and time step. Streams that lead show what would follow with the hands held.
+    carries less of the error of mesh and time step. ``contact_forces``: also force and torque of each declared contact,
+    without noise (topics ``contacts/FIRST/SECOND``). Streams that lead show what would follow with the hands held.
     """
     poses = compile_experiment(experiment, rig)
     duration = max([experiment.duration_s or 0.0, *(p.times[-1] for p in poses.values())])
@@ -79,8 +86,11 @@ def simulate_to_bag(
         if on_progress is not None:
             on_progress(done / total, f"step {done} of {total}")
 
-    trace = simulate(scene, poses, times, on_step)
-    counts = write_trace(rig, trace, poses, out, noise or WhiteNoise(rig, seed), float(duration))
+    trace = simulate(scene, poses, times, on_step, keep_states=contact_forces)
+    wrenches: dict[str, np.ndarray] = {}
+    if trace.states is not None:
+        wrenches = contact_wrenches(scene, trace.states.positions, trace.states.pair_forces)
+    counts = write_trace(rig, trace, poses, out, noise or WhiteNoise(rig, seed), float(duration), wrenches)
     worst = max((r.iterations for r in trace.reports), default=0)
     touched = max((r.contacts for r in trace.reports), default=0)
     lines = [f"{out}: {duration:.2f} s, {len(times) - 1} steps, at most {worst} Newton iterations a step."]
@@ -105,9 +115,11 @@ def write_trace(
     out: Path,
     noise: Noise,
     end: float | None = None,
+    wrenches: Mapping[str, np.ndarray] | None = None,
 ) -> dict[str, int]:
     """Write a trace as the streams of the rig until ``end`` [s], by default its own, each with its rate, latency and
-    noise; counts by topic."""
+    noise; counts by topic. ``wrenches``: of contacts by name at the times of the trace ``(n, 6)``, written as they are,
+    in the frame of the poses."""
     end = float(trace.times[-1]) if end is None else end
     counts: dict[str, int] = {}
     with RecordingWriter(out) as bag:
@@ -148,6 +160,12 @@ def write_trace(
                     camera.width_px, camera.height_px, frame,
                 )  # fmt: skip
                 counts[camera.topics.camera_info] = 1
+        for name, values in (wrenches or {}).items():
+            stamps, topic = _stamps(POSE_RATE_HZ, end), contact_topic(name)
+            frame = next((e.base_frame for e in rig.end_effectors.values()), BASE_FRAME)
+            for t, value in zip(stamps, interpolate(trace.times, values, stamps), strict=True):
+                bag.wrench(topic, _ns(t), value[:3], value[3:], frame)
+            counts[topic] = len(stamps)
     return counts
 
 

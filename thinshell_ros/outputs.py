@@ -23,7 +23,13 @@ from thinshell_ros.sampling import Reading
 from thinshell_ros.streams import EVENT_TOPIC, Channel, rest_topic
 from thinshell_ros.tare import Tare
 
-_TYPES = {"pose": PoseStamped, "wrench": WrenchStamped, "markers": PointCloud2, "tracks": PointCloud2}
+_TYPES = {
+    "pose": PoseStamped,
+    "wrench": WrenchStamped,
+    "contact": WrenchStamped,
+    "markers": PointCloud2,
+    "tracks": PointCloud2,
+}
 
 SKIP_S = 0.02
 """Time [s] left out at once that is worth an event."""
@@ -158,6 +164,8 @@ class Outputs:
         frame, name = channel.frame_id, channel.name
         if channel.kind == "pose":
             return messages.pose(stamp, frame, Pose.of(values))
+        if channel.kind == "contact":
+            return messages.wrench(stamp, frame, values)
         if channel.kind == "wrench":
             return messages.wrench(stamp, frame, values - self._tare.offset(name, 1e-9 * stamp))
         if channel.kind == "markers":

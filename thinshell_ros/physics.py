@@ -71,7 +71,7 @@ class Physics:
             return np.asarray(reported(rig, channel.name, channel.kind, np.array([stamp]), values[None])[0])
 
         channels = {
-            name: c if c.kind == "pose" else replace(c, latency_s=total_delay(rig, name, c.kind))
+            name: c if c.kind in ("pose", "contact") else replace(c, latency_s=total_delay(rig, name, c.kind))
             for name, c in settings.channels.items()
         }
         self._sampler = Sampler(channels, settings.seed, amend, self.dt)
@@ -96,7 +96,10 @@ class Physics:
         return readings
 
     def _read(self) -> dict[str, Floats]:
-        return {**{n: p.array() for n, p in self._poses.items()}, **self._simulation.read()}
+        readings = {**{n: p.array() for n, p in self._poses.items()}, **self._simulation.read()}
+        if any(c.kind == "contact" for c in self._settings.channels.values()):
+            readings |= self._simulation.contact_wrenches()
+        return readings
 
     def aim(self, target: Target) -> None:
         """Move towards a pose in the steps to come."""

@@ -73,7 +73,7 @@ class Sampler:
         stamp = max(at + channel.latency_s, 0.0)
         if channel.kind == "pose":
             values[3:] /= np.linalg.norm(values[3:])
-        else:
+        elif channel.kind != "contact":
             if self._amend is not None:
                 values = self._amend(channel, stamp, values)
             if self._rng is not None:

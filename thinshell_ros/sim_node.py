@@ -50,7 +50,7 @@ class SimNode(Node):
         warn_of_unknown(self)
         self._factor, self._gives_clock = given.real_time_factor, given.publish_clock
         self._rig = load_rig(given.rig)
-        channels = channels_of(self._rig, given.pose_rate_hz, given.base_frame)
+        channels = channels_of(self._rig, given.pose_rate_hz, given.base_frame, given.contact_forces)
         effectors = self._rig.end_effectors
         self._gates = {n: PoseGate(channels[n].frame_id, given.max_jump_m, given.max_jump_rad) for n in effectors}
         self._poses: dict[str, Pose] = {}

@@ -8,20 +8,22 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_core.contact_wrenches import contact_topic
 from sim_core.errors import ConfigError
 from sim_core.rigs import MarkerSensor, OrthographicCamera, Rig, WrenchSensor
 
 EVENT_TOPIC = "events"
 """Topic of what happens to the readings of a rig: tares, resets, time that stamps leave out."""
 
-Kind = Literal["pose", "wrench", "markers", "tracks"]
+Kind = Literal["pose", "wrench", "contact", "markers", "tracks"]
+"""``contact``: force and torque of a contact, which no sensor reads: without noise and never tared."""
 
 
 @dataclass(frozen=True)
 class Channel:
     """One stream of readings.
 
-    ``name``: of the end effector, sensor or camera. ``latency_s``: a reading of the state at time t is
+    ``name``: of the end effector, sensor, contact or camera. ``latency_s``: a reading of the state at time t is
     stamped t + latency; effects of the rig may add to it. ``noise``: standard deviation of each
     component, in the reading's units, broadcast against it.
     """
@@ -35,10 +37,13 @@ class Channel:
     noise: NDArray[np.float64] | float = 0.0
 
 
-def channels_of(rig: Rig, pose_rate_hz: float, base_frame: str = "") -> dict[str, Channel]:
-    """The streams of a rig by name: current poses, then sensors, then cameras.
+def channels_of(
+    rig: Rig, pose_rate_hz: float, base_frame: str = "", contact_forces: bool = False
+) -> dict[str, Channel]:
+    """The streams of a rig by name: current poses, then sensors, then cameras, then contacts.
 
-    ``base_frame``: used in place of the rig's, if not empty.
+    ``base_frame``: used in place of the rig's, if not empty. ``contact_forces``: whether contacts are streams, too, at
+    the rate of the poses and in their frame.
     """
     channels: dict[str, Channel] = {}
     for name, effector in rig.end_effectors.items():
@@ -72,6 +77,10 @@ def channels_of(rig: Rig, pose_rate_hz: float, base_frame: str = "") -> dict[str
             camera.latency_s,
             camera.noise.position_px,
         )
+    for contact in rig.contacts if contact_forces else ():
+        if len(set(contact.between)) == 2:
+            frame = base_frame or next((e.base_frame for e in rig.end_effectors.values()), "base_link")
+            channels[contact.name] = Channel(contact.name, "contact", contact_topic(contact.name), frame, pose_rate_hz)
     return channels
 
 

@@ -189,7 +189,7 @@ class Bending:
         if self.grading is not None:
             self.grading.configure(parameters)
             self._weigh()
-        self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside)
+        self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside, thin=True)
         self._d[:] = self._rigidity(plane_stress(parameters, self._nu))
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
         self._hardening_ratio = parameters.get("hardening_ratio", 0.0)

@@ -49,7 +49,9 @@ class Grading:
         self._measure()
 
     def go_to(self, time: float) -> bool:
-        """Let it be some time [s] since the start; True where factors changed."""
+        """Let it be some time [s] since the start, below zero while bodies settle before it; True where factors
+        changed."""
+        time = max(time, 0.0)
         if time == self._time or not any(effect.changes for effect in self._maps.values()):
             return False
         self._time = time

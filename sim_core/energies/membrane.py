@@ -33,7 +33,7 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 @ti.func
-def _shape(dm_inverse: ti.template(), e: ti.i32):
+def shape_of(dm_inverse: ti.template(), e: ti.i32):
     """Gradients of the three hat functions in the material axes (3 x 2)."""
     b = ti.Matrix.zero(ti.f64, 3, 2)
     for j in ti.static(range(2)):
@@ -44,7 +44,7 @@ def _shape(dm_inverse: ti.template(), e: ti.i32):
 
 
 @ti.func
-def _columns(x: ti.template(), tri: ti.template(), e: ti.i32, b: ti.template()):
+def columns_of(x: ti.template(), tri: ti.template(), e: ti.i32, b: ti.template()):
     """The two columns of the deformation gradient."""
     f1 = vec3(0.0, 0.0, 0.0)
     f2 = vec3(0.0, 0.0, 0.0)
@@ -56,7 +56,7 @@ def _columns(x: ti.template(), tri: ti.template(), e: ti.i32, b: ti.template()):
 
 
 @ti.func
-def _strain(f1, f2):
+def green_strain(f1, f2):
     return vec3(0.5 * (f1.dot(f1) - 1.0), 0.5 * (f2.dot(f2) - 1.0), f1.dot(f2))
 
 
@@ -64,8 +64,8 @@ def _strain(f1, f2):
 def _strain_of_all(x: F2, tri: I2, dm_inverse: F3, out: F2):
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
-        f1, f2 = _columns(x, tri, e, _shape(dm_inverse, e))
-        eps = _strain(f1, f2)
+        f1, f2 = columns_of(x, tri, e, shape_of(dm_inverse, e))
+        eps = green_strain(f1, f2)
         for i in ti.static(range(3)):
             out[e, i] = eps[i]
 
@@ -74,9 +74,9 @@ def _strain_of_all(x: F2, tri: I2, dm_inverse: F3, out: F2):
 def _energy(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F3, before: F2, out: F1):
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
-        b = _shape(dm_inverse, e)
-        f1, f2 = _columns(x, tri, e, b)
-        eps = _strain(f1, f2) - row(before, e)
+        b = shape_of(dm_inverse, e)
+        f1, f2 = columns_of(x, tri, e, b)
+        eps = green_strain(f1, f2) - row(before, e)
         out[0] = out[0] + 0.5 * area[e] * eps.dot(times3(c, e, eps))
 
 
@@ -86,8 +86,8 @@ def _stress(
     before: ti.template(),
 ):  # fmt: skip
     """The two columns of the first Piola-Kirchhoff stress, times the area."""
-    f1, f2 = _columns(x, tri, e, b)
-    s = times3(c, e, _strain(f1, f2) - row(before, e)) * area[e]
+    f1, f2 = columns_of(x, tri, e, b)
+    s = times3(c, e, green_strain(f1, f2) - row(before, e)) * area[e]
     return f1 * s[0] + f2 * s[2], f1 * s[2] + f2 * s[1]
 
 
@@ -95,7 +95,7 @@ def _stress(
 def _gradient(x: F2, tri: I2, dm_inverse: F3, area: F1, c: F3, before: F2, out: F2):
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
-        b = _shape(dm_inverse, e)
+        b = shape_of(dm_inverse, e)
         p1, p2 = _stress(x, tri, e, b, area, c, before)
         for a in ti.static(range(3)):
             g = p1 * b[a, 0] + p2 * b[a, 1]
@@ -108,13 +108,56 @@ def _straining_of_all(x: F2, tri: I2, dm_inverse: F3, vectors: F2, strains: F2, 
     """Green strains, and their derivatives along nodal vectors."""
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
-        b = _shape(dm_inverse, e)
-        f1, f2 = _columns(x, tri, e, b)
-        v1, v2 = _columns(vectors, tri, e, b)
-        eps, slope = _strain(f1, f2), vec3(f1.dot(v1), f2.dot(v2), f1.dot(v2) + f2.dot(v1))
+        b = shape_of(dm_inverse, e)
+        f1, f2 = columns_of(x, tri, e, b)
+        v1, v2 = columns_of(vectors, tri, e, b)
+        eps, slope = green_strain(f1, f2), vec3(f1.dot(v1), f2.dot(v2), f1.dot(v2) + f2.dot(v1))
         for i in ti.static(range(3)):
             strains[e, i] = eps[i]
             straining[e, i] = slope[i]
+
+
+@ti.func
+def tension_of(s):
+    """A stress without its compressive principal part."""
+    mean = 0.5 * (s[0] + s[1])
+    half = 0.5 * (s[0] - s[1])
+    radius = ti.sqrt(half * half + s[2] * s[2])
+    high = ti.max(mean + radius, 0.0)
+    low = ti.max(mean - radius, 0.0)
+    found = vec3(high, high, 0.0)
+    if radius > 0.0:
+        centre = 0.5 * (high + low)
+        scale = 0.5 * (high - low) / radius
+        found = vec3(centre + scale * half, centre - scale * half, scale * s[2])
+    return found
+
+
+@ti.func
+def add_triangle(e: ti.i32, area: ti.template(), s, cl, f1, f2, b, slots: ti.template(), out: ti.template()):
+    """Add the Hessian of a triangle with the stress s and the stiffness cl by Green strain, times its area."""
+    # d eps / d x_a = (f1 b1, f2 b2, f1 b2 + f2 b1), so the material part is a sum of f_p f_q^T.
+    block = 6 * e
+    for a in range(3):
+        left1 = area[e] * (cl.transpose() @ vec3(b[a, 0], 0.0, b[a, 1]))
+        left2 = area[e] * (cl.transpose() @ vec3(0.0, b[a, 1], b[a, 0]))
+        for d in range(a, 3):
+            geometric = area[e] * (
+                s[0] * b[a, 0] * b[d, 0] + s[1] * b[a, 1] * b[d, 1] + s[2] * (b[a, 0] * b[d, 1] + b[a, 1] * b[d, 0])
+            )
+            right1 = vec3(b[d, 0], 0.0, b[d, 1])
+            right2 = vec3(0.0, b[d, 1], b[d, 0])
+            g1 = left1.dot(right1) * f1 + left1.dot(right2) * f2
+            g2 = left2.dot(right1) * f1 + left2.dot(right2) * f2
+            for i in range(3):
+                for j in ti.static(range(3)):
+                    if a != d or i <= j:
+                        value = f1[i] * g1[j] + f2[i] * g2[j]
+                        if i == j:
+                            value += geometric
+                        at = slots[block, 3 * i + j]
+                        out[at] = out[at] + value
+            block += 1
 
 
 @ti.kernel
@@ -124,50 +167,19 @@ def _hessian(
     """``foreseen``: take the stress that the ``move`` to x has by the strain's linear part, eps - sym(dF^T dF) / 2."""
     ti.loop_config(serialize=True)
     for e in range(tri.shape[0]):
-        b = _shape(dm_inverse, e)
-        f1, f2 = _columns(x, tri, e, b)
-        eps = _strain(f1, f2) - row(before, e)
+        b = shape_of(dm_inverse, e)
+        f1, f2 = columns_of(x, tri, e, b)
+        eps = green_strain(f1, f2) - row(before, e)
         if foreseen[0] == 1:
-            d1, d2 = _columns(move, tri, e, b)
+            d1, d2 = columns_of(move, tri, e, b)
             eps -= vec3(0.5 * d1.dot(d1), 0.5 * d2.dot(d2), d1.dot(d2))
         s = times3(c, e, eps)
         if exact[0] == 0:
-            mean = 0.5 * (s[0] + s[1])
-            half = 0.5 * (s[0] - s[1])
-            radius = ti.sqrt(half * half + s[2] * s[2])
-            high = ti.max(mean + radius, 0.0)
-            low = ti.max(mean - radius, 0.0)
-            if radius > 0.0:
-                centre = 0.5 * (high + low)
-                scale = 0.5 * (high - low) / radius
-                s = vec3(centre + scale * half, centre - scale * half, scale * s[2])
-            else:
-                s = vec3(high, high, 0.0)
-        # d eps / d x_a = (f1 b1, f2 b2, f1 b2 + f2 b1), so the material part is a sum of f_p f_q^T.
+            s = tension_of(s)
         cl = ti.Matrix.zero(ti.f64, 3, 3)
         for i, j in ti.static(ti.ndrange(3, 3)):
             cl[i, j] = c[e, i, j]
-        block = 6 * e
-        for a in range(3):
-            left1 = area[e] * (cl.transpose() @ vec3(b[a, 0], 0.0, b[a, 1]))
-            left2 = area[e] * (cl.transpose() @ vec3(0.0, b[a, 1], b[a, 0]))
-            for d in range(a, 3):
-                geometric = area[e] * (
-                    s[0] * b[a, 0] * b[d, 0] + s[1] * b[a, 1] * b[d, 1] + s[2] * (b[a, 0] * b[d, 1] + b[a, 1] * b[d, 0])
-                )
-                right1 = vec3(b[d, 0], 0.0, b[d, 1])
-                right2 = vec3(0.0, b[d, 1], b[d, 0])
-                g1 = left1.dot(right1) * f1 + left1.dot(right2) * f2
-                g2 = left2.dot(right1) * f1 + left2.dot(right2) * f2
-                for i in range(3):
-                    for j in ti.static(range(3)):
-                        if a != d or i <= j:
-                            value = f1[i] * g1[j] + f2[i] * g2[j]
-                            if i == j:
-                                value += geometric
-                            at = slots[block, 3 * i + j]
-                            out[at] = out[at] + value
-                block += 1
+        add_triangle(e, area, s, cl, f1, f2, b, slots, out)
 
 
 class Membrane(Memoryless):
@@ -280,27 +292,38 @@ class Membrane(Memoryless):
 
     def by_rest(self, along: np.ndarray, step: StepContext) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the work of the forces along nodal vectors ``(n, 3)`` by Dm^-1 ``(m, 2, 2)`` and by the areas
-        ``(m,)`` of the triangles: with V = dv Dm^-1 as F is dx Dm^-1, it is A S : F^T V, and S is linear in strains
-        C (F^T F - 1) / 2 at the end of the step, at its start and before."""
+        ``(m,)`` of the triangles: with V = dv Dm^-1 as F is dx Dm^-1, it is A S : F^T V, and S is that of the law at
+        strains (F^T F - 1) / 2 at the end of the step, and of damping linear in those at its end, its start and
+        before."""
         rate, (now, before) = self._damping / step.tau, step.weights
-        times = [(self._x, 1.0 + rate), (step.x_start, -now * rate)]
+        times = [(self._x, rate), (step.x_start, -now * rate)]
         if step.x_past is not None:
             times.append((step.x_past, -before * rate))
-        dm, (f, sides), (v, moved) = self._dm_inverse, self.slopes(self._x), self.slopes(along)
+        (f, sides), (v, moved) = self.slopes(self._x), self.slopes(along)
         sheared = f.transpose(0, 2, 1) @ v
-        strain, virtual = np.zeros((len(dm), 3)), as_strain(sheared)
+        strain, virtual = np.zeros((len(sheared), 3)), as_strain(sheared)
+        end = as_strain(0.5 * (f.transpose(0, 2, 1) @ f - np.eye(2)))
+        out = sides.transpose(0, 2, 1) @ f @ as_stress(applied(self._tangent(end), virtual))
         held = as_stress(applied(self._elastic, virtual))
-        out = np.zeros_like(dm)
         for x, weight in times:
             if weight.any():
                 there, across = self.slopes(x)
                 metric = there.transpose(0, 2, 1) @ there
                 strain += weight[:, None] * as_strain(0.5 * (metric - np.eye(2)))
                 out += weight[:, None, None] * across.transpose(0, 2, 1) @ there @ held
-        stress = as_stress(applied(self._elastic, strain))
+        stress = as_stress(self._stress(end) + applied(self._elastic, strain))
         out += sides.transpose(0, 2, 1) @ v @ stress + moved.transpose(0, 2, 1) @ f @ stress
         work = np.einsum("mij,mij->m", stress, sheared)
         return self._area[:, None, None] * out, self._area / self._whole_area * work
+
+    def _stress(self, strain: np.ndarray) -> np.ndarray:
+        """Stress of the law without damping at Green strains [N/m], ``(m, 3)`` both."""
+        return applied(self._elastic, strain)
+
+    def _tangent(self, strain: np.ndarray) -> np.ndarray:
+        """Its derivative ``(m, 3, 3)``."""
+        del strain
+        return self._elastic
 
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of nodal vectors by the material coordinates, and differences along two sides, ``(m, 3, 2)``."""
@@ -312,7 +335,7 @@ class Membrane(Memoryless):
         if self.grading is not None:
             self.grading.configure(parameters)
             self._weigh()
-        self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside)
+        self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside, thin=True)
         self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters, self._nu)
         self._damping[:] = parameters.get("stiffness_damping_s", 0.0) + self._more_damping
         self._damped = bool(self._damping.any())

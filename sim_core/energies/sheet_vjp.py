@@ -57,6 +57,8 @@ class SheetAlong:
     damping: np.ndarray
     tau: float
     flowing: Flowing | None = None
+    law: np.ndarray | None = None
+    """Stress of a law that is not D e, ``(m, 3)``: it is proportional to Young's modulus and knows no nu."""
 
     @cached_property
     def _since(self) -> np.ndarray:
@@ -69,14 +71,26 @@ class SheetAlong:
         return np.asarray(self.area[:, None] * applied(self.stiffness, self.straining))
 
     @cached_property
+    def _viscous(self) -> np.ndarray:
+        """k (e - e_b), of which the triangles bear D times ``(m, 3)``."""
+        if not self.damping.any():
+            return np.zeros_like(self.strain)
+        return np.asarray((self.damping / self.tau)[:, None] * self._since)
+
+    @cached_property
     def _lasting(self) -> np.ndarray:
-        """e_e + k (e - e_b), of which the triangles bear D times ``(m, 3)``."""
+        """e_e + k (e - e_b), of which the triangles bear D times ``(m, 3)``; of another law the second part alone."""
+        if self.law is not None:
+            return self._viscous
         elastic = self.strain if self.flowing is None else self.flowing.flow.left
-        return np.asarray(elastic + (self.damping / self.tau)[:, None] * self._since if self.damping.any() else elastic)
+        return np.asarray(elastic + self._viscous)
 
     def work(self) -> np.ndarray:
         """Work of the forces dE/dx."""
-        return np.asarray((self._stress * self._lasting).sum(axis=1))
+        work = (self._stress * self._lasting).sum(axis=1)
+        if self.law is not None:
+            work += self.area * (self.law * self.straining).sum(axis=1)
+        return np.asarray(work)
 
     def by(self, quantity: str) -> np.ndarray:
         """Derivative by a number, triangle by triangle."""

@@ -90,7 +90,7 @@ class StepContext:
     (``x_base``, ``tau`` [s]) and the acceleration (``v_base``) at its end are measured from
     (:func:`sim_core.solve.integrator.step_context`). ``x_past``: positions at the start of the step before, where the
     integrator looks back; ``weights``: of start and past in ``x_base``; ``time`` [s]: since the start of the rollout,
-    at that of the step."""
+    at that of the step; below zero in steps that settle bodies, which end at the start of the rollout."""
 
     x_start: np.ndarray
     v_start: np.ndarray

@@ -100,7 +100,7 @@ def _lines(length: float, cells: int, through: tuple[float, ...]) -> np.ndarray:
         inner = [k for k in range(1, cells) if k not in taken]
         if not inner:
             raise ConfigError(
-                f"A sheet of {length:g} m with {cells} cells has no line of nodes left for a clamp's edge "
+                f"A sheet of {length:g} m with {cells} cells has no line of nodes left for the edge of a clamp or load "
                 f"at {place:g} m.",
                 "Give the sheet more cells in that direction.",
             )
@@ -109,7 +109,8 @@ def _lines(length: float, cells: int, through: tuple[float, ...]) -> np.ndarray:
         taken.add(nearest)
     if np.any(np.diff(lines) <= 0.0):
         raise ConfigError(
-            f"Clamp edges at {sorted(through)} m are too close together for {cells} cells on {length:g} m.",
+            f"Edges of clamps and loads at {sorted(through)} m are too close together for {cells} cells on "
+            f"{length:g} m.",
             "Give the sheet more cells in that direction.",
         )
     return lines
@@ -127,7 +128,7 @@ def rectangle(
 
     ``regular``: two triangles a cell, all diagonals alike. ``crossed``: four triangles a cell.
     ``irregular``: interior and edge nodes displaced at random (seeded), Delaunay triangles.
-    ``through_m``: places along x and along y that lines of nodes must pass through (clamp edges).
+    ``through_m``: places along x and along y that lines of nodes must pass through (edges of clamps and loads).
     """
     nx, ny = cells
     xs = _lines(length_m, nx, through_m[0])

@@ -43,7 +43,7 @@ from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import Sensed
 from sim_core.simulate import Trace, midway
 from sim_core.solve.hessian_store import AHEAD
-from sim_core.solve.integrator import step_context
+from sim_core.solve.integrator import at_start
 from sim_core.solve.step import NewtonSettings, State
 
 
@@ -240,7 +240,7 @@ class Backward:
         self._fields.shapes.follow(targets, frames)
         for follower in self._followers:
             rotation = frames[follower.mount][1].as_matrix()
-            force = targets[follower.nodes] @ rotation
+            force = (follower.axes * targets[follower.nodes]) @ rotation
             target.of(follower.mount)[:3] += force.sum(axis=0)
             target.of(follower.mount)[3:] += cross(follower.local, force).sum(axis=0)
         for term, turn in turns.items():
@@ -320,11 +320,12 @@ class Backward:
     def _put(self, state: Weights, target: _Frames) -> None:
         """Nothing settled: bodies are where their mounts put them, and readings are of there."""
         tape, scene, system = self._tape, self._scene, self._scene.system
-        made = Made(tape.start, tape.start, scene.rig.solver.dt_s, tape.mounts, tape.start_unknowns)
+        dt = scene.rig.solver.dt_s
+        made = Made(replace(tape.start, t=-dt), tape.start, dt, tape.mounts, tape.start_unknowns)
         made.enter(scene)
         state = self._read_back(0, tape.mounts, state, target)
         x, v, numbers = state.x, state.v, np.zeros(len(self._others))
-        step = step_context(made.before.x, made.before.v, made.dt)
+        step = at_start(made.before.x, made.before.v, made.dt)
         force = passed = np.zeros_like(x)
         if state.force is not None:
             force, passed = passed_on_by(system, state.force)

@@ -58,7 +58,11 @@ def driven(scene: Scene, frames: Mapping[str, Frame], moved: Motions, count: int
     x = np.zeros((*scene.rest.shape, count))
     for follower in scene.followers:
         if follower.mount in moved:
-            x[follower.nodes] = carried_along(follower.local, frames[follower.mount], moved[follower.mount])
+            there, axes = (
+                carried_along(follower.local, frames[follower.mount], moved[follower.mount]),
+                follower.axes > 0.0,
+            )
+            x[np.ix_(follower.nodes, axes)] = there[:, axes]
     x[~scene.system.prescribed] = 0.0
     for k in range(count):
         column = np.ascontiguousarray(x[..., k])

@@ -91,7 +91,7 @@ class RestSums:
         scene = self._scene
         for follower in scene.followers if self._bodies else ():
             turn = frames[follower.mount][1] * scene.start[follower.mount][1].inv()
-            self._placed[follower.nodes] += turn.inv().apply(targets[follower.nodes])
+            self._placed[follower.nodes] += turn.inv().apply(follower.axes * targets[follower.nodes])
 
     def start(self, x: np.ndarray, frames: Mapping[str, Frame]) -> None:
         """Add the weights ``x`` ``(n, 3)`` of where nodes that follow no mount are put when the mounts are at

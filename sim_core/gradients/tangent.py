@@ -36,7 +36,7 @@ from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import frame_of
 from sim_core.simulate import Simulation, Trace, run
 from sim_core.solve.hessian_store import Keeper
-from sim_core.solve.integrator import step_context
+from sim_core.solve.integrator import at_start
 from sim_core.solve.step import NewtonSettings, State, StepReport
 
 
@@ -151,7 +151,7 @@ class TangentSimulation(Simulation):
     def _add_what_mounts_bear(self) -> None:
         """Derivatives of the loads on mounts at a start that does not depend on the parameters itself."""
         scene, system = self.scene, self.scene.system
-        step, frames = step_context(self.state.x, self.state.v, scene.rig.solver.dt_s), self.actual_frames()
+        step, frames = at_start(self.state.x, self.state.v, scene.rig.solver.dt_s), self.actual_frames()
 
         def read(rig: Rig) -> dict[str, np.ndarray]:
             scene.apply(scene.values(rig))

@@ -38,6 +38,7 @@ Thickness = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-7, le
 MassDamping = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=1e4)]
 StiffnessDamping = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=10.0)]
 Poisson = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=-1.0, lt=0.5)]
+PoissonOfSheet = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=-1.0, le=0.5)]
 
 
 class _Material(Strict):
@@ -75,7 +76,7 @@ class SheetMaterial(_Damped):
         default=None, description="name of a material, whose values hold where a key is left out"
     )
     E_pa: Modulus = Field(description="Young's modulus in Pa")
-    nu: Poisson = Field(description="Poisson's ratio")
+    nu: PoissonOfSheet = Field(description="Poisson's ratio")
     thickness_m: Thickness = Field(description="thickness of the sheet in m")
     density_kg_m3: Density = Field(description="mass per volume in kg/m^3")
 
@@ -279,7 +280,12 @@ class Plane(Strict):
 
 
 class Sheet(Strict):
-    """A thin shell. Its pose is in the base frame; it lies in its local xy plane at rest."""
+    """A thin shell. Its pose is in the base frame; it lies in its local xy plane at rest.
+
+    ``law``: of stretching. ``st_venant_kirchhoff``, linear in Green strain, is for paper, card and cloth, which stretch
+    by less than 20 %; ``neo_hookean`` for rubber films at any stretch, which keep their volume (``nu: 0.5``). Bending
+    is linear in curvature, with the thickness at rest.
+    """
 
     type: Literal["sheet"]
     shape: Annotated[Rectangle | Outline | SheetFile, Field(discriminator="type")] = Field(
@@ -287,6 +293,20 @@ class Sheet(Strict):
     )
     pose: Pose = Field(default=Pose(), description="pose in the base frame")
     material: SheetMaterial = Field(description="E_pa, nu, thickness_m, density_kg_m3, or a preset")
+    law: Literal["st_venant_kirchhoff", "neo_hookean"] = Field(
+        default="st_venant_kirchhoff", description="how it stretches; `neo_hookean` for rubber films"
+    )
+
+    @model_validator(mode="after")
+    def _keeps_its_volume(self) -> Sheet:
+        if self.law == "neo_hookean" and self.material.nu != 0.5:
+            raise trouble(
+                f"is {self.material.nu:g}, and a film with 'law: neo_hookean' keeps its volume.",
+                "Write 'nu: 0.5'.",
+                "material",
+                "nu",
+            )
+        return self
 
 
 class Gel(Strict):

@@ -12,7 +12,8 @@ from sim_core.rigs.fields import trouble
 
 if TYPE_CHECKING:
     from sim_core.rigs.observers import Points
-    from sim_core.rigs.schema import Clamp, Rig
+    from sim_core.rigs.regions import Region
+    from sim_core.rigs.schema import Rig
 
 
 def check_references(rig: Rig) -> None:
@@ -20,6 +21,7 @@ def check_references(rig: Rig) -> None:
     _check_names(rig)
     _check_mounts(rig)
     _check_clamps(rig)
+    _check_loads(rig)
     _check_joints(rig)
     _check_contacts(rig)
     _check_sensors(rig)
@@ -35,20 +37,20 @@ def _refer(word: str, known: Iterable[str], kind: str, *path: str | int) -> None
 
 
 def _check_names(rig: Rig) -> None:
-    owners: dict[str, str] = {"world": "the base frame", "contacts": "contacts", "effects": "effects"}
+    owners: dict[str, str] = {"world": "the base frame", "contacts": "contacts", "effects": "effects", "loads": "loads"}
     named: list[tuple[str, str, tuple[str | int, ...]]] = [
         (name, group, (group, name))
         for group in ("bodies", "end_effectors", "sensors", "cameras")
         for name in getattr(rig, group)
     ]
-    for group in ("clamps", "joints"):
+    for group in ("clamps", "joints", "loads"):
         for index, holder in enumerate(getattr(rig, group)):
             if holder.name is not None:
                 named.append((holder.name, group, (group, index, "name")))
     for name, group, path in named:
         if name in owners:
             raise trouble(f"uses a name that is taken by {owners[name]}.", "Choose a name of its own.", *path)
-        owners[name] = {"clamps": "a clamp", "joints": "a joint"}.get(group, f"one of the {group}")
+        owners[name] = {"clamps": "a clamp", "joints": "a joint", "loads": "a load"}.get(group, f"one of the {group}")
 
 
 def _check_mounts(rig: Rig) -> None:
@@ -66,23 +68,46 @@ def _check_clamps(rig: Rig) -> None:
     soft = [name for name, body in rig.bodies.items() if body.type in ("sheet", "gel")]
     for index, clamp in enumerate(rig.clamps):
         _refer(clamp.body, soft, "sheet or gel", "clamps", index, "body")
-        _check_region(rig, clamp, index)
+        _check_region(rig, clamp.body, clamp.region, "clamps", index)
 
 
-def _check_region(rig: Rig, clamp: Clamp, index: int) -> None:
-    body = rig.bodies[clamp.body]
-    if body.type == "rigid" or body.type == "affine":
+def _check_loads(rig: Rig) -> None:
+    for index, load in enumerate(rig.loads):
+        known = [n for n, b in rig.bodies.items() if b.type in ("sheet", "gel")]
+        kind = "sheet or gel"
+        if load.type != "pressure":
+            known += [n for n, b in rig.bodies.items() if b.type == "affine"]
+            kind = "sheet, gel or affine body"
+        _refer(load.body, known, kind, "loads", index, "body")
+        _check_region(rig, load.body, load.region, "loads", index)
+        body = rig.bodies[load.body]
+        if load.face is None:
+            continue
+        if body.type != "gel":
+            raise trouble(f"is given for a {body.type}.", "Leave it out: only gels have faces.", "loads", index, "face")
+        if load.face not in body.shape.faces:
+            raise trouble(
+                f"is {load.face!r}, which is no face of {load.body!r}.",
+                f"Choose one of: {', '.join(body.shape.faces)}." if body.shape.faces else "Name faces by face_regions.",
+                "loads",
+                index,
+                "face",
+            )
+
+
+def _check_region(rig: Rig, name: str, region: Region, *path: str | int) -> None:
+    body = rig.bodies[name]
+    if body.type == "rigid":
         return
-    lower, upper = clamp.region.box()
+    lower, upper = region.box()
     low, high = body.shape.bounds()
     for axis, key in enumerate(("x_m", "y_m", "z_m")):
         if lower[axis] > high[axis] + 1e-9 or upper[axis] < low[axis] - 1e-9:
             raise trouble(
-                f"is [{lower[axis]:g}, {upper[axis]:g}], which misses {clamp.body!r}: "
+                f"is [{lower[axis]:g}, {upper[axis]:g}], which misses {name!r}: "
                 f"it reaches from {low[axis]:g} to {high[axis]:g}.",
                 "The region is in the body's own rest coordinates, in m, with the origin at its centre.",
-                "clamps",
-                index,
+                *path,
                 "region",
                 key,
             )

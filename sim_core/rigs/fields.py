@@ -35,6 +35,7 @@ UNITS: dict[str, tuple[str, dict[str, float]]] = {
     "px": ("px", {}),
     "nm": ("N m", {"nmm": 1e-3, "mnm": 1e-3}),
     "n": ("N", {"mn": 1e-3, "kn": 1e3}),
+    "kg": ("kg", {"g": 1e-3, "mg": 1e-6}),
     "m": ("m", {"mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 0.0254}),
     "s": ("s", {"ms": 1e-3, "us": 1e-6, "min": 60.0}),
 }

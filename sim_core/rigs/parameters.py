@@ -1,9 +1,9 @@
 """The numbers of a rig that can be changed or fitted, by name.
 
-Names: ``gravity.x_m_s2``, ``<body>.<quantity>`` (``card.E_pa``), ``contacts.<body>-<body>.<quantity>``,
-``<end effector or camera>.offset_x_m``, ``<sensor or camera>.latency_s``, ``<camera>.<intrinsic>``,
-``effects.<effect>.<parameter>``. The unit suffix may be left out (``card.E``), the two bodies of a contact may be in
-any order, and where a rig has one body of a type the type may stand for it (``sheet.E``).
+Names: ``gravity.x_m_s2``, ``<body>.<quantity>`` (``card.E_pa``), ``<load>.<number>`` (``pull.force_x_n``),
+``contacts.<body>-<body>.<quantity>``, ``<end effector or camera>.offset_x_m``, ``<sensor or camera>.latency_s``,
+``<camera>.<intrinsic>``, ``effects.<effect>.<parameter>``. The unit suffix may be left out (``card.E``), the two bodies
+of a contact may be in any order, and where a rig has one body of a type the type may stand for it (``sheet.E``).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import annotated_types
 from sim_core.effects.registry import active_effects
 from sim_core.errors import ConfigError
 from sim_core.rigs.fields import Strict, split_unit, unit_of
+from sim_core.rigs.loads import Load
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.rigs.schema import Rig
 from sim_core.rigs.yamlfile import validate
@@ -174,8 +175,11 @@ def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
         yield ("gravity_m_s2", index), found
     for name, body in rig.bodies.items():
         if body.type != "rigid":
-            for key in body.material.quantities:
+            fixed = ("nu",) if body.type == "sheet" and body.law == "neo_hookean" else ()
+            for key in (k for k in body.material.quantities if k not in fixed):
                 yield ("bodies", name, "material", key), _parameter(f"{name}.{key}", body.material, key)
+    for index, load in enumerate(rig.loads):
+        yield from _of_load(("loads", index, load.number), load)
     for index, contact in enumerate(rig.contacts):
         for key in ("friction", "stiffness_pa_per_m"):
             yield ("contacts", index, key), _parameter(f"contacts.{contact.name}.{key}", contact, key)
@@ -193,6 +197,18 @@ def _walk(rig: Rig) -> Iterator[tuple[Path, Parameter]]:
         for p in instance.effect.parameters:
             label, value = f"effects.{instance.key}.{p.name}", instance.values[p.name]
             yield ("effects", instance.key, p.name), Parameter(label, value, p.unit, p.lower, p.upper, p.words)
+
+
+def _of_load(path: Path, load: Load) -> Iterator[tuple[Path, Parameter]]:
+    """The number of a load, or each component of it: ``pull.force_x_n``."""
+    value, (stem, unit) = getattr(load, load.number), split_unit(load.number)
+    if not isinstance(value, tuple):
+        yield path, _parameter(f"{load.name}.{load.number}", load, load.number)
+        return
+    lower, upper = bounds_of(type(load), load.number)
+    for axis, component in enumerate(value):
+        name, meaning = f"{load.name}.{stem}_{'xyz'[axis]}_{unit}", type(load).model_fields[load.number].description
+        yield (*path, axis), Parameter(name, component, unit_of(load.number), lower, upper, meaning or "")
 
 
 def _parameter(name: str, owner: Strict, key: str, frame: str = "") -> Parameter:

@@ -1,4 +1,4 @@
-"""What a rig file may say: bodies, clamps, end effectors, contacts, sensors, cameras, effects.
+"""What a rig file may say: bodies, clamps, loads, end effectors, contacts, sensors, cameras, effects.
 
 Conventions: SI units, each named in its key. Every shape has its origin at its own centre and lies in
 local rest coordinates; a pose puts it into the frame of its mount (``world`` is the base frame).
@@ -28,6 +28,7 @@ from sim_core.rigs.fields import (
     of_length,
     trouble,
 )
+from sim_core.rigs.loads import Load
 from sim_core.rigs.observers import Camera, Sensor
 from sim_core.rigs.pose_offset import Displaced, ShiftSds, TurnSds
 from sim_core.rigs.regions import Region
@@ -195,6 +196,7 @@ class Rig(Strict):
     solver: Solver = Field(default=Solver(), description="time step and integrator")
     bodies: dict[Name, Body] = Field(min_length=1, description="name -> body")
     clamps: tuple[Clamp, ...] = Field(default=(), description="parts of sheets and gels that are held")
+    loads: tuple[Load, ...] = Field(default=(), description="forces, weights, tractions and pressures on bodies")
     joints: tuple[Joint, ...] = Field(default=(), description="joints of affine bodies")
     end_effectors: dict[Name, EndEffector] = Field(default={}, description="name -> end effector")
     contacts: tuple[Contact, ...] = Field(

@@ -18,6 +18,7 @@ from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.membrane import Membrane
 from sim_core.energies.membrane_strain import MembraneStrain
 from sim_core.energies.neo_hookean import NeoHookean
+from sim_core.energies.rubber_membrane import RubberMembrane
 from sim_core.energies.solid_strain import SolidStrain
 from sim_core.energies.strain_law import StrainLaws, StrainMeasure
 from sim_core.energies.term import Term
@@ -95,7 +96,7 @@ def build_body(
     layout: sheets.SheetMesh | solids.TetMesh | None
     unit_mass = None
     if isinstance(spec, Sheet):
-        mesh = _sheet_mesh(spec, refine, [c.region.box() for c in rig.clamps if c.body == name])
+        mesh = _sheet_mesh(spec, refine, [part.region.box() for part in (*rig.clamps, *rig.loads) if part.body == name])
         local, layout = mesh.nodes, mesh
         mesh = layout if given is None else sheets.SheetMesh(given, layout.triangles)
         unit_mass = sp.diags(mesh.node_areas).tocsr()
@@ -133,14 +134,15 @@ def rest_form(spec: Sheet | Gel | Rigid | Affine, local: np.ndarray) -> np.ndarr
     return folded(local, across, bends)
 
 
-def _sheet_mesh(spec: Sheet, refine: int, clamps: list[np.ndarray]) -> sheets.SheetMesh:
-    """Mesh a sheet with lines of nodes along its creases and the edges of its clamps (where it is a rectangle)."""
+def _sheet_mesh(spec: Sheet, refine: int, boxes: list[np.ndarray]) -> sheets.SheetMesh:
+    """Mesh a sheet with lines of nodes along its creases and the edges of the boxes in which it is clamped or loaded
+    (where it is a rectangle)."""
     shape = spec.shape
     if isinstance(shape, SheetFile):
         return split_triangles(shape.mesh(), refine)
     if isinstance(shape, Rectangle):
         cells = (shape.cells[0] * refine, shape.cells[1] * refine)
-        edges = [sorted({float(v) for box in clamps for v in box[:, axis] if np.isfinite(v)}) for axis in (0, 1)]
+        edges = [sorted({float(v) for box in boxes for v in box[:, axis] if np.isfinite(v)}) for axis in (0, 1)]
         creases = {f.at_m for f in shape.folds if f.over_m is None}
         through = (tuple(sorted(creases.union(edges[0]))), tuple(edges[1]))
         return sheets.rectangle(shape.length_m, shape.width_m, cells, shape.pattern, through_m=through)
@@ -225,8 +227,9 @@ def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray, loose: np.nda
         offset = int(body.nodes[0])
         flat = rest.copy()
         flat[body.nodes] = world.nodes
+        stretching = RubberMembrane if body.spec.law == "neo_hookean" else Membrane
         body.terms = [
-            Membrane(f"{body.name}.membrane", flat, body.mesh.triangles + offset, axis),
+            stretching(f"{body.name}.membrane", flat, body.mesh.triangles + offset, axis),
             Bending(f"{body.name}.bending", world, offset, axis, body.rest, held=held),
         ]
     elif isinstance(body.mesh, solids.TetMesh):

@@ -112,7 +112,8 @@ class Fields:
                 found += [f"{name}.{key}" for key in (*MATERIAL, *more) if key != "thickness_m"]
             elif isinstance(body.spec, Sheet):
                 flow = FLOW if YIELD in self._numbers(f"{name}.bending") else ()
-                found += [f"{name}.{key}" for key in (*MATERIAL, *flow, REST_ANGLE, REST)]
+                fixed = (NU,) if body.spec.law == "neo_hookean" else ()
+                found += [f"{name}.{key}" for key in (*MATERIAL, *flow, REST_ANGLE, REST) if key not in fixed]
         return tuple(found)
 
     def resolve(self, name: str) -> str:
@@ -160,7 +161,7 @@ class Fields:
             bending.set_rest_angles(given)
         else:
             number = self._number(body, key)
-            _check_values(full, np.atleast_1d(given))
+            _check_values(full, np.atleast_1d(given), self._thin(body))
             if key in SHIFTED:
                 self._shifts[full] = np.broadcast_to(given - number, shape).copy()
             else:
@@ -173,12 +174,12 @@ class Fields:
         for full, beside in self._shifts.items():
             body, key = full.split(".")
             number = self._number(body, key, rig)
-            _check_values(full, number + beside, number)
+            _check_values(full, number + beside, self._thin(body), number)
         for full, share in self._shares.items():
             body, key = full.split(".")
             if key == RELAXATION[0]:
                 number = self._numbers(f"{body}.elastic", rig).get(key, 0.0)
-                _check_values(full, number * share, number)
+                _check_values(full, number * share, self._thin(body), number)
 
     def _number(self, body: str, key: str, rig: Rig | None = None) -> float:
         """What a rig (None: that of the scene) has for a quantity."""
@@ -189,6 +190,10 @@ class Fields:
     def _numbers(self, term: str, rig: Rig | None = None) -> dict[str, float]:
         """What a term takes of a rig (None: that of the scene) and its effects."""
         return self._scene.values(rig or self._scene.rig).terms[term]
+
+    def _thin(self, body: str) -> bool:
+        """Whether a body is a sheet, in plane stress."""
+        return isinstance(self._scene.bodies[body].spec, Sheet)
 
     def _changed(self) -> set[str]:
         """Bodies with fields of their elements."""
@@ -291,12 +296,12 @@ class Fields:
         self._scene.renew_mass(body, mass_of(body, factor * more) if more.any() else None)
 
 
-def _check_values(full: str, values: np.ndarray, number: float | None = None) -> None:
-    """Refuse values of a field that no material has. ``number``: that of the rig that shifts or scales it (None: the
-    values are given)."""
+def _check_values(full: str, values: np.ndarray, thin: bool, number: float | None = None) -> None:
+    """Refuse values of a field that no material has. ``thin``: of a sheet; ``number``: that of the rig that shifts or
+    scales it (None: the values are given)."""
     key = full.split(".")[1]
     if key == NU:
-        poisson_ratios(f"The field {full}", 0.0, values)
+        poisson_ratios(f"The field {full}", 0.0, values, thin)
         return
     low, high, words = float(values.min()), float(values.max()), ""
     if key in SHIFTED and low < -ROUND_OFF * max(high, abs(number or 0.0)):

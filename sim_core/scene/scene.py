@@ -36,6 +36,7 @@ from sim_core.scene.assembly import (
 from sim_core.scene.contact_constants import constants_of, finest_edge
 from sim_core.scene.fields import Fields
 from sim_core.scene.joints import Link, embedding, guides, joint_label, make_link
+from sim_core.scene.loads import load_numbers, load_terms, term_name
 from sim_core.scene.touching import (
     ContactTerm,
     bearing_surfaces,
@@ -75,11 +76,13 @@ class Values:
 
 @dataclass(frozen=True)
 class Follower:
-    """Nodes that follow a mount rigidly. ``local``: in the mount's frame [m], ``(k, 3)``."""
+    """Nodes that follow a mount rigidly. ``local``: in the mount's frame [m], ``(k, 3)``; ``axes``: components that are
+    held, 1 or 0 ``(3,)``; others a mount may hold that is told of later."""
 
     mount: str
     nodes: np.ndarray
     local: np.ndarray
+    axes: np.ndarray
 
 
 class Scene:
@@ -94,6 +97,8 @@ class Scene:
         self.start: dict[str, Frame] = {WORLD: (np.zeros(3), Rotation.identity())}
         for name, effector in rig.end_effectors.items():
             self.start[name] = (effector.start.position(), effector.start.rotation())
+        self.strained: set[str] = set()
+        """Sheets of which it was told that they are strained beyond the range of their law."""
         self._build({})
         self.fields = Fields(self)
         """Material values, rest angles and shapes at rest that differ from node to node, element to element."""
@@ -203,7 +208,8 @@ class Scene:
         self, label: str, mount: str, nodes: np.ndarray, axes: tuple[bool, bool, bool] = (True, True, True)
     ) -> None:
         origin, rotation = self.start[mount]
-        self.followers.append(Follower(mount, nodes, rotation.inv().apply(self.rest[nodes] - origin)))
+        local = rotation.inv().apply(self.rest[nodes] - origin)
+        self.followers.append(Follower(mount, nodes, local, np.array(axes, dtype=float)))
         self.holders[label] = nodes
         self._prescribed[nodes] |= np.array(axes)
 
@@ -242,7 +248,7 @@ class Scene:
             self.contacts[contact.name] = built = self._contact(contact.name, first, second)
             self._beyond.update({t.name: t.offset - half_thicknesses(self.rig, contact) for t in built})
             terms += built
-        return terms
+        return [*terms, *load_terms(self.rig, self.bodies)]
 
     def _contact(self, name: str, a: BuiltBody, b: BuiltBody) -> list[ContactTerm]:
         if isinstance(a.spec, Rigid) and isinstance(b.spec, Rigid):
@@ -331,6 +337,8 @@ class Scene:
             if isinstance(spec, Sheet | Gel):
                 damping = {"mass_damping_per_s": spec.material.mass_damping_per_s, "density": values.density[name]}
                 values.terms[f"{name}.mass_damping"] = damping
+        for load in rig.loads:
+            values.terms[term_name(load)] = load_numbers(load, values.gravity)
         for contact in rig.contacts:
             terms = self.contacts[contact.name]
             law = constants_of(rig, contact, self._edges)
@@ -408,11 +416,18 @@ class Scene:
         Also turns the rigid bodies, so call it just before the step.
         """
         out: np.ndarray = self.rest.copy()
+        places: list[np.ndarray] = []
         for follower in self.followers:
             if frames[follower.mount] is self.start[follower.mount]:
-                continue  # it rests
+                places.append(self.rest[follower.nodes])  # it rests
+                continue
             origin, rotation = frames[follower.mount]
-            out[follower.nodes] = origin + rotation.apply(follower.local)
+            places.append(origin + rotation.apply(follower.local))
+            out[follower.nodes] = places[-1]
+        if any(not follower.axes.all() for follower in self.followers):
+            for follower, there in zip(self.followers, places, strict=True):  # components may follow different mounts
+                axes = follower.axes > 0.0
+                out[np.ix_(follower.nodes, axes)] = there[:, axes]
         for body in self.bodies.values():
             if isinstance(body.spec, Rigid):
                 _, rotation = world_pose(body.spec.pose, frames[body.spec.mount])

@@ -42,3 +42,9 @@ def step_context(x: np.ndarray, v: np.ndarray, dt: float, past: Past | None = No
     tau = dt * (1.0 + r) / (1.0 + 2.0 * r)
     base = now * x - before * past.x, now * v - before * past.v
     return StepContext(x, v, dt, *base, tau, past.x, (now, -before), time)
+
+
+def at_start(x: np.ndarray, v: np.ndarray, dt: float) -> StepContext:
+    """Constants by which forces are told at the start of a rollout, where no step was made: as of one of the length
+    ``dt`` [s] that ends there."""
+    return step_context(x, v, dt, time=-dt)

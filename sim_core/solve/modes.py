@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh, splu
 
 from sim_core.errors import ConfigError
-from sim_core.solve.integrator import step_context
+from sim_core.solve.integrator import at_start
 from sim_core.solve.system import System
 
 SLACK = 1e-13
@@ -22,7 +22,7 @@ UNHELD = "The stiffness matrix is singular: something can move without resistanc
 def tangent_stiffness(system: System) -> sp.csr_matrix:
     """The true Hessian [N/m] over the unknowns with everything that acts now (weight, prestress, contact), without
     inertia; both triangles."""
-    step = step_context(system.x.copy(), np.zeros_like(system.x), 1.0)
+    step = at_start(system.x.copy(), np.zeros_like(system.x), 1.0)
     inertia, system.inertia = system.inertia, False
     try:
         system.begin_step(step, system.initial_internals(), search=False)

@@ -10,12 +10,16 @@ from sim_core.validation.capstan import capstan_cases
 from sim_core.validation.case import Case, NotCovered
 from sim_core.validation.damping import damping_cases
 from sim_core.validation.elasticas import elastica_cases
+from sim_core.validation.films import film_cases
 from sim_core.validation.friction import friction_cases
 from sim_core.validation.gels import gel_cases
 from sim_core.validation.invariances import invariance_cases
+from sim_core.validation.lateral_buckling import lateral_buckling_cases
 from sim_core.validation.obstacles import obstacle_cases
 from sim_core.validation.plates import plate_cases
+from sim_core.validation.rig_plates import rig_plate_cases
 from sim_core.validation.rough_plane import rough_plane_cases
+from sim_core.validation.shaken_strip import shaken_strip_cases
 from sim_core.validation.shells import shell_cases
 from sim_core.validation.solids import solid_cases
 from sim_core.validation.springback import springback_cases
@@ -38,6 +42,10 @@ GROUPS: dict[str, tuple[Callable[[], Iterator[Case | NotCovered]], float]] = {
     "friction": (friction_cases, 5.0),
     "rough plane": (rough_plane_cases, 22.0),
     "capstan": (capstan_cases, 15.0),
+    "plates of rigs": (rig_plate_cases, 20.0),
+    "lateral buckling": (lateral_buckling_cases, 10.0),
+    "films": (film_cases, 12.0),
+    "shaken strip": (shaken_strip_cases, 6.0),
 }
 """What is compared, group by group, and its share of the time, about seconds."""
 

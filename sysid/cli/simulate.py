@@ -29,6 +29,14 @@ def simulate(
             8,
         ),
     ] = 1,
+    contact_forces: Annotated[
+        bool,
+        typer.Option(
+            "--contact-forces",
+            help="Also write force and torque of each declared contact, on the first body that it names, without "
+            "noise: topics contacts/FIRST/SECOND.",
+        ),
+    ] = False,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -56,6 +64,12 @@ def simulate(
 
     with progress("simulate") as report:
         summary = simulate_to_bag(
-            chosen, plan, out, seed=plan.seed if seed is None else seed, refine=refine, on_progress=report
+            chosen,
+            plan,
+            out,
+            seed=plan.seed if seed is None else seed,
+            refine=refine,
+            contact_forces=contact_forces,
+            on_progress=report,
         )
     print(summary)

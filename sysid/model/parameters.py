@@ -50,6 +50,10 @@ SCALES = {
     "x_m_s2": Scale(False, 0.5, -100.0, 100.0),
     "y_m_s2": Scale(False, 0.5, -100.0, 100.0),
     "z_m_s2": Scale(False, 0.5, -100.0, 100.0),
+    **{f"force_{axis}_n": Scale(False, 0.1, -1e6, 1e6) for axis in "xyz"},
+    **{f"traction_{axis}_pa": Scale(False, 1e3, -1e10, 1e10) for axis in "xyz"},
+    "pressure_pa": Scale(False, 1e3, -1e10, 1e10),
+    "mass_kg": Scale(False, 0.01, 0.0, 1e5),
 }
 """The quantities of a rig that can be fitted, beside the parameters of effects, which say it themselves."""
 

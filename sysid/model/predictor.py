@@ -237,6 +237,8 @@ def _geometry(rig: Rig) -> object:
     for effector in data["end_effectors"].values():
         for key in OFFSETS:
             effector.pop(key)
+    for load, given in zip(rig.loads, data["loads"], strict=True):
+        given.pop(load.number)
     for contact in data["contacts"]:
         contact.pop("friction")
         contact.pop("stiffness_pa_per_m")
@@ -247,7 +249,7 @@ def _geometry(rig: Rig) -> object:
     active = tuple(
         (name, tuple(sorted((k, v == 0.0) for k, v in given.items()))) for name, given in rig.effects.items()
     )
-    return repr((data["bodies"], data["clamps"], data["end_effectors"], data["contacts"], active,
+    return repr((data["bodies"], data["clamps"], data["loads"], data["end_effectors"], data["contacts"], active,
                  data["sensors"].keys(), data["cameras"].keys(), data["solver"]["inertia"],
                  data["solver"]["integrator"],
                  [s.get("points") for s in data["sensors"].values()],

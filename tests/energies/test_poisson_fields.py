@@ -174,5 +174,5 @@ def test_ratios_that_cannot_be():
     mesh = strip("regular", (2, 1))
     for build in (membrane, bending):
         term = build(mesh)[1]
-        with pytest.raises(ConfigError, match=r"nu = 0\.5 is not between -1 and 0\.5"):
-            term.shift_nu(np.full(len(mesh.triangles), 0.2))
+        with pytest.raises(ConfigError, match=r"nu = 0\.51 is not between -1 and 0\.5"):
+            term.shift_nu(np.full(len(mesh.triangles), 0.21))

@@ -103,7 +103,7 @@ def test_a_changed_rig_differs_only_there() -> None:
     ("values", "pattern"),
     [
         ({"card.EE": 1.0}, r"no parameter 'card.EE'.*Did you mean 'card.E_pa'"),
-        ({"card.nu": 0.6}, r"bodies.card.material.nu is 0.6, but must be less than 0.5"),
+        ({"card.nu": 0.6}, r"bodies.card.material.nu is 0.6, but must be at most 0.5"),
         ({"card.E": -1.0}, r"at least 1"),
         ({"card.E": float("nan")}, r"not a finite number"),
         ({"card.E": 1e9, "card.E_pa": 2e9}, r"given twice"),
