@@ -31,6 +31,7 @@ from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.validation import of_readings, seen_by_both
 from sysid.diagnosis.verdict import WITHOUT_MISFIT, Case, Verdict, decide, rejected, size_of
 from sysid.fit.discretisation_refinement import coarse_quantities, error_sizes
+from sysid.fit.marker_field import marker_fields
 from sysid.fit.result import plot_series, rms_errors
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.provenance import provenance
@@ -233,8 +234,10 @@ def _collect(
     became = fates(rig, verdict, trials, case, screened)
     fitted, predicted = (answer.fitted, answer.predicted) if answer else (base.fitted, base.there)
     series = plot_series(base.problem, base.fitted, fitted, held_out=False)
+    fields = marker_fields(base.problem, base.fitted, fitted, held_out=False)
     if base.there is not None and predicted is not None:
         series += plot_series(base.check, base.there, predicted, held_out=True)
+        fields += marker_fields(base.check, base.there, predicted, held_out=True)
     size = size_of(answer) if answer else 0.0
     diagnosis = Diagnosis(
         verdict=verdict.kind,
@@ -261,6 +264,7 @@ def _collect(
         tried=became,
         notes=notes(base, case, verdict),
         series=series,
+        marker_fields=fields,
         explained=size,
         threshold=case.needed,
         places=places,

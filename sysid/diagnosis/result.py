@@ -15,10 +15,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from sysid.fit.marker_field import MarkerField
 from sysid.fit.result import ChannelError, Series
 
 SCHEMA = "thinshell.diagnosis/2"
@@ -131,14 +132,15 @@ class Diagnosis:
     tried: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     series: list[Series] = field(default_factory=list)
+    marker_fields: list[MarkerField] = field(default_factory=list)
     explained: float = 0.0
     threshold: float = 0.0
     places: tuple[UnreliablePlace, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data without the series, in the documented schema."""
-        data = asdict(self)
-        del data["series"]
+        """Plain data without the series and the fields of markers, in the documented schema."""
+        data = asdict(replace(self, series=[], marker_fields=[]))
+        del data["series"], data["marker_fields"]
         fit = {
             "baseline": data.pop("baseline"),
             "amended": data.pop("amended"),

@@ -20,6 +20,7 @@ from sysid.fit.discretisation_refinement import (
     unresolved_quantities,
 )
 from sysid.fit.given_values import given, said_of_rise, said_of_stay
+from sysid.fit.marker_field import marker_fields
 from sysid.fit.minimum_norm import minimum_norm_solution
 from sysid.fit.multistart import SEARCHED, Evaluations, Progress, Searches, Step
 from sysid.fit.options import FitOptions, Intervals
@@ -156,6 +157,7 @@ def _fit_runs(
             why = said_of_rise(errors)
         nuisances = nuisances_of(problem, fitted)
         series = plot_series(problem, before, fitted, held_out=False, raw=runs)
+        fields = marker_fields(problem, before, fitted, held_out=False)
         sentences, left = [f.sentence for f in found.findings], unexplained(problem, fitted)
         open_ended = names_undetermined(found.findings)
         told = {run.unlike for run in runs if left}
@@ -214,6 +216,7 @@ def _fit_runs(
             notes=notes,
             provenance=provenance(rig, list(runs), list(held_out), options.seed, options.told()),
             series=series + [one for score in scores for one in score.series],
+            marker_fields=fields + [one for score in scores for one in score.marker_fields],
             nuisances=nuisances,
             remarks=remarks(rig, nuisances, trusted=not left and not open_ended),
             profiles=found.profiles,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sysid.fit.marker_field import MarkerField
 from sysid.noise.estimate import REPLACED_FROM, declared_noise, quantities
 from sysid.observations.observations import UNITS, Measured, Run
 from sysid.solve.covariance import Finding, interval, uncertainty
@@ -124,6 +125,7 @@ class FitResult:
     notes: list[str]
     provenance: dict[str, Any]
     series: list[Series] = field(default_factory=list)
+    marker_fields: list[MarkerField] = field(default_factory=list)
     nuisances: list[Nuisance] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     profiles: list[Profile] = field(default_factory=list)
@@ -134,9 +136,9 @@ class FitResult:
     undetermined: set[str] = field(default_factory=set)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data without the series."""
-        data = asdict(self)
-        del data["series"]
+        """Plain data without the series and the fields of markers, which are for the report."""
+        data = asdict(replace(self, series=[], marker_fields=[]))
+        del data["series"], data["marker_fields"]
         return {**data, "undetermined": sorted(self.undetermined)}
 
     def write(self, path: Path) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
+from sysid.fit.marker_field import MarkerField, marker_fields
 from sysid.fit.result import ChannelError, Series, out_of_sight, plot_series, rms_errors
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
@@ -28,6 +29,7 @@ class Score:
     errors: list[ChannelError]
     notes: list[str]
     series: list[Series]
+    marker_fields: list[MarkerField] = field(default_factory=list)
 
 
 def scored(
@@ -51,6 +53,7 @@ def scored(
     return Score(
         run, then.predictions[0], rms_errors(check, there, then, held_out=True, own=own),
         out_of_sight(check, there, then), plot_series(check, there, then, held_out=True, raw=[run]),
+        marker_fields(check, there, then, held_out=True),
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from sysid.diagnosis.wording import NOWHERE
 from sysid.report.fit_page import SHORT_TABLE, ErrorTables, Shown, Tile, plural, recordings
+from sysid.report.marker_pictures import with_marker_pictures
 from sysid.report.numbers import MISSING, Number, percent, raw_number, scale_for, seconds, significant
 from sysid.report.page import embedded_json, write_page
 from sysid.report.panels import run_views, showcase
@@ -78,6 +79,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
     windows = d.located.windows
     worst = max(d.located.channels, key=lambda c: _finite(c.share)) if d.located.channels else None
     shifts = shift_rows(d.baseline_parameters, d.amended_parameters)
+    runs = run_views(d.series, errors, windows=windows, both=both, names=names, held_out_first=True)
     return write_page(
         "diagnosis.html.j2",
         path,
@@ -110,7 +112,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
         limits=limits(d),
         short_limits=SHORT_LIMITS,
         plan=plan_command(d),
-        runs=run_views(d.series, errors, windows=windows, both=both, names=names, held_out_first=True),
+        runs=with_marker_pictures(runs, d.marker_fields, names, both),
         level_edges=LEVELS,
         provenance=provenance_of(d.provenance),
         notes=bag_notes(d.provenance),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sysid.fit.given_values import rose, worsened
 from sysid.fit.result import LOOK_FIRST
 from sysid.noise.estimate import REPLACED_FROM
+from sysid.report.marker_pictures import with_marker_pictures
 from sysid.report.numbers import MISSING, Number, seconds, significant, times, with_unit
 from sysid.report.page import embedded_json, write_page
 from sysid.report.panels import run_views, showcase
@@ -60,7 +61,8 @@ class Tile:
 def write_fit_report(result: FitResult, path: Path) -> Path:
     """Write the report of a fit as one HTML file and return its path."""
     undetermined = result.undetermined
-    runs = run_views(result.series, result.errors)
+    names = ("before", "after")
+    runs = with_marker_pictures(run_views(result.series, result.errors), result.marker_fields, names, both=True)
     return write_page(
         "fit.html.j2",
         path,
@@ -74,7 +76,7 @@ def write_fit_report(result: FitResult, path: Path) -> Path:
         profiles=profile_pictures(result.profiles),
         correlation=correlation_cells([e.name for e in result.estimates], result.correlation),
         runs=runs,
-        names=("before", "after"),
+        names=names,
         error_caption="before and after the fit",
         first=showcase(result.series, result.errors),
         both=True,

@@ -52,7 +52,8 @@ class Panel:
 
 @dataclass
 class RunView:
-    """All that the page shows of one recording. ``level``, ``words``: how near the last model comes to the noise."""
+    """All that the page shows of one recording. ``markers``: errors of markers as arrows; ``level``, ``words``: how
+    near the last model comes to the noise."""
 
     name: str
     held_out: bool
@@ -60,6 +61,7 @@ class RunView:
     windows: list[tuple[float, float]]
     end: float
     panels: list[Panel] = field(default_factory=list)
+    markers: list[Panel] = field(default_factory=list)
     left_out: int = 0
     open: bool = False
     level: str = ""
