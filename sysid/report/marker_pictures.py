@@ -21,7 +21,7 @@ MOST_FIELDS = 6
 LENGTHS = (1.0, 2.0, 5.0)
 """Factors, times powers of ten, by which arrows are drawn longer than they are."""
 
-LONGEST = 0.12
+LONGEST = 0.2
 """Length of the longest arrow, over the extent of the markers."""
 
 
@@ -95,15 +95,15 @@ def _arrows(ax: Axes, field: MarkerField, errors: np.ndarray, colour: str, facto
     """Arrows from where markers are simulated to where they are measured, where that is beyond twice the noise."""
     far = np.linalg.norm(errors, axis=1) > 2.0 * field.noise
     begin = field.places - errors
-    ax.plot(*field.places[~far].T, linestyle="none", marker="o", markersize=2.0, color=LINE)
+    ax.plot(*field.places[~far].T, linestyle="none", marker="o", markersize=1.4, color=LINE)
     if far.any():
         ax.quiver(
             *begin[far].T, *(factor * errors[far]).T, angles="xy", scale_units="xy", scale=1.0, color=colour,
-            width=0.006, headwidth=4.0,
+            width=0.005, headwidth=3.0, headlength=3.5, headaxislength=3.0, minlength=0.0,
         )  # fmt: skip
     ax.set_aspect("equal")
     low, high = field.places.min(axis=0), field.places.max(axis=0)
-    margin = 1.3 * LONGEST * max(float(np.max(high - low)), 1e-12)
+    margin = 0.7 * LONGEST * max(float(np.max(high - low)), 1e-12)
     ax.set_xlim(low[0] - margin, high[0] + margin)
     bottom, top = low[1] - margin, high[1] + margin
     ax.set_ylim(*((top, bottom) if field.downwards else (bottom, top)))
