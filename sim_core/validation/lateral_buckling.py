@@ -69,7 +69,7 @@ def critical_force(cells: tuple[int, int]) -> float:
         Simulation(scene)
         squares.append(float(natural_vibrations(scene.system, 1)[0][0] ** 2))
         loads.append(load)
-    return zero(loads, squares) / unit
+    return float(zero(loads, squares) / unit)
 
 
 def lateral_buckling_cases() -> Iterator[Case]:
