@@ -8,23 +8,23 @@ not eat an effect; and offsets of wrench sensors are no nuisance but a hypothesi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
 from sim_core.errors import ConfigError, ThinshellError
 from sim_core.rigs import Gel, Rig, Sheet
-from sysid.diagnosis.model_tolerance import model_tolerance
 from sysid.diagnosis.predictability import unpredictable, without
+from sysid.diagnosis.reference_model import Added, Reference, Standing, reference_for, standing
 from sysid.diagnosis.residual_analysis import structure
-from sysid.fit.contact_mesh import ContactMesh, follow_finer, refined_where_touched
-from sysid.fit.discretisation_refinement import discretisation
 from sysid.fit.time_steps import followed, with_steps
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
+from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.noise.estimate import ChannelNoise, channel_noise, column_groups, quantities
 from sysid.observations.observations import Run
@@ -57,6 +57,9 @@ TOO_COARSE = 5.0
 
 MEASURED_WITHIN = 1.0
 """How far, in standard deviations of what is known of parameters, the discretisation error is that of the start."""
+
+ADDED_WITHIN = 0.3
+"""The same for what a reference model adds."""
 
 Tell = Callable[[float, str], None]
 
@@ -94,7 +97,8 @@ def believed(rig: Rig, parameters: Sequence[FitParameter]) -> list[FitParameter]
 @dataclass
 class Baseline:
     """``problem``, ``fitted``: the recordings given, without mistakes; ``check``, ``there``: those held out; ``noise``
-    by channel; ``outliers``: readings that were left out; ``notes``: on recordings that could not be followed."""
+    by channel; ``outliers``: readings that were left out; ``notes``: on recordings that could not be followed;
+    ``reference``: the model with finer cells or wider pads whose readings are added, None where there is none."""
 
     problem: Problem
     fitted: Fitted
@@ -103,6 +107,12 @@ class Baseline:
     noise: dict[str, ChannelNoise]
     outliers: list[Outliers]
     notes: tuple[str, ...]
+    reference: Reference | None
+
+    @property
+    def engine(self) -> SpaceMappedPredictor:
+        """Predictions of the rig's model, with what the reference model adds."""
+        return cast(SpaceMappedPredictor, self.problem.engine)
 
 
 def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell) -> Baseline:
@@ -112,19 +122,25 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     parameters += nuisance_parameters(rig, runs, parameters, KINDS)
     start = start_of(rig, parameters)
     noise = channel_noise(rig, runs, held_out)
-    runs, plain = _with_steps(engine, [rig_in(rig, parameters, start, run.name) for run in runs], runs, noise)
-    mesh, plain, told = _with_cells(engine, rig, parameters, runs, held_out, plain, noise)
-    rig = rig if mesh is None else mesh.rig
-    clean, _ = without_outliers(runs, plain, noise)
-    noise = channel_noise(rig, clean, held_out)
+    runs, own = _with_steps(engine, [rig_in(rig, parameters, start, run.name) for run in runs], runs, noise)
+    tell(0.04, "cells and extent of gels")
+    sparing = SparingPredictor(engine)
+    reference, first, told = reference_for(sparing, rig, parameters, runs, held_out, noise)
     tell(0.08, "error of mesh and time step")
-    shapes = error_shapes(engine, rig, parameters, start, clean, plain, mesh)
+
+    def stands(scaled: np.ndarray, own: Sequence[Prediction], known: Added | None = None) -> Standing:
+        rigs = [rig_in(rig, parameters, scaled, run.name) for run in runs]
+        return standing(sparing, reference, rigs, runs, own, known)
+
+    model = stands(start, own, first)
+    clean, _ = without_outliers(runs, model.plain, noise)
+    noise = channel_noise(rig, clean, held_out)
+    shapes = model.shapes
     fine, left_out = fine_enough(clean, shapes, noise)
     if left_out:
         runs, clean = [runs[k] for k in fine], [clean[k] for k in fine]
         shapes = [replace(s, shapes=tuple(s.shapes[k] for k in fine), sight=_chosen(s.sight, fine)) for s in shapes]
-    sparing = SparingPredictor(engine)
-    problem = Problem(clean, noise, sparing, shapes, prior=True)
+    problem = Problem(clean, noise, model.engine, shapes, prior=True)
     tell(0.15, "baseline fit")
     fitted = problem.fit(rig, parameters, start, max_evaluations=FIRST, tolerance=2.0)
     if fitted.interrupted:
@@ -132,7 +148,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     elsewhere = None
     if fitted.misfit > FAR_MISFIT:
         tell(0.22, "other branches of contact")
-        elsewhere = best_branch(engine, problem, fitted)
+        elsewhere = best_branch(model.engine, problem, fitted)
         if elsewhere is not None:
             fitted = problem.fit(rig, parameters, elsewhere, max_evaluations=FIRST, tolerance=2.0)
             if fitted.interrupted:
@@ -142,24 +158,28 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     tell(0.28, "error of mesh and time step where the fit stands")
     unknown = ""
     known = np.array([p.known_sd or p.prior_sd for p in parameters])
+    within = MEASURED_WITHIN if reference is None else ADDED_WITHIN
+    far = bool(np.abs((fitted.scaled - start) / known).max(initial=0.0) > within)
     try:
-        if elsewhere is not None or np.abs((fitted.scaled - start) / known).max(initial=0.0) > MEASURED_WITHIN:
-            shapes = error_shapes(engine, rig, parameters, fitted.scaled, clean, fitted.predictions, mesh)
+        if elsewhere is not None or far:
+            model = stands(fitted.scaled, sparing.predict_all(rig, runs, parameters, fitted.scaled))
+            shapes = model.shapes
     except ThinshellError as error:
         unknown = f"it stands where its discretisation error is not known. {error}"
-    problem = Problem(clean, noise, sparing, shapes, prior=True)
+    problem = Problem(clean, noise, model.engine, shapes, prior=True)
     fitted = problem.fit(rig, parameters, fitted.scaled, max_evaluations=SECOND, tolerance=2.0)
     if unknown:
         fitted.converged, fitted.message = False, unknown
     if fitted.interrupted:
         raise KeyboardInterrupt
-    problem.engine = engine
+    problem.engine = SpaceMappedPredictor(engine, model.engine.added)
     tell(0.38, "held-out recordings")
-    check, notes = held_out_problem(engine, fitted, noise, held_out, mesh)
+    check, notes = held_out_problem(engine, fitted, noise, held_out, reference)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
-    base = Baseline(problem, fitted, check, there, noise, outliers, (*told, *left_out, *notes))
-    far = structure(problem, fitted).missing or (there is not None and structure(check, there).missing)
-    return _where_predictable(engine, base, tell) if far else base
+    extent = () if reference is None else reference.notes
+    base = Baseline(problem, fitted, check, there, noise, outliers, (*extent, *told, *left_out, *notes), reference)
+    missing = structure(problem, fitted).missing or (there is not None and structure(check, there).missing)
+    return _where_predictable(base, tell) if missing else base
 
 
 def _off(problem: Problem, fitted: Fitted) -> list[int]:
@@ -173,7 +193,7 @@ def _off(problem: Problem, fitted: Fitted) -> list[int]:
     return found
 
 
-def _where_predictable(engine: AnyEngine, base: Baseline, tell: Tell) -> Baseline:
+def _where_predictable(base: Baseline, tell: Tell) -> Baseline:
     """The baseline fitted again without what is unpredictable (:mod:`sysid.diagnosis.predictability`)."""
     tell(0.39, "where recordings can be predicted")
     model = base.fitted
@@ -184,20 +204,22 @@ def _where_predictable(engine: AnyEngine, base: Baseline, tell: Tell) -> Baselin
         {m.channel: [d.shapes[k][m.channel] for d in there.error_shapes if d.label != MODEL] for m in run.measured}
         for (there, k), run in zip(off, everything, strict=True)
     ]
+    added = {**base.engine.added, **cast(SpaceMappedPredictor, base.check.engine).added}
+    engine = SpaceMappedPredictor(base.engine.coarse, added)
     derived = engine.predict_all(model.centre, everything, model.parameters, model.scaled)
     found = unpredictable(engine, everything, model, base.noise, derived, refined)
     if not found:
         return base
     notes = (*base.notes, *(u.sentence for u in found))
-    sparing = SparingPredictor(engine)
+    sparing = SparingPredictor(base.engine)
     problem = Problem(without(base.problem.runs, found), base.noise, sparing, base.problem.error_shapes, prior=True)
     fitted = problem.fit(model.centre, model.parameters, model.scaled, max_evaluations=SECOND, tolerance=2.0)
     if fitted.interrupted:
         raise KeyboardInterrupt
-    problem.engine = engine
-    check = Problem(without(base.check.runs, found), base.noise, engine, base.check.error_shapes)
+    problem.engine = base.engine
+    check = Problem(without(base.check.runs, found), base.noise, base.check.engine, base.check.error_shapes)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
-    return Baseline(problem, fitted, check, there, base.noise, base.outliers, notes)
+    return replace(base, problem=problem, fitted=fitted, check=check, there=there, notes=notes)
 
 
 def fine_enough(
@@ -270,38 +292,6 @@ def _cauchy(problem: Problem, predictions: Sequence[Prediction], scaled: np.ndar
     return float(np.sum(np.log1p((residual / CAUCHY_WIDTH) ** 2)))
 
 
-def _all(
-    engine: AnyEngine, rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray, runs: Sequence[Run]
-) -> list[Prediction]:
-    jobs = [engine.submit(rig_in(rig, parameters, scaled, run.name), run) for run in runs]
-    return [job.result() for job in jobs]
-
-
-def _with_cells(
-    engine: AnyEngine,
-    rig: Rig,
-    parameters: Sequence[FitParameter],
-    runs: Sequence[Run],
-    held_out: Sequence[Run],
-    plain: Sequence[Prediction],
-    noise: dict[str, ChannelNoise],
-) -> tuple[ContactMesh | None, list[Prediction], tuple[str, ...]]:
-    """Finer cells where gels are touched, if recordings follow them and simulations with them end; predictions, those
-    of the rig as it is being ``plain``; and what was done, in words."""
-    mesh = refined_where_touched(rig, [*runs, *held_out])
-    if mesh is None:
-        return None, list(plain), ()
-    start = start_of(rig, parameters)
-    derived = engine.predict_all(rig, runs, parameters, start)
-    try:
-        finer = _all(engine, mesh.rig, parameters, start, runs)
-    except ThinshellError as error:
-        return None, list(plain), (f"The cells of the rig are kept: with finer ones, simulations do not end. {error}",)
-    if follow_finer(runs, derived, finer, noise, np.array([p.known_sd or p.prior_sd for p in parameters])):
-        return mesh, finer, mesh.notes
-    return None, list(plain), ()
-
-
 def _with_steps(
     engine: AnyEngine, rigs: Sequence[Rig], runs: Sequence[Run], noise: dict[str, ChannelNoise]
 ) -> tuple[list[Run], list[Prediction]]:
@@ -316,42 +306,29 @@ def _with_steps(
     return followed(runs, plain, shorter, there, noise)
 
 
-def error_shapes(
-    engine: AnyEngine,
-    rig: Rig,
-    parameters: Sequence[FitParameter],
-    scaled: np.ndarray,
-    runs: Sequence[Run],
-    plain: Sequence[Prediction],
-    mesh: ContactMesh | None = None,
-) -> list[ErrorShape]:
-    """What predictions ``plain`` at scaled values may be off: by mesh, by time step, and as a model."""
-    rigs = [rig_in(rig, parameters, scaled, run.name) for run in runs]
-    return [*discretisation(engine, rigs, runs, plain, mesh), model_tolerance(runs, plain)]
-
-
 def held_out_problem(
     engine: AnyEngine,
     fitted: Fitted,
     noise: dict[str, ChannelNoise],
     held_out: Sequence[Run],
-    mesh: ContactMesh | None = None,
+    reference: Reference | None = None,
 ) -> tuple[Problem, tuple[str, ...]]:
     """The held-out recordings that the fitted rig can follow, without mistakes, beside the errors of their own."""
     kept: list[Run] = []
     shapes: list[list[ErrorShape]] = []
     lost: list[str] = []
+    added: dict[str, Mapping[str, np.ndarray]] = {}
     for given in held_out:
         try:
-            run, plain = _with_steps(engine, [mesh.coarse(fitted.rig) if mesh else fitted.rig], [given], noise)
-            plain = [engine.submit(fitted.rig, run[0]).result()] if mesh else plain
-            clean = without_outliers(run, plain, noise)[0]
-            shapes.append([*discretisation(engine, fitted.rig, clean, plain, mesh), model_tolerance(clean, plain)])
-            kept += clean
+            run, own = _with_steps(engine, [fitted.rig], [given], noise)
+            model = standing(engine, reference, [fitted.rig], run, own)
+            kept += without_outliers(run, model.plain, noise)[0]
+            shapes.append(model.shapes)
+            added.update(model.engine.added)
         except ThinshellError as error:
             lost.append(f"{given.name} is left out, it could not be simulated: {error}")
     together = [
         replace(first, shapes=tuple(s[k].shapes[0] for s in shapes), sight=tuple(x for s in shapes for x in s[k].sight))
         for k, first in enumerate(shapes[0])
     ] if shapes else []  # fmt: skip
-    return Problem(kept, noise, engine, together), tuple(lost)
+    return Problem(kept, noise, SpaceMappedPredictor(engine, added), together), tuple(lost)

@@ -21,6 +21,7 @@ from sim_core.rigs import Rig
 from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import hypotheses, recording_scales
+from sysid.diagnosis.confirmation import confirmed
 from sysid.diagnosis.refits import Start, Trial, tempered, trials_of
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
 from sysid.diagnosis.residual_analysis import locate, structure
@@ -28,7 +29,7 @@ from sysid.diagnosis.result import Diagnosis, Misfit, UnreliablePlace
 from sysid.diagnosis.screening import Score, Screen, look
 from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.validation import of_readings, seen_by_both
-from sysid.diagnosis.verdict import Case, Verdict, decide, rejected, size_of
+from sysid.diagnosis.verdict import WITHOUT_MISFIT, Case, Verdict, decide, rejected, size_of
 from sysid.fit.discretisation_refinement import coarse_quantities, error_sizes
 from sysid.fit.result import plot_series, rms_errors
 from sysid.model.parallel_predictor import ParallelPredictor
@@ -46,11 +47,17 @@ SECOND_STARTS = 1
 BY_RECORDING = 2
 """Further effects that are refitted since they explain single recordings best."""
 
+WORTH_TRYING = 0.5
+"""Share of the evidence that is needed where the baseline shows no misfit, from which an effect is refitted there."""
+
 MOST_EFFECTS = 3
 """Effects of one answer."""
 
 BESIDE = 3
 """Effects that are tried beside an answer that leaves something."""
+
+OF_MISFIT = 0.1
+"""Share of the misfit that is in a sensor's readings, up to which it is no place where to look."""
 
 PAIRED = 6
 """Effects whose pairs are looked at in the screening."""
@@ -74,7 +81,7 @@ def diagnose_runs(
         tell(0.42, "a look at all effects")
         scales = recording_scales([*base.problem.runs, *base.check.runs])
         wanted = hypotheses(base.fitted.rig, scales)
-        screen, failed = look(engine, base.fitted, base.problem, wanted)
+        screen, failed = look(base.engine, base.fitted, base.problem, wanted)
         screen.temper(base.fitted.misfit)
         singles = screen.singles()
         case = Case(
@@ -85,9 +92,9 @@ def diagnose_runs(
             tuple(o.sentence for o in base.outliers if o.kept),
         )
         tell(0.55, "fits of the promising effects")
-        trials = _trials(engine, base, screen, singles, case, scales, failed, tell)
-        verdict = decide(trials, case)
-        places = _places(engine, base, verdict, tell)
+        trials = _trials(base, screen, singles, case, scales, failed, tell)
+        verdict, trials = _confirmed(base, trials, case, failed, tell)
+        places = _places(base, verdict, tell)
         tell(0.97, "report")
         diagnosis, amended = _collect(rig, base, case, verdict, trials, Screened(screen, singles, failed), places)
     diagnosis.provenance = provenance(rig, list(runs), list(held_out))
@@ -97,7 +104,6 @@ def diagnose_runs(
 
 
 def _trials(
-    engine: ParallelPredictor,
     base: Baseline,
     screen: Screen,
     singles: Sequence[Score],
@@ -107,8 +113,9 @@ def _trials(
     tell: Progress,
 ) -> list[Trial]:
     """Refits of single effects, of pairs that the screening shows, and of what the best of these leave."""
-    promising = [s for s in singles if s.gain > case.needed]
-    apart = [s for s in screen.by_recording() if s.gain > case.needed]
+    least = case.needed if case.missing else WORTH_TRYING * WITHOUT_MISFIT * case.needed
+    promising = [s for s in singles if s.gain > least]
+    apart = [s for s in screen.by_recording() if s.gain > least]
     if not promising and not apart:
         return []
     chosen = _distinct(screen, promising, SIMULATED, SECOND_STARTS)
@@ -125,7 +132,7 @@ def _trials(
             break
         tell(0.65 + 0.1 * count, f"what '{best.title}' leaves")
         wanted = [h for h in hypotheses(best.fitted.rig, scales) if h.effect.name not in best.names]
-        beside, _ = look(engine, best.fitted, base.problem, wanted)
+        beside, _ = look(base.engine, best.fitted, base.problem, wanted)
         beside.temper(best.fitted.misfit)
         promising = [s for s in beside.singles() if s.gain > max(case.needed, beside.threshold())]
         if not promising:
@@ -136,6 +143,22 @@ def _trials(
         if trials[0].gain < best.gain + case.needed:
             break
     return trials
+
+
+def _confirmed(
+    base: Baseline, trials: list[Trial], case: Case, failed: dict[str, str], tell: Progress
+) -> tuple[Verdict, list[Trial]]:
+    """The verdict, with every set of effects that it names measured against the reference model where it stands."""
+    verdict, known = decide(trials, case), set[frozenset[str]]()
+    while base.reference is not None and any(t.names not in known for t in verdict.named):
+        tell(0.9, "the answer with finer cells")
+        wanted = [t for t in verdict.named if t.names not in known]
+        known |= {t.names for t in wanted}
+        found = [confirmed(base, t, failed) for t in wanted]
+        others = [t for t in trials if t not in wanted]
+        trials = tempered(base, [*others, *(t for t in found if t is not None)])
+        verdict = decide(trials, case)
+    return verdict, trials
 
 
 def _distinct(screen: Screen, scores: Sequence[Score], effects: int, second: int) -> list[Score]:
@@ -165,17 +188,20 @@ def _beside(best: Trial, start: Start) -> Start:
     return replace(start, earlier=best.hypotheses)
 
 
-def _places(engine: ParallelPredictor, base: Baseline, verdict: Verdict, tell: Progress) -> tuple[UnreliablePlace, ...]:
+def _places(base: Baseline, verdict: Verdict, tell: Progress) -> tuple[UnreliablePlace, ...]:
     """Where what remains unknown may be, without a law."""
     if verdict.kind not in ("unknown", "partly"):
         return ()
     tell(0.92, "which place of the model is unreliable")
     model = verdict.named[0].fitted if verdict.kind == "partly" else base.fitted
-    found = slot_evidence(engine, base.problem, model, max(1.0, model.misfit))
+    found = slot_evidence(base.engine, base.problem, model, max(1.0, model.misfit))
+    shares: dict[str, float] = {}
+    for channel in locate(base.problem, model).channels:
+        shares[channel.channel] = shares.get(channel.channel, 0.0) + channel.share
     return tuple(
         UnreliablePlace(s.slot.place, s.slot.name, s.slot.words, float(s.gain), float(s.explained))
         for s in found
-        if s.gain > 0.0
+        if s.gain > 0.0 and shares.get(s.slot.name, 1.0) > OF_MISFIT
     )
 
 
@@ -239,4 +265,4 @@ def _collect(
         threshold=case.needed,
         places=places,
     )
-    return diagnosis, fitted.rig
+    return diagnosis, fitted.rig if base.reference is None else base.reference.fine(fitted.rig)

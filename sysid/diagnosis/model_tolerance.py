@@ -3,9 +3,14 @@
 Two codes that solve the same problem (finite or small strain, a pad or a half space, a shell or a rod) differ by a
 percent or so of the deformation, on recordings that conceal nothing. That is no noise: it is smooth in time, common to
 neighbouring markers, and with thousands of samples any test finds it. It is therefore carried as one more error shape
-of unknown size (:mod:`sysid.solve.discretisation_basis`), as wide as :data:`MODEL_TOLERANCE` of the signal that the
-deformation makes: changes of a wrench since the start, and of markers what is left when the picture is shifted, turned
-and scaled back to the first one, since rigid motion is not what simulations differ in.
+of unknown size (:mod:`sysid.solve.discretisation_basis`), as wide as a share of the signal that the deformation makes:
+
+- of a wrench :data:`MODEL_TOLERANCE` of its change since the start;
+- of markers the same share of what is left when the picture is shifted, turned and scaled back to the first one, since
+  rigid motion is not what simulations differ in;
+- of markers on a gel, seen from what the gel is fixed to, :data:`GEL_TOLERANCE` of all their motion, which is
+  deformation. How far a surface is dragged along depends on the boundary far away, where forces do not: a pad of three
+  or six times its thickness moves them by a third (:mod:`sysid.fit.gel_extent`).
 """
 
 from __future__ import annotations
@@ -14,28 +19,55 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sim_core.rigs import Gel, Rig
 from sysid.model.predictor import Prediction
 from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import MODEL, ErrorShape
 from sysid.solve.outliers import DIMENSIONS
 
-MODEL_TOLERANCE = 0.015
+MODEL_TOLERANCE = 0.01
 """Agreement of careful simulations, in units of the deformation signal."""
 
+GEL_TOLERANCE = 0.05
+"""The same of points on a gel, in units of their motion against what the gel is fixed to."""
 
-def model_tolerance(runs: Sequence[Run], predictions: Sequence[Prediction]) -> ErrorShape:
+
+def model_tolerance(rig: Rig, runs: Sequence[Run], predictions: Sequence[Prediction]) -> ErrorShape:
     """The error shape of a model, measured units; its expected size is none."""
+    fixed = _seen_from_mount(rig)
     shapes = tuple(
-        {m.channel: MODEL_TOLERANCE * deformation(m, p.values[m.channel]) for m in run.measured}
+        {m.channel: _tolerated(m, p.values[m.channel], m.channel in fixed) for m in run.measured}
         for run, p in zip(runs, predictions, strict=True)
     )
     return ErrorShape(MODEL, shapes, mean=0.0, sd=1.0)
 
 
+def _seen_from_mount(rig: Rig) -> set[str]:
+    """Cameras that see nothing but points on gels which are fixed to what they are fixed to themselves."""
+    found = set()
+    for name, camera in rig.cameras.items():
+        bodies = [rig.bodies[sight.body] for sight in camera.sees]
+        if bodies and all(isinstance(b, Gel) and b.mount == camera.mount for b in bodies):
+            found.add(name)
+    return found
+
+
+def _tolerated(measured: Measured, values: np.ndarray, fixed: bool) -> np.ndarray:
+    """Standard deviation of what careful models differ in, measured units ``(n, m)``."""
+    if fixed and measured.kind in DIMENSIONS:
+        return np.asarray(GEL_TOLERANCE * np.nan_to_num(values - _first(values)))
+    return MODEL_TOLERANCE * deformation(measured, values)
+
+
+def _first(values: np.ndarray) -> np.ndarray:
+    """The first row ``(m,)`` in which anything is in sight."""
+    return np.asarray(values[np.argmax(np.isfinite(values).any(axis=1))])
+
+
 def deformation(measured: Measured, values: np.ndarray) -> np.ndarray:
     """Part of the predicted readings ``(n, m)`` that is not rigid motion of all points, measured units; 0 where a point
     is out of sight."""
-    first = values[np.argmax(np.isfinite(values).any(axis=1))]
+    first = _first(values)
     if measured.kind not in DIMENSIONS:
         return np.asarray(np.nan_to_num(values - first))
     k = DIMENSIONS[measured.kind]

@@ -30,10 +30,10 @@ from sysid.solve.covariance import uncertainty
 from sysid.solve.optimum import Fitted
 
 MEMBERS = 4
-"""Rollouts of the ensemble."""
+"""Rollouts of the ensemble, to both sides of the model by pairs."""
 
 WITHIN = 1.5
-"""How far members are, in standard deviations of each parameter."""
+"""How far members are, in standard deviations, along each of the independent directions of the parameters."""
 
 LEAST_SD = {"friction": 0.01, "E_pa": 0.01}
 """Least standard deviation of a member: what a formal covariance says of a friction coefficient is too good to be
@@ -83,14 +83,7 @@ def unpredictable(
 ) -> list[Unpredictable]:
     """Spans in which an ensemble about a fitted model disagrees. ``derived``: predictions of the runs by the model,
     with derivatives by its parameters; ``refined``: by run and channel, what refinements change ``(n, m)``."""
-    rng = np.random.default_rng(0)
-    sd = uncertainty(model).sd
-    least = [LEAST_SD.get(p.target.rsplit(".", 1)[1], 0.0) for p in model.parameters]
-    limits = np.array([p.scaled_bounds for p in model.parameters]).reshape(-1, 2).T
-    known = np.array([p.known_sd or p.prior_sd for p in model.parameters])
-    reach = WITHIN * np.minimum(np.maximum(sd, least), known)
-    signs = rng.choice([-1.0, 1.0], size=(MEMBERS, len(reach)))
-    points = [np.clip(model.scaled + s * reach, *limits) for s in signs]
+    points = _members(model)
     pending = [
         [engine.submit(rig_in(model.centre, model.parameters, at, run.name), run) for run in runs] for at in points
     ]
@@ -117,6 +110,23 @@ def unpredictable(
             if mask.any() and mask.mean() <= MOST:
                 found.append(Unpredictable(run.name, m.channel, _spans(m.t, mask)))
     return found
+
+
+def _members(model: Fitted) -> list[np.ndarray]:
+    """Scaled values ``(p,)`` of the ensemble. What is hardly known by itself, as the place of a ball and its turn about
+    a point of it are, goes together as the recordings say: only so can nobody tell the members apart."""
+    rng = np.random.default_rng(0)
+    found = uncertainty(model)
+    least = np.array([LEAST_SD.get(p.target.rsplit(".", 1)[1], 0.0) for p in model.parameters])
+    known = np.array([p.known_sd or p.prior_sd for p in model.parameters])
+    sd = np.minimum(found.sd, known)
+    further = np.sqrt(np.maximum(np.minimum(least, known) ** 2 - sd**2, 0.0))
+    values, vectors = np.linalg.eigh(found.correlation)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    limits = np.array([p.scaled_bounds for p in model.parameters]).reshape(-1, 2).T
+    together, alone = rng.choice([-1.0, 1.0], size=(2, MEMBERS // 2, len(sd)))
+    steps = [WITHIN * (sd * (root @ a) + further * b) for a, b in zip(together, alone, strict=True)]
+    return [np.clip(model.scaled + sign * step, *limits) for step in steps for sign in (1.0, -1.0)]
 
 
 def _events(t: np.ndarray, shape: np.ndarray) -> np.ndarray:

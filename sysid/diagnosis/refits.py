@@ -214,10 +214,11 @@ def trials_of(
             raise KeyboardInterrupt
         if start.names not in best or fitted.chi2 < best[start.names][1].chi2:
             best[start.names] = (start, fitted, there)
-    return [_scored(base, start, fitted, there) for start, fitted, there in best.values()]
+    return [scored(base, start.whole, fitted, there) for start, fitted, there in best.values()]
 
 
-def _scored(base: Baseline, start: Start, fitted: Fitted, there: Fitted | None) -> Trial:
+def scored(base: Baseline, hypotheses: tuple[Hypothesis, ...], fitted: Fitted, there: Fitted | None) -> Trial:
+    """A fitted set of effects as a trial; ``there``: the model on the recordings held out."""
     before = structure(base.problem, base.fitted)
     left = structure(base.problem, fitted)
     both = seen_by_both(base.check, base.there, there)
@@ -225,8 +226,8 @@ def _scored(base: Baseline, start: Start, fitted: Fitted, there: Fitted | None) 
     if base.there is not None and there is not None:
         on_others = explained(structure(base.check, base.there), structure(base.check, there))
     gain = log_evidence(fitted, 1.0) - log_evidence(base.fitted, 1.0)
-    worth = min(significance(h, fitted, gain) for h in start.whole)
-    return Trial(start.whole, fitted, gain, explained(before, left), on_others, left, gain_of(both), worth, there,
+    worth = min(significance(h, fitted, gain) for h in hypotheses)
+    return Trial(hypotheses, fitted, gain, explained(before, left), on_others, left, gain_of(both), worth, there,
                  worse=worse_there(base, there))  # fmt: skip
 
 

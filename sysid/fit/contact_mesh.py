@@ -46,24 +46,22 @@ MARGIN = 0.2
 FAR = 100.0
 """Misfit over noise from which it counts no more."""
 
+SURE_SD, MOST_SHARE = 0.1, 2.5
+"""Standard deviation of the share up to which recordings tell of two models which they follow, and share up to which it
+is one of these."""
+
 INSTANTS = 60
 """Instants of a recording at which contacts are looked for."""
 
 
 @dataclass(frozen=True)
 class ContactMesh:
-    """``rig``: with refined cells; ``shapes``: of the gels as the rig has them, by body; ``finer``: longest edge there
-    over that of the refined cells, the least of all gels; ``notes``: what was refined, in words."""
+    """``rig``: with refined cells; ``finer``: longest edge of the given ones in the contact over that of the refined
+    cells, the least of all gels; ``notes``: what was refined, in words."""
 
     rig: Rig
-    shapes: Mapping[str, object]
     finer: float
     notes: tuple[str, ...]
-
-    def coarse(self, rig: Rig) -> Rig:
-        """A rig with these refined cells with those as they were."""
-        bodies = {n: rig.bodies[n].model_copy(update={"shape": shape}) for n, shape in self.shapes.items()}
-        return rig.model_copy(update={"bodies": {**rig.bodies, **bodies}})
 
 
 def refined_where_touched(rig: Rig, runs: Sequence[Run]) -> ContactMesh | None:
@@ -73,7 +71,7 @@ def refined_where_touched(rig: Rig, runs: Sequence[Run]) -> ContactMesh | None:
         return None
     layout = lay_out(rig)
     skins = {s.body: s for s in surfaces(layout)}
-    bodies, shapes, notes, finer = {}, {}, [], np.inf
+    bodies, notes, finer = {}, [], np.inf
     for name, gel in rig.bodies.items():
         if not isinstance(gel, Gel) or not hasattr(gel.shape, "refine") or gel.shape.refine:
             continue
@@ -87,7 +85,7 @@ def refined_where_touched(rig: Rig, runs: Sequence[Run]) -> ContactMesh | None:
             continue
         edges = dict(zip(("x_m", "y_m", "z_m"), np.stack([low, high], axis=1).tolist(), strict=True))
         box = RefinedBox(**{k: tuple(v) for k, v in edges.items()}, edge_m=own / ratio)
-        shapes[name], finer = gel.shape, min(finer, ratio)
+        finer = min(finer, ratio)
         bodies[name] = gel.model_copy(update={"shape": gel.shape.model_copy(update={"refine": (box,)})})
         notes.append(
             f"Cells of {name} are at most {1e3 * box.edge_m:.2g} mm long where it is touched, {1e3 * own:.2g} mm in "
@@ -95,22 +93,41 @@ def refined_where_touched(rig: Rig, runs: Sequence[Run]) -> ContactMesh | None:
         )
     if not bodies:
         return None
-    return ContactMesh(rig.model_copy(update={"bodies": {**rig.bodies, **bodies}}), shapes, float(finer), tuple(notes))
+    return ContactMesh(rig.model_copy(update={"bodies": {**rig.bodies, **bodies}}), float(finer), tuple(notes))
 
 
-def follow_finer(
+@dataclass(frozen=True)
+class Share:
+    """How far recordings have gone from one model to another one, 0 to 1, with its standard deviation [1]; None where
+    both are alike."""
+
+    value: float | None
+    sd: float
+
+    @property
+    def refines(self) -> bool:
+        """They follow the other one rather than this, which they do unless they tell otherwise."""
+        return self.value is None or self.value >= 0.5
+
+    @property
+    def extends(self) -> bool:
+        """They tell that they follow the other one, and that the two are those to choose from."""
+        return self.value is not None and self.sd < SURE_SD and 0.5 <= self.value <= MOST_SHARE
+
+
+def follows(
     runs: Sequence[Run],
-    coarse: Sequence[Prediction],
-    fine: Sequence[Prediction],
+    one: Sequence[Prediction],
+    other: Sequence[Prediction],
     noise: dict[str, ChannelNoise],
     known_sd: np.ndarray,
-) -> bool:
-    """Whether recordings follow the finer mesh rather than that of the rig, which they do unless they tell otherwise.
-    ``coarse``: predictions by that, with derivatives by parameters that are known to ``known_sd`` ``(p,)``."""
+) -> Share:
+    """The share a of ``other`` beside the parameters of ``one``, which has derivatives by them; these are known to
+    ``known_sd`` ``(p,)``."""
     count = len(known_sd)
     normal, right = np.zeros((count + 1, count + 1)), np.zeros(count + 1)
     normal[np.arange(count), np.arange(count)] = 1.0 / known_sd**2
-    for run, there, here in zip(runs, coarse, fine, strict=True):
+    for run, there, here in zip(runs, one, other, strict=True):
         for m in run.measured:
             sigma = noise[m.channel].sigma
             left = (m.values - there.values[m.channel]) / sigma
@@ -120,9 +137,12 @@ def follow_finer(
             rows = table[seen]
             normal += rows.T @ rows
             right += rows.T @ np.clip(left[seen], -FAR, FAR)
+    if normal[-1, -1] == 0.0:
+        return Share(None, np.inf)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    found = np.linalg.lstsq(normal / np.outer(scale, scale), right / scale, rcond=1e-12)[0] / scale
-    return normal[-1, -1] == 0.0 or bool(found[-1] >= 0.5)
+    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    found = inverse @ (right / scale) / scale
+    return Share(float(found[-1]), float(np.sqrt(max(inverse[-1, -1], 0.0)) / scale[-1]))
 
 
 def _touched(

@@ -27,7 +27,6 @@ import numpy as np
 from sim_core.batch import worker_ended
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
-from sysid.fit.contact_mesh import ContactMesh
 from sysid.model.parameters import FitParameter, rig_in, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
@@ -55,6 +54,9 @@ LOUD = 10.0
 MESH_ORDER = 2
 """Power of the size of cells that the error of the mesh is proportional to."""
 
+MESH = "mesh"
+"""Label of the error shape of the mesh."""
+
 Minimise = Callable[[Problem, np.ndarray], Fitted]
 """A search for the minimum of a problem from given scaled values."""
 
@@ -74,12 +76,12 @@ def discretisation(
     rig: Rig | Sequence[Rig],
     runs: Sequence[Run],
     plain: Sequence[Prediction] | None = None,
-    mesh: ContactMesh | None = None,
+    mesh: ErrorShape | None = None,
 ) -> list[ErrorShape]:
     """How the predictions change when the mesh, and when the time step, is refined once.
 
     ``rig``: one for all runs, or one for each; ``plain``: its predictions as it is, where they are at hand; ``mesh``:
-    cells that were made finer, which are compared with those as they were (:mod:`sysid.fit.contact_mesh`).
+    the error of the mesh, where it is known.
 
     The true error is about 2^p / (2^p - 1) of these differences, with the order p of the mesh
     (:data:`MESH_ORDER`) and of the rig's integrator; the shapes are scaled accordingly. Raises
@@ -88,21 +90,23 @@ def discretisation(
     rigs = rig if isinstance(rig, Sequence) else [rig] * len(runs)
     pairs = list(zip(rigs, runs, strict=True))
     pending = [engine.submit(there, run) for there, run in pairs] if plain is None else []
-    if mesh is None:
-        fine = [engine.submit(there, run, 2) for there, run in pairs]
-    else:
-        fine = [engine.submit(mesh.coarse(there), run) for there, run in pairs]
+    fine = [engine.submit(there, run, 2) for there, run in pairs] if mesh is None else []
     short = [engine.submit(there, run, 1, 0.5 * there.solver.dt_s) for there, run in pairs]
     base = plain or [_outcome(f, run, "as it is") for f, run in zip(pending, runs, strict=True)]
-    found = _error_shapes(rigs, runs, base, fine, short)
-    return found if mesh is None else [_from_coarser(found[0], mesh.finer), *found[1:]]
+    if mesh is not None:
+        return [mesh, *_error_shapes(rigs, runs, base, None, short)]
+    return _error_shapes(rigs, runs, base, fine, short)
 
 
-def _from_coarser(shape: ErrorShape, finer: float) -> ErrorShape:
-    """The error of a mesh from the change to a coarser one, the cells of which are ``finer`` times as wide."""
-    halved = 2.0**MESH_ORDER / (2.0**MESH_ORDER - 1.0)
-    share = -1.0 / (finer**MESH_ORDER - 1.0) / halved
-    return replace(shape, shapes=tuple({c: share * d for c, d in run.items()} for run in shape.shapes))
+def error_of_coarser_cells(fine: Sequence[Prediction], coarse: Sequence[Prediction], finer: float) -> ErrorShape:
+    """The error of the mesh of predictions ``fine`` from those on a coarser one, the cells of which are ``finer`` times
+    as wide: y* - y_h = (y_h - y_H) / ((H / h)^p - 1)."""
+    shapes, sight = [], []
+    for here, there in zip(fine, coarse, strict=True):
+        change = {c: (v - there.values[c]) / (finer**MESH_ORDER - 1.0) for c, v in here.values.items()}
+        sight.append({c: np.isfinite(d) for c, d in change.items()})
+        shapes.append({c: np.where(np.isfinite(d), d, 0.0) for c, d in change.items()})
+    return ErrorShape(MESH, tuple(shapes), sight=tuple(sight))
 
 
 def discretisation_with_slopes(
@@ -128,14 +132,16 @@ def _error_shapes(
     rigs: Sequence[Rig],
     runs: Sequence[Run],
     base: Sequence[Prediction],
-    fine: Sequence[Future[Prediction]],
+    fine: Sequence[Future[Prediction]] | None,
     short: Sequence[Future[Prediction]],
 ) -> list[ErrorShape]:
     found = []
     for label, how, orders, pending in (
-        ("mesh", "on a finer mesh", [MESH_ORDER] * len(rigs), fine),
+        (MESH, "on a finer mesh", [MESH_ORDER] * len(rigs), fine),
         ("time step", "with half the time step", [rig.solver.order for rig in rigs], short),
     ):
+        if pending is None:
+            continue
         refined = [_outcome(f, run, how) for f, run in zip(pending, runs, strict=True)]
         three = list(zip(refined, base, orders, strict=True))
         shapes = tuple(_error(r.values, b.values, p) for r, b, p in three)

@@ -36,7 +36,7 @@ class _Carried:
     """Predictions of all runs at scaled values; ``since``: evaluations since the derivatives were made."""
 
     names: tuple[str, ...]
-    runs: tuple[str, ...]
+    runs: tuple[object, ...]
     scaled: np.ndarray
     found: list[Prediction]
     since: int
@@ -69,12 +69,14 @@ class SparingPredictor:
         self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
     ) -> list[Prediction]:
         """Predictions of several runs with derivatives, of their own or carried over."""
-        names, on = tuple(p.name for p in parameters), tuple(run.name for run in runs)
+        names, on = tuple(p.name for p in parameters), tuple(map(_key, runs))
         before = self._carried
         width = np.array([p.known_sd or p.prior_sd for p in parameters])
         if not names or before is None or (before.names, before.runs) != (names, on):
             return self._anew(rig, runs, parameters, scaled)
         step = (scaled - before.scaled) / width
+        if not step.any():
+            return before.found
         if before.since >= MOST_CARRIED or np.abs(step).max(initial=0.0) > LONG_STEP:
             return self._anew(rig, runs, parameters, scaled)
         jobs = [self._engine.submit(rig_in(rig, parameters, scaled, run.name), run) for run in runs]
@@ -89,9 +91,14 @@ class SparingPredictor:
         self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
     ) -> list[Prediction]:
         found = self._engine.predict_all(rig, runs, parameters, scaled)
-        names, on = tuple(p.name for p in parameters), tuple(run.name for run in runs)
+        names, on = tuple(p.name for p in parameters), tuple(map(_key, runs))
         self._carried = _Carried(names, on, np.array(scaled), found, 0)
         return found
+
+
+def _key(run: Run) -> object:
+    """What of a run predictions depend on, among runs of one search."""
+    return run.name, None if run.steps is None else run.steps.tobytes()
 
 
 def _corrected(then: Prediction, now: Prediction, step: np.ndarray, width: np.ndarray) -> dict[str, np.ndarray]:

@@ -183,7 +183,8 @@ def _information(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Information in each direction of the parameters, least first ``(p,)``, and the directions as columns
     ``(p, p)``. What is below the round-off of the most informative direction is none at all."""
     p = jacobian.shape[1]
-    _, singular, rows = np.linalg.svd(np.vstack([jacobian, np.zeros((p, p))]), full_matrices=False)
+    triangle = np.linalg.qr(np.vstack([jacobian, np.zeros((p, p))]), mode="r")
+    _, singular, rows = np.linalg.svd(triangle)
     singular[singular <= 1e-12 * singular[0]] = 0.0
     return singular[::-1] ** 2, rows[::-1].T
 

@@ -18,7 +18,8 @@ of d at all. D(t), the largest rms of d over the columns of a quantity about t, 
 stays as long as the motion does (a marker that is off by the same all through a hold, whose every sample must not count
 as a new witness: intervals would shrink with the rate of the sensor), in R for what is new with every sample. U(t) is
 that of what came unforeseen, between two places where the error and its slopes were measured: where a gel snaps over,
-it does so with other parameters a moment later or not at all, and nobody knows which of both the real one does.
+it does so with other parameters a moment later or not at all, and nobody knows which of both the real one does. What
+careful models differ in (:data:`MODEL`) is a share of the signal of the same instant: A_p(t) and D(t) are then of that.
 
 The coefficients are eliminated from the least-squares problem and the last part weighs samples down, so intervals and
 evidence are those with the error integrated out (the discrepancy of Kennedy & O'Hagan 2001 with a basis from the solver
@@ -33,7 +34,7 @@ of reality (all of it).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -225,22 +226,22 @@ def basis_of(
         expected += direction.mean * shape
         if direction.slopes:
             slopes += direction.mean * direction.slopes[index][measured.channel]
-        lasting = np.zeros(shape.shape)
         for quantity in column_groups(measured):
             group = quantity[np.isfinite(measured.values[:, quantity]).any(axis=0)]
             if not len(group):
                 continue
-            for part in (Changes(shape[:, group], drift, instants), *_patterns(shape[:, group], t, run.end)):
+            about = (lambda size: size) if direction.label == MODEL else (lambda size: _largest(size, t, run.end))
+            for part in (Changes(shape[:, group], drift, instants), *_patterns(shape[:, group], t, run.end, about)):
                 wide = np.zeros(shape.shape)
                 wide[:, group] = direction.sd * part.shape
                 common.append(replace(part, shape=wide))
-            size = _largest(_rms(shape[:, group]), t, run.end)[:, None]
-            lasting[:, group] = ROUGH * size
-            largest[:, group] += size**2
+            largest[:, group] += about(_rms(shape[:, group]))[:, None] ** 2
             if direction.unforeseen:
                 missed = direction.unforeseen[index][measured.channel][:, group]
                 unforeseen[:, group] += _largest(_rms(missed), t, run.end)[:, None] ** 2
-        own += [Changes(direction.sd * shape, drift, instants), Changes(lasting, drift, instants)]
+        own.append(Changes(direction.sd * shape, drift, instants))
+    if directions:
+        own.append(Changes(ROUGH * np.sqrt(largest), drift, instants))
     if bias is not None:
         always = np.ones((len(t), 1))
         own.append(Changes(bias * always, always, np.array([0.5 * run.end])))
@@ -283,12 +284,13 @@ def _drift(t: np.ndarray, end: float, levels: int = len(LEVELS)) -> tuple[np.nda
     return np.concatenate(functions, axis=1), np.concatenate(instants)
 
 
-def _patterns(shape: np.ndarray, t: np.ndarray, end: float) -> list[Changes]:
-    """Changes of an error of a given shape ``(n, m)`` that has its patterns at other times."""
+def _patterns(shape: np.ndarray, t: np.ndarray, end: float, about: Callable[[np.ndarray], np.ndarray]) -> list[Changes]:
+    """Changes of an error of a given shape ``(n, m)`` that has its patterns at other times, as large as ``about`` says
+    of the sizes ``(n,)`` of these."""
     drift, instants = _drift(t, end, PATTERN_LEVELS)
     courses, strengths, components = np.linalg.svd(shape, full_matrices=False)
     kept = np.flatnonzero(strengths[:PATTERNS] > FAINT * max(strengths[0], np.finfo(float).tiny))
-    sizes = [_largest(np.abs(courses[:, p] * strengths[p]), t, end) for p in kept]
+    sizes = [about(np.abs(courses[:, p] * strengths[p])) for p in kept]
     return [Changes(a[:, None] * components[p], drift, instants) for p, a in zip(kept, sizes, strict=True)]
 
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from sysid.noise.estimate import ChannelNoise
 from sysid.noise.whitening import Whitening
@@ -38,7 +39,7 @@ class Elimination:
         own = np.concatenate([p.instants for p in basis.own])
         self.times = np.concatenate([np.tile(own, good.shape[1]), *(p.instants for p in basis.common)])
         pairs = [self._grams(j) for j in range(good.shape[1])]
-        self._own = np.stack([of_own for of_own, _ in pairs])
+        self._own = [factor for factor, _ in pairs]
         self._common = np.eye(len(pairs[0][1])) + sum(of_common for _, of_common in pairs)
 
     def mean_error(self, scaled: np.ndarray | None) -> np.ndarray:
@@ -72,15 +73,18 @@ class Elimination:
 
     def _best_own(self, vectors: np.ndarray) -> np.ndarray:
         """Of the coefficients that columns have for themselves ``(l, m, q)``, where others are 0."""
-        seen = told(self._basis.own, self._whiten.transposed(vectors), shared=False)
-        return np.asarray(np.linalg.solve(self._own, seen.transpose(1, 0, 2)).transpose(1, 0, 2))
+        found = told(self._basis.own, self._whiten.transposed(vectors), shared=False)
+        for j, factor in enumerate(self._own):
+            found[:, j] = cho_solve(factor, found[:, j], check_finite=False)
+        return found
 
-    def _grams(self, j: int) -> tuple[np.ndarray, np.ndarray]:
-        """Of column ``j``: I + O^T O, and its part of C^T M C."""
+    def _grams(self, j: int) -> tuple[tuple[np.ndarray, bool], np.ndarray]:
+        """Of column ``j``: the Cholesky factor of I + O^T O, and its part of C^T M C."""
         column = self._whiten.of_column(j)
         own, common = (
             column(np.concatenate([p.shape[:, [j]] * p.functions for p in parts], axis=1)[:, None])[:, 0]
             for parts in (self._basis.own, self._basis.common)
         )
-        gram, crossed = np.eye(own.shape[1]) + own.T @ own, own.T @ common
-        return gram, common.T @ common - crossed.T @ np.linalg.solve(gram, crossed)
+        factor = cho_factor(np.eye(own.shape[1]) + own.T @ own, lower=True, check_finite=False)
+        crossed = solve_triangular(factor[0], own.T @ common, lower=True, check_finite=False)
+        return factor, common.T @ common - crossed.T @ crossed

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sim_core.rigs import Rig
 from sim_core.simulate import Trace
 from sysid.diagnosis.model_tolerance import MODEL_TOLERANCE, deformation, model_tolerance
 from sysid.model.predictor import Prediction
@@ -48,6 +52,8 @@ def test_of_a_wrench_it_is_the_change_since_the_start() -> None:
     values = np.outer(T, np.arange(1.0, 7.0)) + 3.0
     wrench = Measured("wrist", "wrench", T, values, tuple("abcdef"))
     run = Run("run", "", (), {}, (wrench,), 1.0)
-    shape = model_tolerance([run], [Prediction({"wrist": values}, {}, Trace(T, {}, {}, {}, ()))])
+    shape = model_tolerance(
+        cast(Rig, SimpleNamespace(cameras={})), [run], [Prediction({"wrist": values}, {}, Trace(T, {}, {}, {}, ()))]
+    )
     np.testing.assert_allclose(shape.shapes[0]["wrist"], MODEL_TOLERANCE * (values - 3.0))
     assert shape.mean == 0.0

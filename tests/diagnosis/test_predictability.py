@@ -12,7 +12,7 @@ import pytest
 from sim_core.rigs import Rig
 from sim_core.simulate import Trace
 from sysid.diagnosis.baseline import believed, best_branch, fine_enough
-from sysid.diagnosis.predictability import RINGS_S, unpredictable, without
+from sysid.diagnosis.predictability import RINGS_S, _members, unpredictable, without
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
@@ -109,3 +109,25 @@ def test_a_recording_that_the_step_cannot_follow_weighs_nothing(problem: Any) ->
     kept, said = fine_enough([run, run], [ErrorShape("mesh", (good, bad))], there.noise)
     assert kept == [0] and "20 times the noise" in said[0]
     assert fine_enough([run, run], [ErrorShape("mesh", (bad, bad))], there.noise) == ([0, 1], ())
+
+
+def test_members_are_what_the_recordings_cannot_tell_apart(small_rig: Callable[..., Rig]) -> None:
+    """Where they show only the sum of two parameters, its difference may be anything, and the sum may not."""
+    rig = small_rig()
+    parameters = believed(rig, fit_parameters(rig, ["card.E", "gel.E"]))
+    start = start_of(rig, parameters)
+
+    class Sum:
+        def predict_all(self, rig: Rig, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+            values = np.sin(3.0 * T)[:, None] * (1.0 + float(np.sum(scaled - start)))
+            slopes = np.sin(3.0 * T)[:, None, None] * np.ones(2)
+            return [Prediction({"gauge": values}, {"gauge": slopes}, cast(Trace, None)) for _ in runs]
+
+    data = np.sin(3.0 * T)[:, None] + SIGMA * np.random.default_rng(0).standard_normal((len(T), 1))
+    run = Run("run", "", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), float(T[-1]))
+    noise = {"gauge": ChannelNoise(np.array([SIGMA]), np.zeros(1), "test")}
+    fitted = Problem([run], noise, cast(Any, Sum()), prior=True).evaluate(rig, parameters, start)
+    away = np.array(_members(fitted)) - fitted.scaled
+    assert np.abs(away[:, 0]).max() > 0.2, "as far as what is known beforehand"
+    assert np.abs(away.sum(axis=1)).max() < 0.05
+    np.testing.assert_allclose(away.sum(axis=0), 0.0, atol=1e-9)

@@ -67,7 +67,7 @@ class Sums:
         return self._told(rig, run, parameters, scaled, refine)
 
     def submit_responses(
-        self, rig: Rig, run: Run, parameters: Any, scaled: np.ndarray, candidates: Any
+        self, rig: Rig, run: Run, parameters: Any, scaled: np.ndarray, candidates: Any, modulated: Any = ()
     ) -> Future[Prediction]:
         plain = self._told(rig, run, parameters, scaled, 1).result()
         here = rig_at(rig, parameters, scaled)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -11,8 +10,8 @@ import pytest
 
 from sim_core.rigs import Gel, load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.contact_mesh import MARGIN, OF_RADIUS, ContactMesh, follow_finer, refined_where_touched
-from sysid.fit.discretisation_refinement import discretisation
+from sysid.fit.contact_mesh import MARGIN, OF_RADIUS, follows, refined_where_touched
+from sysid.fit.discretisation_refinement import error_of_coarser_cells
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
@@ -51,7 +50,6 @@ def test_the_box_is_about_the_contact_of_hertz() -> None:
         assert 0.5 * (high - low) == pytest.approx((1.0 + MARGIN) * radius, abs=2.0 * spacing)
         assert abs(low + high) < 2.0 * spacing
     assert box.edge_m <= OF_RADIUS * radius * 1.01
-    assert found.coarse(found.rig).bodies == rig.bodies
     assert found.finer > 1.0 and "mm long where it is touched" in found.notes[0]
 
 
@@ -71,19 +69,8 @@ def test_what_is_fine_enough_or_not_touched_or_refined_by_the_rig_stays() -> Non
 def test_the_error_follows_from_the_coarser_mesh_where_it_goes_with_the_square_of_its_cells() -> None:
     """y = y* + C h^2 on both: what is found is y* less the prediction."""
     truth, of_cells, finer = np.linspace(1.0, 2.0, 5)[:, None], 0.3, 1.7
-    fine, coarse = "fine", "coarse"
-
-    class Engine:
-        def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Any:
-            wide = finer if rig.name == coarse else 1.0
-            values = {"gauge": truth + of_cells * wide**2}
-            return SimpleNamespace(result=lambda: Prediction(values, {}, cast(Any, None)))
-
-    solver = SimpleNamespace(dt_s=0.1, order=1)
-    rigs = {name: SimpleNamespace(name=name, solver=solver) for name in (fine, coarse)}
-    mesh = cast(ContactMesh, SimpleNamespace(coarse=lambda rig: rigs[coarse], finer=finer))
-    run = Run("r", "r", (), {}, (Measured("gauge", "markers", np.arange(5.0), truth, ("x",)),), 4.0)
-    shape, _ = discretisation(cast(Any, Engine()), cast(Any, rigs[fine]), [run], mesh=mesh)
+    fine, coarse = (Prediction({"gauge": truth + of_cells * h**2}, {}, cast(Any, None)) for h in (1.0, finer))
+    shape = error_of_coarser_cells([fine], [coarse], finer)
     np.testing.assert_allclose(shape.shapes[0]["gauge"], -of_cells, rtol=1e-12)
 
 
@@ -100,4 +87,4 @@ def test_a_recording_that_was_simulated_with_the_cells_of_the_rig_keeps_them(wit
     run = Run("r", "r", (), {}, (Measured("gauge", "markers", t[:, 0], readings, ("x",)),), 1.0)
     there = Prediction({"gauge": coarse}, {"gauge": coarse[..., None]}, cast(Any, None))
     here = Prediction({"gauge": fine}, {}, cast(Any, None))
-    assert follow_finer([run], [there], [here], noise, np.array([0.35])) == with_fine_cells
+    assert follows([run], [there], [here], noise, np.array([0.35])).refines == with_fine_cells

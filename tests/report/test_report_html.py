@@ -243,7 +243,7 @@ def empty_diagnosis() -> Diagnosis:
     law = Hypothesis("gel_relaxation", relaxation, {"tau_s": 0.2}, (Amplitude(size, 0.0, 0.25),))
     gram = np.array([[90.0, 3.0], [3.0, 360.0]])
     screen = Screen(base, [law], [Block("pull", gram, np.zeros(2))])
-    whole = Baseline(problem, base, Problem([], noise, cast(SerialPredictor, None)), None, noise, [], ())
+    whole = Baseline(problem, base, Problem([], noise, cast(SerialPredictor, None)), None, noise, [], (), None)
     case = Case(structure(problem, base), None, 3.0)
     return _collect(rig, whole, case, Verdict("nothing_missing", ()), [], Screened(screen, screen.singles(), {}))[0]
 
@@ -329,7 +329,7 @@ def test_many_runs_stay_small_and_are_grouped(tmp_path: Path) -> None:
     )
     assert sum(t == "details" and k == "class" and v == "run" for t, k, v in page.attributes) == 40
     assert "30 recordings" in page.words and "run_39" in page.words
-    assert "more columns fit better than those shown" in page.words
+    assert "Columns that fit better than those shown are left out" in page.words
 
 
 def test_long_names_and_markup_in_names(tmp_path: Path) -> None:

@@ -1,0 +1,155 @@
+"""The finer model that a diagnosis measures against, and what it adds to the readings of the rig's own.
+
+Cells that are too wide and a pad that is cut off change readings by tens of times the noise. Both are mended in a
+reference model, which costs ten times a rollout of the rig. It is simulated where the baseline stands, and what it adds
+is kept for all else (:mod:`sysid.model.space_mapping`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig
+from sysid.diagnosis.model_tolerance import model_tolerance
+from sysid.fit.contact_mesh import ContactMesh, follows, refined_where_touched
+from sysid.fit.discretisation_refinement import discretisation, error_of_coarser_cells
+from sysid.fit.gel_extent import widened
+from sysid.model.parameters import FitParameter, start_of
+from sysid.model.prediction_source import AnyEngine
+from sysid.model.predictor import Prediction
+from sysid.model.space_mapping import SpaceMappedPredictor, additions, mapped
+from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Run
+from sysid.solve.discretisation_basis import ErrorShape
+
+
+@dataclass(frozen=True)
+class Reference:
+    """``extended``: a rig with pads as wide as recordings follow them, and the cells of the given one; ``mesh``: finer
+    cells of that, None where they are fine enough; ``notes``: what was changed, in words."""
+
+    extended: Rig
+    mesh: ContactMesh | None
+    notes: tuple[str, ...]
+
+    def fine(self, rig: Rig) -> Rig:
+        """A rig with other parameters or effects with the shapes of the reference."""
+        return _with_shapes(rig, self.extended if self.mesh is None else self.mesh.rig)
+
+    def coarser(self, rig: Rig) -> Rig:
+        """The same with the cells of the given rig."""
+        return _with_shapes(rig, self.extended)
+
+
+@dataclass(frozen=True)
+class Added:
+    """``readings``: what the reference adds, by run and channel, measured units; ``error``: of its cells, None where
+    these are the given ones."""
+
+    readings: dict[str, dict[str, np.ndarray]]
+    error: ErrorShape | None
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What is known where a search stands. ``engine``: predictions of the rig's own model with what the reference adds;
+    ``plain``: of the recordings; ``shapes``: what these may be off, by mesh, by time step, and as a model."""
+
+    engine: SpaceMappedPredictor
+    plain: list[Prediction]
+    shapes: list[ErrorShape]
+
+
+def _with_shapes(rig: Rig, other: Rig) -> Rig:
+    changed = {
+        n: rig.bodies[n].model_copy(update={"shape": body.shape})
+        for n, body in other.bodies.items()
+        if getattr(body, "shape", None) != getattr(rig.bodies[n], "shape", None)
+    }
+    return rig.model_copy(update={"bodies": {**rig.bodies, **changed}})
+
+
+def reference_for(
+    engine: AnyEngine,
+    rig: Rig,
+    parameters: Sequence[FitParameter],
+    runs: Sequence[Run],
+    held_out: Sequence[Run],
+    noise: dict[str, ChannelNoise],
+) -> tuple[Reference | None, Added | None, tuple[str, ...]]:
+    """The reference model whose extent and cells the recordings ``runs`` follow, None where those of the rig are as
+    good, what it adds, and what was not possible, in words."""
+    wide, mesh = widened(rig), refined_where_touched(rig, [*runs, *held_out])
+    if wide is None and mesh is None:
+        return None, None, ()
+    known = np.array([p.known_sd or p.prior_sd for p in parameters])
+    own = engine.predict_all(rig, runs, parameters, start_of(rig, parameters))
+    extended, there = rig, own
+    notes: list[str] = []
+    fine: list[Prediction] | None = None
+    told: tuple[str, ...] = ()
+    try:
+        if wide is not None:
+            here = _all(engine, wide.rig, runs)
+            if follows(runs, own, here, noise, known).extends:
+                extended, mesh = wide.rig, refined_where_touched(wide.rig, [*runs, *held_out])
+                there = [replace(d, values=h.values) for d, h in zip(own, here, strict=True)]
+                notes += wide.notes
+        if mesh is not None:
+            fine = _all(engine, mesh.rig, runs)
+            if follows(runs, there, fine, noise, known).refines:
+                notes += mesh.notes
+            else:
+                mesh = fine = None
+    except ThinshellError as error:
+        mesh, told = None, (f"The cells of the rig are kept: with finer ones, simulations do not end. {error}",)
+    if mesh is None or fine is None:
+        reference = None if extended is rig else Reference(extended, None, tuple(notes))
+        return reference, None if reference is None else Added(additions(runs, own, there), None), told
+    error_there = error_of_coarser_cells(fine, there, mesh.finer)
+    return Reference(extended, mesh, tuple(notes)), Added(additions(runs, own, fine), error_there), told
+
+
+def standing(
+    engine: AnyEngine,
+    reference: Reference | None,
+    rigs: Sequence[Rig],
+    runs: Sequence[Run],
+    own: Sequence[Prediction],
+    known: Added | None = None,
+) -> Standing:
+    """What is known at the parameters of ``rigs``, one for each run. ``own``: predictions of these, without what the
+    reference adds; ``known``: that, where it is at hand. Raises ``ThinshellError`` where something cannot be
+    simulated."""
+    if reference is None:
+        added = Added({}, None)
+    else:
+        added = known or added_at(engine, reference, rigs, runs, own)
+    shapes = discretisation(engine, rigs, runs, own, added.error)
+    plain = [mapped(p, run, added.readings) for p, run in zip(own, runs, strict=True)]
+    shapes.append(model_tolerance(rigs[0], runs, plain))
+    return Standing(SpaceMappedPredictor(engine, added.readings), plain, shapes)
+
+
+def added_at(
+    engine: AnyEngine, reference: Reference, rigs: Sequence[Rig], runs: Sequence[Run], own: Sequence[Prediction]
+) -> Added:
+    """What the reference adds to predictions ``own`` of the given rigs."""
+    pairs = list(zip(rigs, runs, strict=True))
+    fine = [engine.submit(reference.fine(rig), run) for rig, run in pairs]
+    if reference.mesh is None:
+        return Added(additions(runs, own, [job.result() for job in fine]), None)
+    same = all(reference.coarser(rig) == rig for rig in rigs)
+    coarse = [] if same else [engine.submit(reference.coarser(rig), run) for rig, run in pairs]
+    there = [job.result() for job in fine]
+    beside = [job.result() for job in coarse] or list(own)
+    return Added(additions(runs, own, there), error_of_coarser_cells(there, beside, reference.mesh.finer))
+
+
+def _all(engine: AnyEngine, rig: Rig, runs: Sequence[Run]) -> list[Prediction]:
+    jobs = [engine.submit(rig, run) for run in runs]
+    return [job.result() for job in jobs]

@@ -1,0 +1,102 @@
+"""The reference model has the cells and the extent that recordings follow, and says what it adds to the rig's."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sim_core.errors import ConvergenceError
+from sysid.diagnosis import reference_model
+from sysid.diagnosis.reference_model import reference_for
+from sysid.fit.contact_mesh import ContactMesh
+from sysid.fit.gel_extent import Widened
+from sysid.model.parameters import fit_parameters, start_of
+from sysid.model.predictor import Prediction
+from sysid.noise.estimate import ChannelNoise
+from sysid.observations.observations import Measured, Run
+
+T = np.linspace(0.0, 1.0, 200)
+SIGMA = 1e-3
+SHAPES = {"own": np.sin(3.0 * T), "wide": 0.05 * np.cos(8.0 * T), "fine": 0.03 * T**3}
+
+
+def readings(kinds: str, theta: float) -> np.ndarray:
+    """Of a model with the changes that its name says."""
+    return np.asarray(((1.0 + theta) * sum(SHAPES[k] for k in ("own", *kinds.split())))[:, None])
+
+
+class Engine:
+    """Predicts by what is in the rig's name; fails for names in ``fails``."""
+
+    def __init__(self, fails: tuple[str, ...] = ()) -> None:
+        self.fails = fails
+
+    def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        found: Future[Prediction] = Future()
+        if rig.name in self.fails:
+            found.set_exception(ConvergenceError("A step does not converge.", "Shorten it."))
+        else:
+            found.set_result(Prediction({"gauge": readings(rig.name, 0.0)}, {}, cast(Any, None)))
+        return found
+
+    def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
+        own = readings("", 0.0)
+        return [Prediction({"gauge": own}, {"gauge": own[..., None]}, cast(Any, None)) for _ in runs]
+
+
+def found(small_rig: Any, monkeypatch: pytest.MonkeyPatch, truth: str, fails: tuple[str, ...] = ()) -> Any:
+    """What is made of a recording of the model ``truth`` with a modulus that is 10 % off."""
+    rig = small_rig().model_copy(update={"name": ""})
+    wide = rig.model_copy(update={"name": "wide"})
+    monkeypatch.setattr(reference_model, "widened", lambda rig: Widened(wide, ("It is wide.",)))
+    monkeypatch.setattr(
+        reference_model,
+        "refined_where_touched",
+        lambda rig, runs: ContactMesh(rig.model_copy(update={"name": f"{rig.name} fine"}), 2.0, ("It is fine.",)),
+    )
+    noise = {"gauge": ChannelNoise(np.array([SIGMA]), np.zeros(1), "given")}
+    values = readings(truth, 0.1) + SIGMA * np.random.default_rng(0).standard_normal((len(T), 1))
+    run = Run("run", "", (), {}, (Measured("gauge", "markers", T, values, ("u",)),), 1.0)
+    parameters = fit_parameters(rig, ["card.E"])
+    assert len(start_of(rig, parameters)) == 1
+    return reference_for(cast(Any, Engine(fails)), rig, parameters, [run], [], noise)
+
+
+@pytest.mark.parametrize("truth", ["", "wide", "fine", "wide fine"])
+def test_recordings_tell_extent_and_cells(small_rig: Any, monkeypatch: pytest.MonkeyPatch, truth: str) -> None:
+    reference, added, told = found(small_rig, monkeypatch, truth)
+    assert told == ()
+    if not truth:
+        assert reference is None and added is None
+        return
+    assert ("It is wide." in reference.notes) == ("wide" in truth)
+    assert ("It is fine." in reference.notes) == ("fine" in truth)
+    change = readings(truth, 0.0) - readings("", 0.0)
+    np.testing.assert_allclose(added.readings["run"]["gauge"], change, atol=1e-12)
+    if "fine" in truth:
+        np.testing.assert_allclose(added.error.shapes[0]["gauge"], SHAPES["fine"][:, None] / 3.0, atol=1e-12)
+    else:
+        assert added.error is None
+
+
+def test_cells_with_which_simulations_do_not_end_are_not_taken(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    reference, added, told = found(small_rig, monkeypatch, "wide fine", ("wide fine",))
+    assert reference.notes == ("It is wide.",) and added.error is None
+    assert "simulations do not end" in told[0] and "does not converge" in told[0]
+
+
+def test_a_rig_has_the_shapes_of_the_reference_and_keeps_its_own_numbers(small_rig: Any) -> None:
+    rig = small_rig()
+    name = next(n for n, b in rig.bodies.items() if hasattr(b, "shape") and hasattr(b.shape, "cells"))
+    body = rig.bodies[name]
+    shape = body.shape.model_copy(update={"cells": tuple(2 * n for n in body.shape.cells)})
+    finer = rig.model_copy(update={"bodies": {**rig.bodies, name: body.model_copy(update={"shape": shape})}})
+    stiff = rig.model_copy(
+        update={"bodies": {**rig.bodies, name: body.model_copy(update={"pose": SimpleNamespace(other=True)})}}
+    )
+    found = reference_model.Reference(finer, None, ()).fine(stiff)
+    assert found.bodies[name].shape == shape and found.bodies[name].pose.other
