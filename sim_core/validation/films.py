@@ -88,7 +88,7 @@ def blown(law: str, cells: int) -> tuple[float, float]:
     pull = tension(law)(angle / np.sin(angle))
     pressure, grip = 2.0 * np.sin(angle) * pull / span, span / cells
     half, end = 0.5 * span, 0.5 * span + grip
-    clamps = [
+    clamps: list[dict[str, Any]] = [
         {"body": "film", "region": {"x_m": [-end, -half]}},
         {"name": "grip", "body": "film", "region": {"x_m": [half, end]}},
         {"body": "film", "region": {}, "axes": ["y"]},
