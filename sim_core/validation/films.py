@@ -93,7 +93,7 @@ def blown(law: str, cells: int) -> tuple[float, float]:
         {"name": "grip", "body": "film", "region": {"x_m": [half, end]}},
         {"body": "film", "region": {}, "axes": ["y"]},
     ]
-    load = {"name": "gas", "type": "pressure", "body": "film", "region": {"x_m": [-half, half]}}
+    load: dict[str, Any] = {"name": "gas", "type": "pressure", "body": "film", "region": {"x_m": [-half, half]}}
     load |= {"pressure_pa": pressure, "times_s": [0.0, float(STEPS)], "values": [0.0, 1.0]}
     body = film(2.0 * end, 2.0 * grip, (cells + 2, 2), law, nu, "regular")
     sensors = {"force": {"type": "wrench", "on": "grip", "topic": "wrench"}}
