@@ -18,6 +18,7 @@ from sysid.cli import (
     bench,
     benchmark,
     check_gradients,
+    converge,
     coverage,
     diagnose,
     doctor,
@@ -76,6 +77,7 @@ app.command("show")(show.show)
 app.command("simulate")(simulate.simulate)
 app.command("plan")(plan.plan)
 app.command("fit")(fit.fit)
+app.command("converge")(converge.converge)
 app.command("coverage")(coverage.coverage)
 app.command("diagnose")(diagnose.diagnose)
 app.add_typer(prove.app, name="prove")
