@@ -19,7 +19,7 @@ def converge(
         typer.Argument(metavar="EXPERIMENT|BAG", help="Experiment (a name or a YAML file), or a recording."),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="RIG", help="New rig file to write.")],
-    most_s: Annotated[
+    most_seconds: Annotated[
         float, number("--most-seconds", "Longest wall time of one simulation that is begun", 1.0, metavar="SECONDS")
     ] = 600.0,
     settings: Annotated[
@@ -38,7 +38,7 @@ def converge(
     check_new(out, "rig file")
     with progress("converge") as report:
         found = library("sysid.workflow.converge", "converge_rig")(
-            chosen, motion, out, most_s=most_s, on_progress=report, on_warning=warn
+            chosen, motion, out, most_s=most_seconds, on_progress=report, on_warning=warn
         )
     print(found.table())
     print(f"Rig: {out}")

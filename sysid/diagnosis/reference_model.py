@@ -95,13 +95,13 @@ def reference_for(
     try:
         if wide is not None:
             here = _all(engine, wide.rig, runs)
-            if follows(runs, own, here, noise, known).extends:
+            if _extends(engine, mesh, runs, own, here, noise, known):
                 extended, mesh = wide.rig, refined_where_touched(wide.rig, [*runs, *held_out])
                 there = [replace(d, values=h.values) for d, h in zip(own, here, strict=True)]
                 notes += wide.notes
         if mesh is not None:
             fine = _all(engine, mesh.rig, runs)
-            if follows(runs, there, fine, noise, known).refines:
+            if follows(runs, there, [fine], noise, known)[0].refines:
                 notes += mesh.notes
             else:
                 mesh = fine = None
@@ -112,6 +112,24 @@ def reference_for(
         return reference, None if reference is None else Added(additions(runs, own, there), None), told
     error_there = error_of_coarser_cells(fine, there, mesh.finer)
     return Reference(extended, mesh, tuple(notes)), Added(additions(runs, own, fine), error_there), told
+
+
+def _extends(
+    engine: AnyEngine,
+    mesh: ContactMesh | None,
+    runs: Sequence[Run],
+    own: Sequence[Prediction],
+    wide: Sequence[Prediction],
+    noise: dict[str, ChannelNoise],
+    known: np.ndarray,
+) -> bool:
+    """Whether recordings follow wide pads. What they seem to tell of these is asked again beside finer cells, which may
+    change the readings alike."""
+    if not follows(runs, own, [wide], noise, known)[0].extends:
+        return False
+    if mesh is None:
+        return True
+    return follows(runs, own, [wide, _all(engine, mesh.rig, runs)], noise, known)[0].extends
 
 
 def standing(

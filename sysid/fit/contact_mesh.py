@@ -43,8 +43,8 @@ LEAST_FINER = 1.2
 MARGIN = 0.2
 """What the box reaches beyond what is touched, over the radius of the contact."""
 
-FAR = 100.0
-"""Misfit over noise from which it counts no more."""
+FAR = 5.0
+"""Misfit over its root mean square from which a reading is taken for a mistake."""
 
 SURE_SD, MOST_SHARE = 0.1, 2.5
 """Standard deviation of the share up to which recordings tell of two models which they follow, and share up to which it
@@ -118,31 +118,44 @@ class Share:
 def follows(
     runs: Sequence[Run],
     one: Sequence[Prediction],
-    other: Sequence[Prediction],
+    others: Sequence[Sequence[Prediction]],
     noise: dict[str, ChannelNoise],
     known_sd: np.ndarray,
-) -> Share:
-    """The share a of ``other`` beside the parameters of ``one``, which has derivatives by them; these are known to
-    ``known_sd`` ``(p,)``."""
+) -> list[Share]:
+    """The shares a of each of the ``others``, all together, beside the parameters of ``one``, which has derivatives by
+    them; these are known to ``known_sd`` ``(p,)``."""
     count = len(known_sd)
-    normal, right = np.zeros((count + 1, count + 1)), np.zeros(count + 1)
-    normal[np.arange(count), np.arange(count)] = 1.0 / known_sd**2
-    for run, there, here in zip(runs, one, other, strict=True):
+    rows, right = [], []
+    for k, (run, there) in enumerate(zip(runs, one, strict=True)):
         for m in run.measured:
-            sigma = noise[m.channel].sigma
-            left = (m.values - there.values[m.channel]) / sigma
-            change = (here.values[m.channel] - there.values[m.channel]) / sigma
-            table = np.concatenate([there.derivatives[m.channel] / sigma[:, None], change[..., None]], axis=-1)
+            sigma, values = noise[m.channel].sigma, there.values[m.channel]
+            changes = np.stack([(other[k].values[m.channel] - values) / sigma for other in others], axis=-1)
+            table = np.concatenate([there.derivatives[m.channel] / sigma[:, None], changes], axis=-1)
+            left = (m.values - values) / sigma
             seen = np.isfinite(left) & np.isfinite(table).all(axis=-1)
-            rows = table[seen]
-            normal += rows.T @ rows
-            right += rows.T @ np.clip(left[seen], -FAR, FAR)
-    if normal[-1, -1] == 0.0:
-        return Share(None, np.inf)
+            rows.append(table[seen])
+            right.append(left[seen])
+    table, left = np.concatenate(rows), np.concatenate(right)
+    alike = np.asarray(~table[:, count:].any(axis=0))
+    prior = np.concatenate([1.0 / known_sd**2, np.zeros(len(others))])
+    found, sd = _least_squares(table, left, prior)
+    miss = np.abs(left - table @ found)
+    near = miss <= FAR * max(1.0, float(np.sqrt(np.mean(miss**2)))) if len(miss) else np.ones(0, dtype=bool)
+    found, sd = _least_squares(table[near], left[near], prior)
+    return [
+        Share(None, np.inf) if same else Share(float(a), float(s))
+        for same, a, s in zip(alike, found[count:], sd[count:], strict=True)
+    ]
+
+
+def _least_squares(table: np.ndarray, left: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least squares of ``left`` ``(n,)`` by the columns of ``table`` ``(n, p)``, with information ``prior`` ``(p,)``
+    beforehand, and standard deviations ``(p,)``; what the rows do not tell is 0."""
+    normal = table.T @ table + np.diag(prior)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-    found = inverse @ (right / scale) / scale
-    return Share(float(found[-1]), float(np.sqrt(max(inverse[-1, -1], 0.0)) / scale[-1]))
+    sd = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / scale
+    return np.asarray(inverse @ (table.T @ left / scale) / scale), np.asarray(sd)
 
 
 def _touched(

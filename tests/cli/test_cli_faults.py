@@ -78,7 +78,7 @@ FAULTS: dict[str, Fault] = {
     "metres as millimetres": Fault(SIMULATE, "must be at most 10", rig("length_m: 0.10", "length_m: 100")),
     "number as text": Fault(SIMULATE, "not a number", rig("width_m: 0.03", "width_m: '0.03'")),
     "not a number": Fault(SIMULATE, "not a finite number", rig("width_m: 0.03", "width_m: .nan")),
-    "incompressible": Fault(SIMULATE, r"must be less than 0\.5", rig("nu: 0.45", "nu: 0.5")),
+    "incompressible": Fault(SIMULATE, r"must be at most 0\.5", rig("nu: 0.45", "nu: 0.5")),
     "unknown body": Fault(SIMULATE, "Did you mean 'card'", rig("[gel, card]", "[gel, cart]")),
     "clamp beside the card": Fault(SIMULATE, "misses 'card'", rig("[-0.05, -0.04]", "[-50, -45]")),
     "overlay of nothing": Fault(SIMULATE, "neither a file nor one", {"my.yaml": "overlay_of: nothing\n"}),
@@ -88,7 +88,7 @@ FAULTS: dict[str, Fault] = {
     "parameter without value": Fault(f"{SLIDE} card.E", "not of the form name=value"),
     "parameter is a word": Fault(f"{SLIDE} card.E=stiff", "'stiff' is not a number"),
     "parameter not finite": Fault(f"{SLIDE} card.E=inf", "not finite"),
-    "parameter out of bounds": Fault(f"{SLIDE} card.nu=0.9", r"must be less than 0\.5"),
+    "parameter out of bounds": Fault(f"{SLIDE} card.nu=0.9", r"must be at most 0\.5"),
     "parameter twice": Fault(f"{SLIDE} card.E=1e9 --set sheet.E=2e9", "given twice"),
     "quantity misspelt for a fit": Fault(
         "fit card_press a.mcap --params gel.F --out o", "Did you mean 'gel.E_pa'", BAG

@@ -87,4 +87,4 @@ def test_a_recording_that_was_simulated_with_the_cells_of_the_rig_keeps_them(wit
     run = Run("r", "r", (), {}, (Measured("gauge", "markers", t[:, 0], readings, ("x",)),), 1.0)
     there = Prediction({"gauge": coarse}, {"gauge": coarse[..., None]}, cast(Any, None))
     here = Prediction({"gauge": fine}, {}, cast(Any, None))
-    assert follows([run], [there], [here], noise, np.array([0.35])).refines == with_fine_cells
+    assert follows([run], [there], [[here]], noise, np.array([0.35]))[0].refines == with_fine_cells

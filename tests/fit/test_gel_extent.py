@@ -100,7 +100,7 @@ def layer(contact: float) -> float:
     count, length = 320, 0.16
     waves = 2.0 * np.pi * np.fft.fftfreq(count, d=length / count)
     kx, ky = np.meshgrid(waves, waves, indexing="ij")
-    size = np.hypot(kx, ky)
+    size = np.asarray(np.hypot(kx, ky))
     size[0, 0] = 1e-3
     table = np.linspace(1.0, 2000.0, 400)
     plane = np.interp(size, table, [compliance(k) for k in table])
@@ -155,7 +155,8 @@ def test_recordings_tell_which_they_are_of(of_wide: bool) -> None:
     readings = truth + sigma * np.random.default_rng(1).standard_normal(truth.shape)
     run = Run("r", "r", (), {}, (Measured("gauge", "markers", t[:, 0], readings, ("x", "y")),), 1.0)
     one = Prediction({"gauge": narrow}, {"gauge": narrow[..., None]}, cast(Any, None))
-    found = follows([run], [one], [Prediction({"gauge": wide}, {}, cast(Any, None))], noise, np.array([0.35]))
+    there = [Prediction({"gauge": wide}, {}, cast(Any, None))]
+    (found,) = follows([run], [one], [there], noise, np.array([0.35]))
     assert found.extends == of_wide
-    alike = follows([run], [one], [one], noise, np.array([0.35]))
+    (alike,) = follows([run], [one], [[one]], noise, np.array([0.35]))
     assert alike.refines and not alike.extends
