@@ -78,7 +78,7 @@ FAULTS: dict[str, Fault] = {
     "metres as millimetres": Fault(SIMULATE, "must be at most 10", rig("length_m: 0.10", "length_m: 100")),
     "number as text": Fault(SIMULATE, "not a number", rig("width_m: 0.03", "width_m: '0.03'")),
     "not a number": Fault(SIMULATE, "not a finite number", rig("width_m: 0.03", "width_m: .nan")),
-    "incompressible": Fault(SIMULATE, r"must be at most 0\.5", rig("nu: 0.45", "nu: 0.5")),
+    "incompressible": Fault(SIMULATE, r"must be less than 0\.5", rig("nu: 0.45", "nu: 0.5")),
     "unknown body": Fault(SIMULATE, "Did you mean 'card'", rig("[gel, card]", "[gel, cart]")),
     "clamp beside the card": Fault(SIMULATE, "misses 'card'", rig("[-0.05, -0.04]", "[-50, -45]")),
     "overlay of nothing": Fault(SIMULATE, "neither a file nor one", {"my.yaml": "overlay_of: nothing\n"}),
