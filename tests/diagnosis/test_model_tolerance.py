@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sim_core.rigs import Rig
+from sim_core.rigs import Gel, Rig
 from sim_core.simulate import Trace
-from sysid.diagnosis.model_tolerance import MODEL_TOLERANCE, deformation, model_tolerance
+from sysid.diagnosis.model_tolerance import GEL_TOLERANCE, MODEL_TOLERANCE, deformation, model_tolerance
 from sysid.model.predictor import Prediction
 from sysid.observations.observations import Measured, Run
+from sysid.solve.discretisation_basis import MODEL, ErrorShape, basis_of
 
 POINTS = np.random.default_rng(0).normal(size=(12, 2)) * 40.0
 T = np.linspace(0.0, 1.0, 7)
@@ -57,3 +58,29 @@ def test_of_a_wrench_it_is_the_change_since_the_start() -> None:
     )
     np.testing.assert_allclose(shape.shapes[0]["wrist"], MODEL_TOLERANCE * (values - 3.0))
     assert shape.mean == 0.0
+
+
+@pytest.mark.parametrize("label", [MODEL, "mesh"])
+def test_what_models_differ_in_is_none_where_there_is_no_signal(label: str) -> None:
+    """Right beside a loud instant too, where the error of a mesh may reach: a release shows what nothing else does."""
+    t = np.linspace(0.0, 5.0, 501)
+    signal = np.where((t > 1.0) & (t < 2.0), 0.1, 0.0)[:, None] * np.ones(6)
+    wrench = Measured("wrist", "wrench", t, signal, tuple("abcdef"))
+    run = Run("run", "", (), {}, (wrench,), 5.0)
+    found = basis_of([ErrorShape(label, ({"wrist": signal},))], 0, run, wrench)
+    quiet, beside = t > 2.0, (t > 2.0) & (t < 2.05)
+    assert (found.largest[beside].min() > 0.0) == (label != MODEL)
+    allowed = sum(np.abs(p.shape[quiet]).max() for p in (*found.own, *found.common))
+    assert (allowed > 0.0) == (label != MODEL)
+
+
+def test_points_on_a_gel_seen_from_its_mount_may_be_off_by_a_share_of_all_their_motion() -> None:
+    """Their shift is deformation there; seen from elsewhere, it is none."""
+    values = moved(0.0)
+    run = Run("run", "", (), {}, (tracks(values),), 1.0)
+    gel = Gel.model_construct(mount="world")
+    for mount, size in (("world", GEL_TOLERANCE * (values - values[0])), ("hand", 0.0 * values)):
+        camera = SimpleNamespace(mount=mount, sees=[SimpleNamespace(body="pad")])
+        rig = cast(Rig, SimpleNamespace(cameras={"camera": camera}, bodies={"pad": gel}))
+        shape = model_tolerance(rig, [run], [Prediction({"camera": values}, {}, Trace(T, {}, {}, {}, ()))])
+        np.testing.assert_allclose(shape.shapes[0]["camera"], size, atol=1e-9)
