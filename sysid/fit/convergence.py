@@ -109,13 +109,12 @@ def converge(
     by more than a third of its noise. ``most_s`` [s]: longest wall time of one simulation of all runs that is begun."""
     engine, found = SerialPredictor(), Convergence(rig)
 
-    def tell(k: int, words: str) -> None:
+    def tell(words: str) -> None:
         if on_progress is not None:
-            on_progress(k / MOST_ROUNDS, words)
+            on_progress(len(found.rounds) / MOST_ROUNDS, f"round {len(found.rounds) + 1}: {words}")
 
     for k in range(MOST_ROUNDS):
-        tell(k, f"round {k + 1}: halving cells, step and contact")
-        measured = _measured(engine, found.rig, runs, noise)
+        measured = _measured(engine, found.rig, runs, noise, tell)
         found.rounds.append(measured)
         found.left, affordable = [], []
         for cause in measured.too_large:
@@ -128,14 +127,22 @@ def converge(
             break
         for cause in affordable:
             found.rig = _halved(found, cause, runs)
-    tell(MOST_ROUNDS, "done")
+    if on_progress is not None:
+        on_progress(1.0, "done")
     return found
 
 
-def _measured(engine: SerialPredictor, rig: Rig, runs: Sequence[Run], noise: Mapping[str, ChannelNoise]) -> Measurement:
-    """Simulate the runs as the rig is, and with each cause halved."""
+def _measured(
+    engine: SerialPredictor,
+    rig: Rig,
+    runs: Sequence[Run],
+    noise: Mapping[str, ChannelNoise],
+    tell: Callable[[str], None],
+) -> Measurement:
+    """Simulate the runs as the rig is, and with each cause halved, which ``tell`` hears before."""
 
     def simulated(words: str, make: Callable[[Run], Prediction]) -> tuple[list[Prediction], float]:
+        tell(f"simulating the rig {words}")
         begin = time.perf_counter()
         try:
             return [make(run) for run in runs], time.perf_counter() - begin
