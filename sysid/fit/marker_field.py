@@ -42,7 +42,7 @@ def marker_fields(problem: Problem, before: Fitted, after: Fitted, held_out: boo
     found = []
     for i, run in enumerate(problem.runs):
         for m in run.measured:
-            if m.kind not in DIMENSIONS or DIMENSIONS[m.kind] < 2:
+            if m.values.shape[1] < FEWEST * DIMENSIONS.get(m.kind, np.inf):
                 continue
             was, now = (m.values - problem.tared(fitted, i, m) for fitted in (before, after))
             field = _of(m, was, now)
