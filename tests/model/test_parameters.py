@@ -27,7 +27,14 @@ def test_positive_quantities_are_fitted_by_their_logarithm(small_rig: Any) -> No
 
 
 def test_every_quantity_of_a_rig_has_a_scale(small_rig: Any) -> None:
-    quantities = {p.name.rsplit(".", 1)[1] for p in list_parameters(small_rig())}
+    loads = {
+        "push": {"type": "force", "force_n": [0.1, 0.0, 0.0]},
+        "hang": {"type": "weight", "mass_kg": 0.01},
+        "drag": {"type": "traction", "traction_pa": [10.0, 0.0, 0.0]},
+        "blow": {"type": "pressure", "pressure_pa": 10.0},
+    }
+    rig = small_rig(loads=[{"name": name, "body": "gel", **load} for name, load in loads.items()])
+    quantities = {p.name.rsplit(".", 1)[1] for p in list_parameters(rig)}
     assert quantities | {"scale_m_per_px"} == set(SCALES)
     for scale in SCALES.values():
         assert scale.lower < scale.upper and (scale.lower > 0.0 or not scale.log)
