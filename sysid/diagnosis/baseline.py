@@ -19,6 +19,7 @@ from sim_core.rigs import Gel, Rig, Sheet
 from sysid.diagnosis.predictability import unpredictable, without
 from sysid.diagnosis.reference_model import Added, Reference, Standing, reference_for, standing
 from sysid.diagnosis.residual_analysis import structure
+from sysid.fit.contact_mesh import follows
 from sysid.fit.time_steps import followed, with_steps
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
@@ -43,8 +44,9 @@ DAMPING_SHARE = 0.5
 FIRST, SECOND = 8, 5
 """Evaluations allowed to the fit, and to it beside the error measured where it came to."""
 
-FAR_MISFIT = 2.0
-"""Misfit over noise from which other branches of contact are looked for."""
+FAR_MISFIT, UPPER_QUARTILE = 2.0, 1.1503
+"""Misfit over noise from which other branches of contact are looked for, by the upper quartile of what is left of the
+readings, over that of normal numbers: a snap or a landing is no other branch."""
 
 FRICTION_FACTORS, OFFSET_DRAWS = (0.7, 0.85, 1.15, 1.4), 3
 """Friction coefficients that are tried, over where the search ended, and random places of the hands."""
@@ -122,7 +124,12 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     parameters += nuisance_parameters(rig, runs, parameters, KINDS)
     start = start_of(rig, parameters)
     noise = channel_noise(rig, runs, held_out)
-    runs, own = _with_steps(engine, [rig_in(rig, parameters, start, run.name) for run in runs], runs, noise)
+    rigs = [rig_in(rig, parameters, start, run.name) for run in runs]
+    if rig.solver.inertia:  # What shorter steps change near resonances says something where the fit stands only.
+        jobs = [engine.submit(there, run) for there, run in zip(rigs, runs, strict=True)]
+        own = [job.result() for job in jobs]
+    else:
+        runs, own = _with_steps(engine, rigs, runs, noise)
     tell(0.04, "cells and extent of gels")
     sparing = SparingPredictor(engine)
     reference, first, told = reference_for(sparing, rig, parameters, runs, held_out, noise)
@@ -145,8 +152,20 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     fitted = problem.fit(rig, parameters, start, max_evaluations=FIRST, tolerance=2.0)
     if fitted.interrupted:
         raise KeyboardInterrupt
+    shorter = _shorter_steps(engine, problem, fitted, runs, noise) if rig.solver.inertia else None
+    if shorter is not None:
+        tell(0.2, "baseline fit with shorter time steps")
+        runs, own = shorter
+        model = stands(fitted.scaled, own)
+        clean, _ = without_outliers(runs, model.plain, noise)
+        shapes = model.shapes
+        problem = Problem(clean, noise, model.engine, shapes, prior=True)
+        start = fitted.scaled
+        fitted = problem.fit(rig, parameters, start, max_evaluations=FIRST, tolerance=2.0)
+        if fitted.interrupted:
+            raise KeyboardInterrupt
     elsewhere = None
-    if fitted.misfit > FAR_MISFIT:
+    if _is_far(fitted):
         tell(0.22, "other branches of contact")
         elsewhere = best_branch(model.engine, problem, fitted)
         if elsewhere is not None:
@@ -304,6 +323,30 @@ def _with_steps(
     ]
     plain, there = ([job.result() for job in jobs] for jobs in (pending, again))
     return followed(runs, plain, shorter, there, noise)
+
+
+def _is_far(fitted: Fitted) -> bool:
+    """Whether a model misses readings for more than a quarter of them by more than noise."""
+    left = np.abs(fitted.residual[: len(fitted.residual) - fitted.pulls])
+    return bool(len(left) and np.quantile(left, 0.75) > np.sqrt(FAR_MISFIT) * UPPER_QUARTILE)
+
+
+def _shorter_steps(
+    engine: AnyEngine, problem: Problem, fitted: Fitted, runs: Sequence[Run], noise: dict[str, ChannelNoise]
+) -> tuple[list[Run], list[Prediction]] | None:
+    """The runs with shorter steps and their predictions where a search stands; None where none is needed, or where the
+    recordings follow those of the rig: they may be simulations with these."""
+    rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
+    shorter = with_steps(engine, rigs, runs, noise)
+    changed = [k for k, (a, b) in enumerate(zip(runs, shorter, strict=True)) if b is not a]
+    if not changed:
+        return None
+    jobs = [engine.submit(rig, run) for rig, run in zip(rigs, shorter, strict=True)]
+    there = [job.result() for job in jobs]
+    known = np.array([p.known_sd or p.prior_sd for p in fitted.parameters])
+    one = [fitted.predictions[k] for k in changed]
+    found = follows([problem.runs[k] for k in changed], one, [[there[k] for k in changed]], noise, known)
+    return (shorter, there) if found[0].refines else None
 
 
 def held_out_problem(
