@@ -22,6 +22,7 @@ from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import hypotheses, recording_scales
 from sysid.diagnosis.confirmation import confirmed
+from sysid.diagnosis.next_motion import in_words, proposed
 from sysid.diagnosis.refits import Start, Trial, tempered, trials_of
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
 from sysid.diagnosis.residual_analysis import locate, structure
@@ -239,6 +240,10 @@ def _collect(
         series += plot_series(base.check, base.there, predicted, held_out=True)
         fields += marker_fields(base.check, base.there, predicted, held_out=True)
     size = size_of(answer) if answer else 0.0
+    numbers = [p for effect in named for p in effect.parameters]
+    asks = verdict.kind in ("named", "one_of", "partly", "unknown")
+    motion = proposed(rig, base.problem, base.fitted, numbers) if asks else None
+    advice = [words.next_experiment(verdict, case), *([in_words(motion, numbers)] if motion else [])]
     diagnosis = Diagnosis(
         verdict=verdict.kind,
         sentence=words.sentence(verdict, located, became, case, places),
@@ -258,7 +263,7 @@ def _collect(
         baseline_parameters=named_parameters(base.fitted),
         amended_parameters=named_parameters(fitted) if answer else (),
         not_explained=words.not_explained(verdict, case),
-        next_experiment=words.next_experiment(verdict, case),
+        next_experiment=" ".join(advice),
         provenance={},
         seconds=0.0,
         tried=became,
@@ -268,5 +273,6 @@ def _collect(
         explained=size,
         threshold=case.needed,
         places=places,
+        next_motion=motion,
     )
     return diagnosis, fitted.rig if base.reference is None else base.reference.fine(fitted.rig)

@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from sim_core.rigs.motion import Experiment
 from sysid.fit.marker_field import MarkerField
 from sysid.fit.result import ChannelError, Series
 
@@ -109,7 +110,7 @@ class Diagnosis:
     answer; ``explained``: share of the structured misfit that is gone with the answer; ``threshold`` [nats]: evidence
     that an effect needed, by the simulated null of the case; ``places``: of a misfit that no known effect explains, the
     most unreliable first; ``tried``: what became of each effect; ``notes``: what
-    a reader should know of the fit.
+    a reader should know of the fit; ``next_motion``: the next experiment, where it can be told as a motion.
     """
 
     verdict: str
@@ -136,11 +137,12 @@ class Diagnosis:
     explained: float = 0.0
     threshold: float = 0.0
     places: tuple[UnreliablePlace, ...] = ()
+    next_motion: Experiment | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data without the series and the fields of markers, in the documented schema."""
-        data = asdict(replace(self, series=[], marker_fields=[]))
-        del data["series"], data["marker_fields"]
+        """Plain data without the series, the fields of markers and the next motion, in the documented schema."""
+        data = asdict(replace(self, series=[], marker_fields=[], next_motion=None))
+        del data["series"], data["marker_fields"], data["next_motion"]
         fit = {
             "baseline": data.pop("baseline"),
             "amended": data.pop("amended"),

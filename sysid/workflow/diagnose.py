@@ -9,6 +9,7 @@ import yaml
 
 from sim_core.rigs import Gel, Rig, rig_to_yaml
 from sysid.diagnosis.diagnose import Progress, diagnose_runs
+from sysid.diagnosis.next_motion import MOTION_FILE, experiment_to_yaml
 from sysid.diagnosis.result import Diagnosis
 from sysid.io.atomic_folder import whole_folder, write_results
 from sysid.model.load import load_runs
@@ -25,7 +26,8 @@ def diagnose_bags(
     on_warning: Callable[[str], None] | None = None,
     despite: Collection[str] = (),
 ) -> str:
-    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``.
+    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``, and
+    where there is one ``next_experiment.yaml``.
     ``on_warning``: hears what speaks against the recordings before anything is simulated; ``despite``: findings that do
     not stop it (:func:`sysid.model.load.read_run`)."""
     with whole_folder(out) as folder:
@@ -72,3 +74,5 @@ def write_rigs(rig: Rig, diagnosis: Diagnosis, amended: Rig, folder: Path) -> No
     }
     (folder / "rig.yaml").write_text(rig_to_yaml(rig.model_copy(update={"bodies": bodies})))
     (folder / "amended_rig.yaml").write_text(yaml.safe_dump(overlay, sort_keys=False))
+    if diagnosis.next_motion is not None:
+        (folder / MOTION_FILE).write_text(experiment_to_yaml(diagnosis.next_motion))
