@@ -60,8 +60,8 @@ TOO_COARSE = 5.0
 MEASURED_WITHIN = 1.0
 """How far, in standard deviations of what is known of parameters, the discretisation error is that of the start."""
 
-ADDED_WITHIN = 0.3
-"""The same for what a reference model adds."""
+ADDED_WITHIN, RINGING_WITHIN = 0.3, 0.03
+"""The same for what a reference model adds, and for what vibrates."""
 
 Tell = Callable[[float, str], None]
 
@@ -178,6 +178,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     unknown = ""
     known = np.array([p.known_sd or p.prior_sd for p in parameters])
     within = MEASURED_WITHIN if reference is None else ADDED_WITHIN
+    within = RINGING_WITHIN if rig.solver.inertia else within
     far = bool(np.abs((fitted.scaled - start) / known).max(initial=0.0) > within)
     try:
         if elsewhere is not None or far:
@@ -198,7 +199,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     extent = () if reference is None else reference.notes
     base = Baseline(problem, fitted, check, there, noise, outliers, (*extent, *told, *left_out, *notes), reference)
     missing = structure(problem, fitted).missing or (there is not None and structure(check, there).missing)
-    return _where_predictable(base, tell) if missing else base
+    return _where_predictable(base, sparing, tell) if missing else base
 
 
 def _off(problem: Problem, fitted: Fitted) -> list[int]:
@@ -212,8 +213,11 @@ def _off(problem: Problem, fitted: Fitted) -> list[int]:
     return found
 
 
-def _where_predictable(base: Baseline, tell: Tell) -> Baseline:
-    """The baseline fitted again without what is unpredictable (:mod:`sysid.diagnosis.predictability`)."""
+def _where_predictable(base: Baseline, sparing: SparingPredictor, tell: Tell) -> Baseline:
+    """The baseline fitted again without what is unpredictable (:mod:`sysid.diagnosis.predictability`).
+
+    ``sparing``: with the derivatives of the last search.
+    """
     tell(0.39, "where recordings can be predicted")
     model = base.fitted
     pairs = [(base.problem, model)] + ([(base.check, base.there)] if base.there is not None else [])
@@ -225,13 +229,15 @@ def _where_predictable(base: Baseline, tell: Tell) -> Baseline:
     ]
     added = {**base.engine.added, **cast(SpaceMappedPredictor, base.check.engine).added}
     engine = SpaceMappedPredictor(base.engine.coarse, added)
-    derived = engine.predict_all(model.centre, everything, model.parameters, model.scaled)
+    given = [model.predictions[k] for there, k in off if there is base.problem]
+    others = [run for run, (there, _) in zip(everything, off, strict=True) if there is not base.problem]
+    derived = [*given, *engine.predict_all(model.centre, others, model.parameters, model.scaled)]
     found = unpredictable(engine, everything, model, base.noise, derived, refined)
     if not found:
         return base
     notes = (*base.notes, *(u.sentence for u in found))
-    sparing = SparingPredictor(base.engine)
-    problem = Problem(without(base.problem.runs, found), base.noise, sparing, base.problem.error_shapes, prior=True)
+    runs, again = without(base.problem.runs, found), SpaceMappedPredictor(sparing, base.engine.added)
+    problem = Problem(runs, base.noise, again, base.problem.error_shapes, prior=True)
     fitted = problem.fit(model.centre, model.parameters, model.scaled, max_evaluations=SECOND, tolerance=2.0)
     if fitted.interrupted:
         raise KeyboardInterrupt

@@ -7,9 +7,9 @@ of the time step, and it is local: it is told by one more step halfway,
 
 Steps are halved where e is above a share of the noise, and their halves again, until none is or the shortest is
 reached. With inertia an error made in one place goes on in others, and near a resonance it grows: BDF2 makes a
-vibration of frequency omega slower by (omega h)^2 / 3 of it. All steps of a recording are then halved, once or twice,
-where that changes its readings by more than noise for more than a quarter of the time; what is left is measured by
-halving them once more, and taken into account.
+vibration of frequency omega slower by (omega h)^2 / 3 of it. All steps of a recording are then halved where that
+changes its readings by more than noise for more than a quarter of the time; what is left is measured by halving them
+once more, and taken into account (Richardson's extrapolation).
 
 A recording may itself be a simulation with the steps of the rig. It then follows the readings r with these steps, not
 those d further on that shorter ones give: they are kept where d . (m - r) / d . d is below a half for the readings m.
@@ -39,9 +39,6 @@ ROUNDS = 4
 THROUGHOUT, OFTEN = 1.0, 0.75
 """Change by halved steps over the noise, rms over the columns of a quantity, from which all steps of a run with inertia
 are halved, and its quantile over time that counts: impacts never agree."""
-
-HALVINGS = 2
-"""Times that these are halved."""
 
 FAR = 30.0
 """Misfit over noise from which it counts no more: a few readings do not decide."""
@@ -75,20 +72,15 @@ def _shorter_throughout(
 ) -> list[Run]:
     """The runs, with all steps halved where that changes their readings."""
     found = list(runs)
-    asked = list(range(len(runs)))
-    made = {k: engine.submit(rigs[k], runs[k]) for k in asked}
-    for _ in range(HALVINGS):
-        shorter = {k: replace(runs[k], steps=_all_halved(rigs[k], found[k])) for k in asked}
-        jobs = {k: engine.submit(rigs[k], run) for k, run in shorter.items()}
-        asked = []
-        for k, job in jobs.items():
-            try:
-                changes = _changes(runs[k], made[k].result(), job.result(), noise)
-            except ThinshellError:
-                continue
-            if changes > THROUGHOUT:
-                found[k], made[k] = shorter[k], job
-                asked.append(k)
+    shorter = [replace(run, steps=_all_halved(rig, run)) for rig, run in zip(rigs, runs, strict=True)]
+    given = [engine.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
+    jobs = [engine.submit(rig, run) for rig, run in zip(rigs, shorter, strict=True)]
+    for k, run in enumerate(runs):
+        try:
+            if _changes(run, given[k].result(), jobs[k].result(), noise) > THROUGHOUT:
+                found[k] = shorter[k]
+        except ThinshellError:
+            continue
     return found
 
 
