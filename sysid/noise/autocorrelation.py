@@ -34,8 +34,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-from sysid.noise.estimate import FROM_DIFFERENCES, MIN_REST_SAMPLES, ChannelNoise
+from sysid.noise.estimate import FROM_DIFFERENCES, ChannelNoise
 from sysid.noise.sampling_interval import in_sampling_intervals
+from sysid.noise.scatter import MIN_REST_SAMPLES
 
 SHORTEST, LONGER = 1.5, 3.0
 """Shortest correlation length [samples], and the largest ratio of one to the next."""

@@ -21,25 +21,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.noise.common_mode import CommonMode, common_mode
 from sysid.noise.quantisation import common_step
 from sysid.noise.sampling_interval import NEXT, in_sampling_intervals
+from sysid.noise.scatter import MIN_REST_SAMPLES, MOST_COLOURED, WHITE, Stretch, scatter_of
 from sysid.observations.observations import UNITS, Measured, Run
 
 UNLIKE = 2.2
 """Ratio of the noise of two recordings at rest from which the louder one is not at rest."""
-
-MISTAKEN, MOST_MISTAKEN = 8.0, 0.1
-"""Distance in robust standard deviations from which a reading at rest is a mistake, if no more than this share is."""
-
-MIN_REST_SAMPLES = 15
-"""Samples that a quiet stretch must have to be used."""
 
 REST_MARGIN_S = 0.15
 """Time after the end of a motion that is not counted as quiet."""
@@ -61,12 +56,6 @@ CREEP_WINDOW_S = 1.0
 FLOOR_SHARE = 1e-5
 """Noise is not taken to be below this share of a column group's range (noise-free simulations)."""
 
-LONGEST_EXACT = 400
-"""Samples of a stretch up to which it matters what a line takes away from coloured noise."""
-
-WHITE, MOST_COLOURED = 0.1, 0.98
-"""Correlation up to which noise counts as white, and the largest that is believed."""
-
 NEIGHBOURS = 10.0
 """Readings farther apart than this many sampling intervals of their sensor are states of their own: their differences
 are motion, not noise, and the noise is the declared one."""
@@ -84,15 +73,24 @@ FROM_DIFFERENCES = "third differences"
 class ChannelNoise:
     """``sigma``: standard deviation of each column ``(m,)``; ``rho``: correlation of each column over the usual
     interval of its samples, 0 (white) to less than 1 ``(m,)``, or one for all; ``source``: how they were found, in
-    words; ``estimated``: what recordings show, where a declared noise took its place ``(m,)``."""
+    words; ``estimated``: what recordings show, where a declared noise took its place ``(m,)``; ``common``: the part
+    that all markers of a picture have in common, None where that is what chance makes of their own."""
 
     sigma: np.ndarray
     rho: np.ndarray
     source: str
     estimated: np.ndarray | None = None
+    common: CommonMode | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rho", np.broadcast_to(np.asarray(self.rho, dtype=float), self.sigma.shape))
+
+    @property
+    def own(self) -> ChannelNoise:
+        """What each column has for itself."""
+        if self.common is None:
+            return self
+        return ChannelNoise(self.common.sigma, self.common.rho, self.source)
 
 
 def column_groups(measured: Measured) -> list[np.ndarray]:
@@ -355,8 +353,8 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
     sigma, rho = np.zeros(columns), np.zeros(columns)
     source = FROM_DIFFERENCES
     for group in column_groups(found[0][1]):
-        first: list[_Stretch] = []
-        rest: list[_Stretch] = []
+        first: list[Stretch] = []
+        rest: list[Stretch] = []
         jumps: list[float] = []
         extent = 0.0
         for run, measured in found:
@@ -368,7 +366,7 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
             jumps += by_differences(values, measured.t)
             at = in_sampling_intervals(measured.t)
             for stretch in quiet(run, measured.t):
-                scatter = _scatter(values[stretch], at[stretch])
+                scatter = scatter_of(values[stretch], at[stretch])
                 if scatter is not None:
                     (first if stretch[0] == 0 else rest).append(scatter)
         if first:
@@ -391,7 +389,16 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
         rounding = common_step(column for _, m in found for column in m.values[:, group].T) / np.sqrt(12.0)
         sigma[group] = max(level, rounding, FLOOR_SHARE * extent, 1e-12)
         rho[group] = min(colour, MOST_COLOURED) if colour > WHITE else 0.0
-    return ChannelNoise(sigma, rho, source)
+    return ChannelNoise(sigma, rho, source, common=_common(found))
+
+
+def _common(found: Sequence[tuple[Run, Measured]]) -> CommonMode | None:
+    """What the markers of the pictures have in common while nothing moves."""
+    if found[0][1].kind != "tracks":
+        return None
+    rests = [(m, stretch) for run, m in found for stretch in quiet(run, m.t)]
+    begun = [(m, stretch) for m, stretch in rests if stretch[0] == 0]
+    return common_mode([(m.values[stretch], m.t[stretch]) for m, stretch in begun or rests])
 
 
 def by_differences(values: np.ndarray, t: np.ndarray) -> list[float]:
@@ -411,60 +418,3 @@ def _quantile(values: list[float], weights: list[int], share: float) -> float:
     weight = np.asarray(weights, dtype=float)[order]
     middle = (np.cumsum(weight) - 0.5 * weight) / weight.sum()
     return float(np.interp(share, middle, np.asarray(values)[order]))
-
-
-class _Stretch(NamedTuple):
-    """Noise of a quiet stretch: standard deviation, lag-one correlation, number of readings."""
-
-    level: float
-    rho: float
-    size: int
-
-
-def _scatter(values: np.ndarray, at: np.ndarray) -> _Stretch | None:
-    """Noise of a quiet stretch, after removing a line from each column, by the readings that are there; None where no
-    column has enough of them. ``at`` ``(n,)``: their times
-    (:func:`sysid.noise.sampling_interval.in_sampling_intervals`)."""
-    values = values[:, np.isfinite(values).sum(axis=0) >= MIN_REST_SAMPLES]
-    good = np.isfinite(values)
-    if not good.any():
-        return None
-    base = np.column_stack([np.ones(len(at)), 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0])
-    residual = np.zeros(values.shape)
-    for there in np.unique(good, axis=1).T:
-        alike = (good == there[:, None]).all(axis=0)
-        seen, line = values[np.ix_(there, alike)], base[there]
-        residual[np.ix_(there, alike)] = seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0]
-    near = (np.diff(at) < NEXT)[:, None]
-    mistakes = _mistakes(residual, good)
-    if mistakes.any():
-        return _scatter(np.where(mistakes, np.nan, values), at)
-    size, pairs = int(good.sum()), int((near & good[1:] & good[:-1]).sum())
-    variance = np.sum(residual**2) / (size - 2 * values.shape[1])
-    # Of readings in a row the line takes up two pairs; of others in proportion.
-    taken = 2 * values.shape[1] * pairs / (size - values.shape[1])
-    if variance <= 0.0 or pairs <= 2 * values.shape[1]:
-        return _Stretch(float(np.sqrt(variance)), 0.0, size)
-    product = np.sum(near * residual[1:] * residual[:-1]) / (pairs - taken)
-    # Removing a line biases the correlation down by about 2 (1 + rho) / n.
-    rho = product / variance
-    rho = min(float(rho + 2.0 * (1.0 + rho) * values.shape[1] / size), MOST_COLOURED)
-    return _Stretch(float(np.sqrt(variance / _share_left(at, max(rho, 0.0), base))), rho, size)
-
-
-def _mistakes(residual: np.ndarray, good: np.ndarray) -> np.ndarray:
-    """Readings ``(n, m)`` that are no noise: far beyond the median scatter, and few (a tracker's mistakes)."""
-    median = 1.4826 * float(np.median(np.abs(residual[good])))
-    far = good & (np.abs(residual) > MISTAKEN * median)
-    return far if 0.0 < median and far.sum() <= MOST_MISTAKEN * good.sum() else np.zeros_like(far)
-
-
-def _share_left(at: np.ndarray, rho: float, base: np.ndarray) -> float:
-    """Share of the variance of noise with lag-one correlation ``rho``, at the times ``at`` ``(n,)`` in usual intervals,
-    that is left beside the columns of ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
-    n = len(at)
-    if rho == 0.0 or n > LONGEST_EXACT:
-        return 1.0
-    correlation = rho ** np.abs(np.subtract.outer(at, at))
-    q = np.linalg.qr(base)[0]
-    return float((n - np.sum(q * (correlation @ q))) / (n - 2))

@@ -75,6 +75,8 @@ class Problem:
     ) -> None:
         self.runs = list(runs)
         self.noise = noise
+        self._own = {channel: found.own for channel, found in noise.items()}
+        self._places: dict[tuple[int, str], np.ndarray] = {}
         self.engine = engine
         self.error_shapes = list(error_shapes)
         self.prior = prior
@@ -130,7 +132,7 @@ class Problem:
         """Weights of the samples of a channel ``(n, m)``; kept, as every evaluation needs them."""
         key = (index, measured.channel)
         if key not in self._weights:
-            self._weights[key] = self.basis(index, measured).weights(self.noise[measured.channel])
+            self._weights[key] = self.basis(index, measured).weights(self._own[measured.channel])
         return self._weights[key]
 
     def _elimination(self, index: int, measured: Measured, good: np.ndarray) -> Elimination:
@@ -138,13 +140,41 @@ class Problem:
         key = (index, measured.channel)
         known = self._eliminations.get(key)
         if known is None or not known.suits(good):
-            known = Elimination(self.basis(index, measured), self.noise[measured.channel], good, measured.t)
+            known = Elimination(self.basis(index, measured), self._own[measured.channel], good, measured.t)
             self._eliminations[key] = known
         return known
 
     def whiten(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
-        """Values ``(n, m, ...)`` in units of the noise and of what of the discretisation error follows no shape."""
-        white = whiten(values, self.noise[measured.channel], measured.t)
+        """Values ``(n, m, ...)`` in units of the noise and of what of the discretisation error follows no shape, what
+        all markers of a picture have in common weighed as its noise asks for."""
+        white = self._by_column(index, measured, values)
+        good = np.isfinite(white)
+        return np.where(good, self._in_common(index, measured, np.where(good, white, 0.0), good), np.nan)
+
+    def _in_common(self, index: int, measured: Measured, white: np.ndarray, good: np.ndarray) -> np.ndarray:
+        """Whitened values ``(n, m, ...)``, 0 where they are not ``good``, with what all markers of a picture have in
+        common weighed down (:mod:`sysid.noise.common_mode`)."""
+        common = self.noise[measured.channel].common
+        if common is None:
+            return white
+        key = (index, measured.channel)
+        if key not in self._places:
+            first = np.argmax(np.isfinite(measured.values), axis=0)
+            self._places[key] = np.take_along_axis(measured.values, first[None], axis=0)[0]
+        seen = np.asarray(good.reshape(*good.shape[:2], -1).all(axis=2))
+        return common.weighed(white, self._places[key], seen)
+
+    def _weighed(self, index: int, measured: Measured, rows: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """The same for the rows ``(k, p)`` of what is ``seen`` ``(n, m)``."""
+        if self.noise[measured.channel].common is None:
+            return rows
+        whole = np.zeros((*seen.shape, rows.shape[1]))
+        whole[seen] = rows
+        return np.asarray(self._in_common(index, measured, whole, seen)[seen])
+
+    def _by_column(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
+        """As :meth:`whiten`, each column for itself."""
+        white = whiten(values, self._own[measured.channel], measured.t)
         if not self.eliminates:
             return white
         weight = self._weights_of(index, measured)
@@ -158,7 +188,7 @@ class Problem:
             return white
         key = (index, measured.channel)
         if key not in self._doubtful:
-            self._doubtful[key] = self.basis(index, measured).doubtful(self.noise[measured.channel])
+            self._doubtful[key] = self.basis(index, measured).doubtful(self._own[measured.channel])
         return np.where(self._doubtful[key], np.nan, white)
 
     def corrected(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
@@ -195,13 +225,13 @@ class Problem:
                 _check_numbers(run, m, prediction, names)
                 # What is predicted out of sight says nothing; the size stays that of the data.
                 miss = m.values - prediction.values[m.channel]
-                white = self.whiten(i, m, miss)
+                white = self._by_column(i, m, miss)
                 good, seen = np.isfinite(m.values), np.isfinite(white)
                 vectors = [white]
                 if names:
                     # Missing where the residual is, so that both are whitened alike.
                     slopes = np.where(np.isnan(miss)[:, :, None], np.nan, -prediction.derivatives[m.channel])
-                    slopes = self.whiten(i, m, slopes)
+                    slopes = self._by_column(i, m, slopes)
                     vectors += [slopes[:, :, k] for k in range(len(names))]
                 stacked = np.stack(vectors, axis=2)
                 times = np.broadcast_to(m.t[:, None], white.shape)[good]
@@ -214,10 +244,10 @@ class Problem:
                     rows = np.zeros((len(times), stacked.shape[2]))
                     left, sizes[(i, m.channel)] = eliminate(stacked)
                     times, count = np.concatenate([times, eliminate.times]), np.count_nonzero(seen)
-                    rows[seen[good]] = left[:count]
+                    rows[seen[good]] = self._weighed(i, m, left[:count], seen)
                     rows = np.concatenate([rows, left[count:]])
                 else:
-                    rows[seen[good]] = stacked[seen]
+                    rows[seen[good]] = self._weighed(i, m, stacked[seen], seen)
                 assembled.append(rows)
                 sight.append(np.concatenate([seen[good], np.ones(len(rows) - np.count_nonzero(good), dtype=bool)]))
                 labels.append((i, m.channel, times))

@@ -1,0 +1,78 @@
+"""Level and colour of noise in a stretch of readings in which nothing moves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sysid.noise.sampling_interval import NEXT
+
+MISTAKEN, MOST_MISTAKEN = 8.0, 0.1
+"""Distance in robust standard deviations from which a reading at rest is a mistake, if no more than this share is."""
+
+MIN_REST_SAMPLES = 15
+"""Samples that a quiet stretch must have to be used."""
+
+LONGEST_EXACT = 400
+"""Samples of a stretch up to which it matters what a line takes away from coloured noise."""
+
+WHITE, MOST_COLOURED = 0.1, 0.98
+"""Correlation up to which noise counts as white, and the largest that is believed."""
+
+
+class Stretch(NamedTuple):
+    """Noise of a quiet stretch: standard deviation, lag-one correlation, number of readings."""
+
+    level: float
+    rho: float
+    size: int
+
+
+def scatter_of(values: np.ndarray, at: np.ndarray) -> Stretch | None:
+    """Noise of a quiet stretch, after removing a line from each column, by the readings that are there; None where no
+    column has enough of them. ``at`` ``(n,)``: their times
+    (:func:`sysid.noise.sampling_interval.in_sampling_intervals`)."""
+    values = values[:, np.isfinite(values).sum(axis=0) >= MIN_REST_SAMPLES]
+    good = np.isfinite(values)
+    if not good.any():
+        return None
+    base = np.column_stack([np.ones(len(at)), 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0])
+    residual = np.zeros(values.shape)
+    for there in np.unique(good, axis=1).T:
+        alike = (good == there[:, None]).all(axis=0)
+        seen, line = values[np.ix_(there, alike)], base[there]
+        residual[np.ix_(there, alike)] = seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0]
+    near = (np.diff(at) < NEXT)[:, None]
+    mistakes = _mistakes(residual, good)
+    if mistakes.any():
+        return scatter_of(np.where(mistakes, np.nan, values), at)
+    size, pairs = int(good.sum()), int((near & good[1:] & good[:-1]).sum())
+    variance = np.sum(residual**2) / (size - 2 * values.shape[1])
+    # Of readings in a row the line takes up two pairs; of others in proportion.
+    taken = 2 * values.shape[1] * pairs / (size - values.shape[1])
+    if variance <= 0.0 or pairs <= 2 * values.shape[1]:
+        return Stretch(float(np.sqrt(variance)), 0.0, size)
+    product = np.sum(near * residual[1:] * residual[:-1]) / (pairs - taken)
+    # Removing a line biases the correlation down by about 2 (1 + rho) / n.
+    rho = product / variance
+    rho = min(float(rho + 2.0 * (1.0 + rho) * values.shape[1] / size), MOST_COLOURED)
+    return Stretch(float(np.sqrt(variance / _share_left(at, max(rho, 0.0), base))), rho, size)
+
+
+def _mistakes(residual: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Readings ``(n, m)`` that are no noise: far beyond the median scatter, and few (a tracker's mistakes)."""
+    median = 1.4826 * float(np.median(np.abs(residual[good])))
+    far = good & (np.abs(residual) > MISTAKEN * median)
+    return far if 0.0 < median and far.sum() <= MOST_MISTAKEN * good.sum() else np.zeros_like(far)
+
+
+def _share_left(at: np.ndarray, rho: float, base: np.ndarray) -> float:
+    """Share of the variance of noise with lag-one correlation ``rho``, at the times ``at`` ``(n,)`` in usual intervals,
+    that is left beside the columns of ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
+    n = len(at)
+    if rho == 0.0 or n > LONGEST_EXACT:
+        return 1.0
+    correlation = rho ** np.abs(np.subtract.outer(at, at))
+    q = np.linalg.qr(base)[0]
+    return float((n - np.sum(q * (correlation @ q))) / (n - 2))

@@ -1,0 +1,87 @@
+"""A shaking camera moves all markers together: it is told from their own noise, and does not count for each of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.noise.common_mode import CommonMode, common_mode, modes
+from sysid.noise.estimate import ChannelNoise
+from sysid.noise.whitening import whiten
+
+MARKERS, OWN_PX, SHAKE_PX, RHO = 40, 0.08, 0.15, 0.8
+PLACES = np.random.default_rng(5).uniform(0.0, 600.0, 2 * MARKERS)
+RATE_HZ = 30.0
+
+
+def shaken(rng: np.random.Generator, frames: int, shake_px: float = SHAKE_PX) -> np.ndarray:
+    """Noise of pictures ``(n, 2 N)``: white for each marker, first-order autoregressive for the whole picture."""
+    shift = np.zeros((frames, 2))
+    shift[0] = shake_px * rng.standard_normal(2)
+    for k in range(1, frames):
+        shift[k] = RHO * shift[k - 1] + shake_px * np.sqrt(1.0 - RHO**2) * rng.standard_normal(2)
+    return OWN_PX * rng.standard_normal((frames, 2 * MARKERS)) + np.tile(shift, MARKERS)
+
+
+def stretches(shake_px: float, seed: int = 0, mistakes: float = 0.0) -> list[tuple[np.ndarray, np.ndarray]]:
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(6):
+        values = PLACES + shaken(rng, 120, shake_px)
+        values += 6.0 * rng.standard_normal(values.shape) * (rng.random(values.shape) < mistakes)
+        values[rng.random(values.shape) < mistakes] = np.nan
+        found.append((values, np.arange(120) / RATE_HZ))
+    return found
+
+
+@pytest.mark.parametrize("mistakes", [0.0, 0.02])
+def test_a_shake_is_told_from_the_noise_of_the_markers(mistakes: float) -> None:
+    found = common_mode(stretches(SHAKE_PX, mistakes=mistakes))
+    assert found is not None
+    assert found.sigma == pytest.approx(OWN_PX, rel=0.03)
+    assert (found.rho == 0.0).all()
+    of_shift = (MARKERS * SHAKE_PX**2) * (1.0 + RHO) / (1.0 - RHO) + OWN_PX**2
+    assert found.shares[:2] == pytest.approx(OWN_PX / np.sqrt(of_shift), rel=0.25)
+    assert (found.shares[2:] == 1.0).all(), "it neither turns nor zooms"
+
+
+def test_markers_with_noise_of_their_own_have_nothing_in_common() -> None:
+    assert common_mode(stretches(0.0)) is None
+
+
+def test_modes_are_orthonormal_whatever_is_seen() -> None:
+    seen = np.random.default_rng(1).random((20, 2 * MARKERS)) < 0.8
+    seen = np.repeat(seen[:, ::2], 2, axis=1)
+    seen[0] = False
+    seen[0, :6] = True
+    h = modes(PLACES, seen)
+    assert (h[0] == 0.0).all(), "three markers are too few"
+    np.testing.assert_allclose(np.einsum("nkm,njm->nkj", h, h)[1:], np.broadcast_to(np.eye(4), (19, 4, 4)), atol=1e-12)
+    assert (h[:, :, :][~np.broadcast_to(seen[:, None], h.shape)] == 0.0).all()
+
+
+def test_a_motion_of_the_whole_picture_is_known_as_well_as_the_shake_allows() -> None:
+    """The amplitude of a drift of all markers, estimated from many recordings: its standard deviation is what least
+    squares say. With markers as independent witnesses they say a seventh of it."""
+    rng = np.random.default_rng(2)
+    frames = 300
+    t = np.arange(frames) / RATE_HZ
+    drift = np.tile(np.stack([t / t[-1], 0.0 * t], axis=1), MARKERS)
+    common = common_mode(stretches(SHAKE_PX))
+    assert common is not None
+    seen = np.ones(drift.shape, dtype=bool)
+    own = ChannelNoise(common.sigma, common.rho, "")
+    total = ChannelNoise(np.full(2 * MARKERS, np.hypot(OWN_PX, SHAKE_PX)), np.full(2 * MARKERS, 0.62), "")
+
+    def deviations(noise: ChannelNoise, weighed: CommonMode | None) -> float:
+        column = whiten(drift, noise, t)
+        column = column if weighed is None else weighed.weighed(column, PLACES, seen)
+        scores = []
+        for _ in range(150):
+            miss = whiten(shaken(rng, frames), noise, t)
+            miss = miss if weighed is None else weighed.weighed(miss, PLACES, seen)
+            scores.append(np.sum(column * miss) / np.sqrt(np.sum(column**2)))
+        return float(np.std(scores))
+
+    assert deviations(own, common) == pytest.approx(1.0, abs=0.25)
+    assert deviations(total, None) > 4.0
