@@ -8,7 +8,8 @@ fitted model foresee,
 The change that a finer mesh or a shorter step makes counts as well, where it is an event: what is left of it beside its
 running median. Where the largest of these, rms over the columns of a quantity, is above both the noise and a share of
 the signal, two simulations that nobody could tell apart do not agree, and no recording can say which is right. These
-spans are named, and weigh nothing in fits and in the verdict.
+spans are named, and no channel of the recording weighs anything in them: where markers show that a strip may have
+snapped to another state, its force is that of another state as well.
 """
 
 from __future__ import annotations
@@ -57,10 +58,9 @@ MOST = 0.5
 
 @dataclass(frozen=True)
 class Unpredictable:
-    """Spans [s] of one channel of one run."""
+    """Spans [s] of one run."""
 
     run: str
-    channel: str
     spans: tuple[tuple[float, float], ...]
 
     @property
@@ -68,8 +68,8 @@ class Unpredictable:
         """In words."""
         shown = ", ".join(f"{a:.2f} to {b:.2f} s" for a, b in self.spans[:4]) + (", ..." if len(self.spans) > 4 else "")
         return (
-            f"{self.run}: what {self.channel} reads from {shown} is unpredictable: simulations that nobody can tell "
-            "apart differ there (a snap, a landing, stick and slip). It weighs nothing."
+            f"{self.run}: readings from {shown} are unpredictable: simulations that nobody can tell apart differ there "
+            "(a snap, a landing, stick and slip). They weigh nothing."
         )
 
 
@@ -105,11 +105,25 @@ def unpredictable(
     after = RINGS_S if model.rig.solver.inertia else MARGIN_S
     found = []
     for k, run in enumerate(runs):
+        spans = []
         for m in run.measured:
             mask = _mask(m, apart[k][m.channel], derived[k].values[m.channel], noise[m.channel], after)
-            if mask.any() and mask.mean() <= MOST:
-                found.append(Unpredictable(run.name, m.channel, _spans(m.t, mask)))
+            if mask.mean() <= MOST:
+                spans += _spans(m.t, mask)
+        if spans:
+            found.append(Unpredictable(run.name, _joined(spans)))
     return found
+
+
+def _joined(spans: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    """Spans as few as they are without overlaps, in order."""
+    found: list[tuple[float, float]] = []
+    for a, b in sorted(spans):
+        if found and a <= found[-1][1]:
+            found[-1] = (found[-1][0], max(b, found[-1][1]))
+        else:
+            found.append((a, b))
+    return tuple(found)
 
 
 def _members(model: Fitted) -> list[np.ndarray]:
@@ -162,11 +176,8 @@ def _spans(t: np.ndarray, mask: np.ndarray) -> tuple[tuple[float, float], ...]:
 
 def without(runs: Sequence[Run], found: Sequence[Unpredictable]) -> list[Run]:
     """The runs with the readings of these spans as missing."""
-    by_key = {(u.run, u.channel): u.spans for u in found}
-    return [
-        replace(run, measured=tuple(_blanked(m, by_key.get((run.name, m.channel), ())) for m in run.measured))
-        for run in runs
-    ]
+    by_run = {u.run: u.spans for u in found}
+    return [replace(run, measured=tuple(_blanked(m, by_run.get(run.name, ())) for m in run.measured)) for run in runs]
 
 
 def _blanked(measured: Measured, spans: Sequence[tuple[float, float]]) -> Measured:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from sim_core.rigs import Rig
 from sim_core.simulate import Trace
 from sysid.diagnosis.baseline import believed, best_branch, fine_enough
-from sysid.diagnosis.predictability import RINGS_S, _members, unpredictable, without
+from sysid.diagnosis.predictability import RINGS_S, Unpredictable, _joined, _members, unpredictable, without
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import ChannelNoise
@@ -75,10 +76,25 @@ def test_a_snap_that_a_small_change_brings_is_left_out(problem: Any) -> None:
     (found,) = unpredictable(there.engine, there.runs, fitted, there.noise, derived)
     ((begin, end),) = found.spans
     assert begin == pytest.approx(0.8, abs=0.05) and end == pytest.approx(1.1 + RINGS_S, abs=0.05)
-    assert "from 0.7" in found.sentence and "wrist" in found.sentence
+    assert "run: readings from 0.7" in found.sentence
     (run,) = without(there.runs, [found])
     gone = np.isnan(run.measured[0].values[:, 0])
     assert gone[SNAP].all() and gone.sum() < SNAP.sum() + 40
+
+
+def test_where_one_channel_is_unpredictable_no_other_one_counts(problem: Any) -> None:
+    """A hand that snaps through is in another state for its cameras as well, however little they see of it."""
+    there, _, _ = problem(LIMIT - 1e-3)
+    (run,) = there.runs
+    seen = Measured("below", "tracks", T[::3], np.zeros((len(T[::3]), 2)), ("u", "v"))
+    (left,) = without([replace(run, measured=(*run.measured, seen))], [Unpredictable("run", ((0.8, 1.1), (1.5, 1.6)))])
+    for m in left.measured:
+        inside = ((m.t >= 0.8) & (m.t <= 1.1)) | ((m.t >= 1.5) & (m.t <= 1.6))
+        assert (np.isnan(m.values).all(axis=1) == inside).all()
+
+
+def test_spans_of_several_channels_are_joined() -> None:
+    assert _joined([(2.0, 3.0), (0.5, 1.0), (0.8, 1.5), (2.2, 2.4)]) == ((0.5, 1.5), (2.0, 3.0))
 
 
 def test_far_from_the_limit_everything_is_predictable(problem: Any) -> None:
