@@ -105,7 +105,7 @@ def unpredictable(
     after = RINGS_S if model.rig.solver.inertia else MARGIN_S
     found = []
     for k, run in enumerate(runs):
-        spans = []
+        spans: list[tuple[float, float]] = []
         for m in run.measured:
             mask = _mask(m, apart[k][m.channel], derived[k].values[m.channel], noise[m.channel], after)
             if mask.mean() <= MOST:

@@ -67,7 +67,8 @@ class Trial:
     is left of it; ``held_out``: share of the robust misfit on held-out recordings that it removes (negative: it
     predicts worse); ``worse``: what it predicts there worse than the baseline, in words (:func:`worse_there`);
     ``significance``: of the weakest of its effects (:func:`sysid.diagnosis.evidence.significance`);
-    ``failure``: why it is no answer whatever its figures; ``predicted``: the model on the recordings held out."""
+    ``failure``: why it is no answer whatever its figures; ``predicted``: the model on the recordings held out;
+    ``confirmed``: it was fitted to, or beside, simulations of the reference model with its effects."""
 
     hypotheses: tuple[Hypothesis, ...]
     fitted: Fitted
@@ -80,6 +81,7 @@ class Trial:
     predicted: Fitted | None
     failure: str = ""
     worse: str = ""
+    confirmed: bool = False
 
     @property
     def names(self) -> frozenset[str]:

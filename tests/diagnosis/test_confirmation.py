@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,14 +11,35 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConvergenceError
+from sim_core.rigs import with_parameters
 from sysid.diagnosis import confirmation
-from sysid.diagnosis.confirmation import confirmed
+from sysid.diagnosis.confirmation import confirmed, with_finer_cells
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.model.space_mapping import SpaceMappedPredictor, additions
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
+
+
+@dataclass
+class Base:
+    """What of a baseline is used."""
+
+    reference: Any
+    engine: Any
+    problem: Problem
+    check: Problem
+
+
+@dataclass
+class Scored:
+    """What of a trial is looked at."""
+
+    fitted: Fitted
+    confirmed: bool = False
+
 
 T = np.linspace(0.0, 1.0, 60)
 TRUE = 0.5
@@ -61,7 +83,7 @@ def case(rig: Any, fails: bool = False) -> tuple[Any, Any]:
     problem = Problem([run], noise, mapped)
     begun = problem.fit(rig, parameters, engine.origin.copy(), max_evaluations=20)
     reference = SimpleNamespace(fine=lambda r: r.model_copy(update={"name": "fine"}), mesh=None)
-    base = SimpleNamespace(reference=reference, engine=mapped, problem=problem, check=Problem([], noise, mapped))
+    base = Base(reference, mapped, problem, Problem([], noise, mapped))
     return base, SimpleNamespace(fitted=begun, names=frozenset({"effect"}), hypotheses=())
 
 
@@ -72,9 +94,10 @@ def test_it_ends_at_the_truth_where_the_coarse_cells_had_led_it_astray(
     base, trial = case(rig)
     origin = base.engine.coarse.origin
     assert abs(float((trial.fitted.scaled - origin)[0]) - TRUE) > 0.02
-    monkeypatch.setattr(confirmation, "scored", lambda base, hypotheses, fitted, there: fitted)
+    monkeypatch.setattr(confirmation, "scored", lambda base, hypotheses, fitted, there: Scored(fitted))
     found = cast(Any, confirmed(base, trial, {}))
-    assert float((found.scaled - origin)[0]) == pytest.approx(TRUE, abs=5e-3)
+    assert found.confirmed
+    assert float((found.fitted.scaled - origin)[0]) == pytest.approx(TRUE, abs=5e-3)
 
 
 def test_an_answer_that_cannot_be_simulated_with_finer_cells_is_none(small_rig: Any) -> None:
@@ -88,3 +111,16 @@ def test_a_baseline_without_a_reference_needs_no_second_look(small_rig: Any) -> 
     base, trial = case(small_rig())
     base.reference = None
     assert confirmed(base, trial, {}) is trial
+
+
+def test_beside_finer_cells_everything_is_simulated_with_them(small_rig: Any) -> None:
+    """What the coarse cells miss is in the prediction itself, and nothing is added to it."""
+    rig = small_rig()
+    base, _ = case(rig)
+    fine = with_finer_cells(base)
+    at = with_parameters(rig, {"card.E_pa": float(np.exp(base.engine.coarse.origin[0] + TRUE))})
+    found = fine.problem.engine.submit(at, base.problem.runs[0]).result()
+    np.testing.assert_allclose(found.values["gauge"], readings(TRUE, True), atol=1e-12)
+    found = fine.check.engine.submit(at, base.problem.runs[0]).result()
+    np.testing.assert_allclose(found.values["gauge"], readings(TRUE, True), atol=1e-12)
+    assert base.problem.engine is base.engine, "the baseline itself stays as it is"
