@@ -66,6 +66,7 @@ def test_the_answer_is_an_overlay_of_the_rig_as_given(small_rig, tmp_path: Path)
     )
     found = SimpleNamespace(
         sentence="Air is missing.",
+        next_motion=None,
         baseline_parameters=(),
         amended_parameters=(NamedParameter("gel.E_pa", 1.3e5, (1.2e5, 1.4e5), "Pa", "modulus"),),
     )
