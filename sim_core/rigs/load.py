@@ -12,7 +12,7 @@ from pydantic import Field
 import sim_core
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.rigs.fields import EffectKey, Name, Real, Strict, Text
-from sim_core.rigs.parameters import with_parameters
+from sim_core.rigs.parameters import list_parameters, resolve_name, with_parameters
 from sim_core.rigs.schema import Rig
 from sim_core.rigs.yamlfile import read_mapping, validate
 
@@ -77,7 +77,29 @@ def load_rig(name_or_path: str | Path) -> Rig:
 
 def parse_rig(data: Mapping[str, Any], source: str) -> Rig:
     """Check a mapping (for example one stored in a recording); ``source`` names it in errors."""
-    return validate(Rig, data, source)
+    rig = validate(Rig, data, source)
+    _check_known(rig, source)
+    return rig
+
+
+def _check_known(rig: Rig, source: str) -> None:
+    """Raise ``ConfigError`` where something is said to be known of what is no number of the rig, or twice."""
+    found: dict[str, str] = {}
+    values = {p.name: p.value for p in list_parameters(rig)} if rig.known else {}
+    for name, known in rig.known.items():
+        try:
+            full = resolve_name(rig, name)
+        except ConfigError as error:
+            raise ConfigError(f"{source}: known: {error.problem}", error.remedy) from None
+        if full in found:
+            raise ConfigError(f"{source}: known: {found[full]} and {name} are the same.", "Keep one of the two.")
+        found[full] = name
+        value = values[full]
+        if value is None or (known.sd is None and value == 0.0):
+            raise ConfigError(
+                f"{source}: known: {name} is {'not in the rig' if value is None else '0, of which no share is known'}.",
+                "Write its value into the rig." if value is None else "Give sd instead of relative_sd.",
+            )
 
 
 def rig_to_yaml(rig: Rig) -> str:

@@ -33,6 +33,7 @@ from sim_core.rigs.observers import Camera, Sensor
 from sim_core.rigs.pose_offset import Displaced, ShiftSds, TurnSds
 from sim_core.rigs.regions import Region
 
+Deviation = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e12)]
 Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=5.0)]
 Range = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-8, le=1e-2)]
 Stiffness = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]
@@ -187,6 +188,23 @@ class Solver(Strict):
         return 2 if self.inertia and self.integrator == "bdf2" else 1
 
 
+class Known(Strict):
+    """How well a number of the rig is known beforehand: a standard deviation, one of the two."""
+
+    sd: Deviation | None = Field(default=None, description="standard deviation in the unit of the number")
+    relative_sd: Deviation | None = Field(default=None, description="standard deviation over the number's value")
+
+    @model_validator(mode="after")
+    def _one(self) -> Known:
+        if (self.sd is None) == (self.relative_sd is None):
+            raise trouble("has neither sd nor relative_sd, or both.", "Give one of the two.")
+        return self
+
+    def of(self, value: float) -> float:
+        """Standard deviation of a number that has the given value, in its unit."""
+        return self.sd if self.sd is not None else float(self.relative_sd or 0.0) * abs(value)
+
+
 class Rig(Strict):
     """Everything that stands on the table, what moves it and what looks at it."""
 
@@ -206,6 +224,9 @@ class Rig(Strict):
     cameras: dict[Name, Camera] = Field(default={}, description="name -> camera")
     effects: dict[EffectKey, dict[Text, Real]] = Field(
         default={}, description="key -> parameters of an effect; see the catalogue of effects"
+    )
+    known: dict[Text, Known] = Field(
+        default={}, description="parameter -> how well its value is known, by which fits and diagnoses are held to it"
     )
     recording_clock: Literal["header", "log"] = Field(
         default="header", description="clock of recordings: stamps of headers, or the time at which the recorder wrote"

@@ -10,7 +10,8 @@ of unknown size (:mod:`sysid.solve.discretisation_basis`), as wide as a share of
   rigid motion is not what simulations differ in;
 - of markers on a gel, seen from what the gel is fixed to, :data:`GEL_TOLERANCE` of all their motion, which is
   deformation. How far a surface is dragged along depends on the boundary far away, where forces do not: a pad of three
-  or six times its thickness moves them by a third (:mod:`sysid.fit.gel_extent`).
+  or six times its thickness moves them by a third (:mod:`sysid.fit.gel_extent`), and while a ball slides, finite
+  elements of the wider one differ by a tenth from boundary elements of a layer without end.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from sysid.solve.outliers import DIMENSIONS
 MODEL_TOLERANCE = 0.01
 """Agreement of careful simulations, in units of the deformation signal."""
 
-GEL_TOLERANCE = 0.05
+GEL_TOLERANCE = 0.1
 """The same of points on a gel, in units of their motion against what the gel is fixed to."""
 
 

@@ -114,8 +114,10 @@ class FitParameter:
 
 
 def fit_parameters(rig: Rig, names: Sequence[str]) -> list[FitParameter]:
-    """Look the parameters up by the names that a user writes. Raises ``ConfigError``."""
+    """Look the parameters up by the names that a user writes, with what the rig says of how well they are known. Raises
+    ``ConfigError``."""
     known = {p.name: p for p in list_parameters(rig)}
+    beliefs = {resolve_name(rig, name): belief for name, belief in rig.known.items()}
     found = []
     for name in names:
         full = resolve_name(rig, name)
@@ -133,6 +135,9 @@ def fit_parameters(rig: Rig, names: Sequence[str]) -> list[FitParameter]:
             scale = SCALES[quantity]
             lower, upper = max(scale.lower, parameter.lower), min(scale.upper, parameter.upper)
             fitted = FitParameter(full, parameter.unit, scale.log, lower, upper, scale.width, parameter.description)
+        if full in beliefs:
+            sd = beliefs[full].of(parameter.value)
+            fitted = replace(fitted, known_sd=sd / parameter.value if fitted.log else sd)
         found.append(_within(fitted, rig, parameter.value))
     names_found = [p.name for p in found]
     for name in names_found:

@@ -55,7 +55,8 @@ def diagnose_bags(
 
 
 def write_rigs(rig: Rig, diagnosis: Diagnosis, amended: Rig, folder: Path) -> None:
-    """Write the rig as it was given, with the cells of the diagnosis, and what that changes in it as an overlay."""
+    """Write the rig as it was given, with the cells of the diagnosis, and what that changes in it as an overlay. What
+    recordings have for themselves, as the delay of a clock, is none of the rig."""
     bodies = dict(rig.bodies)
     for name, body in amended.bodies.items():
         given = rig.bodies[name]
@@ -68,7 +69,7 @@ def write_rigs(rig: Rig, diagnosis: Diagnosis, amended: Rig, folder: Path) -> No
         "parameters": {
             p.name: p.value
             for p in (diagnosis.amended_parameters or diagnosis.baseline_parameters)
-            if not p.name.startswith("effects.")
+            if not p.name.startswith("effects.") and not p.name.endswith("]")
         },
         "effects": {name: dict(values) for name, values in amended.effects.items()},
     }

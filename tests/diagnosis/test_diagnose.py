@@ -68,7 +68,10 @@ def test_the_answer_is_an_overlay_of_the_rig_as_given(small_rig, tmp_path: Path)
         sentence="Air is missing.",
         next_motion=None,
         baseline_parameters=(),
-        amended_parameters=(NamedParameter("gel.E_pa", 1.3e5, (1.2e5, 1.4e5), "Pa", "modulus"),),
+        amended_parameters=(
+            NamedParameter("gel.E_pa", 1.3e5, (1.2e5, 1.4e5), "Pa", "modulus"),
+            NamedParameter("side.latency_s[press]", 0.01, (0.0, 0.02), "s", "of one recording"),
+        ),
     )
     write_rigs(rig, found, amended, tmp_path)
     assert {f.name for f in tmp_path.iterdir()} == {"rig.yaml", "amended_rig.yaml"}
