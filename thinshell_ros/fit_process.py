@@ -1,4 +1,4 @@
-"""The process that fits, and what it tells. No ROS."""
+"""The process that fits or diagnoses, and what it tells. No ROS."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from typing import Any
 from sim_core.errors import ThinshellError
 from sysid.fit.multistart import Step
 from sysid.io.atomic_folder import unfinished
-from sysid.workflow import fit_bags
-from thinshell_ros.fit_request import FitRequest
+from sysid.workflow import diagnose_bags, fit_bags
+from thinshell_ros.fit_request import DiagnosisRequest, Request
 
 TIDIED = "ignore:resource_tracker"
 """What Python says of semaphores of processes that were ended, which it then removes."""
@@ -44,9 +44,9 @@ class Warned:
 
 @dataclass(frozen=True)
 class Succeeded:
-    """``fit``: the content of ``fit.json``."""
+    """``found``: the content of ``fit.json``, or of ``diagnosis.json``."""
 
-    fit: dict[str, Any]
+    found: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -59,19 +59,15 @@ class Failed:
 Event = Share | Step | Warned | Succeeded | Failed
 
 
-def run(link: Connection, request: FitRequest) -> None:
-    """Fit, and send events until ``Succeeded`` or ``Failed``.
+def run(link: Connection, request: Request) -> None:
+    """Fit or diagnose, and send events until ``Succeeded`` or ``Failed``.
 
     The process and those that it starts are a process group, which ends at once when the other end of the link closes.
     """
     os.setsid()
     threading.Thread(target=_end_with, args=(link, unfinished(request.out)), daemon=True).start()
     try:
-        fit_bags(
-            request.rig, request.bags, request.names, request.options, held_out=request.held_out, out=request.out,
-            on_progress=lambda share, words: link.send(Share(share, words)), on_step=link.send,
-            on_warning=lambda text: link.send(Warned(text)),
-        )  # fmt: skip
+        _work(link, request)
         link.send(_succeeded(request))
     except ThinshellError as error:
         link.send(Failed(str(error)))
@@ -79,8 +75,27 @@ def run(link: Connection, request: FitRequest) -> None:
         link.send(Failed(f"This is a defect of the program: {type(error).__name__}: {error}. Please report it."))
 
 
-def _succeeded(request: FitRequest) -> Succeeded:
-    return Succeeded(json.loads((request.out / "fit.json").read_text()))
+def _work(link: Connection, request: Request) -> None:
+    def tell(share: float, words: str) -> None:
+        link.send(Share(share, words))
+
+    def warn(text: str) -> None:
+        link.send(Warned(text))
+
+    if isinstance(request, DiagnosisRequest):
+        diagnose_bags(
+            request.rig, request.bags, held_out=request.held_out, out=request.out, on_progress=tell, on_warning=warn
+        )
+    else:
+        fit_bags(
+            request.rig, request.bags, request.names, request.options, held_out=request.held_out, out=request.out,
+            on_progress=tell, on_step=link.send, on_warning=warn,
+        )  # fmt: skip
+
+
+def _succeeded(request: Request) -> Succeeded:
+    file = "diagnosis.json" if isinstance(request, DiagnosisRequest) else "fit.json"
+    return Succeeded(json.loads((request.out / file).read_text()))
 
 
 def _end_with(link: Connection, part: Path) -> None:
@@ -97,12 +112,12 @@ def _end_with(link: Connection, part: Path) -> None:
 
 
 class FitProcess:
-    """One fit in a process of its own.
+    """One fit, or one diagnosis, in a process of its own.
 
     It is spawned, not forked: neither threads of the middleware nor of Taichi survive a fork.
     """
 
-    def __init__(self, request: FitRequest) -> None:
+    def __init__(self, request: Request) -> None:
         self._request = request
         self._over = False
         if TIDIED not in sys.warnoptions:

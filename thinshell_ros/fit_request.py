@@ -1,4 +1,5 @@
-"""What a fit over ROS is asked to do: parameter values, checked and made into arguments of the library. No ROS."""
+"""What a fit or a diagnosis over ROS is asked to do: parameter values, checked and made into arguments of the library.
+No ROS."""
 
 from __future__ import annotations
 
@@ -31,19 +32,45 @@ class FitRequest:
     out: Path
 
 
-def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], job_id: str) -> FitRequest:
-    """The request that parameter values stand for, None where one has no value. Raises ``ThinshellError``.
+@dataclass(frozen=True)
+class DiagnosisRequest:
+    """Arguments of :func:`sysid.workflow.diagnose_bags`. ``out``: a folder that does not exist."""
 
-    ``topics``: of the recordings, by the names of :func:`topic_names`; ``values``: by the names of the node's
-    parameters; ``job_id``: name of the folder that is made in ``output_dir``.
-    """
+    rig: Rig
+    bags: tuple[Path, ...]
+    held_out: tuple[Path, ...]
+    out: Path
+
+
+Request = FitRequest | DiagnosisRequest
+
+
+def diagnosis_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], job_id: str) -> DiagnosisRequest:
+    """The request for a diagnosis; as :func:`fit_request`, of ``bag_uri``, ``held_out_uri`` and ``output_dir``."""
+    rig, bags, held_out = _recordings(rig, topics, values)
+    return DiagnosisRequest(rig, bags, held_out, _folder(values["output_dir"]) / job_id)
+
+
+def _recordings(
+    rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any]
+) -> tuple[Rig, tuple[Path, ...], tuple[Path, ...]]:
+    """The rig with the topics of the recordings, these, and those held out. Raises ``ThinshellError``."""
     bags = _paths(values["bag_uri"], "bag_uri")
     held_out = _paths(values["held_out_uri"], "held_out_uri")
     if not bags:
         raise ConfigError("There is no recording to fit.", "Set the parameter bag_uri to a bag, or to a list of them.")
     check_parts(bags, held_out)
     _check_topics([*bags, *held_out], {n: t for n, t in topics.items() if t != topic_names(rig)[n]})
-    rig = with_topics(rig, topics)
+    return with_topics(rig, topics), bags, held_out
+
+
+def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], job_id: str) -> FitRequest:
+    """The request that parameter values stand for, None where one has no value. Raises ``ThinshellError``.
+
+    ``topics``: of the recordings, by the names of :func:`topic_names`; ``values``: by the names of the node's
+    parameters; ``job_id``: name of the folder that is made in ``output_dir``.
+    """
+    rig, bags, held_out = _recordings(rig, topics, values)
     names = [resolve_name(rig, name) for name in values["fit.parameters"] or []]
     if not names:
         raise ConfigError(

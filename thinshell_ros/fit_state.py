@@ -1,4 +1,4 @@
-"""What is known of the latest fit, and what the node says of it. No ROS."""
+"""What is known of the latest fit or diagnosis, and what the node says of it. No ROS."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Literal
 from sysid.fit.multistart import Step
 from sysid.fit.result import not_converged
 from thinshell_ros.fit_process import Event, Failed, Share, Succeeded, Warned
-from thinshell_ros.fit_request import FitRequest
+from thinshell_ros.fit_request import DiagnosisRequest, FitRequest, Request
 from thinshell_ros.health import Level, Report
 
 State = Literal["idle", "running", "succeeded", "cancelled", "failed"]
@@ -17,7 +17,8 @@ State = Literal["idle", "running", "succeeded", "cancelled", "failed"]
 
 @dataclass
 class FitState:
-    """The latest fit. ``state``: as it is published; ``doing``: what is being done, or why it failed."""
+    """The latest job. ``kind``: what it is; ``state``: as it is published; ``doing``: what is being done, or why it
+    failed."""
 
     job_id: str = ""
     state: State = "idle"
@@ -28,8 +29,9 @@ class FitState:
     result: dict[str, Any] = field(default_factory=dict)
     warned: bool = False
     """Something speaks against a recording."""
+    kind: Literal["fit", "diagnosis"] = "fit"
 
-    def take(self, event: Event, request: FitRequest) -> None:
+    def take(self, event: Event, request: Request) -> None:
         """Take in what the process told."""
         if isinstance(event, Share):
             self.share, self.doing = event.share, event.words
@@ -39,9 +41,13 @@ class FitState:
             self.warned = True
         elif isinstance(event, Succeeded):
             self.state, self.share, self.doing = "succeeded", 1.0, f"results in {request.out}"
-            self.result = result_of(event.fit, self.job_id, request)
-            if self._astray:
-                self.doing = f"{self.result['remarks'][0]} {self.doing}"
+            if isinstance(request, DiagnosisRequest):
+                self.result = diagnosis_of(event.found, self.job_id, request)
+                self.doing = f"{self.result['sentence']} {self.doing}"
+            else:
+                self.result = result_of(event.found, self.job_id, request)
+                if self._astray:
+                    self.doing = f"{self.result['remarks'][0]} {self.doing}"
         elif isinstance(event, Failed):
             self.state, self.doing = "failed", event.reason
 
@@ -52,8 +58,9 @@ class FitState:
     @property
     def level(self) -> Level:
         """How serious the state is. A fit that ended and did not converge, or does not explain the recordings, or does
-        not determine all that was asked for, has succeeded in writing its results, which need a look; while one runs
-        of whose recordings something is known to be wrong, it may be better to stop it."""
+        not determine all that was asked for, has succeeded in writing its results, which need a look; so has a
+        diagnosis by which something is missing. While one runs of whose recordings something is known to be wrong, it
+        may be better to stop it."""
         levels: dict[State, Level] = {"failed": "error", "cancelled": "warn"}
         doubtful = self.warned if self.state == "running" else self._astray
         return levels.get(self.state, "warn" if doubtful else "ok")
@@ -61,6 +68,8 @@ class FitState:
     @property
     def _astray(self) -> bool:
         found = self.result
+        if self.kind == "diagnosis":
+            return bool(found) and found["verdict"] != "nothing_missing"
         return bool(found) and (not found["converged"] or not found["explained"] or bool(found["undetermined"]))
 
     def report(self, elapsed_s: float) -> Report:
@@ -77,7 +86,7 @@ class FitState:
             "eta_s": f"{left:.1f}",
             "detail": self.doing,
         }
-        return Report("fit", self.level, self.state, values)
+        return Report(self.kind, self.level, self.state, values)
 
 
 def result_of(fit: dict[str, Any], job_id: str, request: FitRequest) -> dict[str, Any]:
@@ -115,4 +124,33 @@ def result_of(fit: dict[str, Any], job_id: str, request: FitRequest) -> dict[str
         ],
         "bag_sha256": {bag["path"]: bag["sha256"] for bag in source["bags"]},
         "code_version": source["versions"],
+    }
+
+
+def diagnosis_of(found: dict[str, Any], job_id: str, request: DiagnosisRequest) -> dict[str, Any]:
+    """The result of a diagnosis as it is published, from the content of ``diagnosis.json`` (docs/diagnosis.md).
+
+    ``estimate``, ``ci95``, ``unit``: of the rig with the answer in it; ``effects``: names of the answer; ``loss``: mean
+    squared whitened residual of the rig with it.
+    """
+    parameters = found["amended_parameters"] or found["baseline_parameters"]
+    shown = found["fit"]["amended"] or found["fit"]["baseline"]
+    return {
+        "job_id": job_id,
+        "rig": found["rig"],
+        "output_dir": str(request.out),
+        "verdict": found["verdict"],
+        "sentence": found["sentence"],
+        "effects": [effect["name"] for effect in found["effects"]],
+        "probability": [effect["probability"] for effect in found["effects"]],
+        "explained": found["explained"],
+        "not_explained": found["not_explained"],
+        "next_experiment": found["next_experiment"],
+        "estimate": {p["name"]: p["value"] for p in parameters},
+        "ci95": {p["name"]: p["ci95"] for p in parameters},
+        "unit": {p["name"]: p["unit"] for p in parameters},
+        "loss": shown["training"],
+        "remarks": found["notes"],
+        "bag_sha256": {bag["path"]: bag["sha256"] for bag in found["provenance"]["bags"]},
+        "code_version": found["provenance"]["versions"],
     }

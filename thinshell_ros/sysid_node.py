@@ -1,7 +1,7 @@
-"""``sysid_node``: fits a rig to recordings when it is asked to, and tells how far it is.
+"""``sysid_node``: fits a rig to recordings, or diagnoses what it leaves out, and tells how far it is.
 
-The fit is that of ``thinshell fit``, in a process of its own; here are only services, parameters and what is published.
-Parameters are read when a fit is started, so that they can be set between fits.
+The jobs are those of ``thinshell fit`` and ``thinshell diagnose``, in a process of their own; here are only services,
+parameters and what is published. Parameters are read when a job is started, so that they can be set between jobs.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from typing import Literal
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
@@ -24,7 +25,7 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import load_rig
 from thinshell_ros import messages
 from thinshell_ros.fit_process import Event, FitProcess, Warned
-from thinshell_ros.fit_request import FitRequest, fit_request, numbers_of, topic_names
+from thinshell_ros.fit_request import Request, diagnosis_request, fit_request, numbers_of, topic_names
 from thinshell_ros.fit_state import FitState
 from thinshell_ros.parameters import declare, value_of, warn_of_unknown
 from thinshell_ros.qos import LATCHED
@@ -41,7 +42,8 @@ NUMBERS = ("fit.initial", "fit.lower", "fit.upper", "fit.prior_sd")
 
 
 class SysidNode(Node):
-    """One fit at a time: ``~/start``, ``~/cancel``; ``~/status``, ``~/parameters_estimate``, ``~/result``, latched."""
+    """One job at a time: ``~/start`` (a fit), ``~/diagnose``, ``~/cancel``; ``~/status``, ``~/parameters_estimate`` and
+    ``~/result``, latched."""
 
     def __init__(self) -> None:
         super().__init__("tactile_sysid")
@@ -74,12 +76,13 @@ class SysidNode(Node):
         warn_of_unknown(self)
 
         self._state = FitState()
-        self._request: FitRequest | None = None
+        self._request: Request | None = None
         self._elapsed_s = self._told_s = 0.0
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._estimate = self.create_publisher(Float64MultiArray, "~/parameters_estimate", LATCHED)
         self._result = self.create_publisher(String, "~/result", LATCHED)
-        self.create_service(Trigger, "~/start", self._on_start)
+        self.create_service(Trigger, "~/start", lambda request, response: self._on_start("fit", response))
+        self.create_service(Trigger, "~/diagnose", lambda request, response: self._on_start("diagnosis", response))
         self.create_service(Trigger, "~/cancel", self._on_cancel)
         self.create_timer(0.05, self._on_poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._tell()
@@ -95,24 +98,30 @@ class SysidNode(Node):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _on_start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        del request
+    def _on_start(self, kind: Literal["fit", "diagnosis"], response: Trigger.Response) -> Trigger.Response:
+        """Start a job of a kind."""
         if self._process is not None:
             response.success = False
             response.message = f"{self._state.job_id} is running. Wait for its end, or call ~/cancel first."
             return response
-        job_id = f"fit_{time.strftime('%Y%m%d_%H%M%S')}_{time.time_ns() // 1_000_000 % 1000:03d}"
+        job_id = f"{kind}_{time.strftime('%Y%m%d_%H%M%S')}_{time.time_ns() // 1_000_000 % 1000:03d}"
         topics = {name: value_of(self, f"topics.{name}") for name in self._topics}
         values = {name: value_of(self, name) for name in VALUES}
         try:
-            self._request = fit_request(self._rig, topics, values, job_id)
+            if kind == "fit":
+                asked = fit_request(self._rig, topics, values, job_id)
+                self._request, doing = asked, f"fitting {', '.join(asked.names)} of {self._rig.name}"
+            else:
+                self._request = diagnosis_request(self._rig, topics, values, job_id)
+                doing = f"asking what {self._rig.name} leaves out"
         except ThinshellError as error:
             response.success, response.message = False, str(error)
             return response
         self._process = FitProcess(self._request)
-        self._state, self._elapsed_s = FitState(job_id, "running", "starting", values["fit.max_iterations"]), 0.0
+        most = values["fit.max_iterations"] if kind == "fit" else 0
+        self._state, self._elapsed_s = FitState(job_id, "running", "starting", most, kind=kind), 0.0
         self._estimate.publish(messages.named_numbers(self._state.estimate()))
-        self.get_logger().info(f"{job_id}: fitting {', '.join(self._request.names)} of {self._rig.name}.")
+        self.get_logger().info(f"{job_id}: {doing}.")
         self._tell()
         response.success, response.message = True, job_id
         return response
@@ -121,7 +130,7 @@ class SysidNode(Node):
         del request
         self._on_poll()  # it may just have ended
         if self._process is None:
-            response.success, response.message = False, "No fit is running."
+            response.success, response.message = False, "No job is running."
             return response
         done = self._process.stop()
         if done is not None:

@@ -37,11 +37,12 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Fitter(Client):
     """A client of the node: sets parameters, calls its services, keeps what it publishes."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, bag: str = "") -> None:
         from diagnostic_msgs.msg import DiagnosticStatus
         from std_msgs.msg import Float64MultiArray, String
 
         super().__init__(name)
+        self.bag = bag
         self.statuses = self.listen(DiagnosticStatus, "tactile_sysid/status", latched=True)
         self.estimates = self.listen(Float64MultiArray, "tactile_sysid/parameters_estimate", latched=True)
         self.results = self.listen(String, "tactile_sysid/result", latched=True)
@@ -97,7 +98,7 @@ def node(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodePr
 @pytest.fixture
 def fitter(node: NodeProcess, bag: Path, tmp_path: Path) -> Iterator[Fitter]:
     """A client of a node that is told to fit the pull."""
-    fitter = Fitter("fitter")
+    fitter = Fitter("fitter", str(bag))
     fitter.set(
         bag_uri=str(bag), held_out_uri="", output_dir=str(tmp_path / "fits"), fit__parameters=["strip.E"],
         fit__initial=[], fit__lower=[], fit__upper=[], fit__nuisance="none", fit__max_iterations=200,
@@ -137,6 +138,30 @@ def test_numbers_can_be_set_and_emptied_as_they_are_typed(node: NodeProcess, fit
     refused = set_initial(ParameterValue(type=words, string_array_value=["stiff"]))
     assert not refused.successful
     assert "Give a list of numbers" in refused.reason
+
+
+def test_a_diagnosis_is_a_job_as_a_fit_is(fitter: Fitter, tmp_path: Path) -> None:
+    """The strip is stiffer than the rig says, which its baseline takes up: nothing is missing."""
+    fitter.set(bag_uri="")
+    refused = fitter.ask("diagnose")
+    assert not refused.success and "bag_uri" in refused.message
+    fitter.set(bag_uri=fitter.bag)
+    answer = fitter.ask("diagnose")
+    assert answer.success and answer.message.startswith("diagnosis_"), answer.message
+    assert "is running" in fitter.ask("start").message
+    done = fitter.until(answer.message, "succeeded", "failed")
+    assert done.message == "succeeded", values_of(done)
+    assert done.name.endswith("diagnosis"), done.name
+    mine = [values_of(s) for s in fitter.statuses if values_of(s)["job_id"] == answer.message]
+    assert any("baseline fit" in v["detail"] for v in mine)
+    fitter.wait(lambda: fitter.results and answer.message in fitter.results[-1].data, "no result")
+    result = json.loads(fitter.results[-1].data)
+    assert result["verdict"] == "nothing_missing", result["sentence"]
+    assert result["effects"] == []
+    low, high = result["ci95"]["strip.E_pa"]
+    assert low < 4.4e9 < high
+    folder = tmp_path / "fits" / answer.message
+    assert {p.name for p in folder.iterdir()} == {"diagnosis.json", "report.html", "rig.yaml", "amended_rig.yaml"}
 
 
 def test_a_fit_tells_how_far_it_is_and_gives_what_the_library_gives(
@@ -206,7 +231,7 @@ def test_a_cancelled_fit_ends_with_all_its_processes_and_leaves_no_file(
     assert not list((tmp_path / "fits").iterdir())
     fitter.wait(lambda: fitter.estimates[-1].data.tolist() == [], "the estimate of what was cancelled stays")
     again = fitter.ask("cancel")
-    assert (again.success, again.message) == (False, "No fit is running.")
+    assert (again.success, again.message) == (False, "No job is running.")
 
 
 def test_a_crash_is_told_in_words_and_the_node_lives_on(
@@ -228,7 +253,7 @@ def test_a_crash_is_told_in_words_and_the_node_lives_on(
     os.kill(simulating, signal.SIGKILL)
     assert "ended before its work was done" in values_of(fitter.until(job, "failed"))["detail"]
     fitter.wait(lambda: not group(worker), "what it started still runs")
-    assert fitter.ask("cancel").message == "No fit is running."
+    assert fitter.ask("cancel").message == "No job is running."
 
 
 @pytest.mark.parametrize(
