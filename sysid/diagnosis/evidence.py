@@ -55,3 +55,19 @@ def significance(hypothesis: Hypothesis, fitted: Fitted, gain: float) -> float:
     amplitudes = {f"effects.{hypothesis.key}.{a.parameter.name}" for a in hypothesis.amplitudes}
     inflation = [f for p, f in zip(fitted.parameters, known.inflation, strict=True) if p.name in amplitudes]
     return float(np.sqrt(max(2.0 * gain, 0.0)) / min(inflation, default=1.0))
+
+
+def distance_from_none(hypothesis: Hypothesis, fitted: Fitted) -> float:
+    """How far the effect is from acting on nothing, in standard deviations of that of its sizes which is farthest."""
+    sd = uncertainty(fitted).sd
+    at = {p.name: (p, scaled, s) for p, scaled, s in zip(fitted.parameters, fitted.scaled, sd, strict=True)}
+    found = 0.0
+    for a in hypothesis.amplitudes:
+        known = at.get(f"effects.{hypothesis.key}.{a.parameter.name}")
+        if known is None:
+            continue
+        p, scaled, s = known
+        if p.log or not np.isfinite(a.none):
+            return float("inf")  # In the scale of its logarithm, nothing is infinitely far.
+        found = max(found, abs(scaled - a.none) / max(s, 1e-300))
+    return found

@@ -14,7 +14,7 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
-from sysid.diagnosis.evidence import log_evidence, significance
+from sysid.diagnosis.evidence import distance_from_none, log_evidence, significance
 from sysid.diagnosis.residual_analysis import Structure, structure
 from sysid.diagnosis.validation import gain_of, seen_by_both
 from sysid.fit.discretisation_refinement import error_sizes
@@ -35,6 +35,9 @@ TOLERANCE = 5.0
 
 WORSE = 0.1
 """Rise of a held-out error, over that of the baseline, from which a model predicts a quantity worse."""
+
+TOLD_APART = 2.0
+"""Standard deviations from which an effect beside others is told from none."""
 
 OUT_OF_SIGHT = "it moves readings out of sight"
 """Why an effect is no answer that explains readings by hiding them."""
@@ -66,7 +69,8 @@ class Trial:
     baseline's structured misfit that is gone, ``explained_there`` on recordings held out (None without); ``left``: what
     is left of it; ``held_out``: share of the robust misfit on held-out recordings that it removes (negative: it
     predicts worse); ``worse``: what it predicts there worse than the baseline, in words (:func:`worse_there`);
-    ``significance``: of the weakest of its effects (:func:`sysid.diagnosis.evidence.significance`);
+    ``significance``: of the weakest of its effects (:func:`sysid.diagnosis.evidence.significance`); ``idle``: that of
+    its several effects whose size the recordings do not tell from none beside the others, in words;
     ``failure``: why it is no answer whatever its figures; ``predicted``: the model on the recordings held out;
     ``confirmed``: it was fitted to, or beside, simulations of the reference model with its effects."""
 
@@ -82,6 +86,7 @@ class Trial:
     failure: str = ""
     worse: str = ""
     confirmed: bool = False
+    idle: str = ""
 
     @property
     def names(self) -> frozenset[str]:
@@ -230,7 +235,15 @@ def scored(base: Baseline, hypotheses: tuple[Hypothesis, ...], fitted: Fitted, t
     gain = log_evidence(fitted, 1.0) - log_evidence(base.fitted, 1.0)
     worth = min(significance(h, fitted, gain) for h in hypotheses)
     return Trial(hypotheses, fitted, gain, explained(before, left), on_others, left, gain_of(both), worth, there,
-                 worse=worse_there(base, there))  # fmt: skip
+                 worse=worse_there(base, there), idle=idle_effect(hypotheses, fitted))  # fmt: skip
+
+
+def idle_effect(hypotheses: Sequence[Hypothesis], fitted: Fitted) -> str:
+    """The effect of a set of several that is nearest to none, in words, if it is within :data:`TOLD_APART`."""
+    if len(hypotheses) < 2:
+        return ""
+    least, h = min(((distance_from_none(h, fitted), h) for h in hypotheses), key=lambda pair: pair[0])
+    return f"that {h.effect.title}, by {least:.1f} standard deviations" if least < TOLD_APART else ""
 
 
 def worse_there(base: Baseline, there: Fitted | None) -> str:

@@ -78,6 +78,8 @@ def rejected(trial: Trial, case: Case) -> str:
         return f"it predicts held-out recordings worse, by {-100 * trial.held_out:.2g} %"
     if trial.worse:
         return f"it predicts worse: {trial.worse}"
+    if trial.idle:
+        return f"beside its other effects it is not told from none {trial.idle}"
     if trial.significance < LEAST_SIGNIFICANCE:
         return f"over time its improvement is worth {trial.significance:.1f} of {LEAST_SIGNIFICANCE:g} deviations"
     if not case.missing:
@@ -91,8 +93,9 @@ def rejected(trial: Trial, case: Case) -> str:
 
 
 def decide(trials: Sequence[Trial], case: Case) -> Verdict:
-    """Choose the verdict."""
+    """Choose the verdict. An answer of several effects has to be better than each part of it that may be one."""
     fit = sorted((t for t in trials if not rejected(t, case)), key=lambda t: -t.gain)
+    fit = [t for t in fit if all(t.gain >= s.gain + case.needed for s in fit if s.names < t.names)]
     if not fit:
         if case.faults:
             return Verdict("recording_fault", ())

@@ -11,13 +11,14 @@ import pytest
 
 from sim_core.effects import effect_by_name
 from sysid.diagnosis.candidates import Amplitude, Hypothesis
-from sysid.diagnosis.evidence import held_out_gain, log_evidence, significance
+from sysid.diagnosis.evidence import distance_from_none, held_out_gain, log_evidence, significance
 from sysid.diagnosis.refits import Trial
 from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.verdict import Case, decide, probabilities, rejected
 from sysid.model.parameters import FitParameter
 from sysid.noise.estimate import ChannelNoise
 from sysid.noise.whitening import whiten
+from sysid.solve.covariance import uncertainty
 from sysid.solve.optimum import Fitted
 
 
@@ -83,6 +84,42 @@ LOUD = structure(5.0, 5000.0, 1000.0)
 )
 def test_verdicts(trials, before, kind):
     assert decide(trials, Case(before, None, 5.0)).kind == kind
+
+
+@pytest.mark.parametrize(("more", "names"), [(4.0, {"air_drag"}), (20.0, {"air_drag", "stream_delay"})])
+def test_a_second_effect_has_to_be_needed(more: float, names: set[str]) -> None:
+    alone = trial("air_drag", 400.0)
+    both = replace(trial("stream_delay", 400.0 + more), hypotheses=(*alone.hypotheses, hypothesis("stream_delay")))
+    verdict = decide([both, alone], Case(LOUD, None, 5.0))
+    assert verdict.kind == "named" and set(verdict.named[0].names) == names
+
+
+def test_a_second_effect_that_is_not_told_from_none_is_no_part_of_an_answer() -> None:
+    both = replace(
+        trial("stream_delay", 900.0),
+        hypotheses=(hypothesis("air_drag"), hypothesis("stream_delay")),
+        idle="that a stream is late, by 0.9 standard deviations",
+    )
+    assert "not told from none that a stream is late" in rejected(both, Case(LOUD, None, 5.0))
+    assert decide([both, trial("air_drag", 400.0)], Case(LOUD, None, 5.0)).named[0].names == {"air_drag"}
+
+
+def test_the_distance_from_none_is_that_of_the_size_which_is_farthest() -> None:
+    h = hypothesis("wrench_offset")
+    names = [f"effects.wrench_offset.{a.parameter.name}" for a in h.amplitudes[:2]]
+    parameters = [FitParameter(n, "", False, -10.0, 10.0, 1.0, "") for n in names]
+    at, sd = np.array([0.3, -0.8]), np.array([0.1, 0.2])
+    j = np.diag(1.0 / sd)
+    n = 400
+    table = np.repeat(j, n, axis=0) / np.sqrt(n)
+    noise = np.random.default_rng(0).choice([-1.0, 1.0], size=2 * n)
+    fitted = Fitted(
+        parameters, at, cast(Any, None), noise, table, [(0, "wrist", np.tile(np.arange(n, dtype=float), 2))], [],
+        cast(Any, None), 1, True, "", {},
+    )  # fmt: skip
+    expected = np.abs(at / uncertainty(fitted).sd).max()
+    assert distance_from_none(h, fitted) == pytest.approx(expected)
+    assert expected == pytest.approx(4.0, rel=0.2)
 
 
 def test_what_only_held_out_recordings_show_is_missing_too():
