@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
@@ -18,9 +17,7 @@ from sim_core.errors import ThinshellError
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.reference_model import Reference, added_at
 from sysid.diagnosis.refits import Trial, scored
-from sysid.model.changed_rig_predictor import ChangedRigPredictor
 from sysid.model.parameters import rig_in
-from sysid.model.prediction_source import Responding
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
@@ -56,14 +53,3 @@ def confirmed(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | N
         failed[" and ".join(sorted(trial.names))] = f"could not be simulated with finer cells: {error}"
         return None
     return replace(scored(base, trial.hypotheses, fitted, there), confirmed=True)
-
-
-def with_finer_cells(base: Baseline) -> Baseline:
-    """The same baseline, beside which everything is simulated by the reference model itself. Raises ``ValueError``
-    where there is none."""
-    if base.reference is None:
-        raise ValueError("the baseline has no reference model")
-    engine = ChangedRigPredictor(cast(Responding, base.engine.coarse), base.reference.fine)
-    problem, check = copy(base.problem), copy(base.check)
-    problem.engine = check.engine = SpaceMappedPredictor(engine, {})
-    return replace(base, problem=problem, check=check)

@@ -20,8 +20,8 @@ from sim_core.effects import RecordingScales
 from sim_core.rigs import Rig
 from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
-from sysid.diagnosis.candidates import Hypothesis, hypotheses, recording_scales
-from sysid.diagnosis.confirmation import confirmed, with_finer_cells
+from sysid.diagnosis.candidates import hypotheses, recording_scales
+from sysid.diagnosis.confirmation import confirmed
 from sysid.diagnosis.next_motion import in_words, proposed
 from sysid.diagnosis.refits import Start, Trial, tempered, trials_of
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
@@ -57,9 +57,6 @@ MOST_EFFECTS = 3
 
 BESIDE = 3
 """Effects that are tried beside an answer that leaves something."""
-
-WITH_FINER_CELLS = 2
-"""Effects that are refitted with the cells of the reference model."""
 
 OF_MISFIT = 0.1
 """Share of the misfit that is in a sensor's readings, up to which it is no place where to look."""
@@ -98,8 +95,6 @@ def diagnose_runs(
         )
         tell(0.55, "fits of the promising effects")
         trials = _trials(base, screen, singles, case, scales, failed, tell)
-        if case.missing and decide(trials, case).kind in ("unknown", "partly"):
-            trials = tempered(base, [*trials, *_with_finer_cells(base, wanted, case, scales, failed, tell)])
         verdict, trials = _confirmed(base, trials, case, failed, tell)
         places = _places(base, verdict, tell)
         tell(0.97, "report")
@@ -150,28 +145,6 @@ def _trials(
         if trials[0].gain < best.gain + case.needed:
             break
     return trials
-
-
-def _with_finer_cells(
-    base: Baseline,
-    wanted: Sequence[Hypothesis],
-    case: Case,
-    scales: RecordingScales,
-    failed: dict[str, str],
-    tell: Progress,
-) -> list[Trial]:
-    """Refits of the effects that explain the recordings best by the reference model: what acts where the cells of the
-    rig are too wide, as adhesion at the rim of a contact does, is not seen on these."""
-    if base.reference is None or base.reference.mesh is None:
-        return []
-    tell(0.85, "a look at all effects with finer cells")
-    fine = with_finer_cells(base)
-    screen, _ = look(fine.engine, base.fitted, base.problem, wanted)
-    screen.temper(base.fitted.misfit)
-    promising = [s for s in screen.singles() if s.gain > max(case.needed, screen.threshold())]
-    starts = [_start(screen, s) for s in _distinct(screen, promising, WITH_FINER_CELLS, 0)]
-    tell(0.87, "fits of the promising effects with finer cells")
-    return [replace(t, confirmed=True) for t in trials_of(fine, base.fitted, starts, scales, failed)]
 
 
 def _confirmed(

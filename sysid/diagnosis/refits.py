@@ -72,7 +72,7 @@ class Trial:
     ``significance``: of the weakest of its effects (:func:`sysid.diagnosis.evidence.significance`); ``idle``: that of
     its several effects whose size the recordings do not tell from none beside the others, in words;
     ``failure``: why it is no answer whatever its figures; ``predicted``: the model on the recordings held out;
-    ``confirmed``: it was fitted to, or beside, simulations of the reference model with its effects."""
+    ``confirmed``: it was fitted beside simulations of the reference model with its effects."""
 
     hypotheses: tuple[Hypothesis, ...]
     fitted: Fitted

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConvergenceError
-from sim_core.rigs import with_parameters
 from sysid.diagnosis import confirmation
-from sysid.diagnosis.confirmation import confirmed, with_finer_cells
+from sysid.diagnosis.confirmation import confirmed
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.model.space_mapping import SpaceMappedPredictor, additions
@@ -111,16 +110,3 @@ def test_a_baseline_without_a_reference_needs_no_second_look(small_rig: Any) -> 
     base, trial = case(small_rig())
     base.reference = None
     assert confirmed(base, trial, {}) is trial
-
-
-def test_beside_finer_cells_everything_is_simulated_with_them(small_rig: Any) -> None:
-    """What the coarse cells miss is in the prediction itself, and nothing is added to it."""
-    rig = small_rig()
-    base, _ = case(rig)
-    fine = with_finer_cells(base)
-    at = with_parameters(rig, {"card.E_pa": float(np.exp(base.engine.coarse.origin[0] + TRUE))})
-    found = fine.problem.engine.submit(at, base.problem.runs[0]).result()
-    np.testing.assert_allclose(found.values["gauge"], readings(TRUE, True), atol=1e-12)
-    found = fine.check.engine.submit(at, base.problem.runs[0]).result()
-    np.testing.assert_allclose(found.values["gauge"], readings(TRUE, True), atol=1e-12)
-    assert base.problem.engine is base.engine, "the baseline itself stays as it is"
