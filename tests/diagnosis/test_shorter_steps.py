@@ -80,7 +80,7 @@ def test_a_modulus_that_takes_up_the_error_of_the_steps_is_found_out(fitted: Any
     told = _shorter_steps(engine, problem, found, problem.runs, problem.noise)
     assert told is not None
     (run,), (prediction,) = told
-    assert np.diff(run.steps).max() == pytest.approx(0.005)
+    assert run.steps is not None and np.diff(run.steps).max() == pytest.approx(0.005)
     expected = vibration(float((found.scaled - engine.origin)[0]), 0.005)
     np.testing.assert_allclose(prediction.values["gauge"], expected)
 
