@@ -15,7 +15,7 @@ from sim_core.rigs import Rig
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.evidence import distance_from_none, log_evidence, significance
-from sysid.diagnosis.residual_analysis import Structure, structure
+from sysid.diagnosis.residual_analysis import Structure, largest_change, structure
 from sysid.diagnosis.validation import gain_of, seen_by_both
 from sysid.fit.discretisation_refinement import error_sizes
 from sysid.fit.result import rms_errors
@@ -70,7 +70,8 @@ class Trial:
     is left of it; ``held_out``: share of the robust misfit on held-out recordings that it removes (negative: it
     predicts worse); ``worse``: what it predicts there worse than the baseline, in words (:func:`worse_there`);
     ``significance``: of the weakest of its effects (:func:`sysid.diagnosis.evidence.significance`); ``idle``: that of
-    its several effects whose size the recordings do not tell from none beside the others, in words;
+    its several effects whose size the recordings do not tell from none beside the others, in words; ``change``: of the
+    predictions, over what readings may be off (:func:`sysid.diagnosis.residual_analysis.largest_change`);
     ``failure``: why it is no answer whatever its figures; ``predicted``: the model on the recordings held out;
     ``confirmed``: it was fitted beside simulations of the reference model with its effects."""
 
@@ -87,6 +88,7 @@ class Trial:
     worse: str = ""
     confirmed: bool = False
     idle: str = ""
+    change: float = np.inf
 
     @property
     def names(self) -> frozenset[str]:
@@ -235,7 +237,8 @@ def scored(base: Baseline, hypotheses: tuple[Hypothesis, ...], fitted: Fitted, t
     gain = log_evidence(fitted, 1.0) - log_evidence(base.fitted, 1.0)
     worth = min(significance(h, fitted, gain) for h in hypotheses)
     return Trial(hypotheses, fitted, gain, explained(before, left), on_others, left, gain_of(both), worth, there,
-                 worse=worse_there(base, there), idle=idle_effect(hypotheses, fitted))  # fmt: skip
+                 worse=worse_there(base, there), idle=idle_effect(hypotheses, fitted),
+                 change=largest_change(base.problem, base.fitted, fitted))  # fmt: skip
 
 
 def idle_effect(hypotheses: Sequence[Hypothesis], fitted: Fitted) -> str:

@@ -159,6 +159,26 @@ def locate(problem: Problem, fitted: Fitted, answer: Fitted | None = None) -> Lo
     return Located(tuple(channels), windows, phase)
 
 
+def largest_change(problem: Problem, one: Fitted, other: Fitted) -> float:
+    """How much two models differ in the quantity in which they differ most, rms over a block of time, in units of what
+    a reading may be off by its noise, by mesh and time step, and as careful models are; of the second largest of the
+    blocks of all recordings."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for i, run in enumerate(problem.runs):
+        for m in run.measured:
+            change = other.predictions[i].values[m.channel] - one.predictions[i].values[m.channel]
+            own = [shape.shapes[i][m.channel] for shape in problem.error_shapes]
+            off = np.sqrt(problem.noise[m.channel].sigma ** 2 + np.sum(np.square(own), axis=0))
+            ratio = np.where(np.isfinite(m.values), change / off, np.nan)
+            block = np.clip((m.t / (run.end + 1e-9) * BLOCKS).astype(int), 0, BLOCKS - 1)
+            for name, group in quantities(m):
+                parts = (ratio[np.ix_(block == b, group)] for b in range(BLOCKS))
+                found.setdefault((m.channel, name), []).extend(
+                    float(np.sqrt(np.nanmean(part**2))) for part in parts if np.isfinite(part).any()
+                )
+    return max((sorted(blocks)[-2] for blocks in found.values() if len(blocks) > 1), default=0.0)
+
+
 def _intervals(hot: np.ndarray, edges: np.ndarray) -> tuple[tuple[float, float], ...]:
     change = np.flatnonzero(np.diff(np.concatenate([[0], hot.astype(int), [0]])))
     return tuple((float(edges[a]), float(edges[b])) for a, b in zip(change[::2], change[1::2], strict=True))

@@ -33,6 +33,10 @@ SOME_EXPLAINED = 0.15
 LEAST_SIGNIFICANCE = 2.5
 """Standard deviations that an improvement must be worth by its stability over blocks of time."""
 
+LEAST_CHANGE = 1.0
+"""Change of the readings, over what a single one may be off, that an effect must make for a while. With thousands of
+samples much less is significant, and is what models differ in."""
+
 LEAST_PREDICTED = 0.005
 """Share of the robust misfit on held-out recordings that an effect must remove where the baseline shows no misfit."""
 
@@ -78,6 +82,11 @@ def rejected(trial: Trial, case: Case) -> str:
         return f"it predicts held-out recordings worse, by {-100 * trial.held_out:.2g} %"
     if trial.worse:
         return f"it predicts worse: {trial.worse}"
+    if trial.change < LEAST_CHANGE:
+        return (
+            f"it changes no reading by more than {trial.change:.2g} of what noise, mesh, time step and careful models "
+            "leave open"
+        )
     if trial.idle:
         return f"beside its other effects it is not told from none {trial.idle}"
     if trial.significance < LEAST_SIGNIFICANCE:

@@ -132,6 +132,8 @@ def _split(values: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Coefficients of the modes ``(n, 4)`` of pictures ``(n, m)``, as of pictures in which all markers are seen, and
     what is left of the displacements ``(n, m)``; None with too few pictures or markers. What is a mistake counts for
     neither."""
+    if values.shape[1] < 2 * LEAST_MARKERS:
+        return None
     whole = np.isfinite(values).sum(axis=0) >= MIN_REST_SAMPLES
     if whole.reshape(-1, 2).all(axis=1).sum() < LEAST_MARKERS:
         return None

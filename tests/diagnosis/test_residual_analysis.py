@@ -10,11 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.diagnosis.residual_analysis import BLOCKS, _phase, structure
-from sysid.model.predictor import SerialPredictor
+from sysid.diagnosis.residual_analysis import BLOCKS, _phase, largest_change, structure
+from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.estimate import ChannelNoise
 from sysid.observations.observations import Measured, Run
-from sysid.solve.discretisation_basis import ROUGH, ErrorShape, Sizes
+from sysid.solve.discretisation_basis import MODEL, ROUGH, ErrorShape, Sizes
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -72,3 +72,20 @@ def test_the_end_of_a_motion_in_a_hold_is_a_hold() -> None:
     reports = [SimpleNamespace(contacts=1)] * 2
     fitted = SimpleNamespace(predictions=[SimpleNamespace(trace=SimpleNamespace(times=t, reports=reports))])
     assert _phase(run, cast(Any, fitted), 0, 0.4, 0.6) == "holding in contact"
+
+
+def test_the_change_between_two_models_is_that_of_the_second_largest_block() -> None:
+    """An event in one block counts for nothing; what noise, the mesh and careful models leave open is the measure."""
+    t = np.linspace(0.0, 24.0, 24 * 50, endpoint=False)
+    run = Run("run", "", (), {}, (Measured("gauge", "markers", t, np.zeros((len(t), 1)), ("x",)),), 24.0)
+    noise = {"gauge": ChannelNoise(np.array([3.0]), np.zeros(1), "given")}
+    shape = ErrorShape(MODEL, ({"gauge": np.full((len(t), 1), 4.0)},))
+    problem = Problem([run], noise, cast(Any, None), [shape])
+
+    def model(values: np.ndarray) -> Any:
+        return SimpleNamespace(predictions=[Prediction({"gauge": values[:, None]}, {}, cast(Any, None))])
+
+    none = model(0.0 * t)
+    once, twice = (t >= 3.0) & (t < 4.0), (t >= 3.0) & (t < 5.0)
+    assert largest_change(problem, none, model(50.0 * once)) == 0.0
+    assert largest_change(problem, none, model(50.0 * once + 10.0 * twice)) == pytest.approx(10.0 / 5.0)

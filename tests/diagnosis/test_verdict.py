@@ -104,6 +104,14 @@ def test_a_second_effect_that_is_not_told_from_none_is_no_part_of_an_answer() ->
     assert decide([both, trial("air_drag", 400.0)], Case(LOUD, None, 5.0)).named[0].names == {"air_drag"}
 
 
+def test_an_effect_that_changes_no_reading_by_its_noise_is_no_answer() -> None:
+    """However significant: with thousands of samples, what careful models differ in is."""
+    small = replace(trial("air_drag", 4000.0), change=0.6)
+    assert "no reading by more than 0.6" in rejected(small, Case(LOUD, None, 5.0))
+    assert decide([small], Case(QUIET, None, 5.0)).kind == "nothing_missing"
+    assert not rejected(replace(small, change=1.3), Case(LOUD, None, 5.0))
+
+
 def test_the_distance_from_none_is_that_of_the_size_which_is_farthest() -> None:
     h = hypothesis("wrench_offset")
     names = [f"effects.wrench_offset.{a.parameter.name}" for a in h.amplitudes[:2]]
