@@ -10,44 +10,48 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
 from sim_core.errors import ThinshellError
 from sysid.diagnosis.baseline import Baseline
-from sysid.diagnosis.reference_model import Reference, added_at
+from sysid.diagnosis.reference_model import added_at
 from sysid.diagnosis.refits import Trial, scored
 from sysid.model.parameters import rig_in
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
 
-EVALUATIONS = 3
-"""Evaluations allowed to an answer beside what the reference adds where it stands."""
+EVALUATIONS = 12
+"""Evaluations allowed to an answer, whose refit ended when it was told from others."""
 
 
 def confirmed(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | None:
-    """The trial with what the reference model adds where it stands; None, and why in ``failed``, where that cannot be
-    simulated. A baseline without a reference needs none."""
-    if base.reference is None:
-        return trial
-    begun, coarse = trial.fitted, base.engine.coarse
+    """The trial fitted to the end, with what the reference model adds where it stands, if there is one; None, and why
+    in ``failed``, where that cannot be simulated."""
+    if base.reference is None and trial.fitted.converged:
+        return replace(trial, confirmed=True)
+    begun = trial.fitted
 
-    def engine(reference: Reference, runs: Sequence[Run], at: np.ndarray) -> SpaceMappedPredictor:
+    def engine(known: SpaceMappedPredictor, runs: Sequence[Run], at: np.ndarray) -> SpaceMappedPredictor:
+        if base.reference is None:
+            return known
+        coarse = base.engine.coarse
         rigs = [rig_in(begun.centre, begun.parameters, at, run.name) for run in runs]
         jobs = [coarse.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
-        added = added_at(coarse, reference, rigs, runs, [job.result() for job in jobs])
+        added = added_at(coarse, base.reference, rigs, runs, [job.result() for job in jobs])
         return SpaceMappedPredictor(coarse, added.readings)
 
     try:
         problem, check = copy(base.problem), copy(base.check)
-        problem.engine = SparingPredictor(engine(base.reference, problem.runs, begun.scaled))
-        fitted = problem.fit(begun.centre, begun.parameters, begun.scaled, max_evaluations=EVALUATIONS, tolerance=5.0)
+        problem.engine = SparingPredictor(engine(base.engine, problem.runs, begun.scaled))
+        fitted = problem.fit(begun.centre, begun.parameters, begun.scaled, max_evaluations=EVALUATIONS, tolerance=2.0)
         if fitted.interrupted:
             raise KeyboardInterrupt
         there = None
         if check.runs:
-            check.engine = engine(base.reference, check.runs, fitted.scaled)
+            check.engine = engine(cast(SpaceMappedPredictor, check.engine), check.runs, fitted.scaled)
             there = check.evaluate(fitted.rig, [], np.zeros(0))
     except ThinshellError as error:
         failed[" and ".join(sorted(trial.names))] = f"could not be simulated with finer cells: {error}"

@@ -150,10 +150,11 @@ def _trials(
 def _confirmed(
     base: Baseline, trials: list[Trial], case: Case, failed: dict[str, str], tell: Progress
 ) -> tuple[Verdict, list[Trial]]:
-    """The verdict, with every set of effects that it names measured against the reference model where it stands."""
+    """The verdict, with every set of effects that it names fitted to the end, beside the reference model where there is
+    one."""
     verdict = decide(trials, case)
-    while base.reference is not None and not all(t.confirmed for t in verdict.named):
-        tell(0.9, "the answer with finer cells")
+    while not all(t.confirmed for t in verdict.named):
+        tell(0.9, "the answer" if base.reference is None else "the answer with finer cells")
         wanted = [t for t in verdict.named if not t.confirmed]
         found = [confirmed(base, t, failed) for t in wanted]
         others = [t for t in trials if t not in wanted]

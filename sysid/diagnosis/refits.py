@@ -73,7 +73,7 @@ class Trial:
     its several effects whose size the recordings do not tell from none beside the others, in words; ``change``: of the
     predictions, over what readings may be off (:func:`sysid.diagnosis.residual_analysis.largest_change`);
     ``failure``: why it is no answer whatever its figures; ``predicted``: the model on the recordings held out;
-    ``confirmed``: it was fitted beside simulations of the reference model with its effects."""
+    ``confirmed``: it was fitted to the end, beside simulations of the reference model with its effects."""
 
     hypotheses: tuple[Hypothesis, ...]
     fitted: Fitted

@@ -38,6 +38,8 @@ class Scored:
 
     fitted: Fitted
     confirmed: bool = False
+    names: frozenset[str] = frozenset({"effect"})
+    hypotheses: tuple[Any, ...] = ()
 
 
 T = np.linspace(0.0, 1.0, 60)
@@ -83,7 +85,7 @@ def case(rig: Any, fails: bool = False) -> tuple[Any, Any]:
     begun = problem.fit(rig, parameters, engine.origin.copy(), max_evaluations=20)
     reference = SimpleNamespace(fine=lambda r: r.model_copy(update={"name": "fine"}), mesh=None)
     base = Base(reference, mapped, problem, Problem([], noise, mapped))
-    return base, SimpleNamespace(fitted=begun, names=frozenset({"effect"}), hypotheses=())
+    return base, Scored(begun)
 
 
 def test_it_ends_at_the_truth_where_the_coarse_cells_had_led_it_astray(
@@ -106,7 +108,19 @@ def test_an_answer_that_cannot_be_simulated_with_finer_cells_is_none(small_rig: 
     assert "finer cells" in failed["effect"] and "does not converge" in failed["effect"]
 
 
-def test_a_baseline_without_a_reference_needs_no_second_look(small_rig: Any) -> None:
-    base, trial = case(small_rig())
-    base.reference = None
-    assert confirmed(base, trial, {}) is trial
+@pytest.mark.parametrize("evaluations", [1, 20])
+def test_without_a_reference_an_answer_is_fitted_to_the_end(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch, evaluations: int
+) -> None:
+    """One that has converged is an answer as it is."""
+    rig = small_rig()
+    base, trial = case(rig)
+    base.reference, base.engine = None, base.problem.engine
+    problem, origin = base.problem, base.engine.coarse.origin
+    trial.fitted = problem.fit(rig, fit_parameters(rig, NAMES), origin + 0.3, max_evaluations=evaluations)
+    monkeypatch.setattr(confirmation, "scored", lambda base, hypotheses, fitted, there: Scored(fitted))
+    found = cast(Any, confirmed(base, trial, {}))
+    best = problem.fit(rig, fit_parameters(rig, NAMES), origin.copy(), max_evaluations=30)
+    assert found.confirmed
+    assert found.fitted.chi2 == pytest.approx(best.chi2, abs=1e-3)
+    assert (found.fitted is trial.fitted) == (evaluations == 20)
