@@ -11,7 +11,7 @@ JOBS ?= 2
 .PHONY: help demo docs test test-all test-variations lint format lock clean
 
 help:
-	@echo "make demo      simulate a press, record it, fit it back, and write a report"
+	@echo "make demo      record presses in which something is concealed, find out what, and write a report"
 	@echo "make test      all tests but those marked slow (11 to 40 minutes on 2 cores, as busy as they are)"
 	@echo "make test-all  those too"
 	@echo "make test-variations  tests of the physics as other processors compute: other vector widths, round-off, factorisation"
