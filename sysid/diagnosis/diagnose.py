@@ -243,7 +243,7 @@ def _collect(
     numbers = [p for effect in named for p in effect.parameters]
     asks = verdict.kind in ("named", "one_of", "partly", "unknown")
     motion = proposed(rig, base.problem, base.fitted, numbers) if asks else None
-    advice = [words.next_experiment(verdict, case), *([in_words(motion, numbers)] if motion else [])]
+    advice = [words.next_experiment(verdict, case), *([in_words(rig, motion, numbers)] if motion else [])]
     diagnosis = Diagnosis(
         verdict=verdict.kind,
         sentence=words.sentence(verdict, located, became, case, places),

@@ -19,7 +19,7 @@ from sim_core.rigs.motion import Experiment, Waypoints
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.diagnosis.residual_analysis import structure
 from sysid.diagnosis.result import NamedParameter
-from sysid.noise.estimate import column_groups, moving
+from sysid.noise.estimate import column_groups, moving, undeclared
 from sysid.observations.observations import Run
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
@@ -55,11 +55,12 @@ def proposed(rig: Rig, problem: Problem, baseline: Fitted, named: Sequence[Named
     return next_motion(rig, problem.runs[int(np.argmax(excess))], float(f"{hold:.2g}"))
 
 
-def in_words(experiment: Experiment, named: Sequence[NamedParameter]) -> str:
-    """Where the motion is, and the commands that draw it and tell what it would determine."""
+def in_words(rig: Rig, experiment: Experiment, named: Sequence[NamedParameter]) -> str:
+    """Where the motion is, and the commands that draw it and tell what it would determine: the latter of a rig that
+    declares the noise of its sensors alone."""
     files = f"amended_rig.yaml {MOTION_FILE}"
     text = f"As a motion, {MOTION_FILE}: {experiment.description} 'thinshell show {files}' draws it"
-    asked = ",".join(p.name for p in named)
+    asked = "" if undeclared(rig) else ",".join(p.name for p in named)
     return f"{text}, 'thinshell plan {files} --params {asked}' tells what it would determine." if asked else f"{text}."
 
 

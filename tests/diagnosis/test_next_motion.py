@@ -12,7 +12,9 @@ from scipy.spatial.transform import Rotation
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import compile_experiment, load_experiment
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.diagnosis.next_motion import MOTION_FILE, experiment_to_yaml, next_motion
+from sysid.diagnosis.next_motion import MOTION_FILE, experiment_to_yaml, in_words, next_motion
+from sysid.diagnosis.result import NamedParameter
+from sysid.noise.estimate import undeclared
 from sysid.observations.observations import Run
 
 SPEED_M_S, DEPTH_M, SLIDE_M, TURN_DEG = 0.02, 0.01, 0.03, 20.0
@@ -64,3 +66,17 @@ def test_of_hands_that_stand_still_there_is_none(small_rig: Any) -> None:
     )
     assert next_motion(rig, run({"finger": still}), HOLD_S) is None
     assert next_motion(rig, run({"finger": given, "other": given}), HOLD_S) is None
+
+
+def test_a_plan_is_proposed_where_the_rig_declares_its_noise(small_rig: Any) -> None:
+    rig = small_rig()
+    motion = next_motion(rig, run({"finger": recorded(rig)}), HOLD_S)
+    assert motion is not None
+    named = [NamedParameter("effects.air_drag.drag_coefficient", 1.0, (0.5, 1.5), "", "drag")]
+    cameras = {n: c.model_copy(update={"noise": type(c.noise)()}) for n, c in rig.cameras.items()}
+    silent = rig.model_copy(update={"cameras": cameras})
+    assert undeclared(silent) and "thinshell plan" not in in_words(silent, motion, named)
+    text = in_words(rig, motion, named)
+    assert "thinshell show amended_rig.yaml next_experiment.yaml" in text
+    assert "--params effects.air_drag.drag_coefficient" in text
+    assert "thinshell plan" not in in_words(rig, motion, [])
