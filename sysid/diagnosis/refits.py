@@ -21,6 +21,7 @@ from sysid.fit.discretisation_refinement import error_sizes
 from sysid.fit.result import rms_errors
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.sparing_predictor import SparingPredictor
+from sysid.observations.observations import Run
 from sysid.solve.gauss_newton import IN_SIGHT
 from sysid.solve.optimum import Fitted
 
@@ -72,6 +73,7 @@ class Trial:
     ``significance``: of the weakest of its effects (:func:`sysid.diagnosis.evidence.significance`); ``idle``: that of
     its several effects whose size the recordings do not tell from none beside the others, in words; ``change``: of the
     predictions, over what readings may be off (:func:`sysid.diagnosis.residual_analysis.largest_change`);
+    ``in_pose_noise``: that of its effects which moves hands by less than the noise of their poses, in words;
     ``failure``: why it is no answer whatever its figures; ``predicted``: the model on the recordings held out;
     ``confirmed``: it was fitted to the end, beside simulations of the reference model with its effects."""
 
@@ -89,6 +91,7 @@ class Trial:
     confirmed: bool = False
     idle: str = ""
     change: float = np.inf
+    in_pose_noise: str = ""
 
     @property
     def names(self) -> frozenset[str]:
@@ -238,7 +241,20 @@ def scored(base: Baseline, hypotheses: tuple[Hypothesis, ...], fitted: Fitted, t
     worth = min(significance(h, fitted, gain) for h in hypotheses)
     return Trial(hypotheses, fitted, gain, explained(before, left), on_others, left, gain_of(both), worth, there,
                  worse=worse_there(base, there), idle=idle_effect(hypotheses, fitted),
-                 change=largest_change(base.problem, base.fitted, fitted))  # fmt: skip
+                 change=largest_change(base.problem, base.fitted, fitted),
+                 in_pose_noise=in_pose_noise(hypotheses, fitted.rig, base.problem.runs))  # fmt: skip
+
+
+def in_pose_noise(hypotheses: Sequence[Hypothesis], rig: Rig, runs: Sequence[Run]) -> str:
+    """The effect that moves hands by a distance or an angle below the noise of their recorded poses, in words. To take
+    that noise away poses are smoothed, which rounds reversals by about as much."""
+    noise = np.max([poses.noise for run in runs for poses in run.poses.values()] or [(0.0, 0.0)], axis=0)
+    least = {"m": float(noise[0]), "deg": float(np.rad2deg(noise[1]))}
+    for h in hypotheses:
+        sizes = [(abs(rig.effects[h.key][a.parameter.name] - a.none), a.parameter.unit) for a in h.amplitudes]
+        if h.effect.slot == "robot" and all(unit in least and size < least[unit] for size, unit in sizes):
+            return h.effect.title
+    return ""
 
 
 def idle_effect(hypotheses: Sequence[Hypothesis], fitted: Fitted) -> str:

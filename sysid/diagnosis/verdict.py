@@ -33,7 +33,7 @@ SOME_EXPLAINED = 0.15
 LEAST_SIGNIFICANCE = 2.5
 """Standard deviations that an improvement must be worth by its stability over blocks of time."""
 
-LEAST_CHANGE = 1.0
+LEAST_CHANGE = 0.5
 """Change of the readings, over what a single one may be off, that an effect must make for a while. With thousands of
 samples much less is significant, and is what models differ in."""
 
@@ -87,6 +87,8 @@ def rejected(trial: Trial, case: Case) -> str:
             f"it changes no reading by more than {trial.change:.2g} of what noise, mesh, time step and careful models "
             "leave open"
         )
+    if trial.in_pose_noise:
+        return f"{trial.in_pose_noise}, but within the noise of the recorded poses"
     if trial.idle:
         return f"beside its other effects it is not told from none {trial.idle}"
     if trial.significance < LEAST_SIGNIFICANCE:

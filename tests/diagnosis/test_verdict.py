@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from sim_core.effects import effect_by_name
+from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.diagnosis.candidates import Amplitude, Hypothesis
 from sysid.diagnosis.evidence import distance_from_none, held_out_gain, log_evidence, significance
-from sysid.diagnosis.refits import Trial
+from sysid.diagnosis.refits import Trial, in_pose_noise
 from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.verdict import Case, decide, probabilities, rejected
 from sysid.model.parameters import FitParameter
 from sysid.noise.estimate import ChannelNoise
 from sysid.noise.whitening import whiten
+from sysid.observations.observations import Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.optimum import Fitted
 
@@ -106,10 +108,25 @@ def test_a_second_effect_that_is_not_told_from_none_is_no_part_of_an_answer() ->
 
 def test_an_effect_that_changes_no_reading_by_its_noise_is_no_answer() -> None:
     """However significant: with thousands of samples, what careful models differ in is."""
-    small = replace(trial("air_drag", 4000.0), change=0.6)
-    assert "no reading by more than 0.6" in rejected(small, Case(LOUD, None, 5.0))
+    small = replace(trial("air_drag", 4000.0), change=0.3)
+    assert "no reading by more than 0.3" in rejected(small, Case(LOUD, None, 5.0))
     assert decide([small], Case(QUIET, None, 5.0)).kind == "nothing_missing"
     assert not rejected(replace(small, change=1.3), Case(LOUD, None, 5.0))
+
+
+@pytest.mark.parametrize(("play_m", "within"), [(1.5e-5, True), (3.0e-5, False)])
+def test_a_play_within_the_noise_of_the_poses_is_none(small_rig: Any, play_m: float, within: bool) -> None:
+    """20 um and 0.1 mrad of noise: poses are smoothed, and reversals rounded by about as much."""
+    rig = small_rig(effects={"hand_backlash": {"play_m": play_m, "play_deg": 1e-3}})
+    t = np.linspace(0.0, 1.0, 5)
+    poses = PoseTrajectory(t, np.zeros((5, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (5, 1)), noise=(2e-5, 1e-4))
+    run = Run("run", "", (), {"finger": poses}, (), 1.0)
+    told = in_pose_noise([hypothesis("hand_backlash")], rig, [run])
+    assert bool(told) == within
+    assert not in_pose_noise([hypothesis("hand_backlash")], rig, [replace(run, poses={})]), "exact poses have no noise"
+    if within:
+        found = replace(trial("hand_backlash", 400.0), in_pose_noise=told)
+        assert "the hand has play, but within the noise" in rejected(found, Case(LOUD, None, 5.0))
 
 
 def test_the_distance_from_none_is_that_of_the_size_which_is_farthest() -> None:
