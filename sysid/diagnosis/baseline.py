@@ -332,7 +332,7 @@ def _with_steps(
 
 
 def _is_far(fitted: Fitted) -> bool:
-    """Whether a model misses more than a sixth of the readings, or all of them by more than noise."""
+    """Whether a model misses more than about a sixth of the readings by far, or most of them by more than noise."""
     left = np.abs(fitted.residual[: len(fitted.residual) - fitted.pulls])
     return bool(len(left) and np.quantile(left, 0.75) > np.sqrt(FAR_MISFIT) * UPPER_QUARTILE)
 

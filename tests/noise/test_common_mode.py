@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
+from sysid.model.predictor import Prediction
 from sysid.noise.common_mode import CommonMode, common_mode, modes
 from sysid.noise.estimate import ChannelNoise
 from sysid.noise.whitening import whiten
+from sysid.observations.observations import Measured, Run
+from sysid.solve.residuals import Problem
 
 MARKERS, OWN_PX, SHAKE_PX, RHO = 40, 0.08, 0.15, 0.8
 PLACES = np.random.default_rng(5).uniform(0.0, 600.0, 2 * MARKERS)
@@ -85,3 +90,22 @@ def test_a_motion_of_the_whole_picture_is_known_as_well_as_the_shake_allows() ->
 
     assert deviations(own, common) == pytest.approx(1.0, abs=0.25)
     assert deviations(total, None) > 4.0
+
+
+def test_fits_and_verdicts_weigh_what_markers_have_in_common() -> None:
+    """A shift of the whole picture counts as the shake lets it, in residuals and where misfit is judged; what moves one
+    marker alone counts in full."""
+    common = common_mode(stretches(SHAKE_PX))
+    assert common is not None
+    t = np.arange(50) / RATE_HZ
+    sigma = np.full(2 * MARKERS, np.hypot(OWN_PX, SHAKE_PX))
+    noise = {"below": ChannelNoise(sigma, np.full(2 * MARKERS, 0.6), "", common=common)}
+    shift, alone = np.zeros((50, 2 * MARKERS)), np.zeros((50, 2 * MARKERS))
+    shift[:, ::2], alone[:, 7] = OWN_PX, OWN_PX
+    places = np.tile(PLACES, (50, 1))
+    for away, count in ((shift, MARKERS * common.shares[0] ** 2), (alone, 1.0)):
+        measured = Measured("below", "tracks", t, places + away, tuple(f"c{k}" for k in range(2 * MARKERS)))
+        problem = Problem([Run("run", "", (), {}, (measured,), float(t[-1]))], noise, cast(Any, None))
+        residual = problem.assemble([Prediction({"below": places}, {}, cast(Any, None))], []).residual
+        assert np.sum(residual**2) == pytest.approx(50 * count, rel=0.1)
+        assert np.nansum(problem.judged(0, measured, away) ** 2) == pytest.approx(50 * count, rel=0.1)
