@@ -14,7 +14,7 @@ import pytest
 from sim_core.effects import effect_by_name
 from sim_core.errors import ConvergenceError
 from sim_core.rigs import Rig, parse_rig
-from sysid.diagnosis import baseline, candidates
+from sysid.diagnosis import baseline, candidates, refits
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.result import Diagnosis
 from sysid.model.parameters import rig_at
@@ -151,6 +151,26 @@ def test_a_law_that_is_missing_is_named_where_it_acts(diagnose: Callable[..., Di
     assert "100 % of the difference" in found.sentence
     assert found.amended is not None and found.amended.held_out < found.baseline.held_out
     assert diagnose(law, concealed=0.0, held=0.0).verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize(
+    ("measure", "value", "said"),
+    [
+        ("largest_change", 0.3, "changes no reading by more than 0.3"),
+        ("idle_effect", "that the gel relaxes, by 0.4 standard deviations", "not told from none"),
+        ("in_pose_noise", "the hand has play", "within the noise of the recorded poses"),
+    ],
+)
+def test_an_effect_without_size_is_no_answer_however_significant(
+    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch, measure: str, value: object, said: str
+) -> None:
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        return read(rig) + (0.02 * RIPPLE if fine else 0.0)
+
+    monkeypatch.setattr(refits, measure, lambda *_: value)
+    found = diagnose(law)
+    assert found.verdict == "unknown" and not found.effects
+    assert said in found.tried["gel_relaxation"]
 
 
 @pytest.mark.parametrize("own", [0.1, 0.15])
