@@ -12,6 +12,7 @@ from sim_core.rigs import Rig
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.refits import Trial
+from sysid.diagnosis.residual_analysis import LEAST_SIZE
 from sysid.diagnosis.result import Candidate, NamedParameter
 from sysid.diagnosis.screening import Score, Screen
 from sysid.diagnosis.verdict import Case, Verdict, probabilities, size_of
@@ -131,6 +132,11 @@ def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
         said.append(
             "There is misfit beyond the noise, but no more than the error of mesh and time step could leave. "
             "Finer cells or a shorter solver.dt_s in the rig would tell."
+        )
+    if case.before.too_small:
+        said.append(
+            "There is misfit beyond the noise that adds up over many samples, but it changes no reading by more than "
+            f"{LEAST_SIZE:g} times what noise, mesh, time step and careful models leave open, so it is not asked for."
         )
     said += (
         data_quality_warnings(fitted.rig, problem.runs)

@@ -7,7 +7,8 @@ missing law leaves behind is smooth in time and adds up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +35,10 @@ MIN_SIGMAS = 6.0
 OWN_SHARE = 0.5
 """Structured misfit below this share of the discretisation error is not blamed on physics."""
 
+LEAST_SIZE = 0.5
+"""Size over what a single reading may be off, for two blocks of time, below which a difference is none that anybody
+could see. With thousands of samples much less is significant, and careful models differ in that."""
+
 PARTS = 8
 """Parts of a window that are told apart."""
 
@@ -41,11 +46,15 @@ PARTS = 8
 @dataclass(frozen=True)
 class Part:
     """Structured misfit of one quantity of one channel in one run. ``excess``: sum of squared block scores
-    less their number; ``count``: number of scores; ``own``: the same sum for the discretisation error."""
+    less their number; ``count``: number of scores; ``own``: the same sum for the discretisation error; ``size``: mean
+    over a block of time, rms over the columns, in units of what a single reading may be off by noise, mesh, time step,
+    and as careful models are; of the largest block, or where less, of the second largest of the quantity in all
+    runs."""
 
     excess: float
     count: int
     own: float
+    size: float = np.inf
 
     @property
     def per_score(self) -> float:
@@ -53,9 +62,14 @@ class Part:
         return 1.0 + self.excess / max(self.count, 1)
 
     @property
-    def stands_out(self) -> bool:
+    def significant(self) -> bool:
         """More than noise leaves: squared scores have mean 1 and standard deviation sqrt(2)."""
         return self.per_score > MIN_PER_SCORE and self.excess > MIN_SIGMAS * np.sqrt(2.0 * self.count)
+
+    @property
+    def stands_out(self) -> bool:
+        """Significant, and large enough to be seen."""
+        return self.significant and self.size > LEAST_SIZE
 
     @property
     def beyond_discretisation(self) -> bool:
@@ -71,12 +85,20 @@ class Structure:
 
     @property
     def whole(self) -> Part:
-        return Part(sum(p.excess for p in self.parts), sum(p.count for p in self.parts), sum(p.own for p in self.parts))
+        size = max((p.size for p in self.parts), default=0.0)
+        excess, count, own = (sum(getattr(p, name) for p in self.parts) for name in ("excess", "count", "own"))
+        return Part(excess, count, own, size)
 
     @property
     def missing(self) -> bool:
         """Something is missing: the whole, or some quantity, is beyond noise and the discretisation error."""
         return self.whole.beyond_discretisation or any(p.beyond_discretisation for p in self.parts)
+
+    @property
+    def too_small(self) -> bool:
+        """There is misfit beyond noise and the discretisation error, but none that is large enough to be seen."""
+        parts = (p for p in self.parts if p.significant and p.excess > OWN_SHARE * p.own)
+        return not self.missing and any(p.size <= LEAST_SIZE for p in parts)
 
     @property
     def hidden(self) -> bool:
@@ -110,18 +132,48 @@ def structure(problem: Problem, fitted: Fitted) -> Structure:
     The discretisation error enters with the sizes expected from refinement, not the fitted ones, which may
     have taken up missing physics.
     """
-    parts = []
+    parts: list[tuple[tuple[str, int], Part]] = []
+    blocks: dict[tuple[str, int], list[float]] = {}
     for i, run in enumerate(problem.runs):
         for m in run.measured:
-            scores, _ = block_scores(run, m, whitened(problem, fitted, i, m))
+            scored = whitened(problem, fitted, i, m)
+            scores, _ = block_scores(run, m, scored)
             # What is not measured has no noise to compare with.
             shift = np.where(np.isfinite(m.values), problem.basis(i, m).expected, np.nan)
             own, _ = block_scores(run, m, problem.judged(i, m, shift))
-            for group in column_groups(m):
+            miss = np.where(np.isfinite(scored), m.values - problem.explained(fitted, i, m), np.nan)
+            means = _block_means(run, m, miss / _may_be_off(problem, i, m))
+            for k, group in enumerate(column_groups(m)):
                 good = np.isfinite(scores[:, group])
                 excess = float(np.sum(scores[:, group][good] ** 2 - 1.0))
-                parts.append(Part(excess, int(good.sum()), float(np.nansum(own[:, group] ** 2))))
-    return Structure(tuple(parts))
+                sizes = _rms(means[:, group])
+                blocks.setdefault((m.channel, k), []).extend(sizes)
+                part = Part(excess, int(good.sum()), float(np.nansum(own[:, group] ** 2)), max(sizes, default=0.0))
+                parts.append(((m.channel, k), part))
+    return Structure(tuple(replace(p, size=min(p.size, _second_largest(blocks[key]))) for key, p in parts))
+
+
+def _may_be_off(problem: Problem, index: int, measured: Measured) -> np.ndarray:
+    """What single readings may be off by noise, mesh, time step, and as careful models are, measured units ``(n,
+    m)``."""
+    own = [shape.shapes[index][measured.channel] for shape in problem.error_shapes]
+    return np.asarray(np.sqrt(problem.noise[measured.channel].sigma ** 2 + np.sum(np.square(own), axis=0)))
+
+
+def _block_means(run: Run, measured: Measured, values: np.ndarray) -> np.ndarray:
+    """Mean of values ``(n, m)`` over each block of time ``(b, m)``, NaN where there is none."""
+    scores, _ = block_scores(run, measured, values)
+    counted, _ = block_scores(run, measured, np.where(np.isfinite(values), 1.0, np.nan))
+    return np.asarray(scores / counted)
+
+
+def _rms(values: np.ndarray) -> list[float]:
+    """Over the columns of those rows ``(n, m)`` that have any."""
+    return [float(np.sqrt(np.nanmean(row**2))) for row in values if np.isfinite(row).any()]
+
+
+def _second_largest(sizes: Sequence[float]) -> float:
+    return sorted(sizes)[-2] if len(sizes) > 1 else 0.0
 
 
 def locate(problem: Problem, fitted: Fitted, answer: Fitted | None = None) -> Located:
@@ -167,16 +219,11 @@ def largest_change(problem: Problem, one: Fitted, other: Fitted) -> float:
     for i, run in enumerate(problem.runs):
         for m in run.measured:
             change = other.predictions[i].values[m.channel] - one.predictions[i].values[m.channel]
-            own = [shape.shapes[i][m.channel] for shape in problem.error_shapes]
-            off = np.sqrt(problem.noise[m.channel].sigma ** 2 + np.sum(np.square(own), axis=0))
-            ratio = np.where(np.isfinite(m.values), change / off, np.nan)
-            block = np.clip((m.t / (run.end + 1e-9) * BLOCKS).astype(int), 0, BLOCKS - 1)
+            ratio = np.where(np.isfinite(m.values), change / _may_be_off(problem, i, m), np.nan)
             for name, group in quantities(m):
-                parts = (ratio[np.ix_(block == b, group)] for b in range(BLOCKS))
-                found.setdefault((m.channel, name), []).extend(
-                    float(np.sqrt(np.nanmean(part**2))) for part in parts if np.isfinite(part).any()
-                )
-    return max((sorted(blocks)[-2] for blocks in found.values() if len(blocks) > 1), default=0.0)
+                squares = _block_means(run, m, ratio[:, group] ** 2)
+                found.setdefault((m.channel, name), []).extend(_rms(np.sqrt(squares)))
+    return max((_second_largest(blocks) for blocks in found.values()), default=0.0)
 
 
 def _intervals(hot: np.ndarray, edges: np.ndarray) -> tuple[tuple[float, float], ...]:

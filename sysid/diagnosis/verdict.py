@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.diagnosis.refits import Trial
-from sysid.diagnosis.residual_analysis import Structure
+from sysid.diagnosis.residual_analysis import LEAST_SIZE, Structure
 
 LEAST_GAIN_NATS = 8.0
 """Evidence over the baseline below which nothing is named, whatever the null of the case says."""
@@ -32,10 +32,6 @@ SOME_EXPLAINED = 0.15
 
 LEAST_SIGNIFICANCE = 2.5
 """Standard deviations that an improvement must be worth by its stability over blocks of time."""
-
-LEAST_CHANGE = 0.5
-"""Change of the readings, over what a single one may be off, that an effect must make for a while. With thousands of
-samples much less is significant, and is what models differ in."""
 
 LEAST_PREDICTED = 0.005
 """Share of the robust misfit on held-out recordings that an effect must remove where the baseline shows no misfit."""
@@ -82,7 +78,7 @@ def rejected(trial: Trial, case: Case) -> str:
         return f"it predicts held-out recordings worse, by {-100 * trial.held_out:.2g} %"
     if trial.worse:
         return f"it predicts worse: {trial.worse}"
-    if trial.change < LEAST_CHANGE:
+    if trial.change < LEAST_SIZE:
         return (
             f"it changes no reading by more than {trial.change:.2g} of what noise, mesh, time step and careful models "
             "leave open"

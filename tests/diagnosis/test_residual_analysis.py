@@ -89,3 +89,21 @@ def test_the_change_between_two_models_is_that_of_the_second_largest_block() -> 
     once, twice = (t > 3.01) & (t < 3.99), (t > 3.01) & (t < 4.99)
     assert largest_change(problem, none, model(50.0 * once)) == 0.0
     assert largest_change(problem, none, model(50.0 * once + 10.0 * twice)) == pytest.approx(2.0, rel=0.03)
+
+
+@pytest.mark.parametrize(("off", "missing"), [(1.0, False), (2.4, True)])
+def test_misfit_that_no_reading_shows_is_not_missing(off: float, missing: bool) -> None:
+    """A third of the noise adds up to 45 times its square over 400 samples a block, and still nobody could see it; an
+    event in one block does not make it any larger."""
+    t = np.linspace(0.0, 24.0, 24 * 400, endpoint=False)
+    rng = np.random.default_rng(0)
+    event = np.where((t > 3.0) & (t < 4.0), 30.0, 0.0)
+    values = rng.normal(0.0, 3.0, len(t)) + off * np.sign(np.sin(np.pi * t / 6.0)) + event
+    run = Run("run", "", (), {}, (Measured("gauge", "markers", t, values[:, None], ("x",)),), 24.0)
+    problem = Problem([run], {"gauge": ChannelNoise(np.array([3.0]), np.zeros(1), "given")}, cast(Any, None))
+    prediction = Prediction({"gauge": np.zeros((len(t), 1))}, {}, cast(Any, None))
+    fitted = cast(Fitted, SimpleNamespace(scaled=np.zeros(0), sizes={}, predictions=[prediction]))
+    found = structure(problem, fitted)
+    assert found.whole.significant
+    assert found.whole.size == pytest.approx(off / 3.0, abs=0.1)
+    assert (found.missing, found.too_small, found.hidden) == (missing, not missing, False)
