@@ -27,7 +27,8 @@ from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
-from sysid.noise.estimate import ChannelNoise, channel_noise, column_groups, quantities
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import channel_noise, column_groups, quantities
 from sysid.observations.observations import Run
 from sysid.solve.discretisation_basis import MODEL, ErrorShape
 from sysid.solve.optimum import Fitted

@@ -25,7 +25,8 @@ from sysid.diagnosis.model_tolerance import deformation
 from sysid.model.parameters import rig_in
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise, column_groups
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import column_groups
 from sysid.observations.observations import Measured, Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.optimum import Fitted

@@ -22,7 +22,7 @@ from sysid.model.parameters import FitParameter, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.model.space_mapping import SpaceMappedPredictor, additions, mapped
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Run
 from sysid.solve.discretisation_basis import ErrorShape
 

@@ -28,7 +28,7 @@ from sim_core.preflight.distance import sampled, signed_distance
 from sim_core.rigs import Gel, Rig, Rigid, Sheet
 from sim_core.rigs.regions import RefinedBox
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Run
 
 OF_RADIUS = 1.25

@@ -27,7 +27,8 @@ from sim_core.scene.contact_constants import constants_of, finest_edge
 from sysid.fit.contact_mesh import refined_where_touched
 from sysid.fit.discretisation_refinement import MESH_ORDER
 from sysid.model.predictor import Prediction, SerialPredictor
-from sysid.noise.estimate import ChannelNoise, quantities
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import quantities
 from sysid.observations.observations import Run
 
 OF_NOISE = 1.0 / 3.0

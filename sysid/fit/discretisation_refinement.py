@@ -30,7 +30,8 @@ from sim_core.rigs import Rig
 from sysid.model.parameters import FitParameter, rig_in, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise, quantities
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import quantities
 from sysid.observations.observations import Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import MODEL, ErrorShape

@@ -41,8 +41,9 @@ from sysid.model.predictor import Prediction
 from sysid.model.provenance import provenance
 from sysid.model.windows import not_from_rest
 from sysid.noise.autocorrelation import unknown_autocorrelation
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.data_quality import data_quality_warnings
-from sysid.noise.estimate import ChannelNoise, channel_noise, column_groups, overruled
+from sysid.noise.estimate import channel_noise, column_groups, overruled
 from sysid.observations.observations import Run, check_apart, of_recording
 from sysid.solve.covariance import Finding, names_undetermined
 from sysid.solve.interruption import ENDS_EARLY, end_unconverged, interrupts_ignored, reason_of
@@ -118,7 +119,7 @@ def _shown(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> dict[str, 
     measured = next(m for run in runs for m in run.measured if m.channel == channel)
     seen = (group[np.isfinite(measured.values[:, group]).any(axis=0)] for group in column_groups(measured))
     columns = next((group for group in seen if len(group)), np.arange(len(noise.sigma)))
-    sigma, rho = (float(np.median(values[columns])) for values in (noise.sigma, noise.rho))
+    sigma, rho = (float(np.median(values[columns])) for values in (noise.sigma, noise.correlation))
     return {"sigma": sigma, "correlation": rho, "from": noise.source}
 
 

@@ -27,7 +27,8 @@ from sim_core.rigs import Rig
 from sim_core.simulate import Trace, step_times
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise, quantities
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import quantities
 from sysid.observations.observations import Run
 
 OF_NOISE = 1.0 / 3.0

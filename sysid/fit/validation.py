@@ -14,7 +14,7 @@ from sysid.fit.result import ChannelError, Series, out_of_sight, plot_series, rm
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.model.windows import not_from_rest
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Run
 from sysid.solve.interruption import reason_of
 from sysid.solve.residuals import Problem

@@ -129,8 +129,8 @@ def _changes(rig: Rig, run: Run, begin: float) -> dict[str, Change]:
         if not len(columns):
             continue
         first, before = (np.nanmean(values[:, columns], axis=0) for values in parts)
-        sigma, rho = noise[m.channel].sigma[columns], noise[m.channel].rho[columns]
-        alone = [np.maximum(1.0, count[columns] * (1.0 - rho) / (1.0 + rho)) for count in counts]
+        sigma, more = noise[m.channel].sigma[columns], noise[m.channel].long_run[columns]
+        alone = [np.maximum(1.0, count[columns] / more) for count in counts]
         found[m.channel] = Change(columns, before - first, sigma * np.sqrt(1.0 / alone[0] + 1.0 / alone[1]))
     return found
 

@@ -34,7 +34,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-from sysid.noise.estimate import FROM_DIFFERENCES, ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import FROM_DIFFERENCES
 from sysid.noise.sampling_interval import in_sampling_intervals
 from sysid.noise.scatter import MIN_REST_SAMPLES
 

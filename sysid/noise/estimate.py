@@ -1,7 +1,8 @@
 """The noise of each channel, from the recording itself.
 
 Where the robot stands still and nothing moves, the scatter about the mean of a column is its noise; the
-lag-one correlation there tells coloured from white. Without such a stretch the third differences do
+correlation there tells coloured from white, and where both go together how much is of each
+(:mod:`sysid.noise.mixture`). Without such a stretch the third differences do
 
     var(x_{k+3} - 3 x_{k+2} + 3 x_{k+1} - x_k) = 20 sigma^2    for white noise,
 
@@ -20,17 +21,18 @@ is far from all others in time (single images at rest).
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.common_mode import CommonMode, common_mode
+from sysid.noise.mixture import Mixture, mixture_of
 from sysid.noise.quantisation import common_step
 from sysid.noise.sampling_interval import NEXT, in_sampling_intervals
-from sysid.noise.scatter import MIN_REST_SAMPLES, MOST_COLOURED, WHITE, Stretch, scatter_of
+from sysid.noise.scatter import MIN_REST_SAMPLES, MOST_COLOURED, WHITE, Stretch, scatter_of, without_mistakes
 from sysid.observations.observations import UNITS, Measured, Run
 
 UNLIKE = 2.2
@@ -67,30 +69,6 @@ REPLACED_FROM = 2.0
 DECLARED = "declared by the rig"
 FROM_DIFFERENCES = "third differences"
 """How a noise was found, where it is not from a rest."""
-
-
-@dataclass(frozen=True)
-class ChannelNoise:
-    """``sigma``: standard deviation of each column ``(m,)``; ``rho``: correlation of each column over the usual
-    interval of its samples, 0 (white) to less than 1 ``(m,)``, or one for all; ``source``: how they were found, in
-    words; ``estimated``: what recordings show, where a declared noise took its place ``(m,)``; ``common``: the part
-    that all markers of a picture have in common, None where that is what chance makes of their own."""
-
-    sigma: np.ndarray
-    rho: np.ndarray
-    source: str
-    estimated: np.ndarray | None = None
-    common: CommonMode | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rho", np.broadcast_to(np.asarray(self.rho, dtype=float), self.sigma.shape))
-
-    @property
-    def own(self) -> ChannelNoise:
-        """What each column has for itself."""
-        if self.common is None:
-            return self
-        return ChannelNoise(self.common.sigma, self.common.rho, self.source)
 
 
 def column_groups(measured: Measured) -> list[np.ndarray]:
@@ -324,7 +302,8 @@ def unless_larger(noise: ChannelNoise, declared: np.ndarray) -> ChannelNoise:
     larger = floor > REPLACED_FROM * noise.sigma
     if larger.any():
         sigma = np.maximum(noise.sigma, floor)
-        return ChannelNoise(sigma, np.where(larger, 0.0, noise.rho), DECLARED, noise.sigma)
+        rho, white = (np.where(larger, 0.0, values) for values in (noise.rho, noise.white))
+        return ChannelNoise(sigma, rho, DECLARED, noise.sigma, white=white)
     return noise
 
 
@@ -350,11 +329,13 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
     """Noise of one channel over all runs that have it."""
     found = [(r, m) for r in runs for m in r.measured if m.channel == channel]
     columns = found[0][1].values.shape[1]
-    sigma, rho = np.zeros(columns), np.zeros(columns)
+    sigma, rho, white = np.zeros((3, columns))
     source = FROM_DIFFERENCES
+    common = _common(found)
     for group in column_groups(found[0][1]):
         first: list[Stretch] = []
         rest: list[Stretch] = []
+        begun: list[tuple[np.ndarray, np.ndarray]] = []
         jumps: list[float] = []
         extent = 0.0
         for run, measured in found:
@@ -369,6 +350,9 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
                 scatter = scatter_of(values[stretch], at[stretch])
                 if scatter is not None:
                     (first if stretch[0] == 0 else rest).append(scatter)
+                    if stretch[0] == 0:
+                        begun.append((without_mistakes(values[stretch], at[stretch]), measured.t[stretch]))
+        parts: Mixture | None = None
         if first:
             size = [s.size for s in first]
             levels = [s.level for s in first]
@@ -376,6 +360,7 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
                 # Something still swings or creeps in some of them.
                 level, colour = _quantile(levels, size, 0.25), _quantile([s.rho for s in first], size, 0.5)
             else:
+                parts = None if common else mixture_of(begun)
                 level = float(np.sqrt(np.average(np.square(levels), weights=size)))
                 colour = float(np.average([s.rho for s in first], weights=size))
             source = "rest at the start"
@@ -386,10 +371,12 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
             source = "quiet stretches"
         else:
             level, colour = (float(np.median(jumps)) if jumps else 0.0), 0.0
+        if parts is not None:
+            level, colour, white[group] = parts
         rounding = common_step(column for _, m in found for column in m.values[:, group].T) / np.sqrt(12.0)
         sigma[group] = max(level, rounding, FLOOR_SHARE * extent, 1e-12)
         rho[group] = min(colour, MOST_COLOURED) if colour > WHITE else 0.0
-    return ChannelNoise(sigma, rho, source, common=_common(found))
+    return ChannelNoise(sigma, rho, source, common=common, white=white)
 
 
 def _common(found: Sequence[tuple[Run, Measured]]) -> CommonMode | None:

@@ -33,20 +33,13 @@ def scatter_of(values: np.ndarray, at: np.ndarray) -> Stretch | None:
     """Noise of a quiet stretch, after removing a line from each column, by the readings that are there; None where no
     column has enough of them. ``at`` ``(n,)``: their times
     (:func:`sysid.noise.sampling_interval.in_sampling_intervals`)."""
-    values = values[:, np.isfinite(values).sum(axis=0) >= MIN_REST_SAMPLES]
+    values = without_mistakes(values, at)
     good = np.isfinite(values)
     if not good.any():
         return None
-    base = np.column_stack([np.ones(len(at)), 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0])
-    residual = np.zeros(values.shape)
-    for there in np.unique(good, axis=1).T:
-        alike = (good == there[:, None]).all(axis=0)
-        seen, line = values[np.ix_(there, alike)], base[there]
-        residual[np.ix_(there, alike)] = seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0]
+    base = _line(at)
+    residual = _beside_line(values, good, base)
     near = (np.diff(at) < NEXT)[:, None]
-    mistakes = _mistakes(residual, good)
-    if mistakes.any():
-        return scatter_of(np.where(mistakes, np.nan, values), at)
     size, pairs = int(good.sum()), int((near & good[1:] & good[:-1]).sum())
     variance = np.sum(residual**2) / (size - 2 * values.shape[1])
     # Of readings in a row the line takes up two pairs; of others in proportion.
@@ -58,6 +51,33 @@ def scatter_of(values: np.ndarray, at: np.ndarray) -> Stretch | None:
     rho = product / variance
     rho = min(float(rho + 2.0 * (1.0 + rho) * values.shape[1] / size), MOST_COLOURED)
     return Stretch(float(np.sqrt(variance / _share_left(at, max(rho, 0.0), base))), rho, size)
+
+
+def without_mistakes(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The columns ``(n, k)`` of a quiet stretch that have readings enough, NaN where one is a mistake."""
+    while True:
+        values = values[:, np.isfinite(values).sum(axis=0) >= MIN_REST_SAMPLES]
+        good = np.isfinite(values)
+        if not good.any():
+            return values
+        mistakes = _mistakes(_beside_line(values, good, _line(at)), good)
+        if not mistakes.any():
+            return values
+        values = np.where(mistakes, np.nan, values)
+
+
+def _line(at: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.ones(len(at)), 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0])
+
+
+def _beside_line(values: np.ndarray, good: np.ndarray, base: np.ndarray) -> np.ndarray:
+    """What is left of each column beside a line, 0 where it is not ``good``."""
+    residual = np.zeros(values.shape)
+    for there in np.unique(good, axis=1).T:
+        alike = (good == there[:, None]).all(axis=0)
+        seen, line = values[np.ix_(there, alike)], base[there]
+        residual[np.ix_(there, alike)] = seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0]
+    return residual
 
 
 def _mistakes(residual: np.ndarray, good: np.ndarray) -> np.ndarray:

@@ -40,7 +40,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sysid.noise.estimate import ChannelNoise, column_groups
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import column_groups
 from sysid.observations.observations import Measured, Run
 
 MODEL = "model"
@@ -166,8 +167,7 @@ class Basis:
     def weights(self, noise: ChannelNoise) -> np.ndarray:
         """Factors on whitened samples ``(n, m)`` that account for what follows no shape."""
         # What is independent from sample to sample comes out of whitening that much larger.
-        coloured = (1.0 + noise.rho**2) / (1.0 - noise.rho**2)
-        return np.asarray(1.0 / np.sqrt(1.0 + coloured * (self.rough / noise.sigma) ** 2))
+        return np.asarray(1.0 / np.sqrt(1.0 + noise.whitening_gain * (self.rough / noise.sigma) ** 2))
 
     def mean_error(self, scaled: np.ndarray) -> np.ndarray:
         """Expected error ``(n, m)`` at scaled parameters, of which the first are those of ``at``; ``(0,)``: there."""

@@ -15,7 +15,8 @@ from sysid.model.parameters import FitParameter, rig_at, rig_in, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.noise.autocorrelation import Samples
-from sysid.noise.estimate import ChannelNoise, column_groups
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import column_groups
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import Basis, ErrorShape, Sizes, basis_of, believed

@@ -16,7 +16,7 @@ from sysid.diagnosis.confirmation import confirmed
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.model.space_mapping import SpaceMappedPredictor, additions
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

@@ -12,7 +12,7 @@ from sim_core.simulate import Trace
 from sysid.diagnosis import validation as heldout
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.optimum import Fitted

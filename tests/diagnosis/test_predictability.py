@@ -16,7 +16,7 @@ from sysid.diagnosis.baseline import believed, best_branch, fine_enough
 from sysid.diagnosis.predictability import RINGS_S, Unpredictable, _joined, _members, unpredictable, without
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.optimum import Fitted

@@ -16,7 +16,7 @@ from sysid.fit.contact_mesh import ContactMesh
 from sysid.fit.gel_extent import Widened
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 
 T = np.linspace(0.0, 1.0, 200)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.diagnosis.residual_analysis import BLOCKS, _phase, largest_change, structure
 from sysid.model.predictor import Prediction, SerialPredictor
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import MODEL, ROUGH, ErrorShape, Sizes
 from sysid.solve.optimum import Fitted

@@ -15,7 +15,7 @@ from sysid.diagnosis.candidates import Amplitude, Hypothesis
 from sysid.diagnosis.screening import Screen, look
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.optimum import Fitted

@@ -14,7 +14,7 @@ from sysid.diagnosis.baseline import _is_far, _shorter_steps
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.model.time_span import rollout_times
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

@@ -17,7 +17,7 @@ from sysid.diagnosis.refits import Trial, in_pose_noise
 from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.verdict import Case, decide, probabilities, rejected
 from sysid.model.parameters import FitParameter
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Run
 from sysid.solve.covariance import uncertainty

@@ -19,7 +19,7 @@ from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.result import Diagnosis
 from sysid.model.parameters import rig_at
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 
 T, SIGMA, SHARE = np.linspace(0.0, 1.0, 200), 0.01, 0.3

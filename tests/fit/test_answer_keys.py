@@ -21,7 +21,7 @@ from sysid.model.load import load_run
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction, SerialPredictor
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Run
 from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import uncertainty

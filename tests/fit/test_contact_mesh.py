@@ -13,7 +13,7 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.fit.contact_mesh import MARGIN, OF_RADIUS, follows, refined_where_touched
 from sysid.fit.discretisation_refinement import error_of_coarser_cells
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 
 RIG = Path(__file__).parents[1] / "ros" / "data" / "press_gel.yaml"

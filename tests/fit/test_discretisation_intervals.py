@@ -14,7 +14,7 @@ from sim_core.simulate import Trace
 from sysid.fit.discretisation_refinement import large_discretisation_errors
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, ErrorShape, basis_of

@@ -16,7 +16,7 @@ from sysid.fit.fit import _fit_beside_mistakes, _Look
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

@@ -18,7 +18,7 @@ from sim_core.simulate import simulate
 from sysid.fit.contact_mesh import follows
 from sysid.fit.gel_extent import WIDE, widened
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 
 E, NU, THICK, RADIUS = 2.0e5, 0.47, 8.0e-3, 20e-3

@@ -19,7 +19,7 @@ from sysid.fit.minimum_norm import RISE, minimum_norm_solution
 from sysid.model.load import load_runs
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction, SerialPredictor
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import uncertainty

@@ -12,7 +12,7 @@ import pytest
 from sysid.fit.time_steps import OF_NOISE, followed, with_steps
 from sysid.model.predictor import Prediction
 from sysid.model.time_span import rollout_times
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 
 DT_S, END_S, BENDS_S = 0.1, 2.0, 0.8

@@ -24,7 +24,7 @@ from sysid.model.nuisance_parameters import (
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.pose_influence import influencing_end_effectors
 from sysid.model.predictor import Prediction, SerialPredictor
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import ErrorShape

@@ -12,7 +12,7 @@ from sim_core.simulate import Trace
 from sysid.model.parameters import FitParameter, fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.model.sparing_predictor import SparingPredictor
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.residuals import Problem
 
@@ -75,7 +75,7 @@ def test_the_same_minimum_with_few_derivatives(small_rig: Any) -> None:
 
 def test_a_search_that_begins_with_derivatives_of_a_place_nearby_comes_to_the_same_minimum(small_rig: Any) -> None:
     exact, _ = fitted(small_rig, False)
-    plain, source = fitted(small_rig, True)
+    _, source = fitted(small_rig, True)
     found, begun = fitted(small_rig, True, nearby=True)
     np.testing.assert_allclose(found, exact, atol=2e-3)
     assert begun.full < source.full

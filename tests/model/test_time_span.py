@@ -21,7 +21,7 @@ from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.model.sensor_streams import stream_derivatives
 from sysid.model.time_span import after_known_motion, known_until, rollout_times
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.simulate import simulate_to_bag
 from sysid.solve.residuals import Problem

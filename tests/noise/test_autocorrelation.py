@@ -15,7 +15,8 @@ from sim_core.simulate import Trace
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
 from sysid.noise.autocorrelation import Part, Samples, autocorrelated_scores, unknown_autocorrelation
-from sysid.noise.estimate import FROM_DIFFERENCES, ChannelNoise, estimate_noise
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import FROM_DIFFERENCES, estimate_noise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.covariance import uncertainty
 from sysid.solve.optimum import Fitted

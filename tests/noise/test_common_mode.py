@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sysid.model.predictor import Prediction
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.common_mode import CommonMode, common_mode, modes
-from sysid.noise.estimate import ChannelNoise
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
 from sysid.solve.residuals import Problem

@@ -6,16 +6,8 @@ import numpy as np
 import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.noise.estimate import (
-    FROM_DIFFERENCES,
-    ChannelNoise,
-    by_differences,
-    estimate_noise,
-    moves,
-    moving,
-    quiet,
-    standing_still,
-)
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import FROM_DIFFERENCES, by_differences, estimate_noise, moves, moving, quiet, standing_still
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
 

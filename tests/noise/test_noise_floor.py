@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sim_core.rigs import load_rig
-from sysid.noise.estimate import FROM_DIFFERENCES, ChannelNoise, channel_noise, declared_noise, overruled, unless_larger
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import FROM_DIFFERENCES, channel_noise, declared_noise, overruled, unless_larger
 from sysid.observations.observations import Measured, Run
 
 

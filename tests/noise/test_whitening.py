@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.sampling_interval import in_sampling_intervals
 from sysid.noise.whitening import Whitening, whiten
 
@@ -33,9 +33,10 @@ def covariance(at: np.ndarray, rho: np.ndarray) -> np.ndarray:
     return np.asarray(rho ** np.abs(np.subtract.outer(at, at)))
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
 @pytest.mark.parametrize("rho", [0.5, 0.95])
 @pytest.mark.parametrize("how", ["lost", "NaN", "jittered"])
-def test_noise_is_white_afterwards_however_it_was_sampled(rho: float, how: str) -> None:
+def test_noise_is_white_afterwards_however_it_was_sampled(rho: float, how: str, share: float) -> None:
     """Exactly: W C W^T = 1, of noise of which half of the messages were lost, in bursts of 20."""
     rng = np.random.default_rng(1)
     n = 400
@@ -46,14 +47,15 @@ def test_noise_is_white_afterwards_however_it_was_sampled(rho: float, how: str) 
         at /= np.median(np.diff(at))
     if how == "lost":
         at = at[rows]
-    noise = ChannelNoise(np.array([0.3]), rho, "test")
+    noise = ChannelNoise(np.array([0.3]), rho, "test", white=np.array([share]))
     values = np.eye(len(at))[:, None, :]
     if how == "NaN":
         values[np.setdiff1d(np.arange(n), rows)] = np.nan
     white = whiten(values, noise, INTERVAL * at)[:, 0]
     good = np.isfinite(white).all(axis=1)
     assert good.sum() == (n if how == "jittered" else len(rows))
-    found = 0.09 * white[good] @ covariance(at, np.array(rho)) @ white[good].T
+    whole = (1.0 - share) * covariance(at, np.array(rho)) + share * np.eye(len(at))
+    found = 0.09 * white[good] @ whole @ white[good].T
     np.testing.assert_allclose(found, np.eye(len(found)), atol=1e-9)
 
 
@@ -93,13 +95,35 @@ def test_the_transpose_and_single_columns_are_those_of_the_map() -> None:
     n, m = 60, 3
     t = INTERVAL * np.sort(rng.choice(np.arange(300.0), n, replace=False))
     good = rng.uniform(size=(n, m)) > 0.3
-    noise = ChannelNoise(rng.uniform(0.5, 2.0, m), np.array([0.0, 0.8, 0.99]), "test")
+    sigma, rho, share = rng.uniform(0.5, 2.0, m), np.array([0.0, 0.8, 0.99]), np.array([0.0, 0.4, 0.0])
+    noise = ChannelNoise(sigma, rho, "test", white=share)
     whitening = Whitening(noise, good, t, rng.uniform(0.5, 1.0, (n, m)))
     x, y = rng.standard_normal((2, n, m, 2))
     assert np.vdot(whitening(x), y) == pytest.approx(np.vdot(x, whitening.transposed(y)), rel=1e-12)
     assert np.all(whitening(x)[~good] == 0.0) and np.all(whitening.transposed(y)[~good] == 0.0)
     for j in range(m):
         np.testing.assert_allclose(whitening.of_column(j)(x[:, [j]]), whitening(x)[:, [j]], rtol=1e-12)
+
+
+def test_the_determinant_is_that_of_the_covariance() -> None:
+    rng = np.random.default_rng(7)
+    at = kept(rng, 60, 4, 5).astype(float)
+    noise = ChannelNoise(np.array([0.3]), 0.9, "test", white=np.array([0.3]))
+    whitening = Whitening(noise, np.ones((len(at), 1), dtype=bool), INTERVAL * at)
+    whole = 0.09 * (0.7 * covariance(at, np.array(0.9)) + 0.3 * np.eye(len(at)))
+    assert whitening.log_determinant == pytest.approx(-0.5 * np.linalg.slogdet(whole)[1], rel=1e-9)
+
+
+@pytest.mark.parametrize(("rho", "share"), [(0.0, 0.0), (0.6, 0.0), (0.9, 0.4), (0.5, 0.9)])
+def test_what_independent_values_become_and_the_mean_of_many_samples(rho: float, share: float) -> None:
+    noise = ChannelNoise(np.ones(1), rho, "test", white=np.array([share]))
+    n = 3000
+    values = np.random.default_rng(8).standard_normal((n, 1, 40))
+    gain = float(np.mean(whiten(values, noise, INTERVAL * np.arange(n)) ** 2))
+    assert noise.whitening_gain[0] == pytest.approx(gain, rel=0.02)
+    whole = (1.0 - share) * covariance(np.arange(float(n)), np.array(rho)) + share * np.eye(n)
+    assert noise.long_run[0] == pytest.approx(float(np.sum(whole)) / n, rel=0.02)
+    assert noise.correlation[0] == pytest.approx(whole[0, 1], abs=1e-12)
 
 
 def test_two_messages_stamped_at_once_are_not_far_too_unlike() -> None:

@@ -15,7 +15,7 @@ from sysid.fit.multistart import Evaluations, Searches, Step
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.solve.residuals import Problem
 
 pytestmark = pytest.mark.usefixtures("declared")

@@ -10,7 +10,7 @@ import pytest
 
 from sim_core.simulate import Trace
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.outliers import FAR, mistakes, most_are_outlying, not_looked_for, without_outliers, worth_another_fit
 

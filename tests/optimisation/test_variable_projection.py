@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.whitening import whiten
 from sysid.solve.discretisation_basis import Basis, Changes
 from sysid.solve.variable_projection import Elimination

@@ -10,7 +10,7 @@ import pytest
 
 from sim_core.simulate import Trace
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.outliers import without_outliers
 from sysid.solve.wrench_spikes import spikes

@@ -10,7 +10,7 @@ import pytest
 
 from sysid.fit.marker_field import MarkerField, marker_fields
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.report.marker_pictures import LONGEST, MOST_FIELDS, longer, marker_pictures
 from sysid.solve.residuals import Problem

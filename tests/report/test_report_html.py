@@ -38,7 +38,7 @@ from sysid.diagnosis.screening import Block, Screen
 from sysid.diagnosis.verdict import Case, Verdict
 from sysid.fit.result import Estimate, FitResult
 from sysid.model.predictor import Prediction, SerialPredictor
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.report import write_diagnosis_report, write_fit_report
 from sysid.report.fit_page import overall_level

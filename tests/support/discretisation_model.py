@@ -13,7 +13,7 @@ from sysid.fit.discretisation_refinement import fit_beside_discretisation
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 
 T = np.linspace(0.0, 1.0, 120)

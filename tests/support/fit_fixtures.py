@@ -11,7 +11,7 @@ from discretisation_model import Vector
 
 from sysid.fit import fit
 from sysid.model.parallel_predictor import ParallelPredictor
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 
 
 @pytest.fixture(scope="session")

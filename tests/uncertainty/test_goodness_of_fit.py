@@ -17,7 +17,7 @@ from sysid.fit.multistart import OFFSETS_DRAWN, Evaluations, Searches
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, with_bags
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ROUGH, ErrorShape
 from sysid.solve.optimum import Fitted

@@ -27,7 +27,7 @@ from sysid.model.load import load_run
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction, SerialPredictor
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.report import write_fit_report
 from sysid.simulate import simulate_to_bag

@@ -15,7 +15,7 @@ from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import SerialPredictor
-from sysid.noise.estimate import ChannelNoise
+from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
 from sysid.proof.generator.bench import MATERIALS, Noise

@@ -1,0 +1,107 @@
+"""How much of the noise at rest is white, and how much goes on from sample to sample.
+
+The two parts of :mod:`sysid.noise.whitening` are told apart by their restricted likelihood, in which what a parabola
+takes away of each stretch is accounted for (Patterson & Thompson, Biometrika 58, 1971): with K = R(rho, white) the
+correlation of a column y at rest and X = (1, t, t^2),
+
+    -2 log L = (n - 3) log s^2 + RSS / s^2 + log |K| + log |X^T K^-1 X|,
+
+summed over all stretches and columns, which share s, rho and the share that is white. A noise with one part only is the
+simpler one: a second part has to be worth :data:`LEAST_GAIN`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.scatter import MOST_COLOURED
+from sysid.noise.whitening import Whitening
+
+LEAST_GAIN = 4.0
+"""Log likelihood that a white part beside the coloured one must be worth."""
+
+DEGREE = 2
+"""Of what a stretch may do by itself: a motion that begins slowly is no noise."""
+
+COLUMNS = 12
+"""Columns of a quantity that are asked: they share level and colour."""
+
+COLOURS, SHARES = (0.5, 0.7, 0.85, 0.95), (0.1, 0.3, 0.6, 0.9)
+"""Correlations and white shares where the search begins."""
+
+INTERVALS, WITHIN = 10.0, 1.0
+"""Sampling intervals over which coloured noise beside white is correlated, and the standard deviation of the logarithm
+of their number: what was known before."""
+
+LEAST, MOST = 0.02, 0.98
+"""Least and largest share that is believed."""
+
+
+class Mixture(NamedTuple):
+    """Standard deviation of both parts together, correlation of the coloured one over an interval, share of the
+    variance that is white."""
+
+    sigma: float
+    rho: float
+    white: float
+
+
+def mixture_of(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> Mixture | None:
+    """The parts of the noise of stretches at rest, each values ``(n, m)``, NaN where there is none, and times [s]
+    ``(n,)``; None where one part explains it as well."""
+    chosen = [(_some(values), t) for values, t in stretches]
+    chosen = [(values, t) for values, t in chosen if values.size]
+    if not chosen:
+        return None
+
+    def loss(rho: float, white: float) -> tuple[float, float]:
+        """-2 log L at the best variance, and that."""
+        squares = logs = 0.0
+        number = 0
+        for values, t in chosen:
+            good = np.isfinite(values)
+            one = np.ones(values.shape[1])
+            whitening = Whitening(ChannelNoise(one, rho * one, "", white=white * one), good, t)
+            course = np.vander((t - t[0]) / max(t[-1] - t[0], 1e-300), DEGREE + 1)
+            course = np.broadcast_to(course[:, None], (*values.shape, DEGREE + 1))
+            both = whitening(np.concatenate([np.where(good, values, 0.0)[..., None], course], axis=-1))
+            logs -= 2.0 * whitening.log_determinant
+            for column, seen in zip(both.transpose(1, 0, 2), good.T, strict=True):
+                y, x = column[:, 0], column[:, 1:]
+                gram = x.T @ x
+                squares += float(y @ y - (x.T @ y) @ np.linalg.solve(gram, x.T @ y))
+                logs += float(np.linalg.slogdet(gram)[1])
+                number += int(seen.sum()) - DEGREE - 1
+        variance = max(squares / number, 1e-300)
+        return number * (np.log(variance) + 1.0) + logs, variance
+
+    alone = min(loss(rho, 0.0)[0] for rho in (0.0, *np.linspace(0.05, MOST_COLOURED, 20)))
+    begin = min(((c, w) for c in COLOURS for w in SHARES), key=lambda at: loss(*at)[0])
+    bounds = [(0.2, MOST_COLOURED), (LEAST, MOST)]
+
+    def judged(at: np.ndarray) -> float:
+        return loss(float(at[0]), float(at[1]))[0] + _prior(float(at[0]))
+
+    found = minimize(judged, begin, method="Nelder-Mead", bounds=bounds, options={"xatol": 1e-3})
+    if alone - found.fun < 2.0 * LEAST_GAIN:
+        return None
+    rho, white = map(float, found.x)
+    return Mixture(float(np.sqrt(loss(rho, white)[1])), rho, white)
+
+
+def _prior(rho: float) -> float:
+    """-2 log of the prior of a correlation: what is slower than a rest is long cannot be told from its course."""
+    return float((np.log(INTERVALS * (1.0 - rho)) / WITHIN) ** 2)
+
+
+def _some(values: np.ndarray) -> np.ndarray:
+    """A few of the columns that have readings enough ``(n, k)``."""
+    enough = np.flatnonzero(np.isfinite(values).sum(axis=0) > 2 * DEGREE)
+    if len(enough) > COLUMNS:
+        enough = enough[np.linspace(0, len(enough) - 1, COLUMNS).astype(int)]
+    return values[:, enough]

@@ -1,0 +1,63 @@
+"""White noise beside coloured noise is told from either alone, and what both do is known from short rests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.noise.estimate import estimate_noise
+from sysid.noise.mixture import mixture_of
+from sysid.noise.whitening import whiten
+from sysid.observations.observations import Measured, Run
+
+INTERVAL = 0.01
+
+
+def noisy(rng: np.random.Generator, n: int, columns: int, white: float, coloured: float, rho: float) -> np.ndarray:
+    """White noise beside an autoregressive one."""
+    x = rng.standard_normal((n, columns))
+    for k in range(1, n):
+        x[k] = rho * x[k - 1] + np.sqrt(1.0 - rho**2) * x[k]
+    return np.asarray(coloured * x + white * rng.standard_normal((n, columns)))
+
+
+def rests(seed: int, white: float, coloured: float, rho: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Four rests of 0.9 s, which drift."""
+    rng = np.random.default_rng(seed)
+    t = INTERVAL * np.arange(90)
+    return [(noisy(rng, 90, 3, white, coloured, rho) + rng.normal(size=3) + 3.0 * t[:, None], t) for _ in range(4)]
+
+
+def test_both_parts_are_found_in_short_rests() -> None:
+    found = [mixture_of(rests(seed, 0.5, 0.8, 0.95)) for seed in range(8)]
+    kept = [m for m in found if m is not None]
+    assert len(kept) == len(found)
+    assert np.median([m.white for m in kept]) == pytest.approx(0.25 / 0.89, abs=0.05)
+    assert np.median([m.rho for m in kept]) == pytest.approx(0.95, abs=0.02)
+    assert np.median([m.sigma for m in kept]) == pytest.approx(np.sqrt(0.89), rel=0.1)
+
+
+@pytest.mark.parametrize(("white", "coloured", "rho"), [(1.0, 0.0, 0.9), (0.0, 1.0, 0.6), (0.0, 1.0, 0.95)])
+def test_one_part_is_not_made_two(white: float, coloured: float, rho: float) -> None:
+    assert [mixture_of(rests(seed, white, coloured, rho)) for seed in range(8)] == [None] * 8
+
+
+def test_blocks_of_such_noise_are_no_misfit() -> None:
+    """Sums over blocks of 0.25 s, as a diagnosis looks at them. Noise of one colour that has the correlation of
+    neighbouring samples, 0.68, makes them several times as large as they should be."""
+    rng = np.random.default_rng(0)
+    n = 600
+    t = INTERVAL * np.arange(n)
+    still = PoseTrajectory.from_samples(t[:1], np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+    runs = []
+    for k in range(5):
+        values = np.full((n, 6), np.nan)
+        values[:, :3] = noisy(rng, n, 3, 0.5, 0.8, 0.95)
+        runs.append(Run(f"rec_{k}", "", (), {"hand": still}, (Measured("wrist", "wrench", t, values, ()),), 6.0))
+    noise = estimate_noise(runs, "wrist")
+    assert noise.correlation[0] == pytest.approx(0.95 * 0.64 / 0.89, abs=0.1)
+    white = np.concatenate([whiten(r.measured[0].values, noise, t)[:, :3] for r in runs])
+    scores = white.reshape(-1, 25, 3).sum(axis=1) / 5.0
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.1)
+    assert np.mean(scores**2) == pytest.approx(1.0, abs=0.25)
