@@ -26,7 +26,7 @@ from sysid.diagnosis.next_motion import in_words, proposed
 from sysid.diagnosis.refits import Start, Trial, tempered, trials_of
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
 from sysid.diagnosis.residual_analysis import locate, structure
-from sysid.diagnosis.result import Diagnosis, Misfit, UnreliablePlace
+from sysid.diagnosis.result import Diagnosis, Misfit, StructuredMisfit, UnreliablePlace
 from sysid.diagnosis.screening import Score, Screen, look
 from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.validation import of_readings, seen_by_both
@@ -219,6 +219,16 @@ def _misfit(base: Baseline, shown: Trial | None) -> Misfit:
     return Misfit(of_readings(fitted), None if both is None else both[1].misfit, tuple(errors))
 
 
+def _structured(case: Case) -> tuple[StructuredMisfit, ...]:
+    """What the baseline leaves, quantity by quantity."""
+    parts = [(False, p) for p in case.before.parts] + [(True, p) for p in (case.there.parts if case.there else ())]
+    return tuple(
+        StructuredMisfit(p.run, p.channel, p.quantity, held_out, p.per_score, p.own / p.count, p.size)
+        for held_out, p in parts
+        if p.count
+    )
+
+
 def _collect(
     rig: Rig,
     base: Baseline,
@@ -274,5 +284,6 @@ def _collect(
         threshold=case.needed,
         places=places,
         next_motion=motion,
+        structured=_structured(case),
     )
     return diagnosis, fitted.rig if base.reference is None else base.reference.fine(fitted.rig)

@@ -14,7 +14,8 @@ import numpy as np
 
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.diagnosis.result import Located, LocatedChannel
-from sysid.noise.estimate import column_groups, moving, quantities
+from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.estimate import moving, quantities
 from sysid.observations.observations import Measured, Run
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
@@ -55,6 +56,9 @@ class Part:
     count: int
     own: float
     size: float = np.inf
+    run: str = ""
+    channel: str = ""
+    quantity: str = ""
 
     @property
     def per_score(self) -> float:
@@ -85,14 +89,14 @@ class Structure:
 
     @property
     def whole(self) -> Part:
-        size = max((p.size for p in self.parts), default=0.0)
-        excess, count, own = (sum(getattr(p, name) for p in self.parts) for name in ("excess", "count", "own"))
-        return Part(excess, count, own, size)
+        return _together(self.parts)
 
     @property
     def missing(self) -> bool:
-        """Something is missing: the whole, or some quantity, is beyond noise and the discretisation error."""
-        return self.whole.beyond_discretisation or any(p.beyond_discretisation for p in self.parts)
+        """Something is missing: some quantity, or all that are large enough to be seen, are beyond noise and the
+        discretisation error."""
+        seen = [p for p in self.parts if p.size > LEAST_SIZE]
+        return any(p.beyond_discretisation for p in (*seen, _together(seen)))
 
     @property
     def too_small(self) -> bool:
@@ -104,6 +108,11 @@ class Structure:
     def hidden(self) -> bool:
         """There is misfit, but none that the discretisation error could not leave."""
         return not self.missing and (self.whole.stands_out or any(p.stands_out for p in self.parts))
+
+
+def _together(parts: Sequence[Part]) -> Part:
+    size = max((p.size for p in parts), default=0.0)
+    return Part(sum(p.excess for p in parts), sum(p.count for p in parts), sum(p.own for p in parts), size)
 
 
 def block_scores(run: Run, measured: Measured, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -132,8 +141,8 @@ def structure(problem: Problem, fitted: Fitted) -> Structure:
     The discretisation error enters with the sizes expected from refinement, not the fitted ones, which may
     have taken up missing physics.
     """
-    parts: list[tuple[tuple[str, int], Part]] = []
-    blocks: dict[tuple[str, int], list[float]] = {}
+    parts: list[Part] = []
+    blocks: dict[tuple[str, str], list[float]] = {}
     for i, run in enumerate(problem.runs):
         for m in run.measured:
             scored = whitened(problem, fitted, i, m)
@@ -142,15 +151,17 @@ def structure(problem: Problem, fitted: Fitted) -> Structure:
             shift = np.where(np.isfinite(m.values), problem.basis(i, m).expected, np.nan)
             own, _ = block_scores(run, m, problem.judged(i, m, shift))
             miss = np.where(np.isfinite(scored), m.values - problem.explained(fitted, i, m), np.nan)
-            means = _block_means(run, m, miss / _may_be_off(problem, i, m))
-            for k, group in enumerate(column_groups(m)):
+            squares = _squared_means(run, m, miss, _may_be_off(problem, i, m), problem.noise[m.channel])
+            for name, group in quantities(m):
                 good = np.isfinite(scores[:, group])
                 excess = float(np.sum(scores[:, group][good] ** 2 - 1.0))
-                sizes = _rms(means[:, group])
-                blocks.setdefault((m.channel, k), []).extend(sizes)
-                part = Part(excess, int(good.sum()), float(np.nansum(own[:, group] ** 2)), max(sizes, default=0.0))
-                parts.append(((m.channel, k), part))
-    return Structure(tuple(replace(p, size=min(p.size, _second_largest(blocks[key]))) for key, p in parts))
+                sizes = _rms(squares[:, group])
+                blocks.setdefault((m.channel, name), []).extend(sizes)
+                from_own = float(np.nansum(own[:, group] ** 2))
+                largest = max(sizes, default=0.0)
+                parts.append(Part(excess, int(good.sum()), from_own, largest, run.name, m.channel, name))
+    second = {key: _second_largest(sizes) for key, sizes in blocks.items()}
+    return Structure(tuple(replace(p, size=min(p.size, second[(p.channel, p.quantity)])) for p in parts))
 
 
 def _may_be_off(problem: Problem, index: int, measured: Measured) -> np.ndarray:
@@ -160,16 +171,24 @@ def _may_be_off(problem: Problem, index: int, measured: Measured) -> np.ndarray:
     return np.asarray(np.sqrt(problem.noise[measured.channel].sigma ** 2 + np.sum(np.square(own), axis=0)))
 
 
-def _block_means(run: Run, measured: Measured, values: np.ndarray) -> np.ndarray:
-    """Mean of values ``(n, m)`` over each block of time ``(b, m)``, NaN where there is none."""
+def _block_means(run: Run, measured: Measured, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of values ``(n, m)`` over each block of time ``(b, m)``, NaN where there is none, and their number."""
     scores, _ = block_scores(run, measured, values)
-    counted, _ = block_scores(run, measured, np.where(np.isfinite(values), 1.0, np.nan))
-    return np.asarray(scores / counted)
+    root, _ = block_scores(run, measured, np.where(np.isfinite(values), 1.0, np.nan))
+    return np.asarray(scores / root), np.asarray(root**2)
 
 
-def _rms(values: np.ndarray) -> list[float]:
-    """Over the columns of those rows ``(n, m)`` that have any."""
-    return [float(np.sqrt(np.nanmean(row**2))) for row in values if np.isfinite(row).any()]
+def _squared_means(run: Run, measured: Measured, miss: np.ndarray, off: np.ndarray, noise: ChannelNoise) -> np.ndarray:
+    """Square of the mean of what is missed ``(n, m)`` over what it may be off, by blocks of time ``(b, m)``, less what
+    noise makes of it."""
+    mean, number = _block_means(run, measured, miss / off)
+    share, _ = _block_means(run, measured, np.where(np.isfinite(miss), (noise.sigma / off) ** 2, np.nan))
+    return np.asarray(mean**2 - share * np.minimum(noise.long_run / number, 1.0))
+
+
+def _rms(squares: np.ndarray) -> list[float]:
+    """Root of the mean of squares over the columns of those rows ``(n, m)`` that have any, 0 where it is negative."""
+    return [float(np.sqrt(max(np.nanmean(row), 0.0))) for row in squares if np.isfinite(row).any()]
 
 
 def _second_largest(sizes: Sequence[float]) -> float:
@@ -221,8 +240,8 @@ def largest_change(problem: Problem, one: Fitted, other: Fitted) -> float:
             change = other.predictions[i].values[m.channel] - one.predictions[i].values[m.channel]
             ratio = np.where(np.isfinite(m.values), change / _may_be_off(problem, i, m), np.nan)
             for name, group in quantities(m):
-                squares = _block_means(run, m, ratio[:, group] ** 2)
-                found.setdefault((m.channel, name), []).extend(_rms(np.sqrt(squares)))
+                squares, _ = _block_means(run, m, ratio[:, group] ** 2)
+                found.setdefault((m.channel, name), []).extend(_rms(squares))
     return max((_second_largest(blocks) for blocks in found.values()), default=0.0)
 
 

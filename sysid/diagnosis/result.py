@@ -80,6 +80,22 @@ class Located:
 
 
 @dataclass(frozen=True)
+class StructuredMisfit:
+    """What the baseline leaves of one quantity of one recording by blocks of time. ``per_score``: mean square of the
+    sums of whitened residuals, over the number of their samples (1 = noise); ``from_discretisation``: what the error of
+    mesh and time step could add to that; ``size``: mean over a block of time, in units of what a single reading may be
+    off by noise, mesh, time step and as careful models are."""
+
+    run: str
+    channel: str
+    quantity: str
+    held_out: bool
+    per_score: float
+    from_discretisation: float
+    size: float
+
+
+@dataclass(frozen=True)
 class UnreliablePlace:
     """One place of the model as the cause, without a law. ``place``, ``name``: as 'gel' and the body's name; ``words``:
     what is off there; ``log_evidence_gain`` [nats] of a closure there; ``explained``: share of the misfit beyond noise
@@ -110,7 +126,8 @@ class Diagnosis:
     answer; ``explained``: share of the structured misfit that is gone with the answer; ``threshold`` [nats]: evidence
     that an effect needed, by the simulated null of the case; ``places``: of a misfit that no known effect explains, the
     most unreliable first; ``tried``: what became of each effect; ``notes``: what
-    a reader should know of the fit; ``next_motion``: the next experiment, where it can be told as a motion.
+    a reader should know of the fit; ``next_motion``: the next experiment, where it can be told as a motion;
+    ``structured``: what the verdict that something is missing rests on.
     """
 
     verdict: str
@@ -138,6 +155,7 @@ class Diagnosis:
     threshold: float = 0.0
     places: tuple[UnreliablePlace, ...] = ()
     next_motion: Experiment | None = None
+    structured: tuple[StructuredMisfit, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series, the fields of markers and the next motion, in the documented schema."""
