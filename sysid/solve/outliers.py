@@ -5,10 +5,10 @@ Least squares believes every reading, and one that is 50 noise deviations off co
 looked at one by one, as vectors of a marker in a frame, and those that are mistakes get the weight 0, all others 1.
 A loss with long tails would shrink what honest readings say, and would take away from a law that is missing what makes
 it known. A reading is where another marker should be that is elsewhere itself, which no motion explains, or it stands
-out in time: its miss (measured minus predicted) is far from what the misses of that marker before it let expect, from
-what those after it do, as a level and as a straight line, and from the mean of both, so that neither a step nor a
-drift of the miss counts, and a marker that stays away for more than four frames has moved. One that stands out is kept
-where it may be physics:
+out in time: its miss (measured minus predicted, and minus the median of the picture, which a shaking camera shifts) is
+far from what the misses of that marker before it let expect, from what those after it do, as a level and as a straight
+line, and from the mean of both, so that neither a step nor a drift of the miss counts, and a marker that stays away for
+more than four frames has moved. One that stands out is kept where it may be physics:
 
 - several markers of the frame, or of the nearest ones, miss by a similar vector, more of them than mistakes that are
   as frequent as those of the recording would by chance (binomial), even if half of them were alike;
@@ -210,6 +210,7 @@ def mistakes(measured: Measured, predicted: np.ndarray) -> Mask:
     place = predicted.reshape(seen.shape)
     miss = seen - place
     there = np.isfinite(miss).all(axis=2)
+    miss = _beside_others(miss)
     jumps = np.linalg.norm(np.diff(miss, axis=0), axis=2)
     jumps = jumps[np.isfinite(jumps) & (jumps > 0.0)]
     if len(jumps) < 3 * LEVEL:
@@ -235,6 +236,14 @@ def mistakes(measured: Measured, predicted: np.ndarray) -> Mask:
     crowded = others.sum(axis=1) > most
     mask = (found & ~restless[:, None]) | (others & ~crowded[:, None])
     return np.asarray(mask & (there.sum(axis=1) >= FEWEST)[:, None])
+
+
+def _beside_others(miss: np.ndarray) -> np.ndarray:
+    """The misses of a picture ``(n, m, d)`` without their median: what a camera shakes by is no mistake of any marker,
+    and would hide those that are."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="All-NaN slice")
+        return np.asarray(miss - np.nanmedian(miss, axis=1, keepdims=True))
 
 
 def _maybe_physics(far: Mask, away: np.ndarray, there: Mask, place: np.ndarray) -> Mask:

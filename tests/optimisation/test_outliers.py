@@ -54,6 +54,17 @@ def test_jumps_are_found_one_by_one(share: float) -> None:
     assert not mask[~true].any()
 
 
+def test_mistakes_in_a_shaking_picture_are_found_to_its_last_frame() -> None:
+    """All markers of a picture move by three times the noise of one; the last frame has no later one beside it."""
+    shake = 3.0 * SIGMA * np.random.default_rng(9).standard_normal((N, 1, 2))
+    miss = jumps(0.03, 5.0)
+    miss[-1, [2, 17]] = [[6.0, 1.0], [-2.0, 7.0]]
+    true = np.any(miss != 0.0, axis=2)
+    mask = found(miss + shake)
+    assert np.mean(mask[true]) > 0.97 and mask[-1, [2, 17]].all()
+    assert not mask[~true].any()
+
+
 def test_mistakes_of_some_frames_in_a_row_are_found() -> None:
     miss = np.zeros((N, M, 2))
     miss[50:54, 12] = [4.0, -3.0]
