@@ -6,8 +6,10 @@ correlation of a column y at rest and X = (1, t, t^2),
 
     -2 log L = (n - 3) log s^2 + RSS / s^2 + log |K| + log |X^T K^-1 X|,
 
-summed over all stretches and columns, which share s, rho and the share that is white. A noise with one part only is the
-simpler one: a second part has to be worth :data:`LEAST_GAIN`.
+summed over all stretches and columns, which share s, rho and the share that is white. A noise with one part only is
+the simpler one: a second part has to be worth :data:`LEAST_GAIN`. What is slow is known badly from short rests, and its
+most probable size is on average half of what it is, so means over the posterior are taken: of both variances, and of
+the variance of the mean of many samples, from which the correlation follows.
 """
 
 from __future__ import annotations
@@ -16,7 +18,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
 
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.scatter import MOST_COLOURED
@@ -31,15 +32,12 @@ DEGREE = 2
 COLUMNS = 12
 """Columns of a quantity that are asked: they share level and colour."""
 
-COLOURS, SHARES = (0.5, 0.7, 0.85, 0.95), (0.1, 0.3, 0.6, 0.9)
-"""Correlations and white shares where the search begins."""
+COLOURS, SHARES = 1.0 - np.geomspace(0.5, 0.015, 12), np.linspace(0.04, 0.94, 11)
+"""Correlations and white shares that the likelihood is integrated over."""
 
 INTERVALS, WITHIN = 10.0, 1.0
 """Sampling intervals over which coloured noise beside white is correlated, and the standard deviation of the logarithm
 of their number: what was known before."""
-
-LEAST, MOST = 0.02, 0.98
-"""Least and largest share that is believed."""
 
 
 class Mixture(NamedTuple):
@@ -81,22 +79,22 @@ def mixture_of(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> Mixture | 
         return number * (np.log(variance) + 1.0) + logs, variance
 
     alone = min(loss(rho, 0.0)[0] for rho in (0.0, *np.linspace(0.05, MOST_COLOURED, 20)))
-    begin = min(((c, w) for c in COLOURS for w in SHARES), key=lambda at: loss(*at)[0])
-    bounds = [(0.2, MOST_COLOURED), (LEAST, MOST)]
-
-    def judged(at: np.ndarray) -> float:
-        return loss(float(at[0]), float(at[1]))[0] + _prior(float(at[0]))
-
-    found = minimize(judged, begin, method="Nelder-Mead", bounds=bounds, options={"xatol": 1e-3})
-    if alone - found.fun < 2.0 * LEAST_GAIN:
+    rho, white = (grid.ravel() for grid in np.meshgrid(COLOURS, SHARES))
+    found, variance = np.array([loss(r, w) for r, w in zip(rho, white, strict=True)]).T
+    if alone - float(found.min()) < 2.0 * LEAST_GAIN:
         return None
-    rho, white = map(float, found.x)
-    return Mixture(float(np.sqrt(loss(rho, white)[1])), rho, white)
+    found += _prior(rho)
+    weight = np.exp(-0.5 * (found - found.min()))
+    weight /= weight.sum()
+    of_white, of_coloured = float(weight @ (variance * white)), float(weight @ (variance * (1.0 - white)))
+    slow = float(weight @ (variance * (1.0 - white) * (1.0 + rho) / (1.0 - rho))) / of_coloured
+    whole = of_white + of_coloured
+    return Mixture(float(np.sqrt(whole)), min((slow - 1.0) / (slow + 1.0), MOST_COLOURED), of_white / whole)
 
 
-def _prior(rho: float) -> float:
-    """-2 log of the prior of a correlation: what is slower than a rest is long cannot be told from its course."""
-    return float((np.log(INTERVALS * (1.0 - rho)) / WITHIN) ** 2)
+def _prior(rho: np.ndarray) -> np.ndarray:
+    """-2 log of the prior of correlations: what is slower than a rest is long cannot be told from its course."""
+    return np.asarray((np.log(INTERVALS * (1.0 - rho)) / WITHIN) ** 2)
 
 
 def _some(values: np.ndarray) -> np.ndarray:
