@@ -91,11 +91,13 @@ def _all_halved(rig: Rig, run: Run) -> np.ndarray:
 
 
 def _changes(run: Run, one: Prediction, other: Prediction, noise: dict[str, ChannelNoise]) -> float:
-    """Change of the readings over the noise, of the quantity that changes most."""
+    """Change of the readings over the noise, of the quantity that changes most. Vibrations are told by how markers move
+    against each other: what all of a picture have in common by a shaking camera hides them no more than one."""
     most = 0.0
     for m in run.measured:
+        sigma = noise[m.channel].own.sigma
         for _, group in quantities(m):
-            change = (other.values[m.channel] - one.values[m.channel])[:, group] / noise[m.channel].sigma[group]
+            change = (other.values[m.channel] - one.values[m.channel])[:, group] / sigma[group]
             squares = np.where(np.isfinite(change) & np.isfinite(m.values[:, group]), change**2, np.nan)
             squares = squares[np.isfinite(squares).any(axis=1)]
             if len(squares):
