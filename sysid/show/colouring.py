@@ -6,12 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_core.errors import ConfigError, nearest_match
 from sim_core.postprocess import QUANTITIES, quantity
 from sysid.show.style import round_up
 from sysid.show.subject import Subject
 
 PREFERRED = ("pressure", "strain", "curvature", "displacement")
 """What a subject is coloured by where nothing is asked for: the first that is not zero everywhere."""
+
+BODY = "body"
+"""What colours each body in its own colour."""
 
 LARGEST = 99.5
 """Percentile of the values that takes the end of the scale: single nodes do not."""
@@ -58,3 +62,23 @@ def colourings(subject: Subject) -> dict[str, Colouring]:
     found = {name: c for name in QUANTITIES if (c := colouring(subject, name)) is not None}
     first = [name for name in PREFERRED if name in found]
     return {name: found[name] for name in dict.fromkeys([*first, *found])}
+
+
+def check_quantity(by: str | None) -> None:
+    """Whether something can be coloured by this. Raises ``ConfigError``."""
+    if by is not None and by not in (BODY, *QUANTITIES):
+        raise ConfigError(f"Nothing can be coloured by {by!r}.", nearest_match(by, [BODY, *QUANTITIES]))
+
+
+def chosen(subject: Subject, coloured: dict[str, Colouring], by: str | None) -> Colouring | None:
+    """What a subject is coloured by where ``by`` was asked for: without, what says most, and a rig at rest by body."""
+    first = None if subject.what == "rig" else next(iter(coloured), None)
+    return coloured.get(by or first or BODY)
+
+
+def telling_step(subject: Subject, coloured: Colouring | None) -> int:
+    """The instant at which the quantity is largest over all bodies together; without one, the middle."""
+    if coloured is None:
+        return len(subject.times) // 2 if subject.moves else 0
+    total = sum(np.nan_to_num(v).sum(axis=1) for v in coloured.values.values())
+    return int(np.argmax(total))

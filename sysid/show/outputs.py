@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 from PIL import Image
 
-from sim_core.errors import ConfigError, nearest_match
-from sim_core.postprocess import QUANTITIES
+from sim_core.errors import ConfigError
 from sim_core.rigs import Rig
 from sysid.show.animation import animate
-from sysid.show.colouring import Colouring, colourings
+from sysid.show.colouring import check_quantity, chosen, colourings, telling_step
 from sysid.show.page import page
 from sysid.show.picture import draw
 from sysid.show.subject import Progress, Subject, subject_of
@@ -53,15 +51,13 @@ def show(
     """
     say = on_progress or (lambda share, text: None)
     check_folder(out)
-    if by is not None and by not in ("body", *QUANTITIES):
-        raise ConfigError(f"Nothing can be coloured by {by!r}.", nearest_match(by, ["body", *QUANTITIES]))
+    check_quantity(by)
     subject = subject_of(rig, what, lambda share, text: say(SIMULATED * share, text))
     coloured = colourings(subject)
-    first = None if subject.what == "rig" else next(iter(coloured), None)
-    chosen = coloured.get(by or first or "body")
+    coloured_by = chosen(subject, coloured, by)
     out.mkdir(parents=True, exist_ok=True)
     say(SIMULATED, "picture")
-    Image.fromarray(draw(subject, chosen, telling_step(subject, chosen))).save(out / PICTURE, optimize=True)
+    Image.fromarray(draw(subject, coloured_by, telling_step(subject, coloured_by))).save(out / PICTURE, optimize=True)
     say(SIMULATED + 0.05, "page")
     (out / PAGE).write_text(page(subject, coloured), encoding="utf-8")
     for kind in ("gif", "mp4"):
@@ -69,14 +65,6 @@ def show(
             (out / f"{ANIMATION}.{kind}").unlink(missing_ok=True)
     if subject.moves and animation != "none":
         rest = 0.9 - SIMULATED
-        animate(subject, chosen, out / f"{ANIMATION}.{animation}", lambda s, t: say(SIMULATED + 0.1 + rest * s, t))
+        animate(subject, coloured_by, out / f"{ANIMATION}.{animation}", lambda s, t: say(SIMULATED + 0.1 + rest * s, t))
     say(1.0, "")
     return subject
-
-
-def telling_step(subject: Subject, coloured: Colouring | None) -> int:
-    """The instant at which the quantity is largest over all bodies together; without one, the middle."""
-    if coloured is None:
-        return len(subject.times) // 2 if subject.moves else 0
-    total = sum(np.nan_to_num(v).sum(axis=1) for v in coloured.values.values())
-    return int(np.argmax(total))

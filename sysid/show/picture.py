@@ -11,7 +11,7 @@ from sim_core.preflight.distance import sampled
 from sim_core.rigs import WORLD
 from sysid.show.colouring import Colouring
 from sysid.show.raster import View, look_at, render
-from sysid.show.scenery import Scenery, camera_view, cone, nearest_points, triads
+from sysid.show.scenery import Scenery, camera_view, cone, nearest_points, sight, triads
 from sysid.show.style import (
     AXES,
     BAD,
@@ -241,7 +241,7 @@ class Board:
                 self._label(axes, pixel[0], name, MUTED, view, 8.0, (7, 10))
         for name, camera in subject.rig.cameras.items():
             frame = subject.layout.camera_frame(camera, frames)
-            for reach, width, alpha in ((0.8 * length, 1.3, 1.0), (self._sight(name, step), 0.7, 0.45)):
+            for reach, width, alpha in ((0.8 * length, 1.3, 1.0), (sight(subject, name, step), 0.7, 0.45)):
                 pixel, _ = view.project(cone(camera, frame, reach).reshape(-1, 3))
                 for a, b in pixel.reshape(-1, 2, 2):
                     self._keep(*axes.plot([a[0], b[0]], [a[1], b[1]], color=CAMERA, linewidth=width, alpha=alpha,
@@ -259,20 +259,12 @@ class Board:
             self._draw_names(axes, view, step, nearness)
             self._draw_bar(axes, view)
 
-    def _sight(self, camera: str, step: int) -> float:
-        """Distance [m] along a camera's axis at which its points are."""
-        subject = self.subject
-        origin, rotation = subject.layout.camera_frame(subject.rig.cameras[camera], subject.frames[step])
-        points = subject.tracks[camera].positions(subject.states.positions[step])
-        return max(float(((points - origin) @ rotation.apply([0.0, 0.0, 1.0])).mean()), 1e-3)
-
     def _draw_pairs(self, axes: Axes, view: View, step: int) -> None:
         for near in nearest_points(self.subject, step):
             pixel, _ = view.project(near.points)
-            words = f"{near.force:.3g} N" if near.force > 1e-6 else f"{1e3 * near.distance:.2g} mm"
             self._keep(*axes.plot(*pixel.T, ":", color=CLAMP, linewidth=1.6, zorder=6),
                        axes.scatter(*pixel.T, s=10, c=CLAMP, zorder=6, linewidths=0))  # fmt: skip
-            self._label(axes, pixel.mean(axis=0), f"{near.pair}: {words}", CLAMP, view, 8.5, (12, -14))
+            self._label(axes, pixel.mean(axis=0), f"{near.pair}: {near.words}", CLAMP, view, 8.5, (12, -14))
 
     def _draw_names(self, axes: Axes, view: View, step: int, nearness: np.ndarray) -> None:
         subject = self.subject

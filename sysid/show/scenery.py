@@ -134,6 +134,13 @@ def cone(camera: Camera, frame: Frame, length: float) -> np.ndarray:
     return np.asarray(origin + rotation.apply(local.reshape(-1, 3)).reshape(-1, 2, 3))
 
 
+def sight(subject: Subject, camera: str, step: int) -> float:
+    """Distance [m] along a camera's axis at which its points are."""
+    origin, rotation = subject.layout.camera_frame(subject.rig.cameras[camera], subject.frames[step])
+    points = subject.tracks[camera].positions(subject.states.positions[step])
+    return max(float(((points - origin) @ rotation.apply([0.0, 0.0, 1.0])).mean()), 1e-3)
+
+
 @dataclass(frozen=True)
 class Nearest:
     """The nearest two points [m] of a declared pair, their distance [m] and how hard the pair is pressed [N]."""
@@ -142,6 +149,11 @@ class Nearest:
     points: np.ndarray
     distance: float
     force: float
+
+    @property
+    def words(self) -> str:
+        """The force where there is one, else the distance."""
+        return f"{self.force:.3g} N" if self.force > 1e-6 else f"{1e3 * self.distance:.2g} mm"
 
 
 def nearest_points(subject: Subject, step: int) -> list[Nearest]:
