@@ -184,8 +184,8 @@ def serve(
 ) -> None:
     """Print the address of a :class:`Viewer` and keep it until Ctrl-C is pressed."""
     viewer = Viewer(subject, coloured, by=by, host=host, port=port)
-    print(f"{viewer.address} until Ctrl-C", flush=True)
     try:
+        print(f"{viewer.address} until Ctrl-C", flush=True)
         threading.Event().wait()
     except KeyboardInterrupt:
         pass
