@@ -10,7 +10,8 @@ import numpy as np
 from sim_core.preflight.distance import sampled
 from sim_core.rigs import WORLD
 from sysid.show.colouring import Colouring
-from sysid.show.raster import View, look_at, render
+from sysid.show.pane import Pane
+from sysid.show.raster import View, in_front, look_at, render
 from sysid.show.scenery import Scenery, camera_view, cone, nearest_points, sight, triads
 from sysid.show.style import (
     AXES,
@@ -61,10 +62,11 @@ class Board:
         self.scenery = Scenery(subject, coloured)
         with matplotlib.rc_context(RC):
             size, self.dpi = ((9.6, 5.4), 100) if small else ((16.0, 10.0), 110)
-            self.figure = Figure(figsize=size, dpi=self.dpi, facecolor="white")
-            self._canvas: Any = FigureCanvasAgg(self.figure)
+            self.figure = Figure(figsize=size, dpi=self.dpi, facecolor="none")
+            canvas = FigureCanvasAgg(self.figure)
             self._artists: list[Any] = []
             self._lay_out()
+            self._pane = Pane(canvas)
 
     def _lay_out(self) -> None:
         subject, small = self.subject, self.small
@@ -89,11 +91,14 @@ class Board:
                 self._draw_plot(self._plot)
             else:
                 self._cameras[row] = self._panel(0.675, at - height + 0.4 * gap, 0.988, at - gap)
+                self._span(self._cameras[row], self._camera_size(row))
                 self._caption(self._cameras[row], f"what the camera '{row}' sees", outside=True)
             at -= height
         points = framed(subject)
         towards, up = direction(subject, points)
         self._view = look_at(points, towards, up, self._size(self._main))
+        self._span(self._main, self._view.size)
+        self._draw_bar(self._main, self._view)
         self._extent = float(np.ptp(points, axis=0).max())
         self._marks_every_camera(points, towards, up)
         self._titles()
@@ -112,15 +117,27 @@ class Board:
             more += [origin[None] for name, (origin, _) in subject.frames[k].items() if name != WORLD]
         every = np.vstack(more)
         self._far_view = look_at(every, towards, up, self._size(self._afar), fill=0.84)
+        self._span(self._afar, self._far_view.size)
         self._far_extent = float(np.ptp(every, axis=0).max())
 
     def _panel(self, left: float, bottom: float, right: float, top: float) -> Axes:
-        axes = self.figure.add_axes((left, bottom, right - left, top - bottom))
+        axes = self.figure.add_axes((left, bottom, right - left, top - bottom), facecolor="none")
         axes.set_xticks([])
         axes.set_yticks([])
         for spine in axes.spines.values():
             spine.set_color("#c9d0d8")
         return axes
+
+    def _span(self, axes: Axes, size: tuple[int, int]) -> None:
+        """Coordinates of a panel are pixels of its picture, from the upper left."""
+        axes.set(xlim=(0.0, size[0]), ylim=(size[1], 0.0), aspect="equal", autoscale_on=False)
+
+    def _camera_size(self, name: str) -> tuple[int, int]:
+        """Of the picture of a camera in its panel."""
+        camera = self.subject.rig.cameras[name]
+        width, height = self._size(self._cameras[name])
+        scale = min(width / camera.width_px, height / camera.height_px)
+        return round(scale * camera.width_px), round(scale * camera.height_px)
 
     def _size(self, axes: Axes) -> tuple[int, int]:
         box = axes.get_position()
@@ -198,7 +215,6 @@ class Board:
         axes.legend(fontsize=7.5, frameon=False, loc="best", ncols=3, handlelength=1.2, columnspacing=0.8)
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
-        self._cursor = axes.axvline(0.0, color=INK, linewidth=0.8)
 
     def draw(self, step: int) -> np.ndarray:
         """RGB ``(height, width, 3)``, uint8."""
@@ -210,60 +226,66 @@ class Board:
             self._artists.clear()
             self._taken: dict[int, list[tuple[float, float, float, float]]] = {}
             subject = self.subject
+            self._pane.begin()
             self._draw_view(self._main, self._view, step, 0.10 * self._extent, names=True)
             if self._afar is not None:
                 self._draw_view(self._afar, self._far_view, step, 0.09 * self._far_extent, names=False)
             for name, axes in self._cameras.items():
                 self._draw_camera(axes, name, step)
             if self._plot is not None:
-                self._cursor.set_xdata([subject.times[step]] * 2)
+                self._keep(self._plot.axvline(subject.times[step], color=INK, linewidth=0.8))
             if subject.moves:
                 words = f"{subject.times[step]:.2f} s of {subject.times[-1]:.2f} s"
                 self._keep(self._main.text(0.985, 0.975, words, transform=self._main.transAxes, ha="right", va="top",
                                            fontsize=10, weight="bold"))  # fmt: skip
-            self._canvas.draw()
-            return np.array(np.asarray(self._canvas.buffer_rgba())[..., :3])
+            return self._pane.finish(self._artists)
 
     def _keep(self, *artists: Any) -> None:
         self._artists.extend(artists)
 
+    def _lines(self, axes: Axes, lines: np.ndarray, zorder: float, **style: Any) -> None:
+        """Lines between pixels ``(n, 2, 2)``."""
+        from matplotlib.collections import LineCollection
+
+        self._keep(axes.add_collection(LineCollection(list(lines), zorder=zorder, **style), autolim=False))
+
+    def _dots(self, axes: Axes, pixels: np.ndarray, colour: Any, size: float, zorder: float) -> None:
+        self._keep(axes.scatter(*pixels.T, s=size, c=colour, linewidths=0, zorder=zorder))
+
     def _draw_view(self, axes: Axes, view: View, step: int, length: float, names: bool) -> None:
+        from matplotlib.colors import to_rgba
+
         subject = self.subject
         picture, nearness = render(view, self.scenery.skins(step), _paper(view.size[1]))
-        self._show(axes, picture)
+        self._pane.put(axes, picture)
         frames = subject.frames[step]
-        for name, lines in triads(frames, length).items():
-            pixel, _ = view.project(lines.reshape(-1, 3))
-            for (a, b), colour in zip(pixel.reshape(3, 2, 2), AXES, strict=True):
-                self._keep(*axes.plot([a[0], b[0]], [a[1], b[1]], color=colour, linewidth=2.0 if names else 1.2,
-                                      solid_capstyle="round", zorder=5))  # fmt: skip
-            if names:
-                self._label(axes, pixel[0], name, MUTED, view, 8.0, (7, 10))
+        axis_lines = {name: view.lines(lines) for name, lines in triads(frames, length).items()}
+        self._lines(axes, np.concatenate(list(axis_lines.values())), 5, colors=AXES * len(axis_lines),
+                    linewidths=2.0 if names else 1.2, capstyle="round")  # fmt: skip
+        if names:
+            for name, lines in axis_lines.items():
+                self._label(axes, lines[0, 0], name, MUTED, view, 8.0, (7, 10))
         for name, camera in subject.rig.cameras.items():
             frame = subject.layout.camera_frame(camera, frames)
             for reach, width, alpha in ((0.8 * length, 1.3, 1.0), (sight(subject, name, step), 0.7, 0.45)):
-                pixel, _ = view.project(cone(camera, frame, reach).reshape(-1, 3))
-                for a, b in pixel.reshape(-1, 2, 2):
-                    self._keep(*axes.plot([a[0], b[0]], [a[1], b[1]], color=CAMERA, linewidth=width, alpha=alpha,
-                                          zorder=5))  # fmt: skip
+                self._lines(axes, view.lines(cone(camera, frame, reach)), 5, colors=CAMERA, linewidths=width,
+                            alpha=alpha)  # fmt: skip
             self._label(axes, view.project(frame[0][None])[0][0], name, CAMERA, view, 8.0, (7, -9))
-        size = 14.0 if names else 4.0
         for marks in [*subject.markers.values(), *subject.tracks.values()]:
             points = marks.positions(subject.states.positions[step])
             pixel, depth = view.project(points)
-            seen = _in_front(pixel, view.nearness(depth), nearness)
-            for some, alpha in ((seen, 1.0), (~seen, 0.22)):
-                self._keep(axes.scatter(*pixel[some].T, s=size, c=MARKER, alpha=alpha, linewidths=0, zorder=4))
+            seen = in_front(pixel, view.nearness(depth), nearness)
+            colours = [to_rgba(MARKER, 1.0 if s else 0.22) for s in seen]
+            self._dots(axes, pixel, colours, 14.0 if names else 4.0, 4)
         if names:
             self._draw_pairs(axes, view, step)
             self._draw_names(axes, view, step, nearness)
-            self._draw_bar(axes, view)
 
     def _draw_pairs(self, axes: Axes, view: View, step: int) -> None:
         for near in nearest_points(self.subject, step):
             pixel, _ = view.project(near.points)
-            self._keep(*axes.plot(*pixel.T, ":", color=CLAMP, linewidth=1.6, zorder=6),
-                       axes.scatter(*pixel.T, s=10, c=CLAMP, zorder=6, linewidths=0))  # fmt: skip
+            self._lines(axes, pixel[None], 6, colors=CLAMP, linewidths=1.6, linestyles="dotted")
+            self._dots(axes, pixel, CLAMP, 10, 6)
             self._label(axes, pixel.mean(axis=0), f"{near.pair}: {near.words}", CLAMP, view, 8.5, (12, -14))
 
     def _draw_names(self, axes: Axes, view: View, step: int, nearness: np.ndarray) -> None:
@@ -277,7 +299,7 @@ class Board:
             inside = np.all((pixel > 12) & (pixel < np.array(view.size) - 12), axis=1)
             if not inside.any():
                 continue
-            seen = inside & _in_front(pixel, view.nearness(depth), nearness)
+            seen = inside & in_front(pixel, view.nearness(depth), nearness)
             inside = seen if seen.any() else inside
             spot = pixel[inside]
             at = spot[np.argmax(spot[:, 0] + 0.6 * spot[:, 1])]
@@ -290,22 +312,19 @@ class Board:
         per_metre = view.focal_px[0] / float(np.median(depth))
         bar = round_length(0.16 * view.size[0] / per_metre)
         x, y = view.size[0] - 18.0, view.size[1] - 16.0
-        self._keep(
-            *axes.plot([x - bar * per_metre, x], [y, y], color=INK, linewidth=2.2, solid_capstyle="butt", zorder=8),
-            axes.text(x - 0.5 * bar * per_metre, y - 6, f"{1e3 * bar:g} mm", ha="center", va="bottom", fontsize=8.5,
-                      zorder=8),
-        )  # fmt: skip
+        axes.plot([x - bar * per_metre, x], [y, y], color=INK, linewidth=2.2, solid_capstyle="butt", zorder=8)
+        axes.text(x - 0.5 * bar * per_metre, y - 6, f"{1e3 * bar:g} mm", ha="center", va="bottom", fontsize=8.5)
 
     def _draw_camera(self, axes: Axes, name: str, step: int) -> None:
         subject = self.subject
         camera = subject.rig.cameras[name]
-        width, height = self._size(axes)
-        scale = min(width / camera.width_px, height / camera.height_px)
+        width, _ = self._camera_size(name)
+        scale = width / camera.width_px
         frame = subject.layout.camera_frame(camera, subject.frames[step])
         shift = subject.picture_shift(name)
-        view = camera_view(camera, frame, round(scale * camera.width_px), shift)
+        view = camera_view(camera, frame, width, shift)
         picture, _ = render(view, self.scenery.skins(step, name), rgb("#eef1f4"))
-        self._show(axes, picture)
+        self._pane.put(axes, picture)
         before, now = (scale * (subject.pixels(name, k) + shift) for k in (0, step))
         measured = subject.tracks[name].measured
         moved = np.linalg.norm(now - before, axis=1)
@@ -319,7 +338,7 @@ class Board:
             if zoom > 1.0:
                 words += f"; arrows {zoom:g} times as long as the motion"
         else:
-            self._keep(axes.scatter(*now.T, s=11, c=MARKER, linewidths=0, zorder=5))
+            self._dots(axes, now, MARKER, 11, 5)
         if measured is not None:
             self._keep(
                 axes.scatter(
@@ -328,12 +347,6 @@ class Board:
             )
             words += "; crosses: as measured"
         self._keep(axes.text(0.0, -0.02, words, transform=axes.transAxes, fontsize=7.5, color=MUTED, va="top"))
-
-    def _show(self, axes: Axes, picture: np.ndarray) -> None:
-        height, width = picture.shape[:2]
-        self._keep(axes.imshow(picture, extent=(0.0, width, height, 0.0), interpolation="none", zorder=1))
-        axes.set_xlim(0.0, width)
-        axes.set_ylim(height, 0.0)
 
     def _label(
         self,
@@ -369,15 +382,6 @@ class Board:
                 path_effects=[withStroke(linewidth=2.6, foreground="white", alpha=0.9)],
             )
         )  # fmt: skip
-
-
-def _in_front(pixel: np.ndarray, near: np.ndarray, nearness: np.ndarray) -> np.ndarray:
-    """Which points nothing opaque is before, bool ``(n,)``."""
-    height, width = nearness.shape
-    known = np.isfinite(pixel).all(axis=1) & np.isfinite(near)
-    column = np.clip(np.nan_to_num(pixel[:, 0]).astype(int), 0, width - 1)
-    row = np.clip(np.nan_to_num(pixel[:, 1]).astype(int), 0, height - 1)
-    return np.asarray(known & (near >= nearness[row, column] * (1.0 - 4e-3)))
 
 
 def _paper(height: int) -> np.ndarray:

@@ -1,7 +1,9 @@
 """Triangles to pixels: a depth-buffered renderer on numpy, which needs no display and no graphics card.
 
 Perspective views interpolate 1/depth, which is linear in the picture, so that the depth test is exact where surfaces
-touch. What is transparent is drawn as its nearest layer over what is opaque.
+touch. What is transparent is drawn as its nearest layer over what is opaque. Of each pixel several samples are tested;
+colours are computed once where one triangle covers all of them, and for each sample elsewhere. What is transparent is
+blended with the mean of the pixel behind it.
 """
 
 from __future__ import annotations
@@ -20,6 +22,9 @@ NEAR = 1e-5
 
 FAR = 1e3
 """Depth [m] of nothing in a parallel projection."""
+
+FLAT = 1e-3
+"""Spread of depths, as a share of them, below which a picture is taken for one of a plane, without shades of depth."""
 
 CREASE = np.cos(np.deg2rad(40.0))
 """Cosine of the angle between a triangle and its vertex normal beyond which the edge is drawn as a sharp one."""
@@ -46,6 +51,10 @@ class View:
         safe = np.where(depth > NEAR, depth, np.nan)
         return local[:, :2] / safe[:, None] * self.focal_px + self.centre_px, depth
 
+    def lines(self, ends: np.ndarray) -> np.ndarray:
+        """Pixels ``(n, 2, 2)`` of the ends of lines [m] ``(n, 2, 3)``."""
+        return self.project(ends.reshape(-1, 3))[0].reshape(-1, 2, 2)
+
     def nearness(self, depth: np.ndarray) -> np.ndarray:
         """What grows towards the eye and is linear in the picture along a line: 1/depth, NaN behind the eye."""
         return FAR - depth if self.parallel else 1.0 / np.where(depth > NEAR, depth, np.nan)
@@ -63,7 +72,8 @@ class View:
 @dataclass(frozen=True)
 class Skin:
     """Triangles to draw. ``colours``: RGB from 0 to 1 of each vertex ``(v, 3)``; ``alpha``: opacity; ``lines``: opacity
-    of the edges of the mesh; ``light``: share of the colour that the light decides."""
+    of the edges of the mesh; ``light``: share of the colour that the light decides; ``closed``: the triangles are
+    outward and close a body, of which the eye, outside, sees those alone that face it."""
 
     vertices: np.ndarray
     triangles: np.ndarray
@@ -71,6 +81,7 @@ class Skin:
     alpha: float = 1.0
     lines: float = 0.0
     light: float = 0.55
+    closed: bool = False
 
 
 def look_at(
@@ -105,23 +116,29 @@ def render(
     """The picture, uint8 ``(height, width, 3)`` RGB, and how near what is opaque is in each pixel ``(height, width)``,
     as :meth:`View.nearness` has it. ``background``: RGB from 0 to 1 ``(3,)``, or of each row ``(height, 3)``."""
     fine = view.scaled(oversample)
-    width, height = fine.size
-    rows = np.broadcast_to(background, (view.size[1], 3)) if background.ndim == 2 else background[None].repeat(
-        view.size[1], axis=0
-    )  # fmt: skip
-    picture = np.repeat(np.repeat(rows, oversample, axis=0)[:, None], width, axis=1).astype(np.float32)
-    nearness = np.zeros((height, width))
+    width, height = view.size
+    rows = np.broadcast_to(background, (height, 3))
+    picture = np.repeat(rows[:, None], width, axis=1).astype(np.float32)
+    nearness = np.zeros(fine.size[::-1])
     for transparent in (False, True):
         chosen = [s for s in skins if (s.alpha < 1.0) == transparent and len(s.triangles)]
         if not chosen:
             continue
         found = _Layer(fine, chosen, nearness)
-        found.paint(picture)
+        found.paint(picture, oversample)
         if not transparent:
             nearness = found.nearness
-            picture = _with_depth_cues(picture, nearness, oversample)
-    small = cv2.resize(picture, view.size, interpolation=cv2.INTER_AREA)
-    return np.clip(255.0 * small + 0.5, 0, 255).astype(np.uint8), nearness[::oversample, ::oversample]
+            picture = _with_depth_cues(picture, nearness[::oversample, ::oversample])
+    return np.clip(255.0 * picture + 0.5, 0, 255).astype(np.uint8), nearness[::oversample, ::oversample]
+
+
+def in_front(pixel: np.ndarray, near: np.ndarray, nearness: np.ndarray) -> np.ndarray:
+    """Which points, at pixels ``(n, 2)`` and as ``near`` ``(n,)``, nothing opaque is before, bool ``(n,)``."""
+    height, width = nearness.shape
+    known = np.isfinite(pixel).all(axis=1) & np.isfinite(near)
+    column = np.clip(np.nan_to_num(pixel[:, 0]).astype(int), 0, width - 1)
+    row = np.clip(np.nan_to_num(pixel[:, 1]).astype(int), 0, height - 1)
+    return np.asarray(known & (near >= nearness[row, column] * (1.0 - 4e-3)))
 
 
 class _Layer:
@@ -131,23 +148,21 @@ class _Layer:
         width, height = view.size
         corners: list[np.ndarray] = []
         colours: list[np.ndarray] = []
-        self._alpha: list[np.ndarray] = []
-        self._lines: list[np.ndarray] = []
         for skin in skins:
             corners.append(skin.vertices[skin.triangles])
             colours.append(_lit(skin.colours[skin.triangles], _corner_normals(skin), view, skin.light))
-            for values, value in ((self._alpha, skin.alpha), (self._lines, skin.lines)):
-                values.append(np.full(len(skin.triangles), value, dtype=np.float32))
-        world = np.concatenate(corners)
-        self._colours = np.concatenate(colours).astype(np.float32)
-        pixel, depth = view.project(world.reshape(-1, 3))
+        counts = [len(skin.triangles) for skin in skins]
+        self._alpha = np.repeat(np.array([skin.alpha for skin in skins], dtype=np.float32), counts)
+        self._lines = np.repeat(np.array([skin.lines for skin in skins], dtype=np.float32), counts)
+        self._closed = np.repeat([skin.closed for skin in skins], counts)
+        corner = np.concatenate(colours).astype(np.float32)
+        self._colour, self._slant = corner[:, 0], (corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        pixel, depth = view.project(np.concatenate(corners).reshape(-1, 3))
         self._corner, depth = pixel.reshape(-1, 3, 2), depth.reshape(-1, 3)
         self._near = view.nearness(depth)
         self.nearness = behind.copy()
-        self._triangle = np.full(width * height, -1, dtype=np.int32)
-        self._weights = np.zeros((width * height, 2), dtype=np.float32)
+        self._triangle = np.full((height, width), -1, dtype=np.int32)
         self._scan(width, height)
-        self.pixels = np.flatnonzero(self._triangle >= 0)
 
     def _scan(self, width: int, height: int) -> None:
         p = self._corner
@@ -159,7 +174,8 @@ class _Layer:
         rows = np.where((high >= low).all(axis=1), high[:, 1] - low[:, 1] + 1, 0)
         a, u, v = p[:, 0], p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
         det = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-        rows[~(np.abs(det) > 1e-9)] = 0
+        # Rows go down the picture, so that what faces the eye turns to the left there.
+        rows[~(np.abs(det) > 1e-9) | (self._closed & (det > 0.0))] = 0
         det = np.where(np.abs(det) > 1e-9, det, 1.0)
         heights = np.abs(det)[:, None] / np.maximum(
             np.stack([np.linalg.norm(p[:, 2] - p[:, 1], axis=1), np.linalg.norm(v, axis=1), np.linalg.norm(u, axis=1)],
@@ -169,43 +185,63 @@ class _Layer:
         shift = 0.5 - a
         slopes = np.stack([v[:, 1], -v[:, 0], (shift * v[:, ::-1]) @ [1.0, -1.0],
                            -u[:, 1], u[:, 0], (shift * u[:, ::-1]) @ [-1.0, 1.0]], axis=1) / det[:, None]  # fmt: skip
+        self._slopes = slopes
         spans = _Spans(rows, slopes, low, high)
-        flat = self.nearness.reshape(-1)
-        first_near, rise = self._near[:, 0], self._near[:, 1:] - self._near[:, :1]
+        flat, triangle = self.nearness.reshape(-1), self._triangle.reshape(-1)
+        rise = self._near[:, 1:] - self._near[:, :1]
+        begin = self._near[spans.triangle, 0] + (spans.first * rise[spans.triangle]).sum(axis=1)
+        along_row = (slopes[:, [0, 3]] * rise).sum(axis=1)[spans.triangle]
         for some in spans.chunks():
-            t, count = spans.triangle[some], spans.count[some]
+            count = spans.count[some]
             along = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
             spot = np.repeat(spans.row[some] * width + spans.begin[some], count) + along
-            b1 = np.repeat(spans.first[some, 0], count) + along * np.repeat(slopes[t, 0], count)
-            b2 = np.repeat(spans.first[some, 1], count) + along * np.repeat(slopes[t, 3], count)
-            near = np.repeat(first_near[t], count)
-            near += b1 * np.repeat(rise[t, 0], count)
-            near += b2 * np.repeat(rise[t, 1], count)
+            near = np.repeat(begin[some], count)
+            near += along * np.repeat(along_row[some], count)
             np.maximum.at(flat, spot, near)
             first = np.flatnonzero(near >= flat[spot])
-            spot = spot[first]
-            self._triangle[spot] = np.repeat(t, count)[first]
-            self._weights[spot, 0], self._weights[spot, 1] = b1[first], b2[first]
+            triangle[spot[first]] = np.repeat(spans.triangle[some], count)[first]
 
-    def paint(self, picture: np.ndarray) -> None:
-        """Blend the layer into an RGB picture ``(height, width, 3)``."""
-        spots = picture.reshape(-1, 3)
-        alpha, strength = np.concatenate(self._alpha), np.concatenate(self._lines)
-        for begin in range(0, len(self.pixels), CHUNK):
-            pixels = self.pixels[begin : begin + CHUNK]
-            t = self._triangle[pixels]
-            b1, b2 = self._weights[pixels].T
-            b0 = 1.0 - b1 - b2
-            corner = self._colours[t]
-            colour = b0[:, None] * corner[:, 0]
-            colour += b1[:, None] * corner[:, 1]
-            colour += b2[:, None] * corner[:, 2]
-            heights = self._heights[t]
-            to_edge = np.minimum(np.minimum(b0 * heights[:, 0], b1 * heights[:, 1]), b2 * heights[:, 2])
-            line = strength[t] * np.clip(1.6 - to_edge, 0.0, 1.0)
-            colour *= (1.0 - line)[:, None]
-            opacity = np.maximum(alpha[t], line)[:, None]
-            spots[pixels] += opacity * (colour - spots[pixels])
+    def paint(self, picture: np.ndarray, samples: int) -> None:
+        """Blend the layer into an RGB picture ``(height, width, 3)``, of which ``samples`` x ``samples`` pixels of the
+        view make one."""
+        height, width = picture.shape[:2]
+        of_sample = np.ascontiguousarray(
+            self._triangle.reshape(height, samples, width, samples).transpose(1, 3, 0, 2)
+        ).reshape(samples**2, -1)
+        spots, first = picture.reshape(-1, 3), of_sample[0]
+        alike = (of_sample == first).all(axis=0)
+        middle = 0.5 * (samples - 1)
+        whole = np.flatnonzero(alike & (first >= 0))
+        for begin in range(0, len(whole), CHUNK):
+            pixels = whole[begin : begin + CHUNK]
+            row, column = np.divmod(pixels, width)
+            colour, opacity = self._shade(first[pixels], samples * column + middle, samples * row + middle)
+            behind = spots[pixels]
+            spots[pixels] = behind + opacity * (colour - behind)
+        mixed = np.flatnonzero(~alike)
+        row, column = np.divmod(mixed, width)
+        behind = spots[mixed]
+        total = np.zeros_like(behind)
+        for k, triangle in enumerate(of_sample[:, mixed]):
+            hit = np.flatnonzero(triangle >= 0)
+            x, y = samples * column[hit] + k % samples, samples * row[hit] + k // samples
+            colour, opacity = self._shade(triangle[hit], x, y)
+            total[hit] += opacity * (colour - behind[hit])
+        spots[mixed] = behind + total / samples**2
+
+    def _shade(self, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Colours ``(n, 3)`` and opacities ``(n, 1)`` of triangles at places in the picture."""
+        s = self._slopes.take(t, axis=0)
+        b1 = (s[:, 0] * x + s[:, 1] * y + s[:, 2]).astype(np.float32)
+        b2 = (s[:, 3] * x + s[:, 4] * y + s[:, 5]).astype(np.float32)
+        colour = self._colour.take(t, axis=0)
+        colour += b1[:, None] * self._slant[0].take(t, axis=0)
+        colour += b2[:, None] * self._slant[1].take(t, axis=0)
+        heights = self._heights.take(t, axis=0)
+        to_edge = np.minimum(np.minimum((1.0 - b1 - b2) * heights[:, 0], b1 * heights[:, 1]), b2 * heights[:, 2])
+        line = self._lines.take(t) * np.clip(1.6 - to_edge, 0.0, 1.0)
+        colour *= (1.0 - line)[:, None]
+        return colour, np.maximum(self._alpha.take(t), line)[:, None]
 
 
 class _Spans:
@@ -266,18 +302,19 @@ def _corner_normals(skin: Skin) -> np.ndarray:
     return np.where(sharp[..., None], flat[:, None], smooth)
 
 
-def _with_depth_cues(picture: np.ndarray, nearness: np.ndarray, oversample: int) -> np.ndarray:
+def _with_depth_cues(picture: np.ndarray, nearness: np.ndarray) -> np.ndarray:
     """Darker where something nearer is close by in the picture: unsharp masking of the depth buffer (Luft, Colditz &
     Deussen, Image enhancement by unsharp masking the depth buffer, SIGGRAPH 2006)."""
     solid = nearness > 0.0
     if not solid.any():
         return picture
-    scale = float(np.percentile(nearness[solid], 98) - np.percentile(nearness[solid], 2)) or 1.0
+    low, high = np.percentile(nearness[solid], [2, 98])
+    scale = max(float(high - low), FLAT * float(high))
     depth = np.where(solid, nearness, float(nearness[solid].min())).astype(np.float32)
     # Blurred at a quarter of the size, which takes a twentieth of the time and is as smooth.
     height, width = depth.shape
     coarse = cv2.resize(depth, (max(1, width // 4), max(1, height // 4)), interpolation=cv2.INTER_AREA)
-    wide = cv2.resize(cv2.GaussianBlur(coarse, (0, 0), 2.25 * oversample), (width, height))
+    wide = cv2.resize(cv2.GaussianBlur(coarse, (0, 0), 2.25), (width, height))
     shade = np.clip((depth - wide) / scale, -1.0, 0.0)
     factor = np.where(solid, 1.0 + 0.9 * np.maximum(shade, -0.35), 1.0).astype(np.float32)
     return np.asarray(picture * factor[..., None])

@@ -81,7 +81,8 @@ class Scenery:
                     colours[glued] = 0.45 * colours[glued] + 0.55 * rgb(BOND)
             if self.coloured is not None and surface.kind in ("rigid", "affine") and camera is None:
                 alpha = GHOST if surface.kind == "rigid" else alpha
-            found.append(Skin(vertices, triangles, colours, alpha, lines))
+            closed = surface.kind != "sheet" and camera is None  # a camera may be within a body
+            found.append(Skin(vertices, triangles, colours, alpha, lines, closed=closed))
         return found
 
 

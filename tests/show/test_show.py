@@ -65,6 +65,29 @@ def test_a_surface_covers_the_pixels_that_it_projects_to() -> None:
     assert np.count_nonzero(picture[..., 0] < 128) == 40 * 40
 
 
+def test_a_pixel_that_an_edge_crosses_has_the_mean_of_its_samples() -> None:
+    half = replace(view(), centre_px=(32.5, 32.0))
+    picture, _ = render(half, [square(0.0, [0.0, 0.0, 0.0])], WHITE)
+    assert picture[32, 11:14, 0].tolist() == [255, 128, 0]
+
+
+def test_of_a_closed_body_what_faces_away_is_not_drawn() -> None:
+    front = square(0.0, [0.0, 0.0, 0.0])
+    for triangles, drawn in ((SQUARE, False), (SQUARE[:, ::-1], True)):
+        corner = front.vertices[triangles[0]]
+        towards_eye = np.cross(corner[1] - corner[0], corner[2] - corner[0])[2] < 0.0
+        assert towards_eye == drawn
+        picture, _ = render(view(), [replace(front, triangles=triangles, closed=True)], WHITE)
+        assert (picture[32, 32, 0] < 128) == drawn
+
+
+@pytest.mark.parametrize("z", [0.0, 0.0137, 0.371, 1.93])
+def test_a_plane_seen_from_straight_above_has_no_shades_of_depth(z: float) -> None:
+    picture, _ = render(view(), [square(z, [1.0, 0.0, 0.0])], WHITE)
+    inside = picture[28:36, 28:36].reshape(-1, 3)
+    assert (inside == [255, 0, 0]).all()
+
+
 def test_a_view_shows_all_points_as_near_as_it_can() -> None:
     points = np.random.default_rng(3).uniform(-1.0, 1.0, (200, 3)) * [0.1, 0.05, 0.02]
     seen = look_at(points, np.array([0.5, 0.8, -0.3]), np.array([0.0, 0.0, 1.0]), (400, 300))
