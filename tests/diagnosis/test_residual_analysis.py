@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.diagnosis.residual_analysis import BLOCKS, _phase, largest_change, structure
+from sysid.diagnosis.residual_analysis import BLOCKS, _phase, largest_change, locate, structure
 from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
@@ -107,3 +107,24 @@ def test_misfit_that_no_reading_shows_is_not_missing(off: float, missing: bool) 
     assert found.whole.significant
     assert found.whole.size == pytest.approx(off / 3.0, abs=0.1)
     assert (found.missing, found.too_small, found.hidden) == (missing, not missing, False)
+
+
+def test_windows_leave_out_what_a_shifted_offset_leaves_before_a_press() -> None:
+    """A press that misses by a half sine; the fit has shifted the offset so that the mean of the misfit is zero."""
+    t = np.linspace(0.0, 24.0, 24 * 50, endpoint=False)
+    gauge = Measured("gauge", "markers", t, np.zeros((len(t), 1)), ("x",))
+    run = Run("run", "", (), {}, (gauge,), 24.0)
+    problem = Problem([run], {"gauge": ChannelNoise(np.array([1.0]), np.zeros(1), "given")}, cast(Any, None), [])
+    trace = SimpleNamespace(times=t, reports=[SimpleNamespace(contacts=int(8.0 < x < 16.0)) for x in t[1:]])
+
+    def model(values: np.ndarray) -> Any:
+        return SimpleNamespace(predictions=[Prediction({"gauge": values[:, None]}, {}, cast(Any, trace))])
+
+    press = 50.0 * np.sin(np.clip((t - 8.0) / 8.0, 0.0, 1.0) * np.pi)
+    found = locate(problem, model(0.0 * t), model(press - press.mean()))
+    (window,) = found.windows["run"]
+    assert 9.0 <= window[0] <= 10.0 and 14.0 <= window[1] <= 15.0
+    assert found.phase == "holding in contact"
+    # A second press of half the size is shown as well.
+    found = locate(problem, model(0.0 * t), model(press + 0.5 * np.roll(press, 9 * 50)))
+    assert len(found.windows["run"]) == 2
