@@ -341,19 +341,20 @@ def _is_far(fitted: Fitted) -> bool:
 def _shorter_steps(
     engine: AnyEngine, problem: Problem, fitted: Fitted, runs: Sequence[Run], noise: dict[str, ChannelNoise]
 ) -> tuple[list[Run], list[Prediction]] | None:
-    """The runs with shorter steps and their predictions where a search stands; None where none is needed, or where the
-    recordings follow those of the rig: they may be simulations with these."""
+    """The runs with shorter steps and their predictions where a search stands; None where none is needed. A recording
+    that follows the steps of the rig keeps them, since it may be a simulation with these, and so does one that follows
+    neither, as where a strip snaps."""
     rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
+    found, there = list(runs), list(fitted.predictions)
     shorter = with_steps(engine, rigs, runs, noise)
-    changed = [k for k, (a, b) in enumerate(zip(runs, shorter, strict=True)) if b is not a]
-    if not changed:
-        return None
-    jobs = [engine.submit(rig, run) for rig, run in zip(rigs, shorter, strict=True)]
-    there = [job.result() for job in jobs]
+    jobs = [(k, engine.submit(rigs[k], run)) for k, run in enumerate(shorter) if run is not runs[k]]
     known = np.array([p.known_sd or p.prior_sd for p in fitted.parameters])
-    one = [fitted.predictions[k] for k in changed]
-    found = follows([problem.runs[k] for k in changed], one, [[there[k] for k in changed]], noise, known)
-    return (shorter, there) if found[0].refines else None
+    for k, job in jobs:
+        with_shorter = job.result()
+        share = follows([problem.runs[k]], [fitted.predictions[k]], [[with_shorter]], noise, known)[0]
+        if share.refines:
+            found[k], there[k] = shorter[k], with_shorter
+    return (found, there) if any(a is not b for a, b in zip(found, runs, strict=True)) else None
 
 
 def held_out_problem(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -83,6 +84,24 @@ def test_a_modulus_that_takes_up_the_error_of_the_steps_is_found_out(fitted: Any
     assert run.steps is not None and np.diff(run.steps).max() == pytest.approx(0.005)
     expected = vibration(float((found.scaled - engine.origin)[0]), 0.005)
     np.testing.assert_allclose(prediction.values["gauge"], expected)
+
+
+def test_each_recording_has_the_steps_that_it_follows(fitted: Any) -> None:
+    """One beside it was simulated with the steps of the rig, and is known to be so by a modulus that is known."""
+    engine, _, _ = fitted(0.0)
+    rig = fitted(0.0)[2].centre
+    rng = np.random.default_rng(1)
+    runs = []
+    for name, h in (("robot", 0.0), ("simulated", 0.01)):
+        values = vibration(0.0, h) + NOISE * rng.standard_normal((len(T), 1))
+        runs.append(Run(name, "", (), {}, (Measured("gauge", "markers", T, values, ("x",)),), float(T[-1])))
+    parameters = [replace(p, known_sd=1e-4) for p in fit_parameters(rig, NAMES)]
+    noise = {"gauge": ChannelNoise(np.array([NOISE]), np.zeros(1), "given")}
+    problem = Problem(runs, noise, engine, prior=True)
+    there = problem.evaluate(rig, parameters, engine.origin)
+    told = _shorter_steps(engine, problem, there, runs, noise)
+    assert told is not None
+    assert told[0][0].steps is not None and told[0][1] is runs[1] and told[1][1] is there.predictions[1]
 
 
 def test_what_misses_a_sixth_of_the_readings_is_another_branch(fitted: Any) -> None:
