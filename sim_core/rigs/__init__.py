@@ -4,17 +4,13 @@ from sim_core.rigs.bodies import (
     WORLD,
     Affine,
     AffineMaterial,
-    Box,
-    Cylinder,
     Gel,
     GelMaterial,
     Outline,
-    Plane,
     Rectangle,
     Rigid,
     Sheet,
     SheetMaterial,
-    Sphere,
 )
 from sim_core.rigs.fields import Pose
 from sim_core.rigs.gel_shapes import Block, Disc, Dome
@@ -31,6 +27,7 @@ from sim_core.rigs.observers import (
 )
 from sim_core.rigs.parameters import Parameter, list_parameters, resolve_name, with_parameters
 from sim_core.rigs.points import marker_positions, seen_points, track_ids
+from sim_core.rigs.rigid_shapes import Box, Cylinder, Plane, Sphere
 from sim_core.rigs.schema import Clamp, Contact, EndEffector, Joint, Rig
 
 __all__ = [

@@ -21,7 +21,6 @@ from sim_core.rigs.fields import (
     Name,
     Point2,
     Pose,
-    Sizes,
     Strict,
     Text,
     Vector,
@@ -30,6 +29,7 @@ from sim_core.rigs.fields import (
 )
 from sim_core.rigs.gel_shapes import Block, Disc, Dome
 from sim_core.rigs.mesh_shapes import GelFile, SheetFile
+from sim_core.rigs.rigid_shapes import Box, Cylinder, Plane, Sphere
 
 WORLD = "world"
 Modulus = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0, le=1e13)]
@@ -238,47 +238,6 @@ class Outline(Strict):
         return np.array([corners.min(axis=0), corners.max(axis=0)])
 
 
-class Sphere(Strict):
-    """A ball about its centre."""
-
-    type: Literal["sphere"]
-    radius_m: Length = Field(description="radius in m")
-
-    def bounds(self) -> FloatArray:
-        """Corners of the box around it [m], shape ``(2, 3)``."""
-        return np.outer([-self.radius_m, self.radius_m], np.ones(3))
-
-
-class Cylinder(Strict):
-    """A solid cylinder along local z."""
-
-    type: Literal["cylinder"]
-    radius_m: Length = Field(description="radius in m")
-    length_m: Length = Field(description="extent along local z in m")
-
-    def bounds(self) -> FloatArray:
-        """Corners of the box around it [m], shape ``(2, 3)``."""
-        return np.outer([-1.0, 1.0], [self.radius_m, self.radius_m, 0.5 * self.length_m])
-
-
-class Box(Strict):
-    """A solid cuboid."""
-
-    type: Literal["box"]
-    size_m: Sizes = Field(description="extents along local x, y, z in m")
-
-    def bounds(self) -> FloatArray:
-        """Corners of the box around it [m], shape ``(2, 3)``."""
-        half = np.array(self.size_m) / 2
-        return np.array([-half, half])
-
-
-class Plane(Strict):
-    """The half space below local z = 0; its outward normal is local +z."""
-
-    type: Literal["plane"]
-
-
 class Sheet(Strict):
     """A thin shell. Its pose is in the base frame; it lies in its local xy plane at rest.
 
@@ -373,6 +332,17 @@ class Affine(Strict):
     angular_velocity_deg_s: Vector = Field(
         default=(0.0, 0.0, 0.0), description="angular velocity at the start, in the base frame"
     )
+
+    @model_validator(mode="after")
+    def _has_sharp_edges(self) -> Affine:
+        if not isinstance(self.shape, Sphere) and self.shape.edge_radius_m is not None:
+            raise trouble(
+                "is given, but edges and rims of affine bodies are those of their surface meshes, which are sharp.",
+                "Leave it out.",
+                "shape",
+                "edge_radius_m",
+            )
+        return self
 
 
 Body = Annotated[Sheet | Gel | Rigid | Affine, Field(discriminator="type")]

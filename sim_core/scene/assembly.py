@@ -31,9 +31,6 @@ from sim_core.rigs import Affine, Block, Disc, Dome, Gel, GelFile, Rectangle, Ri
 from sim_core.rigs.bodies import WORLD
 from sim_core.rigs.fields import Pose
 
-EDGE_ROUNDING_M = 2e-4
-"""Radius of the edges of rigid boxes and cylinders; sharp edges have no normal."""
-
 
 @dataclass
 class BuiltBody:
@@ -299,11 +296,9 @@ def rigid_shape(spec: Rigid) -> np.ndarray:
     if shape.type == "sphere":
         values = [SPHERE, shape.radius_m]
     elif shape.type == "cylinder":
-        rounding = min(EDGE_ROUNDING_M, 0.5 * shape.radius_m, 0.25 * shape.length_m)
-        values = [CYLINDER, shape.radius_m, 0.5 * shape.length_m, rounding]
+        values = [CYLINDER, shape.radius_m, 0.5 * shape.length_m, shape.edge_radius]
     elif shape.type == "box":
-        half = [0.5 * s for s in shape.size_m]
-        values = [BOX, *half, min(EDGE_ROUNDING_M, 0.5 * min(half))]
+        values = [BOX, *(0.5 * s for s in shape.size_m), shape.edge_radius]
     else:
         values = [HALF_SPACE]
     return np.asarray(values + [0.0] * (5 - len(values)), dtype=float)

@@ -19,7 +19,7 @@ class Case:
     """``reference`` and ``found`` in ``unit``; ``source``: where the answer is from; ``coarser``: what is found on
     coarser meshes, the coarsest first, cells ``ratio`` times as large as on the next; ``scale``: the error is relative
     to it (none: to the reference); ``together``: the error of all quantities of this run, on all meshes; ``remark``:
-    what a reader has to know."""
+    what a reader has to know; ``cpu_s``: processor time that it took [s], if it was measured."""
 
     name: str
     quantity: str
@@ -34,6 +34,7 @@ class Case:
     remark: str = ""
     ratio: float = 2.0
     together: tuple[float, ...] = ()
+    cpu_s: float | None = None
 
     def _error(self, found: float) -> float:
         return float(abs(found - self.reference) / abs(self.reference if self.scale is None else self.scale))

@@ -128,9 +128,9 @@ def gel_cases() -> Iterator[Case | NotCovered]:
                     what = f"marker at {r:g} a, {quantity}"
                     yield Case(name, what, "depth", answer, found, STATICS, mesh, SOURCE, scale=1.0)
     yield NotCovered(
-        "half space under a sphere, a punch, a cone",
-        "a contact radius of a twentieth of the thickness still costs 5 % against the half space; the bonded layer "
-        "above is the sharper test, and there is no rigid cone",
+        "half space under a sphere, a cone",
+        "a contact radius of a twentieth of the thickness still costs 5 % against the half space; bonded layers under "
+        "spheres and a punch are the sharper test, and there is no rigid cone",
         "Hertz, Sneddon",
     )
     yield NotCovered("pull-off from an adhesive sphere", "contact has no adhesion", "Johnson, Kendall & Roberts 1971")

@@ -9,7 +9,7 @@ from statistics import median
 
 from sim_core.validation.case import LEAST_ORDER, Case, NotCovered
 
-HEAD = ("case", "quantity", "reference", "simulated", "error", "allowed", "order", "mesh", "")
+HEAD = ("case", "quantity", "reference", "simulated", "error", "allowed", "order", "CPU s", "mesh", "")
 
 
 def as_json_text(rows: Sequence[Case | NotCovered], passed: bool) -> str:
@@ -35,6 +35,7 @@ def table(rows: Sequence[Case | NotCovered]) -> str:
             percent(case.error),
             percent(case.tolerance),
             "" if case.order is None else f"{case.order:.1f}",
+            "" if case.cpu_s is None else f"{case.cpu_s:.1f}",
             case.mesh,
             "pass" if case.passed else "MISSED",
         )

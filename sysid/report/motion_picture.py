@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.geometry.sheets import SheetMesh
 from sim_core.rigs import Rig
-from sim_core.rigs.bodies import Affine, Box, Cylinder, Plane, Rigid, Sphere
+from sim_core.rigs.bodies import Affine, Rigid
 from sim_core.rigs.motion import Experiment, compile_experiment
+from sim_core.rigs.rigid_shapes import Box, Cylinder, Plane, Sphere
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.scene.assembly import BuiltBody
