@@ -1,10 +1,10 @@
 """A rigid punch with a flat end that is pressed on a layer of gel, bonded to a rigid base: force against depth.
 
 The pressure of a sharp punch is singular at its rim, so the error falls with the size of the cells there and the mesh
-is refined along it. The exact force is that of :mod:`sim_core.validation.bonded_layer`: on this layer 1.8 times that on
-a half space, 2 E* a d. Rims of rigid cylinders are rounded for contact: by 0.01 of the radius here, as the rig says, and
-by 0.1 of it (0.2 mm) where it does not. The first is held against a sharp punch, the second against the profile that it
-has, with which the contact grows. Small strain: the depth is 1 % of the radius.
+is refined along it. The exact force is that of :mod:`sim_core.validation.bonded_layer`: on this layer 1.8 times that
+on a half space, 2 E* a d. Rims of rigid cylinders are rounded for contact: by 0.01 of the radius here, as the rig says,
+and by 0.1 of it (0.2 mm) where it does not. The first is held against a sharp punch, the second against the profile
+that it has, with which the contact grows. Small strain: the depth is 1 % of the radius.
 """
 
 from __future__ import annotations

@@ -11,11 +11,17 @@ from sysid.cli.progress import progress
 
 
 def validate(
+    groups: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[GROUP]...", help="Groups of comparisons, 'drape' say; all of them if none is named."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Compare the simulator with problems whose answers are known; exit code 1 if one is missed."""
     with progress("validate") as report:
-        passed, text = library("sim_core.validation", "run_validation")(as_json=as_json, on_progress=report)
+        passed, text = library("sim_core.validation", "run_validation")(
+            as_json=as_json, on_progress=report, groups=groups or ()
+        )
     print(text)
     if not passed:
         raise typer.Exit(1)

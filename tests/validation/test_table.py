@@ -1,6 +1,7 @@
 """The table: what a row says, what is printed, and that every row holds."""
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -62,6 +63,21 @@ def test_a_missed_row_fails_the_table_and_gaps_are_named(monkeypatch):
     found = json.loads(text)
     assert not found["passed"] and found["cases"][0]["error"] == pytest.approx(0.05)
     assert found["not_covered"][0]["name"] == "creep"
+
+
+def test_groups_may_be_chosen_and_each_row_has_its_processor_time(monkeypatch, capsys):
+    def slower():
+        end = time.process_time() + 0.05
+        while time.process_time() < end:
+            pass
+        yield from two_rows()
+
+    monkeypatch.setattr(validation, "GROUPS", {"two": (two_rows, 1.0), "slower": (slower, 1.0)})
+    assert app.main(["validate", "slower", "--json"]) == 1
+    (row,) = json.loads(capsys.readouterr().out)["cases"]
+    assert 0.05 <= row["cpu_s"] < 0.1
+    assert app.main(["validate", "slowest"]) == 2
+    assert "'slower'" in capsys.readouterr().err
 
 
 @pytest.mark.slow
