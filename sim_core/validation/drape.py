@@ -112,8 +112,8 @@ def draped(folds: int, around: int, across: int) -> tuple[float, float, float]:
     shadow = 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
     inside, whole = np.pi * TABLE**2, np.pi * DISC**2
     crests, valleys = z[:: around // folds], z[around // (2 * folds) :: around // folds]
-    heights = (float(part.mean()) / (DISC - TABLE) for part in (crests, valleys))
-    return (shadow - inside) / (whole - inside), *heights
+    crest, valley = (float(part.mean()) / (DISC - TABLE) for part in (crests, valleys))
+    return (shadow - inside) / (whole - inside), crest, valley
 
 
 def drape_cases() -> Iterator[Case]:
