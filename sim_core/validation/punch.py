@@ -5,6 +5,10 @@ is refined along it. The exact force is that of :mod:`sim_core.validation.bonded
 on a half space, 2 E* a d. Rims of rigid cylinders are rounded for contact: by 0.01 of the radius here, as the rig says,
 and by 0.1 of it (0.2 mm) where it does not. The first is held against a sharp punch, the second against the profile
 that it has, with which the contact grows. Small strain: the depth is 1 % of the radius.
+
+Errors measured with cells of 0.6, 0.3, 0.15 and 0.1 mm along the rim, on a radius of 2 mm: 5.6, 2.7, 0.3 and -0.3 % of
+the sharp one, whose own rounding is in them; 3.7, 2.2 and 1.6 % of the other from 0.3 mm on, as the edge of its contact
+lies in a rounding that is as wide as a cell.
 """
 
 from __future__ import annotations
