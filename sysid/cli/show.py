@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sysid.cli.bounds import whole_number
 from sysid.cli.options import RigArgument, parse_settings
 from sysid.cli.progress import progress, warn
 
@@ -50,7 +51,7 @@ def show(
         ),
     ] = False,
     port: Annotated[
-        int | None, typer.Option("--port", min=0, max=65535, help="Of --live; 0: any that is free. Default: 8080.")
+        int | None, whole_number("--port", "Of --live; 0: any that is free. Default: 8080.", 0, 65535)
     ] = None,
     host: Annotated[
         str | None,

@@ -255,7 +255,13 @@ def test_options_that_do_not_go_together_are_refused(
 def test_the_command_prints_the_address_and_ends_with_an_interrupt() -> None:
     pytest.importorskip("viser", reason="viser, of the extra 'live', is not installed.")
     command = [sys.executable, "-m", "sysid", "show", "gel_sensor", "--live", "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # a background shell ignores it
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "Nothing looks wrong.\n"
         address = process.stdout.readline().split()[0]
