@@ -32,7 +32,7 @@ from sysid.noise.estimate import channel_noise, column_groups, quantities
 from sysid.observations.observations import Run
 from sysid.solve.discretisation_basis import MODEL, ErrorShape
 from sysid.solve.optimum import Fitted
-from sysid.solve.outliers import Outliers, without_outliers
+from sysid.solve.outliers import Outliers, without_outliers, worth_another_fit
 from sysid.solve.residuals import Problem
 
 KNOWN_SD = {"E_pa": 0.35, "density_kg_m3": 0.05, "nu": 0.05, "friction": 0.15}
@@ -153,6 +153,14 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     fitted = problem.fit(rig, parameters, start, max_evaluations=FIRST, tolerance=2.0)
     if fitted.interrupted:
         raise KeyboardInterrupt
+    # Beside a model that was far off, nothing was a mistake, and what is kept makes little matter.
+    again, _ = without_outliers(runs, fitted.predictions, noise)
+    if worth_another_fit(clean, again):
+        clean = again
+        problem = Problem(clean, noise, model.engine, shapes, prior=True)
+        fitted = problem.fit(rig, parameters, fitted.scaled, max_evaluations=FIRST, tolerance=2.0)
+        if fitted.interrupted:
+            raise KeyboardInterrupt
     shorter = _shorter_steps(engine, problem, fitted, runs, noise) if rig.solver.inertia else None
     if shorter is not None:
         tell(0.2, "baseline fit with shorter time steps")
