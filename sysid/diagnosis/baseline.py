@@ -153,7 +153,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     fitted = problem.fit(rig, parameters, start, max_evaluations=FIRST, tolerance=2.0)
     if fitted.interrupted:
         raise KeyboardInterrupt
-    # Beside a model that was far off, nothing was a mistake, and what is kept makes little matter.
+    # While the model was far off, no reading could be told to be a mistake, and chi-square was that of the mistakes.
     again, _ = without_outliers(runs, fitted.predictions, noise)
     if worth_another_fit(clean, again):
         clean = again
@@ -353,16 +353,20 @@ def _shorter_steps(
     that follows the steps of the rig keeps them, since it may be a simulation with these, and so does one that follows
     neither, as where a strip snaps."""
     rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
-    found, there = list(runs), list(fitted.predictions)
+    found = list(runs)
     shorter = with_steps(engine, rigs, runs, noise)
-    jobs = [(k, engine.submit(rigs[k], run)) for k, run in enumerate(shorter) if run is not runs[k]]
     known = np.array([p.known_sd or p.prior_sd for p in fitted.parameters])
-    for k, job in jobs:
-        with_shorter = job.result()
-        share = follows([problem.runs[k]], [fitted.predictions[k]], [[with_shorter]], noise, known)[0]
+    jobs = [(k, engine.submit(rigs[k], run)) for k, run in enumerate(shorter) if run is not runs[k]]
+    there = {k: job.result() for k, job in jobs}
+    for k, prediction in there.items():
+        share = follows([problem.runs[k]], [fitted.predictions[k]], [[prediction]], noise, known)[0]
         if share.refines:
-            found[k], there[k] = shorter[k], with_shorter
-    return (found, there) if any(a is not b for a, b in zip(found, runs, strict=True)) else None
+            found[k] = shorter[k]
+    if all(a is b for a, b in zip(found, runs, strict=True)):
+        return None
+    kept = {k: engine.submit(rigs[k], run) for k, run in enumerate(found) if run is runs[k]}
+    # Those of the fit hold what a reference model adds, which is added to these later.
+    return found, [kept[k].result() if k in kept else there[k] for k in range(len(runs))]
 
 
 def held_out_problem(
