@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -72,29 +73,36 @@ def layer_rig(nu: float, cells: tuple[int, int]) -> Rig:
         "graded": graded,
         "symmetry": ["x", "y"],
     }
+    return pressed_rig("sphere_on_layer", layer, (MODULUS, nu), {"type": "sphere", "radius_m": RADIUS}, RADIUS + 1e-4)
+
+
+def pressed_rig(
+    name: str, layer: dict[str, Any], material: tuple[float, float], presser: dict[str, Any], start: float
+) -> Rig:
+    """A block of gel, bonded below, whose top is at z = 0, and a rigid body above it, with the contact that rigs have
+    by default. ``material``: Young's modulus [Pa] and Poisson's ratio; ``start``: height of the body's origin [m]."""
+    modulus, nu = material
     return parse_rig(
         {
-            "name": "sphere_on_layer",
+            "name": name,
             "gravity_m_s2": [0.0, 0.0, 0.0],
             "solver": {"dt_s": 1.0, "inertia": False},
             "bodies": {
                 "gel": {
                     "type": "gel",
                     "shape": layer,
-                    "material": {"E_pa": MODULUS, "nu": nu, "density_kg_m3": 1000.0},
-                    "pose": {"position_m": [0.0, 0.0, -0.5 * THICKNESS]},
+                    "material": {"E_pa": modulus, "nu": nu, "density_kg_m3": 1000.0},
+                    "pose": {"position_m": [0.0, 0.0, -0.5 * layer["size_m"][2]]},
                     "bonded": "bottom",
                     "mount": "world",
                 },
-                "sphere": {"type": "rigid", "shape": {"type": "sphere", "radius_m": RADIUS}, "mount": "hand"},
+                "presser": {"type": "rigid", "shape": presser, "mount": "hand"},
             },
-            "end_effectors": {"hand": {"start": {"position_m": [0.0, 0.0, RADIUS + 1e-4]}}},
-            "contacts": [{"between": ["gel", "sphere"]}],
-            "sensors": {
-                "wrench": {"type": "wrench", "on": "sphere", "frame_id": "sphere", "rate_hz": 1.0, "topic": "wrench"}
-            },
+            "end_effectors": {"hand": {"start": {"position_m": [0.0, 0.0, start]}}},
+            "contacts": [{"between": ["gel", "presser"]}],
+            "sensors": {"wrench": {"type": "wrench", "on": "presser", "topic": "wrench"}},
         },
-        "sphere_on_layer",
+        name,
     )
 
 

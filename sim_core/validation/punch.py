@@ -18,11 +18,12 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim_core.rigs import Rig, parse_rig
+from sim_core.rigs import Rig
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation
 from sim_core.validation.bonded_layer import punch, rounded_punch
 from sim_core.validation.case import FORCES, Case
+from sim_core.validation.gels import pressed_rig
 
 RADIUS, THICKNESS, HALF_SIDE, MODULUS = 2e-3, 4e-3, 20e-3, 2e5
 SHARP, DEFAULT = 2e-5, 2e-4
@@ -58,28 +59,7 @@ def punch_rig(nu: float, edge: float, rim: float | None) -> Rig:
     steel = {"type": "cylinder", "radius_m": RADIUS, "length_m": 2 * RADIUS}
     if rim is not None:
         steel["edge_radius_m"] = rim
-    return parse_rig(
-        {
-            "name": "punch_on_layer",
-            "gravity_m_s2": [0.0, 0.0, 0.0],
-            "solver": {"dt_s": 1.0, "inertia": False},
-            "bodies": {
-                "gel": {
-                    "type": "gel",
-                    "shape": layer,
-                    "material": {"E_pa": MODULUS, "nu": nu, "density_kg_m3": 1000.0},
-                    "pose": {"position_m": [0.0, 0.0, -top]},
-                    "bonded": "bottom",
-                    "mount": "world",
-                },
-                "punch": {"type": "rigid", "shape": steel, "mount": "hand"},
-            },
-            "end_effectors": {"hand": {"start": {"position_m": [0.0, 0.0, RADIUS + START]}}},
-            "contacts": [{"between": ["gel", "punch"]}],
-            "sensors": {"wrench": {"type": "wrench", "on": "punch", "topic": "wrench"}},
-        },
-        "punch_on_layer",
-    )
+    return pressed_rig("punch_on_layer", layer, (MODULUS, nu), steel, RADIUS + START)
 
 
 def punch_force(nu: float, edge: float, rim: float | None) -> float:

@@ -66,7 +66,7 @@ def test_a_flat_punch_on_a_mesh_that_is_fine_along_its_rim() -> None:
 
 
 def test_the_rounding_of_a_rim_is_what_the_rig_says() -> None:
-    assert [rigid_shape(punch_rig(0.45, 1e-3, rim).bodies["punch"])[3] for rim in (SHARP, None)] == [SHARP, 2e-4]
+    assert [rigid_shape(punch_rig(0.45, 1e-3, rim).bodies["presser"])[3] for rim in (SHARP, None)] == [SHARP, 2e-4]
 
 
 def boxed(**body: object) -> Rig:
