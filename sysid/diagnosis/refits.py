@@ -20,7 +20,6 @@ from sysid.diagnosis.validation import gain_of, seen_by_both
 from sysid.fit.discretisation_refinement import error_sizes
 from sysid.fit.result import rms_errors
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
-from sysid.model.predictor import Prediction
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
 from sysid.solve.gauss_newton import IN_SIGHT
@@ -179,31 +178,8 @@ def refit(base: Baseline, begun: Fitted, start: Start, scales: RecordingScales) 
     """Fit baseline and effects together. ``begun``: the model that the shift is counted from."""
     centre, parameters, at = _begun_at(begun, start, scales)
     problem = copy(base.problem)
-    problem.engine = sparing = SparingPredictor(base.problem.engine)
-    sparing.begin_with(problem.runs, parameters, at, _first_predictions(base, begun, centre, parameters, at))
+    problem.engine = SparingPredictor(base.problem.engine)
     return problem.fit(centre, parameters, at, max_evaluations=EVALUATIONS, tolerance=TOLERANCE)
-
-
-def _first_predictions(
-    base: Baseline, begun: Fitted, centre: Rig, parameters: Sequence[FitParameter], at: np.ndarray
-) -> list[Prediction]:
-    """Predictions of all runs where a refit begins. Derivatives by the parameters of the effects are made there, those
-    by the many of the model ``begun`` are what they were at its own values: a search corrects them as it goes."""
-    many = len(begun.parameters)
-    jobs = []
-    for run in base.problem.runs:
-        there = rig_in(centre, parameters[:many], at[:many], run.name)
-        jobs.append(base.problem.engine.submit_with_derivatives(there, run, parameters[many:], at[many:]))
-    found = []
-    for before, job in zip(begun.predictions, jobs, strict=True):
-        here = job.result()
-        slopes = {}
-        for channel, own in here.derivatives.items():
-            hidden = np.isnan(here.values[channel])[..., None]
-            known = np.where(hidden, np.nan, np.nan_to_num(before.derivatives[channel]))
-            slopes[channel] = np.concatenate([known, own], axis=-1)
-        found.append(Prediction(here.values, slopes, here.trace))
-    return found
 
 
 def _at_rest(rig: Rig, start: Start) -> dict[str, dict[str, float]]:

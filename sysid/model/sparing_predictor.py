@@ -49,13 +49,6 @@ class SparingPredictor:
         self._engine = engine
         self._carried: _Carried | None = None
 
-    def begin_with(
-        self, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray, found: Sequence[Prediction]
-    ) -> None:
-        """Carry over predictions of all runs at scaled values ``(p,)``, whose derivatives may be those of a place
-        nearby."""
-        self._keep(runs, parameters, scaled, list(found), 1)
-
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
         """A prediction without derivatives."""
         return self._engine.submit(rig, run, refine, dt)
@@ -91,26 +84,16 @@ class SparingPredictor:
             Prediction(now.values, _corrected(then, now, step, width), now.trace)
             for then, now in zip(before.found, [job.result() for job in jobs], strict=True)
         ]
-        self._keep(runs, parameters, scaled, found, before.since + 1)
+        self._carried = _Carried(names, on, np.array(scaled), found, before.since + 1)
         return found
 
     def _anew(
         self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
     ) -> list[Prediction]:
         found = self._engine.predict_all(rig, runs, parameters, scaled)
-        self._keep(runs, parameters, scaled, found, 0)
-        return found
-
-    def _keep(
-        self,
-        runs: Sequence[Run],
-        parameters: Sequence[FitParameter],
-        scaled: np.ndarray,
-        found: list[Prediction],
-        since: int,
-    ) -> None:
         names, on = tuple(p.name for p in parameters), tuple(map(_key, runs))
-        self._carried = _Carried(names, on, np.array(scaled), found, since)
+        self._carried = _Carried(names, on, np.array(scaled), found, 0)
+        return found
 
 
 def _key(run: Run) -> object:

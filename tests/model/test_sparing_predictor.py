@@ -47,7 +47,7 @@ class Counting:
         return [Prediction({"gauge": self.at(scaled)}, {"gauge": slopes}, cast(Trace, None)) for _ in runs]
 
 
-def fitted(small_rig: Any, sparing: bool, nearby: bool = False) -> tuple[np.ndarray, Counting]:
+def fitted(small_rig: Any, sparing: bool) -> tuple[np.ndarray, Counting]:
     rig = small_rig()
     parameters: list[FitParameter] = fit_parameters(rig, ["card.E", "gel.E"])
     origin = start_of(rig, parameters)
@@ -56,11 +56,6 @@ def fitted(small_rig: Any, sparing: bool, nearby: bool = False) -> tuple[np.ndar
     run = Run("run", "", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
     engine = cast(Any, SparingPredictor(cast(Any, source)) if sparing else source)
     problem = Problem([run], {"gauge": ChannelNoise(np.array([1e-3]), 0.0, "test")}, engine)
-    if nearby:
-        (beside,) = source.predict_all(rig, [run], parameters, origin + np.array([0.2, 0.05]))
-        here = Prediction({"gauge": source.at(origin + 0.1)}, beside.derivatives, cast(Trace, None))
-        engine.begin_with([run], parameters, origin + 0.1, [here])
-        source.full = 0
     found = problem.fit(rig, parameters, origin + np.array([0.1, 0.1]), max_evaluations=30)
     return found.scaled - origin, source
 
@@ -71,14 +66,6 @@ def test_the_same_minimum_with_few_derivatives(small_rig: Any) -> None:
     np.testing.assert_allclose(found, exact, atol=2e-3)
     np.testing.assert_allclose(exact, [0.5, 0.3], atol=2e-2)
     assert source.full < all_derived.full and source.full + source.plain < 31
-
-
-def test_a_search_that_begins_with_derivatives_of_a_place_nearby_comes_to_the_same_minimum(small_rig: Any) -> None:
-    exact, _ = fitted(small_rig, False)
-    _, source = fitted(small_rig, True)
-    found, begun = fitted(small_rig, True, nearby=True)
-    np.testing.assert_allclose(found, exact, atol=2e-3)
-    assert begun.full < source.full
 
 
 def test_a_correction_meets_the_change_that_was_seen(small_rig: Any) -> None:
