@@ -241,6 +241,8 @@ def _collect(
     """The diagnosis as data, and the rig that it ends with."""
     answer = verdict.named[0] if verdict.kind in ("named", "one_of", "partly") else None
     located = locate(base.problem, base.fitted, answer.fitted if answer else None)
+    if verdict.kind == "nothing_missing":  # What is significant but too small to be seen is no place to look at.
+        located = replace(located, windows=dict.fromkeys(located.windows, ()), phase=words.NOWHERE)
     named, alternatives = candidates_of(verdict, trials, case)
     became = fates(rig, verdict, trials, case, screened)
     fitted, predicted = (answer.fitted, answer.predicted) if answer else (base.fitted, base.there)

@@ -17,6 +17,7 @@ from sim_core.rigs import Rig, parse_rig
 from sysid.diagnosis import baseline, candidates, refits
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.result import Diagnosis
+from sysid.diagnosis.wording import NOWHERE
 from sysid.model.parameters import rig_at
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
@@ -201,6 +202,20 @@ def test_an_effect_that_hides_readings_explains_nothing(diagnose: Callable[..., 
 
     found = diagnose(law)
     assert found.verdict == "unknown" and not found.effects
+
+
+def test_what_is_too_small_to_be_seen_marks_no_window(
+    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        return read(rig) + (0.02 * RIPPLE if fine else 0.0)
+
+    for module in ("residual_analysis", "verdict"):
+        monkeypatch.setattr(f"sysid.diagnosis.{module}.LEAST_SIZE", 1e9)
+    found = diagnose(law)
+    assert found.verdict == "nothing_missing"
+    assert set(found.located.windows) == {"press"} and not any(found.located.windows.values())
+    assert found.located.phase == NOWHERE
 
 
 def test_the_baseline_goes_on_beside_the_discretisation_error_measured_last(
