@@ -351,7 +351,7 @@ def _shorter_steps(
 ) -> tuple[list[Run], list[Prediction]] | None:
     """The runs with shorter steps and their predictions where a search stands; None where none is needed. A recording
     that follows the steps of the rig keeps them, since it may be a simulation with these, and so does one that follows
-    neither, as where a strip snaps."""
+    neither, as where a strip snaps, or of which too much is not explained to tell."""
     rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
     found = list(runs)
     shorter = with_steps(engine, rigs, runs, noise)
@@ -360,7 +360,7 @@ def _shorter_steps(
     there = {k: job.result() for k, job in jobs}
     for k, prediction in there.items():
         share = follows([problem.runs[k]], [fitted.predictions[k]], [[prediction]], noise, known)[0]
-        if share.refines:
+        if share.surely_refines:
             found[k] = shorter[k]
     if all(a is b for a, b in zip(found, runs, strict=True)):
         return None

@@ -106,6 +106,26 @@ def test_each_recording_has_the_steps_that_it_follows(fitted: Any) -> None:
         np.testing.assert_allclose(prediction.values["gauge"], vibration(0.0, h))
 
 
+def test_what_is_left_out_does_not_decide_on_the_steps(fitted: Any) -> None:
+    """A recording with the steps of the rig, and a slow vibration beside it that no model has, which looks like shorter
+    steps here and like longer ones there."""
+    engine, _, there = fitted(0.01)
+    rig = there.centre
+    parameters = [replace(p, known_sd=1e-4) for p in fit_parameters(rig, NAMES)]
+    noise = {"gauge": ChannelNoise(np.array([NOISE]), np.zeros(1), "given")}
+    change = (vibration(0.0, 0.005) - vibration(0.0, 0.01))[:, 0]
+    beat = np.sign(np.sin(2.0 * np.pi * T))
+    beat -= np.sum(change**2 * beat) / np.sum(change**2)
+    told = []
+    for size in (0.0, 4.0):
+        wanted = change * (0.8 + size * beat)
+        values = vibration(0.0, 0.01) + wanted[:, None] + NOISE * np.random.default_rng(3).standard_normal((len(T), 1))
+        runs = [Run("run", "", (), {}, (Measured("gauge", "markers", T, values, ("x",)),), float(T[-1]))]
+        problem = Problem(runs, noise, engine, prior=True)
+        told.append(_shorter_steps(engine, problem, problem.evaluate(rig, parameters, engine.origin), runs, noise))
+    assert told[0] is not None and told[1] is None
+
+
 def test_what_misses_a_sixth_of_the_readings_is_another_branch(fitted: Any) -> None:
     _, problem, found = fitted(0.0)
     assert not _is_far(found)
