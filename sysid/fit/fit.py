@@ -249,11 +249,15 @@ class _Found:
 
 
 def _at_given(found: _Found, stays: Fitted, first: np.ndarray) -> _Found:
-    """What is known of the parameters where the given values stay."""
+    """What is known of the parameters where the given values stay. How far the data limit a parameter along the
+    likelihood does not depend on which of the values within is reported."""
     estimates, correlation, findings, reduced = estimates_of(stays, first)
+    values = {e.name: e.value for e in estimates}
+    profiles = [replace(p, value=values[p.name]) for p in found.profiles if p.limited]
+    profiles = [p for p in profiles if p.ci95[0] <= p.value <= p.ci95[1]]
     return replace(
-        found, fitted=stays, estimates=estimates, correlation=correlation, findings=findings, reduced_chi2=reduced,
-        profiles=[], contradicted=[],
+        found, fitted=stays, estimates=estimates, correlation=correlation, findings=_beside(stays, findings, profiles),
+        reduced_chi2=reduced, profiles=profiles, contradicted=[],
     )  # fmt: skip
 
 
@@ -388,6 +392,14 @@ def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequ
     return _Look(clean[: len(runs)], clean[len(runs) :], outliers, plain if len(plain) == len(runs) else None)
 
 
+def _beside(fitted: Fitted, findings: Sequence[Finding], profiles: Sequence[Profile]) -> list[Finding]:
+    """The findings, and what profiles say, which takes the place of some."""
+    said = [p for p in profiles if p.sentence]
+    known = {q.name for q in fitted.parameters if q.known_sd is not None}
+    replaced = {(p.name,) for p in said if p.limited and p.name not in known}
+    return [*(f for f in findings if f.undetermined not in replaced), *(Finding(p.sentence) for p in said)]
+
+
 def _profiled(
     problem: Problem,
     fitted: Fitted,
@@ -424,11 +436,7 @@ def _profiled(
     else:
         profiles = profiler.profiles()
         better = profiler.lower()
-        said = [] if better else [p for p in profiles if p.sentence]
-        known = {q.name for q in fitted.parameters if q.known_sd is not None}
-        replaced = {(p.name,) for p in said if p.limited and p.name not in known}
-        findings = [f for f in findings if f.undetermined not in replaced]
-        findings += [Finding(better)] if better else [Finding(p.sentence) for p in said]
+        findings = [*findings, Finding(better)] if better else _beside(fitted, findings, profiles)
     if profiler.interrupted:
         return (
             profiles,
