@@ -161,11 +161,13 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         fitted = problem.fit(rig, parameters, fitted.scaled, max_evaluations=FIRST, tolerance=2.0)
         if fitted.interrupted:
             raise KeyboardInterrupt
-    shorter = _shorter_steps(engine, problem, fitted, runs, noise) if rig.solver.inertia else None
+    shorter = None
+    if rig.solver.inertia:
+        runs, shorter, undecided = _shorter_steps(engine, problem, fitted, runs, noise)
+        told = (*told, *undecided)
     if shorter is not None:
         tell(0.2, "baseline fit with shorter time steps")
-        runs, own = shorter
-        model = stands(fitted.scaled, own)
+        model = stands(fitted.scaled, shorter)
         clean, _ = without_outliers(runs, model.plain, noise)
         shapes = model.shapes
         problem = Problem(clean, noise, model.engine, shapes, prior=True)
@@ -348,12 +350,12 @@ def _is_far(fitted: Fitted) -> bool:
 
 def _shorter_steps(
     engine: AnyEngine, problem: Problem, fitted: Fitted, runs: Sequence[Run], noise: dict[str, ChannelNoise]
-) -> tuple[list[Run], list[Prediction]] | None:
-    """The runs with shorter steps and their predictions where a search stands; None where none is needed. A recording
-    that follows the steps of the rig keeps them, since it may be a simulation with these, and so does one that follows
-    neither, as where a strip snaps, or of which too much is not explained to tell."""
+) -> tuple[list[Run], list[Prediction] | None, tuple[str, ...]]:
+    """The runs with shorter steps, their predictions where a search stands, None where no step is shorter, and in words
+    where that cannot be told. A recording that follows the steps of the rig keeps them, since it may be a simulation
+    with these, and so does one that follows neither, as where a strip snaps, or of which too much is not explained."""
     rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
-    found = list(runs)
+    found, told = list(runs), []
     shorter = with_steps(engine, rigs, runs, noise)
     known = np.array([p.known_sd or p.prior_sd for p in fitted.parameters])
     jobs = [(k, engine.submit(rigs[k], run)) for k, run in enumerate(shorter) if run is not runs[k]]
@@ -362,11 +364,18 @@ def _shorter_steps(
         share = follows([problem.runs[k]], [fitted.predictions[k]], [[prediction]], noise, known)[0]
         if share.surely_refines:
             found[k] = shorter[k]
+        elif share.refines:
+            told.append(
+                f"{runs[k].name} keeps the time steps of the rig: its readings change with shorter ones, but so much "
+                "of it is not explained that it cannot tell which it follows "
+                f"({share.value:.2g} +- {share.robust_sd:.2g} of the way to halved steps). Repeat the "
+                "diagnosis with half the solver.dt_s to see what depends on it."
+            )
     if all(a is b for a, b in zip(found, runs, strict=True)):
-        return None
+        return found, None, tuple(told)
     kept = {k: engine.submit(rigs[k], run) for k, run in enumerate(found) if run is runs[k]}
     # Those of the fit hold what a reference model adds, which is added to these later.
-    return found, [kept[k].result() if k in kept else there[k] for k in range(len(runs))]
+    return found, [kept[k].result() if k in kept else there[k] for k in range(len(runs))], tuple(told)
 
 
 def held_out_problem(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,17 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chromium import SOFTWARE_GL, chromium
 
 from sim_core.rigs import load_rig
 from sysid.show.page import page
 from sysid.show.subject import resting, still
 
-webdriver = pytest.importorskip("selenium.webdriver")
-
 pytestmark = pytest.mark.browser
-
-FLAGS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle", "--use-angle=swiftshader",
-         "--enable-unsafe-swiftshader", "--disable-background-networking", "--hide-scrollbars")  # fmt: skip
 
 COLOURED = """
 const c = document.getElementById('gl'), d = document.createElement('canvas');
@@ -33,15 +28,7 @@ return [n / (p.length / 4), sum];
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    chromium, driver = shutil.which("chromium") or shutil.which("google-chrome"), shutil.which("chromedriver")
-    if chromium is None or driver is None:
-        pytest.skip("Chromium and chromedriver are not installed.")
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for flag in FLAGS:
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    with webdriver.Chrome(options, webdriver.ChromeService(driver)) as found:
+    with chromium(*SOFTWARE_GL) as found:
         yield found
 
 

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from chromium import SOFTWARE_GL, chromium
+from PIL import Image
 
 from sim_core.rigs import load_rig
 from sysid.cli.app import main
@@ -271,3 +273,37 @@ def test_the_command_prints_the_address_and_ends_with_an_interrupt() -> None:
         _, told = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert "Traceback" not in told
+
+
+RED = (150, 90, 90)
+"""The strained gel is redder than its ground: at least the first, at most the others."""
+
+
+def red(page: Any) -> float:
+    """Share of the picture, left of the controls, that is as red as a strained gel."""
+    picture = np.asarray(Image.open(io.BytesIO(page.get_screenshot_as_png())).convert("RGB")).astype(int)[:, :850]
+    return float(np.mean((picture[..., 0] > RED[0]) & (picture[..., 1] < RED[1]) & (picture[..., 2] < RED[2])))
+
+
+def until(holds: Callable[[], bool]) -> bool:
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        if holds():
+            return True
+        time.sleep(0.5)
+    return False
+
+
+@pytest.mark.browser
+def test_chromium_draws_the_scene_and_another_instant(viewer: Viewer) -> None:
+    viewer.colour("strain")
+    viewer.show(0.4)
+    with chromium(*SOFTWARE_GL, "--window-size=1200,800") as page:
+        page.get(viewer.address)
+        assert until(lambda: "strain [%]" in page.execute_script("return document.body.innerText"))
+        said = page.execute_script("return document.body.innerText")
+        assert "overlap at the start" in said and "cannot see any of its 49 markers" in said
+        assert until(lambda: red(page) > 0.003), "the squeezed gel is drawn in the colour of its strain"
+        viewer.show(0.0)
+        assert until(lambda: red(page) < 0.001), "the gel at rest is pale"
+        assert not [line for line in page.get_log("browser") if line["level"] == "SEVERE"]

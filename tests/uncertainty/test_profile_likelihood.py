@@ -21,7 +21,7 @@ from sim_core.rigs import with_parameters
 from sim_core.rigs.motion import Experiment
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit_runs
-from sysid.fit.fit import _profiled
+from sysid.fit.fit import _at_given, _Found, _profiled
 from sysid.fit.options import Intervals
 from sysid.model.load import load_run
 from sysid.model.parallel_predictor import ParallelPredictor
@@ -399,6 +399,22 @@ def test_a_better_fit_in_sight_of_the_ends_is_gone_to() -> None:
     shape = np.sin(3.0 * T)
     least = float(np.sum((y - shape * (shape @ y) / (shape @ shape)) ** 2)) / SIGMA**2
     assert gain == pytest.approx(there.chi2 - least, rel=0.01)
+
+
+@pytest.mark.parametrize(("given", "kept"), [(2.5, True), (0.5, False)])
+def test_where_given_values_stay_the_profile_that_holds_them_is_kept(given: float, kept: bool) -> None:
+    """Of a friction that never slips, which has a lower limit of 1.2."""
+    problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0)
+    profiles, _, _ = _profiled(problem, fitted, [], "profiled", None)
+    first = np.array([given, fitted.scaled[1]])
+    stays = problem.evaluate(cast(Any, None), fitted.parameters, first)
+    found = _Found(cast(Any, None), problem, fitted, [], [], [], 1.0, profiles, [])
+    there = _at_given(found, stays, first)
+    friction = "contacts.a-b.friction"
+    assert [p.value for p in there.profiles if p.name == friction] == [given] * kept
+    said = " ".join(f.sentence for f in there.findings)
+    assert (f"{friction} is at least" in said) == kept
+    assert not kept or f"do not determine {friction}" not in said
 
 
 @pytest.mark.slow
