@@ -223,7 +223,7 @@ def test_the_same_as_a_command(name: str, tmp_path: Path) -> None:
     words = prepare(FAULTS[name], tmp_path)
     before = snapshot(tmp_path)
     done = subprocess.run(
-        [sys.executable, "-m", "sysid", *words], cwd=tmp_path, capture_output=True, text=True, timeout=120
+        [sys.executable, "-m", "sysid", *words], cwd=tmp_path, capture_output=True, text=True, timeout=300
     )
     check(FAULTS[name], done.returncode, done.stdout, done.stderr)
     assert snapshot(tmp_path) == before
@@ -236,7 +236,7 @@ def test_a_truncated_recording_is_read_as_far_as_it_goes_and_left_alone(tmp_path
     cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
     before = snapshot(tmp_path)
     done = subprocess.run(
-        [sys.executable, "-m", "sysid", "inspect", str(cut)], capture_output=True, text=True, timeout=120
+        [sys.executable, "-m", "sysid", "inspect", str(cut)], capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0
     assert "messages were recovered" in done.stdout

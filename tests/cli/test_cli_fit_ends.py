@@ -84,7 +84,7 @@ def test_a_fit_that_is_interrupted_twice_keeps_what_it_found(tmp_path: Path) -> 
         assert said, child.stdout.read()
     time.sleep(0.3)
     child.send_signal(signal.SIGINT)
-    table, errors = child.communicate(timeout=120)
+    table, errors = child.communicate(timeout=300)
     assert child.returncode == 130 and errors.endswith("thinshell: interrupted.\n")
     assert "The fit did not converge: interrupted" in table and "strip.E_pa" in table
     result = json.loads((out / "fit.json").read_text())

@@ -213,7 +213,7 @@ def test_a_long_case_is_not_waited_for_in_silence(small_rig, monkeypatch):
     told, heard = [], threading.Event()
 
     def case(rig, experiments, parameters, number, *drawn):
-        assert heard.wait(30.0)
+        assert heard.wait(300.0)
         return [outcome(number, 0.5)]
 
     def report(share, text):

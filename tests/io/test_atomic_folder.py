@@ -126,7 +126,7 @@ def test_the_working_folder_may_be_named_by_its_dot(tmp_path: Path) -> None:
         "with whole_folder(Path('.')) as folder:\n"
         "    (folder / 'a').write_text('1')\n"
     )
-    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True, timeout=300)
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
 
 

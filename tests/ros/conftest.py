@@ -98,7 +98,7 @@ def record_press(client: Client, tmp_path: Path) -> Callable[[Path], dict[str, i
             client.wait(flowing, f"not all topics are recorded: {recorder.output}")
             before = {topic: len(messages) for topic, messages in client.heard.items()}
             client.go(REST_HEIGHT_M, REST_HEIGHT_M - 0.0011, 1.0)
-            client.spin(0.3)
+            client.simulate(0.3)
             client.go(REST_HEIGHT_M - 0.0011, REST_HEIGHT_M, 1.0)
             after = {topic: len(messages) for topic, messages in client.heard.items()}
             assert recorder.stop() == 0, recorder.output

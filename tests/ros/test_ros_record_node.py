@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ros_live import RIG, Client, NodeProcess
+from ros_live import RIG, WAIT_S, Client, NodeProcess
 from rosbags.rosbag2 import Reader
 
 from sim_core.rigs import load_rig
@@ -82,7 +82,7 @@ def test_a_bag_is_not_overwritten(ros: None, tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     recorder = NodeProcess("record_node", tmp_path / "output", rig=RIG, uri=tmp_path / "bag")
     try:
-        assert recorder.process.wait(30.0) == 2
+        assert recorder.process.wait(WAIT_S) == 2
         assert "exists already" in recorder.output
         assert "Traceback" not in recorder.output
     finally:
@@ -92,7 +92,7 @@ def test_a_bag_is_not_overwritten(ros: None, tmp_path: Path) -> None:
 def test_a_recorder_without_topics_is_told_so(ros: None, tmp_path: Path) -> None:
     recorder = NodeProcess("record_node", tmp_path / "output")
     try:
-        assert recorder.process.wait(30.0) == 2
+        assert recorder.process.wait(WAIT_S) == 2
         assert "Set the parameter rig, topics, or both." in recorder.output
     finally:
         recorder.kill()

@@ -49,7 +49,7 @@ class Plant:
         self._clock = client.node.get_clock()
         self._pose_publisher = client.node.create_publisher(PoseStamped, pose_topic, 5)
         self._wrench_publisher = client.node.create_publisher(WrenchStamped, f"{namespace}/tactile/left/wrench", 5)
-        client.node.create_subscription(PoseStamped, f"{namespace}/target_pose", self._follow, 1)
+        client.node.create_subscription(PoseStamped, f"{namespace}/target_pose", self._follow, 1000)
         client.node.create_timer(0.02, self._publish)
         self.repair()
 
@@ -166,6 +166,7 @@ def test_a_press_is_replayed_and_recorded(unconfigured: Replayer, plant: Plant, 
     ended = unconfigured.until("succeeded", "aborted")
     assert ended["state"] == "succeeded", ended
     assert unconfigured.change("deactivate")
+    unconfigured.wait(lambda: plant.z == unconfigured.targets[-1].pose.position.z, "the plant does not follow")
     heights = np.array([m.pose.position.z for m in unconfigured.targets])
     assert plant.deepest == pytest.approx(REST_HEIGHT_M - DEPTH_M, abs=1e-9)
     assert heights[-1] == pytest.approx(REST_HEIGHT_M, abs=1e-12)

