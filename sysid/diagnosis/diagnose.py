@@ -23,7 +23,7 @@ from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import hypotheses, recording_scales
 from sysid.diagnosis.confirmation import confirmed
 from sysid.diagnosis.next_motion import in_words, proposed
-from sysid.diagnosis.refits import Start, Trial, tempered, trials_of
+from sysid.diagnosis.refits import Start, Trial, tempered, trials_of, without_idle
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
 from sysid.diagnosis.residual_analysis import locate, structure
 from sysid.diagnosis.result import Diagnosis, Misfit, StructuredMisfit, UnreliablePlace
@@ -61,6 +61,9 @@ BESIDE = 3
 OF_MISFIT = 0.1
 """Share of the misfit that is in a sensor's readings, up to which it is no place where to look."""
 
+TO_HOLD_OUT = 3
+"""Recordings from which the last is held out where none is."""
+
 PAIRED = 6
 """Effects whose pairs are looked at in the screening."""
 
@@ -72,9 +75,14 @@ def diagnose_runs(
     *,
     on_progress: Progress | None = None,
 ) -> tuple[Diagnosis, Rig]:
-    """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none). Raises
+    """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none). Where no run is held
+    out, the last of three or more is: what an effect predicts tells it from what follows noise and mesh. Raises
     ``RecordingError`` where two runs have readings in common."""
     check_apart(runs, held_out)
+    told: tuple[str, ...] = ()
+    if not held_out and len(runs) >= TO_HOLD_OUT:
+        runs, held_out = runs[:-1], runs[-1:]
+        told = (f"{held_out[0].name} was held out, to see what effects predict, since no recording was.",)
     started = time.monotonic()
     tell = on_progress or (lambda share, text: None)
     with ParallelPredictor(os.cpu_count()) as engine:
@@ -99,6 +107,7 @@ def diagnose_runs(
         places = _places(base, verdict, tell)
         tell(0.97, "report")
         diagnosis, amended = _collect(rig, base, case, verdict, trials, Screened(screen, singles, failed), places)
+    diagnosis.notes = (*told, *diagnosis.notes)
     diagnosis.provenance = provenance(rig, list(runs), list(held_out))
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
@@ -127,7 +136,7 @@ def _trials(
     pair = _best_pair(screen, promising)
     if pair is not None and pair.gain > singles[0].gain + case.needed:
         starts.append(_start(screen, pair))
-    trials = tempered(base, trials_of(base, base.fitted, starts, scales, failed))
+    trials = _pruned(base, trials_of(base, base.fitted, starts, scales, failed), failed)
     for count in range(2, MOST_EFFECTS + 1):
         best = next((t for t in trials if not rejected(t, case)), None)
         if best is None or not best.left.missing or len(best.hypotheses) >= count:
@@ -141,9 +150,23 @@ def _trials(
             break
         further = [_beside(best, _start(beside, s)) for s in _distinct(beside, promising, BESIDE, 0)]
         more = trials_of(base, best.fitted, further, scales, failed)
-        trials = tempered(base, [*trials, *more])
+        trials = _pruned(base, [*trials, *more], failed)
         if trials[0].gain < best.gain + case.needed:
             break
+    return trials
+
+
+def _pruned(base: Baseline, trials: Sequence[Trial], failed: dict[str, str]) -> list[Trial]:
+    """The trials, best first, that set of which is best without the effects that are not told from none beside its
+    others: fitted from there, an effect may be better explained than from where it was first looked at."""
+    trials = tempered(base, trials)
+    best = trials[0] if trials else None
+    while best is not None and best.idle and len(best.hypotheses) > 1:
+        best = without_idle(base, best, failed)
+        if best is not None:
+            known = [t for t in trials if t.names == best.names]
+            if all(best.fitted.chi2 < t.fitted.chi2 for t in known):
+                trials = tempered(base, [best, *(t for t in trials if t not in known)])
     return trials
 
 

@@ -16,7 +16,7 @@ from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.evidence import distance_from_none, log_evidence, significance
 from sysid.diagnosis.residual_analysis import Structure, largest_change, structure
-from sysid.diagnosis.validation import gain_of, seen_by_both
+from sysid.diagnosis.validation import gain_of, nats_of, seen_by_both
 from sysid.fit.discretisation_refinement import error_sizes
 from sysid.fit.result import rms_errors
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
@@ -67,15 +67,16 @@ class Start:
 @dataclass(frozen=True)
 class Trial:
     """A set of effects refitted. ``gain`` [nats]: log evidence over the baseline; ``explained``: share of the
-    baseline's structured misfit that is gone, ``explained_there`` on recordings held out (None without); ``left``: what
-    is left of it; ``held_out``: share of the robust misfit on held-out recordings that it removes (negative: it
-    predicts worse); ``worse``: what it predicts there worse than the baseline, in words (:func:`worse_there`);
-    ``significance``: of the weakest of its effects (:func:`sysid.diagnosis.evidence.significance`); ``idle``: that of
-    its several effects whose size the recordings do not tell from none beside the others, in words; ``change``: of the
-    predictions, over what readings may be off (:func:`sysid.diagnosis.residual_analysis.largest_change`);
-    ``in_pose_noise``: that of its effects which moves hands by less than the noise of their poses, in words;
-    ``failure``: why it is no answer whatever its figures; ``predicted``: the model on the recordings held out;
-    ``confirmed``: it was fitted to the end, beside simulations of the reference model with its effects."""
+    baseline's structured misfit that is gone, ``explained_there`` on recordings held out (None without); ``left``:
+    what is left of it; ``held_out``: share of the robust misfit on held-out recordings that it removes (negative: it
+    predicts worse), and ``predicts`` [nats] the log likelihood ratio for it there (None without); ``worse``: what it
+    predicts there worse than the baseline, in words (:func:`worse_there`); ``significance``: of the weakest of its
+    effects (:func:`sysid.diagnosis.evidence.significance`); ``idle``: that of its several effects whose size the
+    recordings do not tell from none beside the others, in words; ``change``: of the predictions, over what readings
+    may be off (:func:`sysid.diagnosis.residual_analysis.largest_change`); ``in_pose_noise``: that of its effects
+    which moves hands by less than the noise of their poses, in words; ``failure``: why it is no answer whatever its
+    figures; ``predicted``: the model on the recordings held out; ``confirmed``: it was fitted to the end, beside
+    simulations of the reference model with its effects."""
 
     hypotheses: tuple[Hypothesis, ...]
     fitted: Fitted
@@ -92,6 +93,7 @@ class Trial:
     idle: str = ""
     change: float = np.inf
     in_pose_noise: str = ""
+    predicts: float | None = None
 
     @property
     def names(self) -> frozenset[str]:
@@ -242,7 +244,8 @@ def scored(base: Baseline, hypotheses: tuple[Hypothesis, ...], fitted: Fitted, t
     return Trial(hypotheses, fitted, gain, explained(before, left), on_others, left, gain_of(both), worth, there,
                  worse=worse_there(base, there), idle=idle_effect(hypotheses, fitted),
                  change=largest_change(base.problem, base.fitted, fitted),
-                 in_pose_noise=in_pose_noise(hypotheses, fitted.rig, base.problem.runs))  # fmt: skip
+                 in_pose_noise=in_pose_noise(hypotheses, fitted.rig, base.problem.runs),
+                 predicts=nats_of(both))  # fmt: skip
 
 
 def in_pose_noise(hypotheses: Sequence[Hypothesis], rig: Rig, runs: Sequence[Run]) -> str:
@@ -261,8 +264,37 @@ def idle_effect(hypotheses: Sequence[Hypothesis], fitted: Fitted) -> str:
     """The effect of a set of several that is nearest to none, in words, if it is within :data:`TOLD_APART`."""
     if len(hypotheses) < 2:
         return ""
-    least, h = min(((distance_from_none(h, fitted), h) for h in hypotheses), key=lambda pair: pair[0])
+    h = _idlest(hypotheses, fitted)
+    least = distance_from_none(h, fitted)
     return f"that {h.effect.title}, by {least:.1f} standard deviations" if least < TOLD_APART else ""
+
+
+def _idlest(hypotheses: Sequence[Hypothesis], fitted: Fitted) -> Hypothesis:
+    return min(hypotheses, key=lambda h: distance_from_none(h, fitted))
+
+
+def without_idle(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | None:
+    """A set of several effects without the one that is not told from none beside the others, fitted on from where the
+    set stands (backward elimination); None, and why in ``failed``, where that cannot be simulated."""
+    idle = _idlest(trial.hypotheses, trial.fitted)
+    kept = tuple(h for h in trial.hypotheses if h is not idle)
+    begun = trial.fitted
+    mine = [not p.target.startswith(f"effects.{idle.key}.") for p in begun.parameters]
+    centre = begun.centre.model_copy(
+        update={"effects": {k: v for k, v in begun.centre.effects.items() if k != idle.key}}
+    )
+    problem = copy(base.problem)
+    problem.engine = SparingPredictor(base.problem.engine)
+    parameters = [p for p, stays in zip(begun.parameters, mine, strict=True) if stays]
+    try:
+        fitted = problem.fit(centre, parameters, begun.scaled[mine], max_evaluations=EVALUATIONS, tolerance=TOLERANCE)
+        if fitted.interrupted:
+            raise KeyboardInterrupt
+        there = base.check.evaluate(fitted.rig, [], np.zeros(0)) if base.check.runs else None
+    except ThinshellError as error:
+        failed[" and ".join(sorted(h.effect.name for h in kept))] = f"could not be simulated: {error}"
+        return None
+    return None if _hides(base.fitted, fitted) or _hides(base.there, there) else scored(base, kept, fitted, there)
 
 
 def worse_there(base: Baseline, there: Fitted | None) -> str:

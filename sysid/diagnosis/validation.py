@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sysid.diagnosis.evidence import held_out_gain
+from sysid.diagnosis.evidence import held_out_gain, held_out_nats
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -39,6 +39,12 @@ def gain_of(both: tuple[Fitted, Fitted] | None) -> float | None:
     """Share of the robust misfit on held-out runs that an amendment removes (:func:`seen_by_both`); None where nothing
     is to be seen."""
     return None if both is None else held_out_gain(both[0].residual, both[1].residual)
+
+
+def nats_of(both: tuple[Fitted, Fitted] | None) -> float | None:
+    """Log likelihood ratio [nats] on held-out runs for an amendment (:func:`seen_by_both`); None where nothing is to be
+    seen."""
+    return None if both is None else held_out_nats(both[0].residual, both[1].residual)
 
 
 def of_readings(fitted: Fitted) -> float:

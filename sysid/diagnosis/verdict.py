@@ -33,9 +33,6 @@ SOME_EXPLAINED = 0.15
 LEAST_SIGNIFICANCE = 2.5
 """Standard deviations that an improvement must be worth by its stability over blocks of time."""
 
-LEAST_PREDICTED = 0.005
-"""Share of the robust misfit on held-out recordings that an effect must remove where the baseline shows no misfit."""
-
 
 @dataclass(frozen=True)
 class Case:
@@ -92,9 +89,12 @@ def rejected(trial: Trial, case: Case) -> str:
     if not case.missing:
         if trial.gain < WITHOUT_MISFIT * case.needed:
             return "without it the recordings are explained as well, as far as noise and careful models go"
-        if trial.held_out is not None and trial.held_out < LEAST_PREDICTED:
+        if case.there is None:
+            return "no misfit stands out, and no recording is held out that could speak for it"
+        if trial.predicts is not None and trial.predicts < case.needed:
             return (
-                f"it takes away only {100 * trial.held_out:.2g} % of the held-out misfit, which is none that stands out"
+                f"held-out recordings speak for it by only {trial.predicts:.1f} of {case.needed:.1f} nats, where the "
+                "baseline shows no misfit that stands out"
             )
     return ""
 

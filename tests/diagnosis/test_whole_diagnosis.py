@@ -120,7 +120,10 @@ def recording(name: str, values: np.ndarray, seed: int) -> Run:
 def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Diagnosis]:
     from tests.conftest import SMALL
 
-    def told(law: Law, *, concealed: float = SHARE, held: float = SHARE, rig: Rig | None = None) -> Diagnosis:
+    def told(
+        law: Law, *, concealed: float = SHARE, held: float = SHARE, rig: Rig | None = None, given: int = 1
+    ) -> Diagnosis:
+        """``given``: recordings; with more than one, none is held out."""
         monkeypatch.setattr(Sums, "law", staticmethod(law), raising=False)
         monkeypatch.setattr(diagnosing, "ParallelPredictor", Sums)
         monkeypatch.setattr(candidates, "all_effects", lambda: {"gel_relaxation": effect_by_name("gel_relaxation")})
@@ -129,8 +132,9 @@ def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., D
         monkeypatch.setattr(baseline, "nuisance_parameters", lambda *_: [])
         monkeypatch.setattr(diagnosing, "provenance", lambda *_: {})
         monkeypatch.setattr(diagnosing, "slot_evidence", lambda *_: [])
-        runs = [recording("press", 1.2 * MATERIAL + concealed * LAW, 1)]
-        others = [recording("other", 1.2 * MATERIAL + held * LAW, 2)]
+        names = ["press", *(f"press {k}" for k in range(2, given + 1))]
+        runs = [recording(name, 1.2 * MATERIAL + concealed * LAW, 1 + 10 * k) for k, name in enumerate(names)]
+        others = [recording("other", 1.2 * MATERIAL + held * LAW, 2)] if given == 1 else []
         found, _ = diagnosing.diagnose_runs(rig or gel_rig(SMALL), runs, others)
         return found
 
@@ -152,6 +156,16 @@ def test_a_law_that_is_missing_is_named_where_it_acts(diagnose: Callable[..., Di
     assert "100 % of the difference" in found.sentence
     assert found.amended is not None and found.amended.held_out < found.baseline.held_out
     assert diagnose(law, concealed=0.0, held=0.0).verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize(("given", "kept"), [(2, None), (3, "press 3")])
+def test_of_three_recordings_the_last_is_held_out_where_none_is(
+    diagnose: Callable[..., Diagnosis], given: int, kept: str | None
+) -> None:
+    found = diagnose(lambda rig, run, fine: read(rig) + (0.02 * RIPPLE if fine else 0.0), given=given)
+    assert found.verdict == "named"
+    assert (found.baseline.held_out is None) == (kept is None)
+    assert any(f"{kept} was held out" in note for note in found.notes) == (kept is not None)
 
 
 @pytest.mark.parametrize(
@@ -181,12 +195,12 @@ def test_an_answer_is_not_judged_by_a_discretisation_error_that_it_makes_smaller
     """Beside a smaller discretisation error the same held-out readings weigh more, for the baseline as well."""
 
     def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
-        weak = 0.15 if run.name == "other" else 1.0
+        weak = 0.6 if run.name == "other" else 1.0
         values = MATERIAL * (1.0 + stiffness(rig)) + weak * strength(rig) * LAW
         return values + ((own * (1.0 - strength(rig) / SHARE) + 0.02) * RIPPLE if fine else 0.0)
 
-    found = diagnose(law, held=0.15 * SHARE)
-    assert found.verdict == "named", found.tried
+    found = diagnose(law, held=0.6 * SHARE)
+    assert found.verdict == "named", found.tried["gel_relaxation"]
     assert found.effects[0].held_out_gain is not None and found.effects[0].held_out_gain > 0.0
     # The misfits that are reported are those that were compared.
     assert found.amended is not None and found.amended.held_out is not None and found.baseline.held_out is not None
@@ -265,3 +279,24 @@ def test_readings_on_which_the_discretisation_error_is_not_known_are_said(
     notes = diagnose(lambda rig, run, fine: read(rig)).notes
     assert "It counts little for a while." in notes
     assert any(said.endswith("has a fault.") for said in notes)
+
+
+def test_a_set_is_cut_down_to_the_effects_that_are_told_from_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fitted from where the set stands, its effect may be better explained than where it was looked at alone."""
+
+    def trial(names: str, gain: float, idle: str = "") -> Any:
+        hypotheses = tuple(SimpleNamespace(effect=SimpleNamespace(name=n)) for n in names)
+        return SimpleNamespace(
+            names=frozenset(names), hypotheses=hypotheses, gain=gain, idle=idle, fitted=SimpleNamespace(chi2=-gain)
+        )
+
+    def cut(_: object, found: Any, failed: dict[str, str]) -> Any:
+        return {"abc": trial("ab", 19.0, "that b acts"), "ab": trial("a", 18.0)}["".join(sorted(found.names))]
+
+    monkeypatch.setattr(diagnosing, "tempered", lambda _, trials: sorted(trials, key=lambda t: -t.gain))
+    monkeypatch.setattr(diagnosing, "without_idle", cut)
+    known = [trial("a", 9.0), trial("abc", 20.0, "that c acts"), trial("d", 5.0)]
+    found = diagnosing._pruned(None, known, {})  # type: ignore[arg-type]
+    assert [("".join(sorted(t.names)), t.gain) for t in found] == [("abc", 20.0), ("ab", 19.0), ("a", 18.0), ("d", 5.0)]
+    better = [trial("a", 18.5), *known[1:]]
+    assert {t.gain for t in diagnosing._pruned(None, better, {})} == {20.0, 19.0, 18.5, 5.0}  # type: ignore[arg-type]
