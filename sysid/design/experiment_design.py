@@ -20,7 +20,7 @@ import numpy as np
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
-from sysid.fit.discretisation_refinement import discretisation
+from sysid.discretisation.refinement import discretisation
 from sysid.model.load import load_run
 from sysid.model.nuisance_parameters import KINDS, checked_kinds, has_bias, nuisance_parameters
 from sysid.model.parallel_predictor import ParallelPredictor

@@ -19,8 +19,8 @@ from sim_core.rigs import Gel, Rig, Sheet
 from sysid.diagnosis.predictability import unpredictable, without
 from sysid.diagnosis.reference_model import Added, Reference, Standing, reference_for, standing
 from sysid.diagnosis.residual_analysis import structure
-from sysid.fit.contact_mesh import follows
-from sysid.fit.time_steps import followed, with_steps
+from sysid.discretisation.followed_model import follows
+from sysid.discretisation.time_steps import followed, with_steps
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.prediction_source import AnyEngine

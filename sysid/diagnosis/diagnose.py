@@ -31,7 +31,7 @@ from sysid.diagnosis.screening import Score, Screen, look
 from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.validation import of_readings, seen_by_both
 from sysid.diagnosis.verdict import WITHOUT_MISFIT, Case, Verdict, decide, rejected, size_of
-from sysid.fit.discretisation_refinement import coarse_quantities, error_sizes
+from sysid.discretisation.refinement import coarse_quantities, error_sizes
 from sysid.fit.marker_field import marker_fields
 from sysid.fit.result import plot_series, rms_errors
 from sysid.model.parallel_predictor import ParallelPredictor

@@ -10,8 +10,8 @@ of unknown size (:mod:`sysid.solve.discretisation_basis`), as wide as a share of
   rigid motion is not what simulations differ in;
 - of markers on a gel, seen from what the gel is fixed to, :data:`GEL_TOLERANCE` of all their motion, which is
   deformation. How far a surface is dragged along depends on the boundary far away, where forces do not: a pad of three
-  or six times its thickness moves them by a third (:mod:`sysid.fit.gel_extent`), and while a ball slides, finite
-  elements of the wider one differ by a tenth from boundary elements of a layer without end.
+  or six times its thickness moves them by a third (:mod:`sysid.discretisation.gel_extent`), and while a ball slides,
+  finite elements of the wider one differ by a tenth from boundary elements of a layer without end.
 """
 
 from __future__ import annotations

@@ -15,9 +15,10 @@ import numpy as np
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.diagnosis.model_tolerance import model_tolerance
-from sysid.fit.contact_mesh import ContactMesh, follows, refined_where_touched
-from sysid.fit.discretisation_refinement import discretisation, error_of_coarser_cells
-from sysid.fit.gel_extent import widened
+from sysid.discretisation.contact_mesh import ContactMesh, refined_where_touched
+from sysid.discretisation.followed_model import follows
+from sysid.discretisation.gel_extent import widened
+from sysid.discretisation.refinement import discretisation, error_of_coarser_cells
 from sysid.model.parameters import FitParameter, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction

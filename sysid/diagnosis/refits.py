@@ -17,7 +17,7 @@ from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.evidence import distance_from_none, log_evidence, significance
 from sysid.diagnosis.residual_analysis import Structure, largest_change, structure
 from sysid.diagnosis.validation import gain_of, nats_of, seen_by_both
-from sysid.fit.discretisation_refinement import error_sizes
+from sysid.discretisation.refinement import error_sizes
 from sysid.fit.result import rms_errors
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.sparing_predictor import SparingPredictor

@@ -17,7 +17,7 @@ from sysid.diagnosis.result import Candidate, NamedParameter
 from sysid.diagnosis.screening import Score, Screen
 from sysid.diagnosis.verdict import Case, Verdict, probabilities, size_of
 from sysid.diagnosis.wording import reason
-from sysid.fit.discretisation_refinement import large_discretisation_errors, unresolved_quantities
+from sysid.discretisation.refinement import large_discretisation_errors, unresolved_quantities
 from sysid.model.parameters import start_of
 from sysid.model.windows import not_from_rest
 from sysid.noise.data_quality import data_quality_warnings

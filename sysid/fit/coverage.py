@@ -6,7 +6,7 @@ biases of wrenches, cameras that are off) drawn from the priors that a fit has o
 is inside the interval that the curvature at the best fit gives, without the look along the likelihood that ``thinshell
 fit`` takes as well. Cases are numbered, so that any of them can be run again by itself; one process a core.
 
-A fit learns the error of its mesh and time step by halving them (:mod:`sysid.fit.discretisation_refinement`). A truth
+A fit learns the error of its mesh and time step by halving them (:mod:`sysid.discretisation.refinement`). A truth
 of half the mesh and half the step differs from the fit's model by just what it has learnt, so the usual truth is three
 times finer.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
-from sysid.fit.discretisation_refinement import (
+from sysid.discretisation.refinement import (
     Unmeasured,
     error_sizes,
     fit_beside_discretisation,

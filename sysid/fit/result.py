@@ -224,7 +224,7 @@ def rms_errors(
     problem: Problem, before: Fitted, after: Fitted, held_out: bool, own: Mapping[tuple[str, str], float]
 ) -> list[ChannelError]:
     """Root-mean-square errors by run, channel and quantity, over the samples that both models have in sight. ``own``:
-    of mesh and time step, by channel and quantity (:func:`sysid.fit.discretisation_refinement.error_sizes`).
+    of mesh and time step, by channel and quantity (:func:`sysid.discretisation.refinement.error_sizes`).
 
     A bias is of the recording, not of the rig: either model has the best one where the problem allows it.
 

@@ -43,7 +43,7 @@ def scored(
 ) -> Score:
     """Scores of ``run`` by the rig ``before`` and ``after`` a fit. ``bias``: either has the best bias of each wrench;
     ``own``: error of mesh and time step by channel and quantity
-    (:func:`sysid.fit.discretisation_refinement.error_sizes`)."""
+    (:func:`sysid.discretisation.refinement.error_sizes`)."""
     check = Problem([run], noise, engine, bias=bias)
     try:
         there = check.evaluate(before, [], np.zeros(0))

@@ -70,7 +70,7 @@ class Run:
     topics of the rig that it does not have. ``counted``: notes that count samples, which
     :func:`sysid.model.windows.window_of` tells for the window, or for the whole; ``breaks``: instants at which it
     begins anew, each with the error of a window across it. ``steps`` [s] ``(k,)``: instants of the solver's steps from
-    0 to ``end`` where they are not ``solver.dt_s`` apart (:mod:`sysid.fit.time_steps`)."""
+    0 to ``end`` where they are not ``solver.dt_s`` apart (:mod:`sysid.discretisation.time_steps`)."""
 
     name: str
     path: str

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sim_core.rigs import Rig, rig_to_yaml
 from sim_core.rigs.motion import load_experiment
-from sysid.fit.convergence import Convergence, converge, refuse_no_noise
+from sysid.discretisation.error_budget import Convergence, converge, refuse_no_noise
 from sysid.model.load import load_runs
 from sysid.noise.estimate import as_declared, channel_noise, undeclared
 from sysid.simulate import simulate_to_bag
@@ -23,8 +23,9 @@ def converge_rig(
     on_progress: Callable[[float, str], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
 ) -> Convergence:
-    """Refine a rig (:func:`sysid.fit.convergence.converge`) along a ``motion``, a recording or an experiment, and write
-    it to ``out``. The noise is that of the recording, or, along an experiment, that which the rig declares."""
+    """Refine a rig (:func:`sysid.discretisation.error_budget.converge`) along a ``motion``, a recording or an
+    experiment, and write it to ``out``. The noise is that of the recording, or, along an experiment, that which the rig
+    declares."""
     if Path(motion).exists() and Path(motion).suffix not in (".yaml", ".yml"):
         runs, _ = load_runs(rig, [Path(motion)], (), on_warning)
         noise = channel_noise(rig, runs)

@@ -13,7 +13,7 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import load_rig, parse_rig
 from sim_core.rigs.motion import Experiment
 from sysid.design.experiment_design import PREDICTED, plan_experiments
-from sysid.fit.discretisation_refinement import discretisation
+from sysid.discretisation.refinement import discretisation
 from sysid.model.load import load_run
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, start_of

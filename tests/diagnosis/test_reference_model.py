@@ -12,8 +12,8 @@ import pytest
 from sim_core.errors import ConvergenceError
 from sysid.diagnosis import reference_model
 from sysid.diagnosis.reference_model import reference_for
-from sysid.fit.contact_mesh import ContactMesh
-from sysid.fit.gel_extent import Widened
+from sysid.discretisation.contact_mesh import ContactMesh
+from sysid.discretisation.gel_extent import Widened
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise

@@ -268,7 +268,7 @@ def test_only_what_the_rig_may_lack_is_counted(diagnose: Callable[..., Diagnosis
 def test_readings_on_which_the_discretisation_error_is_not_known_are_said(
     diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is said of them is what a fit says (tests/fit/test_discretisation_refinement.py)."""
+    """What is said of them is what a fit says (tests/discretisation/test_refinement.py)."""
     monkeypatch.setattr(
         "sysid.diagnosis.report_notes.unresolved_quantities", lambda problem: ["It counts little for a while."]
     )

@@ -10,8 +10,8 @@ import pytest
 
 from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
-from sysid.fit import discretisation_refinement as discretisation_error
-from sysid.fit.discretisation_refinement import Unmeasured, discretisation, fit_beside_discretisation
+from sysid.discretisation import refinement as discretisation_error
+from sysid.discretisation.refinement import Unmeasured, discretisation, fit_beside_discretisation
 from sysid.fit.fit import _fit_beside_mistakes, _Look
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from sim_core.simulate import Trace
-from sysid.fit.discretisation_refinement import fit_beside_discretisation
+from sysid.discretisation.refinement import fit_beside_discretisation
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction

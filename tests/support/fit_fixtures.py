@@ -27,7 +27,7 @@ def vectors(monkeypatch: pytest.MonkeyPatch) -> None:
     def rig_at(rig: Vector, parameters: Any, scaled: np.ndarray, bag: str = "") -> Vector:
         return Vector(scaled if len(scaled) else rig.x)
 
-    for module, name in (("sysid.solve.residuals", "rig_at"), ("sysid.fit.discretisation_refinement", "rig_in")):
+    for module, name in (("sysid.solve.residuals", "rig_at"), ("sysid.discretisation.refinement", "rig_in")):
         monkeypatch.setattr(f"{module}.{name}", rig_at)
         monkeypatch.setattr(f"{module}.start_of", lambda rig, parameters: rig.x)
 

@@ -13,7 +13,7 @@ import pytest
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
 from sim_core.solve.report import NewtonSettings
-from sysid.fit.discretisation_refinement import discretisation, discretisation_with_slopes
+from sysid.discretisation.refinement import discretisation, discretisation_with_slopes
 from sysid.model import predictor
 from sysid.model.load import load_run
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of

@@ -8,7 +8,7 @@ Each is halved once where the rig stands, alone, and what that changes in the re
 first order in the range of contact at the same scale of pressure. What is above a third of the noise, rms over a
 quantity of a channel, is halved for good, and all are measured anew. The first time that the cells of gels are too
 large, and rigid bodies touch them, those in and around the contact are made finer alone
-(:mod:`sysid.fit.contact_mesh`), as the fields are steep there; after that, all are halved.
+(:mod:`sysid.discretisation.contact_mesh`), as the fields are steep there; after that, all are halved.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from sim_core.errors import ConfigError, ThinshellError
 from sim_core.rigs import Affine, Gel, GelFile, Outline, Rectangle, Rig, Sheet
 from sim_core.scene import build_scene
 from sim_core.scene.contact_constants import constants_of, finest_edge
-from sysid.fit.contact_mesh import refined_where_touched
-from sysid.fit.discretisation_refinement import MESH_ORDER
+from sysid.discretisation.contact_mesh import refined_where_touched
+from sysid.discretisation.refinement import MESH_ORDER
 from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import quantities

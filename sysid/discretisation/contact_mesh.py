@@ -9,10 +9,6 @@ y, edges H of it and h,
     y* - y_h = (y_h - y_H) / ((H / h)^2 - 1)
 
 (Richardson's extrapolation): what a fit takes into account, at the cost of the coarser mesh.
-
-A recording may itself be a simulation with the cells of the rig. Of readings m, predictions y_H with derivatives J, and
-d = y_h - y_H, all in units of the noise, the least squares m - y_H = J dtheta + a d with what is known of theta tell:
-the cells of the rig are kept where a is below a half.
 """
 
 from __future__ import annotations
@@ -27,8 +23,6 @@ from sim_core.postprocess import Layout, Surface, lay_out, surfaces
 from sim_core.preflight.distance import sampled, signed_distance
 from sim_core.rigs import Gel, Rig, Rigid, Sheet
 from sim_core.rigs.regions import RefinedBox
-from sysid.model.predictor import Prediction
-from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Run
 
 OF_RADIUS = 1.25
@@ -42,20 +36,6 @@ LEAST_FINER = 1.2
 
 MARGIN = 0.2
 """What the box reaches beyond what is touched, over the radius of the contact."""
-
-FAR = 5.0
-"""Misfit over its root mean square from which a reading is taken for a mistake."""
-
-SURE_SD, MOST_SHARE = 0.1, 2.5
-"""Standard deviation of the share up to which recordings tell of two models which they follow, and share up to which it
-is one of these."""
-
-BLOCKS = 8
-"""Parts of the time of a recording that tell of a share independently of each other."""
-
-CONFOUNDED = 3.0
-"""Standard deviation of a share as its parts of the time tell it, over that of noise alone, above which what is missing
-decides on it."""
 
 INSTANTS = 60
 """Instants of a recording at which contacts are looked for."""
@@ -101,100 +81,6 @@ def refined_where_touched(rig: Rig, runs: Sequence[Run]) -> ContactMesh | None:
     if not bodies:
         return None
     return ContactMesh(rig.model_copy(update={"bodies": {**rig.bodies, **bodies}}), float(finer), tuple(notes))
-
-
-@dataclass(frozen=True)
-class Share:
-    """How far recordings have gone from one model to another one, 0 to 1; None where both are alike. ``sd``: its
-    standard deviation by noise alone [1]; ``robust_sd``: by how parts of the time differ [1]: what both models leave
-    out is no noise, and goes on from reading to reading."""
-
-    value: float | None
-    sd: float
-    robust_sd: float = 0.0
-
-    @property
-    def refines(self) -> bool:
-        """They follow the other one rather than this, which they do unless they tell otherwise."""
-        return self.value is None or self.value >= 0.5
-
-    @property
-    def surely_refines(self) -> bool:
-        """The same, where what both models leave out does not decide on it."""
-        if self.value is None or self.robust_sd <= CONFOUNDED * self.sd:
-            return self.refines
-        return self.value - 2.0 * self.robust_sd >= 0.5
-
-    @property
-    def extends(self) -> bool:
-        """They tell that they follow the other one, and that the two are those to choose from."""
-        return self.value is not None and self.sd < SURE_SD and 0.5 <= self.value <= MOST_SHARE
-
-
-def follows(
-    runs: Sequence[Run],
-    one: Sequence[Prediction],
-    others: Sequence[Sequence[Prediction]],
-    noise: dict[str, ChannelNoise],
-    known_sd: np.ndarray,
-) -> list[Share]:
-    """The shares a of each of the ``others``, all together, beside the parameters of ``one``, which has derivatives by
-    them; these are known to ``known_sd`` ``(p,)``.
-
-    Parts of the time are clusters for the robust standard deviations (Liang & Zeger, Biometrika 73, 1986).
-    """
-    count = len(known_sd)
-    rows, right, parts = [], [], []
-    for k, (run, there) in enumerate(zip(runs, one, strict=True)):
-        for m in run.measured:
-            sigma, values = noise[m.channel].sigma, there.values[m.channel]
-            changes = np.stack([(other[k].values[m.channel] - values) / sigma for other in others], axis=-1)
-            table = np.concatenate([there.derivatives[m.channel] / sigma[:, None], changes], axis=-1)
-            left = (m.values - values) / sigma
-            seen = np.isfinite(left) & np.isfinite(table).all(axis=-1)
-            rows.append(table[seen])
-            right.append(left[seen])
-            part = BLOCKS * k + np.clip((BLOCKS * m.t / run.end).astype(int), 0, BLOCKS - 1)
-            parts.append(np.broadcast_to(part[:, None], left.shape)[seen])
-    table, left, part = np.concatenate(rows), np.concatenate(right), np.concatenate(parts)
-    alike = np.asarray(~table[:, count:].any(axis=0))
-    prior = np.concatenate([1.0 / known_sd**2, np.zeros(len(others))])
-    found, sd = _least_squares(table, left, prior)
-    miss = np.abs(left - table @ found)
-    near = miss <= FAR * max(1.0, float(np.sqrt(np.mean(miss**2)))) if len(miss) else np.ones(0, dtype=bool)
-    found, sd = _least_squares(table[near], left[near], prior)
-    robust = _robust_sd(table[near], left[near] - table[near] @ found, part[near], prior)
-    return [
-        Share(None, np.inf) if same else Share(float(a), float(s), float(r))
-        for same, a, s, r in zip(alike, found[count:], sd[count:], robust[count:], strict=True)
-    ]
-
-
-def _least_squares(table: np.ndarray, left: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least squares of ``left`` ``(n,)`` by the columns of ``table`` ``(n, p)``, with information ``prior`` ``(p,)``
-    beforehand, and standard deviations ``(p,)``; what the rows do not tell is 0."""
-    inverse = _covariance(table, prior)
-    return np.asarray(inverse @ (table.T @ left)), np.asarray(np.sqrt(np.maximum(np.diag(inverse), 0.0)))
-
-
-def _robust_sd(table: np.ndarray, miss: np.ndarray, part: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Standard deviations ``(p,)`` of least squares with what is missed ``(n,)``, of which only ``part`` ``(n,)`` from
-    part is independent: with H^-1 their covariance by noise alone and g_b = A_b^T r_b, those of
-
-    H^-1 (sum_b g_b g_b^T + P) H^-1."""
-    inverse = _covariance(table, prior)
-    sums = np.stack([table[part == b].T @ miss[part == b] for b in np.unique(part)]) if len(part) else table
-    middle = sums.T @ sums + np.diag(prior)
-    return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ middle @ inverse), 0.0)))
-
-
-def _covariance(table: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Inverse ``(p, p)`` of the information that the rows of ``table`` ``(n, p)`` and prior information ``(p,)``
-    give; 0 where they give none."""
-    normal = table.T @ table + np.diag(prior)
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-    return np.asarray(inverse / np.outer(scale, scale))
 
 
 def _touched(

@@ -16,7 +16,7 @@ from sim_core.rigs.schema import Solver
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation, Trace
 from sysid.diagnosis.residual_analysis import block_scores, structure
-from sysid.fit import discretisation_refinement as discretisation_error
+from sysid.discretisation import refinement as discretisation_error
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
 from sysid.observations.observations import Run

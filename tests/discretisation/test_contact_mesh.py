@@ -10,8 +10,9 @@ import pytest
 
 from sim_core.rigs import Gel, load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.fit.contact_mesh import MARGIN, OF_RADIUS, follows, refined_where_touched
-from sysid.fit.discretisation_refinement import error_of_coarser_cells
+from sysid.discretisation.contact_mesh import MARGIN, OF_RADIUS, refined_where_touched
+from sysid.discretisation.followed_model import follows
+from sysid.discretisation.refinement import error_of_coarser_cells
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run

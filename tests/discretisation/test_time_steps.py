@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sysid.fit.time_steps import OF_NOISE, followed, with_steps
+from sysid.discretisation.time_steps import OF_NOISE, followed, with_steps
 from sysid.model.predictor import Prediction
 from sysid.model.time_span import rollout_times
 from sysid.noise.channel_noise import ChannelNoise

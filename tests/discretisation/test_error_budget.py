@@ -10,7 +10,7 @@ from sim_core.rigs import parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate, step_times
-from sysid.fit.convergence import (
+from sysid.discretisation.error_budget import (
     MESH,
     OF_NOISE,
     STEP,

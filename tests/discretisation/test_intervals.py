@@ -11,7 +11,7 @@ import pytest
 from discretisation_model import NOISE, PARAMETERS, SIGMA, TRUTH, Linear, T, Vector, coarse, fit, measured, own, run_of
 
 from sim_core.simulate import Trace
-from sysid.fit.discretisation_refinement import large_discretisation_errors
+from sysid.discretisation.refinement import large_discretisation_errors
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise

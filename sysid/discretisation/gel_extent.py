@@ -2,9 +2,9 @@
 
 Of a pad that is wide compared with what touches it, a rig has a piece, the sides of which are free. While a ball slides
 on it, markers on a piece 3.2 times as wide as it is thick move by over a fifth more than those on a wide pad, for which
-``tests/fit/test_gel_extent.py`` has the Fourier integral. A pad of :data:`WIDE` times its thickness is as good as an
-infinite one. Which of both the recordings follow they tell themselves, as of cells
-(:mod:`sysid.fit.contact_mesh`).
+``tests/discretisation/test_gel_extent.py`` has the Fourier integral. A pad of :data:`WIDE` times its thickness is as
+good as an infinite one. Which of both the recordings follow they tell themselves, as of cells
+(:mod:`sysid.discretisation.followed_model`).
 """
 
 from __future__ import annotations

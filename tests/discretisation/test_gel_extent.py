@@ -15,8 +15,8 @@ from sim_core.rigs.load import parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
-from sysid.fit.contact_mesh import follows
-from sysid.fit.gel_extent import WIDE, widened
+from sysid.discretisation.followed_model import follows
+from sysid.discretisation.gel_extent import WIDE, widened
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
