@@ -49,9 +49,11 @@ def sentence(
             f"Something else is missing that no known effect explains. The difference shows {where}." + _place(places)
         )
     if verdict.kind == "named":
-        return f"The rig leaves out that {best.title}. {_size(best)} It shows {where}."
+        return f"The rig leaves out that {best.title}. {_size(best, case)} It shows {where}."
     titles = ", or that ".join(t.title for t in verdict.named)
-    return f"The rig leaves out that {titles}; these recordings do not tell which. {_size(best)} It shows {where}."
+    return (
+        f"The rig leaves out that {titles}; these recordings do not tell which. {_size(best, case)} It shows {where}."
+    )
 
 
 def _place(places: Sequence[UnreliablePlace]) -> str:
@@ -64,7 +66,13 @@ def _place(places: Sequence[UnreliablePlace]) -> str:
     )
 
 
-def _size(trial: Trial) -> str:
+def _size(trial: Trial, case: Case) -> str:
+    if not case.missing:
+        there = "" if trial.predicts is None else f", and recordings held out speak for it by {trial.predicts:.0f} nats"
+        return (
+            f"Without it no misfit stands out by itself, but with it the fit gains {trial.gain:.0f} nats, where "
+            f"{case.needed:.0f} are needed{there}."
+        )
     held = (
         f", and {_percent(trial.explained_there)} on recordings held out" if trial.explained_there is not None else ""
     )

@@ -15,7 +15,9 @@ from sysid.diagnosis.candidates import Amplitude, Hypothesis
 from sysid.diagnosis.evidence import distance_from_none, held_out_gain, held_out_nats, log_evidence, significance
 from sysid.diagnosis.refits import Trial, in_pose_noise
 from sysid.diagnosis.residual_analysis import Part, Structure
+from sysid.diagnosis.result import Located
 from sysid.diagnosis.verdict import Case, decide, probabilities, rejected
+from sysid.diagnosis.wording import sentence
 from sysid.model.parameters import FitParameter
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.whitening import whiten
@@ -98,6 +100,15 @@ def test_without_misfit_that_stands_out_held_out_recordings_have_to_speak_for_an
 ) -> None:
     """Fits of hundreds of markers gain hundreds of nats by following the few percent that careful models differ in."""
     assert decide([found], Case(QUIET, there, 5.0)).kind == kind
+
+
+def test_what_does_not_stand_out_by_itself_is_not_said_to_be_gone() -> None:
+    found = replace(trial("air_drag", 61.0), predicts=30.0)
+    nowhere = Located((), {}, "")
+    for before, there, said in ((QUIET, QUIET, "speak for it by 30 nats"), (LOUD, None, "95 % of the misfit beyond")):
+        case = Case(before, there, 5.0)
+        told = sentence(decide([found], case), nowhere, {}, case)
+        assert said in told and ("gone" in told) == (before is LOUD)
 
 
 @pytest.mark.parametrize(("more", "names"), [(4.0, {"air_drag"}), (20.0, {"air_drag", "stream_delay"})])
