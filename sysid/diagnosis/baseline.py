@@ -27,6 +27,7 @@ from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
+from sysid.model.windows import not_from_rest
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import channel_noise, column_groups, quantities
 from sysid.observations.observations import Run
@@ -391,6 +392,12 @@ def held_out_problem(
     lost: list[str] = []
     added: dict[str, Mapping[str, np.ndarray]] = {}
     for given in held_out:
+        moving = not_from_rest(fitted.rig, given)
+        if moving:
+            lost.append(
+                f"{given.name} is left out, since it cannot be predicted: it does not begin at rest. {moving[0]}"
+            )
+            continue
         try:
             run, own = _with_steps(engine, [fitted.rig], [given], noise)
             model = standing(engine, reference, [fitted.rig], run, own)

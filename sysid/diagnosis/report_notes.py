@@ -120,8 +120,7 @@ def fates(rig: Rig, verdict: Verdict, trials: Sequence[Trial], case: Case, scree
 def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
     """What a reader should know of the baseline, and of answers, before believing the verdict."""
     fitted, problem = base.fitted, base.problem
-    runs = [*problem.runs, *base.check.runs]
-    said = [f"{run.name} does not begin at rest: {n}" for run in runs for n in not_from_rest(fitted.rig, run)]
+    said = [f"{run.name} does not begin at rest: {n}" for run in problem.runs for n in not_from_rest(fitted.rig, run)]
     if not fitted.converged:
         said.append(f"The baseline fit did not converge: {fitted.message}.")
     for trial in verdict.named if verdict.kind != "unknown" else ():

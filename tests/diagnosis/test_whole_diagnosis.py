@@ -255,6 +255,22 @@ def test_held_out_recordings_of_which_nothing_is_in_sight_decide_nothing(diagnos
     assert found.verdict == "named" and found.effects[0].held_out_gain is None
 
 
+def test_windows_held_out_that_begin_in_motion_decide_nothing(
+    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody knows the velocities with which they begin, so what they miss is no sign of missing physics."""
+
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        return read(rig) + (0.02 * RIPPLE if fine else 0.0)
+
+    assert diagnose(law, concealed=0.0, held=SHARE).verdict == "unknown"
+    moving = lambda _, run: ["It moves."] if run.name == "other" else []  # noqa: E731
+    monkeypatch.setattr(baseline, "not_from_rest", moving)
+    found = diagnose(law, concealed=0.0, held=SHARE)
+    assert found.verdict == "nothing_missing"
+    assert any("other is left out" in note and "It moves." in note for note in found.notes)
+
+
 def test_only_what_the_rig_may_lack_is_counted(diagnose: Callable[..., Diagnosis]) -> None:
     """There is no sheet, and relaxation is in the rig."""
     from tests.conftest import SMALL
