@@ -22,6 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from sim_core.errors import ThinshellError, WorkerError
+
 RIG = """
 name: bench
 solver: {dt_s: 0.01, inertia: false}
@@ -38,7 +40,7 @@ bodies:
 end_effectors:
   probe:
     base_frame: base_link
-    start: {position_m: [0.0, 0.0, 0.0097]}
+    start: {position_m: [0.0, 0.0, 0.0105]}
     topics: {target_pose: target_pose, current_pose: current_pose}
 contacts:
   - {between: [pad, ball], friction: 0.3, stiffness_pa_per_m: 1.0e9}
@@ -97,9 +99,12 @@ def main() -> int:
         rig = Path(folder) / "bench.yaml"
         rig.write_text(RIG)
         command = [sys.executable, "-m", "thinshell_ros.sim_node", "--ros-args", "-p", f"rig:={rig}"]
-        node = subprocess.Popen([*command, "-r", "__ns:=/bench"], stderr=subprocess.DEVNULL)
+        node = subprocess.Popen([*command, "-r", "__ns:=/bench"])
         try:
             _measure(node.pid, given.seconds, given.slow)
+        except ThinshellError as error:
+            print(error, file=sys.stderr)
+            return 1
         finally:
             node.send_signal(signal.SIGINT)
             node.wait()
@@ -132,6 +137,11 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
     begin = time.monotonic()
     while not heard.ages and time.monotonic() - begin < START_S:
         spin(time.monotonic() + 0.1)
+    if not heard.ages:
+        raise WorkerError(
+            f"No markers came in {START_S:g} s.",
+            "See what the simulator says above, and whether ROS runs over loopback.",
+        )
     levels = []
     for height in DEPTHS_M:  # what the markers come to
         for _ in range(100):

@@ -134,7 +134,7 @@ class SimNode(Node):
         ]
         self._diagnostics.publish(messages.diagnostics(time.time_ns(), name, self._rig.name, reports))
         for report in reports:
-            if physics.ready and self._announcer.is_news(report, time.monotonic()):
+            if (physics.ready or physics.fault()) and self._announcer.is_news(report, time.monotonic()):
                 self._say(f"{report.name}: {report.message}", report.level)
 
     def _say(self, words: str, level: Level) -> None:

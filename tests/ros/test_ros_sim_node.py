@@ -204,6 +204,23 @@ def test_a_rig_that_is_not_there_is_said_with_code_2(ros: None, tmp_path: Path) 
         node.kill()
 
 
+def test_a_scene_that_cannot_be_built_is_logged(ros: None, tmp_path: Path) -> None:
+    """On the console too, not in the diagnostics alone."""
+    rig = tmp_path / "inside.yaml"
+    rig.write_text(RIG.read_text().replace(f"{REST_HEIGHT_M:g}", f"{REST_HEIGHT_M - 0.001:g}"))
+    node = NodeProcess("sim_node", tmp_path / "output", "/inside", rig=rig)
+    try:
+        end = time.monotonic() + START_S
+        while "starts inside" not in node.output:
+            assert time.monotonic() < end, node.output
+            time.sleep(0.1)
+        assert "Call ~/reset to start it again" in node.output
+        assert "Traceback" not in node.output
+        assert node.stop() == 0
+    finally:
+        node.kill()
+
+
 @pytest.mark.parametrize(
     ("default", "given", "said"),
     [
