@@ -48,13 +48,20 @@ def total(n: ti.i32) -> ti.f64:
 assert total(10) == 5.0
 """
 
-_IMPORTS = """
+OF_EXTRAS = ("gymnasium", "viser", "pytetwild", "pyvista")
+"""Modules that only extras bring."""
+
+_IMPORTS = f"""
 import importlib, pkgutil
 import sim_core, sysid
 for package in (sim_core, sysid):
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         if not module.name.endswith("__main__"):
-            importlib.import_module(module.name)
+            try:
+                importlib.import_module(module.name)
+            except ModuleNotFoundError as error:
+                if (error.name or "").partition(".")[0] not in {OF_EXTRAS}:
+                    raise
 """
 """All that any command imports."""
 

@@ -302,3 +302,12 @@ def test_a_recording_of_another_rig_is_said_before_anything_is_simulated(command
     assert said.startswith("thinshell: ") and "is in the frame 'tactile_left_gel', in the rig" in said
     assert "--despite" in said
     assert "Give the rig that it was recorded with" in said
+
+
+@pytest.mark.parametrize(("absent", "works"), [(("gymnasium", "viser"), True), (("scipy",), False)])
+def test_the_doctor_does_not_ask_for_what_extras_bring(absent: tuple[str, ...], works: bool) -> None:
+
+    hidden = f"import sys; sys.modules.update(dict.fromkeys({absent}))"
+    done = subprocess.run([sys.executable, "-c", f"{hidden}\n{_IMPORTS}"], capture_output=True, text=True, timeout=300)
+    assert (done.returncode == 0) == works, done.stderr
+    assert works or "scipy" in done.stderr
