@@ -18,7 +18,7 @@ from sim_core.errors import ConfigError, ThinshellError
 from sim_core.rigs import Gel, Rig, Sheet
 from sysid.diagnosis.predictability import unpredictable, without
 from sysid.diagnosis.reference_model import Added, Reference, Standing, reference_for, standing
-from sysid.diagnosis.residual_analysis import structure
+from sysid.diagnosis.residual_analysis import Structure, structure
 from sysid.discretisation.followed_model import follows
 from sysid.discretisation.time_steps import followed, with_steps
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
@@ -65,6 +65,11 @@ MEASURED_WITHIN = 1.0
 ADDED_WITHIN, RINGING_WITHIN = 0.3, 0.03
 """The same for what a reference model adds, and for what vibrates."""
 
+PARAMETERS_ALONE = (
+    "What the baseline misses in recordings held out goes where it is fitted to them as well: the recordings given do "
+    "not determine its parameters well enough to predict them."
+)
+
 Tell = Callable[[float, str], None]
 
 
@@ -102,7 +107,9 @@ def believed(rig: Rig, parameters: Sequence[FitParameter]) -> list[FitParameter]
 class Baseline:
     """``problem``, ``fitted``: the recordings given, without mistakes; ``check``, ``there``: those held out; ``noise``
     by channel; ``outliers``: readings that were left out; ``notes``: on recordings that could not be followed;
-    ``reference``: the model with finer cells or wider pads whose readings are added, None where there is none."""
+    ``reference``: the model with finer cells or wider pads whose readings are added, None where there is none;
+    ``together``: structured misfit of the recordings held out where one baseline is fitted to all, None where the
+    other ones alone tell."""
 
     problem: Problem
     fitted: Fitted
@@ -112,6 +119,14 @@ class Baseline:
     outliers: list[Outliers]
     notes: tuple[str, ...]
     reference: Reference | None
+    together: Structure | None = None
+
+    @property
+    def held_out(self) -> Structure | None:
+        """Structured misfit of the recordings held out, None without any."""
+        if self.together is not None or self.there is None:
+            return self.together
+        return structure(self.check, self.there)
 
     @property
     def engine(self) -> SpaceMappedPredictor:
@@ -210,8 +225,49 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
     extent = () if reference is None else reference.notes
     base = Baseline(problem, fitted, check, there, noise, outliers, (*extent, *told, *left_out, *notes), reference)
-    missing = structure(problem, fitted).missing or (there is not None and structure(check, there).missing)
+    missing = structure(problem, fitted).missing
+    if not missing and base.held_out is not None and base.held_out.missing:
+        tell(0.385, "one baseline for all recordings")
+        together = held_out_together(base, sparing)
+        missing = together is None
+        if together is not None:
+            base = replace(base, together=together, notes=(*base.notes, PARAMETERS_ALONE))
     return _where_predictable(base, sparing, tell) if missing else base
+
+
+def held_out_together(base: Baseline, engine: AnyEngine) -> Structure | None:
+    """Structured misfit of the recordings held out beside one baseline for all, None where there is no such fit.
+
+    What a baseline predicts of recordings that it was not fitted to is off by what is not known of its parameters, and
+    by their own clocks. Misfit that goes where they are fitted as well, beside the others and within what is known of
+    all, is that, and no missing physics.
+    """
+    given, others, fitted = base.problem, base.check, base.fitted
+    labels = [[s.label for s in problem.error_shapes] for problem in (given, others)]
+    if labels[0] != labels[1]:
+        return None
+    runs = [*given.runs, *others.runs]
+    shapes = [
+        replace(a, shapes=(*a.shapes, *b.shapes), sight=(*a.sight, *b.sight) if a.sight and b.sight else ())
+        for a, b in zip(given.error_shapes, others.error_shapes, strict=True)
+    ]
+    added = {**base.engine.added, **cast(SpaceMappedPredictor, others.engine).added}
+    problem = Problem(runs, base.noise, SpaceMappedPredictor(engine, added), shapes, prior=True)
+    parameters = believed(fitted.centre, fit_parameters(fitted.centre, open_parameters(fitted.centre)))
+    parameters += nuisance_parameters(fitted.centre, runs, parameters, KINDS)
+    known = dict(zip((p.name for p in fitted.parameters), fitted.scaled, strict=True))
+    start = [known.get(p.name, at) for p, at in zip(parameters, start_of(fitted.rig, parameters), strict=True)]
+    try:
+        found = problem.fit(fitted.centre, parameters, np.array(start), max_evaluations=SECOND, tolerance=2.0)
+    except ThinshellError:
+        return None
+    if found.interrupted:
+        raise KeyboardInterrupt
+    whole = structure(problem, found)
+    if whole.missing:
+        return None
+    names = {run.name for run in others.runs}
+    return Structure(tuple(part for part in whole.parts if part.run in names))
 
 
 def _off(problem: Problem, fitted: Fitted) -> list[int]:

@@ -96,7 +96,7 @@ def diagnose_runs(
         singles = screen.singles()
         case = Case(
             structure(base.problem, base.fitted),
-            structure(base.check, base.there) if base.there is not None else None,
+            base.held_out,
             screen.threshold(),
             coarse_quantities(base.problem),
             tuple(o.sentence for o in base.outliers if o.kept),

@@ -255,6 +255,22 @@ def test_held_out_recordings_of_which_nothing_is_in_sight_decide_nothing(diagnos
     assert found.verdict == "named" and found.effects[0].held_out_gain is None
 
 
+def test_what_is_not_known_of_parameters_is_not_missing_in_recordings_held_out(
+    diagnose: Callable[..., Diagnosis],
+) -> None:
+    """The recording that is given hardly depends on the stiffness, by which the one held out is off."""
+
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        values = MATERIAL * ((1.0 if run.name == "other" else 1.2) + stiffness(rig) * (run.name == "other" or 1e-3))
+        return values + strength(rig) * LAW + (0.02 * RIPPLE if fine else 0.0)
+
+    found = diagnose(law, concealed=0.0, held=0.0)
+    assert found.verdict == "nothing_missing", found.sentence
+    assert baseline.PARAMETERS_ALONE in found.notes
+    found = diagnose(law, concealed=0.0, held=SHARE)
+    assert found.verdict == "unknown" and baseline.PARAMETERS_ALONE not in found.notes
+
+
 def test_windows_held_out_that_begin_in_motion_decide_nothing(
     diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
 ) -> None:
