@@ -8,6 +8,7 @@ fitted. The diagnosis sees the rig and three recordings, one of them held out; a
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import sys
 from pathlib import Path
@@ -117,7 +118,9 @@ def _unsealed(truth: dict[str, Any], diagnosis: Diagnosis) -> str:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=DEFAULT, help="where recordings and results go")
     try:
-        sys.exit(main(*map(Path, sys.argv[1:2])))
+        sys.exit(main(parser.parse_args().folder))
     except ThinshellError as error:
         sys.exit(f"demo: {error}")
