@@ -8,26 +8,27 @@ not eat an effect; and offsets of wrench sensors are no nuisance but a hypothesi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 
-from sim_core.errors import ConfigError, ThinshellError
-from sim_core.rigs import Gel, Rig, Sheet
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig
+from sysid.diagnosis.beliefs import believed, open_parameters
+from sysid.diagnosis.held_out import PARAMETERS_ALONE, held_out_problem, held_out_together
 from sysid.diagnosis.predictability import unpredictable, without
 from sysid.diagnosis.reference_model import Added, Reference, Standing, reference_for, standing
 from sysid.diagnosis.residual_analysis import Structure, structure
 from sysid.discretisation.followed_model import follows
-from sysid.discretisation.time_steps import followed, with_steps
+from sysid.discretisation.time_steps import predicted_with_steps, with_steps
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
-from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
+from sysid.model.parameters import fit_parameters, rig_in, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
-from sysid.model.windows import not_from_rest
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import channel_noise, column_groups, quantities
 from sysid.observations.observations import Run
@@ -35,13 +36,6 @@ from sysid.solve.discretisation_basis import MODEL, ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import Outliers, without_outliers, worth_another_fit
 from sysid.solve.residuals import Problem
-
-KNOWN_SD = {"E_pa": 0.35, "density_kg_m3": 0.05, "nu": 0.05, "friction": 0.15}
-"""How well a rig's numbers are known where nothing is said: moduli and densities by their logarithm (a data sheet of a
-similar product, a balance), Poisson ratios and friction coefficients by themselves."""
-
-DAMPING_SHARE = 0.5
-"""How well a damping is known, in units of its value."""
 
 FIRST, SECOND = 8, 5
 """Evaluations allowed to the fit, and to it beside the error measured where it came to."""
@@ -65,42 +59,7 @@ MEASURED_WITHIN = 1.0
 ADDED_WITHIN, RINGING_WITHIN = 0.3, 0.03
 """The same for what a reference model adds, and for what vibrates."""
 
-PARAMETERS_ALONE = (
-    "What the baseline misses in recordings held out goes where it is fitted to them as well: the recordings given do "
-    "not determine its parameters well enough to predict them."
-)
-
 Tell = Callable[[float, str], None]
-
-
-def open_parameters(rig: Rig) -> list[str]:
-    """Material parameters and friction coefficients that a baseline fit adjusts."""
-    names: list[str] = []
-    for name, body in rig.bodies.items():
-        if isinstance(body, Sheet):
-            names.append(f"{name}.E_pa")
-            # A quasi-static pull shows the lateral contraction, motion shows the mass.
-            names.append(f"{name}.density_kg_m3" if rig.solver.inertia else f"{name}.nu")
-            if rig.solver.inertia and body.material.stiffness_damping_s > 0.0:
-                names.append(f"{name}.stiffness_damping_s")
-        elif isinstance(body, Gel):
-            names += [f"{name}.E_pa", f"{name}.nu"]
-    names += [f"contacts.{c.name}.friction" for c in rig.contacts if c.friction > 0.0]
-    if not names:
-        raise ConfigError("The rig has nothing to adjust.", "A diagnosis needs a sheet or a gel.")
-    return [p.name for p in fit_parameters(rig, names)]
-
-
-def believed(rig: Rig, parameters: Sequence[FitParameter]) -> list[FitParameter]:
-    """The parameters with what is known of each beforehand; of a damping that the rig has, half its value."""
-    found = []
-    for p, at in zip(parameters, start_of(rig, parameters), strict=True):
-        quantity = p.target.rsplit(".", 1)[1]
-        sd = (
-            DAMPING_SHARE * at if quantity == "stiffness_damping_s" and at > 0.0 else KNOWN_SD.get(quantity, p.prior_sd)
-        )
-        found.append(p if p.pulled else replace(p, known_sd=float(sd)))
-    return found
 
 
 @dataclass
@@ -146,7 +105,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         jobs = [engine.submit(there, run) for there, run in zip(rigs, runs, strict=True)]
         own = [job.result() for job in jobs]
     else:
-        runs, own = _with_steps(engine, rigs, runs, noise)
+        runs, own = predicted_with_steps(engine, rigs, runs, noise)
     tell(0.04, "cells and extent of gels")
     sparing = SparingPredictor(engine)
     reference, first, told = reference_for(sparing, rig, parameters, runs, held_out, noise)
@@ -228,46 +187,11 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     missing = structure(problem, fitted).missing
     if not missing and base.held_out is not None and base.held_out.missing:
         tell(0.385, "one baseline for all recordings")
-        together = held_out_together(base, sparing)
+        together = held_out_together(problem, check, fitted, sparing)
         missing = together is None
         if together is not None:
             base = replace(base, together=together, notes=(*base.notes, PARAMETERS_ALONE))
     return _where_predictable(base, sparing, tell) if missing else base
-
-
-def held_out_together(base: Baseline, engine: AnyEngine) -> Structure | None:
-    """Structured misfit of the recordings held out beside one baseline for all, None where there is no such fit.
-
-    What a baseline predicts of recordings that it was not fitted to is off by what is not known of its parameters, and
-    by their own clocks. Misfit that goes where they are fitted as well, beside the others and within what is known of
-    all, is that, and no missing physics.
-    """
-    given, others, fitted = base.problem, base.check, base.fitted
-    labels = [[s.label for s in problem.error_shapes] for problem in (given, others)]
-    if labels[0] != labels[1]:
-        return None
-    runs = [*given.runs, *others.runs]
-    shapes = [
-        replace(a, shapes=(*a.shapes, *b.shapes), sight=(*a.sight, *b.sight) if a.sight and b.sight else ())
-        for a, b in zip(given.error_shapes, others.error_shapes, strict=True)
-    ]
-    added = {**base.engine.added, **cast(SpaceMappedPredictor, others.engine).added}
-    problem = Problem(runs, base.noise, SpaceMappedPredictor(engine, added), shapes, prior=True)
-    parameters = believed(fitted.centre, fit_parameters(fitted.centre, open_parameters(fitted.centre)))
-    parameters += nuisance_parameters(fitted.centre, runs, parameters, KINDS)
-    known = dict(zip((p.name for p in fitted.parameters), fitted.scaled, strict=True))
-    start = [known.get(p.name, at) for p, at in zip(parameters, start_of(fitted.rig, parameters), strict=True)]
-    try:
-        found = problem.fit(fitted.centre, parameters, np.array(start), max_evaluations=SECOND, tolerance=2.0)
-    except ThinshellError:
-        return None
-    if found.interrupted:
-        raise KeyboardInterrupt
-    whole = structure(problem, found)
-    if whole.missing:
-        return None
-    names = {run.name for run in others.runs}
-    return Structure(tuple(part for part in whole.parts if part.run in names))
 
 
 def _off(problem: Problem, fitted: Fitted) -> list[int]:
@@ -385,20 +309,6 @@ def _cauchy(problem: Problem, predictions: Sequence[Prediction], scaled: np.ndar
     return float(np.sum(np.log1p((residual / CAUCHY_WIDTH) ** 2)))
 
 
-def _with_steps(
-    engine: AnyEngine, rigs: Sequence[Rig], runs: Sequence[Run], noise: dict[str, ChannelNoise]
-) -> tuple[list[Run], list[Prediction]]:
-    """The runs with steps of the solver that follow their readings, and their predictions, by the rig of each."""
-    pending = [engine.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
-    shorter = with_steps(engine, rigs, runs, noise)
-    again = [
-        job if run is given else engine.submit(rig, run)
-        for rig, run, given, job in zip(rigs, shorter, runs, pending, strict=True)
-    ]
-    plain, there = ([job.result() for job in jobs] for jobs in (pending, again))
-    return followed(runs, plain, shorter, there, noise)
-
-
 def _is_far(fitted: Fitted) -> bool:
     """Whether a model misses more than about a sixth of the readings by far, or most of them by more than noise."""
     left = np.abs(fitted.residual[: len(fitted.residual) - fitted.pulls])
@@ -433,37 +343,3 @@ def _shorter_steps(
     kept = {k: engine.submit(rigs[k], run) for k, run in enumerate(found) if run is runs[k]}
     # Those of the fit hold what a reference model adds, which is added to these later.
     return found, [kept[k].result() if k in kept else there[k] for k in range(len(runs))], tuple(told)
-
-
-def held_out_problem(
-    engine: AnyEngine,
-    fitted: Fitted,
-    noise: dict[str, ChannelNoise],
-    held_out: Sequence[Run],
-    reference: Reference | None = None,
-) -> tuple[Problem, tuple[str, ...]]:
-    """The held-out recordings that the fitted rig can follow, without mistakes, beside the errors of their own."""
-    kept: list[Run] = []
-    shapes: list[list[ErrorShape]] = []
-    lost: list[str] = []
-    added: dict[str, Mapping[str, np.ndarray]] = {}
-    for given in held_out:
-        moving = not_from_rest(fitted.rig, given)
-        if moving:
-            lost.append(
-                f"{given.name} is left out, since it cannot be predicted: it does not begin at rest. {moving[0]}"
-            )
-            continue
-        try:
-            run, own = _with_steps(engine, [fitted.rig], [given], noise)
-            model = standing(engine, reference, [fitted.rig], run, own)
-            kept += without_outliers(run, model.plain, noise)[0]
-            shapes.append(model.shapes)
-            added.update(model.engine.added)
-        except ThinshellError as error:
-            lost.append(f"{given.name} is left out, it could not be simulated: {error}")
-    together = [
-        replace(first, shapes=tuple(s[k].shapes[0] for s in shapes), sight=tuple(x for s in shapes for x in s[k].sight))
-        for k, first in enumerate(shapes[0])
-    ] if shapes else []  # fmt: skip
-    return Problem(kept, noise, SpaceMappedPredictor(engine, added), together), tuple(lost)

@@ -121,6 +121,20 @@ def followed(
     return [run for run, _ in found], [prediction for _, prediction in found]
 
 
+def predicted_with_steps(
+    engine: AnyEngine, rigs: Sequence[Rig], runs: Sequence[Run], noise: dict[str, ChannelNoise]
+) -> tuple[list[Run], list[Prediction]]:
+    """The runs with steps of the solver that follow their readings, and their predictions, by the rig of each."""
+    pending = [engine.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
+    shorter = with_steps(engine, rigs, runs, noise)
+    again = [
+        job if run is given else engine.submit(rig, run)
+        for rig, run, given, job in zip(rigs, shorter, runs, pending, strict=True)
+    ]
+    plain, there = ([job.result() for job in jobs] for jobs in (pending, again))
+    return followed(runs, plain, shorter, there, noise)
+
+
 def _share(run: Run, plain: Prediction, there: Prediction, noise: dict[str, ChannelNoise]) -> float:
     """How far readings have gone from one prediction to the other; 1 where both are alike within the noise."""
     along = across = 0.0

@@ -12,7 +12,8 @@ import pytest
 
 from sim_core.rigs import Rig
 from sim_core.simulate import Trace
-from sysid.diagnosis.baseline import believed, best_branch, fine_enough
+from sysid.diagnosis.baseline import best_branch, fine_enough
+from sysid.diagnosis.beliefs import believed
 from sysid.diagnosis.predictability import RINGS_S, Unpredictable, _joined, _members, unpredictable, without
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import Prediction

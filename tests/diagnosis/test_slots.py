@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sim_core.rigs import Rig, with_parameters
-from sysid.diagnosis.baseline import believed
+from sysid.diagnosis.beliefs import believed
 from sysid.diagnosis.slots import mechanical_slots, slot_evidence
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import SerialPredictor

@@ -15,7 +15,7 @@ import pytest
 from sim_core.effects import effect_by_name
 from sim_core.errors import ConvergenceError
 from sim_core.rigs import Rig, parse_rig
-from sysid.diagnosis import baseline, candidates, refits
+from sysid.diagnosis import baseline, candidates, held_out, refits
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.result import Diagnosis
 from sysid.diagnosis.wording import NOWHERE
@@ -136,7 +136,8 @@ def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., D
         monkeypatch.setattr(candidates, "all_effects", lambda: {"gel_relaxation": effect_by_name("gel_relaxation")})
         noise = {"markers": ChannelNoise(np.full(3, SIGMA), np.zeros(3), "declared by the rig")}
         monkeypatch.setattr(baseline, "channel_noise", lambda *_: noise)
-        monkeypatch.setattr(baseline, "nuisance_parameters", lambda *_: [])
+        for module in (baseline, held_out):
+            monkeypatch.setattr(module, "nuisance_parameters", lambda *_: [])
         monkeypatch.setattr(diagnosing, "provenance", lambda *_: {})
         monkeypatch.setattr(diagnosing, "slot_evidence", lambda *_: [])
         names = ["press", *(f"press {k}" for k in range(2, given + 1))]
@@ -280,9 +281,9 @@ def test_what_is_not_known_of_parameters_is_not_missing_in_recordings_held_out(
 
     found = diagnose(law, concealed=0.0, held=0.0)
     assert found.verdict == "nothing_missing", found.sentence
-    assert baseline.PARAMETERS_ALONE in found.notes
+    assert held_out.PARAMETERS_ALONE in found.notes
     found = diagnose(law, concealed=0.0, held=SHARE)
-    assert found.verdict == "unknown" and baseline.PARAMETERS_ALONE not in found.notes
+    assert found.verdict == "unknown" and held_out.PARAMETERS_ALONE not in found.notes
 
 
 def test_windows_held_out_that_begin_in_motion_decide_nothing(
@@ -295,7 +296,7 @@ def test_windows_held_out_that_begin_in_motion_decide_nothing(
 
     assert diagnose(law, concealed=0.0, held=SHARE).verdict == "unknown"
     moving = lambda _, run: ["It moves."] if run.name == "other" else []  # noqa: E731
-    monkeypatch.setattr(baseline, "not_from_rest", moving)
+    monkeypatch.setattr(held_out, "not_from_rest", moving)
     found = diagnose(law, concealed=0.0, held=SHARE)
     assert found.verdict == "nothing_missing"
     assert any("other is left out" in note and "It moves." in note for note in found.notes)

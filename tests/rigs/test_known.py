@@ -9,7 +9,7 @@ import pytest
 from sim_core.errors import ConfigError
 from sim_core.rigs import list_parameters, parse_rig, rig_to_yaml, with_parameters
 from sim_core.rigs.yamlfile import parse_mapping
-from sysid.diagnosis.baseline import KNOWN_SD, believed
+from sysid.diagnosis.beliefs import KNOWN_SD, believed
 from sysid.model.parameters import fit_parameters, known_before
 
 

@@ -1,0 +1,47 @@
+"""What is known of a rig's numbers before anything is recorded, and which of them a baseline adjusts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sim_core.errors import ConfigError
+from sim_core.rigs import Gel, Rig, Sheet
+from sysid.model.parameters import FitParameter, fit_parameters, start_of
+
+KNOWN_SD = {"E_pa": 0.35, "density_kg_m3": 0.05, "nu": 0.05, "friction": 0.15}
+"""How well a rig's numbers are known where nothing is said: moduli and densities by their logarithm (a data sheet of a
+similar product, a balance), Poisson ratios and friction coefficients by themselves."""
+
+DAMPING_SHARE = 0.5
+"""How well a damping is known, in units of its value."""
+
+
+def open_parameters(rig: Rig) -> list[str]:
+    """Material parameters and friction coefficients that a baseline fit adjusts."""
+    names: list[str] = []
+    for name, body in rig.bodies.items():
+        if isinstance(body, Sheet):
+            names.append(f"{name}.E_pa")
+            # A quasi-static pull shows the lateral contraction, motion shows the mass.
+            names.append(f"{name}.density_kg_m3" if rig.solver.inertia else f"{name}.nu")
+            if rig.solver.inertia and body.material.stiffness_damping_s > 0.0:
+                names.append(f"{name}.stiffness_damping_s")
+        elif isinstance(body, Gel):
+            names += [f"{name}.E_pa", f"{name}.nu"]
+    names += [f"contacts.{c.name}.friction" for c in rig.contacts if c.friction > 0.0]
+    if not names:
+        raise ConfigError("The rig has nothing to adjust.", "A diagnosis needs a sheet or a gel.")
+    return [p.name for p in fit_parameters(rig, names)]
+
+
+def believed(rig: Rig, parameters: Sequence[FitParameter]) -> list[FitParameter]:
+    """The parameters with what is known of each beforehand; of a damping that the rig has, half its value."""
+    found = []
+    for p, at in zip(parameters, start_of(rig, parameters), strict=True):
+        quantity = p.target.rsplit(".", 1)[1]
+        sd = (
+            DAMPING_SHARE * at if quantity == "stiffness_damping_s" and at > 0.0 else KNOWN_SD.get(quantity, p.prior_sd)
+        )
+        found.append(p if p.pulled else replace(p, known_sd=float(sd)))
+    return found
