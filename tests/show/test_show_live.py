@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from chromium import SOFTWARE_GL, chromium
-from PIL import Image
 
 from sim_core.rigs import load_rig
 from sysid.cli.app import main
@@ -30,7 +29,7 @@ from sysid.show.subject import Subject, resting, still
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
-PATIENCE_S = 60.0
+PATIENCE_S = 300.0
 
 
 def pressed_gel() -> Subject:
@@ -279,9 +278,11 @@ RED = (150, 90, 90)
 """The strained gel is redder than its ground: at least the first, at most the others."""
 
 
-def red(page: Any) -> float:
-    """Share of the picture, left of the controls, that is as red as a strained gel."""
-    picture = np.asarray(Image.open(io.BytesIO(page.get_screenshot_as_png())).convert("RGB")).astype(int)[:, :850]
+def red(viewer: Viewer) -> float:
+    """Share of a small picture of the scene that is as red as a strained gel. The browser draws it when it gets to it,
+    however slow it is without a graphics card; Chromium's driver waits ten seconds for a picture of the page."""
+    (client,) = viewer._server.get_clients().values()
+    picture = client.get_render(150, 200, transport_format="png")[..., :3].astype(int)
     return float(np.mean((picture[..., 0] > RED[0]) & (picture[..., 1] < RED[1]) & (picture[..., 2] < RED[2])))
 
 
@@ -298,12 +299,12 @@ def until(holds: Callable[[], bool]) -> bool:
 def test_chromium_draws_the_scene_and_another_instant(viewer: Viewer) -> None:
     viewer.colour("strain")
     viewer.show(0.4)
-    with chromium(*SOFTWARE_GL, "--window-size=1200,800") as page:
+    with chromium(*SOFTWARE_GL, "--window-size=640,480") as page:
         page.get(viewer.address)
         assert until(lambda: "strain [%]" in page.execute_script("return document.body.innerText"))
         said = page.execute_script("return document.body.innerText")
         assert "overlap at the start" in said and "cannot see any of its 49 markers" in said
-        assert until(lambda: red(page) > 0.003), "the squeezed gel is drawn in the colour of its strain"
+        assert until(lambda: red(viewer) > 0.003), "the squeezed gel is drawn in the colour of its strain"
         viewer.show(0.0)
-        assert until(lambda: red(page) < 0.001), "the gel at rest is pale"
+        assert until(lambda: red(viewer) < 0.001), "the gel at rest is pale"
         assert not [line for line in page.get_log("browser") if line["level"] == "SEVERE"]
