@@ -33,28 +33,52 @@ def log_evidence(fitted: Fitted, temper: float) -> float:
 
 
 def held_out_gain(plain: np.ndarray, amended: np.ndarray) -> float:
-    """Share of the robust misfit (:func:`_loss`) that an amendment removes, from whitened residuals ``(n,)`` of
+    """Share of the robust misfit (:func:`_losses`) that an amendment removes, from whitened residuals ``(n,)`` of
     both."""
     before = _loss(plain)
     return (before - _loss(amended)) / before
 
 
-def held_out_nats(plain: np.ndarray, amended: np.ndarray) -> float:
-    """Log likelihood ratio [nats] of two models on readings that neither was fitted to, from whitened residuals
-    ``(n,)`` of both; robust (:func:`_loss`), and tempered by the misfit that the better one leaves.
+def log_likelihood_ratio(plain: np.ndarray, amended: np.ndarray) -> np.ndarray:
+    """Log likelihood ratio [nats] of two models for each reading ``(n,)`` that neither was fitted to, from whitened
+    residuals ``(n,)`` of both; robust (:func:`_losses`), and tempered by the misfit that the better one leaves.
 
     Without parameters fitted there, no width of a prior and no number of them enters: a model that only follows the
     noise of other recordings loses on average (Vuong, Econometrica 57, 1989, for models compared so).
     """
-    before, after = _loss(plain), _loss(amended)
-    temper = max(1.0, min(before, after) / max(len(plain), 1))
-    return 0.5 * (before - after) / temper
+    before, after = _losses(plain), _losses(amended)
+    temper = max(1.0, min(float(before.sum()), float(after.sum())) / max(len(plain), 1))
+    return np.asarray(0.5 * (before - after) / temper)
+
+
+def deviations(ratios: np.ndarray, changes: np.ndarray) -> float:
+    """Log likelihood ratio of two models over its standard deviation, as blocks of time differ in it: ``ratios``
+    [nats] ``(n,)`` of the blocks, and ``changes`` ``(n,)``, the squares of what the models differ by in them, whitened.
+
+    With the residual r of the plain model and the change D, a ratio is r.D - |D|^2 / 2: over |D|^2 it is how far beyond
+    the middle between the two models the readings are, 1/2 where the amended one is right and -1/2 where the plain one
+    is. That share, of all blocks together, is compared with how it changes where each block is left out (the jackknife
+    of a ratio: Cochran, Sampling Techniques, 1977, section 6.17). What is right is right wherever it acts; what follows
+    another model's errors wins in some blocks and loses in others. 0 where fewer than two blocks have a change.
+    """
+    acting = changes > 0.0
+    ratios, changes = ratios[acting], changes[acting]
+    n = len(ratios)
+    if n < 2:
+        return 0.0
+    without = (ratios.sum() - ratios) / (changes.sum() - changes)
+    variance = (n - 1) / n * float(np.sum((without - without.mean()) ** 2))
+    return float(ratios.sum() / changes.sum() / max(np.sqrt(variance), 1e-12))
 
 
 def _loss(r: np.ndarray) -> float:
-    """2 w^2 (sqrt(1 + (r/w)^2) - 1), summed, with w = :data:`ROBUST_WIDTH`: quadratic for noise, linear beyond."""
+    return float(np.sum(_losses(r)))
+
+
+def _losses(r: np.ndarray) -> np.ndarray:
+    """2 w^2 (sqrt(1 + (r/w)^2) - 1) with w = :data:`ROBUST_WIDTH`: quadratic for noise, linear beyond."""
     w = ROBUST_WIDTH
-    return float(np.sum(2.0 * w * w * (np.sqrt(1.0 + (r / w) ** 2) - 1.0)))
+    return np.asarray(2.0 * w * w * (np.sqrt(1.0 + (r / w) ** 2) - 1.0))
 
 
 def significance(hypothesis: Hypothesis, fitted: Fitted, gain: float) -> float:

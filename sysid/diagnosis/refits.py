@@ -14,9 +14,9 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
-from sysid.diagnosis.evidence import distance_from_none, log_evidence, significance
+from sysid.diagnosis.evidence import deviations, distance_from_none, log_evidence, significance
 from sysid.diagnosis.residual_analysis import Structure, largest_change, structure
-from sysid.diagnosis.validation import gain_of, nats_of, seen_by_both
+from sysid.diagnosis.validation import gain_of, ratios_of, seen_by_both
 from sysid.discretisation.refinement import error_sizes
 from sysid.fit.result import rms_errors
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
@@ -69,14 +69,15 @@ class Trial:
     """A set of effects refitted. ``gain`` [nats]: log evidence over the baseline; ``explained``: share of the
     baseline's structured misfit that is gone, ``explained_there`` on recordings held out (None without); ``left``:
     what is left of it; ``held_out``: share of the robust misfit on held-out recordings that it removes (negative: it
-    predicts worse), and ``predicts`` [nats] the log likelihood ratio for it there (None without); ``worse``: what it
-    predicts there worse than the baseline, in words (:func:`worse_there`); ``significance``: of the weakest of its
-    effects (:func:`sysid.diagnosis.evidence.significance`); ``idle``: that of its several effects whose size the
-    recordings do not tell from none beside the others, in words; ``change``: of the predictions, over what readings
-    may be off (:func:`sysid.diagnosis.residual_analysis.largest_change`); ``in_pose_noise``: that of its effects
-    which moves hands by less than the noise of their poses, in words; ``failure``: why it is no answer whatever its
-    figures; ``predicted``: the model on the recordings held out; ``confirmed``: it was fitted to the end, beside
-    simulations of the reference model with its effects."""
+    predicts worse), and ``predicts`` [nats] the log likelihood ratio for it there, ``surely_predicts`` that over its
+    standard deviation by blocks of time (None without); ``worse``: what it predicts there worse than the baseline,
+    in words (:func:`worse_there`); ``significance``: of the weakest of its effects
+    (:func:`sysid.diagnosis.evidence.significance`); ``idle``: that of its several effects whose size the recordings
+    do not tell from none beside the others, in words; ``change``: of the predictions, over what readings may be off
+    (:func:`sysid.diagnosis.residual_analysis.largest_change`); ``in_pose_noise``: that of its effects which moves
+    hands by less than the noise of their poses, in words; ``failure``: why it is no answer whatever its figures;
+    ``predicted``: the model on the recordings held out; ``confirmed``: it was fitted to the end, beside simulations
+    of the reference model with its effects."""
 
     hypotheses: tuple[Hypothesis, ...]
     fitted: Fitted
@@ -94,6 +95,7 @@ class Trial:
     change: float = np.inf
     in_pose_noise: str = ""
     predicts: float | None = None
+    surely_predicts: float | None = None
 
     @property
     def names(self) -> frozenset[str]:
@@ -236,6 +238,7 @@ def scored(base: Baseline, hypotheses: tuple[Hypothesis, ...], fitted: Fitted, t
     before = structure(base.problem, base.fitted)
     left = structure(base.problem, fitted)
     both = seen_by_both(base.check, base.there, there)
+    ratios = ratios_of(base.check, both)
     on_others = None
     if base.there is not None and there is not None:
         on_others = explained(structure(base.check, base.there), structure(base.check, there))
@@ -245,7 +248,8 @@ def scored(base: Baseline, hypotheses: tuple[Hypothesis, ...], fitted: Fitted, t
                  worse=worse_there(base, there), idle=idle_effect(hypotheses, fitted),
                  change=largest_change(base.problem, base.fitted, fitted),
                  in_pose_noise=in_pose_noise(hypotheses, fitted.rig, base.problem.runs),
-                 predicts=nats_of(both))  # fmt: skip
+                 predicts=None if ratios is None else float(ratios[0].sum()),
+                 surely_predicts=None if ratios is None else deviations(*ratios))  # fmt: skip
 
 
 def in_pose_noise(hypotheses: Sequence[Hypothesis], rig: Rig, runs: Sequence[Run]) -> str:

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sysid.diagnosis.evidence import held_out_gain, held_out_nats
+from sysid.diagnosis.evidence import held_out_gain, log_likelihood_ratio
+from sysid.diagnosis.residual_analysis import BLOCKS, whitened
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -41,10 +42,28 @@ def gain_of(both: tuple[Fitted, Fitted] | None) -> float | None:
     return None if both is None else held_out_gain(both[0].residual, both[1].residual)
 
 
-def nats_of(both: tuple[Fitted, Fitted] | None) -> float | None:
-    """Log likelihood ratio [nats] on held-out runs for an amendment (:func:`seen_by_both`); None where nothing is to be
-    seen."""
-    return None if both is None else held_out_nats(both[0].residual, both[1].residual)
+def ratios_of(check: Problem, both: tuple[Fitted, Fitted] | None) -> tuple[np.ndarray, np.ndarray] | None:
+    """Log likelihood ratios [nats] of two models by blocks of time of all held-out runs ``(b,)``, as their residuals
+    are judged, beside what careful models differ in (:func:`sysid.diagnosis.residual_analysis.whitened`), and the
+    squares of what they differ by there ``(b,)``. None where nothing is to be seen."""
+    if both is None:
+        return None
+    white: list[tuple[np.ndarray, np.ndarray]] = []
+    blocks: list[np.ndarray] = []
+    for i, run in enumerate(check.runs):
+        for m in run.measured:
+            plain, amended = (whitened(check, model, i, m) for model in both)
+            seen = np.isfinite(plain) & np.isfinite(amended)
+            block = np.clip((BLOCKS * m.t / max(run.end, 1e-12)).astype(int), 0, BLOCKS - 1)
+            blocks.append(np.broadcast_to((i * BLOCKS + block)[:, None], seen.shape)[seen])
+            white.append((plain[seen], amended[seen]))
+    plain, amended = (np.concatenate([pair[k] for pair in white]) for k in (0, 1))
+    at = np.concatenate(blocks)
+    there = np.bincount(at) > 0
+    return (
+        np.bincount(at, log_likelihood_ratio(plain, amended))[there],
+        np.bincount(at, (plain - amended) ** 2)[there],
+    )
 
 
 def of_readings(fitted: Fitted) -> float:

@@ -30,6 +30,10 @@ MOST_EXPLAINED = 0.6
 SOME_EXPLAINED = 0.15
 """Share from which an effect is worth telling beside something that remains unknown."""
 
+LEAST_STEADY = 2.0
+"""Standard deviations, from block to block of time, by which held-out recordings have to speak for an effect where the
+baseline shows no misfit that stands out: chance is beyond them in one case of forty."""
+
 LEAST_SIGNIFICANCE = 2.5
 """Standard deviations that an improvement must be worth by its stability over blocks of time."""
 
@@ -95,6 +99,11 @@ def rejected(trial: Trial, case: Case) -> str:
             return (
                 f"held-out recordings speak for it by only {trial.predicts:.1f} of {case.needed:.1f} nats, where the "
                 "baseline shows no misfit that stands out"
+            )
+        if trial.confirmed and trial.surely_predicts is not None and trial.surely_predicts < LEAST_STEADY:
+            return (
+                f"held-out recordings speak for it by {trial.predicts or 0.0:.0f} nats, but by only "
+                f"{trial.surely_predicts:.1f} of {LEAST_STEADY:g} deviations from one block of time to the next"
             )
     return ""
 

@@ -197,7 +197,7 @@ def test_an_effect_without_size_is_no_answer_however_significant(
 
 
 @pytest.mark.parametrize("own", [0.1, 0.15])
-@pytest.mark.parametrize("there", [0.15, 0.6])
+@pytest.mark.parametrize("there", [0.15, 0.9])
 def test_an_answer_is_not_judged_by_a_discretisation_error_that_it_makes_smaller(
     diagnose: Callable[..., Diagnosis], own: float, there: float
 ) -> None:
