@@ -21,6 +21,7 @@ from sim_core.solve.step import NewtonSettings, State, StepReport, advance
 from sim_core.state_history import StateHistory, StateRecorder, pair_forces
 
 __all__ = [
+    "NodePath",
     "Simulation",
     "Trace",
     "simulate",
@@ -38,12 +39,29 @@ FOREVER_S = 1e9
 
 
 @dataclass(frozen=True)
+class NodePath:
+    """Where the nodes of a rollout were: ``times`` [s] ``(n,)``, ``positions`` [m] ``(n, N, 3)`` in the order of
+    :class:`sim_core.scene.Scene`."""
+
+    times: np.ndarray
+    positions: np.ndarray
+
+    def onward(self, state: State, t: float) -> np.ndarray | None:
+        """Where a rollout that is near this one, in a ``state``, comes to until ``t`` [s], if both move alike ``(N,
+        3)``; None if they have not the same nodes."""
+        if self.positions.shape[1:] != state.x.shape:
+            return None
+        here, there = interpolate(self.times, self.positions, np.array([state.t, t]))
+        return np.asarray(state.x + (there - here))
+
+
+@dataclass(frozen=True)
 class Trace:
     """Readings of all channels at the instants of the steps.
 
     ``times`` [s] ``(n,)``; ``outputs``: channel to ``(n, ...)``; ``kinds``: channel to 'wrench',
     'markers' or 'tracks'; ``ids``: marker numbers; ``reports``: one a step (``n - 1``); ``states``: node positions,
-    frames, contact forces and slip at the same instants, where they were asked for.
+    frames, contact forces and slip at the same instants, where they were asked for, and ``path`` the positions alone.
     """
 
     times: np.ndarray
@@ -52,6 +70,7 @@ class Trace:
     ids: dict[str, np.ndarray]
     reports: tuple[StepReport, ...]
     states: StateHistory | None = None
+    path: NodePath | None = None
 
     def at(self, channel: str, times: np.ndarray) -> np.ndarray:
         """Readings at any times [s], linear between steps, held at the ends: ``(k, ...)``."""
@@ -82,13 +101,16 @@ class Settling:
 
 class Simulation:
     """A scene being stepped. ``frames``: where the mounts are now, offsets of end effectors against their poses
-    included; ``halvings``: how often a step was halved since the last reset."""
+    included; ``halvings``: how often a step was halved since the last reset; ``beside``: the path of a rollout near by,
+    from which the search of each step begins. It changes results within the tolerance of the search alone, where a step
+    has one solution."""
 
     def __init__(self, scene: Scene, settings: NewtonSettings | None = None, settle: bool = True) -> None:
         self.scene = scene
         self.observer, self._system = Observer(scene), scene.system
         self._settings = settings or NewtonSettings()
         self._settle = settle
+        self.beside: NodePath | None = None
         self.reset()
 
     def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
@@ -160,7 +182,8 @@ class Simulation:
     def _advance(self, end: Mapping[str, Frame], dt: float) -> StepReport:
         """One step without subdivision."""
         targets = self.scene.targets(end)
-        self.state, report = advance(self.scene.system, self.state, targets, dt, self._settings)
+        guess = None if self.beside is None else self.beside.onward(self.state, self.state.t + dt)
+        self.state, report = advance(self.scene.system, self.state, targets, dt, self._settings, guess)
         return report
 
     def actual_frames(self) -> dict[str, Frame]:
@@ -243,14 +266,19 @@ def simulate(
     settings: NewtonSettings | None = None,
     *,
     keep_states: bool = False,
+    keep_path: bool = False,
+    beside: NodePath | None = None,
 ) -> Trace:
     """Drive the scene along ``poses`` (by end effector) and read every channel at ``times`` [s] ``(n,)``.
 
     ``on_step(done, total)`` is called after each step. ``keep_states``: the trace has :attr:`Trace.states`, which take
-    48 bytes a node and instant and 24 more for each declared contact. Raises ``ConvergenceError`` when a step does not
-    converge even in small parts.
+    48 bytes a node and instant and 24 more for each declared contact, ``keep_path``: :attr:`Trace.path` alone, 24 bytes
+    a node and instant. ``beside``: the path of a rollout near by, from which steps begin. Raises ``ConvergenceError``
+    when a step does not converge even in small parts.
     """
-    return run(Simulation(scene, settings), poses, times, on_step, keep_states=keep_states)
+    simulation = Simulation(scene, settings)
+    simulation.beside = beside
+    return run(simulation, poses, times, on_step, keep_states=keep_states, keep_path=keep_path)
 
 
 def run(
@@ -261,6 +289,7 @@ def run(
     on_reset: Callable[[], None] | None = None,
     *,
     keep_states: bool = False,
+    keep_path: bool = False,
 ) -> Trace:
     """As :func:`simulate`, with a simulation at hand; it is reset first, then ``on_reset`` is called."""
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
@@ -272,16 +301,20 @@ def run(
         on_reset()
     recorder = StateRecorder(simulation) if keep_states else None
     readings = [simulation.read()]
+    path = [simulation.state.x]
     if recorder is not None:
         recorder.take()
     reports = []
     for k in range(1, len(times)):
         reports.append(simulation.step(frames[k], float(times[k] - times[k - 1])))
         readings.append(simulation.read())
+        if keep_path:
+            path.append(simulation.state.x)
         if recorder is not None:
             recorder.take()
         if on_step is not None:
             on_step(k, len(times) - 1)
     outputs = {c: np.stack([r[c] for r in readings]) for c in readings[0]}
     states = None if recorder is None else recorder.history()
-    return Trace(times, outputs, simulation.observer.kinds, simulation.observer.ids, tuple(reports), states)
+    kept = NodePath(times, np.stack(path)) if keep_path else None
+    return Trace(times, outputs, simulation.observer.kinds, simulation.observer.ids, tuple(reports), states, kept)

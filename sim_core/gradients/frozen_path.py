@@ -35,7 +35,7 @@ from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene, Values
 from sim_core.sensing.observe import frame_of
-from sim_core.simulate import Trace
+from sim_core.simulate import NodePath, Trace
 from sim_core.solve.step import State
 
 
@@ -202,16 +202,21 @@ def simulate_responses(
     amendments: Sequence[Amendment],
     modulations: Sequence[Modulation] = (),
     on_step: Callable[[int, int], None] | None = None,
+    *,
+    keep_path: bool = False,
+    beside: NodePath | None = None,
 ) -> tuple[Trace, dict[str, np.ndarray]]:
     """Trace of a rollout, and for every channel ``(n_times, ..., n_along + n_amendments + n_modulations)``: its
     derivatives by the directions, then its responses to the amendments, then to the modulations.
 
     A direction may also be of finite width, from the baseline to a rig with other numbers or commands; its derivative
-    is then the secant in these numbers, and to first order in what they do. Times [s] ``(n_times,)``.
+    is then the secant in these numbers, and to first order in what they do. Times [s] ``(n_times,)``. ``keep_path``,
+    ``beside``: as of :func:`sim_core.simulate.simulate`.
     """
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
     commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
     whole = [*along, *_idle(scene.rig, len(amendments) + len(modulations))]
     moving = command_motions(scene.rig, whole, commanded, times)
     simulation = FrozenPathSimulation(scene, along, amendments, moving, modulations)
-    return recorded(simulation, poses, times, whole, on_step)
+    simulation.beside = beside
+    return recorded(simulation, poses, times, whole, on_step, keep_path=keep_path)

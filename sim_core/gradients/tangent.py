@@ -34,7 +34,7 @@ from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import frame_of
-from sim_core.simulate import Simulation, Trace, run
+from sim_core.simulate import NodePath, Simulation, Trace, run
 from sim_core.solve.hessian_store import Keeper
 from sim_core.solve.integrator import at_start
 from sim_core.solve.step import NewtonSettings, State, StepReport
@@ -245,15 +245,19 @@ def simulate_tangent(
     along: Sequence[Direction],
     on_step: Callable[[int, int], None] | None = None,
     settings: NewtonSettings | None = None,
+    *,
+    keep_path: bool = False,
+    beside: NodePath | None = None,
 ) -> tuple[Trace, dict[str, np.ndarray]]:
     """Trace of a rollout at ``times`` [s] and the derivatives of every channel, ``(n_times, ..., n_parameters)``, in
     the unit of the channel over that of the parameter. Raises ``ConfigError`` where ``along`` has something else than
-    directions."""
+    directions. ``keep_path``, ``beside``: as of :func:`sim_core.simulate.simulate`."""
     along = checked(along)
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
     commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
     simulation = TangentSimulation(scene, along, settings, command_motions(scene.rig, along, commanded, times))
-    return recorded(simulation, poses, times, along, on_step)
+    simulation.beside = beside
+    return recorded(simulation, poses, times, along, on_step, keep_path=keep_path)
 
 
 def recorded(
@@ -262,6 +266,8 @@ def recorded(
     times: np.ndarray,
     along: Sequence[Direction],
     on_step: Callable[[int, int], None] | None = None,
+    *,
+    keep_path: bool = False,
 ) -> tuple[Trace, dict[str, np.ndarray]]:
     """Trace of a simulation run at ``times`` [s], and its derivatives ``(n_times, ..., n_parameters)`` by channel."""
     stacked: list[dict[str, np.ndarray]] = []
@@ -276,7 +282,7 @@ def recorded(
         if on_step is not None:
             on_step(done, total)
 
-    trace = run(simulation, poses, times, record, on_reset=keep)
+    trace = run(simulation, poses, times, record, on_reset=keep, keep_path=keep_path)
     return trace, with_imaging({c: np.stack([s[c] for s in stacked]) for c in trace.outputs}, imaging)
 
 

@@ -63,12 +63,17 @@ def solve(
     """As :func:`sim_core.solve.newton.solve`."""
     deflection = system.deflections.copy()
     spent, start = (0, 0), x_start
+    if guess is not None and settings.fast_iterations:
+        found, _ = _try(system, x_start, None, targets, deflection, settings, guess)
+        if found.converged:
+            return found
+        spent = found.iterations, found.factorisations
     if settings.fast_iterations:
-        leads: list[np.ndarray | float | None] = [0.0]
+        leads: list[np.ndarray | float] = [0.0]
         if drift.any() and not _runs_into(system, x_start, drift, targets, deflection):
             leads = [drift, 0.0]
-        for lead in leads if guess is None else [None]:
-            found, sound = _try(system, x_start, lead, targets, deflection, settings, guess)
+        for lead in leads:
+            found, sound = _try(system, x_start, lead, targets, deflection, settings)
             if found.converged:
                 return after(found, spent)
             spent = spent[0] + found.iterations, spent[1] + found.factorisations
@@ -118,7 +123,7 @@ def _try(
     targets: np.ndarray,
     deflection: np.ndarray,
     settings: NewtonSettings,
-    guess: np.ndarray | None,
+    guess: np.ndarray | None = None,
 ) -> tuple[StepReport, bool]:
     """The fast Newton; also whether what it found can be reached freely. ``lead``: from where the step starts to
     where the search does [m], None with a guess."""
@@ -126,7 +131,7 @@ def _try(
     place(system, x_start if guess is None else guess, targets, deflection)
     energy = system.energy()
     move = None if lead is None else begin(system, x_start + lead, targets, deflection, settings)
-    found, definite = FastNewton(system, settings, targets, move).run()
+    found, definite = FastNewton(system, settings, targets, move, near=lead is None).run()
     if not (found.converged and definite and system.energy() <= energy + noise_of(energy)):
         return replace(found, result=Result.ITERATION_LIMIT), False
     reached, balanced = _holds(system, x_start, settings)

@@ -36,13 +36,23 @@ LEAST = 0.3
 
 class FastNewton:
     """One search. ``move``: of what is prescribed [m] ``(n, 3)``, still to be made; the first step answers
-    it to first order and goes to ``targets`` [m] ``(n, 3)``, in parts where contact asks for it."""
+    it to first order and goes to ``targets`` [m] ``(n, 3)``, in parts where contact asks for it. ``near``: it begins
+    so near the solution that the tangent there tells whether that is stable, as long as it is good enough to be
+    kept."""
 
-    def __init__(self, system: System, settings: NewtonSettings, targets: np.ndarray, move: np.ndarray | None) -> None:
+    def __init__(
+        self,
+        system: System,
+        settings: NewtonSettings,
+        targets: np.ndarray,
+        move: np.ndarray | None,
+        near: bool = False,
+    ) -> None:
         self._system = system
         self._settings = settings
         self._targets = targets
         self._move = move
+        self._near = near
         self._tangent: Tangent | None = None
         self._tangents = 0
         self._old = False
@@ -77,7 +87,7 @@ class FastNewton:
         floor = not self._old and self._error < ROUND_OFF * self._settings.step_tolerance_m
         if not floor and not converged(self._system, self._settings, self._error, residual):
             return None
-        if self._old and not self._system.inertia:
+        if self._old and not self._system.inertia and not (self._near and self._tangents == 1):
             self._tangent = None  # a static solution may be unstable: one step with its own tangent tells
             return None
         return Result.CONVERGED

@@ -37,15 +37,22 @@ def solve(
     """Find the minimum of the step that the system has begun.
 
     ``x_start``: where the step starts [m] ``(n, 3)``; ``drift``: how far velocities lead from there [m]
-    ``(n, 3)``; ``targets``: where prescribed nodes go; ``guess``: where to begin instead.
+    ``(n, 3)``; ``targets``: where prescribed nodes go; ``guess``: where to begin first, near the solution.
     """
     deflection = system.deflections.copy()
-    place(system, x_start if guess is None else guess, targets, deflection)
-    crude, energy = system.unknowns(), system.energy()
     spent = (0, 0)
+    if guess is not None and settings.fast_iterations:
+        place(system, guess, targets, deflection)
+        energy = system.energy()
+        found, definite = FastNewton(system, settings, targets, None, near=True).run()
+        if found.converged and definite and system.energy() <= energy + noise_of(energy):
+            return found
+        spent = found.iterations, found.factorisations
+    place(system, x_start, targets, deflection)
+    crude, energy = system.unknowns(), system.energy()
     if settings.fast_iterations:
-        for lead in [None] if guess is not None else [drift, 0.0] if drift.any() else [0.0]:
-            move = None if lead is None else begin(system, x_start + lead, targets, deflection, settings)
+        for lead in [drift, 0.0] if drift.any() else [0.0]:
+            move = begin(system, x_start + lead, targets, deflection, settings)
             found, definite = FastNewton(system, settings, targets, move).run()
             if found.converged and definite and system.energy() <= energy + noise_of(energy):
                 return after(found, spent)

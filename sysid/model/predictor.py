@@ -15,7 +15,7 @@ from sim_core.gradients.frozen_path import Amendment, Modulation, simulate_respo
 from sim_core.rigs import Rig
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.scene import Scene, build_scene
-from sim_core.simulate import Trace, simulate
+from sim_core.simulate import NodePath, Trace, simulate
 from sysid.model.marker_registration import placed, placed_along
 from sysid.model.parameters import FitParameter, acting_in, fit_parameters, rig_at, rig_in, start_of
 from sysid.model.responses import Modulated, SizedEffects, change, way_of, with_effects
@@ -56,12 +56,22 @@ class SerialPredictor:
         scene.use(rig)
         return scene
 
-    def predict(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Prediction:
-        """Predict one run."""
+    def predict(
+        self,
+        rig: Rig,
+        run: Run,
+        refine: int = 1,
+        dt: float | None = None,
+        *,
+        keep_path: bool = False,
+        beside: NodePath | None = None,
+    ) -> Prediction:
+        """Predict one run. ``keep_path``, ``beside``: as of :func:`sim_core.simulate.simulate`."""
         scene = self.scene(rig, refine)
         rig = placed(scene, run.firsts)
         scene.use(rig)
-        trace = simulate(scene, run.poses, rollout_times([rig], run, dt or rig.solver.dt_s))
+        times = rollout_times([rig], run, dt or rig.solver.dt_s)
+        trace = simulate(scene, run.poses, times, keep_path=keep_path, beside=beside)
         return Prediction(_at_stamps(trace, rig, run), {}, trace)
 
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
@@ -94,12 +104,17 @@ class SerialPredictor:
         scaled: np.ndarray,
         refine: int = 1,
         dt: float | None = None,
+        *,
+        keep_path: bool = False,
+        beside: NodePath | None = None,
     ) -> Prediction:
         """Predict one run at ``scaled`` values of the parameters, with derivatives, which are zero by those that other
-        runs have for themselves."""
+        runs have for themselves. ``keep_path``, ``beside``: as of :func:`sim_core.simulate.simulate`."""
         own = acting_in(parameters, run.name)
         if len(own) < len(parameters):
-            found = self.predict_with_derivatives(rig, run, [parameters[k] for k in own], scaled[own], refine, dt)
+            found = self.predict_with_derivatives(
+                rig, run, [parameters[k] for k in own], scaled[own], refine, dt, keep_path=keep_path, beside=beside
+            )
             wide = {c: np.zeros((*d.shape[:-1], len(parameters))) for c, d in found.derivatives.items()}
             for c, d in found.derivatives.items():
                 wide[c][..., own] = d
@@ -110,7 +125,7 @@ class SerialPredictor:
         along = [_direction(here, parameters, scaled, k) for k in range(len(parameters))]
         along = placed_along(scene, run.firsts, along)
         times = rollout_times([here, *(end for d in along for end in (d.low, d.high))], run, dt or here.solver.dt_s)
-        trace, raw = simulate_tangent(scene, run.poses, times, along)
+        trace, raw = simulate_tangent(scene, run.poses, times, along, keep_path=keep_path, beside=beside)
         values = _at_stamps(trace, here, run)
         derivatives = {}
         for m in run.measured:
@@ -128,6 +143,9 @@ class SerialPredictor:
         scaled: np.ndarray,
         candidates: Sequence[SizedEffects],
         modulated: Sequence[Modulated] = (),
+        *,
+        keep_path: bool = False,
+        beside: NodePath | None = None,
     ) -> Prediction:
         """As :meth:`predict_with_derivatives`, with the responses of all readings to each of the ``candidates``, then
         to changes of parameters in time, after the derivatives (:mod:`sysid.model.responses`); NaN: one that could not
@@ -151,7 +169,9 @@ class SerialPredictor:
         first, names = len(along) + len(secants), [p.name for p in changing]
         courses = [Modulation(first + names.index(m.parameter), m.course) for m in modulated]
         whole = [*along, *secants, *moved]
-        trace, raw = simulate_responses(scene, run.poses, times, whole, amendments, courses)
+        trace, raw = simulate_responses(
+            scene, run.poses, times, whole, amendments, courses, keep_path=keep_path, beside=beside
+        )
         values = _at_stamps(trace, here, run)
         others: dict[int, dict[str, np.ndarray]] = {}
         for k, way in enumerate(ways):
@@ -159,7 +179,7 @@ class SerialPredictor:
                 others[k] = change(_at_stamps(trace, rigs[k], run), values)
             elif way == "rollout":
                 try:
-                    others[k] = change(self.predict(rigs[k], run).values, values)
+                    others[k] = change(self.predict(rigs[k], run, beside=beside).values, values)
                 except ThinshellError:
                     others[k] = {c: np.full_like(v, np.nan) for c, v in values.items()}
         place = {k: len(along) + n for n, k in enumerate(steps)}
