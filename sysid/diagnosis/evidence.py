@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.diagnosis.candidates import Hypothesis
-from sysid.solve.covariance import uncertainty
+from sysid.solve.covariance import Uncertainty
 from sysid.solve.optimum import Fitted
 
 ROBUST_WIDTH = 3.0
@@ -81,27 +81,31 @@ def _losses(r: np.ndarray) -> np.ndarray:
     return np.asarray(2.0 * w * w * (np.sqrt(1.0 + (r / w) ** 2) - 1.0))
 
 
-def significance(hypothesis: Hypothesis, fitted: Fitted, gain: float) -> float:
+def significance(inflation: float, gain: float) -> float:
     """Standard deviations that a gain [nats] is worth: the square root of the likelihood ratio 2 gain, over
-    the inflation of the best known amplitude by the sandwich estimate (the adjusted likelihood of Chandler &
+    the ``inflation`` of the best known amplitude by the sandwich estimate (the adjusted likelihood of Chandler &
     Bate 2007). The amplitude's own distance from none would not do: it is short where only its ratio to
     another parameter is determined."""
-    known = uncertainty(fitted)
+    return float(np.sqrt(max(2.0 * gain, 0.0)) / inflation)
+
+
+def inflation_of(hypothesis: Hypothesis, fitted: Fitted, known: Uncertainty) -> float:
+    """By how much the noise model alone understates the standard deviation of the amplitude that is known best."""
     amplitudes = {f"effects.{hypothesis.key}.{a.parameter.name}" for a in hypothesis.amplitudes}
-    inflation = [f for p, f in zip(fitted.parameters, known.inflation, strict=True) if p.name in amplitudes]
-    return float(np.sqrt(max(2.0 * gain, 0.0)) / min(inflation, default=1.0))
+    found = [f for p, f in zip(fitted.parameters, known.inflation, strict=True) if p.name in amplitudes]
+    return float(min(found, default=1.0))
 
 
-def distance_from_none(hypothesis: Hypothesis, fitted: Fitted) -> float:
+def distance_from_none(hypothesis: Hypothesis, fitted: Fitted, known: Uncertainty) -> float:
     """How far the effect is from acting on nothing, in standard deviations of that of its sizes which is farthest."""
-    sd = uncertainty(fitted).sd
+    sd = known.sd
     at = {p.name: (p, scaled, s) for p, scaled, s in zip(fitted.parameters, fitted.scaled, sd, strict=True)}
     found = 0.0
     for a in hypothesis.amplitudes:
-        known = at.get(f"effects.{hypothesis.key}.{a.parameter.name}")
-        if known is None:
+        told = at.get(f"effects.{hypothesis.key}.{a.parameter.name}")
+        if told is None:
             continue
-        p, scaled, s = known
+        p, scaled, s = told
         if p.log or not np.isfinite(a.none):
             return float("inf")  # In the scale of its logarithm, nothing is infinitely far.
         found = max(found, abs(scaled - a.none) / max(s, 1e-300))

@@ -14,7 +14,7 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
-from sysid.diagnosis.evidence import deviations, distance_from_none, log_evidence, significance
+from sysid.diagnosis.evidence import deviations, distance_from_none, inflation_of, log_evidence, significance
 from sysid.diagnosis.residual_analysis import Structure, largest_change, structure
 from sysid.diagnosis.validation import gain_of, ratios_of, seen_by_both
 from sysid.discretisation.refinement import error_sizes
@@ -22,6 +22,7 @@ from sysid.fit.result import rms_errors
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
+from sysid.solve.covariance import Uncertainty, uncertainty
 from sysid.solve.gauss_newton import IN_SIGHT
 from sysid.solve.optimum import Fitted
 
@@ -73,9 +74,10 @@ class Trial:
     standard deviation by blocks of time (None without); ``worse``: what it predicts there worse than the baseline,
     in words (:func:`worse_there`); ``significance``: of the weakest of its effects
     (:func:`sysid.diagnosis.evidence.significance`); ``idle``: that of its several effects whose size the recordings
-    do not tell from none beside the others, in words; ``change``: of the predictions, over what readings may be off
-    (:func:`sysid.diagnosis.residual_analysis.largest_change`); ``in_pose_noise``: that of its effects which moves
-    hands by less than the noise of their poses, in words; ``failure``: why it is no answer whatever its figures;
+    do not tell from none beside the others, in words; ``inflations``: of the standard deviation of each effect's
+    amplitude (:func:`sysid.diagnosis.evidence.inflation_of`); ``change``: of the predictions, over what readings may
+    be off (:func:`sysid.diagnosis.residual_analysis.largest_change`); ``in_pose_noise``: that of its effects which
+    moves hands by less than the noise of their poses, in words; ``failure``: why it is no answer whatever its figures;
     ``predicted``: the model on the recordings held out; ``confirmed``: it was fitted to the end, beside simulations
     of the reference model with its effects."""
 
@@ -96,6 +98,7 @@ class Trial:
     in_pose_noise: str = ""
     predicts: float | None = None
     surely_predicts: float | None = None
+    inflations: tuple[float, ...] = (1.0,)
 
     @property
     def names(self) -> frozenset[str]:
@@ -243,9 +246,11 @@ def scored(base: Baseline, hypotheses: tuple[Hypothesis, ...], fitted: Fitted, t
     if base.there is not None and there is not None:
         on_others = explained(structure(base.check, base.there), structure(base.check, there))
     gain = log_evidence(fitted, 1.0) - log_evidence(base.fitted, 1.0)
-    worth = min(significance(h, fitted, gain) for h in hypotheses)
+    known = uncertainty(fitted)
+    inflations = tuple(inflation_of(h, fitted, known) for h in hypotheses)
+    worth = min(significance(f, gain) for f in inflations)
     return Trial(hypotheses, fitted, gain, explained(before, left), on_others, left, gain_of(both), worth, there,
-                 worse=worse_there(base, there), idle=idle_effect(hypotheses, fitted),
+                 worse=worse_there(base, there), idle=idle_effect(hypotheses, fitted, known), inflations=inflations,
                  change=largest_change(base.problem, base.fitted, fitted),
                  in_pose_noise=in_pose_noise(hypotheses, fitted.rig, base.problem.runs),
                  predicts=None if ratios is None else float(ratios[0].sum()),
@@ -264,23 +269,23 @@ def in_pose_noise(hypotheses: Sequence[Hypothesis], rig: Rig, runs: Sequence[Run
     return ""
 
 
-def idle_effect(hypotheses: Sequence[Hypothesis], fitted: Fitted) -> str:
+def idle_effect(hypotheses: Sequence[Hypothesis], fitted: Fitted, known: Uncertainty) -> str:
     """The effect of a set of several that is nearest to none, in words, if it is within :data:`TOLD_APART`."""
     if len(hypotheses) < 2:
         return ""
-    h = _idlest(hypotheses, fitted)
-    least = distance_from_none(h, fitted)
+    h = _idlest(hypotheses, fitted, known)
+    least = distance_from_none(h, fitted, known)
     return f"that {h.effect.title}, by {least:.1f} standard deviations" if least < TOLD_APART else ""
 
 
-def _idlest(hypotheses: Sequence[Hypothesis], fitted: Fitted) -> Hypothesis:
-    return min(hypotheses, key=lambda h: distance_from_none(h, fitted))
+def _idlest(hypotheses: Sequence[Hypothesis], fitted: Fitted, known: Uncertainty) -> Hypothesis:
+    return min(hypotheses, key=lambda h: distance_from_none(h, fitted, known))
 
 
 def without_idle(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | None:
     """A set of several effects without the one that is not told from none beside the others, fitted on from where the
     set stands (backward elimination); None, and why in ``failed``, where that cannot be simulated."""
-    idle = _idlest(trial.hypotheses, trial.fitted)
+    idle = _idlest(trial.hypotheses, trial.fitted, uncertainty(trial.fitted))
     kept = tuple(h for h in trial.hypotheses if h is not idle)
     begun = trial.fitted
     mine = [not p.target.startswith(f"effects.{idle.key}.") for p in begun.parameters]
@@ -326,7 +331,7 @@ def tempered(base: Baseline, trials: Sequence[Trial]) -> list[Trial]:
     found = []
     for t in trials:
         gain = log_evidence(t.fitted, temper) - reference
-        worth = min(significance(h, t.fitted, gain) for h in t.hypotheses)
+        worth = min(significance(f, gain) for f in t.inflations)
         found.append(replace(t, gain=gain, significance=worth))
     return sorted(found, key=lambda t: -t.gain)
 

@@ -16,6 +16,7 @@ from sysid.diagnosis.evidence import (
     deviations,
     distance_from_none,
     held_out_gain,
+    inflation_of,
     log_evidence,
     log_likelihood_ratio,
     significance,
@@ -181,7 +182,7 @@ def test_the_distance_from_none_is_that_of_the_size_which_is_farthest() -> None:
         cast(Any, None), 1, True, "", {},
     )  # fmt: skip
     expected = np.abs(at / uncertainty(fitted).sd).max()
-    assert distance_from_none(h, fitted) == pytest.approx(expected)
+    assert distance_from_none(h, fitted, uncertainty(fitted)) == pytest.approx(expected)
     assert expected == pytest.approx(4.0, rel=0.2)
 
 
@@ -232,8 +233,11 @@ def test_an_improvement_is_worth_less_where_misfit_is_smooth_in_time():
     white = rng.standard_normal(600)
     smooth = white + 2.0 * np.sin(np.linspace(0.0, 2.0 * np.pi, 600))
     effect = hypothesis("air_drag")
-    assert significance(effect, fitted_with(column, white, drag), 50.0) == pytest.approx(10.0, rel=0.35)
-    assert significance(effect, fitted_with(column, smooth, drag), 50.0) < 2.5
+    inflated = [
+        inflation_of(effect, f, uncertainty(f)) for f in (fitted_with(column, r, drag) for r in (white, smooth))
+    ]
+    assert significance(inflated[0], 50.0) == pytest.approx(10.0, rel=0.35)
+    assert significance(inflated[1], 50.0) < 2.5
 
 
 def test_an_amplitude_known_only_as_a_ratio_is_no_reason_for_doubt():
@@ -243,7 +247,8 @@ def test_an_amplitude_known_only_as_a_ratio_is_no_reason_for_doubt():
     both = [FitParameter(n, "-", False, 0.0, 9.0, 1.0, "") for n in names]
     shape = rng.standard_normal(600)
     columns = np.column_stack([shape, -shape])
-    assert significance(hypothesis("air_drag"), fitted_with(columns, rng.standard_normal(600), both), 800.0) > 20.0
+    fitted = fitted_with(columns, rng.standard_normal(600), both)
+    assert significance(inflation_of(hypothesis("air_drag"), fitted, uncertainty(fitted)), 800.0) > 20.0
 
 
 def test_the_best_comes_first_and_probabilities_follow_the_evidence():
