@@ -125,12 +125,20 @@ def _extends(
     known: np.ndarray,
 ) -> bool:
     """Whether recordings follow wide pads. What they seem to tell of these is asked again beside finer cells, which may
-    change the readings alike."""
+    change the readings alike, of the recording in which wide pads change most."""
     if not follows(runs, own, [wide], noise, known)[0].extends:
         return False
     if mesh is None:
         return True
-    return follows(runs, own, [wide, _all(engine, mesh.rig, runs)], noise, known)[0].extends
+    k = int(np.argmax([_change(*pair, noise) for pair in zip(own, wide, strict=True)]))
+    fine = engine.submit(mesh.rig, runs[k]).result()
+    return follows([runs[k]], [own[k]], [[wide[k]], [fine]], noise, known)[0].extends
+
+
+def _change(one: Prediction, other: Prediction, noise: dict[str, ChannelNoise]) -> float:
+    """Sum of the squares of what readings change by, in units of the noise."""
+    moved = ((other.values[c] - v) / noise[c].sigma for c, v in one.values.items())
+    return float(sum(np.nansum(m**2) for m in moved))
 
 
 def standing(

@@ -31,17 +31,23 @@ def readings(kinds: str, theta: float) -> np.ndarray:
 
 
 class Engine:
-    """Predicts by what is in the rig's name; fails for names in ``fails``."""
+    """Predicts by what is in the rig's name, a tenth of that for the run ``quiet``; fails for names in ``fails``.
+    ``asked``: rigs and runs of the rollouts."""
 
     def __init__(self, fails: tuple[str, ...] = ()) -> None:
         self.fails = fails
+        self.asked: list[tuple[str, str]] = []
 
     def submit(self, rig: Any, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
         found: Future[Prediction] = Future()
+        self.asked.append((rig.name, run.name))
         if rig.name in self.fails:
             found.set_exception(ConvergenceError("A step does not converge.", "Shorten it."))
         else:
-            found.set_result(Prediction({"gauge": readings(rig.name, 0.0)}, {}, cast(Any, None)))
+            share = 0.1 if run.name == "quiet" else 1.0
+            own = readings("", 0.0)
+            changed = own + share * (readings(rig.name, 0.0) - own)
+            found.set_result(Prediction({"gauge": changed}, {}, cast(Any, None)))
         return found
 
     def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
@@ -49,8 +55,10 @@ class Engine:
         return [Prediction({"gauge": own}, {"gauge": own[..., None]}, cast(Any, None)) for _ in runs]
 
 
-def found(small_rig: Any, monkeypatch: pytest.MonkeyPatch, truth: str, fails: tuple[str, ...] = ()) -> Any:
-    """What is made of a recording of the model ``truth`` with a modulus that is 10 % off."""
+def found(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch, truth: str, fails: tuple[str, ...] = (), engine: Any = None
+) -> Any:
+    """What is made of a recording of the model ``truth`` with a modulus that is 10 % off, after a quiet one."""
     rig = small_rig().model_copy(update={"name": ""})
     wide = rig.model_copy(update={"name": "wide"})
     monkeypatch.setattr(reference_model, "widened", lambda rig: Widened(wide, ("It is wide.",)))
@@ -60,11 +68,14 @@ def found(small_rig: Any, monkeypatch: pytest.MonkeyPatch, truth: str, fails: tu
         lambda rig, runs: ContactMesh(rig.model_copy(update={"name": f"{rig.name} fine"}), 2.0, ("It is fine.",)),
     )
     noise = {"gauge": ChannelNoise(np.array([SIGMA]), np.zeros(1), "given")}
-    values = readings(truth, 0.1) + SIGMA * np.random.default_rng(0).standard_normal((len(T), 1))
-    run = Run("run", "", (), {}, (Measured("gauge", "markers", T, values, ("u",)),), 1.0)
+    noise_of = np.random.default_rng(0).standard_normal
+    runs = []
+    for name, share in (("quiet", 0.1), ("run", 1.0)):
+        values = readings("", 0.1) + share * (readings(truth, 0.1) - readings("", 0.1)) + SIGMA * noise_of((len(T), 1))
+        runs.append(Run(name, "", (), {}, (Measured("gauge", "markers", T, values, ("u",)),), 1.0))
     parameters = fit_parameters(rig, ["card.E"])
     assert len(start_of(rig, parameters)) == 1
-    return reference_for(cast(Any, Engine(fails)), rig, parameters, [run], [], noise)
+    return reference_for(cast(Any, engine or Engine(fails)), rig, parameters, runs, [], noise)
 
 
 @pytest.mark.parametrize("truth", ["", "wide", "fine", "wide fine"])
@@ -79,9 +90,18 @@ def test_recordings_tell_extent_and_cells(small_rig: Any, monkeypatch: pytest.Mo
     change = readings(truth, 0.0) - readings("", 0.0)
     np.testing.assert_allclose(added.readings["run"]["gauge"], change, atol=1e-12)
     if "fine" in truth:
-        np.testing.assert_allclose(added.error.shapes[0]["gauge"], SHAPES["fine"][:, None] / 3.0, atol=1e-12)
+        np.testing.assert_allclose(added.error.shapes[1]["gauge"], SHAPES["fine"][:, None] / 3.0, atol=1e-12)
     else:
         assert added.error is None
+
+
+def test_finer_cells_of_the_rig_itself_are_asked_of_the_recording_that_tells_most(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = Engine()
+    found(small_rig, monkeypatch, "wide fine", engine=engine)
+    assert [run for name, run in engine.asked if name == " fine"] == ["run"]
+    assert {run for name, run in engine.asked if name == "wide fine"} == {"quiet", "run"}
 
 
 def test_cells_with_which_simulations_do_not_end_are_not_taken(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
