@@ -272,8 +272,9 @@ def best_branch(engine: AnyEngine, problem: Problem, fitted: Fitted) -> np.ndarr
     """Scaled values ``(p,)`` with another friction, or another place of a hand, at which recordings are followed better
     than where a search has ended; None where there are none.
 
-    Whether a point sticks or slips, or to which side a sheet buckles, is no matter of derivatives. What is far off
-    counts by its logarithm (Cauchy's loss), so that a span on the right branch is worth more than a far one nearer.
+    Whether a point sticks or slips, or to which side a sheet buckles, is no matter of derivatives, nor of short time
+    steps: all are compared with those of the rig. What is far off counts by its logarithm (Cauchy's loss), so that a
+    span on the right branch is worth more than a far one nearer.
     """
     frictions = [k for k, p in enumerate(fitted.parameters) if p.target.endswith(".friction")]
     offsets = [k for k, p in enumerate(fitted.parameters) if p.nuisance and ".offset_" in p.target]
@@ -289,10 +290,14 @@ def best_branch(engine: AnyEngine, problem: Problem, fitted: Fitted) -> np.ndarr
         points.append(at)
     limits = np.array([p.scaled_bounds for p in fitted.parameters]).reshape(-1, 2).T
     points = [np.clip(at, *limits) for at in points]
-    jobs = [
-        [engine.submit(rig_in(fitted.centre, fitted.parameters, at, r.name), r) for r in problem.runs] for at in points
-    ]
-    best, found = _cauchy(problem, fitted.predictions, fitted.scaled), None
+    runs, here = problem.runs, list(fitted.predictions)
+    if fitted.centre.solver.inertia and any(run.steps is not None for run in runs):
+        runs = [replace(run, steps=None) for run in runs]
+        rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
+        own = [engine.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
+        here = [job.result() for job in own]
+    jobs = [[engine.submit(rig_in(fitted.centre, fitted.parameters, at, r.name), r) for r in runs] for at in points]
+    best, found = _cauchy(problem, here, fitted.scaled), None
     for at, row in zip(points, jobs, strict=True):
         try:
             loss = _cauchy(problem, [job.result() for job in row], at)

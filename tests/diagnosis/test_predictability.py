@@ -117,6 +117,17 @@ def test_another_branch_that_follows_the_recording_is_found(problem: Any) -> Non
     assert start_of(rig, parameters)[0] > 0.0
 
 
+def test_other_branches_are_looked_for_with_the_steps_of_the_rig(problem: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    there, rig, parameters = problem(0.45)
+    there.runs[0] = replace(there.runs[0], steps=np.linspace(0.0, T[-1], 4000))
+    fitted = model(there, rig, parameters, 0.38)
+    asked: list[object] = []
+    plain = there.engine.submit
+    monkeypatch.setattr(there.engine, "submit", lambda rig, run, *a: asked.append(run.steps) or plain(rig, run, *a))
+    assert best_branch(there.engine, there, fitted) is not None
+    assert asked and all(steps is None for steps in asked)
+
+
 def test_a_recording_that_the_step_cannot_follow_weighs_nothing(problem: Any) -> None:
     """One of two has an error of mesh and step of 20 times the noise; where both have it, both stay."""
     there, _, _ = problem(0.3)
