@@ -483,7 +483,7 @@ class NeoHookean:
     def displacement_gradients(self, x: np.ndarray) -> np.ndarray:
         """F - 1 at all points when nodes are at ``x`` [m] ``(n, 3)``, ``(4 m, 3, 3)``."""
         moved = np.repeat((x - self._rest)[self._tets], 4, axis=0)
-        return np.asarray(np.einsum("pai,paj->pij", moved, self._grad))
+        return np.asarray(moved.swapaxes(-1, -2) @ self._grad)
 
     def initial_internals(self) -> Internals:
         """Return Q = 0."""

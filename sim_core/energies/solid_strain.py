@@ -94,7 +94,7 @@ class SolidStrain:
     def _slope(self, vectors: np.ndarray) -> np.ndarray:
         """V of nodal vectors, ``(4 m, 3, 3)``."""
         there = np.repeat(vectors[self._solid.tets], POINTS, axis=0)
-        return np.asarray(np.einsum("pai,paj->pij", there, self._solid.gradients))
+        return np.asarray(there.swapaxes(-1, -2) @ self._solid.gradients)
 
     def strains(self) -> np.ndarray:
         return self.strains_at(self._buffers.x)
@@ -125,7 +125,8 @@ class SolidStrain:
         return placed((blocks, rows, axes), shape=(rows.size, x.size)).tocsr()
 
     def add_gradient(self, stress: np.ndarray) -> None:
-        force = np.einsum("pk,pkj->pj", stress, self._blocks_at(self._buffers.x))
+        first_piola = self._deformation(self._buffers.x) @ as_tensors(stress)
+        force = self._solid.gradients @ first_piola.swapaxes(-1, -2)
         whole = force.reshape(-1, POINTS, NODES, 3).sum(axis=1)
         np.add.at(self._buffers.gradient, self._solid.tets, whole)
 

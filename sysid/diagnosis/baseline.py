@@ -22,7 +22,7 @@ from sysid.diagnosis.predictability import unpredictable, without
 from sysid.diagnosis.reference_model import Added, Reference, Standing, reference_for, standing
 from sysid.diagnosis.residual_analysis import Structure, structure
 from sysid.discretisation.followed_model import follows
-from sysid.discretisation.time_steps import predicted_with_steps, with_steps
+from sysid.discretisation.time_steps import predicted_with_steps, shorter_throughout
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
 from sysid.model.parameters import fit_parameters, rig_in, start_of
 from sysid.model.prediction_source import AnyEngine
@@ -328,11 +328,11 @@ def _shorter_steps(
     with these, and so does one that follows neither, as where a strip snaps, or of which too much is not explained."""
     rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
     found, told = list(runs), []
-    shorter = with_steps(engine, rigs, runs, noise)
+    shorter, there = shorter_throughout(engine, rigs, runs, noise)
     known = np.array([p.known_sd or p.prior_sd for p in fitted.parameters])
-    jobs = [(k, engine.submit(rigs[k], run)) for k, run in enumerate(shorter) if run is not runs[k]]
-    there = {k: job.result() for k, job in jobs}
-    for k, prediction in there.items():
+    for k, prediction in enumerate(there):
+        if shorter[k] is runs[k]:
+            continue
         share = follows([problem.runs[k]], [fitted.predictions[k]], [[prediction]], noise, known)[0]
         if share.surely_refines:
             found[k] = shorter[k]
@@ -345,6 +345,6 @@ def _shorter_steps(
             )
     if all(a is b for a, b in zip(found, runs, strict=True)):
         return found, None, tuple(told)
-    kept = {k: engine.submit(rigs[k], run) for k, run in enumerate(found) if run is runs[k]}
     # Those of the fit hold what a reference model adds, which is added to these later.
-    return found, [kept[k].result() if k in kept else there[k] for k in range(len(runs))], tuple(told)
+    again = {k: engine.submit(rigs[k], run) for k, run in enumerate(found) if run is not shorter[k]}
+    return found, [again[k].result() if k in again else there[k] for k in range(len(runs))], tuple(told)

@@ -51,7 +51,7 @@ def with_steps(
     """The runs with steps of the solver that follow their readings, simulated by the rig of each. A run that cannot be
     simulated with shorter steps keeps those that it has."""
     if rigs[0].solver.inertia:
-        return _shorter_throughout(engine, rigs, runs, noise)
+        return shorter_throughout(engine, rigs, runs, noise)[0]
     steps = [step_times(0.0, run.end, rig.solver.dt_s) for rig, run in zip(rigs, runs, strict=True)]
     live = list(range(len(rigs)))
     asked = {k: np.ones(len(steps[k]) - 1, dtype=bool) for k in live}
@@ -68,21 +68,24 @@ def with_steps(
     return [replace(run, steps=steps[k]) for k, run in enumerate(runs)]
 
 
-def _shorter_throughout(
+def shorter_throughout(
     engine: AnyEngine, rigs: Sequence[Rig], runs: Sequence[Run], noise: dict[str, ChannelNoise]
-) -> list[Run]:
-    """The runs, with all steps halved where that changes their readings."""
-    found = list(runs)
+) -> tuple[list[Run], list[Prediction]]:
+    """The runs, with all steps halved where that changes their readings, and their predictions."""
     shorter = [replace(run, steps=_all_halved(rig, run)) for rig, run in zip(rigs, runs, strict=True)]
     given = [engine.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
     jobs = [engine.submit(rig, run) for rig, run in zip(rigs, shorter, strict=True)]
+    found, predictions = list(runs), []
     for k, run in enumerate(runs):
+        there = given[k].result()
         try:
-            if _changes(run, given[k].result(), jobs[k].result(), noise) > THROUGHOUT:
-                found[k] = shorter[k]
+            halved = jobs[k].result()
+            if _changes(run, there, halved, noise) > THROUGHOUT:
+                found[k], there = shorter[k], halved
         except ThinshellError:
-            continue
-    return found
+            pass
+        predictions.append(there)
+    return found, predictions
 
 
 def _all_halved(rig: Rig, run: Run) -> np.ndarray:
