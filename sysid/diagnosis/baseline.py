@@ -273,8 +273,9 @@ def best_branch(engine: AnyEngine, problem: Problem, fitted: Fitted) -> np.ndarr
     than where a search has ended; None where there are none.
 
     Whether a point sticks or slips, or to which side a sheet buckles, is no matter of derivatives, nor of short time
-    steps: all are compared with those of the rig. What is far off counts by its logarithm (Cauchy's loss), so that a
-    span on the right branch is worth more than a far one nearer.
+    steps: all are compared with those of the rig. Recordings in which nothing touches count as they are while there are
+    others. What is far off counts by its logarithm (Cauchy's loss), so that a span on the right branch is worth more
+    than a far one nearer.
     """
     frictions = [k for k, p in enumerate(fitted.parameters) if p.target.endswith(".friction")]
     offsets = [k for k, p in enumerate(fitted.parameters) if p.nuisance and ".offset_" in p.target]
@@ -296,11 +297,15 @@ def best_branch(engine: AnyEngine, problem: Problem, fitted: Fitted) -> np.ndarr
         rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
         own = [engine.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
         here = [job.result() for job in own]
-    jobs = [[engine.submit(rig_in(fitted.centre, fitted.parameters, at, r.name), r) for r in runs] for at in points]
+    touch = [k for k, p in enumerate(here) if any(report.contacts for report in p.trace.reports)] or range(len(runs))
+    jobs = [
+        {k: engine.submit(rig_in(fitted.centre, fitted.parameters, at, runs[k].name), runs[k]) for k in touch}
+        for at in points
+    ]
     best, found = _cauchy(problem, here, fitted.scaled), None
     for at, row in zip(points, jobs, strict=True):
         try:
-            loss = _cauchy(problem, [job.result() for job in row], at)
+            loss = _cauchy(problem, [row[k].result() if k in row else p for k, p in enumerate(here)], at)
         except ThinshellError:
             continue
         if loss < BETTER * best:

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sim_core.effects import amended
 from sim_core.energies.term import Internals
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.gradients import Backward, Tape
@@ -230,7 +231,7 @@ class StateGradients:
         """The rollout with the true poses of an end effector moved in their own frames, ``move`` ``(n_times, 6)``."""
         positions, quaternions = self._poses[mount].sample(self._times)
         told = Rotation.from_quat(quaternions)
-        offset = self._rig.end_effectors[mount].offset()
+        offset = amended(self._rig).end_effectors[mount].offset()
         beside = Rotation.from_rotvec(offset[3:])
         true = told * beside
         turned = true * Rotation.from_rotvec(share * move[:, 3:])

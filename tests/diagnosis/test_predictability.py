@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -35,18 +36,22 @@ def readings(rig: Rig) -> np.ndarray:
     return np.asarray((friction * np.sin(3.0 * T) + snapped)[:, None] * np.ones(6))
 
 
+TRACE = cast(Trace, SimpleNamespace(reports=(SimpleNamespace(contacts=0),)))
+"""Of a rollout in which nothing touches."""
+
+
 class Snapping:
     """Predictions of a wrench that snaps."""
 
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
         found: Future[Prediction] = Future()
-        found.set_result(Prediction({"wrist": readings(rig)}, {}, cast(Trace, None)))
+        found.set_result(Prediction({"wrist": readings(rig)}, {}, TRACE))
         return found
 
     def predict_all(self, rig: Rig, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
         here = rig_at(rig, parameters, scaled)
         slopes = (np.sin(3.0 * T)[:, None] * np.ones(6))[:, :, None]
-        return [Prediction({"wrist": readings(here)}, {"wrist": slopes}, cast(Trace, None)) for _ in runs]
+        return [Prediction({"wrist": readings(here)}, {"wrist": slopes}, TRACE) for _ in runs]
 
 
 @pytest.fixture
@@ -117,6 +122,19 @@ def test_another_branch_that_follows_the_recording_is_found(problem: Any) -> Non
     assert start_of(rig, parameters)[0] > 0.0
 
 
+def test_recordings_in_which_nothing_touches_are_not_simulated_again(problem: Any) -> None:
+    there, rig, parameters = problem(0.45)
+    there = Problem([*there.runs, replace(there.runs[0], name="apart")], there.noise, there.engine, prior=True)
+    fitted = model(there, rig, parameters, 0.38)
+    touching = cast(Trace, SimpleNamespace(reports=(SimpleNamespace(contacts=3),)))
+    fitted.predictions[0] = replace(fitted.predictions[0], trace=touching)
+    asked: set[str] = set()
+    plain = there.engine.submit
+    there.engine.submit = lambda rig, run, *a: asked.add(run.name) or plain(rig, run, *a)
+    assert best_branch(there.engine, there, fitted) is not None
+    assert asked == {"run"}
+
+
 def test_other_branches_are_looked_for_with_the_steps_of_the_rig(problem: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     there, rig, parameters = problem(0.45)
     there.runs[0] = replace(there.runs[0], steps=np.linspace(0.0, T[-1], 4000))
@@ -149,7 +167,7 @@ def test_members_are_what_the_recordings_cannot_tell_apart(small_rig: Callable[.
         def predict_all(self, rig: Rig, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
             values = np.sin(3.0 * T)[:, None] * (1.0 + float(np.sum(scaled - start)))
             slopes = np.sin(3.0 * T)[:, None, None] * np.ones(2)
-            return [Prediction({"gauge": values}, {"gauge": slopes}, cast(Trace, None)) for _ in runs]
+            return [Prediction({"gauge": values}, {"gauge": slopes}, TRACE) for _ in runs]
 
     data = np.sin(3.0 * T)[:, None] + SIGMA * np.random.default_rng(0).standard_normal((len(T), 1))
     run = Run("run", "", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), float(T[-1]))
