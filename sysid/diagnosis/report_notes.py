@@ -11,6 +11,7 @@ from sim_core.effects import all_effects, split_key
 from sim_core.rigs import Rig
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
+from sysid.diagnosis.first_shapes import first_rests, other_first_shapes
 from sysid.diagnosis.refits import Trial
 from sysid.diagnosis.residual_analysis import LEAST_SIZE
 from sysid.diagnosis.result import Candidate, NamedParameter
@@ -126,6 +127,10 @@ def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
     for trial in verdict.named if verdict.kind != "unknown" else ():
         if not trial.fitted.converged:
             said.append(f"The fit with '{trial.title}' did not converge: {trial.fitted.message}.")
+    rests = first_rests(problem, fitted)
+    if base.there is not None:
+        rests += first_rests(base.check, base.there)
+    said += other_first_shapes(rests)
     said += [o.sentence for o in base.outliers]
     said += case.coarse
     if case.before.hidden:

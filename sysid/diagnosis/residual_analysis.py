@@ -156,7 +156,7 @@ def structure(problem: Problem, fitted: Fitted) -> Structure:
             shift = np.where(np.isfinite(m.values), problem.basis(i, m).expected, np.nan)
             own, _ = block_scores(run, m, problem.judged(i, m, shift))
             miss = np.where(np.isfinite(scored), m.values - problem.explained(fitted, i, m), np.nan)
-            squares = _squared_means(run, m, miss, _may_be_off(problem, i, m), problem.noise[m.channel])
+            squares = _squared_means(run, m, miss, off_by(problem, i, m), problem.noise[m.channel])
             for name, group in quantities(m):
                 good = np.isfinite(scores[:, group])
                 excess = float(np.sum(scores[:, group][good] ** 2 - 1.0))
@@ -169,7 +169,7 @@ def structure(problem: Problem, fitted: Fitted) -> Structure:
     return Structure(tuple(replace(p, size=min(p.size, second[(p.channel, p.quantity)])) for p in parts))
 
 
-def _may_be_off(problem: Problem, index: int, measured: Measured) -> np.ndarray:
+def off_by(problem: Problem, index: int, measured: Measured) -> np.ndarray:
     """What single readings may be off by noise, mesh, time step, and as careful models are, measured units ``(n,
     m)``."""
     own = [shape.shapes[index][measured.channel] for shape in problem.error_shapes]
@@ -243,7 +243,7 @@ def largest_change(problem: Problem, one: Fitted, other: Fitted) -> float:
     for i, run in enumerate(problem.runs):
         for m in run.measured:
             change = other.predictions[i].values[m.channel] - one.predictions[i].values[m.channel]
-            ratio = np.where(np.isfinite(m.values), change / _may_be_off(problem, i, m), np.nan)
+            ratio = np.where(np.isfinite(m.values), change / off_by(problem, i, m), np.nan)
             for name, group in quantities(m):
                 squares, _ = _block_means(run, m, ratio[:, group] ** 2)
                 found.setdefault((m.channel, name), []).extend(_rms(squares))
