@@ -22,6 +22,9 @@ FAR = 5.0
 """Misfit at the first rest over what readings may be off, root mean square over markers, from which a shape is another
 one, and how many times as large as in another recording it has to be."""
 
+OF_LARGEST = 0.25
+"""The same, as a share of the largest: where one recording is far off, the fit of all is off in the others."""
+
 FEWEST = 3
 """Readings at rest that tell a shape."""
 
@@ -77,7 +80,9 @@ def other_first_shapes(rests: Sequence[FirstRest]) -> tuple[str, ...]:
     for channel in dict.fromkeys(r.channel for r in rests):
         mine = [r for r in rests if r.channel == channel]
         least = min(mine, key=lambda r: r.excess)
-        far = [r for r in mine if r.excess > FAR * max(1.0, least.excess)]
+        far = [
+            r for r in mine if r.excess > max(FAR * max(1.0, least.excess), OF_LARGEST * max(r.excess for r in mine))
+        ]
         if not far:
             continue
         unit, scale = UNITS[least.kind]

@@ -127,10 +127,11 @@ def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
     for trial in verdict.named if verdict.kind != "unknown" else ():
         if not trial.fitted.converged:
             said.append(f"The fit with '{trial.title}' did not converge: {trial.fitted.message}.")
-    rests = first_rests(problem, fitted)
-    if base.there is not None:
-        rests += first_rests(base.check, base.there)
-    said += other_first_shapes(rests)
+    if case.missing:
+        rests = first_rests(problem, fitted)
+        if base.there is not None:
+            rests += first_rests(base.check, base.there)
+        said += other_first_shapes(rests)
     said += [o.sentence for o in base.outliers]
     said += case.coarse
     if case.before.hidden:

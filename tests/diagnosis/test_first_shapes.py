@@ -46,7 +46,7 @@ def rests(bent_px: dict[str, float], moves_s: float = MOVES_S, error_px: float =
 
 
 def test_a_recording_that_begins_bent_is_told_beside_one_that_does_not() -> None:
-    (said,) = other_first_shapes(rests({"flat": 0.0, "bent": 4.0, "more": -6.0}))
+    (said,) = other_first_shapes(rests({"flat": 0.0, "bent": 4.0, "more": -6.0, "by the fit": 0.9}))
     assert said.startswith("bent and more begin in another shape")
     assert "are off by 4 and 6 px, those of flat by 0.0" in said
 
