@@ -113,7 +113,7 @@ def fit(
             on_warning=warn,
             despite=despite or [],
         )
-    print(f"{result.table()}\n\nReport: {out / REPORT}")
+        print(f"{result.table()}\n\nReport: {out / REPORT}", flush=True)
     if pressed.is_set():
         raise KeyboardInterrupt
     if not result.converged:

@@ -173,26 +173,31 @@ def interrupts_remembered() -> Iterator[None]:
 
 @contextmanager
 def interrupts_told(words: str) -> Iterator[Event]:
-    """Ctrl-C within the block is answered with ``words`` on stderr and sets the event, before it does anything."""
+    """Ctrl-C within the block is answered with ``words`` on stderr and sets the event, before it does anything. Pressed
+    a second time, while what was found is written, it does nothing but that."""
     pressed = Event()
-    with _answered(lambda: print(f"\n{words}", file=sys.stderr, flush=True), pressed):
+    with _answered(lambda: print(f"\n{words}", file=sys.stderr, flush=True), pressed, once=True):
         yield pressed
 
 
 @contextmanager
-def _answered(say: Callable[[], None], pressed: Event) -> Iterator[None]:
+def _answered(say: Callable[[], None], pressed: Event, once: bool = False) -> Iterator[None]:
     """Ctrl-C within the block sets the event and calls ``say`` before it does what it did; where it did nothing, or in
-    a thread, it does nothing here."""
+    a thread, it does nothing here. ``once``: pressed a second time it does not do what it did."""
+    presses = 0
     before = signal.getsignal(signal.SIGINT)
     if not callable(before) or current_thread() is not main_thread():
         yield
         return
 
     def answered(number: int, frame: FrameType | None) -> None:
+        nonlocal presses
+        presses += 1
         pressed.set()
         with suppress(OSError, RuntimeError):  # nobody reads it any more, or it is being written to
             say()
-        before(number, frame)
+        if not (once and presses == 2):
+            before(number, frame)
 
     signal.signal(signal.SIGINT, answered)
     try:
