@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from sim_core.commands import driven_frames
 from sim_core.contact_wrenches import contact_wrenches
 from sim_core.errors import ConfigError, ConvergenceError
+from sim_core.permanent_state import PermanentState, permanent_state
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.offset import with_offsets
 from sim_core.scene.scene import Frame, Scene
@@ -62,6 +63,7 @@ class Trace:
     ``times`` [s] ``(n,)``; ``outputs``: channel to ``(n, ...)``; ``kinds``: channel to 'wrench',
     'markers' or 'tracks'; ``ids``: marker numbers; ``reports``: one a step (``n - 1``); ``states``: node positions,
     frames, contact forces and slip at the same instants, where they were asked for, and ``path`` the positions alone.
+    ``left``: what bodies keep at the end, None where they keep nothing.
     """
 
     times: np.ndarray
@@ -71,6 +73,7 @@ class Trace:
     reports: tuple[StepReport, ...]
     states: StateHistory | None = None
     path: NodePath | None = None
+    left: PermanentState | None = None
 
     def at(self, channel: str, times: np.ndarray) -> np.ndarray:
         """Readings at any times [s], linear between steps, held at the ends: ``(k, ...)``."""
@@ -103,10 +106,16 @@ class Simulation:
     """A scene being stepped. ``frames``: where the mounts are now, offsets of end effectors against their poses
     included; ``halvings``: how often a step was halved since the last reset; ``beside``: the path of a rollout near by,
     from which the search of each step begins. It changes results within the tolerance of the search alone, where a step
-    has one solution."""
+    has one solution. ``left``: what an earlier rollout has left of the bodies, which are virgin without."""
 
-    def __init__(self, scene: Scene, settings: NewtonSettings | None = None, settle: bool = True) -> None:
-        self.scene = scene
+    def __init__(
+        self,
+        scene: Scene,
+        settings: NewtonSettings | None = None,
+        settle: bool = True,
+        left: PermanentState | None = None,
+    ) -> None:
+        self.scene, self.left = scene, left
         self.observer, self._system = Observer(scene), scene.system
         self._settings = settings or NewtonSettings()
         self._settle = settle
@@ -120,9 +129,10 @@ class Simulation:
         self.halvings = 0
         self.frames = with_offsets(scene.rig, {**scene.start, **(frames or {})})
         targets = scene.targets(self.frames)
-        x, v = scene.start_state(self.frames)
+        x, v = scene.start_state(self.frames, self.left)
         scene.system.deflections[:] = 0.0
-        self.state = State(0.0, x, v, scene.system.initial_internals())
+        virgin = scene.system.initial_internals()
+        self.state = State(0.0, x, v, virgin if self.left is None else self.left.restored(virgin))
         scene.system.x[:] = x
         self.settling: tuple[Settling, ...] = ()
         """The way to the equilibrium, if anything settled."""
@@ -193,6 +203,10 @@ class Simulation:
             origin, rotation = frames[mount]
             frames[mount] = (origin + deflection, rotation)
         return frames
+
+    def permanent_state(self) -> PermanentState | None:
+        """What bodies keep of what has happened to them; None where they keep nothing."""
+        return permanent_state(self.scene, self.state, self.frames)
 
     def read(self) -> dict[str, np.ndarray]:
         """Readings of all channels now."""
@@ -268,15 +282,16 @@ def simulate(
     keep_states: bool = False,
     keep_path: bool = False,
     beside: NodePath | None = None,
+    left: PermanentState | None = None,
 ) -> Trace:
     """Drive the scene along ``poses`` (by end effector) and read every channel at ``times`` [s] ``(n,)``.
 
     ``on_step(done, total)`` is called after each step. ``keep_states``: the trace has :attr:`Trace.states`, which take
     48 bytes a node and instant and 24 more for each declared contact, ``keep_path``: :attr:`Trace.path` alone, 24 bytes
-    a node and instant. ``beside``: the path of a rollout near by, from which steps begin. Raises ``ConvergenceError``
-    when a step does not converge even in small parts.
+    a node and instant. ``beside``: the path of a rollout near by, from which steps begin. ``left``: what an earlier
+    rollout has left of the bodies. Raises ``ConvergenceError`` when a step does not converge even in small parts.
     """
-    simulation = Simulation(scene, settings)
+    simulation = Simulation(scene, settings, left=left)
     simulation.beside = beside
     return run(simulation, poses, times, on_step, keep_states=keep_states, keep_path=keep_path)
 
@@ -317,4 +332,5 @@ def run(
     outputs = {c: np.stack([r[c] for r in readings]) for c in readings[0]}
     states = None if recorder is None else recorder.history()
     kept = NodePath(times, np.stack(path)) if keep_path else None
-    return Trace(times, outputs, simulation.observer.kinds, simulation.observer.ids, tuple(reports), states, kept)
+    left = simulation.permanent_state()
+    return Trace(times, outputs, simulation.observer.kinds, simulation.observer.ids, tuple(reports), states, kept, left)

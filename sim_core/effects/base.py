@@ -141,6 +141,8 @@ class Effect(ABC):
     """Whether it can only store or take up energy, never give any that was not put in."""
     needs: ClassVar[str] = ""
     """What a rig must have for it, as a noun phrase."""
+    lasting: ClassVar[tuple[str, ...]] = ()
+    """Internal variables that a body keeps as they are while it is left alone, from one recording to the next."""
     twins: ClassVar[tuple[str, ...]] = ()
     """Names of effects that it is easily mistaken for."""
     separated_by: ClassVar[str] = ""

@@ -43,6 +43,7 @@ class BendingFriction(MaterialLaw):
         ),
     )
     parts = ("bending",)
+    lasting = ("spring",)
     example = {"share": 0.5, "slip_curvature_per_m": 0.5}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:

@@ -42,6 +42,7 @@ class BendingPlasticity(MechanicsMap):
             "hardening_ratio", "-", 0.01, 5.0, (0.2,), None, False, 0.5, "hardening over bending stiffness"
         ),
     )  # fmt: skip
+    lasting = ("plastic_curvature", "accumulated_curvature")
     example = {"yield_curvature_per_m": 1.0, "hardening_ratio": 0.2}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:

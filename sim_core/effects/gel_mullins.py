@@ -40,6 +40,7 @@ class GelMullins(MaterialLaw):
         EffectParameter("strain", "-", 1e-3, 10.0, (0.05, 0.3), None, True, 1.5, "strain by which most of it is lost"),
     )
     parts = ("solid",)
+    lasting = ("largest",)
     example = {"share": 0.3, "strain": 0.05}
 
     def targets(self, rig: Rig) -> tuple[str, ...]:

@@ -476,6 +476,8 @@ class Bending:
         d, onset, hardening = ((a - b) / (2.0 * h) for a, b in zip(*ends, strict=True))
         return d, onset, hardening, float(quantity == "stiffness_damping_s")
 
+    lasting = ("plastic_curvature", "accumulated_curvature")
+
     def initial_internals(self) -> Internals:
         """Plastic curvature [1/m] ``(m, 3)`` and its accumulation ``(m,)``; nothing when yield is off."""
         if not np.isfinite(self._yield_curvature):

@@ -224,6 +224,11 @@ class StrainLaws:
         del step, internals
         return {f"{key}.{name}": value for key, r in self._responses().items() for name, value in r.state.items()}
 
+    @property
+    def lasting(self) -> tuple[str, ...]:
+        """Names of the internal variables that last."""
+        return tuple(f"{key}.{name}" for key, law in self._laws.items() for name in law.lasting)
+
     def initial_internals(self) -> Internals:
         count = len(self.measure.areas)
         return {

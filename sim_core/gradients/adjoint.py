@@ -349,13 +349,12 @@ class Backward:
         """Take the weights of places and velocities ``(n, 3)`` at the start of what follows the mounts to it alone, or
         is where its shape at rest has it."""
         self._fields.shapes.start(x, self._tape.mounts)
-        for mount, nodes in carried_freely(self._scene):
-            origin, rotation = self._tape.mounts[mount]
-            arms, speeds, force, push = (
-                a @ rotation.as_matrix() for a in (start.x[nodes] - origin, start.v[nodes], x[nodes], v[nodes])
-            )
-            target.of(mount)[:3] += force.sum(axis=0)
-            target.of(mount)[3:] += (cross(arms, force) + cross(speeds, push)).sum(axis=0)
+        for carrier in carried_freely(self._scene, start.x, self._tape.mounts):
+            turn = self._tape.mounts[carrier.mount][1].as_matrix()
+            weights, nodes, to = carrier.weights[:, None], carrier.nodes, target.of(carrier.mount)
+            speeds, force, push = (a @ turn for a in (start.v[nodes], weights * x[nodes], weights * v[nodes]))
+            to[:3] += force.sum(axis=0)
+            to[3:] += (cross(carrier.local, force) + cross(speeds, push)).sum(axis=0)
 
 
 def _foresee(coming: Iterable[Made]) -> None:

@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from sim_core.contact.rigid import RigidContact
 from sim_core.energies.linearised import skew
-from sim_core.rigs import WORLD, Rigid
+from sim_core.rigs import WORLD, Affine, Rigid
 from sim_core.scene.assembly import BuiltBody
+from sim_core.scene.carriage import Carrier, carriers
 from sim_core.scene.scene import Frame, Scene
 
 TURN_STEP = 1e-5
@@ -41,15 +42,17 @@ def carried_contacts(scene: Scene) -> list[tuple[BuiltBody, RigidContact]]:
     return [(b, t) for b in bodies for t in terms if t.body_node == int(b.nodes[0])]
 
 
-def carried_freely(scene: Scene) -> list[tuple[str, np.ndarray]]:
-    """Mounts and nodes that follow them to the start alone: what is free of a body of which something is held, and
-    affine bodies that are connected to a mount."""
+def carried_freely(scene: Scene, start: np.ndarray, frames: Mapping[str, Frame]) -> list[Carrier]:
+    """What follows mounts to the ``start`` [m] ``(n, 3)`` alone, at ``frames``: what is free of a body of which
+    something is held, and affine bodies that are connected to a mount. Weights are taken as they are."""
     carried, found = scene.carried_by(), []
     for name, body in scene.bodies.items():
-        if body.mesh is not None and scene.held(name).any():
-            found.append((scene.mount_of(name), body.nodes[~scene.held(name)]))
+        if not isinstance(body.spec, Affine | Rigid):
+            found += carriers(scene, name)
         elif carried.get(name, WORLD) != WORLD:
-            found.append((carried[name], body.nodes))
+            origin, rotation = frames[carried[name]]
+            local = rotation.inv().apply(start[body.nodes] - origin)
+            found.append(Carrier(carried[name], body.nodes, local, np.ones(len(body.nodes))))
     return found
 
 

@@ -31,6 +31,7 @@ from sim_core.gradients.directions import Direction, command_motions
 from sim_core.gradients.parameter_jacobian import Column, moment_on_body
 from sim_core.gradients.step import LinearStep, Motion, Outcome
 from sim_core.gradients.tangent import TangentSimulation, recorded
+from sim_core.permanent_state import PermanentState
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene, Values
@@ -52,15 +53,17 @@ class Amendment:
     affected: tuple[str, ...] = field(init=False, default=())
     compliance: Mapping[str, np.ndarray] = field(init=False, default_factory=dict)
 
-    def begin(self, baseline: Scene) -> None:
-        """Find what differs from the baseline, and forget what was remembered."""
+    def begin(self, baseline: Scene, left: PermanentState | None) -> None:
+        """Find what differs from the baseline, and forget what was remembered but for what an earlier rollout of the
+        baseline has ``left``."""
         self.scene.use(self.rig)
         self.values = self.scene.values(self.rig)
         own = baseline.values(baseline.rig)
         terms = {t.name: t for t in self.scene.system.terms}
         self.affected = tuple(n for n in terms if n not in own.terms or self.values.terms.get(n) != own.terms[n])
         self.compliance = {m: c for m, c in self.values.compliance.items() if m not in own.compliance}
-        self.internals = {n: terms[n].initial_internals() for n in self.affected}
+        virgin = {n: terms[n].initial_internals() for n in self.affected}
+        self.internals = virgin if left is None else left.restored(virgin)
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ class FrozenPathSimulation(TangentSimulation):
         amendments: Sequence[Amendment],
         moving: Sequence[dict[str, np.ndarray]] = (),
         modulations: Sequence[Modulation] = (),
+        left: PermanentState | None = None,
     ) -> None:
         self._amendments, self._modulations = list(amendments), list(modulations)
         self._first = len(along)
@@ -90,12 +94,12 @@ class FrozenPathSimulation(TangentSimulation):
         self._moved_with: Motions | None = None
         whole = [*along, *_idle(scene.rig, len(self._amendments) + len(self._modulations))]
         for amendment in self._amendments:
-            amendment.begin(scene)
-        super().__init__(scene, whole, None, moving)
+            amendment.begin(scene, left)
+        super().__init__(scene, whole, None, moving, left)
 
     def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
         for amendment in self._amendments:
-            amendment.begin(self.scene)
+            amendment.begin(self.scene, self.left)
         super().reset(frames)
 
     @property
@@ -205,18 +209,22 @@ def simulate_responses(
     *,
     keep_path: bool = False,
     beside: NodePath | None = None,
+    left: PermanentState | None = None,
 ) -> tuple[Trace, dict[str, np.ndarray]]:
     """Trace of a rollout, and for every channel ``(n_times, ..., n_along + n_amendments + n_modulations)``: its
     derivatives by the directions, then its responses to the amendments, then to the modulations.
 
     A direction may also be of finite width, from the baseline to a rig with other numbers or commands; its derivative
     is then the secant in these numbers, and to first order in what they do. Times [s] ``(n_times,)``. ``keep_path``,
-    ``beside``: as of :func:`sim_core.simulate.simulate`.
+    ``beside``, ``left``: as of :func:`sim_core.gradients.tangent.simulate_tangent`, without derivatives by what comes
+    after ``along``.
     """
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
     commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
     whole = [*along, *_idle(scene.rig, len(amendments) + len(modulations))]
     moving = command_motions(scene.rig, whole, commanded, times)
-    simulation = FrozenPathSimulation(scene, along, amendments, moving, modulations)
+    if left is not None:
+        left = left.along(np.arange(len(along)), len(whole))
+    simulation = FrozenPathSimulation(scene, along, amendments, moving, modulations, left)
     simulation.beside = beside
     return recorded(simulation, poses, times, whole, on_step, keep_path=keep_path)

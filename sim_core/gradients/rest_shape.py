@@ -32,6 +32,7 @@ from sim_core.geometry.solids import TetMesh
 from sim_core.gradients.parameter_jacobian import borne_by_mass
 from sim_core.gradients.step import Pulled, Weights
 from sim_core.scene.assembly import BuiltBody, grain
+from sim_core.scene.carriage import carriers
 from sim_core.scene.fields import MASS
 from sim_core.scene.scene import Frame, Scene, Values
 
@@ -100,11 +101,13 @@ class RestSums:
         for name in self._bodies:
             nodes = scene.bodies[name].nodes
             free = nodes[self._loose[nodes]]
-            push = x[free]
-            if scene.held(name).any():
-                turn = scene.body_frame(name, frames)[1] * scene.body_frame(name, scene.start)[1].inv()
-                push = turn.inv().apply(push)
-            self._placed[free] += push
+            along = carriers(scene, name)
+            if not along:
+                self._placed[free] += x[free]
+            for carrier in along:
+                turn = frames[carrier.mount][1] * scene.start[carrier.mount][1].inv()
+                shares = (carrier.weights * self._loose[carrier.nodes])[:, None]
+                self._placed[carrier.nodes] += turn.inv().apply(shares * x[carrier.nodes])
 
     def gradients(self) -> dict[str, np.ndarray]:
         """Derivatives by the rest positions of each body, ``(n, 3)``."""

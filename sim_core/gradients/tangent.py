@@ -30,8 +30,10 @@ from sim_core.gradients.directions import Direction, checked, command_motions, m
 from sim_core.gradients.initial_equilibrium import linearised
 from sim_core.gradients.parameter_jacobian import Columns
 from sim_core.gradients.step import LinearStep, Motion, Outcome, no_memory
+from sim_core.permanent_state import PermanentState, permanent_state
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene.carriage import carriers
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import frame_of
 from sim_core.simulate import NodePath, Simulation, Trace, run
@@ -53,9 +55,11 @@ class TangentSimulation(Simulation):
         along: Sequence[Direction],
         settings: NewtonSettings | None = None,
         moving: Sequence[Motions] = (),
+        left: PermanentState | None = None,
     ) -> None:
         """``moving``: motions of the mounts by the parameters at the start and after every step, beside those of
-        offsets (:func:`sim_core.gradients.directions.command_motions`)."""
+        offsets (:func:`sim_core.gradients.directions.command_motions`). ``left``: what an earlier rollout along the
+        same parameters has left of the bodies."""
         self._along = list(along)
         keys, self._slopes = slopes(scene, along)
         self._columns = Columns(scene, scene.values(scene.rig), keys)
@@ -64,7 +68,7 @@ class TangentSimulation(Simulation):
         self._moved = self._moved_before = self._moved_at(0)
         self._halves: list[tuple[Mapping[str, Frame], Motions]] = []
         self._keeper = Keeper(scene.system)
-        super().__init__(scene, settings)
+        super().__init__(scene, settings, left=left)
 
     def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
         super().reset(frames)
@@ -110,18 +114,37 @@ class TangentSimulation(Simulation):
         scene, count = self.scene, len(self._along)
         follow = driven(scene, self.frames, self._moved, count)
         x, v, memory = follow.x.copy(), np.zeros_like(follow.x), no_memory(self.state, count)
-        start_x, start_v = scene.start_state(self.frames)
-        for mount, nodes in carried_freely(scene):
-            if mount in self._moved:
-                frame, moved = self.frames[mount], self._moved[mount]
-                x[nodes] = carried_along(frame[1].inv().apply(start_x[nodes] - frame[0]), frame, moved)
-                turned = np.concatenate([np.zeros_like(moved[:3]), moved[3:]])
-                v[nodes] = carried_along(frame[1].inv().apply(start_v[nodes]), frame, turned)
+        start_x, start_v = scene.start_state(self.frames, self.left)
+        free = [c for c in carried_freely(scene, start_x, self.frames) if c.mount in self._moved]
+        for carrier in free:
+            x[carrier.nodes] = v[carrier.nodes] = 0.0
+        for carrier in free:
+            frame, moved, nodes = self.frames[carrier.mount], self._moved[carrier.mount], carrier.nodes
+            weights = carrier.weights[:, None, None]
+            x[nodes] += weights * carried_along(carrier.local, frame, moved)
+            turned = np.concatenate([np.zeros_like(moved[:3]), moved[3:]])
+            v[nodes] += weights * carried_along(frame[1].inv().apply(start_v[nodes]), frame, turned)
         for _, term in carried_contacts(scene):
             if term.name in follow.turns:
                 turns = np.stack([(term.rotation @ skew(e)).ravel() for e in np.eye(3)], axis=-1)
                 memory[term.name][:9] = turns @ follow.turns[term.name]
-        return Motion(x, v, memory)
+        return Motion(x, v, memory) if self.left is None else self._start_left(self.left, x, v, memory)
+
+    def _start_left(self, left: PermanentState, x: np.ndarray, v: np.ndarray, memory: dict[str, np.ndarray]) -> Motion:
+        """The same with derivatives of what an earlier rollout has left; the mounts moved alike at its end."""
+        if left.by_x is not None:
+            for name in left.shaped:
+                along = carriers(self.scene, name, left)
+                for carrier in along:
+                    x[carrier.nodes] = 0.0
+                for carrier in along:
+                    turn = (self.frames[carrier.mount][1] * left.frames[carrier.mount][1].inv()).as_matrix()
+                    by = np.einsum("ij,kjp->kip", turn, left.by_x[carrier.nodes])
+                    x[carrier.nodes] += carrier.weights[:, None, None] * by
+        return Motion(x, v, left.placed(memory, self.scene.system.initial_internals()))
+
+    def permanent_state(self) -> PermanentState | None:
+        return permanent_state(self.scene, self.state, self.frames, self._motion.memory, self._motion.x)
 
     def _settle_along(self) -> None:
         """Derivatives at the first equilibrium."""
@@ -248,14 +271,17 @@ def simulate_tangent(
     *,
     keep_path: bool = False,
     beside: NodePath | None = None,
+    left: PermanentState | None = None,
 ) -> tuple[Trace, dict[str, np.ndarray]]:
     """Trace of a rollout at ``times`` [s] and the derivatives of every channel, ``(n_times, ..., n_parameters)``, in
     the unit of the channel over that of the parameter. Raises ``ConfigError`` where ``along`` has something else than
-    directions. ``keep_path``, ``beside``: as of :func:`sim_core.simulate.simulate`."""
+    directions. ``keep_path``, ``beside``, ``left``: as of :func:`sim_core.simulate.simulate`; what was left has
+    derivatives along the same directions."""
     along = checked(along)
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
     commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
-    simulation = TangentSimulation(scene, along, settings, command_motions(scene.rig, along, commanded, times))
+    moving = command_motions(scene.rig, along, commanded, times)
+    simulation = TangentSimulation(scene, along, settings, moving, left)
     simulation.beside = beside
     return recorded(simulation, poses, times, along, on_step, keep_path=keep_path)
 

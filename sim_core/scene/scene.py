@@ -21,6 +21,7 @@ from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.energies.strain_law import StrainLaws
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
+from sim_core.permanent_state import PermanentState
 from sim_core.rigs import WORLD, Affine, Gel, Rig, Rigid, Sheet
 from sim_core.scene.assembly import (
     BuiltBody,
@@ -33,6 +34,7 @@ from sim_core.scene.assembly import (
     strain_laws,
     world_pose,
 )
+from sim_core.scene.carriage import carried_places
 from sim_core.scene.contact_constants import constants_of, finest_edge
 from sim_core.scene.fields import Fields
 from sim_core.scene.joints import Link, embedding, guides, joint_label, make_link
@@ -443,8 +445,11 @@ class Scene:
         """Name of the mount in whose frame the pose of a body is given."""
         return self._carrier(self.bodies[body].spec)
 
-    def start_state(self, frames: Mapping[str, Frame]) -> tuple[np.ndarray, np.ndarray]:
-        """Positions [m] and velocities [m/s], ``(n, 3)`` each, at the start, when the mounts are at ``frames``."""
+    def start_state(
+        self, frames: Mapping[str, Frame], left: PermanentState | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Positions [m] and velocities [m/s], ``(n, 3)`` each, at the start, when the mounts are at ``frames``.
+        ``left``: what an earlier rollout has left of the bodies."""
         x = self.targets(frames)
         v = np.zeros_like(x)
         carried = self.carried_by()
@@ -459,9 +464,8 @@ class Scene:
                     x[body.nodes] = origin + turn.apply(body.rest - was)
                     v[body.nodes] = turn.apply(v[body.nodes])
             elif body.mesh is not None and self._held[body.name].any():
-                origin, rotation = self.body_frame(body.name, frames)
-                free = ~self._held[body.name]
-                x[body.nodes[free]] = (origin + rotation.apply(body.formed))[free]
+                free, places = carried_places(self, body.name, frames, left)
+                x[free] = places
         given = v.copy()
         self.system.embed(v)
         miss = float(np.abs(v - given).max(initial=0.0))

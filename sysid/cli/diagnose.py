@@ -6,6 +6,7 @@ from sysid.cli.options import (
     BagsArgument,
     DespiteOption,
     FolderOption,
+    FreshBodiesOption,
     HeldOutOption,
     RigArgument,
     check_new,
@@ -21,6 +22,7 @@ def diagnose(
     out: FolderOption,
     held_out: HeldOutOption = None,
     despite: DespiteOption = None,
+    fresh_bodies: FreshBodiesOption = False,
 ) -> None:
     """Find out whether the rig explains the recordings, and name the physics that is missing.
 
@@ -41,5 +43,6 @@ def diagnose(
             on_progress=report,
             on_warning=warn,
             despite=despite or [],
+            fresh_bodies=fresh_bodies,
         )
     print(summary)

@@ -11,6 +11,7 @@ from sysid.cli.options import (
     BagsArgument,
     DespiteOption,
     FolderOption,
+    FreshBodiesOption,
     HeldOutOption,
     NuisanceOption,
     ParamsOption,
@@ -41,6 +42,7 @@ def fit(
     nuisance: NuisanceOption = "all",
     without: WithoutOption = None,
     despite: DespiteOption = None,
+    fresh_bodies: FreshBodiesOption = False,
     per_bag: Annotated[
         str,
         typer.Option("--per-bag", metavar="A,B", help="Those of --params that each bag has a value of its own of."),
@@ -112,6 +114,7 @@ def fit(
             on_progress=report,
             on_warning=warn,
             despite=despite or [],
+            fresh_bodies=fresh_bodies,
         )
         print(f"{result.table()}\n\nReport: {out / REPORT}", flush=True)
     if pressed.is_set():

@@ -57,6 +57,14 @@ DespiteOption = Annotated[
         help="Go on where 'thinshell inspect --rig' says that this finding stops a fit; may be repeated.",
     ),
 ]
+FreshBodiesOption = Annotated[
+    bool,
+    typer.Option(
+        "--fresh-bodies",
+        help="Each recording shows bodies of its own: what yields or softens in one is new in the next. Otherwise "
+        "recordings show the same bodies in the order of their stamps.",
+    ),
+]
 SeedOption = Annotated[int, whole_number("--seed", "Seed of everything random.", 0)]
 
 

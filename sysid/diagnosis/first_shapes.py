@@ -1,8 +1,8 @@
 """Recordings that begin in another shape than those before them.
 
-Each recording is simulated from the shape at rest that the rig says. A crease, a set or a curl that a body keeps from
-one recording to the next is there at the first rest of later ones, before any hand moves, and no law that acts within a
-recording explains it.
+A body without internal variables that last begins each recording in the shape at rest that the rig says. A crease, a
+set or a curl that it got before is there at the first rest of later ones, before any hand moves: a law that lasts may
+explain it (:mod:`sysid.model.sequence`), and what happened between the recordings no law does.
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ def other_first_shapes(rests: Sequence[FirstRest]) -> tuple[str, ...]:
         said.append(
             f"{names} {'begins' if len(far) == 1 else 'begin'} in another shape than the model: before any hand moves, "
             f"markers of {channel} are off by {sizes} {unit}, those of {least.run} by {scale * least.miss:.2g} {unit}. "
-            "A crease or a set that a body keeps from one recording to the next does that, and each recording is "
-            "simulated from the shape of the rig. Diagnose the recordings before and after apart, or let the rig of "
-            "the later ones begin in their shape (effect sheet_precurvature)."
+            "A crease or a set that a body got between these recordings, or before them, does that. Give the recording "
+            "in which it got it too; or diagnose the recordings before and after apart; or let the rig of the later "
+            "ones begin in their shape (effect sheet_precurvature)."
         )
     return tuple(said)

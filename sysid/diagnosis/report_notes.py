@@ -127,7 +127,14 @@ def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
     for trial in verdict.named if verdict.kind != "unknown" else ():
         if not trial.fitted.converged:
             said.append(f"The fit with '{trial.title}' did not converge: {trial.fitted.message}.")
-    if case.missing:
+    lasts = [t for t in verdict.named if any(h.effect.lasting for h in t.hypotheses)]
+    earlier = [run.name for run in problem.runs if run.earlier]
+    if lasts and earlier:
+        said.append(
+            f"What '{lasts[0].title}' leaves in a body is there in the recordings that come after by their stamps: "
+            f"{', '.join(earlier)}. If each shows a body of its own, say so (--fresh-bodies)."
+        )
+    if case.missing and not lasts:
         rests = first_rests(problem, fitted)
         if base.there is not None:
             rests += first_rests(base.check, base.there)

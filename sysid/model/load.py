@@ -14,6 +14,7 @@ from sim_core.rigs.observers import WRENCH_COMPONENTS
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sysid.model.marker_registration import first_frames, placed
+from sysid.model.sequence import earlier_motion
 from sysid.model.windows import window_of
 from sysid.observations.checks import Finding, examine
 from sysid.observations.observations import Measured, Run, distinct_names, of_recording
@@ -31,10 +32,12 @@ def load_runs(
     held_out: Sequence[Path] = (),
     on_warning: Callable[[str], None] | None = None,
     despite: Collection[str] = (),
+    fresh_bodies: bool = False,
 ) -> tuple[list[Run], list[Run]]:
     """Read the bags, or windows of bags, to use and those held out (:func:`load_run`), under names that tell all of
     them apart. ``on_warning``: hears what speaks against each recording, once it is read, and each window of it;
-    ``despite``: findings that do not stop (:func:`read_run`)."""
+    ``despite``: findings that do not stop (:func:`read_run`); ``fresh_bodies``: they do not show the same bodies in
+    turn (:mod:`sysid.model.sequence`)."""
     paths = [*bags, *held_out]
     parts = [part_of(path) for path in paths]
     whole = {path: read_run(rig, path, despite) for path in dict.fromkeys(part.path for part in parts)}
@@ -54,7 +57,7 @@ def load_runs(
                 f"{run.name} has readings of its first instant only, so there is nothing to simulate.",
                 "Give a longer recording, or a longer window of it.",
             )
-        runs.append(run)
+        runs.append(run if fresh_bodies else replace(run, earlier=earlier_motion(whole.values(), run)))
         whole[part.path] = replace(whole[part.path], notes=(), doubts=())  # told once
     return runs[: len(bags)], runs[len(bags) :]
 
@@ -146,6 +149,7 @@ def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
         lacking=lacking,
         counted=tuple(note for note in notes if note.times),
         breaks=tuple(breaks),
+        span_ns=(recording.t0_ns, recording.t0_ns + round(1e9 * recording.duration)),
     )
 
 

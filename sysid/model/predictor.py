@@ -20,6 +20,7 @@ from sysid.model.marker_registration import placed, placed_along
 from sysid.model.parameters import FitParameter, acting_in, fit_parameters, rig_at, rig_in, start_of
 from sysid.model.responses import Modulated, SizedEffects, change, way_of, with_effects
 from sysid.model.sensor_streams import predicted, predicted_derivatives, stream_derivatives
+from sysid.model.sequence import LeftBefore
 from sysid.model.time_span import after_known_motion, rollout_times
 from sysid.observations.observations import Run
 
@@ -44,6 +45,7 @@ class SerialPredictor:
     def __init__(self) -> None:
         self._scenes: dict[object, Scene] = {}
         self._amended: dict[object, Scene] = {}
+        self._left = LeftBefore()
 
     def scene(self, rig: Rig, refine: int = 1) -> Scene:
         """A scene for the rig, reused when the same bodies and effects were built before."""
@@ -70,8 +72,9 @@ class SerialPredictor:
         scene = self.scene(rig, refine)
         rig = placed(scene, run.firsts)
         scene.use(rig)
-        times = rollout_times([rig], run, dt or rig.solver.dt_s)
-        trace = simulate(scene, run.poses, times, keep_path=keep_path, beside=beside)
+        dt = dt or rig.solver.dt_s
+        left, times = self._left.of(scene, run, dt, refine), rollout_times([rig], run, dt)
+        trace = simulate(scene, run.poses, times, keep_path=keep_path, beside=beside, left=left)
         return Prediction(_at_stamps(trace, rig, run), {}, trace)
 
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
@@ -124,8 +127,10 @@ class SerialPredictor:
         scene.use(here)
         along = [_direction(here, parameters, scaled, k) for k in range(len(parameters))]
         along = placed_along(scene, run.firsts, along)
-        times = rollout_times([here, *(end for d in along for end in (d.low, d.high))], run, dt or here.solver.dt_s)
-        trace, raw = simulate_tangent(scene, run.poses, times, along, keep_path=keep_path, beside=beside)
+        dt = dt or here.solver.dt_s
+        left = self._left.along(scene, run, dt, refine, along, _shared(parameters))
+        times = rollout_times([here, *(end for d in along for end in (d.low, d.high))], run, dt)
+        trace, raw = simulate_tangent(scene, run.poses, times, along, keep_path=keep_path, beside=beside, left=left)
         values = _at_stamps(trace, here, run)
         derivatives = {}
         for m in run.measured:
@@ -157,7 +162,7 @@ class SerialPredictor:
         mine = [parameters[k] for k in own]
         along = placed_along(scene, run.firsts, [_direction(here, mine, scaled[own], k) for k in range(len(mine))])
         rigs = [with_effects(here, effects) for effects in candidates]
-        ways = [way_of(here, effects, _geometry) for effects in candidates]
+        ways = [way_of(here, effects, _geometry, bool(run.earlier)) for effects in candidates]
         steps = [k for k, way in enumerate(ways) if way == "numbers"]
         laws = [k for k, way in enumerate(ways) if way == "law"]
         secants = [Direction(str(k), here, rigs[k], 1.0) for k in steps]
@@ -169,8 +174,11 @@ class SerialPredictor:
         first, names = len(along) + len(secants), [p.name for p in changing]
         courses = [Modulation(first + names.index(m.parameter), m.course) for m in modulated]
         whole = [*along, *secants, *moved]
+        left = self._left.along(scene, run, here.solver.dt_s, 1, along, _shared(mine))
+        if left is not None:
+            left = left.along(np.arange(len(along)), len(whole))
         trace, raw = simulate_responses(
-            scene, run.poses, times, whole, amendments, courses, keep_path=keep_path, beside=beside
+            scene, run.poses, times, whole, amendments, courses, keep_path=keep_path, beside=beside, left=left
         )
         values = _at_stamps(trace, here, run)
         others: dict[int, dict[str, np.ndarray]] = {}
@@ -218,6 +226,11 @@ class SerialPredictor:
     ) -> Future[Prediction]:
         """A prediction with responses, made at once."""
         return _made(lambda: self.predict_responses(rig, run, parameters, scaled, candidates, modulated))
+
+
+def _shared(parameters: Sequence[FitParameter]) -> list[int]:
+    """Numbers of the parameters that all recordings have in common."""
+    return [k for k, p in enumerate(parameters) if not p.bag]
 
 
 def _made(prediction: Callable[[], Prediction]) -> Future[Prediction]:

@@ -70,7 +70,9 @@ class Run:
     topics of the rig that it does not have. ``counted``: notes that count samples, which
     :func:`sysid.model.windows.window_of` tells for the window, or for the whole; ``breaks``: instants at which it
     begins anew, each with the error of a window across it. ``steps`` [s] ``(k,)``: instants of the solver's steps from
-    0 to ``end`` where they are not ``solver.dt_s`` apart (:mod:`sysid.discretisation.time_steps`)."""
+    0 to ``end`` where they are not ``solver.dt_s`` apart (:mod:`sysid.discretisation.time_steps`). ``span_ns``: stamps
+    [ns] of the start and the end of the whole recording; ``earlier``: motion of the recordings of the same bodies that
+    came before (:mod:`sysid.model.sequence`)."""
 
     name: str
     path: str
@@ -89,6 +91,8 @@ class Run:
     counted: tuple[Note, ...] = ()
     breaks: tuple[tuple[float, RecordingError], ...] = ()
     steps: np.ndarray | None = None
+    span_ns: tuple[int, int] | None = None
+    earlier: tuple[Run, ...] = ()
 
     def has(self, channel: str) -> bool:
         """Whether it has readings of a channel."""

@@ -25,13 +25,15 @@ def diagnose_bags(
     on_progress: Progress | None = None,
     on_warning: Callable[[str], None] | None = None,
     despite: Collection[str] = (),
+    fresh_bodies: bool = False,
 ) -> str:
     """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``, and
     where there is one ``next_experiment.yaml``.
     ``on_warning``: hears what speaks against the recordings before anything is simulated; ``despite``: findings that do
-    not stop it (:func:`sysid.model.load.read_run`)."""
+    not stop it (:func:`sysid.model.load.read_run`); ``fresh_bodies``: recordings do not show the same bodies in turn
+    (:mod:`sysid.model.sequence`)."""
     with whole_folder(out) as folder:
-        runs, kept = load_runs(rig, bags, held_out, on_warning, despite)
+        runs, kept = load_runs(rig, bags, held_out, on_warning, despite, fresh_bodies)
         diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
         write_results(
             folder,

@@ -29,15 +29,17 @@ def fit_bags(
     on_step: Callable[[Step], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
     despite: Collection[str] = (),
+    fresh_bodies: bool = False,
 ) -> FitResult:
     """Fit bags (:func:`fit_runs`) and write ``fit.json``, ``fitted_rig.yaml`` and ``report.html`` into ``out``.
     ``on_warning``: hears which bounds are cut and what speaks against the recordings before anything is simulated;
-    ``despite``: findings that do not stop the fit (:func:`sysid.model.load.read_run`)."""
+    ``despite``: findings that do not stop the fit (:func:`sysid.model.load.read_run`); ``fresh_bodies``: recordings do
+    not show the same bodies in turn (:mod:`sysid.model.sequence`)."""
     if on_warning is not None:
         for text in bounds_cut(rig, names, options.bounds):
             on_warning(text)
     with whole_folder(out) as folder:
-        runs, kept = load_runs(rig, bags, held_out, on_warning, despite)
+        runs, kept = load_runs(rig, bags, held_out, on_warning, despite, fresh_bodies)
         result, fitted = fit_runs(rig, runs, names, options, held_out=kept, on_progress=on_progress, on_step=on_step)
         with interrupts_ignored():
             write_results(

@@ -1,0 +1,85 @@
+"""Where the free nodes of a body that something holds are put at the start of a rollout: they go along with it.
+
+A recording seldom begins with the hands where the rig has them. A body that stayed behind would be strained violently
+on its way to rest, and one that yields would never forget it. Where one mount holds a body its free nodes y move
+rigidly with that mount; where several do, by the mean of these motions,
+
+    x = sum_m w_m (o_m + R_m y_m),    w_m ~ 1 / d_m^2,    sum_m w_m = 1
+
+with y_m the place at rest in the mount's frame (o_m, R_m), and d_m the distance at rest from the nearest node that m
+holds (Shepard, Proc. 23rd ACM Natl. Conf., 1968). A body whose pose the rig gives in the frame of a mount follows that.
+One that an earlier rollout has left in another shape goes along in that shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sim_core.rigs import WORLD
+
+if TYPE_CHECKING:
+    from sim_core.permanent_state import PermanentState
+    from sim_core.scene.scene import Frame, Scene
+
+
+@dataclass(frozen=True)
+class Carrier:
+    """A mount that free nodes go along with: their places ``local`` in its frame [m] ``(k, 3)``, and the ``weights`` of
+    its motion ``(k,)``."""
+
+    mount: str
+    nodes: np.ndarray
+    local: np.ndarray
+    weights: np.ndarray
+
+
+def carriers(scene: Scene, name: str, left: PermanentState | None = None) -> list[Carrier]:
+    """What the free nodes of a simulated body go along with; nothing if no node of it is held. ``left``: what an
+    earlier rollout has left."""
+    body, held = scene.bodies[name], scene.held(name)
+    if not held.any() or held.all():
+        return []
+    free = body.nodes[~held]
+    weights = {scene.mount_of(name): np.ones(len(free))}
+    if WORLD in weights:
+        weights = _shares(scene, body.nodes[held], free)
+    shape, frames = scene.rest, scene.start
+    if left is not None and name in left.shaped:
+        shape, frames = left.x, dict(left.frames)
+    found = []
+    for mount, share in weights.items():
+        origin, rotation = frames[mount]
+        found.append(Carrier(mount, free, rotation.inv().apply(shape[free] - origin), share))
+    return found
+
+
+def _shares(scene: Scene, held: np.ndarray, free: np.ndarray) -> dict[str, np.ndarray]:
+    """Weights ``(k,)`` of the mounts that hold a body, at its free nodes."""
+    owned: dict[str, list[np.ndarray]] = {}
+    for follower in scene.followers:
+        if follower.axes.all() and np.isin(follower.nodes, held).any():
+            owned.setdefault(follower.mount, []).append(follower.nodes)
+    near = {m: cKDTree(scene.rest[np.concatenate(n)]).query(scene.rest[free])[0] ** -2.0 for m, n in owned.items()}
+    total = sum(near.values())
+    return {mount: share / total for mount, share in near.items()}
+
+
+def carried_places(
+    scene: Scene, name: str, frames: Mapping[str, Frame], left: PermanentState | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Free nodes of a body, and where they are put [m] ``(k, 3)`` when the mounts are at ``frames``."""
+    found = carriers(scene, name, left)
+    nodes = found[0].nodes if found else np.empty(0, dtype=int)
+    anew = left is None or name not in left.shaped
+    if anew and all(frames[c.mount] is scene.start[c.mount] for c in found):
+        return nodes, scene.rest[nodes]
+    places = np.zeros((len(nodes), 3))
+    for carrier in found:
+        origin, rotation = frames[carrier.mount]
+        places += carrier.weights[:, None] * (origin + rotation.apply(carrier.local))
+    return nodes, places

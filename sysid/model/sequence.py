@@ -1,0 +1,112 @@
+"""Recordings of the same bodies in their order: what a sheet or a gel keeps of one is there when the next begins.
+
+Recordings that are given together are taken to show the same bodies, in the order of their stamps. Nothing of this
+matters but for laws with internal variables that last (:mod:`sim_core.permanent_state`). The motion of the earlier
+recordings is then simulated first, on the steps of the rig. A part of a recording counts as if it began with bodies as
+the recordings before have left them; recordings that overlap in time show different bodies, or were simulated.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim_core.effects import effect_by_name, split_key
+from sim_core.effects.hooks import ClockMap, ReadingMap
+from sim_core.gradients import Direction, simulate_tangent
+from sim_core.permanent_state import PermanentState, lasting
+from sim_core.rigs import Rig
+from sim_core.scene import Scene
+from sim_core.simulate import simulate, step_times
+from sysid.observations.observations import Run
+
+MOST = 64
+"""States that are kept."""
+
+
+def earlier_motion(whole: Iterable[Run], run: Run) -> tuple[Run, ...]:
+    """Motion, without readings, of the ``whole`` recordings that came before a run, in their order, and of its own
+    recording before it where it is a part of one."""
+    span, before = run.span_ns, []
+    if span is None:
+        return ()
+    for other in whole:
+        if other.path == run.path:
+            if run.since > 0.0:
+                before.append((span[0], replace(other, end=run.since)))
+        elif other.span_ns is not None and other.span_ns[1] <= span[0]:
+            before.append((other.span_ns[0], other))
+    before.sort(key=lambda found: found[0])
+    return tuple(replace(r, measured=(), firsts={}, notes=(), counted=(), changes={}) for _, r in before)
+
+
+class LeftBefore:
+    """What the recordings before a run have left in the bodies of a rig, kept from one evaluation to the next."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[object, PermanentState | None] = OrderedDict()
+
+    def of(self, scene: Scene, run: Run, dt: float, refine: int) -> PermanentState | None:
+        """By the numbers that a ``scene`` has, simulated with steps of ``dt`` [s]; None where nothing lasts, or nothing
+        came before. ``refine``: of the scene, to tell it from others."""
+        if not run.earlier or not lasting(scene):
+            return None
+        rig, left = scene.given, None
+        scene.use(_mechanics(rig))
+        key: object = (_numbers(scene.given), refine, dt)
+        for before in run.earlier:
+            key = (key, before.name, before.end)
+
+            def simulated(before: Run = before, left: PermanentState | None = left) -> PermanentState | None:
+                return simulate(scene, before.poses, step_times(0.0, before.end, dt), left=left).left
+
+            left = self._kept(key, simulated)
+        scene.use(rig)
+        return left
+
+    def along(
+        self, scene: Scene, run: Run, dt: float, refine: int, along: Sequence[Direction], shared: Sequence[int]
+    ) -> PermanentState | None:
+        """The same with derivatives along directions, of those of them that are ``shared`` by all recordings: what one
+        recording has for itself, as the delay of its clock, does not change what others have left."""
+        if not run.earlier or not lasting(scene):
+            return None
+        rig, left = scene.given, None
+        common = [replace(along[k], low=_mechanics(along[k].low), high=_mechanics(along[k].high)) for k in shared]
+        scene.use(_mechanics(rig))
+        ends = [(d.name, d.width, _numbers(d.low), _numbers(d.high)) for d in common]
+        key: object = (_numbers(scene.given), refine, dt, tuple(ends))
+        for before in run.earlier:
+            key = (key, before.name, before.end)
+
+            def simulated(before: Run = before, left: PermanentState | None = left) -> PermanentState | None:
+                times = step_times(0.0, before.end, dt)
+                return simulate_tangent(scene, before.poses, times, common, left=left)[0].left
+
+            left = self._kept(key, simulated)
+        scene.use(rig)
+        return None if left is None else left.along(np.array(shared, dtype=int), len(along))
+
+    def _kept(self, key: object, simulated: Callable[[], PermanentState | None]) -> PermanentState | None:
+        if key not in self._known:
+            if len(self._known) >= MOST:
+                self._known.popitem(last=False)
+            self._known[key] = simulated()
+        self._known.move_to_end(key)
+        return self._known[key]
+
+
+def _mechanics(rig: Rig) -> Rig:
+    """The rig without what sensors and clocks alone make of a motion."""
+    kept = {
+        k: v for k, v in rig.effects.items() if not isinstance(effect_by_name(split_key(k)[0]), ReadingMap | ClockMap)
+    }
+    return rig if len(kept) == len(rig.effects) else rig.model_copy(update={"effects": kept})
+
+
+def _numbers(rig: Rig) -> str:
+    """All that bodies move by."""
+    return repr(rig.model_dump(exclude={"sensors", "cameras"}))
