@@ -31,7 +31,7 @@ class BendingStrain:
     )
 
     def __init__(self, sheet: Bending) -> None:
-        self._sheet = sheet
+        self._sheet, self._transposed = sheet, sheet.operator.T
         hinges = len(sheet.hinge_nodes)
         self._moment, self._g = np.zeros(hinges), np.zeros((hinges, 12))
         self._tangent = np.zeros((len(sheet.areas), 3, 3))
@@ -101,7 +101,7 @@ class BendingStrain:
 
     def _bear(self, stress: np.ndarray) -> None:
         """Take the moments on the hinges of stresses times areas."""
-        self._moment[:] = self._sheet.operator.T @ stress.ravel()
+        self._moment[:] = self._transposed @ stress.ravel()
 
     def add_gradient(self, stress: np.ndarray) -> None:
         self._bear(stress)
@@ -128,4 +128,4 @@ class BendingStrain:
 
     def by_rest_angles(self, weights: np.ndarray) -> np.ndarray:
         """Derivative by the rest angles ``(n_hinges,)`` of curvatures with the weights ``(m, 3)``."""
-        return np.asarray(-(self._sheet.operator.T @ weights.ravel()))
+        return np.asarray(-(self._transposed @ weights.ravel()))

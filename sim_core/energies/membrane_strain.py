@@ -91,8 +91,9 @@ class MembraneStrain:
         return placed((slopes, rows, axes_of(self._triangles)), shape=(3 * count, x.size)).tocsr()
 
     def add_gradient(self, stress: np.ndarray) -> None:
-        force = np.einsum("mi,mik->mk", stress, self._sheet.by_positions(self._buffers.x))
-        np.add.at(self._buffers.gradient, self._triangles, force.reshape(-1, 3, 3))
+        slope = self._sheet.slopes(self._buffers.x)[0]
+        force = self._sheet.hats() @ (as_stress(stress) @ slope.swapaxes(-1, -2))
+        np.add.at(self._buffers.gradient, self._triangles, force)
 
     def add_hessian(self, stress: np.ndarray, tangent: np.ndarray, exact: bool) -> None:
         """Of the stress the tension alone unless ``exact``, as of the sheet's own."""

@@ -199,7 +199,8 @@ class StrainLaws:
         return {key: law.respond(self._strained(key, strain), self._values[key]) for key, law in self._laws.items()}
 
     def _stress(self) -> np.ndarray:
-        return np.asarray(sum((r.stress for r in self._responses().values()), np.zeros_like(self._before)))
+        first, *others = (r.stress for r in self._responses().values())
+        return np.asarray(sum(others, first))
 
     def add_energy(self) -> None:
         for found in self._responses().values():

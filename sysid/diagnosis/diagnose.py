@@ -30,7 +30,7 @@ from sysid.diagnosis.result import Diagnosis, Misfit, StructuredMisfit, Unreliab
 from sysid.diagnosis.screening import Score, Screen, look
 from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.validation import of_readings, seen_by_both
-from sysid.diagnosis.verdict import WITHOUT_MISFIT, Case, Verdict, decide, rejected, size_of
+from sysid.diagnosis.verdict import WITHOUT_MISFIT, Case, Verdict, answers, decide, size_of
 from sysid.discretisation.refinement import coarse_quantities, error_sizes
 from sysid.fit.marker_field import marker_fields
 from sysid.fit.result import plot_series, rms_errors
@@ -138,7 +138,7 @@ def _trials(
         starts.append(_start(screen, pair))
     trials = _pruned(base, trials_of(base, base.fitted, starts, scales, failed), failed)
     for count in range(2, MOST_EFFECTS + 1):
-        best = next((t for t in trials if not rejected(t, case)), None)
+        best = next(iter(answers(trials, case)), None)
         if best is None or not best.left.missing or len(best.hypotheses) >= count:
             break
         tell(0.65 + 0.1 * count, f"what '{best.title}' leaves")

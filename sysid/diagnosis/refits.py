@@ -78,8 +78,8 @@ class Trial:
     amplitude (:func:`sysid.diagnosis.evidence.inflation_of`); ``change``: of the predictions, over what readings may
     be off (:func:`sysid.diagnosis.residual_analysis.largest_change`); ``in_pose_noise``: that of its effects which
     moves hands by less than the noise of their poses, in words; ``failure``: why it is no answer whatever its figures;
-    ``predicted``: the model on the recordings held out; ``confirmed``: it was fitted to the end, beside simulations
-    of the reference model with its effects."""
+    ``predicted``: the model on the recordings held out, and ``left_there`` what it leaves there; ``confirmed``: it was
+    fitted to the end, beside simulations of the reference model with its effects."""
 
     hypotheses: tuple[Hypothesis, ...]
     fitted: Fitted
@@ -99,6 +99,7 @@ class Trial:
     predicts: float | None = None
     surely_predicts: float | None = None
     inflations: tuple[float, ...] = (1.0,)
+    left_there: Structure | None = None
 
     @property
     def names(self) -> frozenset[str]:
@@ -242,9 +243,10 @@ def scored(base: Baseline, hypotheses: tuple[Hypothesis, ...], fitted: Fitted, t
     left = structure(base.problem, fitted)
     both = seen_by_both(base.check, base.there, there)
     ratios = ratios_of(base.check, both)
-    on_others = None
+    on_others = left_there = None
     if base.there is not None and there is not None:
-        on_others = explained(structure(base.check, base.there), structure(base.check, there))
+        left_there = structure(base.check, there)
+        on_others = explained(structure(base.check, base.there), left_there)
     gain = log_evidence(fitted, 1.0) - log_evidence(base.fitted, 1.0)
     known = uncertainty(fitted)
     inflations = tuple(inflation_of(h, fitted, known) for h in hypotheses)
@@ -253,7 +255,7 @@ def scored(base: Baseline, hypotheses: tuple[Hypothesis, ...], fitted: Fitted, t
                  worse=worse_there(base, there), idle=idle_effect(hypotheses, fitted, known), inflations=inflations,
                  change=largest_change(base.problem, base.fitted, fitted),
                  in_pose_noise=in_pose_noise(hypotheses, fitted.rig, base.problem.runs),
-                 predicts=None if ratios is None else float(ratios[0].sum()),
+                 left_there=left_there, predicts=None if ratios is None else float(ratios[0].sum()),
                  surely_predicts=None if ratios is None else deviations(*ratios))  # fmt: skip
 
 

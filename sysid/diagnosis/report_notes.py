@@ -16,7 +16,7 @@ from sysid.diagnosis.refits import Trial
 from sysid.diagnosis.residual_analysis import LEAST_SIZE
 from sysid.diagnosis.result import Candidate, NamedParameter
 from sysid.diagnosis.screening import Score, Screen
-from sysid.diagnosis.verdict import Case, Verdict, probabilities, size_of
+from sysid.diagnosis.verdict import Case, Verdict, needless, probabilities, rejected, size_of
 from sysid.diagnosis.wording import reason
 from sysid.discretisation.refinement import large_discretisation_errors, unresolved_quantities
 from sysid.model.parameters import start_of
@@ -110,8 +110,9 @@ def fates(rig: Rig, verdict: Verdict, trials: Sequence[Trial], case: Case, scree
     present = {split_key(key)[0] for key in rig.effects}
     apply = [e.name for e in all_effects().values() if e.name not in present and e.variants(rig)]
     became = dict.fromkeys(apply, "promised no better fit") | screened.failed
+    fit = [t for t in trials if not rejected(t, case)]
     for trial in sorted(trials, key=lambda t: -len(t.names)):
-        why = reason(trial, case) or "fits, but less well than the answer"
+        why = reason(trial, case) or needless(trial, fit, case) or "fits, but less well than the answer"
         became |= {h.effect.name: why for h in trial.hypotheses}
     if verdict.kind in ("named", "one_of", "partly"):
         became |= {h.effect.name: "the answer" for t in verdict.named for h in t.hypotheses}

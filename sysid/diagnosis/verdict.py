@@ -30,6 +30,10 @@ MOST_EXPLAINED = 0.6
 SOME_EXPLAINED = 0.15
 """Share from which an effect is worth telling beside something that remains unknown."""
 
+WORTH_ADDING = 0.5
+"""Share of the structured misfit that a set of effects leaves which a further effect has to take away, on the
+recordings given or on those held out."""
+
 LEAST_STEADY = 2.0
 """Standard deviations, from block to block of time, by which held-out recordings have to speak for an effect where the
 baseline shows no misfit that stands out: chance is beyond them in one case of forty."""
@@ -109,9 +113,8 @@ def rejected(trial: Trial, case: Case) -> str:
 
 
 def decide(trials: Sequence[Trial], case: Case) -> Verdict:
-    """Choose the verdict. An answer of several effects has to be better than each part of it that may be one."""
-    fit = sorted((t for t in trials if not rejected(t, case)), key=lambda t: -t.gain)
-    fit = [t for t in fit if all(t.gain >= s.gain + case.needed for s in fit if s.names < t.names)]
+    """Choose the verdict."""
+    fit = answers(trials, case)
     if not fit:
         if case.faults:
             return Verdict("recording_fault", ())
@@ -127,6 +130,39 @@ def decide(trials: Sequence[Trial], case: Case) -> Verdict:
         t for t in fit if best.gain - t.gain < TIE_NATS and size_of(t) > share - 0.1 and len(t.names) == len(best.names)
     )
     return Verdict("named" if len(ties) == 1 else "one_of", ties)
+
+
+def answers(trials: Sequence[Trial], case: Case) -> list[Trial]:
+    """The sets of effects that may be an answer, best first. One of several effects has to be better than each part of
+    it that may be one, by evidence and in size."""
+    fit = sorted((t for t in trials if not rejected(t, case)), key=lambda t: -t.gain)
+    return [t for t in fit if not needless(t, fit, case)]
+
+
+def needless(trial: Trial, others: Sequence[Trial], case: Case) -> str:
+    """Why some of a set of effects, of which others that may be an answer have a part, are one too many; empty when
+    they are not."""
+    for part in (t for t in others if t.names < trial.names):
+        more = " and that ".join(h.effect.title for h in trial.hypotheses if h.effect.name not in part.names)
+        if trial.gain < part.gain + case.needed:
+            return f"beside the knowledge that {part.title}, that {more} improves the fit too little"
+        gone = _taken_away(part, trial)
+        if gone < WORTH_ADDING:
+            return (
+                f"that {more} takes away {max(0.0, 100 * gone):.0f} % of the misfit that is left with the knowledge "
+                f"that {part.title}"
+            )
+    return ""
+
+
+def _taken_away(part: Trial, whole: Trial) -> float:
+    """Share of the structured misfit that a set of effects leaves which a larger set takes away, on the recordings
+    given or those held out, whichever is more; 0 where it leaves none."""
+    pairs = [(part.left, whole.left), (part.left_there, whole.left_there)]
+    return max(
+        (1.0 - b.whole.excess / a.whole.excess for a, b in pairs if a is not None and b is not None and a.missing),
+        default=0.0,
+    )
 
 
 def size_of(trial: Trial) -> float:
