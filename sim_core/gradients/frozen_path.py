@@ -31,7 +31,7 @@ from sim_core.gradients.directions import Direction, command_motions
 from sim_core.gradients.parameter_jacobian import Column, moment_on_body
 from sim_core.gradients.step import LinearStep, Motion, Outcome
 from sim_core.gradients.tangent import TangentSimulation, recorded
-from sim_core.permanent_state import PermanentState
+from sim_core.permanent_state import PermanentState, lasting
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene, Values
@@ -52,10 +52,22 @@ class Amendment:
     internals: dict[str, Internals] = field(init=False, default_factory=dict)
     affected: tuple[str, ...] = field(init=False, default=())
     compliance: Mapping[str, np.ndarray] = field(init=False, default_factory=dict)
+    kept: Mapping[str, Internals] = field(init=False, default_factory=dict)
+
+    @property
+    def lasting(self) -> Mapping[str, tuple[str, ...]]:
+        """Names of internal variables that last, of terms that differ from the baseline's or not."""
+        return lasting(self.scene)
+
+    def keep(self) -> None:
+        """Begin the next rollout with the internal variables that last as they are now."""
+        self.kept = {
+            t: {n: self.internals[t][n] for n in own} for t, own in self.lasting.items() if t in self.internals
+        }
 
     def begin(self, baseline: Scene, left: PermanentState | None) -> None:
         """Find what differs from the baseline, and forget what was remembered but for what an earlier rollout of the
-        baseline has ``left``."""
+        baseline has ``left``, and what was kept."""
         self.scene.use(self.rig)
         self.values = self.scene.values(self.rig)
         own = baseline.values(baseline.rig)
@@ -63,7 +75,8 @@ class Amendment:
         self.affected = tuple(n for n in terms if n not in own.terms or self.values.terms.get(n) != own.terms[n])
         self.compliance = {m: c for m, c in self.values.compliance.items() if m not in own.compliance}
         virgin = {n: terms[n].initial_internals() for n in self.affected}
-        self.internals = virgin if left is None else left.restored(virgin)
+        begun = virgin if left is None else left.restored(virgin)
+        self.internals = {n: {**own, **self.kept.get(n, {})} for n, own in begun.items()}
 
 
 @dataclass(frozen=True)

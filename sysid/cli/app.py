@@ -26,6 +26,7 @@ from sysid.cli import (
     experiments,
     fit,
     inspect,
+    inverse,
     optimise,
     plan,
     presses,
@@ -92,6 +93,7 @@ app.command("experiments")(experiments.experiments)
 app.command("tasks")(tasks.tasks)
 app.command("optimise")(optimise.optimise)
 app.command("benchmark")(benchmark.benchmark)
+app.command("inverse")(inverse.inverse)
 app.command("check-gradients")(check_gradients.check_gradients)
 app.command("validate")(validate.validate)
 app.command("bench")(bench.bench)

@@ -20,7 +20,7 @@ from sysid.model.marker_registration import placed, placed_along
 from sysid.model.parameters import FitParameter, acting_in, fit_parameters, rig_at, rig_in, start_of
 from sysid.model.responses import Modulated, SizedEffects, change, way_of, with_effects
 from sysid.model.sensor_streams import predicted, predicted_derivatives, stream_derivatives
-from sysid.model.sequence import LeftBefore
+from sysid.model.sequence import LeftBefore, frozen_before
 from sysid.model.time_span import after_known_motion, rollout_times
 from sysid.observations.observations import Run
 
@@ -162,11 +162,12 @@ class SerialPredictor:
         mine = [parameters[k] for k in own]
         along = placed_along(scene, run.firsts, [_direction(here, mine, scaled[own], k) for k in range(len(mine))])
         rigs = [with_effects(here, effects) for effects in candidates]
-        ways = [way_of(here, effects, _geometry, bool(run.earlier)) for effects in candidates]
+        ways = [way_of(here, effects, _geometry) for effects in candidates]
         steps = [k for k, way in enumerate(ways) if way == "numbers"]
         laws = [k for k, way in enumerate(ways) if way == "law"]
         secants = [Direction(str(k), here, rigs[k], 1.0) for k in steps]
         amendments = [Amendment(str(k), rigs[k], self._with_laws(rigs[k])) for k in laws]
+        frozen_before(scene, run, here.solver.dt_s, amendments)
         times = rollout_times([here, *(end for d in along for end in (d.low, d.high)), *rigs], run, here.solver.dt_s)
         changing = fit_parameters(here, list(dict.fromkeys(m.parameter for m in modulated)))
         at = start_of(here, changing)

@@ -55,12 +55,9 @@ def with_effects(rig: Rig, effects: SizedEffects) -> Rig:
     return rig.model_copy(update={"effects": {**rig.effects, **{k: dict(v) for k, v in effects.items()}}})
 
 
-def way_of(rig: Rig, effects: SizedEffects, geometry: Callable[[Rig], object], follows: bool = False) -> Way:
-    """How the response to some effects is found. ``geometry``: what a scene is built from, to be compared; ``follows``:
-    whether bodies are as recordings before have left them, by rollouts of these."""
+def way_of(rig: Rig, effects: SizedEffects, geometry: Callable[[Rig], object]) -> Way:
+    """How the response to some effects is found. ``geometry``: what a scene is built from, to be compared."""
     kinds = [type(effect_by_name(split_key(key)[0])) for key in effects]
-    if follows and any(kind.lasting for kind in kinds):
-        return "rollout"
 
     def all_are(*wanted: type) -> bool:
         return all(issubclass(kind, wanted) for kind in kinds)

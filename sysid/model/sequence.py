@@ -17,6 +17,7 @@ import numpy as np
 from sim_core.effects import effect_by_name, split_key
 from sim_core.effects.hooks import ClockMap, ReadingMap
 from sim_core.gradients import Direction, simulate_tangent
+from sim_core.gradients.frozen_path import Amendment, simulate_responses
 from sim_core.permanent_state import PermanentState, lasting
 from sim_core.rigs import Rig
 from sim_core.scene import Scene
@@ -97,6 +98,23 @@ class LeftBefore:
             self._known[key] = simulated()
         self._known.move_to_end(key)
         return self._known[key]
+
+
+def frozen_before(scene: Scene, run: Run, dt: float, amendments: Sequence[Amendment]) -> None:
+    """Let laws that last begin a run with what they leave along the frozen paths of the recordings before, of steps of
+    ``dt`` [s]. A set that is larger than a law can bear on the path of a body without it yields back there."""
+    last = [a for a in amendments if a.lasting]
+    rig, left = scene.given, None
+    if not run.earlier or not last:
+        return
+    scene.use(_mechanics(rig))
+    for before in run.earlier:
+        times = step_times(0.0, before.end, dt)
+        trace, _ = simulate_responses(scene, before.poses, times, [], last, left=left)
+        left = trace.left
+        for amendment in last:
+            amendment.keep()
+    scene.use(rig)
 
 
 def _mechanics(rig: Rig) -> Rig:

@@ -176,3 +176,19 @@ def test_a_part_of_a_recording_comes_after_what_was_before_it():
     before = earlier_motion([first, second], part)
     assert [(run.name, run.end) for run in before] == [("first", BEND_S), ("second", 0.1)]
     assert not before[0].measured
+
+
+def test_what_a_law_would_have_left_is_looked_at_along_the_frozen_paths():
+    """The axial force of a strip with a set is far from linear in it; the least cosine is that of yielding itself."""
+    rig, predictor = strip(), SerialPredictor()
+    strong, weak = in_turn()
+    yields = {"bending_plasticity": {"yield_curvature_per_m": 11.0, "hardening_ratio": 0.3}}
+    plain = predictor.predict(rig, weak).values["wrist"]
+    true = predictor.predict(rig.model_copy(update={"effects": yields}), weak).values["wrist"] - plain
+    found, alone = (
+        predictor.predict_responses(rig, run, [], np.zeros(0), [yields]).derivatives["wrist"][..., 0]
+        for run in (weak, replace(weak, earlier=()))
+    )
+    assert float(found.ravel() @ true.ravel()) > 0.6 * np.linalg.norm(found) * np.linalg.norm(true)
+    assert 0.5 < np.linalg.norm(found) / np.linalg.norm(true) < 2.0
+    assert np.linalg.norm(alone) < 0.1 * np.linalg.norm(true)

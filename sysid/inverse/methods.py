@@ -1,0 +1,168 @@
+"""Searches for one parameter of a rig by a recording, each counted by its rollouts.
+
+``fit`` is that of ``thinshell fit``, with its nuisance parameters, its noise and its intervals. The two others are
+those of ThinShellLab (Wang et al., ICLR 2024), on the mean square of what a model misses over the noise that the rig
+declares: gradient descent with 50 steps of a rate that falls by 0.95 from one to the next, none longer than a twelfth,
+and CMA-ES with five generations of ten. Both search in the scale that fits have; CMA-ES beside an idle second number,
+as there, since the library has no search in one dimension.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_core.rigs import Rig, with_parameters
+from sysid.fit.fit import fit_runs
+from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
+from sysid.model.prediction_source import AnyEngine
+from sysid.model.predictor import Prediction
+from sysid.noise.estimate import declared_noise
+from sysid.observations.observations import Run
+
+STEPS = 50
+"""Steps of gradient descent."""
+
+DECAY = 0.95
+"""Fall of its rate from one step to the next."""
+
+LONGEST = 0.08
+"""Longest step, in the logarithm: 100 of 1,200, to which ThinShellLab cuts its stiffness."""
+
+GENERATIONS, POPULATION = 5, 10
+"""Of CMA-ES."""
+
+WIDTH = 0.3
+"""Standard deviation of its first generation, in the logarithm."""
+
+
+@dataclass
+class Found:
+    """``value`` in the unit of the parameter, its 95 % interval where the method tells one, and what it took."""
+
+    value: float
+    interval: tuple[float, float] | None
+    rollouts: int
+    with_derivatives: int
+
+
+class Counted:
+    """A source of predictions that counts them."""
+
+    def __init__(self, engine: AnyEngine) -> None:
+        self._engine = engine
+        self.plain = self.derived = 0
+
+    def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        """A prediction without derivatives."""
+        self.plain += 1
+        return self._engine.submit(rig, run, refine, dt)
+
+    def submit_with_derivatives(
+        self,
+        rig: Rig,
+        run: Run,
+        parameters: Sequence[FitParameter],
+        scaled: np.ndarray,
+        refine: int = 1,
+        dt: float | None = None,
+    ) -> Future[Prediction]:
+        """A prediction with derivatives."""
+        self.derived += 1
+        return self._engine.submit_with_derivatives(rig, run, parameters, scaled, refine, dt)
+
+    def predict_all(
+        self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
+    ) -> list[Prediction]:
+        """Predictions of several runs with derivatives."""
+        self.derived += len(runs)
+        return self._engine.predict_all(rig, runs, parameters, scaled)
+
+
+@dataclass
+class _Misfit:
+    """Mean square of what a rig misses of a run over the declared noise, at scaled values of one parameter."""
+
+    engine: Counted
+    rig: Rig
+    run: Run
+    parameters: list[FitParameter]
+
+    def of(self, prediction: Prediction) -> tuple[float, float]:
+        """Value and derivative, zero without derivatives."""
+        total, slope, count = 0.0, 0.0, 0
+        for m in self.run.measured:
+            miss = (prediction.values[m.channel] - m.values) / declared_noise(self.rig, m.channel)
+            seen = np.isfinite(miss)
+            total, count = total + float(np.sum(miss[seen] ** 2)), count + int(seen.sum())
+            if prediction.derivatives:
+                by = prediction.derivatives[m.channel][..., 0] / declared_noise(self.rig, m.channel)
+                slope += 2.0 * float(np.sum((miss * by)[seen & np.isfinite(by)]))
+        return total / max(count, 1), slope / max(count, 1)
+
+
+def fit(engine: Counted, rig: Rig, run: Run, name: str, rng: np.random.Generator) -> Found:
+    """The fit that users run."""
+    del rng
+    result, _ = fit_runs(rig, [run], [name], engine=engine)
+    estimate = result.estimates[0]
+    return Found(estimate.value, estimate.ci95, engine.plain + engine.derived, engine.derived)
+
+
+def gradient(engine: Counted, rig: Rig, run: Run, name: str, rng: np.random.Generator) -> Found:
+    """Gradient descent, begun with the longest step."""
+    del rng
+    parameters = fit_parameters(rig, [name])
+    misfit, at = _Misfit(engine, rig, run, parameters), start_of(rig, parameters)
+    rate, best = 0.0, (np.inf, at)
+    for step in range(STEPS):
+        job = engine.submit_with_derivatives(rig_at(rig, parameters, at), run, parameters, at)
+        here, slope = misfit.of(job.result())
+        best = min(best, (here, at.copy()), key=lambda pair: pair[0])
+        if slope == 0.0:
+            break
+        rate = rate or LONGEST / abs(slope)
+        at = np.clip(at - np.clip(DECAY**step * rate * slope, -LONGEST, LONGEST), *parameters[0].scaled_bounds)
+    return Found(parameters[0].physical(float(best[1][0])), None, engine.derived, engine.derived)
+
+
+def evolution(engine: Counted, rig: Rig, run: Run, name: str, rng: np.random.Generator) -> Found:
+    """CMA-ES; rollouts that fail count as worst."""
+    import cma
+
+    parameters = fit_parameters(rig, [name])
+    misfit, start = _Misfit(engine, rig, run, parameters), start_of(rig, parameters)
+    low, high = parameters[0].scaled_bounds
+    best = (np.inf, float(start[0]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the library, about options that it was given
+        strategy = cma.CMAEvolutionStrategy(
+            [float(start[0]), 0.0],
+            WIDTH,
+            {"popsize": POPULATION, "verbose": -9, "seed": np.nan, "randn": lambda *n: rng.standard_normal(n)},
+        )
+        for _ in range(GENERATIONS):
+            asked = strategy.ask()
+            points = [np.array([np.clip(x[0], low, high)]) for x in asked]
+            jobs = [engine.submit(rig_at(rig, parameters, at), run) for at in points]
+            values = [misfit.of(job.result())[0] if job.exception() is None else np.inf for job in jobs]
+            strategy.tell(asked, values)
+            best = min(best, *((v, float(at[0])) for v, at in zip(values, points, strict=True)))
+    return Found(parameters[0].physical(best[1]), None, engine.plain, 0)
+
+
+METHODS: dict[str, Callable[[Counted, Rig, Run, str, np.random.Generator], Found]] = {
+    "fit": fit,
+    "gradient": gradient,
+    "cma": evolution,
+}
+
+
+def begun_at(rig: Rig, name: str, factor: float) -> Rig:
+    """The rig with a parameter off by a factor."""
+    (parameter,) = fit_parameters(rig, [name])
+    return with_parameters(rig, {parameter.target: factor * parameter.physical(float(start_of(rig, [parameter])[0]))})
