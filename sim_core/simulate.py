@@ -267,9 +267,12 @@ def midway(a: Frame, b: Frame) -> Frame:
 
 
 def step_times(start: float, end: float, dt: float) -> np.ndarray:
-    """Instants of the steps, at most ``dt`` apart, from ``start`` to ``end`` [s]: ``(n,)``."""
+    """Instants of the steps, ``dt`` apart, from ``start`` to ``end`` [s]: ``(n,)``. The last two share what is left."""
     count = max(1, int(np.ceil((end - start) / dt - 1e-9)))
-    return np.linspace(start, end, count + 1)
+    times = np.append(start + dt * np.arange(count), end)
+    if count > 1:
+        times[-2] = 0.5 * (times[-3] + end)
+    return times
 
 
 def simulate(

@@ -88,7 +88,7 @@ def _searched(engine: Counted, task: InverseTask, method: str, begins: float, se
         simulate_to_bag(rig, experiment, bag, seed=seed)
     run, started = load_run(rig, bag), time.monotonic()
     truth = _truth(rig, task)
-    found = METHODS[method](engine, begun_at(rig, task.seeks, begins), run, task.seeks, np.random.default_rng(seed))
+    found = METHODS[method](engine, begun_at(rig, task.seeks, begins), run, task, seed)
     interval = None if found.interval is None else (found.interval[0] / truth, found.interval[1] / truth)
     inside = None if interval is None else interval[0] <= 1.0 <= interval[1]
     return InverseRow(

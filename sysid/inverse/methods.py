@@ -18,6 +18,8 @@ import numpy as np
 
 from sim_core.rigs import Rig, with_parameters
 from sysid.fit.fit import fit_runs
+from sysid.fit.options import FitOptions
+from sysid.inverse.task import InverseTask
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
@@ -105,18 +107,18 @@ class _Misfit:
         return total / max(count, 1), slope / max(count, 1)
 
 
-def fit(engine: Counted, rig: Rig, run: Run, name: str, rng: np.random.Generator) -> Found:
+def fit(engine: Counted, rig: Rig, run: Run, task: InverseTask, seed: int) -> Found:
     """The fit that users run."""
-    del rng
-    result, _ = fit_runs(rig, [run], [name], engine=engine)
+    options = FitOptions(starts=task.starts, seed=seed)
+    result, _ = fit_runs(rig, [run], [task.seeks], options, engine=engine)
     estimate = result.estimates[0]
     return Found(estimate.value, estimate.ci95, engine.plain + engine.derived, engine.derived)
 
 
-def gradient(engine: Counted, rig: Rig, run: Run, name: str, rng: np.random.Generator) -> Found:
-    """Gradient descent, begun with the longest step."""
-    del rng
-    parameters = fit_parameters(rig, [name])
+def gradient(engine: Counted, rig: Rig, run: Run, task: InverseTask, seed: int) -> Found:
+    """Gradient descent, begun with the longest step; it draws nothing."""
+    del seed
+    parameters = fit_parameters(rig, [task.seeks])
     misfit, at = _Misfit(engine, rig, run, parameters), start_of(rig, parameters)
     rate, best = 0.0, (np.inf, at)
     for step in range(STEPS):
@@ -130,11 +132,11 @@ def gradient(engine: Counted, rig: Rig, run: Run, name: str, rng: np.random.Gene
     return Found(parameters[0].physical(float(best[1][0])), None, engine.derived, engine.derived)
 
 
-def evolution(engine: Counted, rig: Rig, run: Run, name: str, rng: np.random.Generator) -> Found:
+def evolution(engine: Counted, rig: Rig, run: Run, task: InverseTask, seed: int) -> Found:
     """CMA-ES; rollouts that fail count as worst."""
     import cma
 
-    parameters = fit_parameters(rig, [name])
+    parameters, rng = fit_parameters(rig, [task.seeks]), np.random.default_rng(seed)
     misfit, start = _Misfit(engine, rig, run, parameters), start_of(rig, parameters)
     low, high = parameters[0].scaled_bounds
     best = (np.inf, float(start[0]))
@@ -155,7 +157,7 @@ def evolution(engine: Counted, rig: Rig, run: Run, name: str, rng: np.random.Gen
     return Found(parameters[0].physical(best[1]), None, engine.plain, 0)
 
 
-METHODS: dict[str, Callable[[Counted, Rig, Run, str, np.random.Generator], Found]] = {
+METHODS: dict[str, Callable[[Counted, Rig, Run, InverseTask, int], Found]] = {
     "fit": fit,
     "gradient": gradient,
     "cma": evolution,

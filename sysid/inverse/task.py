@@ -18,7 +18,8 @@ class InverseTask(Strict):
     """What is recorded and what is sought.
 
     The recording is that of ``experiment`` on ``rig``, with the noise of its sensors. ``seeks``: parameter of the rig,
-    whose value there is the truth; ``begins``: where searches start, over the truth.
+    whose value there is the truth; ``begins``: where searches start, over the truth; ``starts``: of the fit, more than
+    one where what falls and bounces leaves the misfit with many minima.
     """
 
     name: Name
@@ -27,6 +28,7 @@ class InverseTask(Strict):
     experiment: Text
     seeks: Text
     begins: tuple[Factor, ...] = Field(min_length=1)
+    starts: Annotated[int, Field(strict=True, ge=1)] = 1
 
 
 def inverse_task_names() -> list[str]:

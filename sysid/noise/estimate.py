@@ -10,8 +10,9 @@ by the median of their size, so that jumps do not count (differences: Gasser, Sr
 73, 1986). They cannot see colour, and what the readings themselves do within four samples counts as noise. In the
 channels of simulated presses and rubs that have no rest and move fast, that adds 6 % on average and 16 % at most;
 second differences, in which a steady acceleration shows, see 9 % too much. Columns of a kind (forces,
-torques, markers) share one level and one colour. Readings that come in steps have at least the noise of their rounding,
-step / sqrt(12) (:mod:`sysid.noise.quantisation`).
+torques, markers) share one level and one colour. A stretch whose differences are far smaller than noise of its level
+and colour has is no rest, though no hand moves: something falls there. Readings that come in steps have at least the
+noise of their rounding, step / sqrt(12) (:mod:`sysid.noise.quantisation`).
 
 A recording shows how much neighbouring samples scatter, but not what was smoothed, interpolated or rounded
 away before it was written: a much larger noise that the rig declares takes its place. So it does where every reading
@@ -32,7 +33,15 @@ from sysid.noise.common_mode import CommonMode, common_mode
 from sysid.noise.mixture import Mixture, mixture_of
 from sysid.noise.quantisation import common_step
 from sysid.noise.sampling_interval import NEXT, in_sampling_intervals
-from sysid.noise.scatter import MIN_REST_SAMPLES, MOST_COLOURED, WHITE, Stretch, scatter_of, without_mistakes
+from sysid.noise.scatter import (
+    MIN_REST_SAMPLES,
+    MOST_COLOURED,
+    WHITE,
+    Stretch,
+    beside_line,
+    scatter_of,
+    without_mistakes,
+)
 from sysid.observations.observations import UNITS, Measured, Run
 
 UNLIKE = 2.2
@@ -61,6 +70,16 @@ FLOOR_SHARE = 1e-5
 NEIGHBOURS = 10.0
 """Readings farther apart than this many sampling intervals of their sensor are states of their own: their differences
 are motion, not noise, and the noise is the declared one."""
+
+SMOOTHER = 0.1
+"""Share of the differences that noise of the level and colour of a stretch has, from which the stretch is at rest."""
+
+FEW_TURNS = 6.0
+"""Times that readings cross their line in a stretch, up to which they may glide: noise that a filter has smoothed
+crosses it more often."""
+
+HELD = 0.2
+"""Share of readings that repeat the one before, from which differences say nothing of noise."""
 
 REPLACED_FROM = 2.0
 """A declared noise of this many times the estimated one takes the place of the latter altogether."""
@@ -346,12 +365,10 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
             extent = max(extent, float(np.nanmax(np.nanmax(values, axis=0) - np.nanmin(values, axis=0))))
             jumps += by_differences(values, measured.t)
             at = in_sampling_intervals(measured.t)
-            for stretch in quiet(run, measured.t):
-                scatter = scatter_of(values[stretch], at[stretch])
-                if scatter is not None:
-                    (first if stretch[0] == 0 else rest).append(scatter)
-                    if stretch[0] == 0:
-                        begun.append((without_mistakes(values[stretch], at[stretch]), measured.t[stretch]))
+            for stretch, scatter in rests(run, values, measured.t):
+                (first if stretch[0] == 0 else rest).append(scatter)
+                if stretch[0] == 0:
+                    begun.append((without_mistakes(values[stretch], at[stretch]), measured.t[stretch]))
         parts: Mixture | None = None
         if first:
             size = [s.size for s in first]
@@ -383,9 +400,9 @@ def _common(found: Sequence[tuple[Run, Measured]]) -> CommonMode | None:
     """What the markers of the pictures have in common while nothing moves."""
     if found[0][1].kind != "tracks":
         return None
-    rests = [(m, stretch) for run, m in found for stretch in quiet(run, m.t)]
-    begun = [(m, stretch) for m, stretch in rests if stretch[0] == 0]
-    return common_mode([(m.values[stretch], m.t[stretch]) for m, stretch in begun or rests])
+    quiet_parts = [(m, stretch) for run, m in found for stretch, _ in rests(run, m.values, m.t)]
+    begun = [(m, stretch) for m, stretch in quiet_parts if stretch[0] == 0]
+    return common_mode([(m.values[stretch], m.t[stretch]) for m, stretch in begun or quiet_parts])
 
 
 def by_differences(values: np.ndarray, t: np.ndarray) -> list[float]:
@@ -397,6 +414,37 @@ def by_differences(values: np.ndarray, t: np.ndarray) -> list[float]:
     whole = there & ~(gap[:-2] | gap[1:-1] | gap[2:])[:, None]
     third = third[whole if whole.any() else there]
     return [1.4826 * float(np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0)] if len(third) else []
+
+
+def rests(run: Run, values: np.ndarray, t: np.ndarray) -> list[tuple[np.ndarray, Stretch]]:
+    """Stretches of sample indices in which every end effector stands still and readings ``(n, m)`` of one unit at the
+    times ``t`` [s] do not move, with the noise in each."""
+    at, found = in_sampling_intervals(t), []
+    for stretch in quiet(run, t):
+        scatter = scatter_of(values[stretch], at[stretch])
+        if scatter is not None and not glides(values[stretch], t[stretch], scatter):
+            found.append((stretch, scatter))
+    return found
+
+
+def glides(values: np.ndarray, t: np.ndarray, scatter: Stretch) -> bool:
+    """Whether readings ``(n, m)`` at the times ``t`` [s] are far smoother than noise of their level and colour, and
+    cross their line a few times only. Third differences of noise with variance ``sigma^2`` and correlation ``rho^k``
+    have the variance
+
+        sigma^2 (20 - 30 rho + 12 rho^2 - 2 rho^3).
+    """
+    differences = by_differences(values, t)
+    repeated = np.diff(values, axis=0) == 0.0
+    if not differences or repeated.mean() > HELD:
+        return False
+    rho = max(scatter.rho, 0.0)
+    expected = scatter.level * np.sqrt(1.0 - 1.5 * rho + 0.6 * rho**2 - 0.1 * rho**3)
+    if differences[0] >= SMOOTHER * expected:
+        return False
+    beside = beside_line(values, in_sampling_intervals(t))
+    turns, weight = np.sum(beside[1:] * beside[:-1] < 0.0, axis=0), np.sum(beside**2, axis=0)
+    return float(turns @ weight) <= FEW_TURNS * float(weight.sum())
 
 
 def _quantile(values: list[float], weights: list[int], share: float) -> float:

@@ -66,6 +66,11 @@ def without_mistakes(values: np.ndarray, at: np.ndarray) -> np.ndarray:
         values = np.where(mistakes, np.nan, values)
 
 
+def beside_line(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """What is left of columns ``(n, k)`` at times ``(n,)`` beside a line each, 0 where there is no reading."""
+    return _beside_line(values, np.isfinite(values), _line(at))
+
+
 def _line(at: np.ndarray) -> np.ndarray:
     return np.column_stack([np.ones(len(at)), 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0])
 

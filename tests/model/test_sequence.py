@@ -125,9 +125,9 @@ def test_derivatives_go_through_recordings_before(effects):
     slopes = predictor.predict_with_derivatives(rig, weak, parameters, at).derivatives["wrist"]
     alone = predictor.predict_with_derivatives(rig, replace(weak, earlier=()), parameters, at).derivatives["wrist"]
     for k in range(len(parameters)):
-        h = 1e-4 * np.eye(len(parameters))[k]
+        h = 1e-3 * np.eye(len(parameters))[k]  # shorter ones show round-off
         high, low = (predictor.predict(rig_at(rig, parameters, at + s * h), weak).values["wrist"] for s in (1, -1))
-        numeric = (high - low) / 2e-4
+        numeric = (high - low) / 2e-3
         scale = np.abs(numeric).max()
         assert np.abs(slopes[..., k] - numeric).max() < 1e-3 * scale
         assert np.abs(alone[..., k] - numeric).max() > 0.05 * scale
@@ -181,7 +181,7 @@ def test_a_part_of_a_recording_comes_after_what_was_before_it():
 def test_what_a_law_would_have_left_is_looked_at_along_the_frozen_paths():
     """The axial force of a strip with a set is far from linear in it; the least cosine is that of yielding itself."""
     rig, predictor = strip(), SerialPredictor()
-    strong, weak = in_turn()
+    _, weak = in_turn()
     yields = {"bending_plasticity": {"yield_curvature_per_m": 11.0, "hardening_ratio": 0.3}}
     plain = predictor.predict(rig, weak).values["wrist"]
     true = predictor.predict(rig.model_copy(update={"effects": yields}), weak).values["wrist"] - plain

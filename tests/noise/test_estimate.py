@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.noise.channel_noise import ChannelNoise
@@ -290,3 +291,33 @@ def test_a_recording_that_still_swings_does_not_make_the_others_loud() -> None:
     swing = 1.0 * np.sin(40.0 * np.arange(301) / RATE)[:, None]
     runs[2] = run_with(trajectory(rng, 0.0), runs[2].measured[0].values + swing)
     assert estimate_noise(runs, "gauge").sigma[0] == pytest.approx(0.1, rel=0.15)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_what_falls_while_no_hand_moves_is_no_noise(rho: float) -> None:
+    rng = np.random.default_rng(8)
+    t = np.arange(60) / RATE
+    noise = coloured(rng, len(t), rho, 1e-3)
+    falling = run_with(trajectory(rng, 0.0), noise - 0.5 * 9.81 * t[:, None] ** 2)
+    found = estimate_noise([falling], "gauge")
+    assert found.source == FROM_DIFFERENCES
+    assert np.all(found.sigma < 1.5e-3)
+    lying = run_with(trajectory(rng, 0.0), noise)
+    assert estimate_noise([lying], "gauge").source == "rest at the start"
+
+
+def test_noise_that_a_filter_has_smoothed_is_that_of_a_rest() -> None:
+    """A Butterworth filter of fourth order at a tenth of half the rate."""
+    rng = np.random.default_rng(9)
+    values = lfilter(*butter(4, 0.1), rng.standard_normal((301, 6)), axis=0)[200:]
+    found = estimate_noise([run_with(trajectory(rng, 0.0), values)], "gauge")
+    assert found.source == "rest at the start"
+    assert 0.5 * np.sqrt(0.1) < np.median(found.sigma) < 2.0 * np.sqrt(0.1)
+
+
+def test_readings_that_are_held_rest() -> None:
+    """A gauge that is read ten times as often as it measures."""
+    rng = np.random.default_rng(9)
+    held = np.repeat(coloured(rng, 10, 0.9, 0.01), 10, axis=0)
+    found = estimate_noise([run_with(trajectory(rng, 0.0), held)], "gauge")
+    assert found.source == "rest at the start"
