@@ -44,8 +44,8 @@ SIMULATED = 8
 """Effects that are simulated where the screening says, before the best of them are refitted."""
 
 SECOND_STARTS = 3
-"""Further starts of these effects that are simulated as well: along a path that never yielded, a law with a threshold may
-look best where its own path is worst."""
+"""Further starts of these effects that are simulated as well: along a path that never yielded, a law with a threshold
+may look best where its own path is worst."""
 
 BY_RECORDING = 2
 """Further effects that are refitted since they explain single recordings best."""
