@@ -47,6 +47,9 @@ class Columns:
     def __init__(self, scene: Scene, values: Values, keys: Sequence[Key]) -> None:
         self._scene, self._values, self.keys = scene, values, list(keys)
         self._terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
+        # Asked once: a check against a protocol looks at all its members.
+        self._guarded = {n for n, t in self._terms.items() if isinstance(t, GuardedTerm)}
+        self._aligning = {n for n, t in self._terms.items() if isinstance(t, AligningTerm)}
         self._mass: Any = None
         self._accelerations: np.ndarray | None = None
         self._weights: dict[str, np.ndarray] = {}
@@ -65,7 +68,7 @@ class Columns:
 
     def need_contact(self, exact: Mapping[str, Linearised]) -> bool:
         """Whether contact has to be looked for in a step, because a number of it has to be stepped."""
-        touching = [k for k in self.keys if k[0] == "terms" and isinstance(self._terms.get(k[1]), GuardedTerm)]
+        touching = [k for k in self.keys if k[0] == "terms" and k[1] in self._guarded]
         return any(self._known(key, exact) is None for key in touching)
 
     def _known(self, key: Key, exact: Mapping[str, Linearised]) -> Column | None:
@@ -75,7 +78,7 @@ class Columns:
             return None
         numbers = exact[owner].numbers
         if quantity not in numbers:
-            idle = not numbers and isinstance(self._terms[owner], GuardedTerm)
+            idle = not numbers and owner in self._guarded
             return Column() if idle else None
         found = numbers[quantity]
         column = Column(force=found.force.reshape(-1, 3), memory={owner: found.memory})
@@ -146,7 +149,7 @@ class Columns:
             term.configure({**given, quantity: there})
             term.begin_step(step, internals)
             force, kept = self._scene.system.gradient_of(term), term.end_step(step, internals)
-            if isinstance(term, AligningTerm):
+            if term.name in self._aligning:
                 kept = term.aligned(kept, after)
             found.append((force, flatten(kept), moment_on_body(term)))
         term.configure(given)

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from sim_core.errors import ConfigError, nearest_match
-from sim_core.rigs import Rig, load_rig
+from sim_core.rigs import Rig
 from sim_core.rigs.motion import load_experiment
 from sysid.inverse.methods import METHODS, Counted, begun_at
-from sysid.inverse.task import InverseTask, load_inverse_task
+from sysid.inverse.task import InverseTask, load_inverse_task, rig_of
 from sysid.model.load import load_run
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, start_of
@@ -82,7 +82,7 @@ def _row(stored: dict[str, object]) -> InverseRow:
 
 
 def _searched(engine: Counted, task: InverseTask, method: str, begins: float, seed: int, out: Path) -> InverseRow:
-    rig, experiment = load_rig(task.rig), load_experiment(task.experiment)
+    rig, experiment = rig_of(task), load_experiment(task.experiment)
     bag = out / f"{task.name}_{seed}"
     if not bag.exists():
         simulate_to_bag(rig, experiment, bag, seed=seed)

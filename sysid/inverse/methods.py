@@ -109,8 +109,7 @@ class _Misfit:
 
 def fit(engine: Counted, rig: Rig, run: Run, task: InverseTask, seed: int) -> Found:
     """The fit that users run."""
-    options = FitOptions(starts=task.starts, seed=seed)
-    result, _ = fit_runs(rig, [run], [task.seeks], options, engine=engine)
+    result, _ = fit_runs(rig, [run], [task.seeks], FitOptions(seed=seed), engine=engine)
     estimate = result.estimates[0]
     return Found(estimate.value, estimate.ci95, engine.plain + engine.derived, engine.derived)
 

@@ -7,19 +7,20 @@ from typing import Annotated
 
 from pydantic import Field
 
+from sim_core.rigs import Rig, load_rig
 from sim_core.rigs.fields import Name, Strict, Text
 from sim_core.rigs.load import find_config, names_in
 from sim_core.rigs.yamlfile import read_mapping, validate
 
-Factor = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0)]
 
 
 class InverseTask(Strict):
     """What is recorded and what is sought.
 
-    The recording is that of ``experiment`` on ``rig``, with the noise of its sensors. ``seeks``: parameter of the rig,
-    whose value there is the truth; ``begins``: where searches start, over the truth; ``starts``: of the fit, more than
-    one where what falls and bounces leaves the misfit with many minima.
+    The recording is that of ``experiment`` on ``rig``, with the noise of its sensors and steps of ``dt_s`` [s], those
+    of the rig where it is not given. ``seeks``: parameter of the rig, whose value there is the truth; ``begins``: where
+    searches start, over the truth.
     """
 
     name: Name
@@ -27,8 +28,18 @@ class InverseTask(Strict):
     rig: Text
     experiment: Text
     seeks: Text
-    begins: tuple[Factor, ...] = Field(min_length=1)
-    starts: Annotated[int, Field(strict=True, ge=1)] = 1
+    begins: tuple[Positive, ...] = Field(min_length=1)
+    dt_s: Positive | None = None
+
+
+def rig_of(task: InverseTask) -> Rig:
+    """The rig of a task, with its steps."""
+    rig = load_rig(task.rig)
+    return (
+        rig
+        if task.dt_s is None
+        else rig.model_copy(update={"solver": rig.solver.model_copy(update={"dt_s": task.dt_s})})
+    )
 
 
 def inverse_task_names() -> list[str]:
