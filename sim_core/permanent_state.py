@@ -1,8 +1,9 @@
 """What bodies keep when a rollout ends: the set of a sheet that yielded, the softening of a gel that was pressed.
 
 Rates and whatever relaxes is gone by the time that the next recording of the same bodies begins; internal variables
-that a term or an effect calls ``lasting`` are as they were. A sheet that has a set begins in the shape in which it
-ended, carried along with its hands: put flat, it would be bent back, and might yield anew.
+that a term or an effect calls ``lasting`` are as they were, in bodies that something holds. A sheet that has a set
+begins in the shape in which it ended, carried along with its hands: put flat, it would be bent back, and might yield
+anew.
 """
 
 from __future__ import annotations
@@ -63,11 +64,17 @@ class PermanentState:
 
 
 def lasting(scene: Scene) -> dict[str, tuple[str, ...]]:
-    """Names of the internal variables that last, by term; terms without any are left out."""
-    named = {term.name: getattr(term, "lasting", ()) for term in scene.system.terms}
+    """Names of the internal variables that last, by term; terms without any are left out, and so are those of bodies
+    that nothing holds: nobody tells where and how these lie when the next rollout begins."""
+    named = {term.name: getattr(term, "lasting", ()) if _held(scene, term.name) else () for term in scene.system.terms}
     virgin = {term.name: term.initial_internals() for term in scene.system.terms if named[term.name]}
     kept = {term: tuple(name for name in named[term] if name in own) for term, own in virgin.items()}
     return {term: names for term, names in kept.items() if names}
+
+
+def _held(scene: Scene, term: str) -> bool:
+    body = term.split(".")[0]
+    return body in scene.bodies and bool(scene.held(body).any())
 
 
 def permanent_state(

@@ -79,7 +79,7 @@ class TangentSimulation(Simulation):
         self._motion = Motion(zero, zero, no_memory(self.state, count))
         self.mechanical = self._read_derivatives(None)
         if not self.settling:
-            if self._moved:
+            if self._moved or (self.left is not None and self.left.by_internals is not None):
                 self._put()
             self._add_what_mounts_bear()
         elif self._depends:

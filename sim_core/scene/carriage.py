@@ -64,7 +64,9 @@ def _shares(scene: Scene, held: np.ndarray, free: np.ndarray) -> dict[str, np.nd
     for follower in scene.followers:
         if follower.axes.all() and np.isin(follower.nodes, held).any():
             owned.setdefault(follower.mount, []).append(follower.nodes)
-    near = {m: cKDTree(scene.rest[np.concatenate(n)]).query(scene.rest[free])[0] ** -2.0 for m, n in owned.items()}
+    far = {m: cKDTree(scene.rest[np.concatenate(n)]).query(scene.rest[free])[0] for m, n in owned.items()}
+    least = 1e-9 * max(float(d.max()) for d in far.values())  # nodes on both sides of a slit are in one place
+    near = {m: np.maximum(d, least) ** -2.0 for m, d in far.items()}
     total = sum(near.values())
     return {mount: share / total for mount, share in near.items()}
 

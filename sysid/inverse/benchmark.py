@@ -3,6 +3,7 @@ and is not made again."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import time
@@ -17,6 +18,7 @@ from sim_core.rigs import Rig
 from sim_core.rigs.motion import load_experiment
 from sysid.inverse.methods import METHODS, Counted, begun_at
 from sysid.inverse.task import InverseTask, load_inverse_task, rig_of
+from sysid.io.atomic_folder import whole_file
 from sysid.model.load import load_run
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, start_of
@@ -29,7 +31,7 @@ Progress = Callable[[float, str], None]
 class InverseRow:
     """One search. ``begins``: over the truth; ``error``: of what is found, over the truth; ``interval``: 95 %, where
     the method tells one, over the truth, and whether it is ``inside``; ``rollouts``, of which ``with_derivatives``;
-    wall time [s]."""
+    wall time [s]; ``of``: hash of rig, motion and what is sought."""
 
     task: str
     method: str
@@ -41,6 +43,7 @@ class InverseRow:
     rollouts: int
     with_derivatives: int
     wall_s: float
+    of: str
 
 
 def inverse_benchmark(
@@ -54,6 +57,8 @@ def inverse_benchmark(
 ) -> list[InverseRow]:
     """Make all rows that ``out/rows.json`` does not have yet. A seed is that of the noise of the recording, and of what
     a method draws."""
+    if not methods:
+        raise ConfigError("No method is named.", f"Name some of {', '.join(METHODS)}.")
     for method in methods:
         if method not in METHODS:
             raise ConfigError(f"There is no method {method!r}.", nearest_match(method, list(METHODS)))
@@ -67,12 +72,17 @@ def inverse_benchmark(
         for number, (task, method, begins, seed) in enumerate(jobs):
             if on_progress is not None:
                 on_progress(number / len(jobs), f"{task.name} by {method} from {begins:g} times the truth, seed {seed}")
-            same = [r for r in known if (r.task, r.method, r.begins, r.seed) == (task.name, method, begins, seed)]
+            wanted = (task.name, method, begins, seed, _hash_of(task))
+            same = [r for r in known if (r.task, r.method, r.begins, r.seed, r.of) == wanted]
             row = same[0] if same else _searched(Counted(engine), task, method, begins, seed, out)
             rows.append(row)
             known += [] if same else [row]
-            stored.write_text(json.dumps([asdict(r) for r in known], indent=1) + "\n", encoding="utf-8")
-            (out / "table.md").write_text(inverse_table(rows) + "\n", encoding="utf-8")
+            for path, text in (
+                (stored, json.dumps([asdict(r) for r in known], indent=1)),
+                (out / "table.md", inverse_table(known)),
+            ):
+                with whole_file(path) as part:
+                    part.write_text(text + "\n", encoding="utf-8")
     return rows
 
 
@@ -83,7 +93,7 @@ def _row(stored: dict[str, object]) -> InverseRow:
 
 def _searched(engine: Counted, task: InverseTask, method: str, begins: float, seed: int, out: Path) -> InverseRow:
     rig, experiment = rig_of(task), load_experiment(task.experiment)
-    bag = out / f"{task.name}_{seed}"
+    bag = out / f"{task.name}_{seed}_{_hash_of(task)}"
     if not bag.exists():
         simulate_to_bag(rig, experiment, bag, seed=seed)
     run, started = load_run(rig, bag), time.monotonic()
@@ -102,7 +112,14 @@ def _searched(engine: Counted, task: InverseTask, method: str, begins: float, se
         found.rollouts,
         found.with_derivatives,
         time.monotonic() - started,
+        _hash_of(task),
     )
+
+
+def _hash_of(task: InverseTask) -> str:
+    """Of what is recorded: rig, motion and what is sought."""
+    told = (rig_of(task).model_dump_json(), load_experiment(task.experiment).model_dump_json(), task.seeks)
+    return hashlib.sha256(repr(told).encode()).hexdigest()[:12]
 
 
 def _truth(rig: Rig, task: InverseTask) -> float:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_core.errors import ConvergenceError, ThinshellError
 from sim_core.rigs import Rig, with_parameters
 from sysid.fit.fit import fit_runs
 from sysid.fit.options import FitOptions
@@ -23,7 +24,7 @@ from sysid.inverse.task import InverseTask
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
-from sysid.noise.estimate import declared_noise
+from sysid.noise.estimate import as_declared
 from sysid.observations.observations import Run
 
 STEPS = 50
@@ -37,6 +38,9 @@ LONGEST = 0.08
 
 GENERATIONS, POPULATION = 5, 10
 """Of CMA-ES."""
+
+UNSEEN = 1e3
+"""Standard deviations by which a reading that is not simulated counts as missed."""
 
 WIDTH = 0.3
 """Standard deviation of its first generation, in the logarithm."""
@@ -95,14 +99,17 @@ class _Misfit:
     parameters: list[FitParameter]
 
     def of(self, prediction: Prediction) -> tuple[float, float]:
-        """Value and derivative, zero without derivatives."""
+        """Value and derivative, zero without derivatives. A reading that a simulation does not give, as of a marker out
+        of sight, is missed by :data:`UNSEEN`."""
         total, slope, count = 0.0, 0.0, 0
         for m in self.run.measured:
-            miss = (prediction.values[m.channel] - m.values) / declared_noise(self.rig, m.channel)
-            seen = np.isfinite(miss)
-            total, count = total + float(np.sum(miss[seen] ** 2)), count + int(seen.sum())
+            sigma = as_declared(self.rig, m).sigma
+            miss = (prediction.values[m.channel] - m.values) / sigma
+            asked, seen = np.isfinite(m.values), np.isfinite(miss)
+            total += float(np.sum(miss[seen] ** 2)) + UNSEEN**2 * int((asked & ~seen).sum())
+            count += int(asked.sum())
             if prediction.derivatives:
-                by = prediction.derivatives[m.channel][..., 0] / declared_noise(self.rig, m.channel)
+                by = prediction.derivatives[m.channel][..., 0] / sigma
                 slope += 2.0 * float(np.sum((miss * by)[seen & np.isfinite(by)]))
         return total / max(count, 1), slope / max(count, 1)
 
@@ -150,10 +157,19 @@ def evolution(engine: Counted, rig: Rig, run: Run, task: InverseTask, seed: int)
             asked = strategy.ask()
             points = [np.array([np.clip(x[0], low, high)]) for x in asked]
             jobs = [engine.submit(rig_at(rig, parameters, at), run) for at in points]
-            values = [misfit.of(job.result())[0] if job.exception() is None else np.inf for job in jobs]
+            values = [_or_worst(misfit, job) for job in jobs]
             strategy.tell(asked, values)
             best = min(best, *((v, float(at[0])) for v, at in zip(values, points, strict=True)))
+    if not np.isfinite(best[0]):
+        raise ConvergenceError("No simulation of the search ended.", "Begin nearer to what is sought.")
     return Found(parameters[0].physical(best[1]), None, engine.plain, 0)
+
+
+def _or_worst(misfit: _Misfit, job: Future[Prediction]) -> float:
+    try:
+        return misfit.of(job.result())[0]
+    except ThinshellError:
+        return np.inf
 
 
 METHODS: dict[str, Callable[[Counted, Rig, Run, InverseTask, int], Found]] = {

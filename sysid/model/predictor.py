@@ -128,7 +128,7 @@ class SerialPredictor:
         along = [_direction(here, parameters, scaled, k) for k in range(len(parameters))]
         along = placed_along(scene, run.firsts, along)
         dt = dt or here.solver.dt_s
-        left = self._left.along(scene, run, dt, refine, along, _shared(parameters))
+        left = self._left.along(scene, run, dt, refine, along)
         times = rollout_times([here, *(end for d in along for end in (d.low, d.high))], run, dt)
         trace, raw = simulate_tangent(scene, run.poses, times, along, keep_path=keep_path, beside=beside, left=left)
         values = _at_stamps(trace, here, run)
@@ -175,7 +175,7 @@ class SerialPredictor:
         first, names = len(along) + len(secants), [p.name for p in changing]
         courses = [Modulation(first + names.index(m.parameter), m.course) for m in modulated]
         whole = [*along, *secants, *moved]
-        left = self._left.along(scene, run, here.solver.dt_s, 1, along, _shared(mine))
+        left = self._left.along(scene, run, here.solver.dt_s, 1, along)
         if left is not None:
             left = left.along(np.arange(len(along)), len(whole))
         trace, raw = simulate_responses(
@@ -227,11 +227,6 @@ class SerialPredictor:
     ) -> Future[Prediction]:
         """A prediction with responses, made at once."""
         return _made(lambda: self.predict_responses(rig, run, parameters, scaled, candidates, modulated))
-
-
-def _shared(parameters: Sequence[FitParameter]) -> list[int]:
-    """Numbers of the parameters that all recordings have in common."""
-    return [k for k, p in enumerate(parameters) if not p.bag]
 
 
 def _made(prediction: Callable[[], Prediction]) -> Future[Prediction]:

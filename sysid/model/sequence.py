@@ -2,8 +2,9 @@
 
 Recordings that are given together are taken to show the same bodies, in the order of their stamps. Nothing of this
 matters but for laws with internal variables that last (:mod:`sim_core.permanent_state`). The motion of the earlier
-recordings is then simulated first, on the steps of the rig. A part of a recording counts as if it began with bodies as
-the recordings before have left them; recordings that overlap in time show different bodies, or were simulated.
+recordings, and of a recording before the part of it that is looked at, is then simulated first, on the steps of the
+rig. What a recording has for itself (``--per-bag``) is taken to hold before it, too. Where any of these overlap in time
+they show different bodies, or were simulated, and none of them counts.
 """
 
 from __future__ import annotations
@@ -41,6 +42,10 @@ def earlier_motion(whole: Iterable[Run], run: Run) -> tuple[Run, ...]:
         elif other.span_ns is not None and other.span_ns[1] <= span[0]:
             before.append((other.span_ns[0], other))
     before.sort(key=lambda found: found[0])
+    ends = [r.span_ns[1] for _, r in before if r.span_ns is not None and r.path != run.path]
+    begins = [begin for begin, r in before if r.path != run.path]
+    if any(later < end for end, later in zip(ends, begins[1:], strict=False)):
+        return ()
     return tuple(replace(r, measured=(), firsts={}, notes=(), counted=(), changes={}) for _, r in before)
 
 
@@ -59,7 +64,7 @@ class LeftBefore:
         scene.use(_mechanics(rig))
         key: object = (_numbers(scene.given), refine, dt)
         for before in run.earlier:
-            key = (key, before.name, before.end)
+            key = (key, before.path, before.since, before.end)
 
             def simulated(before: Run = before, left: PermanentState | None = left) -> PermanentState | None:
                 return simulate(scene, before.poses, step_times(0.0, before.end, dt), left=left).left
@@ -69,19 +74,21 @@ class LeftBefore:
         return left
 
     def along(
-        self, scene: Scene, run: Run, dt: float, refine: int, along: Sequence[Direction], shared: Sequence[int]
+        self, scene: Scene, run: Run, dt: float, refine: int, along: Sequence[Direction]
     ) -> PermanentState | None:
-        """The same with derivatives along directions, of those of them that are ``shared`` by all recordings: what one
-        recording has for itself, as the delay of its clock, does not change what others have left."""
+        """The same with derivatives along directions."""
         if not run.earlier or not lasting(scene):
             return None
         rig, left = scene.given, None
-        common = [replace(along[k], low=_mechanics(along[k].low), high=_mechanics(along[k].high)) for k in shared]
+        ways = [replace(d, low=_mechanics(d.low), high=_mechanics(d.high)) for d in along]
+        # A delay of a clock moves nothing, and what is kept serves recordings with delays of their own.
+        moving = [k for k, d in enumerate(ways) if _numbers(d.low) != _numbers(d.high)]
+        common = [ways[k] for k in moving]
         scene.use(_mechanics(rig))
         ends = [(d.name, d.width, _numbers(d.low), _numbers(d.high)) for d in common]
         key: object = (_numbers(scene.given), refine, dt, tuple(ends))
         for before in run.earlier:
-            key = (key, before.name, before.end)
+            key = (key, before.path, before.since, before.end)
 
             def simulated(before: Run = before, left: PermanentState | None = left) -> PermanentState | None:
                 times = step_times(0.0, before.end, dt)
@@ -89,7 +96,7 @@ class LeftBefore:
 
             left = self._kept(key, simulated)
         scene.use(rig)
-        return None if left is None else left.along(np.array(shared, dtype=int), len(along))
+        return None if left is None else left.along(np.array(moving, dtype=int), len(along))
 
     def _kept(self, key: object, simulated: Callable[[], PermanentState | None]) -> PermanentState | None:
         if key not in self._known:
@@ -111,7 +118,8 @@ def frozen_before(scene: Scene, run: Run, dt: float, amendments: Sequence[Amendm
     for before in run.earlier:
         times = step_times(0.0, before.end, dt)
         trace, _ = simulate_responses(scene, before.poses, times, [], last, left=left)
-        left = trace.left
+        # What amendments change of the recordings after is in their own internal variables.
+        left = None if trace.left is None else replace(trace.left, by_internals=None, by_x=None)
         for amendment in last:
             amendment.keep()
     scene.use(rig)

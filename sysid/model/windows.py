@@ -1,10 +1,10 @@
 """Windows of recordings: the presses that matter out of an hour, one to fit and another to hold out.
 
 A window is simulated by itself, beside others, from rest where the end effectors are at its first instant. That is true
-of what is held by end effectors or the world, if nothing moves and nothing touches then; what free bodies, plastic
-folds and relaxing gels remember of the time before is not in the data. A window that begins while something moves says
-so. So does one whose readings then are not those of rest: as they have changed since the start of the recording, so
-must they in simulations of both instants at rest, by the rig that was fitted.
+of what is held by end effectors or the world, if nothing moves and nothing touches then. History variables that stay
+come from the motion before (:mod:`sysid.model.sequence`); where free bodies lie, and what relaxes, does not. A window
+that begins while something moves says so. So does one whose readings then are not those of rest: as they have changed
+since the start of the recording, so must they in simulations of both instants at rest, by the rig that was fitted.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from sim_core.scene import build_scene
 from sim_core.simulate import simulate
 from sysid.model.marker_registration import placed
 from sysid.model.sensor_streams import predicted
+from sysid.model.sequence import LeftBefore
 from sysid.noise.estimate import channel_noise, moving
 from sysid.observations.observations import Change, Measured, Run
 from sysid.observations.rig_match import span_of
@@ -144,9 +145,12 @@ def not_from_rest(rig: Rig, run: Run) -> list[str]:
     scene.use(rig)
     at_first = {n: p.since(-run.since) for n, p in run.poses.items()}
     ends: list[Mapping[str, np.ndarray]] = []
-    for poses, since in ((at_first, 0.0), (run.poses, run.since)):
+    before = LeftBefore()
+    others = replace(run, earlier=tuple(r for r in run.earlier if r.path != run.path))
+    for poses, since, there in ((at_first, 0.0, others), (run.poses, run.since, run)):
         try:
-            trace = simulate(scene, poses, np.zeros(1))
+            left = before.of(scene, there, rig.solver.dt_s, 1)
+            trace = simulate(scene, poses, np.zeros(1), left=left)
         except ThinshellError as error:
             return [f"Whether the window begins at rest is not known: {error.problem}"]
         ends.append({c: predicted(trace, rig, c, np.zeros(1), since).ravel() for c in run.changes})

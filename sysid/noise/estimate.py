@@ -10,9 +10,9 @@ by the median of their size, so that jumps do not count (differences: Gasser, Sr
 73, 1986). They cannot see colour, and what the readings themselves do within four samples counts as noise. In the
 channels of simulated presses and rubs that have no rest and move fast, that adds 6 % on average and 16 % at most;
 second differences, in which a steady acceleration shows, see 9 % too much. Columns of a kind (forces,
-torques, markers) share one level and one colour. A stretch whose differences are far smaller than noise of its level
-and colour has is no rest, though no hand moves: something falls there. Readings that come in steps have at least the
-noise of their rounding, step / sqrt(12) (:mod:`sysid.noise.quantisation`).
+torques, markers) share one level and one colour. A stretch that is far above the declared noise and far smoother
+than such noise would be is no rest, though no hand moves: something falls there. Readings that come in steps have at
+least the noise of their rounding, step / sqrt(12) (:mod:`sysid.noise.quantisation`).
 
 A recording shows how much neighbouring samples scatter, but not what was smoothed, interpolated or rounded
 away before it was written: a much larger noise that the rig declares takes its place. So it does where every reading
@@ -74,12 +74,14 @@ are motion, not noise, and the noise is the declared one."""
 SMOOTHER = 0.1
 """Share of the differences that noise of the level and colour of a stretch has, from which the stretch is at rest."""
 
-FEW_TURNS = 6.0
-"""Times that readings cross their line in a stretch, up to which they may glide: noise that a filter has smoothed
-crosses it more often."""
+FEW_CROSSINGS = 6.0
+"""Zero crossings of readings beside a straight line, up to which a smooth stretch may be a trend."""
 
 HELD = 0.2
 """Share of readings that repeat the one before, from which differences say nothing of noise."""
+
+TRENDING = 100.0
+"""Standard deviation of a smooth stretch, over the declared noise, from which its readings are motion."""
 
 REPLACED_FROM = 2.0
 """A declared noise of this many times the estimated one takes the place of the latter altogether."""
@@ -257,7 +259,7 @@ def channel_noise(rig: Rig, runs: Sequence[Run], held_out: Sequence[Run] = ()) -
         if declared.all() and _far_apart(rig, runs, channel):
             found[channel] = as_declared(rig, next(m for run in runs for m in run.measured if m.channel == channel))
         else:
-            found[channel] = unless_larger(estimate_noise(list(runs), channel), declared)
+            found[channel] = unless_larger(estimate_noise(list(runs), channel, declared), declared)
     return found
 
 
@@ -344,13 +346,15 @@ def overruled(runs: Sequence[Run], noise: Mapping[str, ChannelNoise]) -> list[st
     return list(said.values())
 
 
-def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
-    """Noise of one channel over all runs that have it."""
+def estimate_noise(runs: list[Run], channel: str, declared: np.ndarray | None = None) -> ChannelNoise:
+    """Noise of one channel over all runs that have it. ``declared``: standard deviation by the rig
+    (:func:`declared_noise`), without which every stretch in which no hand moves is at rest."""
     found = [(r, m) for r in runs for m in r.measured if m.channel == channel]
     columns = found[0][1].values.shape[1]
     sigma, rho, white = np.zeros((3, columns))
     source = FROM_DIFFERENCES
-    common = _common(found)
+    given = np.broadcast_to(0.0 if declared is None else declared, columns)
+    common = _common(found, float(given[0]))
     for group in column_groups(found[0][1]):
         first: list[Stretch] = []
         rest: list[Stretch] = []
@@ -365,7 +369,7 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
             extent = max(extent, float(np.nanmax(np.nanmax(values, axis=0) - np.nanmin(values, axis=0))))
             jumps += by_differences(values, measured.t)
             at = in_sampling_intervals(measured.t)
-            for stretch, scatter in rests(run, values, measured.t):
+            for stretch, scatter in rests(run, values, measured.t, float(given[group[0]])):
                 (first if stretch[0] == 0 else rest).append(scatter)
                 if stretch[0] == 0:
                     begun.append((without_mistakes(values[stretch], at[stretch]), measured.t[stretch]))
@@ -396,11 +400,11 @@ def estimate_noise(runs: list[Run], channel: str) -> ChannelNoise:
     return ChannelNoise(sigma, rho, source, common=common, white=white)
 
 
-def _common(found: Sequence[tuple[Run, Measured]]) -> CommonMode | None:
-    """What the markers of the pictures have in common while nothing moves."""
+def _common(found: Sequence[tuple[Run, Measured]], declared: float) -> CommonMode | None:
+    """What the markers of the pictures have in common while nothing moves. ``declared``: noise [px]."""
     if found[0][1].kind != "tracks":
         return None
-    quiet_parts = [(m, stretch) for run, m in found for stretch, _ in rests(run, m.values, m.t)]
+    quiet_parts = [(m, stretch) for run, m in found for stretch, _ in rests(run, m.values, m.t, declared)]
     begun = [(m, stretch) for m, stretch in quiet_parts if stretch[0] == 0]
     return common_mode([(m.values[stretch], m.t[stretch]) for m, stretch in begun or quiet_parts])
 
@@ -416,23 +420,27 @@ def by_differences(values: np.ndarray, t: np.ndarray) -> list[float]:
     return [1.4826 * float(np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0)] if len(third) else []
 
 
-def rests(run: Run, values: np.ndarray, t: np.ndarray) -> list[tuple[np.ndarray, Stretch]]:
+def rests(run: Run, values: np.ndarray, t: np.ndarray, declared: float) -> list[tuple[np.ndarray, Stretch]]:
     """Stretches of sample indices in which every end effector stands still and readings ``(n, m)`` of one unit at the
-    times ``t`` [s] do not move, with the noise in each."""
+    times ``t`` [s] follow no trend (:func:`has_trend`), with the noise in each. ``declared``: noise of the readings."""
     at, found = in_sampling_intervals(t), []
     for stretch in quiet(run, t):
         scatter = scatter_of(values[stretch], at[stretch])
-        if scatter is not None and not glides(values[stretch], t[stretch], scatter):
+        if scatter is not None and not (
+            0.0 < TRENDING * declared < scatter.level and has_trend(values[stretch], t[stretch], scatter)
+        ):
             found.append((stretch, scatter))
     return found
 
 
-def glides(values: np.ndarray, t: np.ndarray, scatter: Stretch) -> bool:
+def has_trend(values: np.ndarray, t: np.ndarray, scatter: Stretch) -> bool:
     """Whether readings ``(n, m)`` at the times ``t`` [s] are far smoother than noise of their level and colour, and
-    cross their line a few times only. Third differences of noise with variance ``sigma^2`` and correlation ``rho^k``
-    have the variance
+    have few zero crossings beside a straight line. Third differences of noise with variance ``sigma^2`` and correlation
+    ``rho^k`` have the variance
 
         sigma^2 (20 - 30 rho + 12 rho^2 - 2 rho^3).
+
+    Noise that was smoothed by a filter looks the same in a short stretch: nobody but the rig can tell.
     """
     differences = by_differences(values, t)
     repeated = np.diff(values, axis=0) == 0.0
@@ -443,8 +451,8 @@ def glides(values: np.ndarray, t: np.ndarray, scatter: Stretch) -> bool:
     if differences[0] >= SMOOTHER * expected:
         return False
     beside = beside_line(values, in_sampling_intervals(t))
-    turns, weight = np.sum(beside[1:] * beside[:-1] < 0.0, axis=0), np.sum(beside**2, axis=0)
-    return float(turns @ weight) <= FEW_TURNS * float(weight.sum())
+    crossings, weight = np.sum(beside[1:] * beside[:-1] < 0.0, axis=0), np.sum(beside**2, axis=0)
+    return float(crossings @ weight) <= FEW_CROSSINGS * float(weight.sum())
 
 
 def _quantile(values: list[float], weights: list[int], share: float) -> float:

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim_core.permanent_state import lasting
 from sim_core.rigs import parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene import build_scene
 from sysid.model.parameters import fit_parameters, rig_at, start_of
 from sysid.model.predictor import SerialPredictor
 from sysid.model.sequence import earlier_motion
@@ -20,8 +22,8 @@ BEND_S = 0.4
 STAMPS = np.linspace(0.02, BEND_S, 15)
 
 
-def strip(**effects):
-    """A strip that two hands hold by its ends, upright so that its weight does not bend it."""
+def strip(beside=None, **effects):
+    """A strip that two hands hold by its ends, upright so that its weight does not bend it; bodies ``beside`` it."""
     ends = {"left": [-0.05, -0.04], "right": [0.04, 0.05]}
     return parse_rig(
         {
@@ -33,7 +35,8 @@ def strip(**effects):
                     "type": "sheet",
                     "shape": {"type": "rectangle", "length_m": 0.1, "width_m": 0.02, "cells": [10, 1]},
                     "material": {"E_pa": 2.0e9, "nu": 0.0, "thickness_m": 2.5e-4, "density_kg_m3": 700.0},
-                }
+                },
+                **(beside or {}),
             },
             "clamps": [
                 {"name": f"{h}_clamp", "body": "strip", "region": {"x_m": e}, "mount": h} for h, e in ends.items()
@@ -115,9 +118,18 @@ def test_a_set_goes_along_with_hands_that_begin_elsewhere():
     np.testing.assert_allclose(found, expected, atol=2e-4 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("effects", [YIELDS, RUBS])
-def test_derivatives_go_through_recordings_before(effects):
-    rig, predictor = strip(**effects), SerialPredictor()
+LOOSE = {
+    "type": "sheet",
+    "shape": {"type": "rectangle", "length_m": 0.02, "width_m": 0.02, "cells": [1, 1]},
+    "pose": {"position_m": [0.0, 0.0, 1.0]},
+    "material": {"E_pa": 2.0e9, "nu": 0.0, "thickness_m": 2.5e-4, "density_kg_m3": 700.0},
+}
+
+
+@pytest.mark.parametrize(("effects", "beside"), [(YIELDS, {}), (RUBS, {}), (YIELDS, {"loose": LOOSE})])
+def test_derivatives_go_through_recordings_before(effects, beside):
+    """Also beside a body that nothing holds, with which nothing settles."""
+    rig, predictor = strip(beside, **effects), SerialPredictor()
     _, weak = in_turn()
     ((name, numbers),) = effects.items()
     parameters = fit_parameters(rig, ["strip.E_pa", *(f"effects.{name}.{number}" for number in numbers)])
@@ -160,14 +172,18 @@ def test_recordings_before_are_simulated_once(monkeypatch):
 
 def test_the_order_is_that_of_the_stamps():
     first, second, third = (run_of(n, bend(0.2), t) for n, t in (("first", 1.0), ("second", 2.0), ("third", 3.0)))
-    beside = run_of("beside", bend(0.2), 2.2)
-    everything = [third, beside, first, second]
+    everything = [third, first, second]
     names = {run.name: [before.name for before in earlier_motion(everything, run)] for run in everything}
-    assert names == {
-        "first": [], "second": ["first"], "beside": ["first"], "third": ["first", "second", "beside"],
-    }  # fmt: skip
+    assert names == {"first": [], "second": ["first"], "third": ["first", "second"]}
     undated = replace(first, span_ns=None)
     assert earlier_motion([undated, second], second) == () == earlier_motion([undated, second], undated)
+
+
+def test_of_recordings_that_overlap_none_comes_before_another():
+    first, second, third = (run_of(n, bend(0.2), t) for n, t in (("first", 1.0), ("second", 2.0), ("third", 3.0)))
+    beside = run_of("beside", bend(0.2), 2.2)
+    assert earlier_motion([first, second, beside, third], third) == ()
+    assert [r.name for r in earlier_motion([first, second, beside, third], beside)] == ["first"]
 
 
 def test_a_part_of_a_recording_comes_after_what_was_before_it():
@@ -192,3 +208,34 @@ def test_what_a_law_would_have_left_is_looked_at_along_the_frozen_paths():
     assert float(found.ravel() @ true.ravel()) > 0.6 * np.linalg.norm(found) * np.linalg.norm(true)
     assert 0.5 < np.linalg.norm(found) / np.linalg.norm(true) < 2.0
     assert np.linalg.norm(alone) < 0.1 * np.linalg.norm(true)
+
+
+def test_laws_that_last_are_looked_at_beside_one_that_the_rig_has():
+    """Two sizes at once, after two recordings: what each leaves is its own."""
+    rig, predictor = strip(**YIELDS), SerialPredictor()
+    strong, weak = in_turn()
+    third = run_of("third", bend(0.3), 30.0)
+    third = replace(third, earlier=earlier_motion([strong, weak, third], third))
+    sizes = [{"bending_friction": {"share": share, "slip_curvature_per_m": 3.0}} for share in (0.2, 0.4)]
+    both = predictor.predict_responses(rig, third, [], np.zeros(0), sizes).derivatives["wrist"]
+    for k, size in enumerate(sizes):
+        alone = predictor.predict_responses(rig, third, [], np.zeros(0), [size]).derivatives["wrist"][..., 0]
+        np.testing.assert_allclose(both[..., k], alone, atol=1e-9 * np.abs(alone).max())
+
+
+def test_what_a_recording_has_for_itself_holds_before_it():
+    """Derivatives by a number of one recording alone are those of the same rollouts."""
+    rig, predictor = strip(**YIELDS), SerialPredictor()
+    _, weak = in_turn()
+    (shared,) = fit_parameters(rig, ["effects.bending_plasticity.yield_curvature_per_m"])
+    own = replace(shared, name=f"{shared.name}[weak]", bag="weak")
+    at = start_of(rig, [shared])
+    found, expected = (
+        predictor.predict_with_derivatives(rig, weak, [p], at).derivatives["wrist"] for p in (own, shared)
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_body_that_nothing_holds_begins_as_new():
+    rig = strip({"loose": LOOSE}, **YIELDS)
+    assert {term.split(".")[0] for term in lasting(build_scene(rig))} == {"strip"}
