@@ -30,7 +30,7 @@ from sysid.diagnosis.result import Diagnosis, Misfit, StructuredMisfit, Unreliab
 from sysid.diagnosis.screening import Score, Screen, look
 from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.validation import of_readings, seen_by_both
-from sysid.diagnosis.verdict import WITHOUT_MISFIT, Case, Verdict, answers, decide, size_of
+from sysid.diagnosis.verdict import WITHOUT_MISFIT, Case, Verdict, answers, cut_off, decide, size_of
 from sysid.discretisation.refinement import coarse_quantities, error_sizes
 from sysid.fit.marker_field import marker_fields
 from sysid.fit.result import plot_series, rms_errors
@@ -175,11 +175,13 @@ def _confirmed(
     base: Baseline, trials: list[Trial], case: Case, failed: dict[str, str], tell: Progress
 ) -> tuple[Verdict, list[Trial]]:
     """The verdict, with every set of effects that it names fitted to the end, beside the reference model where there is
-    one."""
+    one. Where none is named, the one with most evidence is: a refit that was cut off may be no answer yet."""
     verdict = decide(trials, case)
-    while not all(t.confirmed for t in verdict.named):
+    while True:
+        wanted = [t for t in verdict.named if not t.confirmed] or cut_off(trials, verdict, case)
+        if not wanted:
+            break
         tell(0.9, "the answer" if base.reference is None else "the answer with finer cells")
-        wanted = [t for t in verdict.named if not t.confirmed]
         found = [confirmed(base, t, failed) for t in wanted]
         others = [t for t in trials if t not in wanted]
         trials = tempered(base, [*others, *(t for t in found if t is not None)])

@@ -165,6 +165,17 @@ def _taken_away(part: Trial, whole: Trial) -> float:
     )
 
 
+def cut_off(trials: Sequence[Trial], verdict: Verdict, case: Case) -> list[Trial]:
+    """Where the verdict is that something unknown is missing, the set of effects with most evidence, if there is enough
+    of it and its refit was cut off before it converged."""
+    if verdict.kind != "unknown" or verdict.named:
+        return []
+    best = max((t for t in trials if not t.failure), key=lambda t: t.gain, default=None)
+    if best is None or best.confirmed or best.fitted.converged or best.gain < case.needed:
+        return []
+    return [best]
+
+
 def size_of(trial: Trial) -> float:
     """Share of the structured misfit that is gone, the smaller of that on the recordings given and held out."""
     return min(trial.explained, 1.0 if trial.explained_there is None else trial.explained_there)

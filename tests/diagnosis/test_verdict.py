@@ -24,7 +24,7 @@ from sysid.diagnosis.evidence import (
 from sysid.diagnosis.refits import Trial, in_pose_noise
 from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.result import Located
-from sysid.diagnosis.verdict import Case, decide, needless, probabilities, rejected
+from sysid.diagnosis.verdict import Case, cut_off, decide, needless, probabilities, rejected
 from sysid.diagnosis.wording import sentence
 from sysid.model.parameters import FitParameter
 from sysid.noise.channel_noise import ChannelNoise
@@ -209,6 +209,26 @@ def test_the_distance_from_none_is_that_of_the_size_which_is_farthest() -> None:
     expected = np.abs(at / uncertainty(fitted).sd).max()
     assert distance_from_none(h, fitted, uncertainty(fitted)) == pytest.approx(expected)
     assert expected == pytest.approx(4.0, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("gain", "converged", "confirmed", "before", "goes_on"),
+    [
+        (400.0, False, False, LOUD, True),
+        (400.0, True, False, LOUD, False),
+        (400.0, False, True, LOUD, False),
+        (3.0, False, False, LOUD, False),
+        (400.0, False, False, QUIET, False),
+    ],
+)
+def test_what_was_cut_off_is_fitted_on_before_the_unknown_is_told(gain, converged, confirmed, before, goes_on) -> None:
+    """A refit that predicts worse where it was cut off, with evidence enough."""
+    case = Case(before, None, 4.0)
+    fitted = cast(Fitted, SimpleNamespace(converged=converged))
+    best = replace(trial("air_drag", gain, held_out=-0.1), fitted=fitted, confirmed=confirmed)
+    other = replace(trial("stream_delay", 1.0, held_out=-0.1), fitted=fitted)
+    trials = [other, best]
+    assert cut_off(trials, decide(trials, case), case) == ([best] if goes_on else [])
 
 
 def test_what_only_held_out_recordings_show_is_missing_too():
