@@ -144,11 +144,37 @@ def _ahead(
 ) -> list[Start]:
     """The starts of the sets that simulations there explain best, at most :data:`IN_FULL` sets.
 
-    Where the baseline has taken up part of an effect, the way back to its own values is long and not straight, so what
-    one more linear step of its parameters takes away of the misfit does not count.
+    Where the baseline has taken up part of an effect, the way back to its own values is long and not straight. So what
+    one more linear step of its parameters takes away of the misfit does not count, and each of these sets is simulated
+    with the rig's own values of them as well.
     """
-    if len({s.names for s in starts}) <= IN_FULL and len(starts) <= IN_FULL:
-        return list(starts)
+    few = len({s.names for s in starts}) <= IN_FULL and len(starts) <= IN_FULL
+    lost: dict[frozenset[str], str] = {}
+    found = [] if few else _simulated(base, begun, starts, scales, lost)
+    best = list(starts) if few else _least_of_each(found)[:IN_FULL]
+    if not any(s.earlier for s in best):
+        home = start_of(begun.centre, begun.parameters) - begun.scaled
+        further = [*(best if few else ()), *(replace(s, shift=home) for s in best)]
+        found += _simulated(base, begun, further, scales, lost)
+        names = {s.names for s in best}
+        best = _least_of_each([pair for pair in found if pair[1].names in names])
+    done = {s.names for s in best} | {s.names for _, s in found}
+    failed.update({" and ".join(sorted(n)): why for n, why in lost.items() if n not in done})
+    return best
+
+
+def _least_of_each(found: Sequence[tuple[float, Start]]) -> list[Start]:
+    """The start of each set that leaves the least, best first."""
+    best: dict[frozenset[str], Start] = {}
+    for _, start in sorted(found, key=lambda pair: pair[0]):
+        best.setdefault(start.names, start)
+    return list(best.values())
+
+
+def _simulated(
+    base: Baseline, begun: Fitted, starts: Sequence[Start], scales: RecordingScales, lost: dict[frozenset[str], str]
+) -> list[tuple[float, Start]]:
+    """The starts that can be simulated, with what each leaves (:func:`_least`); ``lost`` is told why others cannot."""
     jobs = []
     for start in starts:
         centre, parameters, at = _begun_at(begun, start, scales)
@@ -160,14 +186,10 @@ def _ahead(
         try:
             residual = base.problem.assemble([job.result() for job in row], [], at).residual
         except ThinshellError as error:
-            failed[" and ".join(sorted(start.names))] = f"could not be simulated: {error}"
+            lost[start.names] = f"could not be simulated: {error}"
             continue
         found.append((_least(begun, residual), start))
-    found.sort(key=lambda pair: pair[0])
-    best: dict[frozenset[str], Start] = {}
-    for _, start in found:
-        best.setdefault(start.names, start)
-    return list(best.values())[:IN_FULL]
+    return found
 
 
 def _least(begun: Fitted, residual: np.ndarray) -> float:
