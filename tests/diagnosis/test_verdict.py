@@ -11,6 +11,7 @@ import pytest
 
 from sim_core.effects import effect_by_name
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.diagnosis import refits
 from sysid.diagnosis.candidates import Amplitude, Hypothesis
 from sysid.diagnosis.evidence import (
     deviations,
@@ -21,12 +22,12 @@ from sysid.diagnosis.evidence import (
     log_likelihood_ratio,
     significance,
 )
-from sysid.diagnosis.refits import Trial, in_pose_noise
+from sysid.diagnosis.refits import Start, Trial, in_pose_noise
 from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.result import Located
 from sysid.diagnosis.verdict import Case, cut_off, decide, needless, probabilities, rejected
 from sysid.diagnosis.wording import sentence
-from sysid.model.parameters import FitParameter
+from sysid.model.parameters import FitParameter, fit_parameters, start_of
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Run
@@ -423,3 +424,26 @@ def test_an_answer_that_predicts_one_quantity_worse_is_none() -> None:
     assert decide([trial("air_drag", 700.0)], case).kind == "named"
     assert decide([best], case).kind == "unknown"
     assert rejected(best, case) == "it predicts worse: the force of wrench in rec_04, 0.0147 -> 0.0186 N"
+
+
+def test_a_refit_begins_at_the_numbers_of_the_rig_where_they_explain_more(small_rig, monkeypatch) -> None:
+    """The baseline has bent a modulus; where a start goes beside no other effect, the rig's own is tried too."""
+    rig = small_rig()
+    parameters = fit_parameters(rig, ["gel.E_pa"])
+    own = start_of(rig, parameters)
+    begun = cast(Fitted, SimpleNamespace(centre=rig, parameters=parameters, scaled=own + 0.3))
+    bent, straight = (Start((hypothesis(n),), (np.ones(1),), np.zeros(1)) for n in ("air_drag", "gel_relaxation"))
+    left = {("air_drag", False): 5.0, ("air_drag", True): 2.0}
+    left |= {("gel_relaxation", False): 3.0, ("gel_relaxation", True): 9.0}
+
+    def simulated(base, begun, starts, scales, lost):
+        at_home = [(s, bool(np.allclose(begun.scaled + s.shift, own))) for s in starts]
+        return [(left[(s.hypotheses[0].effect.name, home)], s) for s, home in at_home]
+
+    monkeypatch.setattr(refits, "_simulated", simulated)
+    found = refits._ahead(cast(Any, None), begun, [bent, straight], cast(Any, None), {})
+    assert [(set(s.names), float(s.shift[0])) for s in found] == [
+        ({"air_drag"}, pytest.approx(-0.3)), ({"gel_relaxation"}, 0.0),
+    ]  # fmt: skip
+    beside = replace(bent, earlier=(hypothesis("gel_relaxation"),))
+    assert refits._ahead(cast(Any, None), begun, [beside], cast(Any, None), {}) == [beside]
