@@ -32,21 +32,19 @@ MOST = 64
 def earlier_motion(whole: Iterable[Run], run: Run) -> tuple[Run, ...]:
     """Motion, without readings, of the ``whole`` recordings that came before a run, in their order, and of its own
     recording before it where it is a part of one."""
-    span, before = run.span_ns, []
+    span = run.span_ns
     if span is None:
         return ()
-    for other in whole:
-        if other.path == run.path:
-            if run.since > 0.0:
-                before.append((span[0], replace(other, end=run.since)))
-        elif other.span_ns is not None and other.span_ns[1] <= span[0]:
-            before.append((other.span_ns[0], other))
-    before.sort(key=lambda found: found[0])
-    ends = [r.span_ns[1] for _, r in before if r.span_ns is not None and r.path != run.path]
-    begins = [begin for begin, r in before if r.path != run.path]
-    if any(later < end for end, later in zip(ends, begins[1:], strict=False)):
+    dated = [(r.span_ns, r) for r in whole if r.span_ns is not None]
+    others = sorted((d for d in dated if d[1].path != run.path and d[0][0] < span[1]), key=lambda d: d[0][0])
+    ends = [0, *(end for (_, end), _ in others)]
+    begins = [*(begin for (begin, _), _ in others), span[0]]
+    if any(begin < end for begin, end in zip(begins, ends, strict=True)):
         return ()
-    return tuple(replace(r, measured=(), firsts={}, notes=(), counted=(), changes={}) for _, r in before)
+    before = [r for _, r in others]
+    if run.since > 0.0:
+        before += [replace(r, end=run.since) for _, r in dated if r.path == run.path]
+    return tuple(replace(r, measured=(), firsts={}, notes=(), counted=(), changes={}) for r in before)
 
 
 class LeftBefore:
