@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
@@ -31,6 +31,9 @@ EVALUATIONS = 5
 
 IN_FULL = 3
 """Sets that are refitted: those that simulations at their starts explain best."""
+
+SECOND = 1
+"""Further starts of the best of these sets that are refitted."""
 
 TOLERANCE = 5.0
 """Improvement of chi-square, in units of the misfit, below which a refit ends."""
@@ -63,6 +66,11 @@ class Start:
     @property
     def names(self) -> frozenset[str]:
         return frozenset(h.effect.name for h in self.whole)
+
+    @property
+    def origin(self) -> Hashable:
+        """Points of the grids of :mod:`sysid.diagnosis.candidates` that it begins at."""
+        return tuple((h.key, tuple(h.shape.items()), tuple(a.typical for a in h.amplitudes)) for h in self.hypotheses)
 
 
 @dataclass(frozen=True)
@@ -142,7 +150,8 @@ def _begun_at(begun: Fitted, start: Start, scales: RecordingScales) -> tuple[Rig
 def _ahead(
     base: Baseline, begun: Fitted, starts: Sequence[Start], scales: RecordingScales, failed: dict[str, str]
 ) -> list[Start]:
-    """The starts of the sets that simulations there explain best, at most :data:`IN_FULL` sets.
+    """The starts of the sets that simulations there explain best, at most :data:`IN_FULL` sets, and :data:`SECOND` more
+    of the first of them, with another shape: near a snap the best start may end in a branch that no refit leaves.
 
     Where the baseline has taken up part of an effect, the way back to its own values is long and not straight. So what
     one more linear step of its parameters takes away of the misfit does not count, and each of these sets is simulated
@@ -151,23 +160,28 @@ def _ahead(
     few = len({s.names for s in starts}) <= IN_FULL and len(starts) <= IN_FULL
     lost: dict[frozenset[str], str] = {}
     found = [] if few else _simulated(base, begun, starts, scales, lost)
-    best = list(starts) if few else _least_of_each(found)[:IN_FULL]
-    if not any(s.earlier for s in best):
+    chosen = list(starts)
+    if not few:
+        chosen = _least_of_each(found, lambda s: s.names)[:IN_FULL]
+        known = {s.origin for s in chosen}
+        others = [s for s in _least_of_each(found, lambda s: s.origin) if s.origin not in known]
+        chosen += [s for s in others if s.names == chosen[0].names][:SECOND]
+    if not any(s.earlier for s in chosen):
         home = start_of(begun.centre, begun.parameters) - begun.scaled
-        further = [*(best if few else ()), *(replace(s, shift=home) for s in best)]
+        further = [*(chosen if few else ()), *(replace(s, shift=home) for s in chosen)]
         found += _simulated(base, begun, further, scales, lost)
-        names = {s.names for s in best}
-        best = _least_of_each([pair for pair in found if pair[1].names in names])
-    done = {s.names for s in best} | {s.names for _, s in found}
+        origins = {s.origin for s in chosen}
+        chosen = _least_of_each([pair for pair in found if pair[1].origin in origins], lambda s: s.origin)
+    done = {s.names for s in chosen} | {s.names for _, s in found}
     failed.update({" and ".join(sorted(n)): why for n, why in lost.items() if n not in done})
-    return best
+    return chosen
 
 
-def _least_of_each(found: Sequence[tuple[float, Start]]) -> list[Start]:
-    """The start of each set that leaves the least, best first."""
-    best: dict[frozenset[str], Start] = {}
+def _least_of_each(found: Sequence[tuple[float, Start]], kind: Callable[[Start], Hashable]) -> list[Start]:
+    """The start of each kind that leaves the least, best first."""
+    best: dict[Hashable, Start] = {}
     for _, start in sorted(found, key=lambda pair: pair[0]):
-        best.setdefault(start.names, start)
+        best.setdefault(kind(start), start)
     return list(best.values())
 
 

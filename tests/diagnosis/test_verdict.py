@@ -447,3 +447,22 @@ def test_a_refit_begins_at_the_numbers_of_the_rig_where_they_explain_more(small_
     ]  # fmt: skip
     beside = replace(bent, earlier=(hypothesis("gel_relaxation"),))
     assert refits._ahead(cast(Any, None), begun, [beside], cast(Any, None), {}) == [beside]
+
+
+def test_the_best_set_is_refitted_from_two_shapes(small_rig, monkeypatch) -> None:
+    rig = small_rig()
+    parameters = fit_parameters(rig, ["gel.E_pa"])
+    begun = cast(Fitted, SimpleNamespace(centre=rig, parameters=parameters, scaled=start_of(rig, parameters)))
+    names = ("gel_relaxation", "gel_relaxation", "gel_relaxation", "air_drag", "stream_delay", "camera_drift")
+    left = dict(enumerate((4.0, 2.0, 3.0, 5.0, 6.0, 7.0)))
+    starts = [
+        Start((replace(hypothesis(n), shape={"tau_s": float(k)}),), (np.ones(1),), np.zeros(1))
+        for k, n in enumerate(names)
+    ]
+
+    def simulated(base, begun, starts, scales, lost):
+        return [(left[int(s.hypotheses[0].shape["tau_s"])], s) for s in starts]
+
+    monkeypatch.setattr(refits, "_simulated", simulated)
+    found = refits._ahead(cast(Any, None), begun, starts, cast(Any, None), {})
+    assert [s.hypotheses[0].shape["tau_s"] for s in found] == [1.0, 2.0, 3.0, 4.0]
