@@ -84,7 +84,7 @@ def unpredictable(
 ) -> list[Unpredictable]:
     """Spans in which an ensemble about a fitted model disagrees. ``derived``: predictions of the runs by the model,
     with derivatives by its parameters; ``refined``: by run and channel, what refinements change ``(n, m)``."""
-    points = _members(model)
+    points = members_of(model)
     pending = [
         [engine.submit(rig_in(model.centre, model.parameters, at, run.name), run) for run in runs] for at in points
     ]
@@ -127,7 +127,7 @@ def _joined(spans: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], 
     return tuple(found)
 
 
-def _members(model: Fitted) -> list[np.ndarray]:
+def members_of(model: Fitted) -> list[np.ndarray]:
     """Scaled values ``(p,)`` of the ensemble. What is hardly known by itself, as the place of a ball and its turn about
     a point of it are, goes together as the recordings say: only so can nobody tell the members apart."""
     rng = np.random.default_rng(0)

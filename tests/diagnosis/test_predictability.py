@@ -15,7 +15,7 @@ from sim_core.rigs import Rig
 from sim_core.simulate import Trace
 from sysid.diagnosis.baseline import best_branch, fine_enough
 from sysid.diagnosis.beliefs import believed
-from sysid.diagnosis.predictability import RINGS_S, Unpredictable, _joined, _members, unpredictable, without
+from sysid.diagnosis.predictability import RINGS_S, Unpredictable, _joined, members_of, unpredictable, without
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
@@ -173,7 +173,7 @@ def test_members_are_what_the_recordings_cannot_tell_apart(small_rig: Callable[.
     run = Run("run", "", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), float(T[-1]))
     noise = {"gauge": ChannelNoise(np.array([SIGMA]), np.zeros(1), "test")}
     fitted = Problem([run], noise, cast(Any, Sum()), prior=True).evaluate(rig, parameters, start)
-    away = np.array(_members(fitted)) - fitted.scaled
+    away = np.array(members_of(fitted)) - fitted.scaled
     assert np.abs(away[:, 0]).max() > 0.2, "as far as what is known beforehand"
     assert np.abs(away.sum(axis=1)).max() < 0.05
     np.testing.assert_allclose(away.sum(axis=0), 0.0, atol=1e-9)

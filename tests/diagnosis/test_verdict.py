@@ -466,3 +466,30 @@ def test_the_best_set_is_refitted_from_two_shapes(small_rig, monkeypatch) -> Non
     monkeypatch.setattr(refits, "_simulated", simulated)
     found = refits._ahead(cast(Any, None), begun, starts, cast(Any, None), {})
     assert [s.hypotheses[0].shape["tau_s"] for s in found] == [1.0, 2.0, 3.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("nominal", "members", "stands"),
+    [
+        (900.0, [850.0, 120.0, 110.0, 700.0], 110.0),  # it snaps the other way in two of them
+        (900.0, [850.0, 700.0, 600.0, 500.0], 900.0),  # nothing snaps: the model is wrong
+        (190.0, [10.0, 10.0, 10.0, 10.0], 190.0),  # it predicts well enough: nobody looks
+    ],
+)
+def test_which_way_a_strip_snaps_does_not_speak_against_a_model(
+    small_rig, monkeypatch, nominal, members, stands
+) -> None:
+    rig = small_rig()
+    parameters = fit_parameters(rig, ["gel.E_pa"])
+    at = start_of(rig, parameters)
+    ways = [at + 0.01 * (k + 1) for k in range(len(members))]
+    monkeypatch.setattr(refits, "members_of", lambda fitted: ways)
+    chi2 = {round(float(at[0]), 6): nominal} | {round(float(w[0]), 6): c for w, c in zip(ways, members, strict=True)}
+
+    def evaluate(rig, *rest):
+        return SimpleNamespace(chi2=chi2[round(float(start_of(rig, parameters)[0]), 6)])
+
+    check = cast(Any, SimpleNamespace(runs=[1], evaluate=evaluate))
+    base = cast(Any, SimpleNamespace(there=SimpleNamespace(chi2=100.0)))
+    found = refits.predicted(base, check, cast(Fitted, SimpleNamespace(rig=rig, parameters=parameters, scaled=at)))
+    assert found is not None and found.chi2 == stands
