@@ -31,7 +31,7 @@ def inspect(
     """
     from sim_core.rigs import load_rig
     from sim_core.rigs.trajectory import PoseTrajectory
-    from sysid.noise.estimate import standing_still
+    from sysid.noise.stillness import standing_still
     from sysid.observations.checks import examine
     from sysid.observations.rig_match import check_topics, places_of_topics
     from sysid.observations.rig_topics import topics_of

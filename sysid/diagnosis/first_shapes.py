@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.diagnosis.residual_analysis import off_by
-from sysid.noise.estimate import moving
+from sysid.noise.stillness import moving
 from sysid.observations.observations import Measured, Run
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

@@ -19,7 +19,8 @@ from sim_core.rigs.motion import Experiment, Waypoints
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.diagnosis.residual_analysis import structure
 from sysid.diagnosis.result import NamedParameter
-from sysid.noise.estimate import column_groups, moving, undeclared
+from sysid.noise.estimate import column_groups, undeclared
+from sysid.noise.stillness import moving
 from sysid.observations.observations import Run
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

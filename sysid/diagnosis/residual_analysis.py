@@ -15,7 +15,8 @@ import numpy as np
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.diagnosis.result import Located, LocatedChannel
 from sysid.noise.channel_noise import ChannelNoise
-from sysid.noise.estimate import moving, quantities
+from sysid.noise.estimate import quantities
+from sysid.noise.stillness import moving
 from sysid.observations.observations import Measured, Run
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem

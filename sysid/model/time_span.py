@@ -15,7 +15,7 @@ from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.simulate import step_times
 from sysid.model.sensor_streams import total_delay
-from sysid.noise.estimate import moving
+from sysid.noise.stillness import moving
 from sysid.observations.observations import Measured, Run
 
 LAST_S = 1.0

@@ -22,7 +22,8 @@ from sim_core.simulate import simulate
 from sysid.model.marker_registration import placed
 from sysid.model.sensor_streams import predicted
 from sysid.model.sequence import LeftBefore
-from sysid.noise.estimate import channel_noise, moving
+from sysid.noise.estimate import channel_noise
+from sysid.noise.stillness import moving
 from sysid.observations.observations import Change, Measured, Run
 from sysid.observations.rig_match import span_of
 from sysid.observations.selection import Part

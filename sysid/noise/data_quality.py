@@ -8,7 +8,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sim_core.rigs import Rig
-from sysid.noise.estimate import by_differences, declared_noise, moves, quantities, quiet
+from sysid.noise.estimate import by_differences, declared_noise, quantities
+from sysid.noise.stillness import moves, quiet
 from sysid.observations.observations import UNITS, Measured, Run
 from sysid.recording.notes import plural
 

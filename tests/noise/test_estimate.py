@@ -8,7 +8,8 @@ from scipy.signal import butter, lfilter
 
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.noise.channel_noise import ChannelNoise
-from sysid.noise.estimate import FROM_DIFFERENCES, by_differences, estimate_noise, moves, moving, quiet, standing_still
+from sysid.noise.estimate import FROM_DIFFERENCES, by_differences, estimate_noise
+from sysid.noise.stillness import moves, moving, quiet, standing_still
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
 

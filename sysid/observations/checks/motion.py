@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.noise.estimate import by_differences, still_at
+from sysid.noise.estimate import by_differences
+from sysid.noise.stillness import still_at
 from sysid.recording import Recording
 from sysid.recording.streams import WrenchStream
 

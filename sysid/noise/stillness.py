@@ -1,0 +1,172 @@
+"""When the hands of a recording stand still, move or creep, by poses that have noise."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.noise.scatter import MIN_REST_SAMPLES
+from sysid.observations.observations import Run
+
+REST_MARGIN_S = 0.15
+"""Time after the end of a motion that is not counted as quiet."""
+
+STILL_WINDOW_S = 0.1
+"""Time over which noisy poses are averaged to see whether they move."""
+
+STILL_WITHIN = np.repeat([1e-5, 1e-4], 3)
+"""Shift [m] and turn [rad] in that time from which something moves (0.1 mm/s, 1 mrad/s), and in a whole stretch from
+which it creeps: less than arms repeat (20 to 100 um), and on a pad of 1 N/mm about the noise of a force sensor."""
+
+SEEN_AS_SPEED = 6.0
+"""The least way from one pose to the next that counts as motion, over the noise, from which neighbours tell it: 4
+standard deviations of their difference."""
+
+CREEP_WINDOW_S = 1.0
+"""Time in which what is slower may get as far as that."""
+
+
+def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:
+    """Stretches of sample indices in which every end effector stands still: none moves (:func:`moving`) or creeps
+    (:func:`creeping`)."""
+    return [stretch for stretch in _stretches(still_at(run.poses.values(), t)) if len(stretch) >= MIN_REST_SAMPLES]
+
+
+def still_at(poses: Collection[PoseTrajectory], t: np.ndarray) -> np.ndarray:
+    """At which of the times [s] ``(n,)`` every end effector stands still, and has done so for :data:`REST_MARGIN_S`."""
+    still = np.ones(len(t), dtype=bool)
+    for trajectory in poses:
+        spans = np.array(moving(trajectory)).reshape(-1, 2)
+        begun = np.bincount(np.searchsorted(t, spans[:, 0]), minlength=len(t) + 1)
+        over = np.bincount(np.searchsorted(t, spans[:, 1] + REST_MARGIN_S, side="right"), minlength=len(t) + 1)
+        still &= np.cumsum(begun - over)[:-1] == 0
+    for trajectory in poses:
+        path, noise = _path(trajectory)
+        for stretch in _stretches(still):
+            still[stretch] &= ~creeping(trajectory.times, path, noise, t[stretch])
+    return still
+
+
+def _stretches(mask: np.ndarray) -> list[np.ndarray]:
+    """Indices in a row at which ``mask`` holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _path(trajectory: PoseTrajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [m] and turns [rad] against the first pose ``(n, 6)``, and the noise of each."""
+    rotation = Rotation.from_quat(trajectory.quaternions)
+    path = np.column_stack([trajectory.positions, (rotation * rotation[0].inv()).as_rotvec()])
+    second = np.diff(path, n=2, axis=0)
+    return path, 1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0) if len(second) else np.zeros(6)
+
+
+def creeping(stamps: np.ndarray, path: np.ndarray, noise: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """At which of the times ``t`` ``(n,)`` of a stretch without motion an end effector creeps: it gets farther than
+    :data:`STILL_WITHIN` in the :data:`CREEP_WINDOW_S` about them, or in all that is left of the stretch, or drifts as
+    far in longer and longer windows.
+    ``stamps`` ``(k,)``, ``path`` ``(k, 6)``, ``noise`` ``(6,)``: its poses (:func:`_path`).
+
+    However slow a press is, what it does to readings is no noise. Noisy poses are averaged over
+    :data:`STILL_WINDOW_S`; ranges of up to 8 of the deviations that are left are no creep.
+    """
+    about = slice(max(int(np.searchsorted(stamps, t[0])) - 1, 0), int(np.searchsorted(stamps, t[-1], side="right")) + 1)
+    stamps, path = stamps[about], path[about]
+    times = np.unique(np.concatenate([t[:1], stamps[(stamps > t[0]) & (stamps < t[-1])], t[-1:]]))
+    place = np.column_stack([np.interp(times, stamps, column) for column in path.T])
+    total = np.concatenate([np.zeros((1, 6)), np.cumsum(place, axis=0)])
+    first, last = _within(times, STILL_WINDOW_S)
+    place = (total[last] - total[first]) / (last - first)[:, None]
+    limit = STILL_WITHIN + 8.0 * noise / np.sqrt(np.min(last - first))
+    first, last = _within(times, CREEP_WINDOW_S)
+    creeps = (np.abs(place[last - 1] - place[first]) > limit).any(axis=1)
+    for stretch in _stretches(~creeps):
+        creeps[stretch] = (np.ptp(place[stretch], axis=0) > limit).any()
+    half = CREEP_WINDOW_S
+    while half < times[-1] - times[0]:
+        creeps |= _drifts(times, place, noise, ~creeps, half)
+        half *= 2.0
+    return np.asarray(np.interp(t, times, creeps.astype(float)) > 0.0)
+
+
+def _drifts(times: np.ndarray, path: np.ndarray, noise: np.ndarray, still: np.ndarray, half: float) -> np.ndarray:
+    """At which of the times ``(n,)`` that are ``still`` the mean of the path ``(n, 6)`` over the time ``half`` [s]
+    before them is farther from that after them than :data:`STILL_WITHIN` and 4 of its standard deviations. What is not
+    still counts in neither, so that a rest beside a motion stays one."""
+    weight = np.concatenate([[0.0], np.cumsum(still)])
+    total = np.concatenate([np.zeros((1, 6)), np.cumsum(np.where(still[:, None], path, 0.0), axis=0)])
+    here = np.arange(len(times))
+    first, last = np.searchsorted(times, times - half), np.searchsorted(times, times + half, side="right")
+    before, after = weight[here + 1] - weight[first], weight[last] - weight[here]
+    both = still & (before > 0) & (after > 0)
+    change = np.zeros(path.shape)
+    change[both] = np.abs(
+        (total[last] - total[here])[both] / after[both, None]
+        - (total[here + 1] - total[first])[both] / before[both, None]
+    )
+    scatter = noise * np.sqrt(1.0 / np.maximum(before, 1.0) + 1.0 / np.maximum(after, 1.0))[:, None]
+    return np.asarray((change > STILL_WITHIN + 4.0 * scatter).any(axis=1))
+
+
+def _within(times: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
+    """The first, and one past the last, of the times in the window about each."""
+    return np.searchsorted(times, times - 0.5 * window), np.searchsorted(times, times + 0.5 * window, side="right")
+
+
+def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
+    """Spans of time [s] in which an end effector moves, faster than 0.1 mm/s or 1 mrad/s.
+
+    A measured pose has noise, which looks like speed between neighbouring samples. Where it does, the means
+    of :data:`STILL_WINDOW_S` before and after an instant are compared instead. A single pose is that of one that
+    stands still.
+    """
+    t = trajectory.times
+    if len(t) < 2:
+        return []
+    path, noise = _path(trajectory)
+    limit = STILL_WITHIN / STILL_WINDOW_S
+    pause = float(np.median(np.diff(t)))
+    if np.all(SEEN_AS_SPEED * noise < limit * pause):
+        busy = (np.abs(np.diff(path, axis=0)) > limit * np.diff(t)[:, None]).any(axis=1)
+        return [(float(t[k]), float(t[k + 1])) for k in np.flatnonzero(busy)]
+    total = np.concatenate([np.zeros((1, 6)), np.cumsum(path, axis=0)])
+    first, last = np.searchsorted(t, t - STILL_WINDOW_S), np.searchsorted(t, t + STILL_WINDOW_S, side="right")
+    here = np.arange(len(t))
+    before = (total[here + 1] - total[first]) / (here + 1 - first)[:, None]
+    after = (total[last] - total[here]) / (last - here)[:, None]
+    fewest = np.minimum(here + 1 - first, last - here)[:, None]
+    change = np.abs(after - before)
+    busy = (change > STILL_WITHIN + 4.0 * noise * np.sqrt(2.0 / fewest)).any(axis=1)
+    return [(float(t[k]) - pause, float(t[k]) + pause) for k in np.flatnonzero(busy)]
+
+
+def standing_still(trajectory: PoseTrajectory, least_s: float) -> list[tuple[float, float]]:
+    """Spans of time [s] of at least ``least_s`` in which an end effector stands still: it neither moves nor creeps,
+    however slowly and at whatever rate its poses come."""
+    t = trajectory.times
+    path, noise = _path(trajectory)
+    spans, since = [], float(t[0])
+    for begin, end in [*moving(trajectory), (float(t[-1]), float(t[-1]))]:
+        inside = t[(t >= since) & (t <= begin)]
+        if begin - since >= least_s and len(inside) > 1:
+            for stretch in _stretches(~creeping(t, path, noise, inside)):
+                # What a span lacks at its ends between two poses is none of motion.
+                low = since if stretch[0] == 0 else float(inside[stretch[0]])
+                high = begin if stretch[-1] == len(inside) - 1 else float(inside[stretch[-1]])
+                if high - low >= least_s:
+                    spans.append((low, high))
+        elif begin - since >= least_s:
+            spans.append((since, begin))
+        since = max(since, end)
+    return spans
+
+
+def moves(trajectory: PoseTrajectory) -> bool:
+    """Whether an end effector gets anywhere in all of the time that its poses are of, however slowly."""
+    if len(trajectory.times) < 2:
+        return False
+    path, noise = _path(trajectory)
+    return bool(moving(trajectory)) or bool(creeping(trajectory.times, path, noise, trajectory.times).any())
