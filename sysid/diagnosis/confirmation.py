@@ -16,8 +16,9 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sysid.diagnosis.baseline import Baseline
+from sysid.diagnosis.predictability import predicted_held_out
 from sysid.diagnosis.reference_model import added_at
-from sysid.diagnosis.refits import Trial, predicted, scored
+from sysid.diagnosis.refits import Trial, scored
 from sysid.model.parameters import rig_in
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
@@ -52,7 +53,7 @@ def confirmed(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | N
         there = None
         if check.runs:
             check.engine = engine(cast(SpaceMappedPredictor, check.engine), check.runs, fitted.scaled)
-            there = predicted(base, check, fitted)
+            there = predicted_held_out(check, base.there, fitted)
     except ThinshellError as error:
         failed[" and ".join(sorted(trial.names))] = f"could not be simulated with finer cells: {error}"
         return None

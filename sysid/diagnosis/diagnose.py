@@ -23,12 +23,13 @@ from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import hypotheses, recording_scales
 from sysid.diagnosis.confirmation import confirmed
 from sysid.diagnosis.next_motion import in_words, proposed
-from sysid.diagnosis.refits import Start, Trial, tempered, trials_of, without_idle
+from sysid.diagnosis.refits import Trial, tempered, trials_of, without_idle
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
 from sysid.diagnosis.residual_analysis import locate, structure
 from sysid.diagnosis.result import Diagnosis, Misfit, StructuredMisfit, UnreliablePlace
 from sysid.diagnosis.screening import Score, Screen, look
 from sysid.diagnosis.slots import slot_evidence
+from sysid.diagnosis.starts import Start
 from sysid.diagnosis.validation import of_readings, seen_by_both
 from sysid.diagnosis.verdict import WITHOUT_MISFIT, Case, Verdict, answers, cut_off, decide, size_of
 from sysid.discretisation.refinement import coarse_quantities, error_sizes

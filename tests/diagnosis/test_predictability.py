@@ -13,6 +13,7 @@ import pytest
 
 from sim_core.rigs import Rig
 from sim_core.simulate import Trace
+from sysid.diagnosis import predictability
 from sysid.diagnosis.baseline import best_branch, fine_enough
 from sysid.diagnosis.beliefs import believed
 from sysid.diagnosis.predictability import RINGS_S, Unpredictable, _joined, members_of, unpredictable, without
@@ -177,3 +178,31 @@ def test_members_are_what_the_recordings_cannot_tell_apart(small_rig: Callable[.
     assert np.abs(away[:, 0]).max() > 0.2, "as far as what is known beforehand"
     assert np.abs(away.sum(axis=1)).max() < 0.05
     np.testing.assert_allclose(away.sum(axis=0), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("nominal", "members", "stands"),
+    [
+        (900.0, [850.0, 120.0, 110.0, 700.0], 110.0),  # it snaps the other way in two of them
+        (900.0, [850.0, 700.0, 600.0, 500.0], 900.0),  # nothing snaps: the model is wrong
+        (190.0, [10.0, 10.0, 10.0, 10.0], 190.0),  # it predicts well enough: nobody looks
+    ],
+)
+def test_which_way_a_strip_snaps_does_not_speak_against_a_model(
+    small_rig, monkeypatch, nominal, members, stands
+) -> None:
+    rig = small_rig()
+    parameters = fit_parameters(rig, ["gel.E_pa"])
+    at = start_of(rig, parameters)
+    ways = [at + 0.01 * (k + 1) for k in range(len(members))]
+    monkeypatch.setattr(predictability, "members_of", lambda fitted: ways)
+    chi2 = {round(float(at[0]), 6): nominal} | {round(float(w[0]), 6): c for w, c in zip(ways, members, strict=True)}
+
+    def evaluate(rig, *rest):
+        return SimpleNamespace(chi2=chi2[round(float(start_of(rig, parameters)[0]), 6)])
+
+    check = cast(Any, SimpleNamespace(runs=[1], evaluate=evaluate))
+    plain = cast(Fitted, SimpleNamespace(chi2=100.0))
+    fitted = cast(Fitted, SimpleNamespace(rig=rig, parameters=parameters, scaled=at))
+    found = predictability.predicted_held_out(check, plain, fitted)
+    assert found is not None and found.chi2 == stands

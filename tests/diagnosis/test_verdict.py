@@ -11,7 +11,6 @@ import pytest
 
 from sim_core.effects import effect_by_name
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.diagnosis import refits
 from sysid.diagnosis.candidates import Amplitude, Hypothesis
 from sysid.diagnosis.evidence import (
     deviations,
@@ -22,12 +21,12 @@ from sysid.diagnosis.evidence import (
     log_likelihood_ratio,
     significance,
 )
-from sysid.diagnosis.refits import Start, Trial, in_pose_noise
+from sysid.diagnosis.refits import Trial, in_pose_noise
 from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.result import Located
 from sysid.diagnosis.verdict import Case, cut_off, decide, needless, probabilities, rejected
 from sysid.diagnosis.wording import sentence
-from sysid.model.parameters import FitParameter, fit_parameters, start_of
+from sysid.model.parameters import FitParameter
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Run
@@ -424,72 +423,3 @@ def test_an_answer_that_predicts_one_quantity_worse_is_none() -> None:
     assert decide([trial("air_drag", 700.0)], case).kind == "named"
     assert decide([best], case).kind == "unknown"
     assert rejected(best, case) == "it predicts worse: the force of wrench in rec_04, 0.0147 -> 0.0186 N"
-
-
-def test_a_refit_begins_at_the_numbers_of_the_rig_where_they_explain_more(small_rig, monkeypatch) -> None:
-    """The baseline has bent a modulus; where a start goes beside no other effect, the rig's own is tried too."""
-    rig = small_rig()
-    parameters = fit_parameters(rig, ["gel.E_pa"])
-    own = start_of(rig, parameters)
-    begun = cast(Fitted, SimpleNamespace(centre=rig, parameters=parameters, scaled=own + 0.3))
-    bent, straight = (Start((hypothesis(n),), (np.ones(1),), np.zeros(1)) for n in ("air_drag", "gel_relaxation"))
-    left = {("air_drag", False): 5.0, ("air_drag", True): 2.0}
-    left |= {("gel_relaxation", False): 3.0, ("gel_relaxation", True): 9.0}
-
-    def simulated(base, begun, starts, scales, lost):
-        at_home = [(s, bool(np.allclose(begun.scaled + s.shift, own))) for s in starts]
-        return [(left[(s.hypotheses[0].effect.name, home)], s) for s, home in at_home]
-
-    monkeypatch.setattr(refits, "_simulated", simulated)
-    found = refits._ahead(cast(Any, None), begun, [bent, straight], cast(Any, None), {})
-    assert [(set(s.names), float(s.shift[0])) for s in found] == [
-        ({"air_drag"}, pytest.approx(-0.3)), ({"gel_relaxation"}, 0.0),
-    ]  # fmt: skip
-    beside = replace(bent, earlier=(hypothesis("gel_relaxation"),))
-    assert refits._ahead(cast(Any, None), begun, [beside], cast(Any, None), {}) == [beside]
-
-
-def test_the_best_set_is_refitted_from_two_shapes(small_rig, monkeypatch) -> None:
-    rig = small_rig()
-    parameters = fit_parameters(rig, ["gel.E_pa"])
-    begun = cast(Fitted, SimpleNamespace(centre=rig, parameters=parameters, scaled=start_of(rig, parameters)))
-    names = ("gel_relaxation", "gel_relaxation", "gel_relaxation", "air_drag", "stream_delay", "camera_drift")
-    left = dict(enumerate((4.0, 2.0, 3.0, 5.0, 6.0, 7.0)))
-    starts = [
-        Start((replace(hypothesis(n), shape={"tau_s": float(k)}),), (np.ones(1),), np.zeros(1))
-        for k, n in enumerate(names)
-    ]
-
-    def simulated(base, begun, starts, scales, lost):
-        return [(left[int(s.hypotheses[0].shape["tau_s"])], s) for s in starts]
-
-    monkeypatch.setattr(refits, "_simulated", simulated)
-    found = refits._ahead(cast(Any, None), begun, starts, cast(Any, None), {})
-    assert [s.hypotheses[0].shape["tau_s"] for s in found] == [1.0, 2.0, 3.0, 4.0]
-
-
-@pytest.mark.parametrize(
-    ("nominal", "members", "stands"),
-    [
-        (900.0, [850.0, 120.0, 110.0, 700.0], 110.0),  # it snaps the other way in two of them
-        (900.0, [850.0, 700.0, 600.0, 500.0], 900.0),  # nothing snaps: the model is wrong
-        (190.0, [10.0, 10.0, 10.0, 10.0], 190.0),  # it predicts well enough: nobody looks
-    ],
-)
-def test_which_way_a_strip_snaps_does_not_speak_against_a_model(
-    small_rig, monkeypatch, nominal, members, stands
-) -> None:
-    rig = small_rig()
-    parameters = fit_parameters(rig, ["gel.E_pa"])
-    at = start_of(rig, parameters)
-    ways = [at + 0.01 * (k + 1) for k in range(len(members))]
-    monkeypatch.setattr(refits, "members_of", lambda fitted: ways)
-    chi2 = {round(float(at[0]), 6): nominal} | {round(float(w[0]), 6): c for w, c in zip(ways, members, strict=True)}
-
-    def evaluate(rig, *rest):
-        return SimpleNamespace(chi2=chi2[round(float(start_of(rig, parameters)[0]), 6)])
-
-    check = cast(Any, SimpleNamespace(runs=[1], evaluate=evaluate))
-    base = cast(Any, SimpleNamespace(there=SimpleNamespace(chi2=100.0)))
-    found = refits.predicted(base, check, cast(Fitted, SimpleNamespace(rig=rig, parameters=parameters, scaled=at)))
-    assert found is not None and found.chi2 == stands

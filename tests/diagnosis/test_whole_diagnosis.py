@@ -15,7 +15,7 @@ import pytest
 from sim_core.effects import effect_by_name
 from sim_core.errors import ConvergenceError
 from sim_core.rigs import Rig, parse_rig
-from sysid.diagnosis import baseline, candidates, held_out, refits
+from sysid.diagnosis import baseline, candidates, held_out, refits, starts
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.result import Diagnosis
 from sysid.diagnosis.wording import NOWHERE
@@ -340,7 +340,7 @@ def test_an_effect_goes_on_without_the_idle_one_beside_it(
         size = candidates.Amplitude(gradient.parameters[0], 0.0, 10.0)
         beside = candidates.Hypothesis(gradient.name, gradient, {"y_per_m": 0.0, "z_per_m": 0.0}, (size,))
         still = np.zeros(len(base.fitted.scaled))
-        start = refits.Start((*alone.hypotheses, beside), (np.array([0.3]), np.array([0.5])), still)
+        start = starts.Start((*alone.hypotheses, beside), (np.array([0.3]), np.array([0.5])), still)
         scales = candidates.recording_scales(base.problem.runs)
         (pair,) = refits.trials_of(base, base.fitted, [start], scales, failed)
         assert len(pair.names) == 2 and "stiffer" in pair.idle
