@@ -119,6 +119,18 @@ def fates(rig: Rig, verdict: Verdict, trials: Sequence[Trial], case: Case, scree
     return became
 
 
+def other_branch(trial: Trial) -> str:
+    """That recordings held out are predicted by other numbers than those of the answer
+    (:func:`sysid.diagnosis.predictability.predicted_held_out`), in words; '' where they are not."""
+    if trial.predicted is None or trial.predicted.rig == trial.fitted.rig:
+        return ""
+    return (
+        f"With '{trial.title}' at the fitted numbers a body snaps the other way in a recording held out. What is shown "
+        "there is the prediction by numbers that the recordings given cannot tell from these; the amended rig has the "
+        "fitted ones, and may snap the other way again."
+    )
+
+
 def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
     """What a reader should know of the baseline, and of answers, before believing the verdict."""
     fitted, problem = base.fitted, base.problem
@@ -128,6 +140,7 @@ def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
     for trial in verdict.named if verdict.kind != "unknown" else ():
         if not trial.fitted.converged:
             said.append(f"The fit with '{trial.title}' did not converge: {trial.fitted.message}.")
+    said += [snap for trial in verdict.named if (snap := other_branch(trial))]
     lasts = [t for t in verdict.named if any(h.effect.lasting for h in t.hypotheses)]
     earlier = [run.name for run in problem.runs if run.earlier]
     if lasts and earlier:

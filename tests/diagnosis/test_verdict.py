@@ -11,6 +11,7 @@ import pytest
 
 from sim_core.effects import effect_by_name
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.candidates import Amplitude, Hypothesis
 from sysid.diagnosis.evidence import (
     deviations,
@@ -22,11 +23,12 @@ from sysid.diagnosis.evidence import (
     significance,
 )
 from sysid.diagnosis.refits import Trial, in_pose_noise
+from sysid.diagnosis.report_notes import other_branch
 from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.result import Located
 from sysid.diagnosis.verdict import Case, cut_off, decide, needless, probabilities, rejected
 from sysid.diagnosis.wording import sentence
-from sysid.model.parameters import FitParameter
+from sysid.model.parameters import FitParameter, rig_at
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Run
@@ -229,6 +231,30 @@ def test_what_was_cut_off_is_fitted_on_before_the_unknown_is_told(gain, converge
     other = replace(trial("stream_delay", 1.0, held_out=-0.1), fitted=fitted)
     trials = [other, best]
     assert cut_off(trials, decide(trials, case), case) == ([best] if goes_on else [])
+
+
+@pytest.mark.parametrize("held_out", [0.3, -0.1])
+def test_what_was_cut_off_is_the_answer_if_it_predicts_once_it_is_fitted(monkeypatch, held_out) -> None:
+    best = replace(trial("air_drag", 400.0, held_out=-0.1), fitted=cast(Fitted, SimpleNamespace(converged=False)))
+    to_the_end = replace(best, held_out=held_out, confirmed=True)
+    monkeypatch.setattr(diagnosing, "confirmed", lambda base, trial, failed: to_the_end)
+    monkeypatch.setattr(diagnosing, "tempered", lambda base, trials: list(trials))
+    base = cast(Any, SimpleNamespace(reference=None))
+    verdict, trials = diagnosing._confirmed(base, [best], Case(LOUD, None, 4.0), {}, lambda share, text: None)
+    assert trials == [to_the_end]
+    assert verdict.kind == ("named" if held_out > 0.0 else "unknown")
+
+
+def test_numbers_that_predict_another_branch_than_the_answer_are_told(small_rig) -> None:
+    rig = small_rig()
+    fitted = cast(Fitted, SimpleNamespace(rig=rig_at(rig, [], np.zeros(0)), parameters=[]))
+    other = rig.model_copy(update={"gravity_m_s2": (0.0, 0.0, -9.8)})
+    same, elsewhere = (
+        replace(trial("air_drag", 40.0), fitted=fitted, predicted=cast(Fitted, SimpleNamespace(rig=r)))
+        for r in (rig, other)
+    )
+    assert other_branch(same) == "" == other_branch(trial("air_drag", 40.0))
+    assert "may snap the other way" in other_branch(elsewhere)
 
 
 def test_what_only_held_out_recordings_show_is_missing_too():
