@@ -10,7 +10,8 @@ they show different bodies, or were simulated, and none of them counts.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -58,18 +59,12 @@ class LeftBefore:
         came before. ``refine``: of the scene, to tell it from others."""
         if not run.earlier or not lasting(scene):
             return None
-        rig, left = scene.given, None
-        scene.use(_mechanics(rig))
-        key: object = (_numbers(scene.given), refine, dt)
-        for before in run.earlier:
-            key = (key, before.path, before.since, before.end)
 
-            def simulated(before: Run = before, left: PermanentState | None = left) -> PermanentState | None:
-                return simulate(scene, before.poses, step_times(0.0, before.end, dt), left=left).left
+        def rollout(before: Run, left: PermanentState | None) -> PermanentState | None:
+            return simulate(scene, before.poses, step_times(0.0, before.end, dt), left=left).left
 
-            left = self._kept(key, simulated)
-        scene.use(rig)
-        return left
+        with _mechanics_alone(scene):
+            return self._in_turn(run, (_numbers(scene.given), refine, dt), rollout)
 
     def along(
         self, scene: Scene, run: Run, dt: float, refine: int, along: Sequence[Direction]
@@ -77,50 +72,52 @@ class LeftBefore:
         """The same with derivatives along directions."""
         if not run.earlier or not lasting(scene):
             return None
-        rig, left = scene.given, None
         ways = [replace(d, low=_mechanics(d.low), high=_mechanics(d.high)) for d in along]
         # A delay of a clock moves nothing, and what is kept serves recordings with delays of their own.
         moving = [k for k, d in enumerate(ways) if _numbers(d.low) != _numbers(d.high)]
         common = [ways[k] for k in moving]
-        scene.use(_mechanics(rig))
-        ends = [(d.name, d.width, _numbers(d.low), _numbers(d.high)) for d in common]
-        key: object = (_numbers(scene.given), refine, dt, tuple(ends))
-        for before in run.earlier:
-            key = (key, before.path, before.since, before.end)
+        ends = tuple((d.name, d.width, _numbers(d.low), _numbers(d.high)) for d in common)
 
-            def simulated(before: Run = before, left: PermanentState | None = left) -> PermanentState | None:
-                times = step_times(0.0, before.end, dt)
-                return simulate_tangent(scene, before.poses, times, common, left=left)[0].left
+        def rollout(before: Run, left: PermanentState | None) -> PermanentState | None:
+            times = step_times(0.0, before.end, dt)
+            return simulate_tangent(scene, before.poses, times, common, left=left)[0].left
 
-            left = self._kept(key, simulated)
-        scene.use(rig)
+        with _mechanics_alone(scene):
+            left = self._in_turn(run, (_numbers(scene.given), refine, dt, ends), rollout)
         return None if left is None else left.along(np.array(moving, dtype=int), len(along))
 
-    def _kept(self, key: object, simulated: Callable[[], PermanentState | None]) -> PermanentState | None:
-        if key not in self._known:
-            if len(self._known) >= MOST:
-                self._known.popitem(last=False)
-            self._known[key] = simulated()
-        self._known.move_to_end(key)
-        return self._known[key]
+    def _in_turn(
+        self, run: Run, key: object, rollout: Callable[[Run, PermanentState | None], PermanentState | None]
+    ) -> PermanentState | None:
+        """The recordings before a run, each after the one before it; those that are known are not simulated again."""
+        left = None
+        for before in run.earlier:
+            key = (key, before.path, before.since, before.end)
+            if key not in self._known:
+                if len(self._known) >= MOST:
+                    self._known.popitem(last=False)
+                self._known[key] = rollout(before, left)
+            self._known.move_to_end(key)
+            left = self._known[key]
+        return left
 
 
 def frozen_before(scene: Scene, run: Run, dt: float, amendments: Sequence[Amendment]) -> None:
     """Let laws that last begin a run with what they leave along the frozen paths of the recordings before, of steps of
-    ``dt`` [s]. A set that is larger than a law can bear on the path of a body without it yields back there."""
+    ``dt`` [s]. On the path of a body that never yielded, a residual curvature above the yield curvature yields in
+    reverse."""
     last = [a for a in amendments if a.lasting]
-    rig, left = scene.given, None
     if not run.earlier or not last:
         return
-    scene.use(_mechanics(rig))
-    for before in run.earlier:
-        times = step_times(0.0, before.end, dt)
-        trace, _ = simulate_responses(scene, before.poses, times, [], last, left=left)
-        # What amendments change of the recordings after is in their own internal variables.
-        left = None if trace.left is None else replace(trace.left, by_internals=None, by_x=None)
-        for amendment in last:
-            amendment.keep()
-    scene.use(rig)
+    left = None
+    with _mechanics_alone(scene):
+        for before in run.earlier:
+            times = step_times(0.0, before.end, dt)
+            trace, _ = simulate_responses(scene, before.poses, times, [], last, left=left)
+            # What amendments change of the recordings after is in their own internal variables.
+            left = None if trace.left is None else replace(trace.left, by_internals=None, by_x=None)
+            for amendment in last:
+                amendment.keep()
 
 
 def _mechanics(rig: Rig) -> Rig:
@@ -129,6 +126,17 @@ def _mechanics(rig: Rig) -> Rig:
         k: v for k, v in rig.effects.items() if not isinstance(effect_by_name(split_key(k)[0]), ReadingMap | ClockMap)
     }
     return rig if len(kept) == len(rig.effects) else rig.model_copy(update={"effects": kept})
+
+
+@contextmanager
+def _mechanics_alone(scene: Scene) -> Iterator[None]:
+    """The scene with the mechanics of its rig, then as it was, also where a rollout fails."""
+    rig = scene.given
+    scene.use(_mechanics(rig))
+    try:
+        yield
+    finally:
+        scene.use(rig)
 
 
 def _numbers(rig: Rig) -> str:
