@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from sim_core.gradients.boundary_motion import carried_along, carried_freely
 from sim_core.rigs import parse_rig
 from sim_core.scene import build_scene
+from sim_core.scene.carriage import carried_places
 from sim_core.simulate import Simulation
 
 LENGTH = 0.12
@@ -109,3 +110,17 @@ def test_where_a_sheet_is_put_is_differentiated_by_each_hand():
     free = ~scene.held("strip")
     np.testing.assert_allclose(found[free], numeric[free], atol=1e-9)
     assert np.abs(found).max() > 1e-2
+
+
+def test_nodes_in_the_place_of_held_ones_go_along_with_their_hand():
+    """A slit that begins at a clamp has two nodes in one place, of which the clamp may hold one."""
+    scene = build_scene(strip(("left", "right")))
+    held = scene.held("strip")
+    double, twin = scene.bodies["strip"].nodes[~held][0], scene.bodies["strip"].nodes[held][0]
+    scene.rest[double] = scene.rest[twin]
+    frames = {mount: moved(frame, TURN, SHIFT) for mount, frame in scene.start.items()}
+    frames["right_hand"] = scene.start["right_hand"]
+    nodes, places = carried_places(scene, "strip", frames)
+    assert np.isfinite(places).all()
+    expected = TURN.apply(scene.rest[twin]) + SHIFT
+    np.testing.assert_allclose(places[list(nodes).index(double)], expected, atol=1e-9)
