@@ -6,7 +6,9 @@ Only the order of fitness counts, so that rollouts that ended early are worse th
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +27,17 @@ def population(size: int) -> int:
     return count + count % 2
 
 
+@contextmanager
+def strategy_from(start: np.ndarray, sigma: float, rng: np.random.Generator, options: dict[str, Any]) -> Iterator[Any]:
+    """A strategy of the library ``cma`` with numbers drawn by ``rng``; it says nothing, nor does it warn of options."""
+    import cma
+
+    ours = {"seed": np.nan, "randn": lambda *shape: rng.standard_normal(shape), "verbose": -9}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield cma.CMAEvolutionStrategy(start, sigma, {**options, **ours})
+
+
 def evolution(
     problem: Problem,
     start: np.ndarray,
@@ -35,21 +48,14 @@ def evolution(
 ) -> None:
     """Search from ``start`` ``(size,)`` until the budget is spent, or ``proceed(generation)`` is False; begun anew from
     the best where the strategy has converged."""
-    import cma
-
     generation, centre = 0, start
     while True:
         options = {
             "bounds": [-1.0, 1.0],
             "popsize": population(problem.size),
-            "seed": np.nan,  # the generator of numbers is ours
-            "randn": lambda *shape: rng.standard_normal(shape),
-            "verbose": -9,
             "CMA_diagonal": True if problem.size > 200 else 0,
         }
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of the library, about options that it was given
-            strategy = cma.CMAEvolutionStrategy(np.clip(centre, -0.95, 0.95), sigma, options)
+        with strategy_from(np.clip(centre, -0.95, 0.95), sigma, rng, options) as strategy:
             while not strategy.stop():
                 if not proceed(generation):
                     return

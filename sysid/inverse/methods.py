@@ -9,14 +9,15 @@ as there, since the library has no search in one dimension.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sim_core.errors import ConvergenceError, ThinshellError
+from sim_core.optimise.evolution import strategy_from
 from sim_core.rigs import Rig, with_parameters
 from sysid.fit.fit import fit_runs
 from sysid.fit.options import FitOptions
@@ -63,30 +64,20 @@ class Counted:
         self._engine = engine
         self.plain = self.derived = 0
 
-    def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
-        """A prediction without derivatives."""
+    def submit(self, *given: Any, **named: Any) -> Future[Prediction]:
+        """As that of the source."""
         self.plain += 1
-        return self._engine.submit(rig, run, refine, dt)
+        return self._engine.submit(*given, **named)
 
-    def submit_with_derivatives(
-        self,
-        rig: Rig,
-        run: Run,
-        parameters: Sequence[FitParameter],
-        scaled: np.ndarray,
-        refine: int = 1,
-        dt: float | None = None,
-    ) -> Future[Prediction]:
-        """A prediction with derivatives."""
+    def submit_with_derivatives(self, *given: Any, **named: Any) -> Future[Prediction]:
+        """As that of the source."""
         self.derived += 1
-        return self._engine.submit_with_derivatives(rig, run, parameters, scaled, refine, dt)
+        return self._engine.submit_with_derivatives(*given, **named)
 
-    def predict_all(
-        self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
-    ) -> list[Prediction]:
-        """Predictions of several runs with derivatives."""
+    def predict_all(self, rig: Rig, runs: Sequence[Run], *given: Any) -> list[Prediction]:
+        """As that of the source."""
         self.derived += len(runs)
-        return self._engine.predict_all(rig, runs, parameters, scaled)
+        return self._engine.predict_all(rig, runs, *given)
 
 
 @dataclass
@@ -122,37 +113,32 @@ def fit(engine: Counted, rig: Rig, run: Run, task: InverseTask, seed: int) -> Fo
 
 
 def gradient(engine: Counted, rig: Rig, run: Run, task: InverseTask, seed: int) -> Found:
-    """Gradient descent, begun with the longest step; it draws nothing."""
+    """Gradient descent, begun with the longest step; it draws nothing, and ends where a rollout fails."""
     del seed
     parameters = fit_parameters(rig, [task.seeks])
     misfit, at = _Misfit(engine, rig, run, parameters), start_of(rig, parameters)
     rate, best = 0.0, (np.inf, at)
     for step in range(STEPS):
         job = engine.submit_with_derivatives(rig_at(rig, parameters, at), run, parameters, at)
-        here, slope = misfit.of(job.result())
+        try:
+            here, slope = misfit.of(job.result())
+        except ThinshellError:
+            break
         best = min(best, (here, at.copy()), key=lambda pair: pair[0])
         if slope == 0.0:
             break
         rate = rate or LONGEST / abs(slope)
         at = np.clip(at - np.clip(DECAY**step * rate * slope, -LONGEST, LONGEST), *parameters[0].scaled_bounds)
-    return Found(parameters[0].physical(float(best[1][0])), None, engine.derived, engine.derived)
+    return Found(parameters[0].physical(_found(best[0], best[1][0])), None, engine.derived, engine.derived)
 
 
 def evolution(engine: Counted, rig: Rig, run: Run, task: InverseTask, seed: int) -> Found:
     """CMA-ES; rollouts that fail count as worst."""
-    import cma
-
     parameters, rng = fit_parameters(rig, [task.seeks]), np.random.default_rng(seed)
     misfit, start = _Misfit(engine, rig, run, parameters), start_of(rig, parameters)
     low, high = parameters[0].scaled_bounds
     best = (np.inf, float(start[0]))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the library, about options that it was given
-        strategy = cma.CMAEvolutionStrategy(
-            [float(start[0]), 0.0],
-            WIDTH,
-            {"popsize": POPULATION, "verbose": -9, "seed": np.nan, "randn": lambda *n: rng.standard_normal(n)},
-        )
+    with strategy_from(np.array([start[0], 0.0]), WIDTH, rng, {"popsize": POPULATION}) as strategy:
         for _ in range(GENERATIONS):
             asked = strategy.ask()
             points = [np.array([np.clip(x[0], low, high)]) for x in asked]
@@ -160,9 +146,14 @@ def evolution(engine: Counted, rig: Rig, run: Run, task: InverseTask, seed: int)
             values = [_or_worst(misfit, job) for job in jobs]
             strategy.tell(asked, values)
             best = min(best, *((v, float(at[0])) for v, at in zip(values, points, strict=True)))
-    if not np.isfinite(best[0]):
+    return Found(parameters[0].physical(_found(*best)), None, engine.plain, 0)
+
+
+def _found(misfit: float, at: float) -> float:
+    """Where the least misfit is, if any simulation ended."""
+    if not np.isfinite(misfit):
         raise ConvergenceError("No simulation of the search ended.", "Begin nearer to what is sought.")
-    return Found(parameters[0].physical(best[1]), None, engine.plain, 0)
+    return float(at)
 
 
 def _or_worst(misfit: _Misfit, job: Future[Prediction]) -> float:
