@@ -13,6 +13,7 @@ from sim_core.contact_wrenches import contact_wrenches
 from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.permanent_state import PermanentState, permanent_state
 from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.scene.carriage import start_state
 from sim_core.scene.offset import with_offsets
 from sim_core.scene.scene import Frame, Scene
 from sim_core.scene.strain_range import check_strains
@@ -129,7 +130,7 @@ class Simulation:
         self.halvings = 0
         self.frames = with_offsets(scene.rig, {**scene.start, **(frames or {})})
         targets = scene.targets(self.frames)
-        x, v = scene.start_state(self.frames, self.left)
+        x, v = start_state(scene, self.frames, self.left)
         scene.system.deflections[:] = 0.0
         virgin = scene.system.initial_internals()
         self.state = State(0.0, x, v, virgin if self.left is None else self.left.restored(virgin))

@@ -17,6 +17,7 @@ from sim_core.energies.linearised import skew
 from sim_core.rigs import WORLD, Affine, Rigid
 from sim_core.scene.assembly import BuiltBody
 from sim_core.scene.carriage import Carrier, carriers
+from sim_core.scene.joints import carried_by
 from sim_core.scene.scene import Frame, Scene
 
 TURN_STEP = 1e-5
@@ -45,7 +46,7 @@ def carried_contacts(scene: Scene) -> list[tuple[BuiltBody, RigidContact]]:
 def carried_freely(scene: Scene, start: np.ndarray, frames: Mapping[str, Frame]) -> list[Carrier]:
     """What follows mounts to the ``start`` [m] ``(n, 3)`` alone, at ``frames``: what is free of a body of which
     something is held, and affine bodies that are connected to a mount. Weights are taken as they are."""
-    carried, found = scene.carried_by(), []
+    carried, found = carried_by(scene), []
     for name, body in scene.bodies.items():
         if not isinstance(body.spec, Affine | Rigid):
             found += carriers(scene, name)

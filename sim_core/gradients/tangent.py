@@ -33,7 +33,7 @@ from sim_core.gradients.step import LinearStep, Motion, Outcome, no_memory
 from sim_core.permanent_state import PermanentState, permanent_state
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
-from sim_core.scene.carriage import carriers
+from sim_core.scene.carriage import carriers, start_state
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.observe import frame_of
 from sim_core.simulate import NodePath, Simulation, Trace, run
@@ -114,7 +114,7 @@ class TangentSimulation(Simulation):
         scene, count = self.scene, len(self._along)
         follow = driven(scene, self.frames, self._moved, count)
         x, v, memory = follow.x.copy(), np.zeros_like(follow.x), no_memory(self.state, count)
-        start_x, start_v = scene.start_state(self.frames, self.left)
+        start_x, start_v = start_state(scene, self.frames, self.left)
         free = [c for c in carried_freely(scene, start_x, self.frames) if c.mount in self._moved]
         for carrier in free:
             x[carrier.nodes] = v[carrier.nodes] = 0.0

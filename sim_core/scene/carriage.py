@@ -1,4 +1,4 @@
-"""Where the free nodes of a body that something holds are put at the start of a rollout: they go along with it.
+"""Where bodies are at the start of a rollout: the free nodes of one that something holds go along with it.
 
 A recording seldom begins with the hands where the rig has them. A body that stayed behind would be strained violently
 on its way to rest, and one that yields would never forget it. Where one mount holds a body its free nodes y move
@@ -20,7 +20,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sim_core.rigs import WORLD
+from sim_core.errors import ConfigError
+from sim_core.rigs import WORLD, Affine
+from sim_core.scene.joints import carried_by
 
 if TYPE_CHECKING:
     from sim_core.permanent_state import PermanentState
@@ -85,3 +87,35 @@ def carried_places(
         origin, rotation = frames[carrier.mount]
         places += carrier.weights[:, None] * (origin + rotation.apply(carrier.local))
     return nodes, places
+
+
+def start_state(
+    scene: Scene, frames: Mapping[str, Frame], left: PermanentState | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [m] and velocities [m/s], ``(n, 3)`` each, at the start, when the mounts are at ``frames``.
+    ``left``: what an earlier rollout has left of the bodies."""
+    x = scene.targets(frames)
+    v = np.zeros_like(x)
+    carried = carried_by(scene)
+    for body in scene.bodies.values():
+        if isinstance(body.spec, Affine):
+            velocity, spin = np.array(body.spec.velocity_m_s), np.deg2rad(body.spec.angular_velocity_deg_s)
+            v[body.nodes] = velocity + np.cross(spin, body.rest - body.place(np.zeros(3)))
+            mount = carried.get(body.name, WORLD)
+            (origin, rotation), (was, turned) = frames[mount], scene.start[mount]
+            if frames[mount] is not scene.start[mount]:
+                turn = rotation * turned.inv()
+                x[body.nodes] = origin + turn.apply(body.rest - was)
+                v[body.nodes] = turn.apply(v[body.nodes])
+        elif body.mesh is not None and scene.held(body.name).any():
+            free, places = carried_places(scene, body.name, frames, left)
+            x[free] = places
+    given = v.copy()
+    scene.system.embed(v)
+    miss = float(np.abs(v - given).max(initial=0.0))
+    if miss > 1e-6 * (1.0 + float(np.abs(given).max(initial=0.0))):
+        raise ConfigError(
+            f"The velocities of the affine bodies at the start do not agree with their joints by {miss:.3g} m/s.",
+            "Give bodies that are connected velocities that their joints allow.",
+        )
+    return x, v

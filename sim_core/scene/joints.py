@@ -20,14 +20,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sim_core.energies.affine import coordinates
 from sim_core.energies.guide import Guide
 from sim_core.errors import ConfigError
+from sim_core.rigs import WORLD
 from sim_core.rigs.schema import Joint
 from sim_core.scene.assembly import BuiltBody
+
+if TYPE_CHECKING:
+    from sim_core.scene.scene import Scene
 from sim_core.solve.embedding import Embedding, eliminate, embed
 
 
@@ -113,3 +118,15 @@ def embedding(
             )
     points = [(b.nodes[:-4], b.control, coordinates(b.local[-4:], b.local[:-4])) for b in bodies]
     return embed(len(rest), points, (nodes, weights))
+
+
+def carried_by(scene: Scene) -> dict[str, str]:
+    """Mount that an affine body is connected to, through other bodies or not; those of the world are left out."""
+    carried: dict[str, str] = {}
+    for _ in scene.rig.joints:
+        for joint in scene.rig.joints:
+            known = {WORLD: WORLD, **{e: e for e in scene.rig.end_effectors}, **carried}
+            for one, other in ((joint.body, joint.to), (joint.to, joint.body)):
+                if one in scene.bodies and one not in carried and other in known:
+                    carried[one] = known[other]
+    return carried

@@ -21,7 +21,6 @@ from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.energies.strain_law import StrainLaws
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
-from sim_core.permanent_state import PermanentState
 from sim_core.rigs import WORLD, Affine, Gel, Rig, Rigid, Sheet
 from sim_core.scene.assembly import (
     BuiltBody,
@@ -34,7 +33,6 @@ from sim_core.scene.assembly import (
     strain_laws,
     world_pose,
 )
-from sim_core.scene.carriage import carried_places
 from sim_core.scene.contact_constants import constants_of, finest_edge
 from sim_core.scene.fields import Fields
 from sim_core.scene.joints import Link, embedding, guides, joint_label, make_link
@@ -444,48 +442,6 @@ class Scene:
     def mount_of(self, body: str) -> str:
         """Name of the mount in whose frame the pose of a body is given."""
         return self._carrier(self.bodies[body].spec)
-
-    def start_state(
-        self, frames: Mapping[str, Frame], left: PermanentState | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Positions [m] and velocities [m/s], ``(n, 3)`` each, at the start, when the mounts are at ``frames``.
-        ``left``: what an earlier rollout has left of the bodies."""
-        x = self.targets(frames)
-        v = np.zeros_like(x)
-        carried = self.carried_by()
-        for body in self.bodies.values():
-            if isinstance(body.spec, Affine):
-                velocity, spin = np.array(body.spec.velocity_m_s), np.deg2rad(body.spec.angular_velocity_deg_s)
-                v[body.nodes] = velocity + np.cross(spin, body.rest - body.place(np.zeros(3)))
-                mount = carried.get(body.name, WORLD)
-                (origin, rotation), (was, turned) = frames[mount], self.start[mount]
-                if frames[mount] is not self.start[mount]:
-                    turn = rotation * turned.inv()
-                    x[body.nodes] = origin + turn.apply(body.rest - was)
-                    v[body.nodes] = turn.apply(v[body.nodes])
-            elif body.mesh is not None and self._held[body.name].any():
-                free, places = carried_places(self, body.name, frames, left)
-                x[free] = places
-        given = v.copy()
-        self.system.embed(v)
-        miss = float(np.abs(v - given).max(initial=0.0))
-        if miss > 1e-6 * (1.0 + float(np.abs(given).max(initial=0.0))):
-            raise ConfigError(
-                f"The velocities of the affine bodies at the start do not agree with their joints by {miss:.3g} m/s.",
-                "Give bodies that are connected velocities that their joints allow.",
-            )
-        return x, v
-
-    def carried_by(self) -> dict[str, str]:
-        """Mount that an affine body is connected to, through other bodies or not; those of the world are left out."""
-        carried: dict[str, str] = {}
-        for _ in self.rig.joints:
-            for joint in self.rig.joints:
-                known = {WORLD: WORLD, **{e: e for e in self.rig.end_effectors}, **carried}
-                for one, other in ((joint.body, joint.to), (joint.to, joint.body)):
-                    if one in self.bodies and one not in carried and other in known:
-                        carried[one] = known[other]
-        return carried
 
     def pose_of(self, name: str) -> Frame:
         """Where an affine body is now: its centre [m] and its rotation (of the polar decomposition)."""

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from sim_core.gradients.boundary_motion import carried_along, carried_freely
 from sim_core.rigs import parse_rig
 from sim_core.scene import build_scene
-from sim_core.scene.carriage import carried_places
+from sim_core.scene.carriage import carried_places, start_state
 from sim_core.simulate import Simulation
 
 LENGTH = 0.12
@@ -62,7 +62,7 @@ TURN, SHIFT = Rotation.from_rotvec([0.0, 3.0, 0.1]), np.array([0.02, -0.01, 0.05
 def test_a_sheet_goes_along_with_hands_that_move_as_one(hands):
     scene = build_scene(strip(hands))
     frames = {name: moved(frame, TURN, SHIFT) for name, frame in scene.start.items()}
-    x, _ = scene.start_state(frames)
+    x, _ = start_state(scene, frames)
     np.testing.assert_allclose(x, TURN.apply(scene.rest) + SHIFT, atol=1e-12)
 
 
@@ -82,7 +82,7 @@ def test_a_sheet_that_yields_rests_alike_wherever_the_hand_begins():
 def test_nodes_between_two_hands_are_shared_by_their_distance():
     scene = build_scene(strip(("left", "right")))
     raised = (scene.start["right_hand"][0] + [0.0, 0.0, 0.01], Rotation.identity())
-    x, _ = scene.start_state({**scene.start, "right_hand": raised})
+    x, _ = start_state(scene, {**scene.start, "right_hand": raised})
     along, up = scene.rest[:, 0], x[:, 2] - scene.rest[:, 2]
     assert up[along < -0.049].max() == 0.0 and up[along > 0.049].min() == pytest.approx(0.01)
     middle = np.abs(along) < 1e-9
@@ -93,13 +93,13 @@ def test_nodes_between_two_hands_are_shared_by_their_distance():
 def test_where_a_sheet_is_put_is_differentiated_by_each_hand():
     scene = build_scene(strip(("left", "right")))
     frames = {name: moved(frame, TURN, SHIFT) for name, frame in scene.start.items()}
-    start, _ = scene.start_state(frames)
+    start, _ = start_state(scene, frames)
     motion = np.random.default_rng(3).standard_normal((6, 1))
 
     def at(h):
         (origin, turn), (rho, phi) = frames["right_hand"], h * motion.reshape(2, 3)
         there = origin + turn.apply(rho), turn * Rotation.from_rotvec(phi)
-        return scene.start_state({**frames, "right_hand": there})[0]
+        return start_state(scene, {**frames, "right_hand": there})[0]
 
     numeric = (at(1e-5) - at(-1e-5)) / 2e-5
     found = np.zeros_like(start)
