@@ -8,7 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sysid.diagnosis.refits import _least, worse_there
+from sysid.diagnosis.refits import worse_there
+from sysid.diagnosis.starts import _least
 from sysid.fit.result import ChannelError
 
 

@@ -9,7 +9,8 @@ from explicit_contact import explicit_contact
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 from test_adjoint import EFFECTS, TIGHT, weights
-from test_fields import BALL, SCENES, pad, uneven
+from test_fields import BALL, SCENES, uneven
+from test_fields_of_materials import pad
 
 from sim_core.errors import ConfigError
 from sim_core.geometry.sheets import SheetMesh
