@@ -23,7 +23,7 @@ import scipy.sparse as sp
 
 from sim_core.energies import bending_kernels as kernels
 from sim_core.energies.curvature import Stencils, curvature_operator
-from sim_core.energies.grading import Grading
+from sim_core.energies.element_values import ElementValues
 from sim_core.energies.linearised import (
     Blocks,
     ByNumber,
@@ -46,12 +46,13 @@ from sim_core.materials.elastic import applied, plane_stress, plane_stress_by, p
 _SIDE_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
-class Bending:
+class Bending(ElementValues):
     """Term of one sheet. ``node_offset``: index of the sheet's first node among all nodes.
 
     ``mesh`` is the flat or curved mesh whose metric defines areas; rest angles are those at ``formed`` [m] ``(n, 3)``,
     an isometric form of it (default: the mesh itself). ``held``: bool ``(n,)``, nodes in one rigid clamp;
-    triangles of such nodes alone do not bend, which puts the clamp's edge where the held nodes end.
+    triangles of such nodes alone do not bend, which puts the clamp's edge where the held nodes end. Factors of the
+    stiffness of triangles leave the curvature at which they yield as it is.
     """
 
     mirrored = True
@@ -74,6 +75,7 @@ class Bending:
         formed: np.ndarray | None = None,
         held: np.ndarray | None = None,
     ) -> None:
+        super().__init__(mesh.areas)
         self.name = name
         self.hinges = find_hinges(mesh.triangles)
         frames = material_frames(mesh.nodes, mesh.triangles, axis)
@@ -81,19 +83,12 @@ class Bending:
         self.rigid = np.zeros(count, dtype=bool) if held is None else held[mesh.triangles].all(axis=1)
         self._kappa = curvature_operator(mesh.nodes, mesh.triangles, self.hinges, frames, mesh.areas, self.rigid)
         self._hinge = np.ascontiguousarray(self.hinges.nodes + node_offset, dtype=np.int32)
-        self._whole_areas = mesh.areas
-        self._areas: np.ndarray = self._whole_areas.copy()
-        self._factors = np.ones(count)
-        self.grading: Grading | None = None
-        """Of effects that scale its stiffness from place to place."""
         self._stencils = Stencils(self._kappa, self._hinge)
         n_hinges = len(self._hinge)
         self._deviation, self._moment = np.zeros(n_hinges), np.zeros(n_hinges)
         self._plastic, self._base = np.zeros((count, 3)), np.zeros((count, 3))
         self._g = np.zeros((n_hinges, 12))
         self._d, self._tangent = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
-        self._beside, self._nu = np.zeros(count), np.zeros(count)
-        self._given: dict[str, float] = {}
         self._slope: np.ndarray | None = None
         self._onset = np.full(count, np.inf)
         self._rate, self._exact = np.zeros(count), np.zeros(1, dtype=np.int32)
@@ -101,7 +96,7 @@ class Bending:
         self._yield_curvature, self._yield_share = np.inf, np.ones(count)
         self._hardening_ratio, self._hardening_share = 0.0, np.ones(count)
         self._hardening = np.zeros(count)
-        self._damping, self._more_damping, self._damped = np.zeros(count), np.zeros(count), False
+        self._damped = False
         self.rest_angles = self._measure(mesh.nodes if formed is None else formed, node_offset)
         self.built_angles = self.rest_angles.copy()
         """Angles [rad] of the shape in which the sheet was built, ``(n_hinges,)``."""
@@ -124,7 +119,7 @@ class Bending:
         around = self._stencils
         stencil = (around.first, around.around, around.b)
         angles = (self._deviation, *stencil)
-        law = (*angles, self._plastic, self._base, self._onset, self._areas, self._d, self._hardening, self._rate)
+        law = (*angles, self._plastic, self._base, self._onset, self._size, self._d, self._hardening, self._rate)
         inner, outer = np.split(slots, [int(around.start[-1])])
         scratch = np.zeros((3 * int(around.nodes.max(initial=0)), 6))
         self._angles = BoundKernel(kernels.angles, buffers.x, self._hinge, self.rest_angles, self._deviation)
@@ -142,42 +137,18 @@ class Bending:
         self._gradients = BoundKernel(kernels.gradients, buffers.x, self._hinge, self._g)
         self._gauss_newton = BoundKernel(
             kernels.gauss_newton,
-            *(self._g, *stencil, around.place, around.nodes, self._areas, self._tangent, around.start),
+            *(self._g, *stencil, around.place, around.nodes, self._size, self._tangent, around.start),
             *(np.ascontiguousarray(inner), scratch, buffers.hessian),
         )
         self._curved = BoundKernel(
             kernels.curved, buffers.x, self._hinge, self._moment, np.ascontiguousarray(outer), buffers.hessian
         )
 
-    def scale(self, factors: np.ndarray) -> None:
-        """Let each triangle have ``factors`` ``(m,)`` times the stiffness that is configured, and of its damping; the
-        curvature at which it yields stays as it is."""
-        self._factors[:] = factors
-        self._weigh()
-
-    def grade(self, grading: Grading) -> None:
-        """Let effects scale the stiffness of triangles."""
-        self.grading = grading
-
-    def _weigh(self) -> None:
-        graded = 1.0 if self.grading is None else self.grading.factor
-        self._areas[:] = self._whole_areas * self._factors * graded
-
     def scale_flow(self, onset: np.ndarray, hardening: np.ndarray) -> None:
         """Let each triangle yield at ``onset`` ``(m,)`` times the curvature that is configured, and harden by
         ``hardening`` ``(m,)`` times the ratio."""
         self._yield_share[:], self._hardening_share[:] = onset, hardening
         self._hardening[:] = self._hardening_ratio * hardening
-
-    def shift_nu(self, beside: np.ndarray) -> None:
-        """Let each triangle have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
-        self._beside[:] = beside
-        self.configure(self._given)
-
-    def shift_damping(self, beside: np.ndarray) -> None:
-        """Let each triangle have ``beside`` ``(m,)`` [s] more stiffness damping than configured."""
-        self._more_damping[:] = beside
-        self.configure(self._given)
 
     def set_rest_angles(self, angles: np.ndarray) -> None:
         """Take other rest angles [rad] ``(n_hinges,)``."""
@@ -186,9 +157,7 @@ class Bending:
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._given, self._slope = dict(parameters), None
-        if self.grading is not None:
-            self.grading.configure(parameters)
-            self._weigh()
+        self._configure_grading(parameters)
         self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside, thin=True)
         self._d[:] = self._rigidity(plane_stress(parameters, self._nu))
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
@@ -219,12 +188,12 @@ class Bending:
     @property
     def areas(self) -> np.ndarray:
         """Areas of the triangles [m^2] ``(m,)``, times the factors of their stiffness; changed in place."""
-        return self._areas
+        return self._size
 
     @property
     def whole_areas(self) -> np.ndarray:
         """Areas of the triangles [m^2] ``(m,)``."""
-        return self._whole_areas
+        return self._whole_size
 
     @property
     def stiffness(self) -> np.ndarray:
@@ -244,8 +213,7 @@ class Bending:
         return self._slope
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
-        if self.grading is not None and self.grading.go_to(step.time):
-            self._weigh()
+        self._grade_at(step.time)
         self._onset[:] = np.inf
         if internals:
             self._plastic[:] = internals["plastic_curvature"]
@@ -303,7 +271,7 @@ class Bending:
         """What forces along nodal ``vectors`` ``(n, 3)``, and new internal variables with the weights ``kept``,
         flattened, know of the sheet's numbers at the end of a step from ``internals``."""
         return SheetAlong(
-            area=self._areas,
+            area=self._size,
             stiffness=self._d,
             slope=self._stiffness_by_nu,
             strain=self.curvatures(),
@@ -332,7 +300,7 @@ class Bending:
 
     def _by_curvatures(self, along: np.ndarray, kept: np.ndarray, internals: Internals) -> np.ndarray:
         """As :meth:`by_rest_angles`, by the curvatures ``(m, 3)`` [1/m] of the triangles, at given rates."""
-        moment = self._areas[:, None] * applied(self._d, self.curving(along))
+        moment = self._size[:, None] * applied(self._d, self.curving(along))
         if internals:
             place, flow = places(internals), self._flow(internals)
             turned = kept[place["plastic_curvature"]] - moment
@@ -350,11 +318,11 @@ class Bending:
         moment = self._moments_of(internals)
         curving, turning = self.curving(along), self.turning(along)
         out = by_curvature[triangle] * self._deviation[hinge, None]
-        out += (self._areas[:, None] * moment)[triangle] * turning[hinge, None]
+        out += (self._size[:, None] * moment)[triangle] * turning[hinge, None]
         if self._damped:
             since = self._deviation - step.base(self.deviations_at)
-            out += ((self._rate * self._areas)[:, None] * applied(self._d, curving))[triangle] * since[hinge, None]
-        by_area = self._areas / self._whole_areas * (moment * curving).sum(axis=1)
+            out += ((self._rate * self._size)[:, None] * applied(self._d, curving))[triangle] * since[hinge, None]
+        by_area = self._size / self._whole_size * (moment * curving).sum(axis=1)
         return out, by_area, np.asarray(-(self._kappa.T @ by_curvature.ravel()))
 
     def by_angles_at(self, x: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -384,7 +352,7 @@ class Bending:
         now = self._turns_by_positions()
         start = past = None
         if self._damped:
-            rate = -(self._rate * self._areas)[:, None, None] * self._d
+            rate = -(self._rate * self._size)[:, None, None] * self._d
             outward = (Transposed(now), self._kappa.T, self._by_triangle(rate), self._kappa)
             start = Chain((*outward, self._turns_by_positions(step.x_start, step.weights[0])))
             if step.x_past is not None:
@@ -425,11 +393,11 @@ class Bending:
         place, flow = places(internals), self._flow(internals)
         plastic, accumulated = place["plastic_curvature"], place["accumulated_curvature"][:, None]
         size, hardening = plastic.size + accumulated.size, self._hardening[:, None]
-        count = len(self._areas)
+        count = len(self._size)
         rows = np.arange(3 * count).reshape(count, 3)
         rate, along = flow.rate[:, None], flow.direction
         by_curvature, by_accumulated = flow.by_curvature(), -hardening * rate * along
-        weight = self._areas[:, None, None]
+        weight = self._size[:, None, None]
         moments = placed(
             (-weight * (self._d @ (np.eye(3) - by_curvature)), rows, plastic),
             (-weight * applied(self._d, by_accumulated)[..., None], rows, accumulated),
@@ -455,7 +423,7 @@ class Bending:
             moment = applied(d, flow.left) - applied(self._d, turned)
             moment += applied(self._rate[:, None, None] * d + damping / step.tau * self._d, change)
             kept = gathered((turned, plastic), (rise, accumulated), size=size)
-            numbers[quantity] = ByNumber(curvatures.T @ (self._areas[:, None] * moment).ravel(), kept, np.zeros(3))
+            numbers[quantity] = ByNumber(curvatures.T @ (self._size[:, None] * moment).ravel(), kept, np.zeros(3))
         return Linearised(
             numbers=numbers,
             force_start=start,
@@ -483,8 +451,8 @@ class Bending:
         if not np.isfinite(self._yield_curvature):
             return {}
         return {
-            "plastic_curvature": np.zeros((len(self._areas), 3)),
-            "accumulated_curvature": np.zeros(len(self._areas)),
+            "plastic_curvature": np.zeros((len(self._size), 3)),
+            "accumulated_curvature": np.zeros(len(self._size)),
         }
 
     def curvatures(self) -> np.ndarray:

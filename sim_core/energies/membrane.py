@@ -21,7 +21,7 @@ from collections.abc import Mapping
 import numpy as np
 import taichi as ti
 
-from sim_core.energies.grading import Grading
+from sim_core.energies.element_values import ElementValues
 from sim_core.energies.linearised import Blocks, Linearised, axes_of, placed
 from sim_core.energies.sheet_vjp import SheetAlong
 from sim_core.energies.term import Buffers, Internals, Memoryless, Quantity, StepContext
@@ -182,7 +182,7 @@ def _hessian(
         add_triangle(e, area, s, cl, f1, f2, b, slots, out)
 
 
-class Membrane(Memoryless):
+class Membrane(ElementValues, Memoryless):
     """Term of one sheet. ``nodes``: rest positions of all nodes [m] ``(n, 3)``; ``triangles``: int32
     ``(m, 3)`` with indices into them; ``axis``: material direction 1, a unit 3-vector (projected on
     each triangle)."""
@@ -206,18 +206,11 @@ class Membrane(Memoryless):
         )
         dm = np.einsum("mij,mik->mjk", frames, edges)
         self._dm_inverse: np.ndarray = np.ascontiguousarray(np.linalg.inv(dm))
-        self._whole_area: np.ndarray = 0.5 * np.linalg.det(dm)
-        self._area: np.ndarray = self._whole_area.copy()
-        self._factors = np.ones(len(self._area))
-        self.grading: Grading | None = None
-        """Of effects that scale its stiffness from place to place."""
+        super().__init__(0.5 * np.linalg.det(dm))
         count = len(triangles)
         self._elastic, self._c = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
         self._before, self._strains = np.zeros((count, 3)), np.zeros((count, 3))
-        self._beside, self._nu = np.zeros(count), np.zeros(count)
-        self._given: dict[str, float] = {}
         self._slope: np.ndarray | None = None
-        self._damping, self._more_damping = np.zeros(count), np.zeros(count)
         self._damped, self._constant = False, 0.0
         self._exact, self._foreseen = np.zeros(1, dtype=np.int32), np.zeros(1, dtype=np.int32)
 
@@ -230,7 +223,7 @@ class Membrane(Memoryless):
         self._strains_there = BoundKernel(
             _strain_of_all, self._elsewhere, self._triangles, self._dm_inverse, self._strains
         )
-        mesh = (buffers.x, self._triangles, self._dm_inverse, self._area, self._c, self._before)
+        mesh = (buffers.x, self._triangles, self._dm_inverse, self._size, self._c, self._before)
         self._energy, self._total = BoundKernel(_energy, *mesh, buffers.energy), buffers.energy
         self.add_gradient = BoundKernel(_gradient, *mesh, buffers.gradient)
         self._vectors, self._straining = np.zeros_like(buffers.x), np.zeros_like(self._strains)
@@ -251,36 +244,13 @@ class Membrane(Memoryless):
         if move is not None:
             self._move[:] = move
 
-    def scale(self, factors: np.ndarray) -> None:
-        """Let each triangle have ``factors`` ``(m,)`` times the stiffness that is configured, and of its damping."""
-        self._factors[:] = factors
-        self._weigh()
-
-    def grade(self, grading: Grading) -> None:
-        """Let effects scale the stiffness of triangles."""
-        self.grading = grading
-
-    def _weigh(self) -> None:
-        graded = 1.0 if self.grading is None else self.grading.factor
-        self._area[:] = self._whole_area * self._factors * graded
-
-    def shift_nu(self, beside: np.ndarray) -> None:
-        """Let each triangle have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
-        self._beside[:] = beside
-        self.configure(self._given)
-
-    def shift_damping(self, beside: np.ndarray) -> None:
-        """Let each triangle have ``beside`` ``(m,)`` [s] more stiffness damping than configured."""
-        self._more_damping[:] = beside
-        self.configure(self._given)
-
     def along(self, vectors: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> SheetAlong:
         """What forces along nodal ``vectors`` ``(n, 3)`` know of the sheet's numbers at the end of a step."""
         del kept, internals
         self._vectors[:] = vectors
         self._strains_along()
         return SheetAlong(
-            area=self._area,
+            area=self._size,
             stiffness=self._elastic,
             slope=self._stiffness_by_nu,
             strain=self._strains.copy(),
@@ -314,7 +284,7 @@ class Membrane(Memoryless):
         stress = as_stress(self._stress(end) + applied(self._elastic, strain))
         out += sides.transpose(0, 2, 1) @ v @ stress + moved.transpose(0, 2, 1) @ f @ stress
         work = np.einsum("mij,mij->m", stress, sheared)
-        return self._area[:, None, None] * out, self._area / self._whole_area * work
+        return self._size[:, None, None] * out, self._size / self._whole_size * work
 
     def _stress(self, strain: np.ndarray) -> np.ndarray:
         """Stress of the law without damping at Green strains [N/m], ``(m, 3)`` both."""
@@ -332,9 +302,7 @@ class Membrane(Memoryless):
 
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._given, self._slope = dict(parameters), None
-        if self.grading is not None:
-            self.grading.configure(parameters)
-            self._weigh()
+        self._configure_grading(parameters)
         self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside, thin=True)
         self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters, self._nu)
         self._damping[:] = parameters.get("stiffness_damping_s", 0.0) + self._more_damping
@@ -350,12 +318,12 @@ class Membrane(Memoryless):
     @property
     def areas(self) -> np.ndarray:
         """Areas of the triangles [m^2] ``(m,)``, times the factors of their stiffness; changed in place."""
-        return self._area
+        return self._size
 
     @property
     def whole_areas(self) -> np.ndarray:
         """Areas of the triangles [m^2] ``(m,)``."""
-        return self._whole_area
+        return self._whole_size
 
     @property
     def stiffness(self) -> np.ndarray:
@@ -377,15 +345,14 @@ class Membrane(Memoryless):
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         del internals
-        if self.grading is not None and self.grading.go_to(step.time):
-            self._weigh()
+        self._grade_at(step.time)
         if not self._damped:
             return
         rate = self._damping / step.tau
         self._c[:] = (1.0 + rate)[:, None, None] * self._elastic
         base = step.base(self.strains_at)
         self._before[:] = (rate / (1.0 + rate))[:, None] * base
-        self._constant = 0.5 * float(np.einsum("t,ti,tij,tj->", self._area, base, self._elastic, self._before))
+        self._constant = 0.5 * float(np.einsum("t,ti,tij,tj->", self._size, base, self._elastic, self._before))
 
     def add_energy(self) -> None:
         self._energy()
@@ -396,7 +363,7 @@ class Membrane(Memoryless):
         del internals, after
         if not self._damped:
             return None
-        pull = (-self._damping / step.tau * self._area)[:, None, None] * self.by_positions(self._x).transpose(0, 2, 1)
+        pull = (-self._damping / step.tau * self._size)[:, None, None] * self.by_positions(self._x).transpose(0, 2, 1)
         pull, axes, shape = pull @ self._elastic, axes_of(self._triangles), (self._x.size,) * 2
 
         def by(x: np.ndarray, weight: float) -> Blocks:

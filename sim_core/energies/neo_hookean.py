@@ -41,7 +41,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim_core.energies import neo_hookean_kernels as kernels
-from sim_core.energies.grading import Grading
+from sim_core.energies.element_values import ElementValues
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, placed
 from sim_core.energies.neo_hookean_kernels import BULK_SHARE, SHARE
 from sim_core.energies.neo_hookean_memory import (
@@ -60,7 +60,7 @@ from sim_core.kernels import BoundKernel
 from sim_core.materials.elastic import poisson_ratios
 
 
-class NeoHookean:
+class NeoHookean(ElementValues):
     """A solid body of quadratic tetrahedra as a term of the incremental potential.
 
     Parameters: ``E_pa`` [Pa], ``nu`` [-], ``relaxation_g`` (share of the deviatoric stress that fades, 0 to
@@ -91,17 +91,12 @@ class NeoHookean:
         grad, det = tet10.gradients(self._rest[self._tets], points)
         m = len(self._tets)
         self._grad = np.ascontiguousarray(grad.reshape(4 * m, 10, 3))
-        self._whole_weight = det * weights
-        self._weight = self._whole_weight.copy()
-        self._factors = np.ones(m)
-        self.grading: Grading | None = None
-        """Of effects that scale its stiffness from place to place."""
-        self._moduli, self._beside, self._nu = np.zeros((m, 3)), np.zeros(m), np.zeros(m)
-        self._given: dict[str, float] = {}
+        super().__init__(det * weights)
+        self._moduli = np.zeros((m, 3))
         self._constants = np.tile([1.0, 1.0, 0.0], (m, 1))
         self._history, self._fading = np.zeros((4 * m, 7)), np.zeros((4 * m, 6))
-        self._g, self._tau, self._damping = np.zeros(m), np.ones(m), np.zeros(m)
-        self._g_share, self._tau_share, self._more_damping = np.ones(m), np.ones(m), np.zeros(m)
+        self._g, self._tau = np.zeros(m), np.ones(m)
+        self._g_share, self._tau_share = np.ones(m), np.ones(m)
         self._fade, self._blend, self._constant = np.ones(m), np.ones(m), 0.0
         self._relaxes = self._damped = self._isotropic_known = False
         self._seen = np.full((0, 3), np.nan)
@@ -119,12 +114,12 @@ class NeoHookean:
     @property
     def weights(self) -> np.ndarray:
         """Volumes of the points [m^3] ``(m, 4)``, times the factors of the modulus; changed in place."""
-        return np.asarray(self._weight)
+        return np.asarray(self._size)
 
     @property
     def whole_weights(self) -> np.ndarray:
         """Volumes of the points [m^3] ``(m, 4)``."""
-        return np.asarray(self._whole_weight)
+        return np.asarray(self._whole_size)
 
     @property
     def shear_moduli(self) -> np.ndarray:
@@ -150,7 +145,7 @@ class NeoHookean:
         self._positions = np.zeros_like(buffers.x)
         deformation, dilatation = np.zeros((4 * m, 3, 3)), np.zeros(4 * m)
         self._dilatation = dilatation
-        mesh = self._rest, self._tets, self._grad, self._weight, self._moduli
+        mesh = self._rest, self._tets, self._grad, self._size, self._moduli
         state = deformation, dilatation, self._history
         self._seen = np.full_like(buffers.x, np.nan)
         self._deform = BoundKernel(kernels.deform, buffers.x, *mesh, deformation, dilatation)
@@ -158,16 +153,16 @@ class NeoHookean:
         self._stress = np.zeros((4 * m, 6))
         self._deviatoric_stress = BoundKernel(kernels.deviatoric_stress, deformation, self._moduli, self._stress)
         law = self._moduli, self._constants
-        solid = self._grad, self._weight, *law
-        self._energy = BoundKernel(kernels.add_energy, *state, self._weight, *law, buffers.energy)
+        solid = self._grad, self._size, *law
+        self._energy = BoundKernel(kernels.add_energy, *state, self._size, *law, buffers.energy)
         self._gradient = BoundKernel(kernels.add_gradient, *state, self._tets, *solid, buffers.gradient)
         self._vectors, self._works, self._virtual = np.zeros_like(buffers.x), np.zeros((m, 3)), np.zeros((4 * m, 7))
         found = self._works, self._virtual
         self._works_then = np.zeros((m, 3))
-        mesh_then = self._rest, self._tets, self._grad, self._weight, self._virtual
+        mesh_then = self._rest, self._tets, self._grad, self._size, self._virtual
         self._along_then = BoundKernel(kernels.along_then, self._positions, *mesh_then, self._works_then)
         self._works_along = BoundKernel(
-            kernels.along, deformation, self._tets, self._grad, self._weight, self._vectors, *found
+            kernels.along, deformation, self._tets, self._grad, self._size, self._vectors, *found
         )
         places = _places(slots.reshape(m, 10, 10, 3, 3), len(buffers.hessian) - 1)
         tangent, local = np.zeros((4 * m, 9, 9)), np.zeros(900)
@@ -185,30 +180,9 @@ class NeoHookean:
         )
         self._isotropic_known = False
 
-    def scale(self, factors: np.ndarray) -> None:
-        """Let each element have ``factors`` ``(m,)`` times the modulus that is configured: all of its energy, relaxing
-        and damping parts included, is linear in it."""
-        self._factors[:] = factors
-        self._weigh()
-
-    def grade(self, grading: Grading) -> None:
-        """Let effects scale the modulus of elements."""
-        self.grading = grading
-
     def _weigh(self) -> None:
-        graded = 1.0 if self.grading is None else self.grading.factor
-        self._weight[:] = self._whole_weight * (self._factors * graded)[:, None]
+        super()._weigh()
         self._isotropic_known = False
-
-    def shift_nu(self, beside: np.ndarray) -> None:
-        """Let each element have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
-        self._beside[:] = beside
-        self.configure(self._given)
-
-    def shift_damping(self, beside: np.ndarray) -> None:
-        """Let each element have ``beside`` ``(m,)`` [s] more stiffness damping than configured."""
-        self._more_damping[:] = beside
-        self.configure(self._given)
 
     def scale_relaxation(self, share: np.ndarray, tau: np.ndarray) -> None:
         """Let each element relax by ``share`` ``(m,)`` times the share that is configured, with ``tau`` times the time
@@ -220,9 +194,8 @@ class NeoHookean:
         """Take ``E_pa``, ``nu`` and, if the gel relaxes or is damped, the other parameters."""
         values = {"relaxation_g": 0.0, "relaxation_tau_s": 1.0, "stiffness_damping_s": 0.0, **parameters}
         known = ("E_pa", "nu", "relaxation_g", "relaxation_tau_s", "stiffness_damping_s")
+        self._configure_grading(parameters)
         if self.grading is not None:
-            self.grading.configure(parameters)
-            self._weigh()
             values = {name: value for name, value in values.items() if name not in self.grading.numbers}
         for name in values:
             if name not in known:
@@ -255,8 +228,7 @@ class NeoHookean:
 
     def begin_step(self, step: StepContext, internals: Internals) -> None:
         """Freeze the memory stress H_n of the step, and what rates are measured from."""
-        if self.grading is not None and self.grading.go_to(step.time):
-            self._weigh()
+        self._grade_at(step.time)
         if not self._remembers:
             return
         self._isotropic_known = False
@@ -366,7 +338,7 @@ class NeoHookean:
         memory = as_tensors(history[..., :6]), history[..., 6]
         law = self._moduli[:, [MU]], self._moduli[:, [BULK]], self._moduli[:, [OWN]]
         shares = self._constants[:, [SHARE]], self._constants[:, [BULK_SHARE]]
-        known = GelStep(self._weight, deformation(self._x), *memory, *law, *shares, tuple(earlier), fresh)
+        known = GelStep(self._size, deformation(self._x), *memory, *law, *shares, tuple(earlier), fresh)
         slope = np.einsum("mai,mqaj->mqij", along[self._tets], grad)
         weights = as_tensors(kept.reshape(len(self._tets), 4, 6), 0.5) if self._relaxes else None
         return by_rest(known, slope, weights)
@@ -398,7 +370,7 @@ class NeoHookean:
         count, whole = len(self._grad), self._x.size
         axes = np.repeat(axes_of(self._tets), 4, axis=0)
         f = np.eye(3) + self.displacement_gradients(self._x)
-        push = self._weight.reshape(-1, 1, 1) * stress_forces(f, self._grad)
+        push = self._size.reshape(-1, 1, 1) * stress_forces(f, self._grad)
         fade, fresh, rate = (
             _at_points(each)[..., None] for each in (self._fade, self._blend * self._g, self._damping / step.tau)
         )
@@ -473,7 +445,7 @@ class NeoHookean:
         ``(m,)``, exerts at those at hand: blocks of the elements, and where they are."""
         moved, axes = (self.displacement_gradients(at) for at in (self._x, x)), axes_of(self._tets)
         here, there = (volume_derivatives(np.eye(3) + g, self._grad) for g in moved)
-        blocks = pressure_blocks(here, there, self._weight, self._moduli[:, BULK], self._moduli[:, OWN])
+        blocks = pressure_blocks(here, there, self._size, self._moduli[:, BULK], self._moduli[:, OWN])
         return weight[:, None, None] * blocks, axes, axes
 
     def _stress_derivatives(self, x: np.ndarray) -> np.ndarray:

@@ -107,11 +107,11 @@ class RubberMembrane(Membrane):
 
     def __init__(self, name: str, nodes: np.ndarray, triangles: np.ndarray, axis: np.ndarray) -> None:
         super().__init__(name, nodes, triangles, axis)
-        self._mu, self._viscous = np.zeros(len(self._area)), np.zeros_like(self._elastic)
+        self._mu, self._viscous = np.zeros(len(self._size)), np.zeros_like(self._elastic)
 
     def bind(self, buffers: Buffers, slots: np.ndarray) -> None:
         super().bind(buffers, slots)
-        mesh = (buffers.x, self._triangles, self._dm_inverse, self._area, self._mu, self._viscous, self._before)
+        mesh = (buffers.x, self._triangles, self._dm_inverse, self._size, self._mu, self._viscous, self._before)
         self._energy = BoundKernel(_energy, *mesh, buffers.energy)
         self.add_gradient = BoundKernel(_gradient, *mesh, buffers.gradient)
         self._add_hessian = BoundKernel(

@@ -101,7 +101,7 @@ def test_foreseen_stress_is_that_of_the_linearised_strain():
         ends = [term.strains_at(system.x + sign * nudge) for sign in (1.0, -1.0)]
         columns.append((ends[0] - ends[1]).ravel() / (2.0 * h))
     slope = np.stack(columns, axis=1).reshape(len(mesh.triangles), 3, -1)
-    material = np.einsum("t,tia,tij,tjb->ab", term._area, slope, term._c, slope)
+    material = np.einsum("t,tia,tij,tjb->ab", term.areas, slope, term._c, slope)
     np.testing.assert_allclose(foreseen, material, atol=1e-7 * material.max())
     system.foresee(None)
     true = full(system.hessian(exact=True))

@@ -1,0 +1,73 @@
+"""What the elements of a body have for themselves, beside the numbers of its material.
+
+With the factor f of an element, those g of effects that grade the body from place to place and in time, and what an
+element has beside the body's Poisson's ratio and stiffness damping,
+
+    stiffness_e = f_e g_e stiffness,    nu_e = nu + dnu_e,    beta_e = beta + dbeta_e.
+
+All of the energy of an element, damping included, is linear in its stiffness: factors weigh its area or volume.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim_core.energies.grading import Grading
+
+
+class ElementValues(ABC):
+    """The part of an elastic term that knows them. ``sizes``: area [m^2] ``(m,)`` of the elements, or volumes [m^3] of
+    their quadrature points ``(m, k)``."""
+
+    grading: Grading | None = None
+    """Of effects that scale its stiffness from place to place."""
+
+    def __init__(self, sizes: np.ndarray) -> None:
+        count = len(sizes)
+        self._whole_size: np.ndarray = sizes
+        self._size: np.ndarray = sizes.copy()
+        """Weighed by the factors; changed in place, since kernels hold it."""
+        self._factors = np.ones(count)
+        self._beside, self._nu = np.zeros(count), np.zeros(count)
+        self._damping, self._more_damping = np.zeros(count), np.zeros(count)
+        self._given: dict[str, float] = {}
+
+    @abstractmethod
+    def configure(self, parameters: Mapping[str, float]) -> None:
+        """As of any term."""
+
+    def scale(self, factors: np.ndarray) -> None:
+        """Let each element have ``factors`` ``(m,)`` times the stiffness that is configured, and of its damping."""
+        self._factors[:] = factors
+        self._weigh()
+
+    def grade(self, grading: Grading) -> None:
+        """Let effects scale the stiffness of elements."""
+        self.grading = grading
+
+    def shift_nu(self, beside: np.ndarray) -> None:
+        """Let each element have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
+        self._beside[:] = beside
+        self.configure(self._given)
+
+    def shift_damping(self, beside: np.ndarray) -> None:
+        """Let each element have ``beside`` ``(m,)`` [s] more stiffness damping than configured."""
+        self._more_damping[:] = beside
+        self.configure(self._given)
+
+    def _configure_grading(self, parameters: Mapping[str, float]) -> None:
+        if self.grading is not None:
+            self.grading.configure(parameters)
+            self._weigh()
+
+    def _grade_at(self, time: float) -> None:
+        """Take the factors of effects at a time [s]."""
+        if self.grading is not None and self.grading.go_to(time):
+            self._weigh()
+
+    def _weigh(self) -> None:
+        factors = self._factors if self.grading is None else self._factors * self.grading.factor
+        self._size[:] = (self._whole_size.T * factors).T
