@@ -41,7 +41,9 @@ class Imaging:
                     self._kept.setdefault((name, k, high), []).append(points[name])
 
     def slopes(self, channel: str) -> dict[int, np.ndarray]:
-        """Derivatives of the pictures taken ``(t, n, 2)``, by number of the parameter; others change nothing."""
+        """Derivatives of the pictures taken ``(t, n, 2)``, by number of the parameter; others change nothing. A point
+        that the low end of a direction sees has one wherever the high end takes it, out of the picture too: a secant
+        to a camera that stands elsewhere tells of all points that this one sees."""
         found = {}
         for k in self._changing:
             high, low = (self._imaged(channel, k, high) for high in (True, False))
@@ -57,7 +59,7 @@ class Imaging:
             return None
         points, camera = np.stack(self._kept[channel, k, high]), self._end(k, high).cameras[channel]
         at_once = max(1, POINTS // max(1, points.shape[1]))
-        return np.concatenate([taken(camera, points[a : a + at_once]) for a in range(0, len(points), at_once)])
+        return np.concatenate([taken(camera, points[a : a + at_once], high) for a in range(0, len(points), at_once)])
 
 
 class Pictures:

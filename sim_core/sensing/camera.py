@@ -10,8 +10,9 @@ from sim_core.rigs import FisheyeCamera, OrthographicCamera, PinholeCamera
 Camera = PinholeCamera | FisheyeCamera | OrthographicCamera
 
 
-def project(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Pixels ``(n, 2)`` of points [m] ``(n, 3)`` in the optical frame; NaN where out of the picture.
+def project(camera: Camera, points: np.ndarray, beyond: bool = False) -> np.ndarray:
+    """Pixels ``(n, 2)`` of points [m] ``(n, 3)`` in the optical frame; NaN where out of the picture, or, if asked for
+    what is ``beyond`` its edges, behind the camera.
 
     Pinhole: OpenCV's model (ROS plumb_bob). Fisheye: OpenCV's equidistant model. A scaled
     orthographic camera has no picture edge.
@@ -25,8 +26,10 @@ def project(camera: Camera, points: np.ndarray) -> np.ndarray:
     else:
         pixels, _ = cv2.projectPoints(points, zero, zero, camera.matrix(), coefficients)
     pixels = pixels.reshape(-1, 2)
-    size = np.array([camera.width_px, camera.height_px])
-    hidden = (points[:, 2] <= 0.0) | ((pixels < 0.0) | (pixels > size - 1.0)).any(axis=1)
+    hidden = points[:, 2] <= 0.0
+    if not beyond:
+        size = np.array([camera.width_px, camera.height_px])
+        hidden |= ((pixels < 0.0) | (pixels > size - 1.0)).any(axis=1)
     return np.where(hidden[:, None], np.nan, pixels)
 
 

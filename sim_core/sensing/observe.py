@@ -89,11 +89,12 @@ class Sensed:
         return sum(a.nbytes for a in given if a is not None)
 
 
-def taken(camera: Camera, points: np.ndarray) -> np.ndarray:
+def taken(camera: Camera, points: np.ndarray, beyond: bool = False) -> np.ndarray:
     """Pixels ``(k, n, 2)`` of points [m] ``(k, n, 3)`` in the frame of a camera's mount at k instants; NaN where out of
-    the picture. With an origin as its last row where the camera shows one."""
+    sight, as :func:`sim_core.sensing.camera.project` has it. With an origin as its last row where the camera shows
+    one."""
     origin, rotation = _camera_placement(camera)
-    pixels = project(camera, (points.reshape(-1, 3) - origin) @ rotation).reshape(*points.shape[:2], 2)
+    pixels = project(camera, (points.reshape(-1, 3) - origin) @ rotation, beyond).reshape(*points.shape[:2], 2)
     if not isinstance(camera, OrthographicCamera) or camera.origin_id is None:
         return pixels
     shown = np.broadcast_to([camera.cx_px, camera.cy_px], (len(points), 1, 2))

@@ -7,7 +7,7 @@ import pytest
 from test_adjoint import EFFECTS, TIGHT, small, weights
 from test_linearised import PRESS
 
-from sim_core.gradients import Backward, Tape, directions, simulate_tangent
+from sim_core.gradients import Backward, Direction, Tape, directions, simulate_tangent
 from sim_core.rigs import list_parameters, load_rig, with_parameters
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.scene import build_scene
@@ -70,3 +70,17 @@ def test_points_out_of_sight_and_a_camera_on_a_hand_that_gives_way(small_rig, vi
         assert sum(bool(size) for size in sizes) >= 9
         for name, value, size in zip(names, sums, sizes, strict=True):
             assert found[name] == pytest.approx(value, rel=1e-7, abs=1e-8 * size), (camera, name)
+
+
+def test_a_secant_to_a_camera_that_points_leave_tells_of_all_that_are_seen(small_rig, visit):
+    """The pixels of a pinhole are linear in a shift of it across its view: a long secant is the derivative."""
+    rig, poses, times = small(PRESS, 0.1)(small_rig, visit)
+    far = with_parameters(rig, {"side.offset_x_m": 0.1})
+    outputs = [simulate(build_scene(r), poses, times).outputs["side"] for r in (rig, far)]
+    seen, left = (np.isfinite(o) for o in outputs)
+    assert seen.any() and (seen & ~left).sum() > 10
+    along = [Direction("far", rig, far, 0.1), *directions(rig, ["side.offset_x_m"])]
+    _, found = simulate_tangent(build_scene(rig), poses, times, along)
+    secant, slope = np.moveaxis(found["side"], -1, 0)
+    assert np.isfinite(secant[seen]).all()
+    np.testing.assert_allclose(secant[seen], slope[seen], rtol=1e-6, atol=1e-6 * np.abs(slope[seen]).max())
