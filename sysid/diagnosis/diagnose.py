@@ -31,7 +31,7 @@ from sysid.diagnosis.screening import Score, Screen, look
 from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.starts import Start
 from sysid.diagnosis.validation import of_readings, seen_by_both
-from sysid.diagnosis.verdict import WITHOUT_MISFIT, Case, Verdict, answers, cut_off, decide, size_of
+from sysid.diagnosis.verdict import WITHOUT_MISFIT, WORTH_ADDING, Case, Verdict, answers, cut_off, decide, size_of
 from sysid.discretisation.refinement import coarse_quantities, error_sizes
 from sysid.fit.marker_field import marker_fields
 from sysid.fit.result import plot_series, rms_errors
@@ -59,6 +59,10 @@ MOST_EFFECTS = 3
 
 BESIDE = 3
 """Effects that are tried beside an answer that leaves something."""
+
+COULD_TAKE = 0.5 * WORTH_ADDING
+"""Share of the structured misfit that an answer leaves which the screening must say of an effect that it takes away,
+for it to be tried beside the answer: half of what it has to take away in the end, since responses are linear."""
 
 OF_MISFIT = 0.1
 """Share of the misfit that is in a sensor's readings, up to which it is no place where to look."""
@@ -147,7 +151,8 @@ def _trials(
         wanted = [h for h in hypotheses(best.fitted.rig, scales) if h.effect.name not in best.names]
         beside, _ = look(base.engine, best.fitted, base.problem, wanted)
         beside.temper(best.fitted.misfit)
-        promising = [s for s in beside.singles() if s.gain > max(case.needed, beside.threshold())]
+        needed, worth = max(case.needed, beside.threshold()), COULD_TAKE * best.left.whole.excess
+        promising = [s for s in beside.singles() if s.gain > needed and s.fall > worth]
         if not promising:
             break
         further = [_beside(best, _start(beside, s)) for s in _distinct(beside, promising, BESIDE, 0)]
