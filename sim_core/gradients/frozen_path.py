@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sim_core.energies.term import DynamicTerm, Internals, StepContext
+from sim_core.energies.term import DynamicTerm, Internals, StepContext, Term
 from sim_core.gradients.boundary_motion import Motions, driven
 from sim_core.gradients.directions import Direction, command_motions
 from sim_core.gradients.parameter_jacobian import Column, moment_on_body
@@ -36,7 +36,9 @@ from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame, Scene, Values
 from sim_core.sensing.observe import frame_of
-from sim_core.simulate import NodePath, Trace
+from sim_core.simulate import NodePath, Simulation, Trace
+from sim_core.solve.integrator import step_context
+from sim_core.solve.report import StepReport
 from sim_core.solve.step import State
 
 
@@ -53,6 +55,7 @@ class Amendment:
     affected: tuple[str, ...] = field(init=False, default=())
     compliance: Mapping[str, np.ndarray] = field(init=False, default_factory=dict)
     kept: Mapping[str, Internals] = field(init=False, default_factory=dict)
+    _searches: bool = field(init=False, default=False)
 
     @property
     def lasting(self) -> Mapping[str, tuple[str, ...]]:
@@ -77,6 +80,37 @@ class Amendment:
         virgin = {n: terms[n].initial_internals() for n in self.affected}
         begun = virgin if left is None else left.restored(virgin)
         self.internals = {n: {**own, **self.kept.get(n, {})} for n, own in begun.items()}
+        self._searches = any(isinstance(terms[n], DynamicTerm) for n in self.affected)
+
+    def enter(self, scene: Scene, step: StepContext, before: State, after: State, targets: np.ndarray) -> list[Term]:
+        """Let the amended terms, which are returned, be at the end of a step that the baseline's ``scene`` has made,
+        with what they remembered at its start. ``targets``: of prescribed nodes at its end [m] ``(n, 3)``."""
+        if not self.affected:
+            return []
+        system = self.scene.system
+        terms = {t.name: t for t in system.terms}
+        wanted = [terms[n] for n in self.affected]
+        for term in wanted:
+            term.configure(self.values.terms[term.name])
+        for name, body in scene.bodies.items():
+            self.scene.bodies[name].rotation[:] = body.rotation
+        if self._searches:
+            internals = {n: self.internals.get(n, before.internals.get(n, {})) for n in terms}
+            system.guard(True)
+            system.x[:] = before.x
+            system.set_targets(targets)
+            system.begin_step(replace(step, v_start=(after.x - before.x) / step.dt), internals)
+            system.x[:] = after.x
+            system.cover()
+        else:
+            system.x[:] = after.x
+            for term in wanted:
+                term.begin_step(step, self.internals[term.name])
+        return wanted
+
+    def remember(self, term: Term, step: StepContext) -> None:
+        """Let the internal variables of an amended term be those at the end of a step that it has entered."""
+        self.internals[term.name] = term.end_step(step, self.internals[term.name])
 
 
 @dataclass(frozen=True)
@@ -178,32 +212,38 @@ class FrozenPathSimulation(TangentSimulation):
         self, amendment: Amendment, step: StepContext, before: State, after: State, targets: np.ndarray
     ) -> list[tuple[str, np.ndarray, np.ndarray]]:
         """Force [N] ``(n, 3)`` and moment on its rigid body [N m] of each amended term; what they remember goes on."""
-        if not amendment.affected:
-            return []
-        scene, system = amendment.scene, amendment.scene.system
-        terms = {t.name: t for t in system.terms}
-        wanted = [terms[n] for n in amendment.affected]
-        for term in wanted:
-            term.configure(amendment.values.terms[term.name])
-        for name, body in self.scene.bodies.items():
-            scene.bodies[name].rotation[:] = body.rotation
-        if any(isinstance(t, DynamicTerm) for t in wanted):
-            internals = {n: amendment.internals.get(n, before.internals.get(n, {})) for n in terms}
-            system.guard(True)
-            system.x[:] = before.x
-            system.set_targets(targets)
-            system.begin_step(replace(step, v_start=(after.x - before.x) / step.dt), internals)
-            system.x[:] = after.x
-            system.cover()
-        else:
-            system.x[:] = after.x
-            for term in wanted:
-                term.begin_step(step, amendment.internals[term.name])
         out = []
-        for term in wanted:
-            out.append((term.name, system.gradient_of(term), moment_on_body(term)))
-            amendment.internals[term.name] = term.end_step(step, amendment.internals[term.name])
+        for term in amendment.enter(self.scene, step, before, after, targets):
+            out.append((term.name, amendment.scene.system.gradient_of(term), moment_on_body(term)))
+            amendment.remember(term, step)
         return out
+
+
+class RememberingSimulation(Simulation):
+    """A simulation along the path of which ``amendments`` remember, without a response to them."""
+
+    def __init__(self, scene: Scene, amendments: Sequence[Amendment], left: PermanentState | None = None) -> None:
+        self._amendments = list(amendments)
+        super().__init__(scene, left=left)
+
+    def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
+        for amendment in self._amendments:
+            amendment.begin(self.scene, self.left)
+        super().reset(frames)
+        for settled in self.settling:
+            self._remember(settled.before, settled.after, settled.dt, self.frames)
+
+    def _advance(self, end: Mapping[str, Frame], dt: float) -> StepReport:
+        before = self.state
+        report = super()._advance(end, dt)
+        self._remember(before, self.state, dt, {**self.frames, **end})
+        return report
+
+    def _remember(self, before: State, after: State, dt: float, frames: Mapping[str, Frame]) -> None:
+        step, targets = step_context(before.x, before.v, dt, before.past, before.t), self.scene.targets(frames)
+        for amendment in self._amendments:
+            for term in amendment.enter(self.scene, step, before, after, targets):
+                amendment.remember(term, step)
 
 
 def _idle(rig: Rig, count: int) -> list[Direction]:

@@ -19,10 +19,11 @@ import numpy as np
 from sim_core.effects import effect_by_name, split_key
 from sim_core.effects.hooks import ClockMap, ReadingMap
 from sim_core.gradients import Direction, simulate_tangent
-from sim_core.gradients.frozen_path import Amendment, simulate_responses
+from sim_core.gradients.frozen_path import Amendment, RememberingSimulation
 from sim_core.permanent_state import PermanentState, lasting
 from sim_core.rigs import Rig
 from sim_core.scene import Scene
+from sim_core.simulate import run as run_through
 from sim_core.simulate import simulate, step_times
 from sysid.observations.observations import Run
 
@@ -112,10 +113,9 @@ def frozen_before(scene: Scene, run: Run, dt: float, amendments: Sequence[Amendm
     left = None
     with _mechanics_alone(scene):
         for before in run.earlier:
-            times = step_times(0.0, before.end, dt)
-            trace, _ = simulate_responses(scene, before.poses, times, [], last, left=left)
-            # What amendments change of the recordings after is in their own internal variables.
-            left = None if trace.left is None else replace(trace.left, by_internals=None, by_x=None)
+            left = run_through(
+                RememberingSimulation(scene, last, left), before.poses, step_times(0.0, before.end, dt)
+            ).left
             for amendment in last:
                 amendment.keep()
 
