@@ -52,6 +52,7 @@ __all__ = [
     "Response",
     "RigMap",
     "Sliding",
+    "StrainAtRest",
     "Strained",
 ]
 
@@ -169,6 +170,27 @@ class MaterialLaw(Effect):
     def push(self, at: Strained, change: Strained, values: Values, by: Values) -> tuple[Array, Mapping[str, Array]]:
         """Changes of stress ``(..., n, k)`` and of the new state ``(..., n, ...)`` along changes of all inputs and of
         the parameters, ``by``. Changes may have further first axes; no one asks for a change of ``dt``."""
+
+
+class StrainAtRest(MaterialLaw):
+    """A body that is strained at rest: the stress D (e - e_0) in place of D e, by
+
+    psi(e) = -e . D e_0.
+    """
+
+    @abstractmethod
+    def strain_at_rest(self, values: Values) -> Array:
+        """e_0 ``(k,)``, linear in the parameters."""
+
+    def state(self) -> Mapping[str, tuple[int, ...]]:
+        return {}
+
+    def respond(self, at: Strained, values: Values) -> Response:
+        stress = -(at.stiffness @ self.strain_at_rest(values))
+        return Response((stress * at.strain).sum(axis=-1), stress, np.zeros_like(at.stiffness), {})
+
+    def push(self, at: Strained, change: Strained, values: Values, by: Values) -> tuple[Array, Mapping[str, Array]]:
+        return -(change.stiffness @ self.strain_at_rest(values)) - at.stiffness @ self.strain_at_rest(by), {}
 
 
 class FieldMap(Effect):

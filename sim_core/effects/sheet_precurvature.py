@@ -9,19 +9,16 @@ was rolled stays so. A curvature along x is positive where the ends of least and
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import MaterialLaw, Response, Strained
-from sim_core.materials.elastic import applied
+from sim_core.effects.hooks import StrainAtRest
 from sim_core.rigs import Rig, Sheet
 
 NAMES = ("x_per_m", "y_per_m", "twist_per_m")
 
 
-class SheetPrecurvature(MaterialLaw):
+class SheetPrecurvature(StrainAtRest):
     """A sheet that is curled."""
 
     name = "sheet_precurvature"
@@ -44,20 +41,5 @@ class SheetPrecurvature(MaterialLaw):
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
-    def state(self) -> Mapping[str, tuple[int, ...]]:
-        return {}
-
-    def respond(self, at: Strained, values: Values) -> Response:
-        stress = -applied(at.stiffness, np.broadcast_to(_at_rest(values), at.strain.shape))
-        return Response((stress * at.strain).sum(axis=-1), stress, np.zeros_like(at.stiffness), {})
-
-    def push(
-        self, at: Strained, change: Strained, values: Values, by: Values
-    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        rest, more = (np.broadcast_to(_at_rest(v), at.strain.shape) for v in (values, by))
-        return -applied(change.stiffness, rest) - applied(at.stiffness, more), {}
-
-
-def _at_rest(values: Values) -> np.ndarray:
-    """Generalised curvatures at rest: 11, 22, twice 12."""
-    return np.array([values["x_per_m"], values["y_per_m"], 2.0 * values["twist_per_m"]])
+    def strain_at_rest(self, values: Values) -> np.ndarray:
+        return np.array([values["x_per_m"], values["y_per_m"], 2.0 * values["twist_per_m"]])

@@ -8,17 +8,14 @@ damp."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import MaterialLaw, Response, Strained
-from sim_core.materials.elastic import applied
+from sim_core.effects.hooks import StrainAtRest
 from sim_core.rigs import Rig, Sheet
 
 
-class SheetSwelling(MaterialLaw):
+class SheetSwelling(StrainAtRest):
     """A sheet that has grown, or shrunk."""
 
     name = "sheet_swelling"
@@ -42,19 +39,5 @@ class SheetSwelling(MaterialLaw):
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
-    def state(self) -> Mapping[str, tuple[int, ...]]:
-        return {}
-
-    def respond(self, at: Strained, values: Values) -> Response:
-        stress = -applied(at.stiffness, np.broadcast_to(_at_rest(values), at.strain.shape))
-        return Response((stress * at.strain).sum(axis=-1), stress, np.zeros_like(at.stiffness), {})
-
-    def push(
-        self, at: Strained, change: Strained, values: Values, by: Values
-    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        rest, more = (np.broadcast_to(_at_rest(v), at.strain.shape) for v in (values, by))
-        return -applied(change.stiffness, rest) - applied(at.stiffness, more), {}
-
-
-def _at_rest(values: Values) -> np.ndarray:
-    return np.array([values["strain_x"], values["strain_y"], 0.0])
+    def strain_at_rest(self, values: Values) -> np.ndarray:
+        return np.array([values["strain_x"], values["strain_y"], 0.0])

@@ -143,10 +143,12 @@ def _trials(
     if pair is not None and pair.gain > singles[0].gain + case.needed:
         starts.append(_start(screen, pair))
     trials = _pruned(base, trials_of(base, base.fitted, starts, scales, failed), failed)
+    looked_beside: list[frozenset[str]] = []
     for count in range(2, MOST_EFFECTS + 1):
         best = next(iter(answers(trials, case)), None)
-        if best is None or not best.left.missing or len(best.hypotheses) >= count:
+        if best is None or not best.left.missing or len(best.hypotheses) >= count or best.names in looked_beside:
             break
+        looked_beside.append(best.names)
         tell(0.65 + 0.1 * count, f"what '{best.title}' leaves")
         wanted = [h for h in hypotheses(best.fitted.rig, scales) if h.effect.name not in best.names]
         beside, _ = look(base.engine, best.fitted, base.problem, wanted)
