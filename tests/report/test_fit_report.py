@@ -1,4 +1,4 @@
-"""The reports as files: complete, self-contained, and robust against results with gaps."""
+"""The report of a fit as a file: complete, and robust against results with gaps."""
 
 from __future__ import annotations
 
@@ -6,134 +6,26 @@ import json
 import math
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-import numpy as np
 import pytest
 from report_examples import (
     PROVENANCE,
-    REJECTED,
     RUNS,
-    compliance,
-    gel_relaxation,
-    make_diagnosis,
     make_errors,
     make_fit,
     make_series,
-    plasticity,
 )
+from report_pages import fit_page
 
-from sim_core.effects import all_effects
-from sim_core.rigs import load_rig
-from sim_core.simulate import Trace
-from sysid.diagnosis.baseline import Baseline
-from sysid.diagnosis.candidates import Amplitude, Hypothesis
-from sysid.diagnosis.diagnose import _collect
-from sysid.diagnosis.report_notes import Screened
-from sysid.diagnosis.residual_analysis import structure
-from sysid.diagnosis.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
-from sysid.diagnosis.screening import Block, Screen
-from sysid.diagnosis.verdict import Case, Verdict
-from sysid.fit.result import Estimate, FitResult
-from sysid.model.predictor import Prediction, SerialPredictor
-from sysid.noise.channel_noise import ChannelNoise
-from sysid.observations.observations import Measured, Run
-from sysid.report import write_diagnosis_report, write_fit_report
+from sysid.fit.result import Estimate
+from sysid.report import write_fit_report
 from sysid.report.fit_page import overall_level
-from sysid.report.numbers import TIMES
 from sysid.report.tables import nuisance_rows, provenance_of
-from sysid.solve.optimum import Fitted
-from sysid.solve.residuals import Problem
 from sysid.uncertainty.nuisance_estimates import Nuisance
 
 NAN = float("nan")
-VOID = {"meta", "link", "br", "img", "input", "hr", "rect", "path", "use", "source"}
-
-
-class Page(HTMLParser):
-    """What a page holds; raises on tags that do not match."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(convert_charrefs=True)
-        self.open: list[str] = []
-        self.ids: list[str] = []
-        self.attributes: list[tuple[str, str, str]] = []
-        self.numbers: set[float] = set()
-        self.text = ""
-        self.scripts: list[str] = []
-        self.feed(text)
-        self.close()
-        assert not self.open, self.open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        for key, value in attrs:
-            self.attributes.append((tag, key, value or ""))
-            if key == "id":
-                self.ids.append(value or "")
-            if (tag, key) == ("data", "value"):
-                self.numbers.add(float(value or "nan"))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag not in VOID:
-            assert self.open and self.open[-1] == tag, (tag, self.open[-3:], self.getpos())
-            self.open.pop()
-
-    def handle_data(self, data: str) -> None:
-        if self.open and self.open[-1] == "script":
-            self.scripts.append(data)
-        elif not self.open or self.open[-1] != "style":
-            self.text += data
-
-    @property
-    def words(self) -> str:
-        return " ".join(self.text.split())
-
-
-def fit_page(tmp_path: Path, result: FitResult) -> Page:
-    path = write_fit_report(result, tmp_path / "fit.html")
-    assert path == tmp_path / "fit.html"
-    return checked(path)
-
-
-def diagnosis_page(tmp_path: Path, diagnosis: Diagnosis) -> Page:
-    return checked(write_diagnosis_report(diagnosis, tmp_path / "diagnosis.html"))
-
-
-def checked(path: Path) -> Page:
-    """What holds for every report."""
-    text = path.read_text(encoding="utf-8")
-    assert len(text.encode()) < 5_000_000
-    page = Page(text)
-    assert len(page.ids) == len(set(page.ids)), "an id occurs twice"
-    for tag, key, value in page.attributes:
-        if key in ("src", "href", "srcset", "data", "poster", "action"):
-            assert value.startswith(("#", "data:")), (tag, key, value)
-    for pattern in (r"https?://", r"@import", r"url\((?!#)"):
-        assert not re.search(pattern, text), pattern
-    assert not re.search(r"\b(nan|NaN|None(?! (is|was|of) )|inf|Infinity|Undefined)\b", page.words), page.words
-    targets = {v[1:] for _, k, v in page.attributes if k == "href" and v.startswith("#")}
-    clips = set(re.findall(r"url\(#([^)]*)\)", text))
-    assert targets | clips <= set(page.ids)
-    assert "#0a0b" not in text, "a colour was not replaced"
-    for tag, key, value in page.attributes:
-        assert (tag, key) != ("svg", "aria-label") or value
-    return page
-
-
-@pytest.fixture(scope="module")
-def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Page]:
-    """A page of each verdict."""
-    folder = tmp_path_factory.mktemp("verdicts")
-    return {v: checked(write_diagnosis_report(make_diagnosis(v), folder / f"{v}.html")) for v in VERDICTS}
 
 
 def test_the_noise_that_is_used_stands_beside_the_declared_one_and_is_told_from_it(tmp_path: Path) -> None:
@@ -172,90 +64,6 @@ def test_the_fit_report_carries_its_json(tmp_path: Path) -> None:
     assert data == json.loads(json.dumps(result.to_json()))
 
 
-@pytest.mark.parametrize("verdict", VERDICTS)
-def test_the_diagnosis_holds_every_number_of_its_parameters(verdicts: dict[str, Page], verdict: str) -> None:
-    d = make_diagnosis(verdict)
-    page = verdicts[verdict]
-    for candidate in (*d.effects, *d.alternatives):
-        assert candidate.probability in page.numbers
-        assert candidate.title in page.words
-        assert candidate.rejected in page.words
-        for p in candidate.parameters:
-            assert {p.value, *p.ci95} <= page.numbers
-            assert p.words in page.words
-    for p in (*d.baseline_parameters, *d.amended_parameters):
-        assert {p.value, *p.ci95} <= page.numbers
-    found = {c.name for c in d.effects}
-    assert {v for k, v in d.upper_limits.items() if k.split(".")[1] not in found} <= page.numbers
-    assert d.sentence in page.words and d.next_experiment in page.words and d.not_explained in page.words
-    assert json.loads(page.scripts[0])["schema"] == "thinshell.diagnosis/2"
-
-
-def test_each_verdict_says_what_it_must(verdicts: dict[str, Page]) -> None:
-    words = {v: page.words for v, page in verdicts.items()}
-    assert "card.E_pa was fitted too high without it: 2.310 GPa instead of 2.030 GPa." in words["named"]
-    falls = f"error of wrench_gel force falls from 14.2 to 2.06 mN, from 7.10{TIMES} to 1.03{TIMES} the noise"
-    assert falls in words["named"]
-    assert "wrench_gel force71 %" in words["named"]
-    assert f"Not an answer: {REJECTED}" in words["named"]
-    assert "Practically certain. Takes away 97 % of the misfit beyond noise" in words["named"]
-    assert "thinshell plan amended_rig.yaml motion.yaml --params effects.gel_relaxation.share" in words["named"]
-    assert "What would separate them" in words["one_of"]
-    assert "do not tell them apart" in words["one_of"]
-    assert "Upper limits" in words["nothing_missing"]
-    assert "31 µm/N" in words["nothing_missing"] and "displacement per force" in words["nothing_missing"]
-    assert "What it changed" not in words["nothing_missing"]
-    assert "none of the effects that were tried accounts for it" in words["unknown"]
-    assert "Next experiment" in words["unknown"]
-
-
-def test_the_discretisation_error_stands_beside_the_error_in_its_unit(verdicts: dict[str, Page]) -> None:
-    words = verdicts["named"].words
-    assert f"wrench_gel force [mN] 14.22.06 7.10{TIMES} to 1.03{TIMES} 2.000.400" in words
-    assert "the error of the simulator's own mesh and time step" in words
-
-
-def test_places_are_shown_where_no_law_is_known(verdicts: dict[str, Page]) -> None:
-    assert "the stiffness of gel changes" in verdicts["unknown"].words and "81 %" in verdicts["unknown"].words
-    assert "without any law" not in verdicts["named"].words
-
-
-def test_what_was_found_has_no_upper_limit(verdicts: dict[str, Page]) -> None:
-    limits = verdicts["named"].words.split("not larger than this")[1].split("Left open")[0]
-    assert "end_effector_compliance" in limits and "gel_relaxation" not in limits
-
-
-def empty_diagnosis() -> Diagnosis:
-    """What the diagnosis collects of one recording that the baseline explains, and one effect that was tried."""
-    t = np.linspace(0.0, 1.0, 60)
-    white = np.random.default_rng(0).standard_normal((60, 6))
-    gauge = Measured("wrench_gel", "wrench", t, white, tuple("abcdef"))
-    noise = {"wrench_gel": ChannelNoise(np.ones(6), 0.0, "test")}
-    problem = Problem([Run("pull", "", (), {}, (gauge,), 1.0)], noise, cast(SerialPredictor, None))
-    prediction = Prediction({"wrench_gel": np.zeros((60, 6))}, {}, cast(Trace, None))
-    rig = load_rig("card_press")
-    base = Fitted(
-        [], np.zeros(0), rig, white.ravel(), np.zeros((360, 0)), [(0, "wrench_gel", np.repeat(t, 6))], [prediction],
-        rig, 1, True, "",
-    )  # fmt: skip
-    relaxation = all_effects()["gel_relaxation"]
-    size = next(p for p in relaxation.parameters if p.name == "share")
-    law = Hypothesis("gel_relaxation", relaxation, {"tau_s": 0.2}, (Amplitude(size, 0.0, 0.25),))
-    gram = np.array([[90.0, 3.0], [3.0, 360.0]])
-    screen = Screen(base, [law], [Block("pull", gram, np.zeros(2))])
-    whole = Baseline(problem, base, Problem([], noise, cast(SerialPredictor, None)), None, noise, [], (), None)
-    case = Case(structure(problem, base), None, 3.0)
-    return _collect(rig, whole, case, Verdict("nothing_missing", ()), [], Screened(screen, screen.singles(), {}))[0]
-
-
-def test_the_examples_have_the_keys_of_real_diagnoses(tmp_path: Path) -> None:
-    real, example = empty_diagnosis(), make_diagnosis("nothing_missing")
-    assert list(real.discretisation) == list(example.discretisation)
-    assert set(real.upper_limits) <= set(example.upper_limits) and real.upper_limits
-    words = diagnosis_page(tmp_path, real).words
-    assert "What became of each effect" in words and "promised no better fit" in words
-
-
 def test_a_fit_without_anything(tmp_path: Path) -> None:
     page = fit_page(
         tmp_path,
@@ -266,18 +74,6 @@ def test_a_fit_without_anything(tmp_path: Path) -> None:
     )  # fmt: skip
     assert "No parameter was fitted." in page.words
     assert "No time series were kept" in page.words
-
-
-def test_a_diagnosis_without_anything(tmp_path: Path) -> None:
-    page = diagnosis_page(
-        tmp_path,
-        make_diagnosis(
-            "unknown", alternatives=(), located=Located((), {}, ""), baseline=Misfit(NAN, None, ()), noise_floor={},
-            discretisation={}, baseline_parameters=(), not_explained="", next_experiment="", provenance={}, series=[],
-        ),
-    )  # fmt: skip
-    assert "None is proposed." in page.words
-    assert "No recording was held out" in page.words
 
 
 def test_missing_numbers_are_shown_as_missing(tmp_path: Path) -> None:
@@ -309,15 +105,6 @@ def test_no_held_out_data(tmp_path: Path) -> None:
         ),
     )  # fmt: skip
     assert "none was held out, so nothing here tests a prediction" in page.words
-    page = diagnosis_page(
-        tmp_path,
-        make_diagnosis(
-            "named", baseline=Misfit(48.0, None, tuple(make_errors(runs, before=9.0, after=7.0))),
-            amended=Misfit(1.1, None, tuple(make_errors(runs, before=7.0, after=1.0))), series=make_series(runs),
-            effects=(replace(gel_relaxation(0.99), held_out_gain=None),), provenance={**PROVENANCE, "bags": bags},
-        ),
-    )  # fmt: skip
-    assert "No recording was held out" in page.words
 
 
 @pytest.mark.slow
@@ -439,32 +226,6 @@ def test_the_verb_follows_the_error(tmp_path: Path, after: float, verb: str) -> 
     errors = [replace(e, before=2.0 * e.noise, after=after * e.noise) for e in make_errors(RUNS, before=2.0, after=1.0)]
     words = fit_page(tmp_path, make_fit(errors=errors, series=[])).words
     assert f"The error {verb}" in words and f"on held-out recordings it {verb}" in words
-
-
-def test_both_answers_and_rivals_may_share_a_name(tmp_path: Path) -> None:
-    twin = replace(compliance(0.2, ""), place="left finger")
-    d = make_diagnosis(
-        "one_of", effects=(compliance(0.5, ""), twin), alternatives=(plasticity(0.3, "worse"), twin), series=[]
-    )
-    page = diagnosis_page(tmp_path, d)
-    assert page.words.count("left finger") >= 2
-
-
-def test_windows_are_shaded_only_where_they_belong(tmp_path: Path) -> None:
-    d = make_diagnosis("named", series=make_series(RUNS[:1]))
-    text = write_diagnosis_report(d, tmp_path / "a.html").read_text()
-    shaded = text.count('style="fill: var(--window)')
-    d.located = Located(d.located.channels, {}, d.located.phase)
-    plain = write_diagnosis_report(d, tmp_path / "b.html").read_text()
-    assert shaded > 0 and plain.count('style="fill: var(--window)') == 0
-
-
-def test_a_parameter_without_a_counterpart(tmp_path: Path) -> None:
-    extra = NamedParameter("effects.gel_relaxation.tau_s", 0.49, (0.46, 0.53), "s", "time constant")
-    d = make_diagnosis("named", series=[])
-    d.amended_parameters = (*d.amended_parameters, extra)
-    page = diagnosis_page(tmp_path, d)
-    assert "not in this model" in page.words
 
 
 def test_files_are_written_into_new_folders(tmp_path: Path) -> None:
