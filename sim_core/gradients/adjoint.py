@@ -34,7 +34,7 @@ from sim_core.gradients.elements import Alongs, OwnNumbers
 from sim_core.gradients.fields import FieldSums
 from sim_core.gradients.losses import Loss, end_memory, in_sight, one_number
 from sim_core.gradients.parameter_jacobian import Columns
-from sim_core.gradients.step import LinearStep, Pulled, Weights, linearised_terms, no_memory, passed_on_by
+from sim_core.gradients.step import LinearStep, Pulled, Weights, linearised_terms, no_memory
 from sim_core.gradients.step_record import Made
 from sim_core.gradients.tape import MEMORY_MB, Tape, backwards
 from sim_core.rigs import Rigid
@@ -44,6 +44,7 @@ from sim_core.sensing.observe import Sensed
 from sim_core.simulate import Trace, midway
 from sim_core.solve.hessian_store import AHEAD
 from sim_core.solve.integrator import at_start
+from sim_core.solve.reactions import passed_on_by
 from sim_core.solve.step import NewtonSettings, State
 
 

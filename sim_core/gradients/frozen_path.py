@@ -38,6 +38,7 @@ from sim_core.scene.scene import Frame, Scene, Values
 from sim_core.sensing.observe import frame_of
 from sim_core.simulate import NodePath, Simulation, Trace
 from sim_core.solve.integrator import step_context
+from sim_core.solve.reactions import reactions
 from sim_core.solve.report import StepReport
 from sim_core.solve.step import State
 
@@ -181,7 +182,7 @@ class FrozenPathSimulation(TangentSimulation):
         for k, amendment in enumerate(self._amendments):
             for mount, compliance in amendment.compliance.items():
                 if loads is None:
-                    loads = self.scene.system.reactions()
+                    loads = reactions(self.scene.system)
                 load = loads[self.scene.carried(mount)].sum(axis=0)
                 motion = np.array(moved.get(mount, np.zeros((6, len(self._along)))))
                 motion[:3, self._first + k] += self.frames[mount][1].inv().apply(compliance * load)

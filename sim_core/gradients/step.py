@@ -28,6 +28,7 @@ from sim_core.gradients.parameter_jacobian import Column
 from sim_core.scene.scene import Scene
 from sim_core.solve.hessian_store import Keeper
 from sim_core.solve.integrator import Past, step_context
+from sim_core.solve.reactions import passed_on, passed_on_by
 from sim_core.solve.step import State
 from sim_core.solve.system import System
 
@@ -46,8 +47,8 @@ class Motion:
 @dataclass
 class Outcome:
     """Derivatives of what readings depend on at the end of a step: ``x`` ``(n, 3, p)``; ``force``: of dE/dx of all
-    terms, and of what prescribed nodes bear beside (:meth:`System.passed_on`), ``(n, 3, p)``; ``moment``: of rigid
-    contacts ``(3, p)``; ``unknowns`` ``(., p)``."""
+    terms, and of what prescribed nodes bear beside (:func:`sim_core.solve.reactions.passed_on`), ``(n, 3, p)``;
+    ``moment``: of rigid contacts ``(3, p)``; ``unknowns`` ``(., p)``."""
 
     x: np.ndarray
     force: np.ndarray
@@ -180,7 +181,7 @@ class LinearStep:
         if self.inertia:
             carried = self._carried(x)
             force, body = force - carried, body + carried
-        force += system.passed_on(force, body)
+        force += passed_on(system, force, body)
         for name, term in self.terms.items():
             memory[name] += times(term.memory_end, x.reshape(-1, count))
             if term.moment_end is not None:
@@ -326,17 +327,6 @@ def linearised_terms(system: System, step: StepContext, before: State, after: St
         if found is not None:
             terms[name] = found
     return terms
-
-
-def passed_on_by(system: System, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Transpose of what mounts bear (:meth:`System.reactions`): weights ``(n, 3)`` of dE/dx of the terms, and of
-    inertia and weight, from those of their negative on all nodes."""
-    through = np.zeros_like(weights)
-    if system.passes_on:
-        held = np.where(system.prescribed, weights, 0.0)
-        system.embed(through := held.copy())
-        through = through - held
-    return weights + through, np.where(system.holding, weights, 0.0) + through
 
 
 def no_memory(state: State, count: int | None = None) -> dict[str, np.ndarray]:

@@ -39,6 +39,7 @@ from sim_core.sensing.observe import frame_of
 from sim_core.simulate import NodePath, Simulation, Trace, run
 from sim_core.solve.hessian_store import Keeper
 from sim_core.solve.integrator import at_start
+from sim_core.solve.reactions import passed_on
 from sim_core.solve.step import NewtonSettings, State, StepReport
 
 
@@ -168,7 +169,7 @@ class TangentSimulation(Simulation):
             if system.inertia:
                 gradient -= system.mass @ move / dt**2
             body = -(system.mass @ v[..., k]) / dt if system.inertia else np.zeros_like(gradient)
-            force[..., k] = gradient + system.passed_on(gradient, body)
+            force[..., k] = gradient + passed_on(system, gradient, body)
         self.mechanical = self._read_derivatives(Outcome(x, force, {}, np.zeros((system.n_unknowns, count))))
 
     def _add_what_mounts_bear(self) -> None:

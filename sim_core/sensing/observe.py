@@ -36,6 +36,7 @@ from sim_core.rigs import (
 from sim_core.scene.assembly import BuiltBody
 from sim_core.scene.scene import Frame, Scene
 from sim_core.sensing.camera import Camera, project, project_slopes
+from sim_core.solve.reactions import reactions
 
 ON_FLAT, ON_CURVED = 1e-6, 0.1
 """How far points may lie outside of their element, in its sizes: the facets of a dome are not quite its skin."""
@@ -213,7 +214,7 @@ class Observer:
         for name, sensor in rig.sensors.items():
             if isinstance(sensor, WrenchSensor):
                 if forces is None:
-                    forces = self._scene.system.reactions()
+                    forces = reactions(self._scene.system)
                 nodes, mount, carrier = self._loaded[name]
                 frame = _within(placed[mount], carrier)
                 if isinstance(rig.bodies.get(sensor.on), Affine):
@@ -249,7 +250,7 @@ class Observer:
         for name in channels:
             if self.kinds[name] == "wrench":
                 if forces is None:
-                    forces = system.reactions()
+                    forces = reactions(system)
                 out[name] = self._wrench_derivatives(name, placed, forces)
             elif self.kinds[name] == "markers":
                 sensor = rig.sensors[name]

@@ -66,7 +66,7 @@ class System:
         self.gravity = np.asarray(gravity, dtype=float)
         self.inertia = inertia
         self.second_order = second_order
-        self._embedding = embedding
+        self.embedding = embedding
         for term in self.terms:
             check_term(term)
         self._dynamic = [t for t in self.terms if isinstance(t, DynamicTerm)]
@@ -104,7 +104,7 @@ class System:
         self._mass_column = inertia.indices.astype(np.int32)
         self._mass = np.zeros(len(rows))
         static = [(self._mass_blocks, True), *((t.blocks(), t.mirrored) for t in self._static)]
-        self._pattern = Pattern(self._unknowns.number, self.n_unknowns, static, self._embedding)
+        self._pattern = Pattern(self._unknowns.number, self.n_unknowns, static, self.embedding)
         self._bind()
 
     def _bind(self) -> None:
@@ -383,37 +383,6 @@ class System:
         out = -self._gradient
         self._gradient[:] = kept
         return np.asarray(out)
-
-    def reactions(self) -> np.ndarray:
-        """Force [N] ``(n, 3)`` that the terms exert on every node; on prescribed nodes what their mount has to bear:
-        also their weight and inertia, and what those pass on that are embedded in them (joints)."""
-        whole = self.gradient().copy()
-        exerted = self.static_gradient()
-        return np.asarray(-exerted - self.passed_on(exerted, whole - exerted))
-
-    @property
-    def passes_on(self) -> bool:
-        """Whether nodes are embedded in prescribed ones, which then bear what acts on them (joints)."""
-        return self._embedding is not None and bool(self._embedding.weights[:, self.prescribed.any(axis=1)].nnz)
-
-    def passed_on(self, exerted: np.ndarray, body: np.ndarray) -> np.ndarray:
-        """What prescribed nodes bear [N] ``(n, 3)`` beside what the terms exert on them: inertia and weight of their
-        own, and all that acts on nodes embedded in them. ``exerted``: dE/dx of the terms; ``body``: of inertia, weight
-        and loads, ``(n, 3)`` both, or several of them, ``(n, 3, k)``."""
-        if exerted.ndim > 2 and not self.passes_on:
-            return np.where(self.holding[..., None], body, 0.0)
-        if exerted.ndim > 2:
-            return np.stack([self.passed_on(exerted[..., k], body[..., k]) for k in range(exerted.shape[2])], axis=-1)
-        out = np.where(self.holding, body, 0.0)
-        if self.passes_on:
-            whole = exerted + body
-            out += np.where(self.prescribed, self.fold(whole) - whole, 0.0)
-        return out
-
-    @property
-    def holding(self) -> np.ndarray:
-        """Nodes of which some component is prescribed, bool ``(n, 1)``."""
-        return np.asarray(self.prescribed.any(axis=1, keepdims=True))
 
     def fold(self, gradient: np.ndarray) -> np.ndarray:
         """A nodal gradient ``(n, 3)`` with that of embedded nodes carried to those that they are embedded in."""
