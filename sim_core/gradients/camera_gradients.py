@@ -59,7 +59,8 @@ class Imaging:
             return None
         points, camera = np.stack(self._kept[channel, k, high]), self._end(k, high).cameras[channel]
         at_once = max(1, POINTS // max(1, points.shape[1]))
-        return np.concatenate([taken(camera, points[a : a + at_once], high) for a in range(0, len(points), at_once)])
+        parts = (points[a : a + at_once] for a in range(0, len(points), at_once))
+        return np.concatenate([taken(camera, part, beyond=high) for part in parts])
 
 
 class Pictures:

@@ -30,10 +30,10 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import WORLD
 from sim_core.rigs.schema import Joint
 from sim_core.scene.assembly import BuiltBody
+from sim_core.solve.embedding import Embedding, eliminate, embed
 
 if TYPE_CHECKING:
     from sim_core.scene.scene import Scene
-from sim_core.solve.embedding import Embedding, eliminate, embed
 
 
 @dataclass(frozen=True)

@@ -113,9 +113,8 @@ def frozen_before(scene: Scene, run: Run, dt: float, amendments: Sequence[Amendm
     left = None
     with _mechanics_alone(scene):
         for before in run.earlier:
-            left = run_through(
-                RememberingSimulation(scene, last, left), before.poses, step_times(0.0, before.end, dt)
-            ).left
+            simulation, times = RememberingSimulation(scene, last, left), step_times(0.0, before.end, dt)
+            left = run_through(simulation, before.poses, times).left
             for amendment in last:
                 amendment.keep()
 
