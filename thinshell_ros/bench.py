@@ -55,6 +55,8 @@ sensors:
 """
 DEPTHS_M = (0.0097, 0.0094)
 COMMAND_S, CHANGE_S, START_S = 0.01, 0.1, 300.0
+SETTLED_S, STILL_M, MOVED_M = 0.5, 5e-6, 1e-4
+"""Markers that moved less than STILL_M for SETTLED_S have settled; a change of depth moves them by MOVED_M at least."""
 TAIL_S = 3.0
 """Time [s] at the end over which the age of stamps is taken."""
 
@@ -142,17 +144,35 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
             f"No markers came in {START_S:g} s.",
             "See what the simulator says above, and whether ROS runs over loopback.",
         )
-    levels = []
-    for height in DEPTHS_M:  # what the markers come to
-        for _ in range(100):
+
+    def settle(height: float) -> float:
+        """The level [m] that the markers come to: they have moved from where they were, and then stood still."""
+        before = heard.level
+        begin = still = time.monotonic()
+        last = before
+        while time.monotonic() - still < SETTLED_S or abs(heard.level - before) < MOVED_M:
+            if time.monotonic() - begin > START_S:
+                raise WorkerError(
+                    f"The markers did not follow a command to a height of {height:g} m in {START_S:g} s.",
+                    "See what the simulator says above: the machine may be too busy.",
+                )
             command(height)
             spin(time.monotonic() + COMMAND_S)
-        levels.append(heard.level)
+            if abs(heard.level - last) > STILL_M:
+                last, still = heard.level, time.monotonic()
+        return heard.level
+
+    levels = [settle(height) for height in DEPTHS_M]
     physics = _physics(pid)
     heard.latencies, heard.ages, heard.numbers = [], [], []
     memory = [_rss_mb(pid) + _rss_mb(physics)]
     begin, due, changed, deep, stopped = time.monotonic(), time.monotonic(), 0.0, 1, None
-    while (now := time.monotonic()) - begin < seconds:
+    while (now := time.monotonic()) - begin < seconds or not heard.latencies:
+        if now - begin > seconds + START_S:
+            raise WorkerError(
+                f"No command of another depth was followed by the markers in {seconds + START_S:.0f} s.",
+                "See what the simulator says above: the machine may be too busy.",
+            )
         if slow_s and stopped is None and now - begin > 0.5 * (seconds - slow_s):
             os.kill(physics, signal.SIGSTOP)
             stopped, heard.wanted = now, None
@@ -167,12 +187,13 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
             command(DEPTHS_M[deep])
         due = max(due + COMMAND_S, now)
         spin(due)
+    taken = time.monotonic() - begin
     lost = int(np.diff(heard.numbers).sum()) - (len(heard.numbers) - 1)
     tail = [age for at, age in heard.ages if at > time.monotonic() - TAIL_S]
     memory.append(_rss_mb(pid) + _rss_mb(physics))
     p50, p99 = np.percentile(heard.latencies, [50, 99]) * 1e3
     print(f"command to markers: p50 {p50:.1f} ms, p99 {p99:.1f} ms of {len(heard.latencies)} changes")
-    print(f"markers: {len(heard.numbers)} received in {seconds:g} s, {lost} lost")
+    print(f"markers: {len(heard.numbers)} received in {taken:.3g} s, {lost} lost")
     print(f"age of stamps in the last {TAIL_S:g} s: median {1e3 * np.median(tail):.1f} ms")
     print(f"memory of node and physics: {memory[0]:.1f} MB at the start, {memory[-1]:.1f} MB at the end")
     node.destroy_node()
