@@ -273,7 +273,7 @@ class Searches:
 
     def _again_from_near(self, problem: Problem, fitted: Fitted) -> Fitted:
         """The best of restarts, while they bring anything and the misfit stays above noise."""
-        width = np.array([min(p.prior_sd, 1.0) for p in self._parameters])
+        width = np.array([p.unit_step for p in self._parameters])
         while self._restarts and self._may_go_on(fitted) and fitted.misfit >= GOOD_MISFIT:
             near = fitted.scaled + RESTART_WIDTH * width * self._rng.standard_normal(len(width))
             again = self._tried(problem, near, fitted)

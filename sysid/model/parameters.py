@@ -103,6 +103,11 @@ class FitParameter:
             return float(np.log(max(self.lower, 1e-300))), float(np.log(self.upper))
         return self.lower, self.upper
 
+    @property
+    def unit_step(self) -> float:
+        """What a search counts steps by, in the fitted scale: the plausible width, at most a factor of e."""
+        return min(self.prior_sd, 1.0) if self.log else self.prior_sd
+
     def width(self, scaled: float) -> float:
         """What a standard deviation at a value is judged by: the plausible width, or half the value if that is more."""
         return self.prior_sd if self.log else max(self.prior_sd, 0.5 * abs(scaled))

@@ -71,7 +71,7 @@ class Search:
         """Search from scaled values ``(p,)``. Raises ``ThinshellError`` if they cannot be simulated; Ctrl-C
         keeps the best so far."""
         low, high = np.array([p.scaled_bounds for p in self._parameters]).T
-        scale = np.array([min(p.prior_sd, 1.0) for p in self._parameters])
+        scale = np.array([p.unit_step for p in self._parameters])
         message, converged, radius, halted, interrupted = "", True, 1.0, False, False
         try:
             self._look(np.clip(start, low, high))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -201,3 +202,22 @@ def test_outcomes_are_compared_over_what_both_have_in_sight() -> None:
     )
     assert one.beside(other) == (5.0, 20.0) and (one.samples, other.samples) == (3, 3)
     assert one.misfit == pytest.approx(one.chi2 / 3.0)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_a_search_does_not_depend_on_units(unit: float) -> None:
+    """The data ask for a value at four of its plausible widths, which in a unit of thousandths are thousands."""
+    plain = problem(BASIS @ [4.0, 0.5] + NOISE)
+
+    def course(size: float) -> list[np.ndarray]:
+        parameters, seen = [replace(PARAMETERS[0], prior_sd=1.0 / size), PARAMETERS[1]], []
+
+        def evaluate(scaled: np.ndarray) -> Fitted:
+            seen.append(scaled * [size, 1.0])
+            there = plain(seen[-1])
+            return replace(there, parameters=parameters, scaled=scaled, jacobian=there.jacobian * [size, 1.0])
+
+        Search(evaluate, parameters, None).run(np.zeros(2), 60, 0.5)
+        return seen
+
+    np.testing.assert_allclose(course(unit), course(1.0), atol=1e-9)
