@@ -27,12 +27,12 @@ from scipy.stats import norm, qmc
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.fit.options import FitOptions, Intervals
+from sysid.model.nuisance_parameters import kind_of
 from sysid.model.parameters import FitParameter
 from sysid.solve.covariance import overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.goodness_of_fit import GOOD_MISFIT, worst
-from sysid.uncertainty.nuisance_estimates import kind_of
 
 Progress = Callable[[float, str], None]
 

@@ -30,6 +30,7 @@ import numpy as np
 from sim_core.effects import Nuisance, all_effects, split_key
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.rigs import Rig
+from sim_core.rigs.pose_offset import OFFSETS
 from sysid.model.parameters import FitParameter, fit_parameters
 from sysid.model.pose_influence import influencing_end_effectors
 from sysid.noise.estimate import column_groups
@@ -84,6 +85,13 @@ def nuisance_parameters(
             bags = [*there] if nuisance.per_recording and len(there) > 1 else []
             found.extend([replace(one, name=f"{one.name}[{bag}]", bag=bag) for bag in bags] or [one])
     return found
+
+
+def kind_of(rig: Rig, name: str) -> str:
+    """Kind of a nuisance that is a parameter of the rig."""
+    owner, _, quantity = name.rpartition(".")
+    pose = quantity in OFFSETS and owner not in rig.cameras
+    return "time" if quantity == "latency_s" else "pose" if pose else "camera"
 
 
 def _allowed(rig: Rig, asked: Sequence[FitParameter]) -> list[Nuisance]:

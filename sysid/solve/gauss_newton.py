@@ -6,6 +6,10 @@ which the misfit says nothing is known better than that. While the model is wron
 large, and chi-square counts the same evidence kappa times; the prior, where there is one, is then weighed up as much,
 so that parameters do not run to where no material is to cover what the model lacks (a tempered posterior, Gruenwald &
 van Ommen 2017). As the fit improves kappa falls, and the next stage goes on with what it is then, down to 1.
+
+Where the calibration of sensors alone, a camera that was knocked say, makes up most of what is missed at the start, it
+is searched for first: beside thousands of pixels' standard deviations that are off in every picture, each material is
+good that takes some of them, and the search would end far from where it began.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ import numpy as np
 from sim_core.errors import ThinshellError
 from sysid.model.parameters import FitParameter
 from sysid.solve.covariance import overdispersion, uncertainty
-from sysid.solve.nonsmooth_trust_region import USED_UP, Point, minimise
+from sysid.solve.nonsmooth_trust_region import USED_UP, End, Point, minimise
 from sysid.solve.optimum import Fitted
 
 HALTED = "it came on slowly beside an error of mesh and time step that was measured elsewhere"
@@ -33,6 +37,12 @@ IN_SIGHT = 0.9
 not say nothing of it."""
 
 
+MOST = 0.5
+"""Share of the sum of squares at the start that the calibration of sensors has to promise to be searched for first."""
+
+CALIBRATED_WITHIN, CALIBRATIONS = 30.0, 4
+"""Radius of its trust region, in plausible widths, and evaluations: readings are nearly linear in it."""
+
 SHORT = 0.2
 """Step that is too short to be taken, in standard deviations of each parameter that is asked for."""
 
@@ -40,7 +50,8 @@ SHORT = 0.2
 class Search:
     """One minimisation. ``evaluate``: the problem at scaled values ``(p,)``; ``parameters``: at least one;
     ``on_evaluation``: told after each evaluation, also one that failed, what is best so far. ``halt``: whether to end
-    the search before its time, given the best chi-square after each evaluation."""
+    the search before its time, given the best chi-square after each evaluation; ``calibrated``: which parameters are
+    the calibration of sensors ``(p,)``, which changes readings and no motion."""
 
     def __init__(
         self,
@@ -48,6 +59,7 @@ class Search:
         parameters: Sequence[FitParameter],
         on_evaluation: Callable[[Fitted], None] | None,
         halt: Callable[[Sequence[float]], bool] | None = None,
+        calibrated: np.ndarray | None = None,
     ) -> None:
         self._evaluate = evaluate
         self._parameters = parameters
@@ -55,6 +67,7 @@ class Search:
         self._best: Fitted | None = None
         self._last: Fitted | None = None
         self._halt = halt
+        self._sensors = np.zeros(len(parameters), dtype=bool) if calibrated is None else calibrated
         self._course: list[float] = []
         self._evaluations = 0
         self._seen = 0
@@ -71,32 +84,20 @@ class Search:
         """Search from scaled values ``(p,)``. Raises ``ThinshellError`` if they cannot be simulated; Ctrl-C
         keeps the best so far."""
         low, high = np.array([p.scaled_bounds for p in self._parameters]).T
-        scale = np.array([p.unit_step for p in self._parameters])
         message, converged, radius, halted, interrupted = "", True, 1.0, False, False
         try:
             self._look(np.clip(start, low, high))
-            while True:
-                self._weight = overdispersion(self.best)
+            if self._uncalibrated():
                 begin = self.best.scaled
-
-                def point(z: np.ndarray, begin: np.ndarray = begin) -> Point | None:
-                    """The problem where z is, whose unit is the scale; z begins at 0."""
-                    here = self._look(np.clip(begin + scale * z, low, high))
-                    if here is None:
-                        return None
-                    return Point(z, self._weigh(here, self._whole(here)), self._weigh(here, here.jacobian * scale))
-
-                first = point(np.zeros(len(scale)))
-                assert first is not None
-                end = minimise(
-                    point,
-                    first,
-                    ((low - begin) / scale, (high - begin) / scale),
-                    tolerance=tolerance * self._weight,
-                    go_on=lambda: self._evaluations < max_evaluations and not self._halted(),
-                    short=lambda step: self._short(scale * step),
-                    radius=radius,
+                self._stage(
+                    np.where(self._sensors, low, begin),
+                    np.where(self._sensors, high, begin),
+                    tolerance,
+                    min(1 + CALIBRATIONS, max_evaluations),
+                    CALIBRATED_WITHIN,
                 )
+            while True:
+                end = self._stage(low, high, tolerance, max_evaluations, radius)
                 message, converged, radius = end.message, end.converged, max(end.radius, FRESH)
                 halted = self._halted()
                 if halted:
@@ -117,6 +118,38 @@ class Search:
         if interrupted:
             found.interrupt()
         return found
+
+    def _stage(self, low: np.ndarray, high: np.ndarray, tolerance: float, evaluations: int, radius: float) -> End:
+        """Search on from the best point within bounds ``(p,)``, with the weight of the data as it is there."""
+        self._weight = overdispersion(self.best)
+        begin, scale = self.best.scaled, np.array([p.unit_step for p in self._parameters])
+
+        def point(z: np.ndarray) -> Point | None:
+            """The problem where z is, whose unit is the scale; z begins at 0."""
+            here = self._look(np.clip(begin + scale * z, low, high))
+            if here is None:
+                return None
+            return Point(z, self._weigh(here, self._whole(here)), self._weigh(here, here.jacobian * scale))
+
+        first = point(np.zeros(len(scale)))
+        assert first is not None
+        return minimise(
+            point,
+            first,
+            ((low - begin) / scale, (high - begin) / scale),
+            tolerance=tolerance * self._weight,
+            go_on=lambda: self._evaluations < evaluations and not self._halted(),
+            short=lambda step: self._short(scale * step),
+            radius=radius,
+        )
+
+    def _uncalibrated(self) -> bool:
+        """Whether derivatives promise that the calibration of sensors alone makes up for most of what is missed."""
+        if not self._sensors.any():
+            return False
+        residual, jacobian = self._whole(self.best), self.best.jacobian[:, self._sensors]
+        basis = np.linalg.qr(jacobian)[0]
+        return bool(np.sum((basis.T @ residual) ** 2) > MOST * (residual @ residual))
 
     def _short(self, step: np.ndarray) -> bool:
         """Whether a step from the best point ``(p,)`` moves what was asked for by little of what it is known by."""

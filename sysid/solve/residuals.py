@@ -10,7 +10,7 @@ import numpy as np
 
 from sim_core.errors import ConvergenceError, ThinshellError
 from sim_core.rigs import Rig
-from sysid.model.nuisance_parameters import bias_sd
+from sysid.model.nuisance_parameters import bias_sd, kind_of
 from sysid.model.parameters import FitParameter, rig_at, rig_in, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
@@ -354,5 +354,8 @@ class Problem:
             if found.evaluations and on_evaluation is not None:
                 on_evaluation(found)
             return found
-        search = Search(lambda scaled: self.evaluate(rig, parameters, scaled), parameters, on_evaluation, halt)
+        sensors = np.array([p.nuisance and kind_of(rig, p.target) != "pose" for p in parameters])
+        search = Search(
+            lambda scaled: self.evaluate(rig, parameters, scaled), parameters, on_evaluation, halt, calibrated=sensors
+        )
         return search.run(start, max_evaluations, tolerance)

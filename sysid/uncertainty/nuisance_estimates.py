@@ -10,7 +10,7 @@ import numpy as np
 
 from sim_core.rigs import Rig, with_parameters
 from sim_core.rigs.pose_offset import OFFSETS
-from sysid.model.nuisance_parameters import bias_sd
+from sysid.model.nuisance_parameters import bias_sd, kind_of
 from sysid.model.parameters import FitParameter, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import quantities
@@ -296,10 +296,3 @@ def _spread(fitted: Fitted, jacobian: np.ndarray, known: Sequence[str]) -> dict[
     )
     variance = np.sum(vectors**2 / np.maximum(values, 1e-300), axis=1)
     return {p.name: float(np.sqrt(v)) for p, v in zip(parameters, variance, strict=True)}
-
-
-def kind_of(rig: Rig, name: str) -> str:
-    """Kind of a nuisance that is a parameter of the rig."""
-    owner, _, quantity = name.rpartition(".")
-    pose = quantity in OFFSETS and owner not in rig.cameras
-    return "time" if quantity == "latency_s" else "pose" if pose else "camera"

@@ -221,3 +221,52 @@ def test_a_search_does_not_depend_on_units(unit: float) -> None:
         return seen
 
     np.testing.assert_allclose(course(unit), course(1.0), atol=1e-9)
+
+
+def _knocked(calibrated: np.ndarray | None) -> tuple[Fitted, list[np.ndarray]]:
+    """A settling whose rate is asked for, 3.1 where it is taken for 3, read by a gauge that was knocked by 40 where it
+    is known within 5. A rate that is much too large makes up for some of that, and then has no derivative."""
+    rate_known, zero_known = 2.0, 5.0
+    parameters = [
+        FitParameter("rate", "-", False, 0.0, 100.0, rate_known, ""),
+        FitParameter("zero", "-", False, -1e3, 1e3, zero_known, "", nuisance=True),
+    ]
+    data = 40.0 + 20.0 * (1.0 - np.exp(-3.1 * T)) + NOISE
+    seen: list[np.ndarray] = []
+
+    def evaluate(scaled: np.ndarray) -> Fitted:
+        seen.append(scaled)
+        rate, zero = scaled
+        left = data - zero - 20.0 * (1.0 - np.exp(-rate * T))
+        slopes = np.column_stack([-20.0 * T * np.exp(-rate * T), -np.ones(len(T))])
+        residual, jacobian = np.append(left, zero / zero_known), np.vstack([slopes, [0.0, 1.0 / zero_known]])
+        labels, nothing = [(0, "gauge", T), (-1, "prior", np.zeros(1))], cast(Any, None)
+        return Fitted(parameters, scaled, nothing, residual, jacobian, labels, [], nothing, 1, True, "")
+
+    return Search(evaluate, parameters, None, calibrated=calibrated).run(np.array([3.0, 0.0]), 4, 0.5), seen
+
+
+def test_a_knocked_sensor_is_calibrated_before_anything_else_is_searched_for() -> None:
+    found, seen = _knocked(np.array([False, True]))
+    np.testing.assert_allclose(found.scaled, [3.1, 40.0], atol=0.05)
+    assert seen[1][0] == 3.0
+    astray, _ = _knocked(None)
+    assert abs(astray.scaled[0] - 3.1) > 2.0
+
+
+def test_a_sensor_that_is_well_calibrated_is_searched_for_with_the_rest() -> None:
+    """The first step is that of all parameters."""
+    parameters = [replace(PARAMETERS[0], nuisance=True), PARAMETERS[1]]
+    seen: list[np.ndarray] = []
+    plain = problem(BASIS @ [0.01, 2.0] + NOISE)
+
+    def evaluate(scaled: np.ndarray) -> Fitted:
+        seen.append(scaled)
+        return plain(scaled)
+
+    Search(evaluate, parameters, None, calibrated=np.array([False, False])).run(np.zeros(2), 60, 0.5)
+    whole = list(seen)
+    seen.clear()
+    Search(evaluate, parameters, None, calibrated=np.array([True, False])).run(np.zeros(2), 60, 0.5)
+    assert np.abs(whole[1]).min() > 0.0
+    np.testing.assert_array_equal(seen, whole)
