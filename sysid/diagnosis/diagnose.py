@@ -22,6 +22,7 @@ from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import hypotheses, recording_scales
 from sysid.diagnosis.confirmation import confirmed
+from sysid.diagnosis.contradictions import contradictions
 from sysid.diagnosis.next_motion import in_words, proposed
 from sysid.diagnosis.refits import Trial, tempered, trials_of, without_idle
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
@@ -106,6 +107,7 @@ def diagnose_runs(
             screen.threshold(),
             coarse_quantities(base.problem),
             tuple(o.sentence for o in base.outliers if o.kept),
+            contradictions(base.fitted),
         )
         tell(0.55, "fits of the promising effects")
         trials = _trials(base, screen, singles, case, scales, failed, tell)

@@ -19,7 +19,6 @@ from sysid.diagnosis.screening import Score, Screen
 from sysid.diagnosis.verdict import Case, Verdict, needless, probabilities, rejected, size_of
 from sysid.diagnosis.wording import reason
 from sysid.discretisation.refinement import large_discretisation_errors, unresolved_quantities
-from sysid.model.parameters import start_of
 from sysid.model.windows import not_from_rest
 from sysid.noise.data_quality import data_quality_warnings
 from sysid.noise.estimate import FROM_DIFFERENCES
@@ -28,9 +27,6 @@ from sysid.solve.optimum import Fitted
 
 TOLD = 0.7
 """Deviation of an amplitude, as a share of that of what is known before, below which recordings limit it."""
-
-FAR_FROM_KNOWN = 3.0
-"""Standard deviations of what was known of a parameter from which its fitted value needs explaining."""
 
 
 @dataclass(frozen=True)
@@ -176,18 +172,17 @@ def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
                 f"Nothing stands still long enough to see the noise of {name}; it was taken from neighbouring "
                 "samples. If it is smooth, misfit is overrated: record a rest of 15 samples, or declare it in the rig."
             )
-    start = start_of(fitted.centre, fitted.parameters)
-    for p, scaled, first in zip(fitted.parameters, fitted.scaled, start, strict=True):
+    bound = set()
+    for p, scaled in zip(fitted.parameters, fitted.scaled, strict=True):
         low, high = p.scaled_bounds
-        value, began, known = p.physical(scaled), p.physical(first), p.known_sd or p.prior_sd
         if min(scaled - low, high - scaled) < 1e-3 * p.prior_sd:
-            said.append(
-                f"The baseline ends at the bound of {p.name}, {f'{value:.4g} {p.unit}'.rstrip()}; that itself needs "
-                "explaining."
-            )
-        elif abs(scaled - first) > FAR_FROM_KNOWN * known:
-            said.append(
-                f"The baseline needs {p.name} = {f'{value:.4g} {p.unit}'.rstrip()} where the rig says {began:.4g}, "
-                f"{abs(scaled - first) / known:.1f} times as far off as is known of it; that itself needs explaining."
-            )
+            bound.add(p.name)
+            value = f"{p.physical(scaled):.4g} {p.unit}".rstrip()
+            said.append(f"The baseline ends at the bound of {p.name}, {value}; that itself needs explaining.")
+    said += [
+        f"The baseline needs {c.name} = {c.fitted} where the rig says {c.told:.4g}, {c.deviations:.1f} times as far "
+        "off as is known of it; that itself needs explaining."
+        for c in case.contradictions
+        if c.name not in bound
+    ]
     return (*said, *base.notes)

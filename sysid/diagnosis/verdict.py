@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.diagnosis.contradictions import Contradiction
 from sysid.diagnosis.refits import Trial
 from sysid.diagnosis.residual_analysis import LEAST_SIZE, Structure
 
@@ -46,13 +47,15 @@ LEAST_SIGNIFICANCE = 2.5
 class Case:
     """What the verdict rests on beside the trials. ``before``, ``there``: structured misfit of the baseline, and on
     recordings held out (None without); ``threshold`` [nats]: of the simulated null; ``coarse``: quantities whose
-    discretisation error is too large for the question, in words; ``faults``: of the recordings, in words."""
+    discretisation error is too large for the question, in words; ``faults``: of the recordings, in words;
+    ``contradictions``: of the baseline and what the rig says."""
 
     before: Structure
     there: Structure | None
     threshold: float
     coarse: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
+    contradictions: tuple[Contradiction, ...] = ()
 
     @property
     def needed(self) -> float:

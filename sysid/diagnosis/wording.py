@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from sysid.diagnosis.contradictions import CERTAINLY_FAR
 from sysid.diagnosis.refits import Trial
 from sysid.diagnosis.result import Located, UnreliablePlace
 from sysid.diagnosis.verdict import MOST_EXPLAINED, Case, Verdict, rejected, size_of
@@ -24,10 +25,17 @@ def sentence(
     """The answer in a few sentences, size beside significance. ``places``: where what is unknown may be."""
     where = _where(located, "difference" if verdict.named and verdict.kind != "unknown" else "misfit")
     if verdict.kind == "nothing_missing":
-        return (
-            "Nothing is missing: the rig explains the recordings down to their noise, the simulator's discretisation "
-            f"error and what careful models differ in. {len(fates)} effects were looked for and not found."
-        )
+        looked = f"{len(fates)} effects were looked for and not found."
+        down_to = "down to their noise, the simulator's discretisation error and what careful models differ in"
+        far = [c for c in case.contradictions if c.deviations > CERTAINLY_FAR]
+        if far:
+            values = " and ".join(
+                f"{c.name} is {c.fitted}, where the rig says {c.told:.4g}, {c.deviations:.1f} times as far off as is "
+                "known of it"
+                for c in far
+            )
+            return f"Nothing is missing if {values}: with that the rig explains the recordings {down_to}. {looked}"
+        return f"Nothing is missing: the rig explains the recordings {down_to}. {looked}"
     if verdict.kind == "refine_discretisation":
         why = f" {case.coarse[0]}" if case.coarse else ""
         return (

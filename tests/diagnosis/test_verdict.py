@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from sim_core.effects import effect_by_name
+from sim_core.rigs import load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.candidates import Amplitude, Hypothesis
+from sysid.diagnosis.contradictions import contradictions
 from sysid.diagnosis.evidence import (
     deviations,
     distance_from_none,
@@ -28,7 +30,7 @@ from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.result import Located
 from sysid.diagnosis.verdict import Case, cut_off, decide, needless, probabilities, rejected
 from sysid.diagnosis.wording import sentence
-from sysid.model.parameters import FitParameter, rig_at
+from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Run
@@ -449,3 +451,28 @@ def test_an_answer_that_predicts_one_quantity_worse_is_none() -> None:
     assert decide([trial("air_drag", 700.0)], case).kind == "named"
     assert decide([best], case).kind == "unknown"
     assert rejected(best, case) == "it predicts worse: the force of wrench in rec_04, 0.0147 -> 0.0186 N"
+
+
+def _camera_at(shift: float) -> Fitted:
+    """A fit of a modulus, at the rig's value, and of a principal point known within 5 px."""
+    rig = load_rig("gel_sensor")
+    modulus, centre = fit_parameters(rig, ["gel.E_pa", "inside.cx_px"])
+    parameters = [modulus, replace(centre, prior_sd=5.0, nuisance=True)]
+    scaled = start_of(rig, parameters) + [0.0, shift]
+    nothing = np.zeros(0)
+    return Fitted(parameters, scaled, rig, nothing, np.zeros((0, 2)), [], [], rig, 1, True, "")
+
+
+@pytest.mark.parametrize(("shift", "found", "said"), [(12.0, 0, False), (-17.5, 1, False), (26.0, 1, True)])
+def test_nothing_is_missing_only_if_what_the_rig_says_is_wrong(shift: float, found: int, said: bool) -> None:
+    """A camera that was knocked is taken up by the principal point, however far that is from what is known."""
+    told = contradictions(_camera_at(shift))
+    assert [c.name for c in told] == ["inside.cx_px"] * found
+    if found:
+        assert told[0].deviations == pytest.approx(abs(shift) / 5.0)
+    case = Case(QUIET, None, 5.0, contradictions=told)
+    verdict = decide([], case)
+    text = sentence(verdict, Located((), {}, ""), {}, case)
+    assert verdict.kind == "nothing_missing"
+    assert text.startswith("Nothing is missing if inside.cx_px is " if said else "Nothing is missing: ")
+    assert ("5.2 times as far off" in text) == said

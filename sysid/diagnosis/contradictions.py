@@ -1,0 +1,42 @@
+"""Where the fitted baseline stands far from what the rig says of its parameters and nuisances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sysid.model.parameters import start_of
+from sysid.solve.optimum import Fitted
+
+FAR_FROM_KNOWN = 3.0
+"""Standard deviations of what was known of a parameter from which its fitted value needs explaining."""
+
+CERTAINLY_FAR = 4.0
+"""Those from which the verdict itself says so: of twenty parameters chance takes one there in a diagnosis of 800."""
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """``value``, ``told``: in ``unit``, as fitted and as the rig says; ``deviations``: their distance, in standard
+    deviations of what was known before."""
+
+    name: str
+    unit: str
+    value: float
+    told: float
+    deviations: float
+
+    @property
+    def fitted(self) -> str:
+        """The fitted value with its unit."""
+        return f"{self.value:.4g} {self.unit}".rstrip()
+
+
+def contradictions(fitted: Fitted) -> tuple[Contradiction, ...]:
+    """Parameters whose fitted values are :data:`FAR_FROM_KNOWN`, farthest first."""
+    found = []
+    start = start_of(fitted.centre, fitted.parameters)
+    for p, scaled, first in zip(fitted.parameters, fitted.scaled, start, strict=True):
+        away = abs(float(scaled - first)) / (p.known_sd or p.prior_sd)
+        if away > FAR_FROM_KNOWN:
+            found.append(Contradiction(p.name, p.unit, p.physical(scaled), p.physical(first), away))
+    return tuple(sorted(found, key=lambda c: -c.deviations))
