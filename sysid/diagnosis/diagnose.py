@@ -32,13 +32,24 @@ from sysid.diagnosis.screening import Score, Screen, look
 from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.starts import Start
 from sysid.diagnosis.validation import of_readings, seen_by_both
-from sysid.diagnosis.verdict import WITHOUT_MISFIT, WORTH_ADDING, Case, Verdict, answers, cut_off, decide, size_of
+from sysid.diagnosis.verdict import (
+    WITHOUT_MISFIT,
+    WORTH_ADDING,
+    Case,
+    Verdict,
+    answers,
+    cut_off,
+    decide,
+    missed_beside_mesh,
+    size_of,
+)
 from sysid.discretisation.refinement import coarse_quantities, error_sizes
 from sysid.fit.marker_field import marker_fields
-from sysid.fit.result import plot_series, rms_errors
+from sysid.fit.result import ChannelError, plot_series, rms_errors
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.provenance import provenance
 from sysid.observations.observations import Run, check_apart
+from sysid.solve.optimum import Fitted
 
 Progress = Callable[[float, str], None]
 
@@ -108,6 +119,7 @@ def diagnose_runs(
             coarse_quantities(base.problem),
             tuple(o.sentence for o in base.outliers if o.kept),
             contradictions(base.fitted),
+            missed_beside_mesh(_errors(base, base.fitted, base.there)),
         )
         tell(0.55, "fits of the promising effects")
         trials = _trials(base, screen, singles, case, scales, failed, tell)
@@ -247,12 +259,19 @@ def _misfit(base: Baseline, shown: Trial | None) -> Misfit:
     """Misfit of the baseline or of an answer, with the errors of the baseline beside its own."""
     fitted = base.fitted if shown is None else shown.fitted
     predicted = base.there if shown is None else shown.predicted
+    both = seen_by_both(base.check, base.there, predicted)
+    return Misfit(
+        of_readings(fitted), None if both is None else both[1].misfit, tuple(_errors(base, fitted, predicted))
+    )
+
+
+def _errors(base: Baseline, fitted: Fitted, predicted: Fitted | None) -> list[ChannelError]:
+    """Errors of a model, and of the baseline beside it, by recording and quantity."""
     own = error_sizes(base.problem)
     errors = rms_errors(base.problem, base.fitted, fitted, held_out=False, own=own)
     if base.there is not None and predicted is not None:
         errors += rms_errors(base.check, base.there, predicted, held_out=True, own=own)
-    both = seen_by_both(base.check, base.there, predicted)
-    return Misfit(of_readings(fitted), None if both is None else both[1].misfit, tuple(errors))
+    return errors
 
 
 def _structured(case: Case) -> tuple[StructuredMisfit, ...]:

@@ -151,6 +151,7 @@ def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
         said += other_first_shapes(rests)
     said += [o.sentence for o in base.outliers]
     said += case.coarse
+    said += case.missed if verdict.kind == "refine_discretisation" else ()
     if case.before.hidden:
         said.append(
             "There is misfit beyond the noise, but no more than the error of mesh and time step could leave. "

@@ -15,6 +15,7 @@ import numpy as np
 from sysid.diagnosis.contradictions import Contradiction
 from sysid.diagnosis.refits import Trial
 from sysid.diagnosis.residual_analysis import LEAST_SIZE, Structure
+from sysid.fit.result import ChannelError
 
 LEAST_GAIN_NATS = 8.0
 """Evidence over the baseline below which nothing is named, whatever the null of the case says."""
@@ -39,6 +40,10 @@ LEAST_STEADY = 2.0
 """Standard deviations, from block to block of time, by which held-out recordings have to speak for an effect where the
 baseline shows no misfit that stands out: chance is beyond them in one case of forty."""
 
+MISSED, MAY_BE_MESH = 5.0, 3.0
+"""Error of the baseline in a quantity and that of mesh and time step there, both over the noise and both root mean
+squares, from which what is missing cannot be told from the latter though nothing stands out."""
+
 LEAST_SIGNIFICANCE = 2.5
 """Standard deviations that an improvement must be worth by its stability over blocks of time."""
 
@@ -48,7 +53,8 @@ class Case:
     """What the verdict rests on beside the trials. ``before``, ``there``: structured misfit of the baseline, and on
     recordings held out (None without); ``threshold`` [nats]: of the simulated null; ``coarse``: quantities whose
     discretisation error is too large for the question, in words; ``faults``: of the recordings, in words;
-    ``contradictions``: of the baseline and what the rig says."""
+    ``contradictions``: of the baseline and what the rig says; ``missed``: quantities that it misses by far where mesh
+    and time step err by far, in words (:func:`missed_beside_mesh`)."""
 
     before: Structure
     there: Structure | None
@@ -56,6 +62,7 @@ class Case:
     coarse: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
     contradictions: tuple[Contradiction, ...] = ()
+    missed: tuple[str, ...] = ()
 
     @property
     def needed(self) -> float:
@@ -74,6 +81,23 @@ class Verdict:
 
     kind: str
     named: tuple[Trial, ...]
+
+
+def missed_beside_mesh(errors: Sequence[ChannelError]) -> tuple[str, ...]:
+    """A sentence for each quantity that the baseline misses by :data:`MISSED` where mesh and time step err by
+    :data:`MAY_BE_MESH`: that of the recording in which it misses most."""
+    worst: dict[tuple[str, str], ChannelError] = {}
+    for e in errors:
+        known = worst.get((e.channel, e.quantity))
+        if e.before > MISSED * e.noise and (known is None or e.before / e.noise > known.before / known.noise):
+            worst[e.channel, e.quantity] = e
+    return tuple(
+        f"The rig misses the {e.quantity or 'picture'} of {e.channel} in {e.run} by {e.before / e.noise:.0f} times its "
+        f"noise, where mesh and time step err by {e.own / e.noise:.0f} times that: what is missing beside it cannot be "
+        "told."
+        for e in worst.values()
+        if e.own > MAY_BE_MESH * e.noise
+    )
 
 
 def rejected(trial: Trial, case: Case) -> str:
@@ -124,7 +148,8 @@ def decide(trials: Sequence[Trial], case: Case) -> Verdict:
         if case.missing:
             return Verdict("unknown", ())
         hidden = case.before.hidden or (case.there is not None and case.there.hidden)
-        return Verdict("refine_discretisation" if hidden or case.coarse else "nothing_missing", ())
+        refine = hidden or case.coarse or case.missed
+        return Verdict("refine_discretisation" if refine else "nothing_missing", ())
     best = fit[0]
     share = size_of(best)
     if best.left.missing and share < MOST_EXPLAINED:

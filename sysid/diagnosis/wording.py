@@ -37,7 +37,7 @@ def sentence(
             return f"Nothing is missing if {values}: with that the rig explains the recordings {down_to}. {looked}"
         return f"Nothing is missing: the rig explains the recordings {down_to}. {looked}"
     if verdict.kind == "refine_discretisation":
-        why = f" {case.coarse[0]}" if case.coarse else ""
+        why = f" {(*case.coarse, *case.missed)[0]}" if case.coarse or case.missed else ""
         return (
             "Nothing can be said to be missing or not: the misfit is no larger than the simulator's discretisation "
             f"error could leave; it shows {where}. Refine the mesh or the time step.{why}"

@@ -28,8 +28,9 @@ from sysid.diagnosis.refits import Trial, in_pose_noise
 from sysid.diagnosis.report_notes import other_branch
 from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.result import Located
-from sysid.diagnosis.verdict import Case, cut_off, decide, needless, probabilities, rejected
+from sysid.diagnosis.verdict import Case, cut_off, decide, missed_beside_mesh, needless, probabilities, rejected
 from sysid.diagnosis.wording import sentence
+from sysid.fit.result import ChannelError
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.whitening import whiten
@@ -476,3 +477,24 @@ def test_nothing_is_missing_only_if_what_the_rig_says_is_wrong(shift: float, fou
     assert verdict.kind == "nothing_missing"
     assert text.startswith("Nothing is missing if inside.cx_px is " if said else "Nothing is missing: ")
     assert ("5.2 times as far off" in text) == said
+
+
+@pytest.mark.parametrize(
+    ("missed", "mesh", "kind"),
+    [
+        (17.6, 8.5, "refine_discretisation"),
+        (2.7, 8.5, "nothing_missing"),
+        (17.6, 1.5, "nothing_missing"),
+    ],
+)
+def test_what_the_error_of_the_mesh_may_hide_is_no_proof_that_nothing_is_missing(missed, mesh, kind) -> None:
+    """Force errors over a noise of 2 mN; another recording of the quantity is explained."""
+    errors = [ChannelError(run, "wrench", "force", "N", 2e-3 * m, 2e-3 * m, 2e-3, False, own=2e-3 * mesh)
+              for run, m in (("press", 1.1), ("deeper", missed))]  # fmt: skip
+    case = Case(QUIET, None, 5.0, missed=missed_beside_mesh(errors))
+    verdict = decide([], case)
+    assert verdict.kind == kind
+    assert decide([trial("air_drag", 40.0)], replace(case, before=LOUD)).kind == "named"
+    if case.missed:
+        text = sentence(verdict, Located((), {}, ""), {}, case)
+        assert "the force of wrench in deeper by 18 times its noise" in text and "err by 8 times" in text
