@@ -68,7 +68,8 @@ class Baseline:
     by channel; ``outliers``: readings that were left out; ``notes``: on recordings that could not be followed;
     ``reference``: the model with finer cells or wider pads whose readings are added, None where there is none;
     ``together``: structured misfit of the recordings held out where one baseline is fitted to all, None where the
-    other ones alone tell."""
+    other ones alone tell; ``first``: what was known at the rig's own numbers, None where that has no part in the
+    baseline (recordings with inertia, whose time steps are chosen where it stands)."""
 
     problem: Problem
     fitted: Fitted
@@ -79,6 +80,7 @@ class Baseline:
     notes: tuple[str, ...]
     reference: Reference | None
     together: Structure | None = None
+    first: Standing | None = None
 
     @property
     def held_out(self) -> Structure | None:
@@ -91,6 +93,16 @@ class Baseline:
     def engine(self) -> SpaceMappedPredictor:
         """Predictions of the rig's model, with what the reference model adds."""
         return cast(SpaceMappedPredictor, self.problem.engine)
+
+    def at_the_rigs_numbers(self) -> tuple[Problem, Fitted]:
+        """The problem with the reference model and the errors as they are at the rig's own numbers, and the rig there,
+        not fitted, with its derivatives."""
+        problem = self.problem
+        if self.first is not None:
+            engine = SpaceMappedPredictor(self.engine.coarse, self.first.engine.added)
+            problem = Problem(problem.runs, self.noise, engine, self.first.shapes, prior=True)
+        centre, parameters = self.fitted.centre, self.fitted.parameters
+        return problem, problem.evaluate(centre, parameters, start_of(centre, parameters))
 
 
 def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell) -> Baseline:
@@ -108,14 +120,14 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         runs, own = predicted_with_steps(engine, rigs, runs, noise)
     tell(0.04, "cells and extent of gels")
     sparing = SparingPredictor(engine)
-    reference, first, told = reference_for(sparing, rig, parameters, runs, held_out, noise)
+    reference, added, told = reference_for(sparing, rig, parameters, runs, held_out, noise)
     tell(0.08, "error of mesh and time step")
 
     def stands(scaled: np.ndarray, own: Sequence[Prediction], known: Added | None = None) -> Standing:
         rigs = [rig_in(rig, parameters, scaled, run.name) for run in runs]
         return standing(sparing, reference, rigs, runs, own, known)
 
-    model = stands(start, own, first)
+    model = stands(start, own, added)
     clean, _ = without_outliers(runs, model.plain, noise)
     noise = channel_noise(rig, clean, held_out)
     shapes = model.shapes
@@ -123,6 +135,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     if left_out:
         runs, clean = [runs[k] for k in fine], [clean[k] for k in fine]
         shapes = [replace(s, shapes=tuple(s.shapes[k] for k in fine), sight=_chosen(s.sight, fine)) for s in shapes]
+    first = None if rig.solver.inertia else replace(model, shapes=shapes)
     problem = Problem(clean, noise, model.engine, shapes, prior=True)
     tell(0.15, "baseline fit")
     fitted = problem.fit(rig, parameters, start, max_evaluations=FIRST, tolerance=2.0)
@@ -183,7 +196,8 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     check, notes = held_out_problem(engine, fitted, noise, held_out, reference)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
     extent = () if reference is None else reference.notes
-    base = Baseline(problem, fitted, check, there, noise, outliers, (*extent, *told, *left_out, *notes), reference)
+    said = (*extent, *told, *left_out, *notes)
+    base = Baseline(problem, fitted, check, there, noise, outliers, said, reference, first=first)
     missing = structure(problem, fitted).missing
     if not missing and base.held_out is not None and base.held_out.missing:
         tell(0.385, "one baseline for all recordings")

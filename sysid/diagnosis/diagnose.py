@@ -13,6 +13,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import hypotheses, recording_scales
 from sysid.diagnosis.confirmation import confirmed
-from sysid.diagnosis.contradictions import contradictions
+from sysid.diagnosis.contradictions import CERTAINLY_FAR, contradictions
 from sysid.diagnosis.next_motion import in_words, proposed
 from sysid.diagnosis.refits import Trial, tempered, trials_of, without_idle
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
@@ -47,6 +48,7 @@ from sysid.discretisation.refinement import coarse_quantities, error_sizes
 from sysid.fit.marker_field import marker_fields
 from sysid.fit.result import ChannelError, plot_series, rms_errors
 from sysid.model.parallel_predictor import ParallelPredictor
+from sysid.model.prediction_source import Responding
 from sysid.model.provenance import provenance
 from sysid.observations.observations import Run, check_apart
 from sysid.solve.optimum import Fitted
@@ -68,6 +70,9 @@ WORTH_TRYING = 0.5
 
 MOST_EFFECTS = 3
 """Effects of one answer."""
+
+FROM_THE_RIG = 2
+"""Effects that are refitted from the rig's own numbers where the baseline contradicts these."""
 
 BESIDE = 3
 """Effects that are tried beside an answer that leaves something."""
@@ -156,7 +161,11 @@ def _trials(
     pair = _best_pair(screen, promising)
     if pair is not None and pair.gain > singles[0].gain + case.needed:
         starts.append(_start(screen, pair))
-    trials = _pruned(base, trials_of(base, base.fitted, starts, scales, failed), failed)
+    trials = trials_of(base, base.fitted, starts, scales, failed)
+    if any(c.deviations > CERTAINLY_FAR for c in case.contradictions):
+        tell(0.7, "the same from the rig's own numbers")
+        trials = _best_of_each([*trials, *_from_the_rig(base, case, scales, failed)])
+    trials = _pruned(base, trials, failed)
     looked_beside: list[frozenset[str]] = []
     for count in range(2, MOST_EFFECTS + 1):
         best = next(iter(answers(trials, case)), None)
@@ -177,6 +186,34 @@ def _trials(
         if trials[0].gain < best.gain + case.needed:
             break
     return trials
+
+
+def _from_the_rig(base: Baseline, case: Case, scales: RecordingScales, failed: dict[str, str]) -> list[Trial]:
+    """The best effect of a look from the rig's own numbers, fitted from there to the end.
+
+    A baseline that took up an effect by numbers which contradict what is known, a camera that was knocked by its
+    principal point say, has bent its materials to what these leave. What it would take to come back is no matter of
+    one linear step, and what the reference model adds was measured where it stands.
+    """
+    problem, begun = base.at_the_rigs_numbers()
+    screen, _ = look(cast(Responding, problem.engine), begun, problem, hypotheses(begun.rig, scales))
+    screen.temper(base.fitted.misfit)
+    promising = [s for s in screen.singles() if s.gain > case.needed]
+    starts = [_start(screen, s) for s in _distinct(screen, promising, FROM_THE_RIG, 0)]
+    if not starts:
+        return []
+    found = tempered(base, trials_of(base, begun, starts, scales, failed, problem))
+    ended = confirmed(base, found[0], failed) if found else None
+    return [] if ended is None else [ended]
+
+
+def _best_of_each(trials: Sequence[Trial]) -> list[Trial]:
+    """The trial of each set of effects that has most evidence."""
+    best: dict[frozenset[str], Trial] = {}
+    for t in trials:
+        if t.names not in best or t.gain > best[t.names].gain:
+            best[t.names] = t
+    return list(best.values())
 
 
 def _pruned(base: Baseline, trials: Sequence[Trial], failed: dict[str, str]) -> list[Trial]:

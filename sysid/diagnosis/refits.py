@@ -26,6 +26,7 @@ from sysid.observations.observations import Run
 from sysid.solve.covariance import Uncertainty, uncertainty
 from sysid.solve.gauss_newton import IN_SIGHT
 from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
 
 EVALUATIONS = 5
 """Evaluations allowed to a refit."""
@@ -91,11 +92,11 @@ class Trial:
         return " and that ".join(h.effect.title for h in self.hypotheses)
 
 
-def refit(base: Baseline, begun: Fitted, start: Start, scales: RecordingScales) -> Fitted:
+def refit(problem: Problem, begun: Fitted, start: Start, scales: RecordingScales) -> Fitted:
     """Fit baseline and effects together. ``begun``: the model that the shift is counted from."""
     centre, parameters, at = begun_at(begun, start, scales)
-    problem = copy(base.problem)
-    problem.engine = SparingPredictor(base.problem.engine)
+    problem = copy(problem)
+    problem.engine = SparingPredictor(problem.engine)
     return problem.fit(centre, parameters, at, max_evaluations=EVALUATIONS, tolerance=TOLERANCE)
 
 
@@ -105,15 +106,17 @@ def trials_of(
     starts: Sequence[Start],
     scales: RecordingScales,
     failed: dict[str, str],
+    problem: Problem | None = None,
 ) -> list[Trial]:
     """Refit the most promising side by side and score; of several starts of one set the best. What fails is told in
-    ``failed``."""
-    starts = best_starts(base, begun, starts, scales, failed)
+    ``failed``. ``problem``: that of ``begun`` where it is not the baseline's."""
+    asked = problem or base.problem
+    starts = best_starts(asked, begun, starts, scales, failed)
 
     def attempt(start: Start) -> tuple[Start, Fitted, Fitted | None] | None:
         label = " and ".join(sorted(start.names))
         try:
-            fitted = refit(base, begun, start, scales)
+            fitted = refit(asked, begun, start, scales)
             there = predicted_held_out(base.check, base.there, fitted)
         except ThinshellError as error:
             failed[label] = f"could not be simulated: {error}"

@@ -10,10 +10,10 @@ import numpy as np
 from sim_core.effects import RecordingScales
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
-from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
 
 IN_FULL = 3
 """Sets that are refitted: those that simulations at their starts explain best."""
@@ -76,7 +76,7 @@ def begun_at(begun: Fitted, start: Start, scales: RecordingScales) -> tuple[Rig,
 
 
 def best_starts(
-    base: Baseline, begun: Fitted, starts: Sequence[Start], scales: RecordingScales, failed: dict[str, str]
+    problem: Problem, begun: Fitted, starts: Sequence[Start], scales: RecordingScales, failed: dict[str, str]
 ) -> list[Start]:
     """The starts of the sets that simulations there explain best, at most :data:`IN_FULL` sets, and :data:`SECOND` more
     of the first of them, with another shape: near a snap the best start may end in a branch that no refit leaves.
@@ -87,7 +87,7 @@ def best_starts(
     """
     few = len({s.names for s in starts}) <= IN_FULL and len(starts) <= IN_FULL
     lost: dict[frozenset[str], str] = {}
-    found = [] if few else _simulated(base, begun, starts, scales, lost)
+    found = [] if few else _simulated(problem, begun, starts, scales, lost)
     chosen = list(starts)
     if not few:
         chosen = _least_of_each(found, lambda s: s.names)[:IN_FULL]
@@ -97,7 +97,7 @@ def best_starts(
     if not any(s.earlier for s in chosen):
         home = start_of(begun.centre, begun.parameters) - begun.scaled
         further = [*(chosen if few else ()), *(replace(s, shift=home) for s in chosen)]
-        found += _simulated(base, begun, further, scales, lost)
+        found += _simulated(problem, begun, further, scales, lost)
         origins = {s.origin for s in chosen}
         chosen = _least_of_each([pair for pair in found if pair[1].origin in origins], lambda s: s.origin)
     done = {s.names for s in chosen} | {s.names for _, s in found}
@@ -114,19 +114,19 @@ def _least_of_each(found: Sequence[tuple[float, Start]], kind: Callable[[Start],
 
 
 def _simulated(
-    base: Baseline, begun: Fitted, starts: Sequence[Start], scales: RecordingScales, lost: dict[frozenset[str], str]
+    problem: Problem, begun: Fitted, starts: Sequence[Start], scales: RecordingScales, lost: dict[frozenset[str], str]
 ) -> list[tuple[float, Start]]:
     """The starts that can be simulated, with what each leaves (:func:`_least`); ``lost`` is told why others cannot."""
     jobs = []
     for start in starts:
         centre, parameters, at = begun_at(begun, start, scales)
-        rigs = [rig_in(centre, parameters, at, run.name) for run in base.problem.runs]
-        runs = zip(rigs, base.problem.runs, strict=True)
-        jobs.append((start, at, [base.problem.engine.submit(rig, run) for rig, run in runs]))
+        rigs = [rig_in(centre, parameters, at, run.name) for run in problem.runs]
+        runs = zip(rigs, problem.runs, strict=True)
+        jobs.append((start, at, [problem.engine.submit(rig, run) for rig, run in runs]))
     found: list[tuple[float, Start]] = []
     for start, at, row in jobs:
         try:
-            residual = base.problem.assemble([job.result() for job in row], [], at).residual
+            residual = problem.assemble([job.result() for job in row], [], at).residual
         except ThinshellError as error:
             lost[start.names] = f"could not be simulated: {error}"
             continue

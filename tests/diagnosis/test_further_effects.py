@@ -74,7 +74,7 @@ def test_what_could_take_away_enough_is_tried_once(
     monkeypatch.setattr(diagnosing, "hypotheses", lambda rig, scales: [])
     monkeypatch.setattr(diagnosing, "look", lambda *given: (Screening(**beside), {}))
     screen = Screening(a=(80.0, 900.0))
-    case = cast(Any, SimpleNamespace(missing=True, needed=8.0))
+    case = cast(Any, SimpleNamespace(missing=True, needed=8.0, contradictions=()))
     base = cast(Any, SimpleNamespace(fitted=None, engine=None, problem=None))
     told: list[str] = []
     found = diagnosing._trials(base, cast(Any, screen), screen.singles(), case, cast(Any, None), {},
