@@ -16,6 +16,7 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sysid.diagnosis.baseline import Baseline
+from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.predictability import predicted_held_out
 from sysid.diagnosis.reference_model import added_at
 from sysid.diagnosis.refits import Trial, scored
@@ -23,6 +24,7 @@ from sysid.model.parameters import rig_in
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
+from sysid.solve.optimum import Fitted
 
 EVALUATIONS = 12
 """Evaluations allowed to an answer, whose refit ended when it was told from others."""
@@ -33,7 +35,14 @@ def confirmed(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | N
     in ``failed``, where that cannot be simulated."""
     if base.reference is None and trial.fitted.converged:
         return replace(trial, confirmed=True)
-    begun = trial.fitted
+    return fitted_to_the_end(base, trial.hypotheses, trial.fitted, failed)
+
+
+def fitted_to_the_end(
+    base: Baseline, hypotheses: tuple[Hypothesis, ...], begun: Fitted, failed: dict[str, str]
+) -> Trial | None:
+    """A set of effects fitted on from where a model with them stands, whatever that was fitted beside: beside the
+    errors of mesh and time step of the baseline, and what the reference model adds where it stands."""
 
     def engine(known: SpaceMappedPredictor, runs: Sequence[Run], at: np.ndarray) -> SpaceMappedPredictor:
         if base.reference is None:
@@ -55,6 +64,8 @@ def confirmed(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | N
             check.engine = engine(cast(SpaceMappedPredictor, check.engine), check.runs, fitted.scaled)
             there = predicted_held_out(check, base.there, fitted)
     except ThinshellError as error:
-        failed[" and ".join(sorted(trial.names))] = f"could not be simulated with finer cells: {error}"
+        failed[" and ".join(sorted(h.effect.name for h in hypotheses))] = (
+            f"could not be simulated with finer cells: {error}"
+        )
         return None
-    return replace(scored(base, trial.hypotheses, fitted, there), confirmed=True)
+    return replace(scored(base, hypotheses, fitted, there), confirmed=True)

@@ -18,14 +18,16 @@ from typing import cast
 import numpy as np
 
 from sim_core.effects import RecordingScales
+from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import hypotheses, recording_scales
-from sysid.diagnosis.confirmation import confirmed
+from sysid.diagnosis.confirmation import confirmed, fitted_to_the_end
 from sysid.diagnosis.contradictions import CERTAINLY_FAR, contradictions
+from sysid.diagnosis.evidence import log_evidence
 from sysid.diagnosis.next_motion import in_words, proposed
-from sysid.diagnosis.refits import Trial, tempered, trials_of, without_idle
+from sysid.diagnosis.refits import Trial, refits_of, tempered, trials_of, without_idle
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
 from sysid.diagnosis.residual_analysis import locate, structure
 from sysid.diagnosis.result import Diagnosis, Misfit, StructuredMisfit, UnreliablePlace
@@ -124,7 +126,7 @@ def diagnose_runs(
             coarse_quantities(base.problem),
             tuple(o.sentence for o in base.outliers if o.kept),
             contradictions(base.fitted),
-            missed_beside_mesh(_errors(base, base.fitted, base.there)),
+            missed_beside_mesh(_errors(base, base.fitted, None if base.together is not None else base.there)),
         )
         tell(0.55, "fits of the promising effects")
         trials = _trials(base, screen, singles, case, scales, failed, tell)
@@ -152,7 +154,8 @@ def _trials(
     least = case.needed if case.missing else WORTH_TRYING * WITHOUT_MISFIT * case.needed
     promising = [s for s in singles if s.gain > least]
     apart = [s for s in screen.by_recording() if s.gain > least]
-    if not promising and not apart:
+    contradicted = any(c.deviations > CERTAINLY_FAR for c in case.contradictions)
+    if not promising and not apart and not contradicted:
         return []
     chosen = _distinct(screen, promising, SIMULATED, SECOND_STARTS)
     names = {screen.hypotheses[s.numbers[0]].effect.name for s in chosen}
@@ -161,8 +164,8 @@ def _trials(
     pair = _best_pair(screen, promising)
     if pair is not None and pair.gain > singles[0].gain + case.needed:
         starts.append(_start(screen, pair))
-    trials = trials_of(base, base.fitted, starts, scales, failed)
-    if any(c.deviations > CERTAINLY_FAR for c in case.contradictions):
+    trials = trials_of(base, base.fitted, starts, scales, failed) if starts else []
+    if contradicted:
         tell(0.7, "the same from the rig's own numbers")
         trials = _best_of_each([*trials, *_from_the_rig(base, case, scales, failed)])
     trials = _pruned(base, trials, failed)
@@ -193,17 +196,24 @@ def _from_the_rig(base: Baseline, case: Case, scales: RecordingScales, failed: d
 
     A baseline that took up an effect by numbers which contradict what is known, a camera that was knocked by its
     principal point say, has bent its materials to what these leave. What it would take to come back is no matter of
-    one linear step, and what the reference model adds was measured where it stands.
+    one linear step, and what the reference model adds was measured where it stands. Refits from the rig's numbers are
+    compared among themselves; the best of them is fitted on beside the errors that all other trials stand beside.
     """
-    problem, begun = base.at_the_rigs_numbers()
-    screen, _ = look(cast(Responding, problem.engine), begun, problem, hypotheses(begun.rig, scales))
+    try:
+        problem, begun = base.at_the_rigs_numbers()
+        screen, _ = look(cast(Responding, problem.engine), begun, problem, hypotheses(begun.rig, scales))
+    except ThinshellError as error:
+        failed["effects from the rig's own numbers"] = f"could not be simulated: {error}"
+        return []
     screen.temper(base.fitted.misfit)
     promising = [s for s in screen.singles() if s.gain > case.needed]
     starts = [_start(screen, s) for s in _distinct(screen, promising, FROM_THE_RIG, 0)]
-    if not starts:
+    found = refits_of(base, problem, begun, starts, scales, failed) if starts else []
+    if not found:
         return []
-    found = tempered(base, trials_of(base, begun, starts, scales, failed, problem))
-    ended = confirmed(base, found[0], failed) if found else None
+    temper = max(1.0, min(fitted.misfit for _, fitted, _ in found))
+    start, best, _ = max(found, key=lambda refit: log_evidence(refit[1], temper))
+    ended = fitted_to_the_end(base, start.whole, best, failed)
     return [] if ended is None else [ended]
 
 

@@ -100,23 +100,22 @@ def refit(problem: Problem, begun: Fitted, start: Start, scales: RecordingScales
     return problem.fit(centre, parameters, at, max_evaluations=EVALUATIONS, tolerance=TOLERANCE)
 
 
-def trials_of(
+def refits_of(
     base: Baseline,
+    problem: Problem,
     begun: Fitted,
     starts: Sequence[Start],
     scales: RecordingScales,
     failed: dict[str, str],
-    problem: Problem | None = None,
-) -> list[Trial]:
-    """Refit the most promising side by side and score; of several starts of one set the best. What fails is told in
-    ``failed``. ``problem``: that of ``begun`` where it is not the baseline's."""
-    asked = problem or base.problem
-    starts = best_starts(asked, begun, starts, scales, failed)
+) -> list[tuple[Start, Fitted, Fitted | None]]:
+    """Refit the most promising side by side; of several starts of one set the best, with the model on the recordings
+    held out. ``problem``: that of ``begun``, from which the starts are. What fails is told in ``failed``."""
+    starts = best_starts(problem, begun, starts, scales, failed)
 
     def attempt(start: Start) -> tuple[Start, Fitted, Fitted | None] | None:
         label = " and ".join(sorted(start.names))
         try:
-            fitted = refit(asked, begun, start, scales)
+            fitted = refit(problem, begun, start, scales)
             there = predicted_held_out(base.check, base.there, fitted)
         except ThinshellError as error:
             failed[label] = f"could not be simulated: {error}"
@@ -134,7 +133,15 @@ def trials_of(
             raise KeyboardInterrupt
         if start.names not in best or fitted.chi2 < best[start.names][1].chi2:
             best[start.names] = (start, fitted, there)
-    return [scored(base, start.whole, fitted, there) for start, fitted, there in best.values()]
+    return list(best.values())
+
+
+def trials_of(
+    base: Baseline, begun: Fitted, starts: Sequence[Start], scales: RecordingScales, failed: dict[str, str]
+) -> list[Trial]:
+    """Refits beside the baseline's errors of mesh and time step, scored."""
+    found = refits_of(base, base.problem, begun, starts, scales, failed)
+    return [scored(base, start.whole, fitted, there) for start, fitted, there in found]
 
 
 def scored(base: Baseline, hypotheses: tuple[Hypothesis, ...], fitted: Fitted, there: Fitted | None) -> Trial:

@@ -85,7 +85,7 @@ class Verdict:
 
 def missed_beside_mesh(errors: Sequence[ChannelError]) -> tuple[str, ...]:
     """A sentence for each quantity that the baseline misses by :data:`MISSED` where mesh and time step err by
-    :data:`MAY_BE_MESH`: that of the recording in which it misses most."""
+    :data:`MAY_BE_MESH` of the noise and a third of that: that of the recording in which it misses most."""
     worst: dict[tuple[str, str], ChannelError] = {}
     for e in errors:
         known = worst.get((e.channel, e.quantity))
@@ -93,10 +93,10 @@ def missed_beside_mesh(errors: Sequence[ChannelError]) -> tuple[str, ...]:
             worst[e.channel, e.quantity] = e
     return tuple(
         f"The rig misses the {e.quantity or 'picture'} of {e.channel} in {e.run} by {e.before / e.noise:.0f} times its "
-        f"noise, where mesh and time step err by {e.own / e.noise:.0f} times that: what is missing beside it cannot be "
-        "told."
+        f"noise, and mesh and time step err there by up to {e.own / e.noise:.0f} times its noise: what is missing "
+        "beside them cannot be told."
         for e in worst.values()
-        if e.own > MAY_BE_MESH * e.noise
+        if e.own > max(MAY_BE_MESH * e.noise, e.before / 3.0)
     )
 
 

@@ -37,7 +37,9 @@ def sentence(
             return f"Nothing is missing if {values}: with that the rig explains the recordings {down_to}. {looked}"
         return f"Nothing is missing: the rig explains the recordings {down_to}. {looked}"
     if verdict.kind == "refine_discretisation":
-        why = f" {(*case.coarse, *case.missed)[0]}" if case.coarse or case.missed else ""
+        if case.missed and not case.coarse:
+            return f"Nothing can be said to be missing or not. {case.missed[0]} Refine the mesh or the time step."
+        why = f" {case.coarse[0]}" if case.coarse else ""
         return (
             "Nothing can be said to be missing or not: the misfit is no larger than the simulator's discretisation "
             f"error could leave; it shows {where}. Refine the mesh or the time step.{why}"
@@ -127,7 +129,11 @@ def not_explained(verdict: Verdict, case: Case) -> str:
 
 def next_experiment(verdict: Verdict, case: Case) -> str:
     """What to record or to do next."""
-    del case
+    far = [c.name for c in case.contradictions if c.deviations > CERTAINLY_FAR]
+    if verdict.kind == "nothing_missing" and far:
+        return (
+            f"No new recording: see whether {' and '.join(far)} can be what the recordings ask for, and mend the rig."
+        )
     if verdict.kind == "refine_discretisation":
         return "No new recording: repeat the diagnosis with finer cells or a shorter solver.dt_s in the rig."
     if verdict.kind == "nothing_missing":

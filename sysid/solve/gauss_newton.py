@@ -15,6 +15,7 @@ good that takes some of them, and the search would end far from where it began.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -85,19 +86,17 @@ class Search:
         keeps the best so far."""
         low, high = np.array([p.scaled_bounds for p in self._parameters]).T
         message, converged, radius, halted, interrupted = "", True, 1.0, False, False
+
+        def go_on() -> bool:
+            return self._evaluations < max_evaluations and not self._halted()
+
         try:
             self._look(np.clip(start, low, high))
             if self._uncalibrated():
-                begin = self.best.scaled
-                self._stage(
-                    np.where(self._sensors, low, begin),
-                    np.where(self._sensors, high, begin),
-                    tolerance,
-                    min(1 + CALIBRATIONS, max_evaluations),
-                    CALIBRATED_WITHIN,
-                )
+                self._calibrate(low, high, tolerance, max_evaluations)
             while True:
-                end = self._stage(low, high, tolerance, max_evaluations, radius)
+                self._weight = overdispersion(self.best)
+                end = self._stage(low, high, tolerance, go_on, radius)
                 message, converged, radius = end.message, end.converged, max(end.radius, FRESH)
                 halted = self._halted()
                 if halted:
@@ -119,9 +118,10 @@ class Search:
             found.interrupt()
         return found
 
-    def _stage(self, low: np.ndarray, high: np.ndarray, tolerance: float, evaluations: int, radius: float) -> End:
-        """Search on from the best point within bounds ``(p,)``, with the weight of the data as it is there."""
-        self._weight = overdispersion(self.best)
+    def _stage(
+        self, low: np.ndarray, high: np.ndarray, tolerance: float, go_on: Callable[[], bool], radius: float
+    ) -> End:
+        """Search on from the best point within bounds ``(p,)``, data and prior as they are weighed now."""
         begin, scale = self.best.scaled, np.array([p.unit_step for p in self._parameters])
 
         def point(z: np.ndarray) -> Point | None:
@@ -138,18 +138,38 @@ class Search:
             first,
             ((low - begin) / scale, (high - begin) / scale),
             tolerance=tolerance * self._weight,
-            go_on=lambda: self._evaluations < evaluations and not self._halted(),
+            go_on=go_on,
             short=lambda step: self._short(scale * step),
             radius=radius,
         )
 
     def _uncalibrated(self) -> bool:
-        """Whether derivatives promise that the calibration of sensors alone makes up for most of what is missed."""
+        """Whether derivatives promise that the calibration of sensors alone makes up for most of what is missed, and
+        for more than all else."""
         if not self._sensors.any():
             return False
-        residual, jacobian = self._whole(self.best), self.best.jacobian[:, self._sensors]
-        basis = np.linalg.qr(jacobian)[0]
-        return bool(np.sum((basis.T @ residual) ** 2) > MOST * (residual @ residual))
+        residual = self._whole(self.best)
+        taken = []
+        for columns in (self._sensors, ~self._sensors):
+            basis = np.linalg.qr(self.best.jacobian[:, columns])[0]
+            taken.append(float(np.sum((basis.T @ residual) ** 2)))
+        return taken[0] > max(taken[1], MOST * float(residual @ residual))
+
+    def _calibrate(self, low: np.ndarray, high: np.ndarray, tolerance: float, max_evaluations: int) -> None:
+        """Search for the calibration of sensors alone. Bodies move as before, so the search of all begins there."""
+        begin = self.best.scaled
+        sensors = [p for p, mine in zip(self._parameters, self._sensors, strict=True) if mine]
+        alone = replace(self.best, parameters=sensors, jacobian=self.best.jacobian[:, self._sensors])
+        self._weight = overdispersion(alone)
+        most = self._evaluations + min(CALIBRATIONS, max_evaluations // 2)
+        self._stage(
+            np.where(self._sensors, low, begin),
+            np.where(self._sensors, high, begin),
+            tolerance,
+            lambda: self._evaluations < most,
+            CALIBRATED_WITHIN,
+        )
+        self._course = [self.best.chi2]
 
     def _short(self, step: np.ndarray) -> bool:
         """Whether a step from the best point ``(p,)`` moves what was asked for by little of what it is known by."""

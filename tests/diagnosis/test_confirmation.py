@@ -38,8 +38,7 @@ class Scored:
 
     fitted: Fitted
     confirmed: bool = False
-    names: frozenset[str] = frozenset({"effect"})
-    hypotheses: tuple[Any, ...] = ()
+    hypotheses: tuple[Any, ...] = (SimpleNamespace(effect=SimpleNamespace(name="effect")),)
 
 
 T = np.linspace(0.0, 1.0, 60)

@@ -29,7 +29,7 @@ from sysid.diagnosis.report_notes import other_branch
 from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.result import Located
 from sysid.diagnosis.verdict import Case, cut_off, decide, missed_beside_mesh, needless, probabilities, rejected
-from sysid.diagnosis.wording import sentence
+from sysid.diagnosis.wording import next_experiment, sentence
 from sysid.fit.result import ChannelError
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.noise.channel_noise import ChannelNoise
@@ -477,6 +477,7 @@ def test_nothing_is_missing_only_if_what_the_rig_says_is_wrong(shift: float, fou
     assert verdict.kind == "nothing_missing"
     assert text.startswith("Nothing is missing if inside.cx_px is " if said else "Nothing is missing: ")
     assert ("5.2 times as far off" in text) == said
+    assert ("inside.cx_px" in next_experiment(verdict, case)) == said
 
 
 @pytest.mark.parametrize(
@@ -485,6 +486,7 @@ def test_nothing_is_missing_only_if_what_the_rig_says_is_wrong(shift: float, fou
         (17.6, 8.5, "refine_discretisation"),
         (2.7, 8.5, "nothing_missing"),
         (17.6, 1.5, "nothing_missing"),
+        (50.0, 8.5, "nothing_missing"),
     ],
 )
 def test_what_the_error_of_the_mesh_may_hide_is_no_proof_that_nothing_is_missing(missed, mesh, kind) -> None:
@@ -497,4 +499,4 @@ def test_what_the_error_of_the_mesh_may_hide_is_no_proof_that_nothing_is_missing
     assert decide([trial("air_drag", 40.0)], replace(case, before=LOUD)).kind == "named"
     if case.missed:
         text = sentence(verdict, Located((), {}, ""), {}, case)
-        assert "the force of wrench in deeper by 18 times its noise" in text and "err by 8 times" in text
+        assert "the force of wrench in deeper by 18 times its noise" in text and "err there by up to 8 times" in text

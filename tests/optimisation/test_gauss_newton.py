@@ -204,7 +204,7 @@ def test_outcomes_are_compared_over_what_both_have_in_sight() -> None:
     assert one.misfit == pytest.approx(one.chi2 / 3.0)
 
 
-@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
 def test_a_search_does_not_depend_on_units(unit: float) -> None:
     """The data ask for a value at four of its plausible widths, which in a unit of thousandths are thousands."""
     plain = problem(BASIS @ [4.0, 0.5] + NOISE)
@@ -254,11 +254,12 @@ def test_a_knocked_sensor_is_calibrated_before_anything_else_is_searched_for() -
     assert abs(astray.scaled[0] - 3.1) > 2.0
 
 
-def test_a_sensor_that_is_well_calibrated_is_searched_for_with_the_rest() -> None:
-    """The first step is that of all parameters."""
+@pytest.mark.parametrize("size", [2.0, 20.0])
+def test_a_sensor_that_is_well_calibrated_is_searched_for_with_the_rest(size: float) -> None:
+    """The first step is that of all parameters, also where a sensor could make up for most of what they explain."""
     parameters = [replace(PARAMETERS[0], nuisance=True), PARAMETERS[1]]
     seen: list[np.ndarray] = []
-    plain = problem(BASIS @ [0.01, 2.0] + NOISE)
+    plain = problem(BASIS @ [0.01, size] + NOISE)
 
     def evaluate(scaled: np.ndarray) -> Fitted:
         seen.append(scaled)
