@@ -381,7 +381,7 @@ def _collect(
         provenance={},
         seconds=0.0,
         tried=became,
-        notes=notes(base, case, verdict),
+        notes=notes(base, case, verdict, trials),
         series=series,
         marker_fields=fields,
         explained=size,

@@ -127,7 +127,20 @@ def other_branch(trial: Trial) -> str:
     )
 
 
-def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
+def parts_alone(trials: Sequence[Trial], verdict: Verdict, case: Case) -> list[str]:
+    """Of an answer of several effects, what each part of it that was fitted says by itself, in words."""
+    named = verdict.named[:1] if verdict.kind in ("named", "partly") else ()
+    said = []
+    for whole in named:
+        for part in (t for t in trials if t.names < whole.names):
+            why = rejected(part, case)
+            ending = f"it is no answer by itself: {why}" if why else "the rest takes away most of what that leaves"
+            share = 100.0 * max(size_of(part), 0.0)
+            said.append(f"That {part.title} alone explains {share:.0f} % of the misfit beyond noise; {ending}.")
+    return said
+
+
+def notes(base: Baseline, case: Case, verdict: Verdict, trials: Sequence[Trial]) -> tuple[str, ...]:
     """What a reader should know of the baseline, and of answers, before believing the verdict."""
     fitted, problem = base.fitted, base.problem
     said = [f"{run.name} does not begin at rest: {n}" for run in problem.runs for n in not_from_rest(fitted.rig, run)]
@@ -136,6 +149,7 @@ def notes(base: Baseline, case: Case, verdict: Verdict) -> tuple[str, ...]:
     for trial in verdict.named if verdict.kind != "unknown" else ():
         if not trial.fitted.converged:
             said.append(f"The fit with '{trial.title}' did not converge: {trial.fitted.message}.")
+    said += parts_alone(trials, verdict, case)
     said += [snap for trial in verdict.named if (snap := other_branch(trial))]
     lasts = [t for t in verdict.named if any(h.effect.lasting for h in t.hypotheses)]
     earlier = [run.name for run in problem.runs if run.earlier]

@@ -25,10 +25,19 @@ from sysid.diagnosis.evidence import (
     significance,
 )
 from sysid.diagnosis.refits import Trial, in_pose_noise
-from sysid.diagnosis.report_notes import other_branch
+from sysid.diagnosis.report_notes import other_branch, parts_alone
 from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.result import Located
-from sysid.diagnosis.verdict import Case, cut_off, decide, missed_beside_mesh, needless, probabilities, rejected
+from sysid.diagnosis.verdict import (
+    Case,
+    Verdict,
+    cut_off,
+    decide,
+    missed_beside_mesh,
+    needless,
+    probabilities,
+    rejected,
+)
 from sysid.diagnosis.wording import next_experiment, sentence
 from sysid.fit.result import ChannelError
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
@@ -500,3 +509,15 @@ def test_what_the_error_of_the_mesh_may_hide_is_no_proof_that_nothing_is_missing
     if case.missed:
         text = sentence(verdict, Located((), {}, ""), {}, case)
         assert "the force of wrench in deeper by 18 times its noise" in text and "err there by up to 8 times" in text
+
+
+def test_of_an_answer_of_two_effects_each_part_is_told() -> None:
+    """That part which would be an answer, and that which predicts worse."""
+    first, second = trial("air_drag", 400.0, explained=0.5), trial("gel_relaxation", 300.0, held_out=-0.02)
+    both = replace(trial("air_drag", 900.0), hypotheses=(*first.hypotheses, *second.hypotheses))
+    case = Case(LOUD, None, 5.0)
+    told = parts_alone([both, first, second], Verdict("named", (both,)), case)
+    assert len(told) == 2
+    assert told[0].startswith("That ") and "alone explains 50 %" in told[0] and "takes away most" in told[0]
+    assert "held-out recordings worse, by 2 %" in told[1]
+    assert parts_alone([first, second], Verdict("named", (first,)), case) == []
