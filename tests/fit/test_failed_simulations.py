@@ -72,7 +72,7 @@ def test_a_failure_is_worse_than_a_start_with_a_large_misfit(stubs: None) -> Non
     problem = Problem(
         [run_of()], {"gauge": ChannelNoise(np.array([1e-9]), 0.0, "test")}, cast(ParallelPredictor, engine)
     )
-    fitted = problem.fit(cast(Any, Stub()), [X], start=np.array([-3.0]), max_evaluations=60)
+    fitted = problem.fit(cast(Any, Stub()), [X], start=np.array([-2.0]), max_evaluations=60)
     assert engine.failed > 0
     assert fitted.converged, fitted.message
     assert fitted.scaled[0] == pytest.approx(TRUTH, abs=1e-6)
@@ -97,7 +97,7 @@ def test_a_search_does_not_go_to_where_nothing_is_seen(stubs: None, monkeypatch:
     engine = Blind(limit=2.5)
     noise = {"gauge": ChannelNoise(np.array([0.01]), np.zeros(1), "test")}
     problem = Problem([run_of()], noise, cast(ParallelPredictor, engine))
-    fitted = problem.fit(cast(Any, Stub()), [X], start=np.array([-3.0]), max_evaluations=60)
+    fitted = problem.fit(cast(Any, Stub()), [X], start=np.array([-2.0]), max_evaluations=60)
     assert engine.failed > 0
     assert fitted.converged and fitted.scaled[0] == pytest.approx(TRUTH, abs=1e-3)
     monkeypatch.setattr("sysid.solve.residuals.rig_in", lambda rig, parameters, scaled, bag: Stub(float(scaled[0])))
