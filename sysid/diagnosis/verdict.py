@@ -44,6 +44,9 @@ MISSED, MAY_BE_MESH = 5.0, 3.0
 """Error of the baseline in a quantity and that of mesh and time step there, both over the noise and both root mean
 squares, from which what is missing cannot be told from the latter though nothing stands out."""
 
+AS_EXPECTED, AT_MOST = 1.5, 3.0
+"""Error of the baseline over that of mesh and time step, up to which these explain it, and up to which they may."""
+
 LEAST_SIGNIFICANCE = 2.5
 """Standard deviations that an improvement must be worth by its stability over blocks of time."""
 
@@ -85,7 +88,8 @@ class Verdict:
 
 def missed_beside_mesh(errors: Sequence[ChannelError]) -> tuple[str, ...]:
     """A sentence for each quantity that the baseline misses by :data:`MISSED` where mesh and time step err by
-    :data:`MAY_BE_MESH` of the noise and a third of that: that of the recording in which it misses most."""
+    :data:`MAY_BE_MESH` of the noise, and by less than is missed, but not so much less that they cannot be the reason:
+    that of the recording in which it misses most."""
     worst: dict[tuple[str, str], ChannelError] = {}
     for e in errors:
         known = worst.get((e.channel, e.quantity))
@@ -93,10 +97,10 @@ def missed_beside_mesh(errors: Sequence[ChannelError]) -> tuple[str, ...]:
             worst[e.channel, e.quantity] = e
     return tuple(
         f"The rig misses the {e.quantity or 'picture'} of {e.channel} in {e.run} by {e.before / e.noise:.0f} times its "
-        f"noise, and mesh and time step err there by up to {e.own / e.noise:.0f} times its noise: what is missing "
-        "beside them cannot be told."
+        f"noise, more than the {e.own / e.noise:.0f} times by which mesh and time step are expected to err there, but "
+        "not so much more that anything else is surely missing."
         for e in worst.values()
-        if e.own > max(MAY_BE_MESH * e.noise, e.before / 3.0)
+        if e.own > MAY_BE_MESH * e.noise and AS_EXPECTED * e.own < e.before < AT_MOST * e.own
     )
 
 
