@@ -43,7 +43,8 @@ def test_a_hidden_law_is_named_and_none_where_there_is_none(small_rig, tmp_path:
     said = diagnose_bags(rig, [tmp_path / "press"], held_out=[tmp_path / "deeper"], out=out)
     data = json.loads((out / "diagnosis.json").read_text())
     assert data["schema"] == "thinshell.diagnosis/2"
-    assert {f.name for f in out.iterdir()} == {"diagnosis.json", "report.html", "rig.yaml", "amended_rig.yaml"}
+    written = {"diagnosis.json", "report.html", "rig.yaml", "amended_rig.yaml"}
+    assert {f.name for f in out.iterdir()} == written | ({"next_experiment.yaml"} if effect else set())
     amended = load_rig(out / "amended_rig.yaml")
     if effect is None:
         assert data["verdict"] == "nothing_missing", said
