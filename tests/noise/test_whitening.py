@@ -143,3 +143,14 @@ def test_few_samples_have_a_pace(n: int) -> None:
     np.testing.assert_allclose(in_sampling_intervals(5.0 + INTERVAL * np.arange(n)), np.arange(float(n)))
     noise = ChannelNoise(np.ones(2), 0.5, "test")
     assert whiten(np.ones((n, 2)), noise, INTERVAL * np.arange(n)).shape == (n, 2)
+
+
+def test_whitening_makes_coloured_noise_white() -> None:
+    rng = np.random.default_rng(1)
+    rho, sigma = 0.7, 0.02
+    noise = np.zeros((20000, 1))
+    for k in range(1, len(noise)):
+        noise[k] = rho * noise[k - 1] + sigma * np.sqrt(1 - rho**2) * rng.standard_normal(1)
+    white = whiten(noise, ChannelNoise(np.array([sigma]), rho, "test"), np.arange(len(noise)) / 100.0)
+    assert np.std(white) == pytest.approx(1.0, abs=0.02)
+    assert np.mean(white[1:] * white[:-1]) == pytest.approx(0.0, abs=0.03)
