@@ -193,7 +193,7 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
     memory.append(_rss_mb(pid) + _rss_mb(physics))
     p50, p99 = np.percentile(heard.latencies, [50, 99]) * 1e3
     print(f"command to markers: p50 {p50:.1f} ms, p99 {p99:.1f} ms of {len(heard.latencies)} changes")
-    print(f"markers: {len(heard.numbers)} received in {taken:.3g} s, {lost} lost")
+    print(f"markers: {len(heard.numbers)} received in {taken:.1f} s, {lost} lost")
     print(f"age of stamps in the last {TAIL_S:g} s: median {1e3 * np.median(tail):.1f} ms")
     print(f"memory of node and physics: {memory[0]:.1f} MB at the start, {memory[-1]:.1f} MB at the end")
     node.destroy_node()

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from sysid.model.parameters import FitParameter
+from sim_core.rigs import load_rig
+from sysid.model.parameters import FitParameter, fit_parameters
 from sysid.solve.covariance import overdispersion
 from sysid.solve.gauss_newton import HALTED, Search
 from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
 
 T = np.linspace(0.0, 1.0, 4000)
 BASIS = np.column_stack([T, T**2])
@@ -223,7 +225,9 @@ def test_a_search_does_not_depend_on_units(unit: float) -> None:
     np.testing.assert_allclose(course(unit), course(1.0), atol=1e-9)
 
 
-def _knocked(calibrated: np.ndarray | None) -> tuple[Fitted, list[np.ndarray]]:
+def _knocked(
+    calibrated: np.ndarray | None, halt: Callable[[Sequence[float]], bool] | None = None
+) -> tuple[Fitted, list[np.ndarray]]:
     """A settling whose rate is asked for, 3.1 where it is taken for 3, read by a gauge that was knocked by 40 where it
     is known within 5. A rate that is much too large makes up for some of that, and then has no derivative."""
     rate_known, zero_known = 2.0, 5.0
@@ -243,7 +247,7 @@ def _knocked(calibrated: np.ndarray | None) -> tuple[Fitted, list[np.ndarray]]:
         labels, nothing = [(0, "gauge", T), (-1, "prior", np.zeros(1))], cast(Any, None)
         return Fitted(parameters, scaled, nothing, residual, jacobian, labels, [], nothing, 1, True, "")
 
-    return Search(evaluate, parameters, None, calibrated=calibrated).run(np.array([3.0, 0.0]), 4, 0.5), seen
+    return Search(evaluate, parameters, None, halt, calibrated).run(np.array([3.0, 0.0]), 4, 0.5), seen
 
 
 def test_a_knocked_sensor_is_calibrated_before_anything_else_is_searched_for() -> None:
@@ -252,6 +256,38 @@ def test_a_knocked_sensor_is_calibrated_before_anything_else_is_searched_for() -
     assert seen[1][0] == 3.0
     astray, _ = _knocked(None)
     assert abs(astray.scaled[0] - 3.1) > 2.0
+
+
+def test_how_slowly_a_search_comes_on_is_judged_from_where_it_was_calibrated() -> None:
+    """What a calibration takes away says nothing of an error of the mesh that was measured where bodies began."""
+    courses: list[list[float]] = []
+
+    def halt(course: Sequence[float]) -> bool:
+        courses.append(list(course))
+        return False
+
+    found, _ = _knocked(np.array([False, True]), halt)
+    assert courses and all(course[0] == courses[0][0] for course in courses)
+    assert courses[0][0] == found.began < 2.0 * found.chi2 < 1e-2 * 40.0**2 * len(T)
+
+
+def test_what_moves_bodies_is_no_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clocks and cameras are; where a hand is, and what was asked for by name, are not."""
+    asked: list[np.ndarray] = []
+
+    class Found:
+        def __init__(self, *given: Any, calibrated: np.ndarray) -> None:
+            asked.append(calibrated)
+
+        def run(self, *given: Any) -> None:
+            return None
+
+    monkeypatch.setattr("sysid.solve.residuals.Search", Found)
+    rig = load_rig("gel_sensor")
+    names = ["gel.E_pa", "inside.latency_s", "inside.cx_px", "finger.offset_x_m", "inside.fx_px"]
+    parameters = [replace(p, nuisance=k in (1, 2, 3)) for k, p in enumerate(fit_parameters(rig, names))]
+    Problem([], {}, cast(Any, None)).fit(rig, parameters)
+    assert asked[0].tolist() == [False, True, True, False, False]
 
 
 @pytest.mark.parametrize("size", [2.0, 20.0])
