@@ -32,6 +32,7 @@ from sysid.cli import (
     presses,
     prove,
     rigs,
+    settings,
     show,
     simulate,
     soak,
@@ -89,6 +90,7 @@ app.command("presses")(presses.presses)
 app.command("rigs")(rigs.rigs)
 app.command("params")(rigs.params)
 app.command("effects")(effects.effects)
+app.command("settings")(settings.settings)
 app.command("experiments")(experiments.experiments)
 app.command("tasks")(tasks.tasks)
 app.command("optimise")(optimise.optimise)

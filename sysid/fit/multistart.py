@@ -29,10 +29,11 @@ from sim_core.rigs import Rig
 from sysid.fit.options import FitOptions, Intervals
 from sysid.model.nuisance_parameters import kind_of
 from sysid.model.parameters import FitParameter
+from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.covariance import overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-from sysid.uncertainty.goodness_of_fit import GOOD_MISFIT, worst
+from sysid.uncertainty.goodness_of_fit import worst
 
 Progress = Callable[[float, str], None]
 
@@ -161,7 +162,7 @@ class Searches:
         if self._far(problem, fitted):
             fitted.elsewhere = True
             return self._evaluations.limit(fitted)
-        if self._offsets and self._may_go_on(fitted) and worst(problem, fitted) > GOOD_MISFIT:
+        if self._offsets and self._may_go_on(fitted) and worst(problem, fitted) > UNCERTAINTY.good_misfit:
             fitted = self._from_other_offsets(problem, at, fitted)
             self._offsets = []
             if self._far(problem, fitted):
@@ -180,7 +181,9 @@ class Searches:
         """The discretisation error is to be measured where the fit stands before it is searched on."""
         if not problem.error_shapes or not self._may_go_on(fitted):
             return False
-        return fitted.elsewhere or (fitted.chi2 < FAR * fitted.began and worst(problem, fitted) > GOOD_MISFIT)
+        return fitted.elsewhere or (
+            fitted.chi2 < FAR * fitted.began and worst(problem, fitted) > UNCERTAINTY.good_misfit
+        )
 
     def _may_go_on(self, fitted: Fitted) -> bool:
         return self._evaluations.left > 0 and not fitted.interrupted
@@ -274,7 +277,7 @@ class Searches:
     def _again_from_near(self, problem: Problem, fitted: Fitted) -> Fitted:
         """The best of restarts, while they bring anything and the misfit stays above noise."""
         width = np.array([p.unit_step for p in self._parameters])
-        while self._restarts and self._may_go_on(fitted) and fitted.misfit >= GOOD_MISFIT:
+        while self._restarts and self._may_go_on(fitted) and fitted.misfit >= UNCERTAINTY.good_misfit:
             near = fitted.scaled + RESTART_WIDTH * width * self._rng.standard_normal(len(width))
             again = self._tried(problem, near, fitted)
             known, new = (1.0, np.inf) if again is None else fitted.beside(again)

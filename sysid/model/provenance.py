@@ -1,4 +1,4 @@
-"""Where a result comes from: inputs by their digest, versions, seed, command."""
+"""Where a result comes from: inputs by their digest, versions, settings, seed, command."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from importlib import metadata
 from typing import Any
 
 from sim_core.rigs import Rig, rig_to_yaml
+from sim_core.settings import values
 from sysid.observations.observations import Run
+from sysid.settings import all_settings
 
 _PACKAGES = ("numpy", "scipy", "taichi", "rosbags", "mcap", "opencv-python-headless")
 
@@ -45,5 +47,6 @@ def provenance(
         "machine": f"{platform.system()} {platform.machine()}",
         **({} if seed is None else {"seed": seed}),
         **({} if options is None else {"options": dict(options)}),
+        "settings": {room: values(settings) for room, settings in all_settings().items()},
         "command": " ".join(["thinshell", *sys.argv[1:]]),
     }

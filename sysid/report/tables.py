@@ -260,7 +260,7 @@ class Provenance:
 
 
 def provenance_of(data: dict[str, Any]) -> Provenance:
-    """Sort the provenance for showing; anything may be missing."""
+    """Sort the provenance for showing; anything may be missing. Settings are the same for all and left to JSON."""
     bags = []
     for bag in data.get("bags") or []:
         digests = bag.get("sha256") or []
@@ -275,7 +275,7 @@ def provenance_of(data: dict[str, Any]) -> Provenance:
         )
     facts = []
     for key, value in data.items():
-        if key not in ("bags", "rig", "versions") and value is not None and value != "":
+        if key not in ("bags", "rig", "settings", "versions") and value is not None and value != "":
             facts.append((key.replace("_", " "), _plain(value)))
     versions = [(str(k), str(v)) for k, v in (data.get("versions") or {}).items()]
     return Provenance(bags, str(data.get("rig") or ""), versions, facts)

@@ -13,17 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.noise.estimate import quantities
+from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-GOOD_MISFIT = 1.5
-"""Mean square of a whitened residual up to which noise, whose size is estimated from a rest, may have left it."""
-
-CHANCE = 4.0
-"""Where readings are few: standard deviations by which the mean square of white noise may be above 1."""
-
-FEWEST = 20
-"""Readings of a run from which one of its quantities is judged by itself; fewer are judged with those of other runs."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +31,12 @@ class QuantityMisfit:
 
     @property
     def excess(self) -> float:
-        """The misfit in units of what noise may leave, times :data:`GOOD_MISFIT`."""
-        return GOOD_MISFIT * self.misfit / max(GOOD_MISFIT, 1.0 + CHANCE * float(np.sqrt(2.0 / self.samples)))
+        """The misfit in units of what noise may leave, times ``UNCERTAINTY.good_misfit``."""
+        return (
+            UNCERTAINTY.good_misfit
+            * self.misfit
+            / max(UNCERTAINTY.good_misfit, 1.0 + UNCERTAINTY.chance_sd * float(np.sqrt(2.0 / self.samples)))
+        )
 
 
 def misfit_by_quantity(problem: Problem, fitted: Fitted) -> list[QuantityMisfit]:
@@ -52,7 +48,7 @@ def misfit_by_quantity(problem: Problem, fitted: Fitted) -> list[QuantityMisfit]
             white = problem.judged(i, m, m.values - problem.explained(fitted, i, m))
             for quantity, group in quantities(m):
                 seen = white[:, group][np.isfinite(white[:, group])]
-                if len(seen) >= FEWEST:
+                if len(seen) >= UNCERTAINTY.fewest_readings:
                     found.append(QuantityMisfit(run.name, m.channel, quantity, float(np.mean(seen**2)), len(seen)))
                 elif len(seen):
                     few.setdefault((m.channel, quantity), []).append(seen)
@@ -73,7 +69,7 @@ def unexplained(problem: Problem, fitted: Fitted) -> list[str]:
     most: dict[tuple[str, str], QuantityMisfit] = {}
     for found in misfit_by_quantity(problem, fitted):
         known = most.get((found.channel, found.quantity))
-        if found.excess > max(GOOD_MISFIT, known.excess if known else 0.0):
+        if found.excess > max(UNCERTAINTY.good_misfit, known.excess if known else 0.0):
             most[found.channel, found.quantity] = found
     if not most:
         return []

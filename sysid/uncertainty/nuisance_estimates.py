@@ -15,12 +15,10 @@ from sysid.model.parameters import FitParameter, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import quantities
 from sysid.observations.observations import UNITS, Measured
+from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.covariance import UNDETERMINED_SHARE, interval, marginal, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-FAR = 3.0
-"""Standard deviations from the value of the rig from which a nuisance is worth a sentence."""
 
 REMEDIES = {
     "time": "the time offsets were known: share one clock, and leave 'time' out of --nuisance",
@@ -66,7 +64,7 @@ class Nuisance:
     @property
     def far(self) -> bool:
         """It differs from what the rig says."""
-        return self.told and abs(self.off) > FAR * self.sd
+        return self.told and abs(self.off) > UNCERTAINTY.nuisance_far_sd * self.sd
 
 
 def nuisances_of(problem: Problem, fitted: Fitted) -> list[Nuisance]:
@@ -212,7 +210,7 @@ def _differ(there: Sequence[Nuisance]) -> bool:
     if len(there) < 2:
         return False
     mean = _mean(there)
-    return any(abs(n.value - mean.value) > FAR * np.sqrt(n.sd**2 - mean.sd**2) for n in there)
+    return any(abs(n.value - mean.value) > UNCERTAINTY.nuisance_far_sd * np.sqrt(n.sd**2 - mean.sd**2) for n in there)
 
 
 def _mean(there: Sequence[Nuisance]) -> Nuisance:

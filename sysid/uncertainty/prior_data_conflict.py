@@ -15,11 +15,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.covariance import WIDEST, overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
-
-LIMIT = 3.0
-"""Standard deviations of the difference from which both contradict each other."""
 
 
 def prior_data_conflicts(fitted: Fitted) -> dict[str, str]:
@@ -34,7 +32,7 @@ def prior_data_conflicts(fitted: Fitted) -> dict[str, str]:
         step, alone = _without(fitted, k, row)
         away = float(fitted.scaled[k] + step[k]) - known
         count = abs(away) / np.hypot(uncertainty(alone).sd[k], p.known_sd)
-        if count > LIMIT:
+        if count > UNCERTAINTY.conflict_sd:
             mean = p.physical(known)
             before = f"{mean:g} +- {p.known_sd * (mean if p.log else 1.0):g} {p.unit}".rstrip()
             found[p.name] = (

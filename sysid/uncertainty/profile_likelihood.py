@@ -5,13 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sysid.model.parameters import FitParameter
-
-LIMIT = 1.959964
-"""Root of the deviance at the ends of the interval."""
-
-BELIEVED = (1.5, 2.5)
-"""Roots of the deviance at the ends of a quadratic interval that is believed: 23 % off at the most."""
-
+from sysid.settings.uncertainty import UNCERTAINTY
 
 STOPPED = {
     "failed": "nothing could be simulated beyond {}",
@@ -87,7 +81,10 @@ def in_words(
         return f"The interval of {name} may reach further: {', and '.join(stopped)}."
     scaled, parabola = ([parameter.scaled(v) for v in pair] for pair in (ci95, quadratic))
     half = 0.5 * (parabola[1] - parabola[0])
-    if max(abs(a - b) for a, b in zip(scaled, parabola, strict=True)) > (1.0 - BELIEVED[0] / LIMIT) * half:
+    if (
+        max(abs(a - b) for a, b in zip(scaled, parabola, strict=True))
+        > (1.0 - UNCERTAINTY.believed_roots[0] / UNCERTAINTY.deviance_root) * half
+    ):
         return (
             f"The misfit is not a parabola in {name}: its 95 % interval is {low} to {high}, where the quadratic one is "
             f"{quadratic[0]:.3g} to {quadratic[1]:.3g}{unit}."

@@ -11,7 +11,8 @@ chi-square is a parabola (vertical scaling, Chandler & Bate 2007). The 95 % inte
 limit on one side only.
 
 From each point the others follow along their linear prediction; Gauss-Newton steps within bounds go on from there
-until they promise less than :data:`WORTH` of deviance. The discretisation error is that measured at the optimum.
+until they promise less than ``UNCERTAINTY.worth_evaluating`` of deviance. The discretisation error is that measured at
+the optimum.
 """
 
 from __future__ import annotations
@@ -29,31 +30,11 @@ from scipy.optimize import lsq_linear
 
 from sim_core.errors import ThinshellError
 from sysid.model.parallel_predictor import ParallelPredictor
+from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.covariance import WIDEST, inverse_information, overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-from sysid.uncertainty.profile_likelihood import BELIEVED, LIMIT, End, Profile, in_words
-
-REACH = 3.0
-"""Farthest that a parameter is taken, in plausible ranges."""
-
-MOST_POINTS = 10
-"""Points on each side of the optimum."""
-
-MOST_STEPS = 4
-"""Evaluations of the rig at one point."""
-
-WORTH = 0.1
-"""Promised fall of the deviance from which another evaluation is worth its time."""
-
-BEYOND = 2.1
-"""Root of the deviance that a point beyond the end aims at."""
-
-NARROW = 0.05
-"""An end is known when it is bracketed to this share of its distance from the optimum."""
-
-TYPICAL_POINTS = 2.5
-"""Evaluations that a side usually takes; progress is scaled with it."""
+from sysid.uncertainty.profile_likelihood import End, Profile, in_words
 
 Progress = Callable[[float, str], None]
 
@@ -88,7 +69,7 @@ class Profiler:
         self._sd = known.sd
         misfit = max(1.0, known.reduced_chi2)
         # A fall of chi-square that is neither misfit nor chance, nor what a search leaves that ends at its tolerance.
-        self._gain = LIMIT**2 * max(misfit, by_chance) + given_up
+        self._gain = UNCERTAINTY.deviance_root**2 * max(misfit, by_chance) + given_up
         self._on_progress = on_progress
         self._stop = threading.Event()
         self._lock = threading.Lock()
@@ -109,10 +90,16 @@ class Profiler:
         said = []
         for k, pair in zip(self._asked(), zip(roots[::2], roots[1::2], strict=True), strict=True):
             p = self._parameters[k]
-            off = [r for r in pair if r is not None and np.isfinite(r) and not BELIEVED[0] <= r <= BELIEVED[1]]
+            off = [
+                r
+                for r in pair
+                if r is not None
+                and np.isfinite(r)
+                and not UNCERTAINTY.believed_roots[0] <= r <= UNCERTAINTY.believed_roots[1]
+            ]
             if off:
-                way = "too narrow" if min(off) < BELIEVED[0] else "too wide"
-                if min(off) < BELIEVED[0] and max(off) > BELIEVED[1]:
+                way = "too narrow" if min(off) < UNCERTAINTY.believed_roots[0] else "too wide"
+                if min(off) < UNCERTAINTY.believed_roots[0] and max(off) > UNCERTAINTY.believed_roots[1]:
                     way = "too narrow on one side and too wide on the other"
                 said.append(
                     f"The interval of {p.name} takes the misfit for a parabola, which it is not: it is {way}. "
@@ -133,7 +120,7 @@ class Profiler:
     def profiles(self) -> list[Profile]:
         """The profile of every parameter that was asked for. Ctrl-C ends with what was found so far."""
         jobs = [(k, side) for k in self._asked() for side in (-1, 1)]
-        sides = self._run(lambda job: self._side(*job), jobs, TYPICAL_POINTS)
+        sides = self._run(lambda job: self._side(*job), jobs, UNCERTAINTY.typical_evaluations)
         found = []
         for n, k in enumerate(self._asked()):
             low, high = sides[2 * n], sides[2 * n + 1]
@@ -243,7 +230,7 @@ class Profiler:
         to[others] = np.clip(scaled[others] + step, self._low[others], self._high[others])
         return to, float(left @ left)
 
-    def _at(self, k: int, x: float, near: _Point, most: int = MOST_STEPS) -> _Point | None:
+    def _at(self, k: int, x: float, near: _Point, most: int = UNCERTAINTY.most_steps) -> _Point | None:
         """The point of the profile of parameter ``k`` at ``x``, starting from ``near``; None: not simulated."""
         guess, _ = self._follow(near.scaled, near.residual, near.jacobian, k, x - near.scaled[k])
         best: _Point | None = None
@@ -257,7 +244,7 @@ class Profiler:
                 with self._lock:
                     self._lowest = min(self._lowest, point, key=lambda q: _square(q.residual))
                 promised = (_square(point.residual) - point.least) / self._calibration[k]
-                if promised < WORTH or self._stop.is_set():
+                if promised < UNCERTAINTY.worth_evaluating or self._stop.is_set():
                     break
                 guess, _ = self._follow(point.scaled, point.residual, point.jacobian, k, 0.0)
             else:
@@ -272,18 +259,18 @@ class Profiler:
 
     def _plausible(self, k: int, side: int) -> float:
         """As far as parameter ``k`` is taken on one side."""
-        far = self._fitted.scaled[k] + side * REACH * self._prior[k]
+        far = self._fitted.scaled[k] + side * UNCERTAINTY.farthest_ranges * self._prior[k]
         return float(max(far, self._low[k]) if side < 0 else min(far, self._high[k]))
 
     def _end(self, k: int, side: int) -> float:
         """One end of the quadratic interval."""
-        return float(self._fitted.scaled[k] + side * LIMIT * self._sd[k])
+        return float(self._fitted.scaled[k] + side * UNCERTAINTY.deviance_root * self._sd[k])
 
     def _root_at_end(self, k: int, side: int) -> float | None:
         """Root of the deviance at one end of the quadratic interval, infinite where that cannot be simulated; None
         where it is at a bound or out of reach. Then a better fit is looked for a plausible range away."""
         end, at = self._end(k, side), float(self._fitted.scaled[k])
-        inside = self._low[k] < end < self._high[k] and abs(end - at) <= REACH * self._prior[k]
+        inside = self._low[k] < end < self._high[k] and abs(end - at) <= UNCERTAINTY.farthest_ranges * self._prior[k]
         if not inside:
             end = float(np.clip(at + side * self._prior[k], self._low[k], self._high[k]))
             if abs(end - at) < 1e-9 * self._prior[k]:
@@ -295,7 +282,7 @@ class Profiler:
         if not inside:
             return None
         root = self._root(k, point)
-        if point is not None and not BELIEVED[0] <= root <= BELIEVED[1]:
+        if point is not None and not UNCERTAINTY.believed_roots[0] <= root <= UNCERTAINTY.believed_roots[1]:
             # The other parameters may not have followed all the way yet.
             further = self._at(k, end, point) or point
             root = self._root(k, min(point, further, key=lambda q: q.least))
@@ -311,14 +298,14 @@ class Profiler:
         beyond: tuple[float, float] | None = None
         step = min(self._sd[k], self._prior[k])
         x = start + side * step
-        for _ in range(MOST_POINTS):
+        for _ in range(UNCERTAINTY.most_points):
             x = min(x, far) if side > 0 else max(x, far)
             there = self._at(k, x, point)
             root = self._root(k, there)
             found.append((x, root))
             if self._stop.is_set():
                 break
-            if root >= LIMIT:
+            if root >= UNCERTAINTY.deviance_root:
                 beyond = (x, root)
             else:
                 assert there is not None
@@ -343,15 +330,15 @@ class Profiler:
     def _longer(before: tuple[float, float], now: tuple[float, float]) -> float:
         """Next step outwards: to just beyond the limit by the slope so far, at most twice the last one."""
         last, rise = abs(now[0] - before[0]), now[1] - before[1]
-        wanted = last * (BEYOND - now[1]) / rise if rise > 0.0 else np.inf
+        wanted = last * (UNCERTAINTY.beyond_root - now[1]) / rise if rise > 0.0 else np.inf
         return float(np.clip(wanted, 0.3 * last, 2.0 * last))
 
     @staticmethod
     def _known(start: float, inside: tuple[float, float], beyond: tuple[float, float]) -> bool:
         """The limit is between two points that are near enough to interpolate."""
-        if abs(beyond[0] - inside[0]) < NARROW * abs(beyond[0] - start):
+        if abs(beyond[0] - inside[0]) < UNCERTAINTY.bracket_share * abs(beyond[0] - start):
             return True
-        return inside[1] > 0.4 * LIMIT and beyond[1] < 1.5 * LIMIT
+        return inside[1] > 0.4 * UNCERTAINTY.deviance_root and beyond[1] < 1.5 * UNCERTAINTY.deviance_root
 
     def _profile(
         self, k: int, low: tuple[list[tuple[float, float]], End], high: tuple[list[tuple[float, float]], End]
@@ -375,7 +362,7 @@ def _square(rows: np.ndarray) -> float:
 
 def _between(inside: tuple[float, float], beyond: tuple[float, float]) -> float:
     """A value between two points that are on either side of the limit: nearer to where it is, but not at an end."""
-    share = (LIMIT - inside[1]) / (beyond[1] - inside[1]) if np.isfinite(beyond[1]) else 0.5
+    share = (UNCERTAINTY.deviance_root - inside[1]) / (beyond[1] - inside[1]) if np.isfinite(beyond[1]) else 0.5
     return inside[0] + (beyond[0] - inside[0]) * float(np.clip(share, 0.3, 0.7))
 
 
@@ -389,6 +376,6 @@ def _crossing(found: Sequence[tuple[float, float]], inside: tuple[float, float],
                 kept.pop()
             kept.append((x, root))
     xs, roots = np.array(kept).T
-    if roots[-1] >= LIMIT and len(kept) > 2:
-        return float(PchipInterpolator(roots, xs)(LIMIT))
-    return float(np.interp(LIMIT, [inside[1], beyond[1]], [inside[0], beyond[0]]))
+    if roots[-1] >= UNCERTAINTY.deviance_root and len(kept) > 2:
+        return float(PchipInterpolator(roots, xs)(UNCERTAINTY.deviance_root))
+    return float(np.interp(UNCERTAINTY.deviance_root, [inside[1], beyond[1]], [inside[0], beyond[0]]))

@@ -311,3 +311,14 @@ def test_the_doctor_does_not_ask_for_what_extras_bring(absent: tuple[str, ...], 
     done = subprocess.run([sys.executable, "-c", f"{hidden}\n{_IMPORTS}"], capture_output=True, text=True, timeout=300)
     assert (done.returncode == 0) == works, done.stderr
     assert works or "scipy" in done.stderr
+
+
+def test_settings_are_listed_with_unit_meaning_and_origin() -> None:
+    shown = run("settings", "uncertainty")
+    assert shown.returncode == 0
+    assert "  conflict_sd = 3 sd  (statistics)\n      Standard deviations of the difference" in shown.stdout
+    listed = json.loads(run("settings", "--json").stdout)
+    assert listed["uncertainty"]["conflict_sd"] == 3.0
+    refused = run("settings", "kitchen")
+    assert refused.returncode == 2
+    assert "There are no settings of 'kitchen'. Choose one of " in refused.stderr and "uncertainty" in refused.stderr

@@ -19,6 +19,7 @@ from sysid.model.parameters import FitParameter, fit_parameters
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
@@ -173,7 +174,7 @@ def test_a_restart_that_brings_nothing_is_the_last(small_rig: Any, monkeypatch: 
     search, _ = searches(small_rig())
     wrong = problem(Gauge(0.05), off=0.2)
     first = search(wrong, np.array([11.2]))
-    assert len(fits) == 2 and min(fits) > starts.GOOD_MISFIT
+    assert len(fits) == 2 and min(fits) > UNCERTAINTY.good_misfit
     search(wrong, first.scaled)
     assert len(fits) == 3
 
@@ -199,7 +200,7 @@ def test_what_is_left_far_from_where_the_discretisation_error_was_measured_is_no
     search, _ = searches(small_rig())
     wrong = with_discretisation_error(problem(Gauge(0.05), off=0.2))
     first = search(wrong, np.array([11.6]))
-    assert first.elsewhere and first.misfit > starts.GOOD_MISFIT and first.chi2 < 0.5 * first.began
+    assert first.elsewhere and first.misfit > UNCERTAINTY.good_misfit and first.chi2 < 0.5 * first.began
     assert calls == 1
     again = search(wrong, first.scaled)
     assert not again.elsewhere

@@ -185,6 +185,7 @@ def test_a_result_says_which_window_it_is_of(rig: Rig, session: Path, second: fl
     told = provenance(rig, [run], [], 0, FitOptions(starts=2, bounds={"gel.E_pa": (1e4, np.inf)}).told())
     assert told["bags"][0]["window_s"] == [second, 9.0]
     assert told["options"]["starts"] == 2 and told["options"]["bounds"] == {"gel.E_pa": [1e4, None]}
+    assert told["settings"]["uncertainty"]["conflict_sd"] == 3.0
     json.dumps(told, allow_nan=False)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -16,6 +17,7 @@ from sysid.fit.options import Intervals
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
 from sysid.observations.observations import Run
+from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.profiler import Profiler
 
@@ -58,7 +60,7 @@ def test_a_search_that_ended_too_early_goes_on_from_the_better_fit_that_interval
         return plain(problem, rig, parameters, start, *given, **more)
 
     monkeypatch.setattr(Problem, "fit", early)
-    monkeypatch.setattr(starts, "GOOD_MISFIT", 1e9)
+    monkeypatch.setattr(starts, "UNCERTAINTY", replace(UNCERTAINTY, good_misfit=1e9))
     options = FitOptions(nuisance=("none",), intervals=intervals, robust=False)
     rig = with_parameters(small_rig(), {"gel.E_pa": 1.01 * TRUTH})
     shares: list[float] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -16,6 +17,7 @@ from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
+from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.residuals import Problem
 
 pytestmark = pytest.mark.usefixtures("declared")
@@ -31,7 +33,7 @@ def test_a_restart_that_cannot_be_simulated_is_left_out(small_rig: Any, monkeypa
         return plain(problem, *given, **more)
 
     monkeypatch.setattr(Problem, "fit", once)
-    monkeypatch.setattr(starts, "GOOD_MISFIT", 0.0)
+    monkeypatch.setattr(starts, "UNCERTAINTY", replace(UNCERTAINTY, good_misfit=0.0))
     parameters = fit_parameters(small_rig(), ["gel.E"])
     noise = {"markers": ChannelNoise(np.array([0.01]), 0.0, "test")}
     problem = Problem([run_of("press", "markers")], noise, cast(ParallelPredictor, Readings()))
@@ -66,7 +68,7 @@ def fit_within(rig: Any, most: int | None) -> tuple[int, list[int], fit.FitResul
 
 def test_a_fit_makes_no_more_evaluations_than_it_may(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither in restarts, which no misfit prevents here, nor in further looks, nor at the ends of intervals."""
-    monkeypatch.setattr(starts, "GOOD_MISFIT", 0.0)
+    monkeypatch.setattr(starts, "UNCERTAINTY", replace(UNCERTAINTY, good_misfit=0.0))
     monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
     monkeypatch.setattr(fit, "not_looked_for", lambda *given: [])
     monkeypatch.setattr(fit, "worth_another_fit", lambda *given: True)
@@ -97,7 +99,7 @@ def test_a_rig_that_is_only_compared_is_evaluated_once(small_rig: Any) -> None:
 
 def test_evaluations_that_fail_are_counted(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first steps of a search, and starts of others, beyond what can be simulated."""
-    monkeypatch.setattr(starts, "GOOD_MISFIT", 0.0)
+    monkeypatch.setattr(starts, "UNCERTAINTY", replace(UNCERTAINTY, good_misfit=0.0))
     monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
     monkeypatch.setattr(fit, "not_looked_for", lambda *given: [])
 

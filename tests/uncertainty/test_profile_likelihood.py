@@ -30,12 +30,13 @@ from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.report import write_fit_report
+from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import Finding, overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.profile_likelihood import in_words
-from sysid.uncertainty.profiler import WORTH, Profiler
+from sysid.uncertainty.profiler import Profiler
 
 T = np.linspace(0.0, 2.0, 60)
 SIGMA = 0.05
@@ -135,7 +136,9 @@ def test_beside_a_nuisance_and_a_misfit_with_structure_it_is_the_quadratic_inter
     at, sd = fitted.scaled[0], uncertainty(fitted).sd[0]
     assert profile.ends == ("found", "found") and profile.sentence == ""
     np.testing.assert_allclose(profile.ci95, [at - 1.959964 * sd, at + 1.959964 * sd], atol=1e-3 * sd)
-    np.testing.assert_allclose(profile.deviance, ((np.array(profile.values) - at) / sd) ** 2, atol=0.1 * WORTH)
+    np.testing.assert_allclose(
+        profile.deviance, ((np.array(profile.values) - at) / sd) ** 2, atol=0.1 * UNCERTAINTY.worth_evaluating
+    )
     assert Profiler(problem, fitted).check() == []
 
 

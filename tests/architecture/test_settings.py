@@ -1,0 +1,73 @@
+"""Numbers by which results are decided stand in the settings of their room, each with unit, meaning and origin."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from sim_core.settings import CHOSEN, described
+from sysid.settings import all_settings
+
+ROOT = Path(__file__).parents[2]
+ROOMS = sorted(all_settings())
+
+
+def numbers_of(path: Path) -> Iterator[tuple[str, int]]:
+    """Names and lines of the constants of a module that are a number or hold one."""
+    for statement in ast.parse(path.read_text()).body:
+        if isinstance(statement, ast.Assign):
+            targets, value = statement.targets, statement.value
+        elif isinstance(statement, ast.AnnAssign) and statement.value is not None:
+            targets, value = [statement.target], statement.value
+        else:
+            continue
+        names = [n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)]
+        if any(n.isupper() for n in names) and has_number(value):
+            yield ", ".join(names), statement.lineno
+
+
+def has_number(value: ast.AST) -> bool:
+    """Whether an expression has a number in it, other than as an index or an argument of a call."""
+    if isinstance(value, (ast.Call, ast.Subscript)):
+        return False
+    if isinstance(value, ast.Constant):
+        return isinstance(value.value, (int, float)) and not isinstance(value.value, bool)
+    return any(has_number(child) for child in ast.iter_child_nodes(value))
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_module_of_the_room_has_numbers_of_its_own(room: str) -> None:
+    loose = [
+        f"{path.relative_to(ROOT)}:{line} {name}"
+        for path in sorted((ROOT / "sysid" / room).rglob("*.py"))
+        for name, line in numbers_of(path)
+    ]
+    assert not loose, f"move these to sysid/settings/{room}.py: {loose}"
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_each_setting_has_its_unit_its_meaning_and_how_it_was_chosen(room: str) -> None:
+    settings = all_settings()[room]
+    assert dataclasses.is_dataclass(settings) and type(settings).__dataclass_params__.frozen  # type: ignore[attr-defined]
+    assert type(settings).__doc__
+    for one in described(settings):
+        assert one.unit and one.chosen in CHOSEN
+        assert one.meaning[0].isupper() and one.meaning.endswith("."), one.name
+        assert one.name.islower() and len(one.name) > 3
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_each_setting_is_read_somewhere(room: str) -> None:
+    text = "\n".join(p.read_text() for p in (ROOT / "sysid").rglob("*.py") if p.parent.name != "settings")
+    unread = [one.name for one in described(all_settings()[room]) if f".{one.name}" not in text]
+    assert not unread
+
+
+@pytest.mark.parametrize("code", ["FAR = 3.0", "A, B = 1, 2", "SD: dict[str, float] = {'a': -0.1}", "T = (0.5, 'x')"])
+def test_a_loose_number_is_found(tmp_path: Path, code: str) -> None:
+    (tmp_path / "module.py").write_text(f'{code}\nNAME = "3"\nKEYS = tuple(range(3))\n')
+    assert len(list(numbers_of(tmp_path / "module.py"))) == 1
