@@ -15,6 +15,7 @@ from sim_core.rigs import Rig, load_rig
 from sysid.cli.app import main
 from sysid.model.load import load_run
 from sysid.observations.checks import Finding, examine
+from sysid.observations.checks.two_publishers import two_levels
 from sysid.observations.rig_topics import topics_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
@@ -191,3 +192,11 @@ def test_a_jump_of_the_orientation_is_said(tmp_path: Path) -> None:
     recording.pose.quaternion[300:340] = [0.0, 0.0, 1.0, 0.0]
     notes = read(write(recording, tmp_path / "bag"), load_rig(RIG)).warnings
     assert ["2 jumps of the orientation, the largest 180 degrees" in note.text for note in notes] == [True]
+
+
+def test_round_off_of_a_simulated_force_is_not_taken_for_two_sources() -> None:
+    """A sensor in touch with nothing reads sums of zero, which jump between two neighbouring numbers."""
+    to_and_fro = np.where(np.arange(400) % 2, 1e-3, -1e-3)[:, None] * np.ones(3)
+    found = two_levels(to_and_fro)
+    assert found is not None and found[1] == pytest.approx(2e-3)
+    assert two_levels(1e-15 * to_and_fro) is None

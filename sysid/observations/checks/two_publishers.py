@@ -25,6 +25,9 @@ SHARE = 0.2
 TURNS = 0.25
 """Share of samples at which the source is another one than before, at least. Fewer are steps of what is measured."""
 
+LEAST = 1e-9
+"""Distance between the levels [m, N] below which they are round-off of a simulated recording: no sensor resolves it."""
+
 
 def two_publishers(recording: Recording) -> Iterator[Finding]:
     """Two levels between which poses or wrenches jump to and fro."""
@@ -82,7 +85,7 @@ def two_levels(values: np.ndarray) -> tuple[np.ndarray, float] | None:
     # Each source by itself is continuous: it goes on from its own last sample by far less than the two are apart.
     own = np.concatenate([np.abs(np.diff(values[which, column], n=2)) for which in (second, ~second)])
     mixed = np.abs(np.diff(values[:, column], n=2))
-    if apart <= 0.0 or np.median(own) ** 2 > WITHIN * np.median(mixed) ** 2 or np.median(own) > 0.2 * apart:
+    if apart < LEAST or np.median(own) ** 2 > WITHIN * np.median(mixed) ** 2 or np.median(own) > 0.2 * apart:
         return None
     step = common_step([values[:, column]])
     if step and apart < 1.5 * step:
