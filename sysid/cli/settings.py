@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from textwrap import fill
 from typing import Annotated, Any
 
 import typer
@@ -36,7 +37,8 @@ def settings(
         print(f"{name}: {type(of).__doc__}")
         for one in described(of):
             unit = "" if one.unit == "1" else f" {one.unit}"
-            print(f"  {one.name} = {_value(one.value)}{unit}  ({one.chosen})\n      {one.meaning}")
+            print(f"  {one.name} = {_value(one.value)}{unit}  ({one.chosen})")
+            print(fill(one.meaning, 100, initial_indent="      ", subsequent_indent="      "))
         print()
     print("In brackets is how a setting was chosen:")
     for chosen, words in CHOSEN.items():

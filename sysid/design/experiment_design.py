@@ -27,8 +27,9 @@ from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.noise.estimate import as_declared, undeclared
 from sysid.observations.observations import Measured, Run
+from sysid.settings.solve import SOLVE
 from sysid.simulate import simulate_to_bag
-from sysid.solve.covariance import UNDETERMINED_SHARE, interval, names_undetermined, uncertainty
+from sysid.solve.covariance import interval, names_undetermined, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.nuisance_estimates import confounded_with_nuisances
@@ -243,7 +244,7 @@ def _still(fitted: Fitted) -> list[str]:
         f"Nothing slides where {p.name} acts: a recording would at most say, if there is a touch at all, that it is at "
         "least the largest ratio of tangential to normal force. Plan a motion that slides there."
         for p, r in zip(fitted.parameters, reach, strict=True)
-        if p.name.endswith(".friction") and r < 1.0 / UNDETERMINED_SHARE
+        if p.name.endswith(".friction") and r < 1.0 / SOLVE.undetermined_share
     ]
 
 

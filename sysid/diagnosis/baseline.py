@@ -32,32 +32,11 @@ from sysid.model.sparing_predictor import SparingPredictor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import channel_noise, column_groups, quantities
 from sysid.observations.observations import Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.discretisation_basis import MODEL, ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import Outliers, without_outliers, worth_another_fit
 from sysid.solve.residuals import Problem
-
-FIRST, SECOND = 8, 5
-"""Evaluations allowed to the fit, and to it beside the error measured where it came to."""
-
-FAR_MISFIT, UPPER_QUARTILE = 2.0, 1.1503
-"""Misfit over noise from which other branches of contact are looked for, by the upper quartile of what is left of the
-readings, over that of normal numbers: a snap or a landing is no other branch."""
-
-FRICTION_FACTORS, OFFSET_DRAWS = (0.7, 0.85, 1.15, 1.4), 3
-"""Friction coefficients that are tried, over where the search ended, and random places of the hands."""
-
-BETTER, CAUCHY_WIDTH = 0.98, 3.0
-"""Loss below which another branch is better, over that of the first, and whitened residual that is far."""
-
-TOO_COARSE = 5.0
-"""Discretisation error over noise, median over readings, from which a recording weighs nothing."""
-
-MEASURED_WITHIN = 1.0
-"""How far, in standard deviations of what is known of parameters, the discretisation error is that of the start."""
-
-ADDED_WITHIN, RINGING_WITHIN = 0.3, 0.03
-"""The same for what a reference model adds, and for what vibrates."""
 
 Tell = Callable[[float, str], None]
 
@@ -138,7 +117,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     first = None if rig.solver.inertia else replace(model, shapes=shapes)
     problem = Problem(clean, noise, model.engine, shapes, prior=True)
     tell(0.15, "baseline fit")
-    fitted = problem.fit(rig, parameters, start, max_evaluations=FIRST, tolerance=2.0)
+    fitted = problem.fit(rig, parameters, start, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=2.0)
     if fitted.interrupted:
         raise KeyboardInterrupt
     # While the model was far off, no reading could be told to be a mistake, and chi-square was that of the mistakes.
@@ -146,7 +125,9 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     if worth_another_fit(clean, again):
         clean = again
         problem = Problem(clean, noise, model.engine, shapes, prior=True)
-        fitted = problem.fit(rig, parameters, fitted.scaled, max_evaluations=FIRST, tolerance=2.0)
+        fitted = problem.fit(
+            rig, parameters, fitted.scaled, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=2.0
+        )
         if fitted.interrupted:
             raise KeyboardInterrupt
     shorter = None
@@ -160,7 +141,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         shapes = model.shapes
         problem = Problem(clean, noise, model.engine, shapes, prior=True)
         start = fitted.scaled
-        fitted = problem.fit(rig, parameters, start, max_evaluations=FIRST, tolerance=2.0)
+        fitted = problem.fit(rig, parameters, start, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=2.0)
         if fitted.interrupted:
             raise KeyboardInterrupt
     elsewhere = None
@@ -168,7 +149,9 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         tell(0.22, "other branches of contact")
         elsewhere = best_branch(model.engine, problem, fitted)
         if elsewhere is not None:
-            fitted = problem.fit(rig, parameters, elsewhere, max_evaluations=FIRST, tolerance=2.0)
+            fitted = problem.fit(
+                rig, parameters, elsewhere, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=2.0
+            )
             if fitted.interrupted:
                 raise KeyboardInterrupt
     clean, outliers = without_outliers(runs, fitted.predictions, noise)
@@ -176,8 +159,8 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     tell(0.28, "error of mesh and time step where the fit stands")
     unknown = ""
     known = np.array([p.known_sd or p.prior_sd for p in parameters])
-    within = MEASURED_WITHIN if reference is None else ADDED_WITHIN
-    within = RINGING_WITHIN if rig.solver.inertia else within
+    within = DIAGNOSIS.error_measured_within_sd if reference is None else DIAGNOSIS.reference_within_sd
+    within = DIAGNOSIS.ringing_within_sd if rig.solver.inertia else within
     far = bool(np.abs((fitted.scaled - start) / known).max(initial=0.0) > within)
     try:
         if elsewhere is not None or far:
@@ -186,7 +169,9 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     except ThinshellError as error:
         unknown = f"it stands where its discretisation error is not known. {error}"
     problem = Problem(clean, noise, model.engine, shapes, prior=True)
-    fitted = problem.fit(rig, parameters, fitted.scaled, max_evaluations=SECOND, tolerance=2.0)
+    fitted = problem.fit(
+        rig, parameters, fitted.scaled, max_evaluations=DIAGNOSIS.baseline_evaluations_beside, tolerance=2.0
+    )
     if unknown:
         fitted.converged, fitted.message = False, unknown
     if fitted.interrupted:
@@ -244,7 +229,13 @@ def _where_predictable(base: Baseline, sparing: SparingPredictor, tell: Tell) ->
     notes = (*base.notes, *(u.sentence for u in found))
     runs, again = without(base.problem.runs, found), SpaceMappedPredictor(sparing, base.engine.added)
     problem = Problem(runs, base.noise, again, base.problem.error_shapes, prior=True)
-    fitted = problem.fit(model.centre, model.parameters, model.scaled, max_evaluations=SECOND, tolerance=2.0)
+    fitted = problem.fit(
+        model.centre,
+        model.parameters,
+        model.scaled,
+        max_evaluations=DIAGNOSIS.baseline_evaluations_beside,
+        tolerance=2.0,
+    )
     if fitted.interrupted:
         raise KeyboardInterrupt
     problem.engine = base.engine
@@ -268,12 +259,12 @@ def fine_enough(
                 if not seen.size or k not in kept:
                     continue
                 ratio = float(np.nanmedian(np.abs(seen)) / np.median(noise[m.channel].sigma[group]))
-                if ratio > TOO_COARSE:
+                if ratio > DIAGNOSIS.too_coarse_ratio:
                     kept.remove(k)
                     said.append(
                         f"{run.name} weighs nothing: the error of mesh and time step in the {name} of {m.channel} is "
-                        f"{ratio:.0f} times the noise most of the time, more than {TOO_COARSE:g} times. Use finer "
-                        "cells or a shorter solver.dt_s to ask it."
+                        f"{ratio:.0f} times the noise most of the time, more than {DIAGNOSIS.too_coarse_ratio:g} "
+                        "times. Use finer cells or a shorter solver.dt_s to ask it."
                     )
     return (kept, tuple(said)) if kept else (list(range(len(runs))), ())
 
@@ -294,12 +285,12 @@ def best_branch(engine: AnyEngine, problem: Problem, fitted: Fitted) -> np.ndarr
     frictions = [k for k, p in enumerate(fitted.parameters) if p.target.endswith(".friction")]
     offsets = [k for k, p in enumerate(fitted.parameters) if p.nuisance and ".offset_" in p.target]
     points = []
-    for factor in FRICTION_FACTORS:
+    for factor in DIAGNOSIS.friction_factors:
         at = fitted.scaled.copy()
         at[frictions] *= factor
         points += [at] if frictions else []
     rng = np.random.default_rng(0)
-    for _ in range(OFFSET_DRAWS if offsets else 0):
+    for _ in range(DIAGNOSIS.offset_draws if offsets else 0):
         at = fitted.scaled.copy()
         at[offsets] += rng.standard_normal(len(offsets)) * [fitted.parameters[k].prior_sd for k in offsets]
         points.append(at)
@@ -322,7 +313,7 @@ def best_branch(engine: AnyEngine, problem: Problem, fitted: Fitted) -> np.ndarr
             loss = _cauchy(problem, [row[k].result() if k in row else p for k, p in enumerate(here)], at)
         except ThinshellError:
             continue
-        if loss < BETTER * best:
+        if loss < DIAGNOSIS.better_loss_ratio * best:
             best, found = loss, at
     return found
 
@@ -330,13 +321,15 @@ def best_branch(engine: AnyEngine, problem: Problem, fitted: Fitted) -> np.ndarr
 def _cauchy(problem: Problem, predictions: Sequence[Prediction], scaled: np.ndarray) -> float:
     """Sum of log(1 + (r / c)^2) over the whitened readings, what is out of sight as far off as c."""
     residual = problem.assemble(predictions, [], scaled).residual
-    return float(np.sum(np.log1p((residual / CAUCHY_WIDTH) ** 2)))
+    return float(np.sum(np.log1p((residual / DIAGNOSIS.cauchy_width) ** 2)))
 
 
 def _is_far(fitted: Fitted) -> bool:
     """Whether a model misses more than about a sixth of the readings by far, or most of them by more than noise."""
     left = np.abs(fitted.residual[: len(fitted.residual) - fitted.pulls])
-    return bool(len(left) and np.quantile(left, 0.75) > np.sqrt(FAR_MISFIT) * UPPER_QUARTILE)
+    return bool(
+        len(left) and np.quantile(left, 0.75) > np.sqrt(DIAGNOSIS.branch_misfit_ratio) * DIAGNOSIS.normal_upper_quartile
+    )
 
 
 def _shorter_steps(

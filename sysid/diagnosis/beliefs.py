@@ -8,13 +8,7 @@ from dataclasses import replace
 from sim_core.errors import ConfigError
 from sim_core.rigs import Gel, Rig, Sheet
 from sysid.model.parameters import FitParameter, fit_parameters, start_of
-
-KNOWN_SD = {"E_pa": 0.35, "density_kg_m3": 0.05, "nu": 0.05, "friction": 0.15}
-"""How well a rig's numbers are known where nothing is said: moduli and densities by their logarithm (a data sheet of a
-similar product, a balance), Poisson ratios and friction coefficients by themselves."""
-
-DAMPING_SHARE = 0.5
-"""How well a damping is known, in units of its value."""
+from sysid.settings.diagnosis import DIAGNOSIS
 
 
 def open_parameters(rig: Rig) -> list[str]:
@@ -41,7 +35,9 @@ def believed(rig: Rig, parameters: Sequence[FitParameter]) -> list[FitParameter]
     for p, at in zip(parameters, start_of(rig, parameters), strict=True):
         quantity = p.target.rsplit(".", 1)[1]
         sd = (
-            DAMPING_SHARE * at if quantity == "stiffness_damping_s" and at > 0.0 else KNOWN_SD.get(quantity, p.prior_sd)
+            DIAGNOSIS.known_damping_share * at
+            if quantity == "stiffness_damping_s" and at > 0.0
+            else DIAGNOSIS.known_sd.get(quantity, p.prior_sd)
         )
         found.append(p if p.pulled else replace(p, known_sd=float(sd)))
     return found

@@ -18,16 +18,7 @@ from sim_core.effects import Effect, RecordingScales, all_effects, split_key
 from sim_core.effects.base import EffectParameter
 from sim_core.rigs import Rig
 from sysid.observations.observations import Run
-
-MOST_POINTS, MOST_THRESHOLDS = 4, 6
-"""Points of the grid over the shapes and sizes of one effect, and of one with a threshold, whose misfit has several
-minima. Each costs an evaluation of the law a step."""
-
-MOST_SIZES = 2
-"""Typical sizes of an amplitude that stands alone, each looked at by itself: laws are not linear in them."""
-
-FARTHEST = 3.0
-"""Largest size, in units of the typical one, to which a response is extrapolated."""
+from sysid.settings.diagnosis import DIAGNOSIS
 
 
 @dataclass(frozen=True)
@@ -46,8 +37,12 @@ class Amplitude:
         ends = sorted(
             (e - self.none) / (self.typical - self.none) for e in (self.parameter.lower, self.parameter.upper)
         )
-        low = 0.0 if ends[0] > -1e-9 or (self.parameter.log and ends[0] >= -1e-3) else max(ends[0], -FARTHEST)
-        return low, min(max(ends[1], 1.0), FARTHEST)
+        low = (
+            0.0
+            if ends[0] > -1e-9 or (self.parameter.log and ends[0] >= -1e-3)
+            else max(ends[0], -DIAGNOSIS.largest_amplitude)
+        )
+        return low, min(max(ends[1], 1.0), DIAGNOSIS.largest_amplitude)
 
     @property
     def sd(self) -> float:
@@ -119,9 +114,11 @@ def _of_variant(
     shapes = [n for n in variant if n not in sizes]
     grid = {n: variant[n] for n in shapes} | {n: variant[n] for n in sizes if not np.isfinite(_none(parameters[n]))}
     if len(sizes) == 1 and np.isfinite(_none(parameters[sizes[0]])):
-        grid[sizes[0]] = tuple(spaced(variant[sizes[0]], MOST_SIZES))
+        grid[sizes[0]] = tuple(spaced(variant[sizes[0]], DIAGNOSIS.amplitude_sizes))
     threshold = any(not np.isfinite(_none(parameters[n])) for n in sizes)
-    points = spaced(list(itertools.product(*grid.values())), MOST_THRESHOLDS if threshold else MOST_POINTS)
+    points = spaced(
+        list(itertools.product(*grid.values())), DIAGNOSIS.threshold_grid_points if threshold else DIAGNOSIS.grid_points
+    )
     found = []
     for point in points:
         chosen = dict(zip(grid, point, strict=True))

@@ -24,10 +24,8 @@ from sysid.model.parameters import rig_in
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
-
-EVALUATIONS = 12
-"""Evaluations allowed to an answer, whose refit ended when it was told from others."""
 
 
 def confirmed(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | None:
@@ -56,7 +54,13 @@ def fitted_to_the_end(
     try:
         problem, check = copy(base.problem), copy(base.check)
         problem.engine = SparingPredictor(engine(base.engine, problem.runs, begun.scaled))
-        fitted = problem.fit(begun.centre, begun.parameters, begun.scaled, max_evaluations=EVALUATIONS, tolerance=2.0)
+        fitted = problem.fit(
+            begun.centre,
+            begun.parameters,
+            begun.scaled,
+            max_evaluations=DIAGNOSIS.confirmation_evaluations,
+            tolerance=2.0,
+        )
         if fitted.interrupted:
             raise KeyboardInterrupt
         there = None

@@ -5,13 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sysid.model.parameters import start_of
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
-
-FAR_FROM_KNOWN = 3.0
-"""Standard deviations of what was known of a parameter from which its fitted value needs explaining."""
-
-CERTAINLY_FAR = 4.0
-"""Those from which the verdict itself says so: of twenty parameters chance takes one there in a diagnosis of 800."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +27,11 @@ class Contradiction:
 
 
 def contradictions(fitted: Fitted) -> tuple[Contradiction, ...]:
-    """Parameters whose fitted values are :data:`FAR_FROM_KNOWN`, farthest first."""
+    """Parameters whose fitted values are ``DIAGNOSIS.far_from_known_sd``, farthest first."""
     found = []
     start = start_of(fitted.centre, fitted.parameters)
     for p, scaled, first in zip(fitted.parameters, fitted.scaled, start, strict=True):
         away = abs(float(scaled - first)) / (p.known_sd or p.prior_sd)
-        if away > FAR_FROM_KNOWN:
+        if away > DIAGNOSIS.far_from_known_sd:
             found.append(Contradiction(p.name, p.unit, p.physical(scaled), p.physical(first), away))
     return tuple(sorted(found, key=lambda c: -c.deviations))

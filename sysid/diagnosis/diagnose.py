@@ -24,7 +24,7 @@ from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import hypotheses, recording_scales
 from sysid.diagnosis.confirmation import confirmed, fitted_to_the_end
-from sysid.diagnosis.contradictions import CERTAINLY_FAR, contradictions
+from sysid.diagnosis.contradictions import contradictions
 from sysid.diagnosis.evidence import log_evidence
 from sysid.diagnosis.next_motion import in_words, proposed
 from sysid.diagnosis.refits import Trial, refits_of, tempered, trials_of, without_idle
@@ -35,17 +35,7 @@ from sysid.diagnosis.screening import Score, Screen, look
 from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.starts import Start
 from sysid.diagnosis.validation import of_readings, seen_by_both
-from sysid.diagnosis.verdict import (
-    WITHOUT_MISFIT,
-    WORTH_ADDING,
-    Case,
-    Verdict,
-    answers,
-    cut_off,
-    decide,
-    missed_beside_mesh,
-    size_of,
-)
+from sysid.diagnosis.verdict import Case, Verdict, answers, cut_off, decide, missed_beside_mesh, size_of
 from sysid.discretisation.refinement import coarse_quantities, error_sizes
 from sysid.fit.marker_field import marker_fields
 from sysid.fit.result import ChannelError, plot_series, rms_errors
@@ -53,44 +43,10 @@ from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.prediction_source import Responding
 from sysid.model.provenance import provenance
 from sysid.observations.observations import Run, check_apart
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
 
 Progress = Callable[[float, str], None]
-
-SIMULATED = 8
-"""Effects that are simulated where the screening says, before the best of them are refitted."""
-
-SECOND_STARTS = 3
-"""Further starts of these effects that are simulated as well: along a path that never yielded, a law with a threshold
-may look best where its own path is worst."""
-
-BY_RECORDING = 2
-"""Further effects that are refitted since they explain single recordings best."""
-
-WORTH_TRYING = 0.5
-"""Share of the evidence that is needed where the baseline shows no misfit, from which an effect is refitted there."""
-
-MOST_EFFECTS = 3
-"""Effects of one answer."""
-
-FROM_THE_RIG = 2
-"""Effects that are refitted from the rig's own numbers where the baseline contradicts these."""
-
-BESIDE = 3
-"""Effects that are tried beside an answer that leaves something."""
-
-COULD_TAKE = 0.5 * WORTH_ADDING
-"""Share of the structured misfit that an answer leaves which the screening must say of an effect that it takes away,
-for it to be tried beside the answer: half of what it has to take away in the end, since responses are linear."""
-
-OF_MISFIT = 0.1
-"""Share of the misfit that is in a sensor's readings, up to which it is no place where to look."""
-
-TO_HOLD_OUT = 3
-"""Recordings from which the last is held out where none is."""
-
-PAIRED = 6
-"""Effects whose pairs are looked at in the screening."""
 
 
 def diagnose_runs(
@@ -105,7 +61,7 @@ def diagnose_runs(
     ``RecordingError`` where two runs have readings in common."""
     check_apart(runs, held_out)
     told: tuple[str, ...] = ()
-    if not held_out and len(runs) >= TO_HOLD_OUT:
+    if not held_out and len(runs) >= DIAGNOSIS.hold_out_from:
         runs, held_out = runs[:-1], runs[-1:]
         told = (f"{held_out[0].name} was held out, to see what effects predict, since no recording was.",)
     started = time.monotonic()
@@ -151,16 +107,20 @@ def _trials(
     tell: Progress,
 ) -> list[Trial]:
     """Refits of single effects, of pairs that the screening shows, and of what the best of these leave."""
-    least = case.needed if case.missing else WORTH_TRYING * WITHOUT_MISFIT * case.needed
+    least = (
+        case.needed
+        if case.missing
+        else DIAGNOSIS.worth_trying_share * DIAGNOSIS.threshold_factor_without_misfit * case.needed
+    )
     promising = [s for s in singles if s.gain > least]
     apart = [s for s in screen.by_recording() if s.gain > least]
-    contradicted = any(c.deviations > CERTAINLY_FAR for c in case.contradictions)
+    contradicted = any(c.deviations > DIAGNOSIS.certainly_far_sd for c in case.contradictions)
     if not promising and not apart and not contradicted:
         return []
-    chosen = _distinct(screen, promising, SIMULATED, SECOND_STARTS)
+    chosen = _distinct(screen, promising, DIAGNOSIS.simulated_effects, DIAGNOSIS.simulated_second_starts)
     names = {screen.hypotheses[s.numbers[0]].effect.name for s in chosen}
     apart = [s for s in apart if screen.hypotheses[s.numbers[0]].effect.name not in names]
-    starts = [_start(screen, s) for s in (*chosen, *_distinct(screen, apart, BY_RECORDING, 0))]
+    starts = [_start(screen, s) for s in (*chosen, *_distinct(screen, apart, DIAGNOSIS.refitted_by_recording, 0))]
     pair = _best_pair(screen, promising)
     if pair is not None and pair.gain > singles[0].gain + case.needed:
         starts.append(_start(screen, pair))
@@ -170,7 +130,7 @@ def _trials(
         trials = _best_of_each([*trials, *_from_the_rig(base, case, scales, failed)])
     trials = _pruned(base, trials, failed)
     looked_beside: list[frozenset[str]] = []
-    for count in range(2, MOST_EFFECTS + 1):
+    for count in range(2, DIAGNOSIS.most_effects + 1):
         best = next(iter(answers(trials, case)), None)
         if best is None or not best.left.missing or len(best.hypotheses) >= count or best.names in looked_beside:
             break
@@ -179,11 +139,11 @@ def _trials(
         wanted = [h for h in hypotheses(best.fitted.rig, scales) if h.effect.name not in best.names]
         beside, _ = look(base.engine, best.fitted, base.problem, wanted)
         beside.temper(best.fitted.misfit)
-        needed, worth = max(case.needed, beside.threshold()), COULD_TAKE * best.left.whole.excess
+        needed, worth = max(case.needed, beside.threshold()), DIAGNOSIS.could_take_share * best.left.whole.excess
         promising = [s for s in beside.singles() if s.gain > needed and s.fall > worth]
         if not promising:
             break
-        further = [_beside(best, _start(beside, s)) for s in _distinct(beside, promising, BESIDE, 0)]
+        further = [_beside(best, _start(beside, s)) for s in _distinct(beside, promising, DIAGNOSIS.tried_beside, 0)]
         more = trials_of(base, best.fitted, further, scales, failed)
         trials = _pruned(base, [*trials, *more], failed)
         if trials[0].gain < best.gain + case.needed:
@@ -207,7 +167,7 @@ def _from_the_rig(base: Baseline, case: Case, scales: RecordingScales, failed: d
         return []
     screen.temper(base.fitted.misfit)
     promising = [s for s in screen.singles() if s.gain > case.needed]
-    starts = [_start(screen, s) for s in _distinct(screen, promising, FROM_THE_RIG, 0)]
+    starts = [_start(screen, s) for s in _distinct(screen, promising, DIAGNOSIS.refitted_from_the_rig, 0)]
     found = refits_of(base, problem, begun, starts, scales, failed) if starts else []
     if not found:
         return []
@@ -271,7 +231,7 @@ def _distinct(screen: Screen, scores: Sequence[Score], effects: int, second: int
 
 def _best_pair(screen: Screen, promising: Sequence[Score]) -> Score | None:
     """The two effects that fit best together, by the screening."""
-    numbers = [s.numbers[0] for s in _distinct(screen, promising, PAIRED, 0)]
+    numbers = [s.numbers[0] for s in _distinct(screen, promising, DIAGNOSIS.paired_effects, 0)]
     pairs = [screen.score([a, b]) for k, a in enumerate(numbers) for b in numbers[k + 1 :]]
     return max(pairs, key=lambda s: s.gain, default=None)
 
@@ -298,7 +258,7 @@ def _places(base: Baseline, verdict: Verdict, tell: Progress) -> tuple[Unreliabl
     return tuple(
         UnreliablePlace(s.slot.place, s.slot.name, s.slot.words, float(s.gain), float(s.explained))
         for s in found
-        if s.gain > 0.0 and shares.get(s.slot.name, 1.0) > OF_MISFIT
+        if s.gain > 0.0 and shares.get(s.slot.name, 1.0) > DIAGNOSIS.sensor_misfit_share
     )
 
 

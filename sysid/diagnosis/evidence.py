@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.diagnosis.candidates import Hypothesis
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.covariance import Uncertainty
 from sysid.solve.optimum import Fitted
-
-ROBUST_WIDTH = 3.0
-"""Whitened residual from which held-out samples count linearly, so that a few do not decide."""
 
 
 def log_evidence(fitted: Fitted, temper: float) -> float:
@@ -76,8 +74,8 @@ def _loss(r: np.ndarray) -> float:
 
 
 def _losses(r: np.ndarray) -> np.ndarray:
-    """2 w^2 (sqrt(1 + (r/w)^2) - 1) with w = :data:`ROBUST_WIDTH`: quadratic for noise, linear beyond."""
-    w = ROBUST_WIDTH
+    """2 w^2 (sqrt(1 + (r/w)^2) - 1) with w = ``DIAGNOSIS.robust_width_sd``: quadratic for noise, linear beyond."""
+    w = DIAGNOSIS.robust_width_sd
     return np.asarray(2.0 * w * w * (np.sqrt(1.0 + (r / w) ** 2) - 1.0))
 
 

@@ -15,18 +15,9 @@ import numpy as np
 from sysid.diagnosis.residual_analysis import off_by
 from sysid.noise.stillness import moving
 from sysid.observations.observations import Measured, Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-FAR = 5.0
-"""Misfit at the first rest over what readings may be off, root mean square over markers, from which a shape is another
-one, and how many times as large as in another recording it has to be."""
-
-OF_LARGEST = 0.25
-"""The same, as a share of the largest: where one recording is far off, the fit of all is off in the others."""
-
-FEWEST = 3
-"""Readings at rest that tell a shape."""
 
 UNITS = {"markers": ("mm", 1e3), "tracks": ("px", 1.0)}
 
@@ -50,7 +41,7 @@ def first_rests(problem: Problem, fitted: Fitted) -> list[FirstRest]:
         end = _moves_at(run)
         for m in run.measured:
             rest = m.t < end
-            if m.kind not in UNITS or rest.sum() < FEWEST:
+            if m.kind not in UNITS or rest.sum() < DIAGNOSIS.shape_readings:
                 continue
             found += _of(problem, fitted, i, m, rest)
     return found
@@ -59,7 +50,7 @@ def first_rests(problem: Problem, fitted: Fitted) -> list[FirstRest]:
 def _of(problem: Problem, fitted: Fitted, index: int, m: Measured, rest: np.ndarray) -> list[FirstRest]:
     run = problem.runs[index]
     miss = (m.values - problem.explained(fitted, index, m))[rest]
-    seen = np.isfinite(miss).sum(axis=0) >= FEWEST
+    seen = np.isfinite(miss).sum(axis=0) >= DIAGNOSIS.shape_readings
     if not seen.any():
         return []
     mean = np.nanmean(miss[:, seen], axis=0)
@@ -81,7 +72,13 @@ def other_first_shapes(rests: Sequence[FirstRest]) -> tuple[str, ...]:
         mine = [r for r in rests if r.channel == channel]
         least = min(mine, key=lambda r: r.excess)
         far = [
-            r for r in mine if r.excess > max(FAR * max(1.0, least.excess), OF_LARGEST * max(r.excess for r in mine))
+            r
+            for r in mine
+            if r.excess
+            > max(
+                DIAGNOSIS.other_shape_ratio * max(1.0, least.excess),
+                DIAGNOSIS.other_shape_share * max(r.excess for r in mine),
+            )
         ]
         if not far:
             continue

@@ -20,13 +20,11 @@ from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.windows import not_from_rest
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import without_outliers
 from sysid.solve.residuals import Problem
-
-EVALUATIONS = 5
-"""Evaluations allowed to one baseline for all recordings, which begins where that of the ones given stands."""
 
 PARAMETERS_ALONE = (
     "What the baseline misses in recordings held out goes where it is fitted to them as well: the recordings given do "
@@ -92,7 +90,9 @@ def held_out_together(given: Problem, others: Problem, fitted: Fitted, engine: A
     known = dict(zip((p.name for p in fitted.parameters), fitted.scaled, strict=True))
     start = [known.get(p.name, at) for p, at in zip(parameters, start_of(fitted.rig, parameters), strict=True)]
     try:
-        found = problem.fit(fitted.centre, parameters, np.array(start), max_evaluations=EVALUATIONS, tolerance=2.0)
+        found = problem.fit(
+            fitted.centre, parameters, np.array(start), max_evaluations=DIAGNOSIS.held_out_evaluations, tolerance=2.0
+        )
     except ThinshellError:
         return None
     if found.interrupted:

@@ -5,13 +5,13 @@ percent or so of the deformation, on recordings that conceal nothing. That is no
 neighbouring markers, and with thousands of samples any test finds it. It is therefore carried as one more error shape
 of unknown size (:mod:`sysid.solve.discretisation_basis`), as wide as a share of the signal that the deformation makes:
 
-- of a wrench :data:`MODEL_TOLERANCE` of its change since the start;
+- of a wrench ``DIAGNOSIS.model_tolerance`` of its change since the start;
 - of markers the same share of what is left when the picture is shifted, turned and scaled back to the first one, since
   rigid motion is not what simulations differ in;
-- of markers on a gel, seen from what the gel is fixed to, :data:`GEL_TOLERANCE` of all their motion, which is
-  deformation. How far a surface is dragged along depends on the boundary far away, where forces do not: a pad of three
-  or six times its thickness moves them by a third (:mod:`sysid.discretisation.gel_extent`), and while a ball slides,
-  finite elements of the wider one differ by a tenth from boundary elements of a layer without end.
+- of markers on a gel, seen from what the gel is fixed to, ``DIAGNOSIS.gel_marker_tolerance`` of all their motion, which
+  is deformation. How far a surface is dragged along depends on the boundary far away, where forces do not: a pad of
+  three or six times its thickness moves them by a third (:mod:`sysid.discretisation.gel_extent`), and while a ball
+  slides, finite elements of the wider one differ by a tenth from boundary elements of a layer without end.
 """
 
 from __future__ import annotations
@@ -23,14 +23,9 @@ import numpy as np
 from sim_core.rigs import Gel, Rig
 from sysid.model.predictor import Prediction
 from sysid.observations.observations import Measured, Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.discretisation_basis import MODEL, ErrorShape
 from sysid.solve.outliers import DIMENSIONS
-
-MODEL_TOLERANCE = 0.01
-"""Agreement of careful simulations, in units of the deformation signal."""
-
-GEL_TOLERANCE = 0.1
-"""The same of points on a gel, in units of their motion against what the gel is fixed to."""
 
 
 def model_tolerance(rig: Rig, runs: Sequence[Run], predictions: Sequence[Prediction]) -> ErrorShape:
@@ -56,8 +51,8 @@ def _seen_from_mount(rig: Rig) -> set[str]:
 def _tolerated(measured: Measured, values: np.ndarray, fixed: bool) -> np.ndarray:
     """Standard deviation of what careful models differ in, measured units ``(n, m)``."""
     if fixed and measured.kind in DIMENSIONS:
-        return np.asarray(GEL_TOLERANCE * np.nan_to_num(values - _first(values)))
-    return MODEL_TOLERANCE * deformation(measured, values)
+        return np.asarray(DIAGNOSIS.gel_marker_tolerance * np.nan_to_num(values - _first(values)))
+    return DIAGNOSIS.model_tolerance * deformation(measured, values)
 
 
 def _first(values: np.ndarray) -> np.ndarray:

@@ -22,26 +22,12 @@ from sysid.diagnosis.result import NamedParameter
 from sysid.noise.estimate import column_groups, undeclared
 from sysid.noise.stillness import moving
 from sysid.observations.observations import Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
 MOTION_FILE = "next_experiment.yaml"
 """Where the motion is written."""
-
-OF_EXTENT = 0.02
-"""How far the path may leave the recorded one, over its extent."""
-
-FAST, SLOWER = 0.95, 2.0
-"""Quantile of the recorded speeds that is its speed, and how many times slower the first pass is."""
-
-LEAST_HOLD_S, MOST_HOLD_S, OF_TIME_CONSTANT = 2.0, 30.0, 3.0
-"""Rest [s] in each corner: at least, at most, and over the time constant of an effect of the answer."""
-
-LEAST_SPEED = 1e-4
-"""Least speed [m/s, rad/s] of a motion."""
-
-ARM_M = 0.05
-"""Length by which turns [rad] are compared with shifts [m]."""
 
 
 def proposed(rig: Rig, problem: Problem, baseline: Fitted, named: Sequence[NamedParameter]) -> Experiment | None:
@@ -51,8 +37,8 @@ def proposed(rig: Rig, problem: Problem, baseline: Fitted, named: Sequence[Named
         return None
     parts = iter(structure(problem, baseline).parts)
     excess = [sum(next(parts).excess for m in run.measured for _ in column_groups(m)) for run in problem.runs]
-    slow = [OF_TIME_CONSTANT * p.value for p in named if p.unit == "s"]
-    hold = min(MOST_HOLD_S, max([LEAST_HOLD_S, *slow]))
+    slow = [DIAGNOSIS.hold_over_time_constant * p.value for p in named if p.unit == "s"]
+    hold = min(DIAGNOSIS.most_hold_s, max([DIAGNOSIS.least_hold_s, *slow]))
     return next_motion(rig, problem.runs[int(np.argmax(excess))], float(f"{hold:.2g}"))
 
 
@@ -85,8 +71,8 @@ def next_motion(rig: Rig, run: Run, hold_s: float) -> Experiment | None:
             type="waypoints",
             poses=tuple(poses),
             hold_s=rest_s,
-            speed_m_s=max(LEAST_SPEED, speed / slower),
-            speed_deg_s=float(np.rad2deg(max(LEAST_SPEED, turn / slower))),
+            speed_m_s=max(DIAGNOSIS.least_speed, speed / slower),
+            speed_deg_s=float(np.rad2deg(max(DIAGNOSIS.least_speed, turn / slower))),
         )
 
     back = [] if goals[-1] == goals[0] else [along(goals[-2::-1], 1.0, 0.0)]
@@ -94,7 +80,7 @@ def next_motion(rig: Rig, run: Run, hold_s: float) -> Experiment | None:
         name="next",
         description=f"The path of {run.name}: at half its speed with holds of {hold_s:.3g} s, then at its speed.",
         begin={name: goals[0]},
-        motions={name: (along(goals[1:], SLOWER, hold_s), *back, along(goals[1:], 1.0, 0.0))},
+        motions={name: (along(goals[1:], DIAGNOSIS.slower_factor, hold_s), *back, along(goals[1:], 1.0, 0.0))},
     )
 
 
@@ -104,14 +90,14 @@ def experiment_to_yaml(experiment: Experiment) -> str:
 
 
 def _path(poses: PoseTrajectory) -> np.ndarray:
-    """Shifts [m] and turns, times :data:`ARM_M`, since the first pose ``(n, 6)``."""
+    """Shifts [m] and turns, times ``DIAGNOSIS.turn_arm_m``, since the first pose ``(n, 6)``."""
     turns = (Rotation.from_quat(poses.quaternions) * Rotation.from_quat(poses.quaternions[0]).inv()).as_rotvec()
-    return np.concatenate([poses.positions - poses.positions[0], ARM_M * turns], axis=1)
+    return np.concatenate([poses.positions - poses.positions[0], DIAGNOSIS.turn_arm_m * turns], axis=1)
 
 
 def _corners(path: np.ndarray) -> list[int]:
     """Samples of a path ``(n, d)`` between which it is straight."""
-    limit = OF_EXTENT * float(np.ptp(path, axis=0).max())
+    limit = DIAGNOSIS.path_margin_share * float(np.ptp(path, axis=0).max())
     kept, open_spans = {0, len(path) - 1}, [(0, len(path) - 1)]
     while open_spans:
         a, b = open_spans.pop()
@@ -144,5 +130,5 @@ def _speeds(poses: PoseTrajectory) -> tuple[float, float]:
     if len(t) < 2:
         return 0.0, 0.0
     rate = np.diff(path, axis=0) / np.diff(t)[:, None]
-    shift, turn = np.linalg.norm(rate[:, :3], axis=1), np.linalg.norm(rate[:, 3:], axis=1) / ARM_M
-    return float(np.quantile(shift, FAST)), float(np.quantile(turn, FAST))
+    shift, turn = np.linalg.norm(rate[:, :3], axis=1), np.linalg.norm(rate[:, 3:], axis=1) / DIAGNOSIS.turn_arm_m
+    return float(np.quantile(shift, DIAGNOSIS.speed_quantile)), float(np.quantile(turn, DIAGNOSIS.speed_quantile))

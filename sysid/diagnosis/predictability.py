@@ -28,38 +28,10 @@ from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import column_groups
 from sysid.observations.observations import Measured, Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.covariance import uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-MEMBERS = 4
-"""Rollouts of the ensemble, to both sides of the model by pairs."""
-
-WITHIN = 1.5
-"""How far members are, in standard deviations, along each of the independent directions of the parameters."""
-
-LEAST_SD = {"friction": 0.01, "E_pa": 0.01}
-"""Least standard deviation of a member: what a formal covariance says of a friction coefficient is too good to be
-true where everything sticks or slides."""
-
-ABOVE_NOISE, OF_SIGNAL = 5.0, 0.05
-"""Disagreement from which a reading is unpredictable: over noise, and over the largest deformation of the run."""
-
-EVENT_S = 0.3
-"""Length of the running median [s] beside which a change is an event."""
-
-MARGIN_S = 0.03
-"""Time [s] before an unpredictable reading, and after it where nothing vibrates, that is unpredictable as well."""
-
-RINGS_S = 0.25
-"""The same after it where there is inertia: what follows an impact has its phase."""
-
-MOST = 0.5
-"""Share of a run from which on nothing of it is left out: then it is not a matter of events."""
-
-
-SNAPPED = 2.0
-"""Ratio of misfits from which two predictions count as those of different branches."""
 
 
 @dataclass(frozen=True)
@@ -108,13 +80,13 @@ def unpredictable(
                 foreseen = derived[k].values[m.channel] + derived[k].derivatives[m.channel] @ (at - model.scaled)
                 away = np.abs(np.nan_to_num(member.values[m.channel] - foreseen))
                 apart[k][m.channel] = np.maximum(apart[k][m.channel], away)
-    after = RINGS_S if model.rig.solver.inertia else MARGIN_S
+    after = DIAGNOSIS.ringing_s if model.rig.solver.inertia else DIAGNOSIS.event_margin_s
     found = []
     for k, run in enumerate(runs):
         spans: list[tuple[float, float]] = []
         for m in run.measured:
             mask = _mask(m, apart[k][m.channel], derived[k].values[m.channel], noise[m.channel], after)
-            if mask.mean() <= MOST:
+            if mask.mean() <= DIAGNOSIS.most_unpredictable_share:
                 spans += _spans(m.t, mask)
         if spans:
             found.append(Unpredictable(run.name, _joined(spans)))
@@ -137,23 +109,23 @@ def members_of(model: Fitted) -> list[np.ndarray]:
     a point of it are, goes together as the recordings say: only so can nobody tell the members apart."""
     rng = np.random.default_rng(0)
     found = uncertainty(model)
-    least = np.array([LEAST_SD.get(p.target.rsplit(".", 1)[1], 0.0) for p in model.parameters])
+    least = np.array([DIAGNOSIS.ensemble_least_sd.get(p.target.rsplit(".", 1)[1], 0.0) for p in model.parameters])
     known = np.array([p.known_sd or p.prior_sd for p in model.parameters])
     sd = np.minimum(found.sd, known)
     further = np.sqrt(np.maximum(np.minimum(least, known) ** 2 - sd**2, 0.0))
     values, vectors = np.linalg.eigh(found.correlation)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     limits = np.array([p.scaled_bounds for p in model.parameters]).reshape(-1, 2).T
-    together, alone = rng.choice([-1.0, 1.0], size=(2, MEMBERS // 2, len(sd)))
-    steps = [WITHIN * (sd * (root @ a) + further * b) for a, b in zip(together, alone, strict=True)]
+    together, alone = rng.choice([-1.0, 1.0], size=(2, DIAGNOSIS.ensemble_members // 2, len(sd)))
+    steps = [DIAGNOSIS.ensemble_sd * (sd * (root @ a) + further * b) for a, b in zip(together, alone, strict=True)]
     return [np.clip(model.scaled + sign * step, *limits) for step in steps for sign in (1.0, -1.0)]
 
 
 def _events(t: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    """What is left of a course ``(n, m)`` beside its running median over :data:`EVENT_S`."""
+    """What is left of a course ``(n, m)`` beside its running median over ``DIAGNOSIS.event_s``."""
     if len(t) < 3:
         return 0.0 * shape
-    width = max(3, 2 * int(0.5 * EVENT_S / float(np.median(np.diff(t)))) + 1)
+    width = max(3, 2 * int(0.5 * DIAGNOSIS.event_s / float(np.median(np.diff(t)))) + 1)
     return np.asarray(shape - median_filter(shape, size=(width, 1), mode="nearest"))
 
 
@@ -167,12 +139,15 @@ def _mask(measured: Measured, apart: np.ndarray, values: np.ndarray, noise: Chan
             continue
         rms = np.sqrt(np.mean(apart[:, seen] ** 2, axis=1))
         largest = float(np.sqrt(np.mean(signal[:, seen] ** 2, axis=1)).max(initial=0.0))
-        mask |= rms > max(ABOVE_NOISE * float(np.median(noise.sigma[seen])), OF_SIGNAL * largest)
+        mask |= rms > max(
+            DIAGNOSIS.unpredictable_over_noise * float(np.median(noise.sigma[seen])),
+            DIAGNOSIS.unpredictable_signal_share * largest,
+        )
     times = measured.t[mask]
     if not len(times):
         return mask
     since = measured.t[:, None] - times
-    return np.asarray(((since >= -MARGIN_S) & (since <= rings_s)).any(axis=1))
+    return np.asarray(((since >= -DIAGNOSIS.event_margin_s) & (since <= rings_s)).any(axis=1))
 
 
 def _spans(t: np.ndarray, mask: np.ndarray) -> tuple[tuple[float, float], ...]:
@@ -199,15 +174,15 @@ def predicted_held_out(check: Problem, plain: Fitted | None, fitted: Fitted) -> 
     """A model on the recordings held out, of which the baseline has ``plain``; None without any.
 
     Which way a strip snaps may hang on less than the recordings given can tell, and the wrong branch is missed by a
-    hundred times the noise, by the right model too. So where it predicts :data:`SNAPPED` times as badly as the
-    baseline, the ensemble of models that these recordings cannot tell from it is asked
+    hundred times the noise, by the right model too. So where it predicts ``DIAGNOSIS.other_branch_ratio`` times as
+    badly as the baseline, the ensemble of models that these recordings cannot tell from it is asked
     (:func:`members_of`), and one that predicts so much better stands for it: of the
     likelihood that is averaged over the ensemble, it has all but its share of a few nats.
     """
     if not check.runs:
         return None
     there = check.evaluate(fitted.rig, [], np.zeros(0))
-    if plain is None or there.chi2 < SNAPPED * plain.chi2:
+    if plain is None or there.chi2 < DIAGNOSIS.other_branch_ratio * plain.chi2:
         return there
     shared = [k for k, p in enumerate(fitted.parameters) if not p.bag]
     parameters, best = [fitted.parameters[k] for k in shared], there
@@ -216,6 +191,6 @@ def predicted_held_out(check: Problem, plain: Fitted | None, fitted: Fitted) -> 
             member = check.evaluate(rig_at(fitted.rig, parameters, at[shared]), [], np.zeros(0))
         except ThinshellError:
             continue
-        if SNAPPED * member.chi2 < there.chi2 and member.chi2 < best.chi2:
+        if DIAGNOSIS.other_branch_ratio * member.chi2 < there.chi2 and member.chi2 < best.chi2:
             best = member
     return best

@@ -23,24 +23,11 @@ from sysid.discretisation.refinement import error_sizes
 from sysid.fit.result import rms_errors
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
+from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.settings.solve import SOLVE
 from sysid.solve.covariance import Uncertainty, uncertainty
-from sysid.solve.gauss_newton import IN_SIGHT
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-EVALUATIONS = 5
-"""Evaluations allowed to a refit."""
-
-
-TOLERANCE = 5.0
-"""Improvement of chi-square, in units of the misfit, below which a refit ends."""
-
-
-WORSE = 0.1
-"""Rise of a held-out error, over that of the baseline, from which a model predicts a quantity worse."""
-
-TOLD_APART = 2.0
-"""Standard deviations from which an effect beside others is told from none."""
 
 OUT_OF_SIGHT = "it moves readings out of sight"
 """Why an effect is no answer that explains readings by hiding them."""
@@ -97,7 +84,9 @@ def refit(problem: Problem, begun: Fitted, start: Start, scales: RecordingScales
     centre, parameters, at = begun_at(begun, start, scales)
     problem = copy(problem)
     problem.engine = SparingPredictor(problem.engine)
-    return problem.fit(centre, parameters, at, max_evaluations=EVALUATIONS, tolerance=TOLERANCE)
+    return problem.fit(
+        centre, parameters, at, max_evaluations=DIAGNOSIS.refit_evaluations, tolerance=DIAGNOSIS.refit_tolerance
+    )
 
 
 def refits_of(
@@ -179,12 +168,12 @@ def in_pose_noise(hypotheses: Sequence[Hypothesis], rig: Rig, runs: Sequence[Run
 
 
 def idle_effect(hypotheses: Sequence[Hypothesis], fitted: Fitted, known: Uncertainty) -> str:
-    """The effect of a set of several that is nearest to none, in words, if it is within :data:`TOLD_APART`."""
+    """The effect of a set of several that is nearest to none, in words, if it is within ``DIAGNOSIS.told_apart_sd``."""
     if len(hypotheses) < 2:
         return ""
     h = _idlest(hypotheses, fitted, known)
     least = distance_from_none(h, fitted, known)
-    return f"that {h.effect.title}, by {least:.1f} standard deviations" if least < TOLD_APART else ""
+    return f"that {h.effect.title}, by {least:.1f} standard deviations" if least < DIAGNOSIS.told_apart_sd else ""
 
 
 def _idlest(hypotheses: Sequence[Hypothesis], fitted: Fitted, known: Uncertainty) -> Hypothesis:
@@ -205,7 +194,13 @@ def without_idle(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial 
     problem.engine = SparingPredictor(base.problem.engine)
     parameters = [p for p, stays in zip(begun.parameters, mine, strict=True) if stays]
     try:
-        fitted = problem.fit(centre, parameters, begun.scaled[mine], max_evaluations=EVALUATIONS, tolerance=TOLERANCE)
+        fitted = problem.fit(
+            centre,
+            parameters,
+            begun.scaled[mine],
+            max_evaluations=DIAGNOSIS.refit_evaluations,
+            tolerance=DIAGNOSIS.refit_tolerance,
+        )
         if fitted.interrupted:
             raise KeyboardInterrupt
         there = predicted_held_out(base.check, base.there, fitted)
@@ -217,15 +212,15 @@ def without_idle(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial 
 
 def worse_there(base: Baseline, there: Fitted | None) -> str:
     """The quantity of recordings held out whose error a model raises most, in words; '' where it raises none by
-    :data:`WORSE` of it, the noise, and half the error of mesh and time step. Hundreds of markers that err a little less
-    do not make up for a force that errs more."""
+    ``DIAGNOSIS.worse_held_out_share`` of it, the noise, and half the error of mesh and time step. Hundreds of markers
+    that err a little less do not make up for a force that errs more."""
     if base.there is None or there is None:
         return ""
     found, most = "", 1.0
     for error in rms_errors(base.check, base.there, there, held_out=True, own=error_sizes(base.problem)):
         rise = float(np.sqrt(max(error.after**2 - error.before**2, 0.0)))
         ratio = error.after / max(error.before, 1e-300)
-        if ratio > max(1.0 + WORSE, most) and rise > max(error.noise, 0.5 * error.own):
+        if ratio > max(1.0 + DIAGNOSIS.worse_held_out_share, most) and rise > max(error.noise, 0.5 * error.own):
             quantity = f"{error.quantity} of {error.channel}" if error.quantity else error.channel
             found, most = f"the {quantity} in {error.run}, {error.before:.3g} -> {error.after:.3g} {error.unit}", ratio
     return found
@@ -254,4 +249,4 @@ def explained(before: Structure, left: Structure) -> float:
 
 def _hides(plain: Fitted | None, changed: Fitted | None) -> bool:
     """An amendment has less of the readings in sight."""
-    return plain is not None and changed is not None and changed.samples < IN_SIGHT * plain.samples
+    return plain is not None and changed is not None and changed.samples < SOLVE.in_sight_share * plain.samples

@@ -13,7 +13,6 @@ from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.first_shapes import first_rests, other_first_shapes
 from sysid.diagnosis.refits import Trial
-from sysid.diagnosis.residual_analysis import LEAST_SIZE
 from sysid.diagnosis.result import Candidate, NamedParameter
 from sysid.diagnosis.screening import Score, Screen
 from sysid.diagnosis.verdict import Case, Verdict, needless, probabilities, rejected, size_of
@@ -22,11 +21,9 @@ from sysid.discretisation.refinement import large_discretisation_errors, unresol
 from sysid.model.windows import not_from_rest
 from sysid.noise.data_quality import data_quality_warnings
 from sysid.noise.estimate import FROM_DIFFERENCES
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.covariance import interval, uncertainty
 from sysid.solve.optimum import Fitted
-
-TOLD = 0.7
-"""Deviation of an amplitude, as a share of that of what is known before, below which recordings limit it."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +91,7 @@ def limits(screened: Screened, verdict: Verdict) -> dict[str, float]:
             if name in found or not np.isfinite(amplitude.none):
                 continue
             most = abs(factor) + 1.645 * sd
-            if most <= amplitude.limits[1] and sd < TOLD * amplitude.sd:
+            if most <= amplitude.limits[1] and sd < DIAGNOSIS.limited_sd_share * amplitude.sd:
                 p = amplitude.parameter
                 reach = max(amplitude.none - p.lower, p.upper - amplitude.none)
                 found[name] = float(min(most * abs(amplitude.typical - amplitude.none), reach))
@@ -174,7 +171,8 @@ def notes(base: Baseline, case: Case, verdict: Verdict, trials: Sequence[Trial])
     if case.before.too_small:
         said.append(
             "There is misfit beyond the noise that adds up over many samples, but it changes no reading by more than "
-            f"{LEAST_SIZE:g} times what noise, mesh, time step and careful models leave open, so it is not asked for."
+            f"{DIAGNOSIS.least_size:g} times what noise, mesh, time step and careful models leave open, so it is not "
+            "asked for."
         )
     said += (
         data_quality_warnings(fitted.rig, problem.runs)

@@ -18,36 +18,9 @@ from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import quantities
 from sysid.noise.stillness import moving
 from sysid.observations.observations import Measured, Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-BLOCKS = 24
-"""Blocks of time that a run is cut into."""
-
-WINDOW_SIGMAS = 5.0
-"""A block belongs to a mismatch window when its energy exceeds the noise's by this many deviations, and
-:data:`WINDOW_SHARE` of the energy of the recording's largest block."""
-
-WINDOW_SHARE = 0.2
-"""What a model misses in contact alone, a fit halves by an offset of all readings, which then are off without contact
-too. A misfit like a half sine over a share ``f`` of the time, less its mean ``2 f / pi``, leaves there ``(2 f / (pi - 2
-f))^2`` of the energy of its largest block: 7 % where f is a third, 20 % where it is a half."""
-
-MIN_PER_SCORE = 1.6
-"""Structured misfit per score (1 = noise) above which something is missing even without a name."""
-
-MIN_SIGMAS = 6.0
-"""Deviations above noise that the structured misfit of a quantity with few scores must have as well."""
-
-OWN_SHARE = 0.5
-"""Structured misfit below this share of the discretisation error is not blamed on physics."""
-
-LEAST_SIZE = 0.5
-"""Size over what a single reading may be off, for two blocks of time, below which a difference is none that anybody
-could see. With thousands of samples much less is significant, and careful models differ in that."""
-
-PARTS = 8
-"""Parts of a window that are told apart."""
 
 
 @dataclass(frozen=True)
@@ -74,17 +47,19 @@ class Part:
     @property
     def significant(self) -> bool:
         """More than noise leaves: squared scores have mean 1 and standard deviation sqrt(2)."""
-        return self.per_score > MIN_PER_SCORE and self.excess > MIN_SIGMAS * np.sqrt(2.0 * self.count)
+        return self.per_score > DIAGNOSIS.misfit_per_score and self.excess > DIAGNOSIS.misfit_sd * np.sqrt(
+            2.0 * self.count
+        )
 
     @property
     def stands_out(self) -> bool:
         """Significant, and large enough to be seen."""
-        return self.significant and self.size > LEAST_SIZE
+        return self.significant and self.size > DIAGNOSIS.least_size
 
     @property
     def beyond_discretisation(self) -> bool:
         """More than noise and the discretisation error leave."""
-        return self.stands_out and self.excess > OWN_SHARE * self.own
+        return self.stands_out and self.excess > DIAGNOSIS.discretisation_share * self.own
 
 
 @dataclass(frozen=True)
@@ -101,14 +76,14 @@ class Structure:
     def missing(self) -> bool:
         """Something is missing: some quantity, or all that are large enough to be seen, are beyond noise and the
         discretisation error."""
-        seen = [p for p in self.parts if p.size > LEAST_SIZE]
+        seen = [p for p in self.parts if p.size > DIAGNOSIS.least_size]
         return any(p.beyond_discretisation for p in (*seen, _together(seen)))
 
     @property
     def too_small(self) -> bool:
         """There is misfit beyond noise and the discretisation error, but none that is large enough to be seen."""
-        parts = (p for p in self.parts if p.significant and p.excess > OWN_SHARE * p.own)
-        return not self.missing and any(p.size <= LEAST_SIZE for p in parts)
+        parts = (p for p in self.parts if p.significant and p.excess > DIAGNOSIS.discretisation_share * p.own)
+        return not self.missing and any(p.size <= DIAGNOSIS.least_size for p in parts)
 
     @property
     def hidden(self) -> bool:
@@ -123,9 +98,9 @@ def _together(parts: Sequence[Part]) -> Part:
 
 def block_scores(run: Run, measured: Measured, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Scores ``(blocks, columns)``, NaN where a block is empty, and the edges of the blocks [s]."""
-    edges = np.linspace(0.0, run.end + 1e-9, BLOCKS + 1)
-    block = np.clip(np.searchsorted(edges, measured.t, side="right") - 1, 0, BLOCKS - 1)
-    total = np.zeros((BLOCKS, white.shape[1]))
+    edges = np.linspace(0.0, run.end + 1e-9, DIAGNOSIS.time_blocks + 1)
+    block = np.clip(np.searchsorted(edges, measured.t, side="right") - 1, 0, DIAGNOSIS.time_blocks - 1)
+    total = np.zeros((DIAGNOSIS.time_blocks, white.shape[1]))
     count = np.zeros_like(total)
     good = np.isfinite(white)
     np.add.at(total, block, np.where(good, white, 0.0))
@@ -208,8 +183,8 @@ def locate(problem: Problem, fitted: Fitted, answer: Fitted | None = None) -> Lo
     windows: dict[str, tuple[tuple[float, float], ...]] = {}
     phases = {k: 0.0 for k in ("moving in contact", "holding in contact", "moving freely", "at rest without contact")}
     for i, run in enumerate(problem.runs):
-        energy = np.zeros(BLOCKS)
-        columns = np.zeros(BLOCKS)
+        energy = np.zeros(DIAGNOSIS.time_blocks)
+        columns = np.zeros(DIAGNOSIS.time_blocks)
         for m in run.measured:
             if answer is None:
                 white, chance = whitened(problem, fitted, i, m), 1.0
@@ -222,8 +197,8 @@ def locate(problem: Problem, fitted: Fitted, answer: Fitted | None = None) -> Lo
                 shares.append((m.channel, name, float(np.nansum(part**2 - chance))))
             energy += np.nansum(np.where(np.isfinite(scores), scores**2 - chance, 0.0), axis=1)
             columns += np.isfinite(scores).sum(axis=1)
-        hot = energy > WINDOW_SIGMAS * np.sqrt(2.0 * np.maximum(columns, 1.0))
-        strong = hot & (energy > WINDOW_SHARE * max(float(energy.max(initial=0.0)), 1e-30))
+        hot = energy > DIAGNOSIS.window_sd * np.sqrt(2.0 * np.maximum(columns, 1.0))
+        strong = hot & (energy > DIAGNOSIS.window_energy_share * max(float(energy.max(initial=0.0)), 1e-30))
         windows[run.name] = _intervals(strong, edges)
         for b in np.flatnonzero(strong):
             phases[_phase(run, fitted, i, edges[b], edges[b + 1])] += float(energy[b])
@@ -271,7 +246,9 @@ def _moves(trajectory: PoseTrajectory, start: float, end: float) -> bool:
     """Whether an end effector moves or turns for at least half of a window."""
     if len(trajectory.times) < 2:
         return False
-    instants = np.linspace(start, end, PARTS, endpoint=False) + 0.5 * (end - start) / PARTS
+    instants = (
+        np.linspace(start, end, DIAGNOSIS.window_parts, endpoint=False) + 0.5 * (end - start) / DIAGNOSIS.window_parts
+    )
     spans = np.array(moving(trajectory)).reshape(-1, 2)
     inside = (instants[:, None] >= spans[:, 0]) & (instants[:, None] <= spans[:, 1])
     return bool(np.mean(inside.any(axis=1)) >= 0.5)

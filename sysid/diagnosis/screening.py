@@ -33,17 +33,9 @@ from scipy.optimize import lsq_linear
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.model.prediction_source import Responding
 from sysid.model.predictor import Prediction
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-DRAWS = 300
-"""Recordings of the null that are drawn."""
-
-FALSE_ALARM = 0.01
-"""Probability with which the null exceeds the threshold."""
-
-TWINS = (0.0, 0.5, -0.5)
-"""Discretisation error of the twins beyond the expected one, in units of the extrapolated error."""
 
 
 @dataclass(frozen=True)
@@ -138,22 +130,22 @@ class Screen:
         return sorted(found, key=lambda s: -s.gain)
 
     def threshold(self, seed: int = 0) -> float:
-        """Evidence [nats] that the best hypothesis reaches with the probability :data:`FALSE_ALARM` where nothing is
-        missing; of all twins the largest."""
+        """Evidence [nats] that the best hypothesis reaches with the probability ``DIAGNOSIS.false_alarm_probability``
+        where nothing is missing; of all twins the largest."""
         rng = np.random.default_rng(seed)
         c = self._columns
         root = [_root(b.gram[:c, :c]) for b in self.blocks]
         weight = np.sqrt(self.kappa)
         tops: list[float] = []
         maps = [self._gain_map((k,)) for k in range(len(self.hypotheses))]
-        for twin in TWINS:
+        for twin in DIAGNOSIS.twin_errors:
             fixed = twin * np.sum([b.twin[:c] for b in self.blocks], axis=0)
-            slopes = fixed + weight * sum(rng.standard_normal((DRAWS, r.shape[1])) @ r.T for r in root)
-            best = np.full(DRAWS, -np.inf)
+            slopes = fixed + weight * sum(rng.standard_normal((DIAGNOSIS.null_draws, r.shape[1])) @ r.T for r in root)
+            best = np.full(DIAGNOSIS.null_draws, -np.inf)
             for project, inverse, occam in maps:
                 g = slopes @ project
                 best = np.maximum(best, 0.5 * np.einsum("ni,ij,nj->n", g, inverse, g) - occam)
-            tops.append(float(np.quantile(best, 1.0 - FALSE_ALARM)))
+            tops.append(float(np.quantile(best, 1.0 - DIAGNOSIS.false_alarm_probability)))
         return max(tops, default=0.0)
 
     def deviations(self, number: int) -> np.ndarray:

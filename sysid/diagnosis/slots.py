@@ -21,21 +21,10 @@ from sysid.model.prediction_source import Responding
 from sysid.model.predictor import Prediction
 from sysid.model.responses import Modulated
 from sysid.observations.observations import Measured, Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import DIMENSIONS
 from sysid.solve.residuals import Problem
-
-HATS = 6
-"""Hat functions of a closure, equidistant over a recording."""
-
-SD = {"E_pa": 0.5, "friction": 0.3, "density_kg_m3": 0.3, "_m": 1e-3, "_deg": 1.0}
-"""Standard deviations of a closure of the mechanics, in the fitted scale, by the end of a parameter's name."""
-
-SENSOR_SHARE = 0.2
-"""Standard deviation of the closure of a sensor, in units of the range of its readings."""
-
-LATE_S = 0.02
-"""Standard deviation of the closure of a clock [s]."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +119,8 @@ def slot_evidence(engine: Responding, problem: Problem, base: Fitted, kappa: flo
 
 def hats(run: Run) -> list[tuple[float, float]]:
     """Centres and widths [s] of the hat functions of a recording."""
-    width = run.end / (HATS - 1)
-    return [(k * width, width) for k in range(HATS)]
+    width = run.end / (DIAGNOSIS.closure_hats - 1)
+    return [(k * width, width) for k in range(DIAGNOSIS.closure_hats)]
 
 
 def _sensor_slots(problem: Problem) -> list[Slot]:
@@ -153,10 +142,10 @@ def _keys(slot: Slot, wanted: Sequence[str]) -> set[tuple[str, str]]:
 def _sd(slot: Slot, name: str, parameters: dict[str, FitParameter]) -> float:
     """Standard deviation of the coefficient of a column."""
     if slot.place in ("wrench", "camera"):
-        return SENSOR_SHARE
+        return DIAGNOSIS.closure_sensor_share
     if slot.place == "clock":
-        return LATE_S
-    return next((sd for end, sd in SD.items() if name.endswith(end)), parameters[name].prior_sd)
+        return DIAGNOSIS.closure_clock_s
+    return next((sd for end, sd in DIAGNOSIS.closure_sd.items() if name.endswith(end)), parameters[name].prior_sd)
 
 
 def _columns(
@@ -165,19 +154,19 @@ def _columns(
     """Predictions with the derivatives by the baseline's parameters and by all coefficients, and to what each of the
     latter belongs."""
     shared = len(base.parameters)
-    owners = [("parameter", n) for n in names for _ in range(HATS)]
+    owners = [("parameter", n) for n in names for _ in range(DIAGNOSIS.closure_hats)]
     widths = {}
     for slot in sensed:
         kind = next(m.kind for run in problem.runs for m in run.measured if m.channel == slot.name)
         widths[slot] = 1 if slot.place == "clock" else 6 if kind == "wrench" else 2 * DIMENSIONS[kind]
-        owners += [(slot.place, slot.name)] * (HATS * widths[slot])
+        owners += [(slot.place, slot.name)] * (DIAGNOSIS.closure_hats * widths[slot])
     out = []
     for run, prediction in zip(problem.runs, predictions, strict=True):
         derivatives = {}
         for m in run.measured:
             parts = [prediction.derivatives[m.channel]]
             for slot in sensed:
-                shape = (*m.values.shape, HATS * widths[slot])
+                shape = (*m.values.shape, DIAGNOSIS.closure_hats * widths[slot])
                 parts.append(
                     _sensed(slot, run, m, prediction.values[m.channel]) if slot.name == m.channel else np.zeros(shape)
                 )

@@ -12,14 +12,9 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-IN_FULL = 3
-"""Sets that are refitted: those that simulations at their starts explain best."""
-
-SECOND = 1
-"""Further starts of the best of these sets that are refitted."""
 
 
 @dataclass(frozen=True)
@@ -78,22 +73,23 @@ def begun_at(begun: Fitted, start: Start, scales: RecordingScales) -> tuple[Rig,
 def best_starts(
     problem: Problem, begun: Fitted, starts: Sequence[Start], scales: RecordingScales, failed: dict[str, str]
 ) -> list[Start]:
-    """The starts of the sets that simulations there explain best, at most :data:`IN_FULL` sets, and :data:`SECOND` more
-    of the first of them, with another shape: near a snap the best start may end in a branch that no refit leaves.
+    """The starts of the sets that simulations there explain best, at most ``DIAGNOSIS.refitted_sets`` sets, and
+    ``DIAGNOSIS.refitted_second_starts`` more of the first of them, with another shape: near a snap the best start may
+    end in a branch that no refit leaves.
 
     Where the baseline has taken up part of an effect, the way back to its own values is long and not straight. So what
     one more linear step of its parameters takes away of the misfit does not count, and each of these sets is simulated
     with the rig's own values of them as well.
     """
-    few = len({s.names for s in starts}) <= IN_FULL and len(starts) <= IN_FULL
+    few = len({s.names for s in starts}) <= DIAGNOSIS.refitted_sets and len(starts) <= DIAGNOSIS.refitted_sets
     lost: dict[frozenset[str], str] = {}
     found = [] if few else _simulated(problem, begun, starts, scales, lost)
     chosen = list(starts)
     if not few:
-        chosen = _least_of_each(found, lambda s: s.names)[:IN_FULL]
+        chosen = _least_of_each(found, lambda s: s.names)[: DIAGNOSIS.refitted_sets]
         known = {s.origin for s in chosen}
         others = [s for s in _least_of_each(found, lambda s: s.origin) if s.origin not in known]
-        chosen += [s for s in others if s.names == chosen[0].names][:SECOND]
+        chosen += [s for s in others if s.names == chosen[0].names][: DIAGNOSIS.refitted_second_starts]
     if not any(s.earlier for s in chosen):
         home = start_of(begun.centre, begun.parameters) - begun.scaled
         further = [*(chosen if few else ()), *(replace(s, shift=home) for s in chosen)]

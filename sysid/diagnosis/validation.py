@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from sysid.diagnosis.evidence import held_out_gain, log_likelihood_ratio
-from sysid.diagnosis.residual_analysis import BLOCKS, whitened
+from sysid.diagnosis.residual_analysis import whitened
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -54,8 +55,10 @@ def ratios_of(check: Problem, both: tuple[Fitted, Fitted] | None) -> tuple[np.nd
         for m in run.measured:
             plain, amended = (whitened(check, model, i, m) for model in both)
             seen = np.isfinite(plain) & np.isfinite(amended)
-            block = np.clip((BLOCKS * m.t / max(run.end, 1e-12)).astype(int), 0, BLOCKS - 1)
-            blocks.append(np.broadcast_to((i * BLOCKS + block)[:, None], seen.shape)[seen])
+            block = np.clip(
+                (DIAGNOSIS.time_blocks * m.t / max(run.end, 1e-12)).astype(int), 0, DIAGNOSIS.time_blocks - 1
+            )
+            blocks.append(np.broadcast_to((i * DIAGNOSIS.time_blocks + block)[:, None], seen.shape)[seen])
             white.append((plain[seen], amended[seen]))
     plain, amended = (np.concatenate([pair[k] for pair in white]) for k in (0, 1))
     at = np.concatenate(blocks)

@@ -14,41 +14,9 @@ import numpy as np
 
 from sysid.diagnosis.contradictions import Contradiction
 from sysid.diagnosis.refits import Trial
-from sysid.diagnosis.residual_analysis import LEAST_SIZE, Structure
+from sysid.diagnosis.residual_analysis import Structure
 from sysid.fit.result import ChannelError
-
-LEAST_GAIN_NATS = 8.0
-"""Evidence over the baseline below which nothing is named, whatever the null of the case says."""
-
-WITHOUT_MISFIT = 3.0
-"""How many times the threshold an effect must reach where the baseline shows no misfit that stands out."""
-
-TIE_NATS = 5.0
-"""Sets of effects within this of the best are reported together."""
-
-MOST_EXPLAINED = 0.6
-"""Share of the structured misfit that an answer explains, unless it leaves none that stands out."""
-
-SOME_EXPLAINED = 0.15
-"""Share from which an effect is worth telling beside something that remains unknown."""
-
-WORTH_ADDING = 0.5
-"""Share of the structured misfit that a set of effects leaves which a further effect has to take away, on the
-recordings given or on those held out."""
-
-LEAST_STEADY = 2.0
-"""Standard deviations, from block to block of time, by which held-out recordings have to speak for an effect where the
-baseline shows no misfit that stands out: chance is beyond them in one case of forty."""
-
-MISSED, MAY_BE_MESH = 5.0, 3.0
-"""Error of the baseline in a quantity and that of mesh and time step there, both over the noise and both root mean
-squares, from which what is missing cannot be told from the latter though nothing stands out."""
-
-AS_EXPECTED, AT_MOST = 1.5, 3.0
-"""Error of the baseline over that of mesh and time step, up to which these explain it, and up to which they may."""
-
-LEAST_SIGNIFICANCE = 2.5
-"""Standard deviations that an improvement must be worth by its stability over blocks of time."""
+from sysid.settings.diagnosis import DIAGNOSIS
 
 
 @dataclass(frozen=True)
@@ -70,7 +38,7 @@ class Case:
     @property
     def needed(self) -> float:
         """Evidence [nats] that a set of effects must have."""
-        return max(LEAST_GAIN_NATS, self.threshold)
+        return max(DIAGNOSIS.least_gain_nats, self.threshold)
 
     @property
     def missing(self) -> bool:
@@ -87,20 +55,23 @@ class Verdict:
 
 
 def missed_beside_mesh(errors: Sequence[ChannelError]) -> tuple[str, ...]:
-    """A sentence for each quantity that the baseline misses by :data:`MISSED` where mesh and time step err by
-    :data:`MAY_BE_MESH` of the noise, and by less than is missed, but not so much less that they cannot be the reason:
-    that of the recording in which it misses most."""
+    """A sentence for each quantity that the baseline misses by ``DIAGNOSIS.missed_over_noise`` where mesh and time step
+    err by ``DIAGNOSIS.mesh_over_noise`` of the noise, and by less than is missed, but not so much less that they cannot
+    be the reason: that of the recording in which it misses most."""
     worst: dict[tuple[str, str], ChannelError] = {}
     for e in errors:
         known = worst.get((e.channel, e.quantity))
-        if e.before > MISSED * e.noise and (known is None or e.before / e.noise > known.before / known.noise):
+        if e.before > DIAGNOSIS.missed_over_noise * e.noise and (
+            known is None or e.before / e.noise > known.before / known.noise
+        ):
             worst[e.channel, e.quantity] = e
     return tuple(
         f"The rig misses the {e.quantity or 'picture'} of {e.channel} in {e.run} by {e.before / e.noise:.0f} times its "
         f"noise, more than the {e.own / e.noise:.0f} times by which mesh and time step are expected to err there, but "
         "not so much more that anything else is surely missing."
         for e in worst.values()
-        if e.own > MAY_BE_MESH * e.noise and AS_EXPECTED * e.own < e.before < AT_MOST * e.own
+        if e.own > DIAGNOSIS.mesh_over_noise * e.noise
+        and DIAGNOSIS.mesh_explains_ratio * e.own < e.before < DIAGNOSIS.mesh_may_explain_ratio * e.own
     )
 
 
@@ -114,7 +85,7 @@ def rejected(trial: Trial, case: Case) -> str:
         return f"it predicts held-out recordings worse, by {-100 * trial.held_out:.2g} %"
     if trial.worse:
         return f"it predicts worse: {trial.worse}"
-    if trial.change < LEAST_SIZE:
+    if trial.change < DIAGNOSIS.least_size:
         return (
             f"it changes no reading by more than {trial.change:.2g} of what noise, mesh, time step and careful models "
             "leave open"
@@ -123,10 +94,12 @@ def rejected(trial: Trial, case: Case) -> str:
         return f"{trial.in_pose_noise}, but within the noise of the recorded poses"
     if trial.idle:
         return f"beside its other effects it is not told from none {trial.idle}"
-    if trial.significance < LEAST_SIGNIFICANCE:
-        return f"over time its improvement is worth {trial.significance:.1f} of {LEAST_SIGNIFICANCE:g} deviations"
+    if trial.significance < DIAGNOSIS.significance_sd:
+        return (
+            f"over time its improvement is worth {trial.significance:.1f} of {DIAGNOSIS.significance_sd:g} deviations"
+        )
     if not case.missing:
-        if trial.gain < WITHOUT_MISFIT * case.needed:
+        if trial.gain < DIAGNOSIS.threshold_factor_without_misfit * case.needed:
             return "without it the recordings are explained as well, as far as noise and careful models go"
         if case.there is None:
             return "no misfit stands out, and no recording is held out that could speak for it"
@@ -135,10 +108,10 @@ def rejected(trial: Trial, case: Case) -> str:
                 f"held-out recordings speak for it by only {trial.predicts:.1f} of {case.needed:.1f} nats, where the "
                 "baseline shows no misfit that stands out"
             )
-        if trial.confirmed and trial.surely_predicts is not None and trial.surely_predicts < LEAST_STEADY:
+        if trial.confirmed and trial.surely_predicts is not None and trial.surely_predicts < DIAGNOSIS.steady_sd:
             return (
                 f"held-out recordings speak for it by {trial.predicts or 0.0:.0f} nats, but by only "
-                f"{trial.surely_predicts:.1f} of {LEAST_STEADY:g} deviations from one block of time to the next"
+                f"{trial.surely_predicts:.1f} of {DIAGNOSIS.steady_sd:g} deviations from one block of time to the next"
             )
     return ""
 
@@ -156,10 +129,12 @@ def decide(trials: Sequence[Trial], case: Case) -> Verdict:
         return Verdict("refine_discretisation" if refine else "nothing_missing", ())
     best = fit[0]
     share = size_of(best)
-    if best.left.missing and share < MOST_EXPLAINED:
-        return Verdict("partly" if share >= SOME_EXPLAINED else "unknown", (best,))
+    if best.left.missing and share < DIAGNOSIS.most_explained_share:
+        return Verdict("partly" if share >= DIAGNOSIS.some_explained_share else "unknown", (best,))
     ties = tuple(
-        t for t in fit if best.gain - t.gain < TIE_NATS and size_of(t) > share - 0.1 and len(t.names) == len(best.names)
+        t
+        for t in fit
+        if best.gain - t.gain < DIAGNOSIS.tie_nats and size_of(t) > share - 0.1 and len(t.names) == len(best.names)
     )
     return Verdict("named" if len(ties) == 1 else "one_of", ties)
 
@@ -179,7 +154,7 @@ def needless(trial: Trial, others: Sequence[Trial], case: Case) -> str:
         if trial.gain < part.gain + case.needed:
             return f"beside the knowledge that {part.title}, that {more} improves the fit too little"
         gone = _taken_away(part, trial)
-        if gone < WORTH_ADDING:
+        if gone < DIAGNOSIS.worth_adding_share:
             return (
                 f"that {more} takes away {max(0.0, 100 * gone):.0f} % of the misfit that is left with the knowledge "
                 f"that {part.title}"

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from sysid.diagnosis.contradictions import CERTAINLY_FAR
 from sysid.diagnosis.refits import Trial
 from sysid.diagnosis.result import Located, UnreliablePlace
-from sysid.diagnosis.verdict import MOST_EXPLAINED, Case, Verdict, rejected, size_of
+from sysid.diagnosis.verdict import Case, Verdict, rejected, size_of
+from sysid.settings.diagnosis import DIAGNOSIS
 
 NOWHERE = "nowhere in particular"
-
-LITTLE = 0.005
-"""Share of the misfit below which none is said to be left."""
 
 
 def sentence(
@@ -27,7 +24,7 @@ def sentence(
     if verdict.kind == "nothing_missing":
         looked = f"{len(fates)} effects were looked for and not found."
         down_to = "down to their noise, the simulator's discretisation error and what careful models differ in"
-        far = [c for c in case.contradictions if c.deviations > CERTAINLY_FAR]
+        far = [c for c in case.contradictions if c.deviations > DIAGNOSIS.certainly_far_sd]
         if far:
             values = " and ".join(
                 f"{c.name} is {c.fitted}, where the rig says {c.told:.4g}, {c.deviations:.1f} times as far off as is "
@@ -119,17 +116,17 @@ def not_explained(verdict: Verdict, case: Case) -> str:
         return "All of the misfit beyond noise and the discretisation error."
     best = verdict.named[0]
     left = max(0.0, 1.0 - size_of(best))
-    if left < LITTLE:
+    if left < DIAGNOSIS.negligible_misfit_share:
         return f"With the knowledge that {best.title}, no misfit beyond noise and the discretisation error is left."
     text = f"{_percent(left)} of the misfit beyond noise is left with the knowledge that {best.title}."
-    if size_of(best) < MOST_EXPLAINED:
+    if size_of(best) < DIAGNOSIS.most_explained_share:
         text += " Another effect acts as well, or a law that is not in the library."
     return text
 
 
 def next_experiment(verdict: Verdict, case: Case) -> str:
     """What to record or to do next."""
-    far = [c.name for c in case.contradictions if c.deviations > CERTAINLY_FAR]
+    far = [c.name for c in case.contradictions if c.deviations > DIAGNOSIS.certainly_far_sd]
     if verdict.kind == "nothing_missing" and far:
         return (
             f"No new recording: see whether {' and '.join(far)} can be what the recordings ask for, and mend the rig."

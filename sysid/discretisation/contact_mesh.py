@@ -3,8 +3,8 @@
 A contact is told from where points of the gel's undeformed surface would be inside the rigid body along the recorded
 poses. Those of a sphere reach out to sqrt(2 R delta), the contact on a deep gel to a = sqrt(R delta) (Hertz), so what
 is touched is nearer to the middle by sqrt(2) there. Cells that reach into the box around all that is touched get edges
-of at most :data:`OF_RADIUS` times its half width a. The mesh of the rig is then the coarser of two, and with readings
-y, edges H of it and h,
+of at most ``DISCRETISATION.edge_over_contact_radius`` times its half width a. The mesh of the rig is then the coarser
+of two, and with readings y, edges H of it and h,
 
     y* - y_h = (y_h - y_H) / ((H / h)^2 - 1)
 
@@ -24,21 +24,7 @@ from sim_core.preflight.distance import sampled, signed_distance
 from sim_core.rigs import Gel, Rig, Rigid, Sheet
 from sim_core.rigs.regions import RefinedBox
 from sysid.observations.observations import Run
-
-OF_RADIUS = 1.25
-"""Longest edge in the contact over its radius: the force of a sphere on a bonded layer is then within 1 %."""
-
-MOST_FINER = 2.5
-"""Longest edge of the rig over that of the refined cells, at most: finer ones take too long."""
-
-LEAST_FINER = 1.2
-"""The same, from which cells are made finer at all."""
-
-MARGIN = 0.2
-"""What the box reaches beyond what is touched, over the radius of the contact."""
-
-INSTANTS = 60
-"""Instants of a recording at which contacts are looked for."""
+from sysid.settings.discretisation import DISCRETISATION
 
 
 @dataclass(frozen=True)
@@ -67,8 +53,8 @@ def refined_where_touched(rig: Rig, runs: Sequence[Run]) -> ContactMesh | None:
             continue
         (low, high), radius = found
         own = _longest_edge(layout, name, low, high)
-        ratio = min(own / (OF_RADIUS * radius), MOST_FINER)
-        if ratio < LEAST_FINER:
+        ratio = min(own / (DISCRETISATION.edge_over_contact_radius * radius), DISCRETISATION.most_edge_ratio)
+        if ratio < DISCRETISATION.least_edge_ratio:
             continue
         edges = dict(zip(("x_m", "y_m", "z_m"), np.stack([low, high], axis=1).tolist(), strict=True))
         box = RefinedBox(**{k: tuple(v) for k, v in edges.items()}, edge_m=own / ratio)
@@ -98,7 +84,7 @@ def _touched(
         radius = max(radius, float(np.sort(half)[1:].mean()))
     if not corners or radius == 0.0:
         return None
-    margin = MARGIN * radius
+    margin = DISCRETISATION.contact_margin * radius
     return (np.min(corners, axis=0) - margin, np.max(corners, axis=0) + margin), radius
 
 
@@ -110,7 +96,7 @@ def _instants(
     partners = [b for c in layout.rig.contacts if gel in c.between for b in c.between]
     rigid = [b for b in dict.fromkeys(partners) if isinstance(layout.rig.bodies[b], Rigid)]
     for run in runs:
-        times = np.linspace(0.0, run.end, INSTANTS)
+        times = np.linspace(0.0, run.end, DISCRETISATION.contact_instants)
         for frames in layout.frames_along(run.poses, times):
             vertices = skin.vertices(layout, layout.carried(frames), frames)
             points = sampled(vertices, skin.triangles, max(float(np.ptp(vertices, axis=0).max()) / 60.0, 1e-6))

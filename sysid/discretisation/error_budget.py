@@ -25,26 +25,11 @@ from sim_core.rigs import Affine, Gel, GelFile, Outline, Rectangle, Rig, Sheet
 from sim_core.scene import build_scene
 from sim_core.scene.contact_constants import constants_of, finest_edge
 from sysid.discretisation.contact_mesh import refined_where_touched
-from sysid.discretisation.refinement import MESH_ORDER
 from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import quantities
 from sysid.observations.observations import Run
-
-OF_NOISE = 1.0 / 3.0
-"""Error over noise that each has to be below."""
-
-MOST_ROUNDS = 8
-"""Times that all are measured."""
-
-CONTACT_ORDER = 1
-"""Power of the range of contact that its error is proportional to."""
-
-LEAST_RANGE_M = 1e-8
-"""Range of contact below which a rig may not go."""
-
-QUICK_S = 60.0
-"""Wall time [s] up to which a simulation is timed twice."""
+from sysid.settings.discretisation import DISCRETISATION
 
 MESH, STEP, CONTACT = "cells", "time step", "contact"
 
@@ -68,7 +53,7 @@ class Measurement:
     @property
     def too_large(self) -> list[str]:
         """Causes whose error is not below its bound."""
-        return [cause for cause in self.ratios if self.worst(cause) > OF_NOISE]
+        return [cause for cause in self.ratios if self.worst(cause) > DISCRETISATION.budget_over_noise]
 
 
 @dataclass
@@ -112,15 +97,15 @@ def converge(
 
     def tell(words: str) -> None:
         if on_progress is not None:
-            on_progress(len(found.rounds) / MOST_ROUNDS, f"round {len(found.rounds) + 1}: {words}")
+            on_progress(len(found.rounds) / DISCRETISATION.budget_rounds, f"round {len(found.rounds) + 1}: {words}")
 
-    for k in range(MOST_ROUNDS):
+    for k in range(DISCRETISATION.budget_rounds):
         measured = _measured(engine, found.rig, runs, noise, tell)
         found.rounds.append(measured)
         found.left, affordable = [], []
         for cause in measured.too_large:
             cost = _cost(measured, cause, found.rig)
-            if cost[0] <= most_s and k + 1 < MOST_ROUNDS and _can_halve(found.rig, cause):
+            if cost[0] <= most_s and k + 1 < DISCRETISATION.budget_rounds and _can_halve(found.rig, cause):
                 affordable.append(cause)
             else:
                 found.left.append(_left(found.rig, cause, measured.worst(cause), cost[1], most_s))
@@ -151,15 +136,15 @@ def _measured(
             raise type(error)(f"The rig could not be simulated {words}: {error.problem}", error.remedy) from error
 
     plain, plain_s = simulated("as it is", lambda run: engine.predict(rig, run))
-    if plain_s < QUICK_S:  # kernels that are compiled once do not count
+    if plain_s < DISCRETISATION.timed_twice_s:  # kernels that are compiled once do not count
         plain, plain_s = simulated("as it is", lambda run: engine.predict(rig, run))
     ways: dict[str, tuple[int, Callable[[Run], Prediction]]] = {
-        MESH: (MESH_ORDER, lambda run: engine.predict(rig, run, 2)),
+        MESH: (DISCRETISATION.mesh_order, lambda run: engine.predict(rig, run, 2)),
         STEP: (rig.solver.order, lambda run: engine.predict(rig, run, 1, 0.5 * rig.solver.dt_s)),
     }
     if rig.contacts:
         sharper = with_half_range(rig)
-        ways[CONTACT] = (CONTACT_ORDER, lambda run: engine.predict(sharper, run))
+        ways[CONTACT] = (DISCRETISATION.contact_order, lambda run: engine.predict(sharper, run))
     ratios, seconds = {}, {}
     for cause, (order, make) in ways.items():
         halved, seconds[cause] = simulated(f"with half the {cause}", make)
@@ -191,8 +176,8 @@ def _cost(measured: Measurement, cause: str, rig: Rig) -> tuple[float, float]:
     """Wall time [s] of the next check if a cause is halved, and of a simulation in which its error is small enough, as
     the last halving has made it longer."""
     growth = max(measured.seconds[cause] / measured.plain_s, 1.0)
-    order = {MESH: MESH_ORDER, STEP: rig.solver.order, CONTACT: CONTACT_ORDER}[cause]
-    halvings = int(np.ceil(np.log2(max(measured.worst(cause) / OF_NOISE, 1.0)) / order))
+    order = {MESH: DISCRETISATION.mesh_order, STEP: rig.solver.order, CONTACT: DISCRETISATION.contact_order}[cause]
+    halvings = int(np.ceil(np.log2(max(measured.worst(cause) / DISCRETISATION.budget_over_noise, 1.0)) / order))
     return growth * measured.seconds[cause], measured.plain_s * growth**halvings
 
 
@@ -262,7 +247,7 @@ def with_half_range(rig: Rig) -> Rig:
     contacts = []
     for contact in rig.contacts:
         law = constants_of(rig, contact, edges)
-        if law.range_m < 2.0 * LEAST_RANGE_M:
+        if law.range_m < 2.0 * DISCRETISATION.least_contact_range_m:
             contacts.append(contact)
             continue
         numbers = {"range_m": 0.5 * law.range_m, "stiffness_pa_per_m": 2.0 * law.stiffness_pa_per_m}

@@ -15,20 +15,7 @@ import numpy as np
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Run
-
-FAR = 5.0
-"""Misfit over its root mean square from which a reading is taken for a mistake."""
-
-SURE_SD, MOST_SHARE = 0.1, 2.5
-"""Standard deviation of the share up to which recordings tell of two models which they follow, and share up to which it
-is one of these."""
-
-BLOCKS = 8
-"""Parts of the time of a recording that tell of a share independently of each other."""
-
-CONFOUNDED = 3.0
-"""Standard deviation of a share as its parts of the time tell it, over that of noise alone, above which what is missing
-decides on it."""
+from sysid.settings.discretisation import DISCRETISATION
 
 
 @dataclass(frozen=True)
@@ -49,14 +36,18 @@ class Share:
     @property
     def surely_refines(self) -> bool:
         """The same, where what both models leave out does not decide on it."""
-        if self.value is None or self.robust_sd <= CONFOUNDED * self.sd:
+        if self.value is None or self.robust_sd <= DISCRETISATION.confounded_sd_ratio * self.sd:
             return self.refines
         return self.value - 2.0 * self.robust_sd >= 0.5
 
     @property
     def extends(self) -> bool:
         """They tell that they follow the other one, and that the two are those to choose from."""
-        return self.value is not None and self.sd < SURE_SD and 0.5 <= self.value <= MOST_SHARE
+        return (
+            self.value is not None
+            and self.sd < DISCRETISATION.followed_share_sd
+            and 0.5 <= self.value <= DISCRETISATION.largest_followed_share
+        )
 
 
 def follows(
@@ -82,14 +73,20 @@ def follows(
             seen = np.isfinite(left) & np.isfinite(table).all(axis=-1)
             rows.append(table[seen])
             right.append(left[seen])
-            part = BLOCKS * k + np.clip((BLOCKS * m.t / run.end).astype(int), 0, BLOCKS - 1)
+            part = DISCRETISATION.follow_blocks * k + np.clip(
+                (DISCRETISATION.follow_blocks * m.t / run.end).astype(int), 0, DISCRETISATION.follow_blocks - 1
+            )
             parts.append(np.broadcast_to(part[:, None], left.shape)[seen])
     table, left, part = np.concatenate(rows), np.concatenate(right), np.concatenate(parts)
     alike = np.asarray(~table[:, count:].any(axis=0))
     prior = np.concatenate([1.0 / known_sd**2, np.zeros(len(others))])
     found, sd = _least_squares(table, left, prior)
     miss = np.abs(left - table @ found)
-    near = miss <= FAR * max(1.0, float(np.sqrt(np.mean(miss**2)))) if len(miss) else np.ones(0, dtype=bool)
+    near = (
+        miss <= DISCRETISATION.follow_outlier_rms * max(1.0, float(np.sqrt(np.mean(miss**2))))
+        if len(miss)
+        else np.ones(0, dtype=bool)
+    )
     found, sd = _least_squares(table[near], left[near], prior)
     robust = _robust_sd(table[near], left[near] - table[near] @ found, part[near], prior)
     return [

@@ -2,8 +2,8 @@
 
 Of a pad that is wide compared with what touches it, a rig has a piece, the sides of which are free. While a ball slides
 on it, markers on a piece 3.2 times as wide as it is thick move by over a fifth more than those on a wide pad, for which
-``tests/discretisation/test_gel_extent.py`` has the Fourier integral. A pad of :data:`WIDE` times its thickness is as
-good as an infinite one. Which of both the recordings follow they tell themselves, as of cells
+``tests/discretisation/test_gel_extent.py`` has the Fourier integral. A pad of ``DISCRETISATION.wide_pad_ratio`` times
+its thickness is as good as an infinite one. Which of both the recordings follow they tell themselves, as of cells
 (:mod:`sysid.discretisation.followed_model`).
 """
 
@@ -18,15 +18,7 @@ from sim_core.rigs import Gel, Rig
 from sim_core.rigs.gel_shapes import Block, Grading
 from sim_core.rigs.observers import MarkerSensor
 from sim_core.rigs.points import marker_positions
-
-WIDE = 6.0
-"""Extent over thickness of a pad that is as good as infinite."""
-
-ALREADY = 0.8
-"""Share of :data:`WIDE` from which a pad is not made wider."""
-
-FURTHER = 4
-"""Cells that are added along an axis."""
+from sysid.settings.discretisation import DISCRETISATION
 
 
 @dataclass(frozen=True)
@@ -60,16 +52,21 @@ def widened(rig: Rig) -> Widened | None:
 
 
 def _wide(block: Block) -> Block | None:
-    """The block as wide as :data:`WIDE` times its thickness; None where it is, or has planes of symmetry or graded or
-    refined cells."""
-    reach = WIDE * block.size_m[2]
-    if block.symmetry or block.graded or block.refine or min(block.size_m[:2]) > ALREADY * reach:
+    """The block as wide as ``DISCRETISATION.wide_pad_ratio`` times its thickness; None where it is, or has planes of
+    symmetry or graded or refined cells."""
+    reach = DISCRETISATION.wide_pad_ratio * block.size_m[2]
+    if (
+        block.symmetry
+        or block.graded
+        or block.refine
+        or min(block.size_m[:2]) > DISCRETISATION.wide_enough_share * reach
+    ):
         return None
     size, cells, graded = list(block.size_m), list(block.cells), []
     for axis, letter in enumerate("xy"):
         if block.size_m[axis] >= reach:
             continue
-        size[axis], cells[axis] = reach, block.cells[axis] + FURTHER
+        size[axis], cells[axis] = reach, block.cells[axis] + DISCRETISATION.added_cells
         ratio = _grading(cells[axis], reach * block.cells[axis] / block.size_m[axis])
         if ratio < 1.0:
             graded.append(Grading(towards=f"{letter}_middle", ratio=ratio))

@@ -7,10 +7,10 @@ refined simulations are therefore differentiated as well, and the fit uses
 
     d(theta) = d(theta_k) + D (theta - theta_k),    D = d'(theta_k),
 
-within :data:`SLOPES_REACH` of where they were measured. What the next measurement shows beside that is unforeseen: the
-refined simulation snaps over a moment earlier or later than before. Readings are weighed down by it there
-(:meth:`sysid.solve.discretisation_basis.ErrorShape.following`), or turns would go on from one side to the other. Far
-from the solution, where a search is to be followed by another one anyway, derivatives say little of where that will
+within ``DISCRETISATION.slopes_reach`` of where they were measured. What the next measurement shows beside that is
+unforeseen: the refined simulation snaps over a moment earlier or later than before. Readings are weighed down by it
+there (:meth:`sysid.solve.discretisation_basis.ErrorShape.following`), or turns would go on from one side to the other.
+Far from the solution, where a search is to be followed by another one anyway, derivatives say little of where that will
 lead. They lead a search, but intervals learn nothing from them (:func:`sysid.solve.covariance.uncertainty`): how large
 the error is, is not known.
 """
@@ -33,27 +33,12 @@ from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import quantities
 from sysid.observations.observations import Run
+from sysid.settings.discretisation import DISCRETISATION
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import MODEL, ErrorShape
 from sysid.solve.interruption import ENDS_EARLY, end_unconverged
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-MOST_ROUNDS = 8
-"""Times that the error is measured and the fit repeated."""
-
-NEAR = 1.0
-"""Rounds end when a search has moved no parameter by more than a standard deviation from where the error and
-its slopes were measured."""
-
-SLOPES_REACH = 0.25
-"""How far derivatives of the discretisation error are believed, in plausible ranges of a parameter."""
-
-LOUD = 10.0
-"""Error of mesh and time step over noise from which a result says that it rests on that error."""
-
-MESH_ORDER = 2
-"""Power of the size of cells that the error of the mesh is proportional to."""
 
 MESH = "mesh"
 """Label of the error shape of the mesh."""
@@ -85,7 +70,7 @@ def discretisation(
     the error of the mesh, where it is known.
 
     The true error is about 2^p / (2^p - 1) of these differences, with the order p of the mesh
-    (:data:`MESH_ORDER`) and of the rig's integrator; the shapes are scaled accordingly. Raises
+    (``DISCRETISATION.mesh_order``) and of the rig's integrator; the shapes are scaled accordingly. Raises
     ``ThinshellError`` where a refined simulation fails.
     """
     rigs = rig if isinstance(rig, Sequence) else [rig] * len(runs)
@@ -104,7 +89,7 @@ def error_of_coarser_cells(fine: Sequence[Prediction], coarse: Sequence[Predicti
     as wide: y* - y_h = (y_h - y_H) / ((H / h)^p - 1)."""
     shapes, sight = [], []
     for here, there in zip(fine, coarse, strict=True):
-        change = {c: (v - there.values[c]) / (finer**MESH_ORDER - 1.0) for c, v in here.values.items()}
+        change = {c: (v - there.values[c]) / (finer**DISCRETISATION.mesh_order - 1.0) for c, v in here.values.items()}
         sight.append({c: np.isfinite(d) for c, d in change.items()})
         shapes.append({c: np.where(np.isfinite(d), d, 0.0) for c, d in change.items()})
     return ErrorShape(MESH, tuple(shapes), sight=tuple(sight))
@@ -125,7 +110,7 @@ def discretisation_with_slopes(
     at = (parameters, scaled)
     fine = [engine.submit_with_derivatives(rig, run, *at, 2) for run in runs]
     short = [engine.submit_with_derivatives(rig, run, *at, 1, 0.5 * rig.solver.dt_s) for run in runs]
-    reach = np.array([SLOPES_REACH * p.prior_sd for p in parameters])
+    reach = np.array([DISCRETISATION.slopes_reach * p.prior_sd for p in parameters])
     return [replace(d, at=scaled, reach=reach) for d in _error_shapes([rig] * len(runs), runs, plain, fine, short)]
 
 
@@ -138,7 +123,7 @@ def _error_shapes(
 ) -> list[ErrorShape]:
     found = []
     for label, how, orders, pending in (
-        (MESH, "on a finer mesh", [MESH_ORDER] * len(rigs), fine),
+        (MESH, "on a finer mesh", [DISCRETISATION.mesh_order] * len(rigs), fine),
         ("time step", "with half the time step", [rig.solver.order for rig in rigs], short),
     ):
         if pending is None:
@@ -183,7 +168,7 @@ def fit_beside_discretisation(
     plain: Sequence[Prediction] | None = None,
     prior: bool = False,
     bias: bool = False,
-    rounds: int = MOST_ROUNDS,
+    rounds: int = DISCRETISATION.error_rounds,
     search: Minimise | None = None,
 ) -> tuple[Problem, Fitted]:
     """Fit ``parameters`` of ``rig``; the problem holds the discretisation error measured at the solution.
@@ -219,7 +204,7 @@ def fit_beside_discretisation(
         evaluations += fitted.evaluations
         moved = np.abs(fitted.scaled - scaled)
         scaled = fitted.scaled
-        settled = not fitted.elsewhere and bool(np.all(moved <= NEAR * uncertainty(fitted).sd))
+        settled = not fitted.elsewhere and bool(np.all(moved <= DISCRETISATION.remeasured_sd * uncertainty(fitted).sd))
         if fitted.cut_short or (settled and (with_slopes or not parameters)):
             return problem, _counted(fitted, evaluations)
         if not left:
@@ -258,13 +243,8 @@ def large_discretisation_errors(problem: Problem) -> list[str]:
         "Intervals rest on what one refinement shows of it and may be too narrow: use finer cells or a shorter "
         "solver.dt_s."
         for (channel, quantity), (_, ratios) in _sizes(problem).items()
-        if max(ratios) > LOUD
+        if max(ratios) > DISCRETISATION.loud_error_ratio
     ]
-
-
-COARSE_SHARE, COARSE_NOISE = 0.1, 3.0
-"""Error of mesh and time step from which a mesh is too coarse to ask what is missing: in units of the range of the
-readings, and of their noise; both."""
 
 
 def coarse_quantities(problem: Problem) -> tuple[str, ...]:
@@ -277,9 +257,11 @@ def coarse_quantities(problem: Problem) -> tuple[str, ...]:
             ranges[m.channel, quantity] = max(span, ranges.get((m.channel, quantity), 0.0))
     return tuple(
         f"The error of mesh and time step in the {quantity} of {channel} is {100.0 * max(sizes) / span:.0f} % of its "
-        f"range, {max(ratios):.0f} times the noise; below {100.0 * COARSE_SHARE:.0f} % is needed."
+        f"range, {max(ratios):.0f} times the noise; below {100.0 * DISCRETISATION.coarse_range_share:.0f} % is needed."
         for (channel, quantity), (sizes, ratios) in _sizes(problem).items()
-        if (span := ranges[channel, quantity]) > 0.0 and max(sizes) > COARSE_SHARE * span and max(ratios) > COARSE_NOISE
+        if (span := ranges[channel, quantity]) > 0.0
+        and max(sizes) > DISCRETISATION.coarse_range_share * span
+        and max(ratios) > DISCRETISATION.coarse_noise_ratio
     )
 
 

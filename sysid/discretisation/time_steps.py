@@ -30,19 +30,7 @@ from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import quantities
 from sysid.observations.observations import Run
-
-OF_NOISE = 1.0 / 3.0
-"""Error of the interpolation over the noise, rms over the columns of a quantity, from which a step is halved."""
-
-ROUNDS = 4
-"""Times that steps are halved: to a sixteenth of the rig's."""
-
-THROUGHOUT, OFTEN = 1.0, 0.75
-"""Change by halved steps over the noise, rms over the columns of a quantity, from which all steps of a run with inertia
-are halved, and its quantile over time that counts: impacts never agree."""
-
-FAR = 30.0
-"""Misfit over noise from which it counts no more: a few readings do not decide."""
+from sysid.settings.discretisation import DISCRETISATION
 
 
 def with_steps(
@@ -55,7 +43,7 @@ def with_steps(
     steps = [step_times(0.0, run.end, rig.solver.dt_s) for rig, run in zip(rigs, runs, strict=True)]
     live = list(range(len(rigs)))
     asked = {k: np.ones(len(steps[k]) - 1, dtype=bool) for k in live}
-    for _ in range(ROUNDS):
+    for _ in range(DISCRETISATION.step_halvings):
         halved = {k: _halved(steps[k], at) for k, at in asked.items() if at.any()}
         jobs = {k: engine.submit(rigs[k], replace(runs[k], steps=h)) for k, h in halved.items()}
         asked = {}
@@ -80,7 +68,7 @@ def shorter_throughout(
         there = given[k].result()
         try:
             halved = jobs[k].result()
-            if _changes(run, there, halved, noise) > THROUGHOUT:
+            if _changes(run, there, halved, noise) > DISCRETISATION.halving_over_noise:
                 found[k], there = shorter[k], halved
         except ThinshellError:
             pass
@@ -104,7 +92,9 @@ def _changes(run: Run, one: Prediction, other: Prediction, noise: dict[str, Chan
             squares = np.where(np.isfinite(change) & np.isfinite(m.values[:, group]), change**2, np.nan)
             squares = squares[np.isfinite(squares).any(axis=1)]
             if len(squares):
-                most = max(most, float(np.quantile(np.sqrt(np.nanmean(squares, axis=1)), OFTEN)))
+                most = max(
+                    most, float(np.quantile(np.sqrt(np.nanmean(squares, axis=1)), DISCRETISATION.halving_quantile))
+                )
     return most
 
 
@@ -145,9 +135,19 @@ def _share(run: Run, plain: Prediction, there: Prediction, noise: dict[str, Chan
         sigma = noise[m.channel].sigma
         change = np.nan_to_num((there.values[m.channel] - plain.values[m.channel]) / sigma)
         left = np.nan_to_num((m.values - plain.values[m.channel]) / sigma)
-        far = np.abs(change) > OF_NOISE
-        along += float(np.sum((change * np.clip(left, -FAR, FAR))[far]))
-        across += float(np.sum((change * np.clip(change, -FAR, FAR))[far]))
+        far = np.abs(change) > DISCRETISATION.interpolation_over_noise
+        along += float(
+            np.sum(
+                (change * np.clip(left, -DISCRETISATION.largest_misfit_ratio, DISCRETISATION.largest_misfit_ratio))[far]
+            )
+        )
+        across += float(
+            np.sum(
+                (change * np.clip(change, -DISCRETISATION.largest_misfit_ratio, DISCRETISATION.largest_misfit_ratio))[
+                    far
+                ]
+            )
+        )
     return along / across if across > 0.0 else 1.0
 
 
@@ -169,7 +169,7 @@ def _kept(
             sigma = float(np.median(noise[m.channel].sigma[group]))
             columns = group if m.kind == "wrench" else slice(None)
             rms = np.sqrt(np.mean(np.nan_to_num(error[:, columns]) ** 2, axis=1))
-            needed |= rms > OF_NOISE * sigma
+            needed |= rms > DISCRETISATION.interpolation_over_noise * sigma
     new = halved[middle[needed]]
     found = np.sort(np.concatenate([steps, new]))
     return found, np.isin(found[:-1], new) | np.isin(found[1:], new)

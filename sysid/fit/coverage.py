@@ -36,18 +36,16 @@ from sim_core.rigs.motion import Experiment
 from sysid.fit.fit import fit_runs
 from sysid.fit.options import FitOptions
 from sysid.model.load import load_runs
-from sysid.model.nuisance_parameters import BIAS_SD, KINDS, nuisance_parameters
+from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import SerialPredictor
 from sysid.observations.observations import Measured, Run
+from sysid.settings.fit import FIT
+from sysid.settings.model import MODEL
 from sysid.simulate import Noise, WhiteNoise, simulate_to_bag
 from sysid.solve.interruption import reason_of
 
 Progress = Callable[[float, str], None]
-
-USUAL_REFINE = 3
-"""How much finer the truth is than the fit, in cells in each direction and in steps: no 2, with which fits learn their
-discretisation error."""
 
 
 @dataclass(frozen=True)
@@ -173,10 +171,6 @@ def wilson(hits: int, trials: int) -> tuple[float, float]:
     return max(0.0, float(middle - half)), min(1.0, float(middle + half))
 
 
-LOOK_S = 1.0
-"""Progress is told at least as often."""
-
-
 def as_they_end(
     pending: Collection[Future[list[Outcome]]], meanwhile: Callable[[], None]
 ) -> Iterator[Future[list[Outcome]]]:
@@ -184,7 +178,7 @@ def as_they_end(
     left = set(pending)
     meanwhile()
     while left:
-        ended, left = wait(left, timeout=LOOK_S, return_when=FIRST_COMPLETED)
+        ended, left = wait(left, timeout=FIT.coverage_progress_s, return_when=FIRST_COMPLETED)
         if not ended:
             meanwhile()
         yield from ended
@@ -197,7 +191,7 @@ def measure_coverage(
     *,
     cases: Sequence[int],
     spread: float = 1.5,
-    refine: int = USUAL_REFINE,
+    refine: int = FIT.coverage_refinement,
     seed: int = 0,
     colour: float = 0.0,
     on_progress: Progress | None = None,
@@ -286,7 +280,7 @@ class _Biased:
         if kind != "wrench":
             return drawn
         rng = np.random.default_rng([self.seed, *channel.encode()])
-        return autocorrelated_noise(drawn, self.colour) + np.repeat(BIAS_SD, 3) * rng.standard_normal(6)
+        return autocorrelated_noise(drawn, self.colour) + np.repeat(MODEL.bias_sd, 3) * rng.standard_normal(6)
 
 
 def autocorrelated_noise(white: np.ndarray, rho: float) -> np.ndarray:

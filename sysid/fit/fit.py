@@ -22,7 +22,7 @@ from sysid.discretisation.refinement import (
 from sysid.fit.given_values import given, said_of_rise, said_of_stay
 from sysid.fit.marker_field import marker_fields
 from sysid.fit.minimum_norm import minimum_norm_solution
-from sysid.fit.multistart import SEARCHED, Evaluations, Progress, Searches, Step
+from sysid.fit.multistart import Evaluations, Progress, Searches, Step
 from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.result import (
     Estimate,
@@ -45,6 +45,7 @@ from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.data_quality import data_quality_warnings
 from sysid.noise.estimate import channel_noise, column_groups, overruled
 from sysid.observations.observations import Run, check_apart, of_recording
+from sysid.settings.fit import FIT
 from sysid.solve.covariance import Finding, names_undetermined
 from sysid.solve.interruption import ENDS_EARLY, end_unconverged, interrupts_ignored, reason_of
 from sysid.solve.nonsmooth_trust_region import AT_KINK
@@ -59,14 +60,8 @@ from sysid.uncertainty.profiler import Profiler
 
 USUAL_OPTIONS = FitOptions()
 
-ENDS = 3
-"""Times that a fit is looked at where its intervals end; where it is better there it is searched for on from there."""
-
 NEAREST = "Of all values that fit as well, those are given that are nearest to the rig's."
 """Said where some parameter is not determined."""
-
-LOOKS = 3
-"""Times that mistaken readings are looked for and the fit repeated without them."""
 
 
 def fit_runs(
@@ -279,7 +274,7 @@ def _searched(
     if options.robust:
         look = _first_look(engine, rig_at(rig, parameters, first), runs, held_out)
     at = first
-    for left in reversed(range(ENDS)):
+    for left in reversed(range(FIT.interval_looks)):
         try:
             look, problem, fitted = _fit_beside_mistakes(
                 engine, rig, parameters, look, at, runs=runs, robust=options.robust, bias=bias, search=search
@@ -312,7 +307,10 @@ def _searched(
         if better is None:
             break
         if not left:
-            fitted.message, fitted.converged = f"after {ENDS} searches a better fit is known than it ended at", False
+            fitted.message, fitted.converged = (
+                f"after {FIT.interval_looks} searches a better fit is known than it ended at",
+                False,
+            )
             break
         at, look = better, replace(look, plain=None)
     told = list(against.values())
@@ -344,7 +342,7 @@ def _fit_beside_mistakes(
     """A fit from scaled values ``(p,)``, repeated while other readings of ``runs`` turn out to be mistakes; the last
     that has ended where another one cannot be made."""
     ended: tuple[_Look, Problem, Fitted] | None = None
-    for left in reversed(range(LOOKS)):
+    for left in reversed(range(FIT.outlier_looks)):
         noise = channel_noise(rig, look.runs, look.held_out)
         try:
             problem, fitted = fit_beside_discretisation(
@@ -423,7 +421,7 @@ def _profiled(
         )
         return [], [*findings, Finding(f"No {what}, since the fit did not converge.")], None
 
-    searched = SEARCHED[intervals]
+    searched = FIT.search_time_shares[intervals]
 
     def tell(share: float, text: str) -> None:
         if on_progress is not None:

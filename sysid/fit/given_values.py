@@ -16,19 +16,9 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sysid.fit.result import ChannelError
+from sysid.settings.fit import FIT
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-WORSE = 1.1
-"""Factor by which the error of a channel must rise to be called larger than before; it must also stand out of the
-noise."""
-
-DOWN_TO_NOISE = 1.25
-"""Error over noise up to which a channel is explained."""
-
-BELOW_OWN = 1.0 / 3.0
-"""Error over that of mesh and time step up to which a channel is explained as well: no recording of anything else than
-this mesh and step is."""
 
 STAYS = "the values that the rig was given stay"
 """How the search is said to have ended."""
@@ -42,7 +32,7 @@ def worsened(errors: Iterable[ChannelError]) -> list[ChannelError]:
         if not e.held_out
         and e.before_over_noise is not None
         and e.after_over_noise is not None
-        and e.after_over_noise > WORSE * max(e.before_over_noise, 1.0)
+        and e.after_over_noise > FIT.worse_error_ratio * max(e.before_over_noise, 1.0)
     ]
 
 
@@ -60,7 +50,9 @@ def rose(errors: Sequence[ChannelError]) -> bool:
 def explained_as_given(errors: Sequence[ChannelError]) -> bool:
     """Whether the rig that was given explains every channel of the recordings that were fitted."""
     known = [e for e in errors if not e.held_out]
-    return bool(known) and all(e.before <= max(DOWN_TO_NOISE * e.noise, BELOW_OWN * e.own) for e in known)
+    return bool(known) and all(
+        e.before <= max(FIT.explained_over_noise * e.noise, FIT.explained_over_discretisation * e.own) for e in known
+    )
 
 
 def given(problem: Problem, fitted: Fitted, first: np.ndarray, errors: Sequence[ChannelError]) -> Fitted | None:

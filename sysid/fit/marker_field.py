@@ -8,12 +8,10 @@ import numpy as np
 
 from sysid.noise.estimate import column_groups
 from sysid.observations.observations import UNITS, Measured
+from sysid.settings.fit import FIT
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import DIMENSIONS
 from sysid.solve.residuals import Problem
-
-FEWEST = 4
-"""Markers in sight below which there is no field to look at."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,7 @@ def marker_fields(problem: Problem, before: Fitted, after: Fitted, held_out: boo
     found = []
     for i, run in enumerate(problem.runs):
         for m in run.measured:
-            if m.values.shape[1] < FEWEST * DIMENSIONS.get(m.kind, np.inf):
+            if m.values.shape[1] < FIT.field_markers * DIMENSIONS.get(m.kind, np.inf):
                 continue
             was, now = (m.values - problem.tared(fitted, i, m) for fitted in (before, after))
             field = _of(m, was, now)
@@ -67,7 +65,7 @@ def _of(measured: Measured, was: np.ndarray, now: np.ndarray) -> tuple[int, int,
     """Number of the instant, of the two coordinates, and which markers are in sight there; None where there are few."""
     errors = _points(measured, was)
     seen = np.isfinite(errors).all(axis=2) & np.isfinite(_points(measured, now)).all(axis=2)
-    enough = seen.sum(axis=1) >= FEWEST
+    enough = seen.sum(axis=1) >= FIT.field_markers
     if not enough.any():
         return None
     square = np.where(seen, np.sum(np.nan_to_num(errors) ** 2, axis=2), 0.0)

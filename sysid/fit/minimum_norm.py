@@ -7,10 +7,10 @@ the least of
 
 is gone to. D scales the parameters that were asked for and of which nothing was known by their plausible widths, and is
 0 elsewhere; V are the directions, in these widths, along which the recordings and priors leave more than
-:data:`sysid.solve.covariance.UNDETERMINED_SHARE` of a width: others are not drawn to the start theta0 (Tikhonov's
+``SOLVE.undetermined_share`` of a width: others are not drawn to the start theta0 (Tikhonov's
 regularisation of a truncated basis; Hansen 1998). kappa is the overdispersion of chi-square
 (:func:`sysid.solve.covariance.overdispersion`). The end is taken where the first term has risen by no more than
-:data:`RISE` and nothing that is determined has moved by more than a fifth of its standard deviation.
+``FIT.chi2_rise`` and nothing that is determined has moved by more than a fifth of its standard deviation.
 """
 
 from __future__ import annotations
@@ -22,25 +22,11 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from sim_core.errors import ThinshellError
-from sysid.solve.covariance import UNDETERMINED_SHARE, WIDEST, names_undetermined, overdispersion, uncertainty
-from sysid.solve.gauss_newton import SHORT
+from sysid.settings.fit import FIT
+from sysid.settings.solve import SOLVE
+from sysid.solve.covariance import names_undetermined, overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-RISE = 2.0
-"""Of chi-square, in units of what chance makes of it. A look along intervals calls a fit better from 3.8 on."""
-
-WEIGHTS = (1.0, 0.1, 0.01)
-"""Of the distance from the start, tried in turns."""
-
-MOST_STEPS = 8
-"""Steps on the way back, for each weight."""
-
-ENOUGH = 0.05
-"""Fall of the sum, promised by the next step, below which the way back ends."""
-
-SHARES = (1.0, 0.5, 0.25)
-"""Shares of a step that are tried in turns."""
 
 
 def minimum_norm_solution(
@@ -59,10 +45,14 @@ def minimum_norm_solution(
         return fitted
     stays = np.array([not p.nuisance and p.name not in undetermined for p in fitted.parameters])
     back = _Back(problem, fitted, start, most, on_evaluation)
-    for weight in WEIGHTS:
+    for weight in FIT.distance_weights:
         there = back.gone(weight)
         moved = np.abs(there.scaled - fitted.scaled)[stays]
-        if there is not fitted and back.risen(there) <= RISE and np.all(moved <= SHORT * known.sd[stays]):
+        if (
+            there is not fitted
+            and back.risen(there) <= FIT.chi2_rise
+            and np.all(moved <= SOLVE.short_step_sd * known.sd[stays])
+        ):
             made = fitted.evaluations + back.evaluations
             return replace(there, evaluations=made, message=fitted.message, began=fitted.began)
     return fitted
@@ -91,12 +81,12 @@ class _Back:
     def gone(self, weight: float) -> Fitted:
         """Where it ends with one weight of the distance."""
         best = self._fitted
-        for _ in range(MOST_STEPS):
+        for _ in range(FIT.way_back_steps):
             pull = np.sqrt(weight) * self._open(best)
             residual, jacobian = self._rows(best, pull)
             step = self._step(best, residual, jacobian)
             left = residual + jacobian @ step
-            if residual @ residual - left @ left < ENOUGH:
+            if residual @ residual - left @ left < FIT.way_back_fall:
                 break
             further = self._along(best, step, pull)
             if further is None:
@@ -107,7 +97,7 @@ class _Back:
     def _step(self, best: Fitted, residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
         """The step ``(p,)`` of least squares within bounds; what neither a row nor the distance tells stays."""
         upper: np.ndarray = np.linalg.qr(np.column_stack([jacobian, residual]))[1]
-        matrix = np.vstack([upper[:, :-1], np.diag(1.0 / (WIDEST * self._width)) * 1e-3])
+        matrix = np.vstack([upper[:, :-1], np.diag(1.0 / (SOLVE.widest_sd * self._width)) * 1e-3])
         target = -np.concatenate([upper[:, -1], np.zeros(len(best.scaled))])
         low, high = np.minimum(self._low - best.scaled, -1e-12), np.maximum(self._high - best.scaled, 1e-12)
         return np.asarray(lsq_linear(matrix, target, bounds=(low, high)).x)
@@ -117,11 +107,11 @@ class _Back:
         p = len(self._width)
         rows = np.vstack([self._weighed(fitted, fitted.jacobian) * self._width, np.zeros((p, p))])
         _, told, directions = np.linalg.svd(rows, full_matrices=False)
-        return directions[told < 1.0 / UNDETERMINED_SHARE] * np.where(self._free, 1.0 / self._width, 0.0)
+        return directions[told < 1.0 / SOLVE.undetermined_share] * np.where(self._free, 1.0 / self._width, 0.0)
 
     def _along(self, best: Fitted, step: np.ndarray, pull: np.ndarray) -> Fitted | None:
         """The first point on a step that is better; None if there is none."""
-        for share in SHARES:
+        for share in FIT.step_shares:
             if self.evaluations >= self._most:
                 return None
             at = np.clip(best.scaled + share * step, self._low, self._high)

@@ -26,9 +26,10 @@ from scipy.stats import norm, qmc
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
-from sysid.fit.options import FitOptions, Intervals
+from sysid.fit.options import FitOptions
 from sysid.model.nuisance_parameters import kind_of
 from sysid.model.parameters import FitParameter
+from sysid.settings.fit import FIT
 from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.covariance import overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
@@ -36,50 +37,6 @@ from sysid.solve.residuals import Problem
 from sysid.uncertainty.goodness_of_fit import worst
 
 Progress = Callable[[float, str], None]
-
-MOST_RESTARTS = 4
-"""In a whole fit."""
-
-RESTART_WIDTH = 0.05
-"""Restarts start this far (standard deviations, in units of the fitted scale) from the best so far."""
-
-START_WIDTH = 0.7
-"""Standard deviation of starts about the rig's values in units of the plausible width: e^1.4 either way for a
-modulus, 0.35 for friction."""
-
-GLANCES = 4
-"""Draws, without derivatives, for each start beside the rig's own."""
-
-OFFSETS_DRAWN = 32
-"""Draws, without derivatives, of the offsets of all end effectors."""
-
-MOST_OFFSETS = 3
-"""Searches from other offsets, of which each must bring something for the next to be made."""
-
-BETTER = 0.98
-"""A search from elsewhere has brought something if it leaves less than this share of chi-square."""
-
-FAR = 0.5
-"""A search that leaves less than this share of the chi-square where it began is far from there."""
-
-PATIENCE, SLOW = 3, 0.8
-"""It comes on slowly while so many evaluations leave more than this share of chi-square."""
-
-SAME_CHI2 = 4.0
-"""Two searches have ended equally well if their chi-squares differ by less than this, in units of what chance makes
-of it."""
-
-SAME_PLACE = 4.0
-"""They have ended in one place if no parameter that is asked for differs by this many standard deviations."""
-
-TYPICAL_EVALUATIONS = 10
-"""Evaluations that a search usually takes; the progress bar is scaled with it."""
-
-SEARCHED: dict[Intervals, float] = {"quadratic": 0.95, "checked": 0.8, "profiled": 0.5}
-"""Share of the time of a fit, about, that its search takes, by what is done about intervals afterwards."""
-
-EVALUATIONS_OF_A_SEARCH = 30
-"""Evaluations after which one search ends, converged or not."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +59,8 @@ class Evaluations:
         on_step: Callable[[Step], None] | None = None,
     ) -> None:
         self._most = options.max_evaluations
-        self._typical = TYPICAL_EVALUATIONS * options.starts
-        self._searched = SEARCHED[options.intervals]
+        self._typical = FIT.typical_evaluations * options.starts
+        self._searched = FIT.search_time_shares[options.intervals]
         self._on_progress = on_progress
         self._on_step = on_step
         self.done = 0
@@ -111,7 +68,7 @@ class Evaluations:
     @property
     def left(self) -> int:
         """Evaluations that the next search may make."""
-        return EVALUATIONS_OF_A_SEARCH if self._most is None else min(self._most - self.done, EVALUATIONS_OF_A_SEARCH)
+        return FIT.search_evaluations if self._most is None else min(self._most - self.done, FIT.search_evaluations)
 
     def limit(self, fitted: Fitted) -> Fitted:
         """The outcome of a search, which says so if none are left."""
@@ -145,7 +102,7 @@ class Searches:
         self._evaluations = evaluations
         self._rng = np.random.default_rng(options.seed)
         self._elsewhere = options.starts - 1 if self._parameters else 0
-        self._restarts = MOST_RESTARTS if self._parameters else 0
+        self._restarts = FIT.most_restarts if self._parameters else 0
         self._offsets = [k for k, p in enumerate(self._parameters) if kind_of(rig, p.target) == "pose"]
         self._known = np.array([p.known_sd or p.prior_sd for p in self._parameters])
         self._moved: list[str] = []
@@ -182,7 +139,7 @@ class Searches:
         if not problem.error_shapes or not self._may_go_on(fitted):
             return False
         return fitted.elsewhere or (
-            fitted.chi2 < FAR * fitted.began and worst(problem, fitted) > UNCERTAINTY.good_misfit
+            fitted.chi2 < FIT.far_start_ratio * fitted.began and worst(problem, fitted) > UNCERTAINTY.good_misfit
         )
 
     def _may_go_on(self, fitted: Fitted) -> bool:
@@ -217,7 +174,7 @@ class Searches:
             self._found.append(other)
             self._begun.append(start)
             mine, others = best.beside(other)
-            if mine - others > SAME_CHI2 * overdispersion(best):
+            if mine - others > FIT.same_chi2 * overdispersion(best):
                 best = other
         return best
 
@@ -229,7 +186,9 @@ class Searches:
     def _drawn(self, problem: Problem, at: np.ndarray, best: Fitted) -> list[np.ndarray]:
         """Starts: those that fit best of a Latin hypercube in the parameters that are asked for."""
         asked = [k for k, p in enumerate(self._parameters) if not p.nuisance]
-        return self._glanced(problem, at, asked, START_WIDTH, GLANCES * self._elsewhere, best)[: self._elsewhere]
+        return self._glanced(problem, at, asked, FIT.start_width, FIT.draws_per_start * self._elsewhere, best)[
+            : self._elsewhere
+        ]
 
     def _glanced(
         self, problem: Problem, about: np.ndarray, which: Sequence[int], width: float, count: int, best: Fitted
@@ -253,7 +212,7 @@ class Searches:
         """The best of searches from other offsets of the end effectors, while they bring anything: in all readings
         together, or where most is left."""
         before, first = worst(problem, fitted), fitted
-        for start in self._glanced(problem, at, self._offsets, 1.0, OFFSETS_DRAWN, fitted)[:MOST_OFFSETS]:
+        for start in self._glanced(problem, at, self._offsets, 1.0, FIT.offset_draws, fitted)[: FIT.offset_searches]:
             if not self._may_go_on(fitted):
                 break
             again = self._tried(problem, start, fitted)
@@ -263,7 +222,7 @@ class Searches:
             if new >= known:
                 break
             left, now = worst(problem, fitted), worst(problem, again)
-            better = new < BETTER * known or now < BETTER * left
+            better = new < FIT.better_chi2_ratio * known or now < FIT.better_chi2_ratio * left
             fitted = again
             if not better:
                 break
@@ -278,10 +237,10 @@ class Searches:
         """The best of restarts, while they bring anything and the misfit stays above noise."""
         width = np.array([p.unit_step for p in self._parameters])
         while self._restarts and self._may_go_on(fitted) and fitted.misfit >= UNCERTAINTY.good_misfit:
-            near = fitted.scaled + RESTART_WIDTH * width * self._rng.standard_normal(len(width))
+            near = fitted.scaled + FIT.restart_width * width * self._rng.standard_normal(len(width))
             again = self._tried(problem, near, fitted)
             known, new = (1.0, np.inf) if again is None else fitted.beside(again)
-            self._restarts = self._restarts - 1 if again is None or new < BETTER * known else 0
+            self._restarts = self._restarts - 1 if again is None or new < FIT.better_chi2_ratio * known else 0
             fitted = again if again is not None and new < known else fitted
         return fitted
 
@@ -291,7 +250,11 @@ def _comes_on_slowly(course: Sequence[float]) -> bool:
 
     Noise alone is no reason to stay: an error that was measured where it is larger takes what the parameters leave.
     """
-    return len(course) > PATIENCE and course[-1] < FAR * course[0] and course[-1] > SLOW * course[-1 - PATIENCE]
+    return (
+        len(course) > FIT.patience_evaluations
+        and course[-1] < FIT.far_start_ratio * course[0]
+        and course[-1] > FIT.slow_chi2_ratio * course[-1 - FIT.patience_evaluations]
+    )
 
 
 def _said(begun: Sequence[np.ndarray], found: Sequence[Fitted], failed: int) -> list[str]:
@@ -303,8 +266,8 @@ def _said(begun: Sequence[np.ndarray], found: Sequence[Fitted], failed: int) -> 
     asked = np.array([not p.nuisance for p in best.parameters])
     sd = np.where(asked, uncertainty(best).sd, np.inf)
     beyond = [np.subtract(*f.beside(best)) for f in found]
-    as_good = [f for f, more in zip(found, beyond, strict=True) if more <= SAME_CHI2 * overdispersion(best)]
-    apart = [f for f in as_good if np.any(np.abs(f.scaled - best.scaled) > SAME_PLACE * sd)]
+    as_good = [f for f, more in zip(found, beyond, strict=True) if more <= FIT.same_chi2 * overdispersion(best)]
+    apart = [f for f in as_good if np.any(np.abs(f.scaled - best.scaled) > FIT.same_place_sd * sd)]
     sentences = [f"Of searches from {len(found) + failed} starts {len(as_good)} ended equally well."]
     if failed:
         sentences.append(f"{failed} could not be simulated where they start.")

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from sysid.fit.marker_field import MarkerField
-from sysid.noise.estimate import REPLACED_FROM, declared_noise, quantities
+from sysid.noise.estimate import declared_noise, quantities
 from sysid.observations.observations import UNITS, Measured, Run
+from sysid.settings.noise import NOISE
 from sysid.solve.covariance import Finding, interval, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import Outliers
@@ -22,7 +23,7 @@ from sysid.uncertainty.profile_likelihood import Profile
 
 NOISE_USED = (
     "noise: what the fit used, estimated from the recordings; declared: what the rig says, which is used where it is "
-    f"more than {REPLACED_FROM:g} times the estimate."
+    f"more than {NOISE.declared_noise_ratio:g} times the estimate."
 )
 """Which of the two is used, in words."""
 

@@ -34,9 +34,7 @@ from sim_core.sensing.observe import frame_of
 from sim_core.simulate import Simulation
 from sysid.model.sensor_streams import total_delay
 from sysid.observations.observations import FirstFrame, Measured
-
-REACH_S = 30.0
-"""Poses so long before and after a first frame [s] are kept with it: no latency is longer."""
+from sysid.settings.model import MODEL
 
 FirstFrames = Mapping[str, FirstFrame]
 """By camera."""
@@ -124,8 +122,8 @@ def _placing(sees: Sequence[Sight]) -> bool:
 
 def _about(trajectory: PoseTrajectory, t: float) -> PoseTrajectory:
     """The poses near a time, at least one."""
-    first = max(0, int(np.searchsorted(trajectory.times, t - REACH_S, side="right")) - 1)
-    last = int(np.searchsorted(trajectory.times, t + REACH_S)) + 1
+    first = max(0, int(np.searchsorted(trajectory.times, t - MODEL.registration_reach_s, side="right")) - 1)
+    last = int(np.searchsorted(trajectory.times, t + MODEL.registration_reach_s)) + 1
     near = slice(min(first, len(trajectory.times) - 1), last)
     return trajectory.part(near)
 

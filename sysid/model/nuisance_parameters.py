@@ -36,14 +36,9 @@ from sysid.model.pose_influence import influencing_end_effectors
 from sysid.noise.estimate import column_groups
 from sysid.observations.observations import Measured, Run
 from sysid.observations.selection import recording_of
+from sysid.settings.model import MODEL
 
 KINDS = ("time", "bias", "camera", "pose")
-
-BIAS_SD = (5.0, 0.5)
-"""Least standard deviation of the bias of a force [N] and of a torque [N m]: that of 5 N at 0.1 m."""
-
-BIAS_SHARE = 0.5
-"""The same in units of the largest force or torque in the recording, where that is more."""
 
 
 def checked_kinds(words: Collection[str]) -> frozenset[str]:
@@ -122,8 +117,8 @@ def bias_sd(measured: Measured) -> np.ndarray | None:
     if measured.kind != "wrench":
         return None
     out = np.zeros(measured.values.shape[1])
-    for group, least in zip(column_groups(measured), BIAS_SD, strict=True):
+    for group, least in zip(column_groups(measured), MODEL.bias_sd, strict=True):
         out[group] = max(
-            least, BIAS_SHARE * float(np.max(np.abs(np.nan_to_num(measured.values[:, group])), initial=0.0))
+            least, MODEL.bias_share * float(np.max(np.abs(np.nan_to_num(measured.values[:, group])), initial=0.0))
         )
     return out

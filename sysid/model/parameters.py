@@ -11,12 +11,7 @@ from sim_core.effects import effect_by_name
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, list_parameters, resolve_name, with_parameters
 from sysid.observations.selection import recording_of
-
-PRIOR_SD_LOG = 2.0
-"""Width of the plausible range of a logarithm: a factor of e^2 either way."""
-
-AT_BOUND = 0.01
-"""A value this close to a bound, in units of its standard deviation or of its range, is at the bound."""
+from sysid.settings.model import MODEL
 
 
 @dataclass(frozen=True)
@@ -31,14 +26,14 @@ class Scale:
 
 
 SCALES = {
-    "E_pa": Scale(True, PRIOR_SD_LOG, 1.0, 1e13),
+    "E_pa": Scale(True, MODEL.plausible_log_sd, 1.0, 1e13),
     "nu": Scale(False, 0.2, -0.3, 0.495),
-    "thickness_m": Scale(True, PRIOR_SD_LOG, 1e-7, 0.02),
-    "density_kg_m3": Scale(True, PRIOR_SD_LOG, 1.0, 3e4),
+    "thickness_m": Scale(True, MODEL.plausible_log_sd, 1e-7, 0.02),
+    "density_kg_m3": Scale(True, MODEL.plausible_log_sd, 1.0, 3e4),
     "mass_damping_per_s": Scale(False, 5.0, 0.0, 1e4),
     "stiffness_damping_s": Scale(False, 1e-2, 0.0, 10.0),
     "friction": Scale(False, 0.5, 0.0, 3.0),
-    "stiffness_pa_per_m": Scale(True, PRIOR_SD_LOG, 1.0, 1e15),
+    "stiffness_pa_per_m": Scale(True, MODEL.plausible_log_sd, 1.0, 1e15),
     "latency_s": Scale(False, 0.05, -10.0, 10.0),
     **{f"offset_{axis}_m": Scale(False, 5e-3, -0.1, 0.1) for axis in "xyz"},
     **{f"offset_r{axis}_deg": Scale(False, 5.0, -45.0, 45.0) for axis in "xyz"},
@@ -115,7 +110,7 @@ class FitParameter:
     def at_bound(self, scaled: float, sd: float) -> bool:
         """Whether a fitted value stands at a bound, as far as its standard deviation and range tell."""
         low, high = self.scaled_bounds
-        return min(scaled - low, high - scaled) <= AT_BOUND * min(high - low, sd)
+        return min(scaled - low, high - scaled) <= MODEL.at_bound_share * min(high - low, sd)
 
 
 def fit_parameters(rig: Rig, names: Sequence[str]) -> list[FitParameter]:

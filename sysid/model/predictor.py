@@ -23,9 +23,7 @@ from sysid.model.sensor_streams import predicted, predicted_derivatives, stream_
 from sysid.model.sequence import LeftBefore, frozen_before
 from sysid.model.time_span import after_known_motion, rollout_times
 from sysid.observations.observations import Run
-
-STEP = 1e-5
-"""Half width, in the fitted scale, of the differences that tell what a parameter changes in the rig."""
+from sysid.settings.model import MODEL
 
 
 @dataclass(frozen=True)
@@ -241,7 +239,7 @@ def _made(prediction: Callable[[], Prediction]) -> Future[Prediction]:
 def _direction(rig: Rig, parameters: Sequence[FitParameter], scaled: np.ndarray, k: int) -> Direction:
     """Parameter number ``k`` as a direction in the fitted scale, within its bounds."""
     bounds = parameters[k].scaled_bounds
-    ends = [float(np.clip(scaled[k] + s, *bounds)) for s in (-STEP, STEP)]
+    ends = [float(np.clip(scaled[k] + s, *bounds)) for s in (-MODEL.rig_difference_step, MODEL.rig_difference_step)]
     rigs = [rig_at(rig, parameters, np.where(np.arange(len(scaled)) == k, end, scaled)) for end in ends]
     return Direction(parameters[k].name, rigs[0], rigs[1], ends[1] - ends[0])
 

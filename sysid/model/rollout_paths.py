@@ -19,9 +19,7 @@ from sim_core.rigs import Rig, Sheet
 from sim_core.simulate import NodePath
 from sysid.model.predictor import Prediction
 from sysid.observations.observations import Run
-
-MOST = 48
-"""Rollouts of which paths are kept, of some megabytes each."""
+from sysid.settings.model import MODEL
 
 
 class RolloutPaths:
@@ -48,7 +46,7 @@ class RolloutPaths:
         with self._lock:
             first = self._first.get(key)
             if first is None:
-                if len(self._first) >= MOST:
+                if len(self._first) >= MODEL.kept_paths:
                     self._first.pop(next(iter(self._first)))
                 started = self._first[key] = begin(True, None)
                 return started

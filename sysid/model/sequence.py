@@ -26,9 +26,7 @@ from sim_core.scene import Scene
 from sim_core.simulate import run as run_through
 from sim_core.simulate import simulate, step_times
 from sysid.observations.observations import Run
-
-MOST = 64
-"""States that are kept."""
+from sysid.settings.model import MODEL
 
 
 def earlier_motion(whole: Iterable[Run], run: Run) -> tuple[Run, ...]:
@@ -95,7 +93,7 @@ class LeftBefore:
         for before in run.earlier:
             key = (key, before.path, before.since, before.end)
             if key not in self._known:
-                if len(self._known) >= MOST:
+                if len(self._known) >= MODEL.kept_states:
                     self._known.popitem(last=False)
                 self._known[key] = rollout(before, left)
             self._known.move_to_end(key)

@@ -7,7 +7,7 @@ s in units of the parameters' priors and the change y of a reading,
 
     J' = J + (y - J s) s^T / (s^T s).
 
-They are made anew after :data:`MOST_CARRIED` evaluations, where the step is long, and for other parameters.
+They are made anew after ``MODEL.carried_evaluations`` evaluations, where the step is long, and for other parameters.
 """
 
 from __future__ import annotations
@@ -23,12 +23,7 @@ from sysid.model.parameters import FitParameter, rig_in
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.observations.observations import Run
-
-MOST_CARRIED = 5
-"""Evaluations in a row without derivatives of their own."""
-
-LONG_STEP = 3.0
-"""Step, in standard deviations of what is known of the parameters, from which derivatives are made anew."""
+from sysid.settings.model import MODEL
 
 
 @dataclass
@@ -77,7 +72,7 @@ class SparingPredictor:
         step = (scaled - before.scaled) / width
         if not step.any():
             return before.found
-        if before.since >= MOST_CARRIED or np.abs(step).max(initial=0.0) > LONG_STEP:
+        if before.since >= MODEL.carried_evaluations or np.abs(step).max(initial=0.0) > MODEL.fresh_derivatives_sd:
             return self._anew(rig, runs, parameters, scaled)
         jobs = [self._engine.submit(rig_in(rig, parameters, scaled, run.name), run) for run in runs]
         found = [

@@ -17,12 +17,7 @@ from sim_core.simulate import step_times
 from sysid.model.sensor_streams import total_delay
 from sysid.noise.stillness import moving
 from sysid.observations.observations import Measured, Run
-
-LAST_S = 1.0
-"""Time before the last pose [s] that tells whether the end effector stands still there."""
-
-STILL_S = 0.1
-"""It does if it has not moved for so long [s]: it is then taken to stay for ``max_gap_s``."""
+from sysid.settings.model import MODEL
 
 
 def rollout_times(rigs: Sequence[Rig], run: Run, dt: float) -> np.ndarray:
@@ -60,6 +55,6 @@ def known_until(rig: Rig, run: Run) -> float:
 
 def _ends_in_motion(trajectory: PoseTrajectory) -> bool:
     t = trajectory.times
-    first = max(0, min(int(np.searchsorted(t, t[-1] - LAST_S)), len(t) - 2))
+    first = max(0, min(int(np.searchsorted(t, t[-1] - MODEL.last_poses_s)), len(t) - 2))
     last = trajectory.part(slice(first, None))
-    return any(end > t[-1] - STILL_S for _, end in moving(last))
+    return any(end > t[-1] - MODEL.still_end_s for _, end in moving(last))

@@ -28,12 +28,7 @@ from sysid.observations.observations import Change, Measured, Run
 from sysid.observations.rig_match import span_of
 from sysid.observations.selection import Part
 from sysid.recording.notes import told_once
-
-STILL_S = 0.2
-"""Time before a window in which nothing should move, and of which readings are compared with those of rest."""
-
-FAR_OFF = 6.0
-"""Difference from rest, over its standard deviation, that is told."""
+from sysid.settings.model import MODEL
 
 
 def window_of(rig: Rig, run: Run, part: Part) -> Run:
@@ -73,10 +68,10 @@ def window_of(rig: Rig, run: Run, part: Part) -> Run:
                 "Begin the window at 0 s, or use the whole recording.",
             )
         for name, trajectory in run.poses.items():
-            if any(end > part.begin - STILL_S for _, end in moving(_until(trajectory, part.begin))):
+            if any(end > part.begin - MODEL.window_rest_s for _, end in moving(_until(trajectory, part.begin))):
                 notes.append(
-                    f"{name} moves in the {STILL_S:g} s before the window begins, which is simulated from rest. Begin "
-                    "it where the hand stands still."
+                    f"{name} moves in the {MODEL.window_rest_s:g} s before the window begins, which is simulated from "
+                    "rest. Begin it where the hand stands still."
                 )
         changes = _changes(rig, run, part.begin)
     return replace(
@@ -125,7 +120,10 @@ def _changes(rig: Rig, run: Run, begin: float) -> dict[str, Change]:
     still = min((span[0] for p in run.poses.values() for span in moving(p)[:1]), default=np.inf)
     found = {}
     for m in run.measured:
-        parts = [m.values[(m.t <= still) & (m.t < begin - STILL_S)], m.values[(m.t >= begin - STILL_S) & (m.t < begin)]]
+        parts = [
+            m.values[(m.t <= still) & (m.t < begin - MODEL.window_rest_s)],
+            m.values[(m.t >= begin - MODEL.window_rest_s) & (m.t < begin)],
+        ]
         counts = [np.isfinite(values).sum(axis=0) for values in parts]
         columns = np.flatnonzero((counts[0] > 0) & (counts[1] > 0))
         if not len(columns):
@@ -163,7 +161,7 @@ def not_from_rest(rig: Rig, run: Run) -> list[str]:
         expected = (ends[1][m.channel] - ends[0][m.channel])[change.columns]
         off = np.nan_to_num(np.abs(change.mean - expected) / change.scatter)
         worst = int(np.argmax(off))
-        if off[worst] > FAR_OFF:
+        if off[worst] > MODEL.window_rest_sd:
             notes.append(
                 f"{m.channel}: {m.labels[change.columns[worst]]} is {off[worst]:.0f} standard deviations from rest "
                 "where the window begins. Something touches there, or remembers what was before, or the sensor has "

@@ -37,23 +37,7 @@ from scipy.optimize import nnls
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import FROM_DIFFERENCES
 from sysid.noise.sampling_interval import in_sampling_intervals
-from sysid.noise.scatter import MIN_REST_SAMPLES
-
-SHORTEST, LONGER = 1.5, 3.0
-"""Shortest correlation length [samples], and the largest ratio of one to the next."""
-
-LONGEST_SHARE = 0.2
-"""Longest correlation length, in lengths of the longest recording: what is slower is not told from a parameter."""
-
-FARTHEST_SHARE = 1.0 / 3.0
-"""Largest lag, likewise."""
-
-AT_ONCE = 4e6
-"""Numbers that are transformed at a time."""
-
-SEEN = 6.0
-"""By how much colour must lower the sum of squares over lags, in units of their variance by white noise, to be
-believed."""
+from sysid.settings.noise import NOISE
 
 
 @dataclass(frozen=True)
@@ -109,9 +93,11 @@ def autocorrelated_scores(quantities: Sequence[Sequence[Part]], inverse: np.ndar
 def _excess(parts: Sequence[Part], number: int, inverse: np.ndarray) -> np.ndarray:
     """J^T C J - J^T J of one quantity."""
     longest = max(len(part.there) for part in parts)
-    lengths = _geometric(SHORTEST, LONGER, LONGEST_SHARE * longest)
+    lengths = _geometric(
+        NOISE.shortest_correlation_samples, NOISE.correlation_length_ratio, NOISE.longest_correlation_share * longest
+    )
     rhos = np.array([0.0, *np.exp(-1.0 / lengths)])
-    lags = np.unique(np.round([0.0, *_geometric(1.0, 2.0, FARTHEST_SHARE * longest)]).astype(int))
+    lags = np.unique(np.round([0.0, *_geometric(1.0, 2.0, NOISE.largest_lag_share * longest)]).astype(int))
     pairs = np.array([sum(int((_from(p.there, k) & _until(p.there, k)).sum()) for p in parts) for k in lags])
     products = np.array([sum(float(np.sum(_from(p.residual, k) * _until(p.residual, k))) for p in parts) for k in lags])
     beside = _beside(parts, longest)
@@ -136,7 +122,7 @@ def _excess(parts: Sequence[Part], number: int, inverse: np.ndarray) -> np.ndarr
     size = np.linalg.norm(weighed, axis=0)
     shares, off = nnls(weighed / size, wanted)
     white = weighed[:, 0] * (weighed[:, 0] @ wanted) / size[0] ** 2
-    if np.sum((wanted - white) ** 2) - off**2 < SEEN:
+    if np.sum((wanted - white) ** 2) - off**2 < NOISE.colour_evidence:
         return np.asarray((level - 1.0) * spreads[0])
     return np.asarray(np.tensordot(level * shares / size, spreads, axes=1) - spreads[0])
 
@@ -148,7 +134,7 @@ def _beside(parts: Sequence[Part], longest: int) -> np.ndarray:
     found = np.zeros((longest, p, p))
     for part in parts:
         n, m = part.there.shape
-        many = max(1, int(AT_ONCE / (2 * n * p)))
+        many = max(1, int(NOISE.transformed_at_once / (2 * n * p)))
         spectrum = np.zeros((n + 1, p, p), dtype=complex)
         for k in range(0, m, many):
             wave = np.fft.rfft(part.jacobian[:, k : k + many], 2 * n, axis=0)
@@ -196,9 +182,9 @@ def _until(values: np.ndarray, lag: int) -> np.ndarray:
 def unknown_autocorrelation(noise: Mapping[str, ChannelNoise]) -> list[str]:
     """A sentence for each channel whose colour no rest told."""
     return [
-        f"The colour of the noise of {name} is not known, since nothing stands still for {MIN_REST_SAMPLES} of its "
-        "samples. Readings are weighed as if it were white, and intervals allow for the correlation of what the fit "
-        "leaves. Record a rest at the start."
+        f"The colour of the noise of {name} is not known, since nothing stands still for {NOISE.min_rest_samples} "
+        "of its samples. Readings are weighed as if it were white, and intervals allow for the correlation of what "
+        "the fit leaves. Record a rest at the start."
         for name, found in sorted(noise.items())
         if found.source == FROM_DIFFERENCES
     ]

@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid.noise.common_mode import CommonMode
-
-FREQUENCIES = 512
-"""Frequencies that a spectrum is averaged over."""
+from sysid.settings.noise import NOISE
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,7 @@ class ChannelNoise:
     def whitening_gain(self) -> np.ndarray:
         """Mean square of what whitening makes of values that are independent from sample to sample, in units of
         ``sigma`` ``(m,)``: the mean of 1 / S over all frequencies, for the spectrum S of the noise."""
-        cosine = np.cos(np.pi * (np.arange(FREQUENCIES) + 0.5) / FREQUENCIES)[:, None]
+        cosine = np.cos(np.pi * (np.arange(NOISE.spectrum_frequencies) + 0.5) / NOISE.spectrum_frequencies)[:, None]
         coloured = (1.0 - self.rho**2) / (1.0 - 2.0 * self.rho * cosine + self.rho**2)
         return np.asarray(np.mean(1.0 / (self.white + (1.0 - self.white) * coloured), axis=0))
 

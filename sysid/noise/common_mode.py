@@ -21,19 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.noise.sampling_interval import in_sampling_intervals
-from sysid.noise.scatter import MIN_REST_SAMPLES, MOST_COLOURED, WHITE, Stretch, scatter_of
-
-LEAST_MARKERS = 6
-"""Markers from which a picture tells what they have in common."""
-
-MORE = 3.0
-"""Variance of a mode over that of what is left, from which it is no chance."""
-
-TAKEN_FOR_MISTAKES = 5.0
-"""Robust standard deviations beyond which a displacement does not count for what markers have in common."""
-
-UNLIKE = 1.5
-"""Ratio of what is left in a stretch to that in the calmest one from which something moves in it."""
+from sysid.noise.scatter import Stretch, scatter_of
+from sysid.settings.noise import NOISE
 
 KINDS = ((0, 1), (2,), (3,))
 """Modes that share one level: both shifts, the turn, the scale."""
@@ -75,7 +64,7 @@ def modes(places: np.ndarray, seen: np.ndarray) -> np.ndarray:
         axis=1,
     ).reshape(len(seen), 4, -1)
     size = np.linalg.norm(shapes, axis=2, keepdims=True)
-    enough = (there.sum(axis=1) >= LEAST_MARKERS)[:, None, None]
+    enough = (there.sum(axis=1) >= NOISE.common_mode_markers)[:, None, None]
     return np.where(enough & (size > 0.0), shapes / np.maximum(size, 1e-300), 0.0)
 
 
@@ -101,14 +90,14 @@ def common_mode(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> CommonMod
     if not left:
         return None
     # Where something still swings, markers have other things in common than the noise of the picture.
-    calm = UNLIKE * min(s.level for s in left)
+    calm = NOISE.restless_ratio * min(s.level for s in left)
     kept = [k for k, s in enumerate(left) if s.level <= calm]
     left, found = [left[k] for k in kept], [[of_kind[k] for k in kept] for of_kind in found]
     own_level, own_rho = _pooled(left)
     shares = np.ones(4)
     for kind, of_kind in zip(KINDS, found, strict=True):
         level, rho = _pooled(of_kind)
-        if level**2 > MORE * own_level**2:
+        if level**2 > NOISE.common_mode_variance_ratio * own_level**2:
             shares[list(kind)] = min(1.0, np.sqrt(_of_means(own_level, own_rho) / _of_means(level, rho)))
     if (shares == 1.0).all() or own_level <= 0.0:
         return None
@@ -123,19 +112,19 @@ def _of_means(level: float, rho: float) -> float:
 def _pooled(stretches: Sequence[Stretch]) -> tuple[float, float]:
     """Level and correlation of noise over stretches."""
     size = [s.size for s in stretches]
-    rho = min(float(np.average([s.rho for s in stretches], weights=size)), MOST_COLOURED)
+    rho = min(float(np.average([s.rho for s in stretches], weights=size)), NOISE.largest_correlation)
     level = float(np.sqrt(np.average(np.square([s.level for s in stretches]), weights=size)))
-    return level, rho if rho > WHITE else 0.0
+    return level, rho if rho > NOISE.white_correlation else 0.0
 
 
 def _split(values: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Coefficients of the modes ``(n, 4)`` of pictures ``(n, m)``, as of pictures in which all markers are seen, and
     what is left of the displacements ``(n, m)``; None with too few pictures or markers. What is a mistake counts for
     neither."""
-    if values.shape[1] < 2 * LEAST_MARKERS:
+    if values.shape[1] < 2 * NOISE.common_mode_markers:
         return None
-    whole = np.isfinite(values).sum(axis=0) >= MIN_REST_SAMPLES
-    if whole.reshape(-1, 2).all(axis=1).sum() < LEAST_MARKERS:
+    whole = np.isfinite(values).sum(axis=0) >= NOISE.min_rest_samples
+    if whole.reshape(-1, 2).all(axis=1).sum() < NOISE.common_mode_markers:
         return None
     places = np.where(whole, np.nanmedian(np.where(whole, values, 0.0), axis=0), np.nan)
     away = values - places
@@ -146,7 +135,7 @@ def _split(values: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     points[lost] = 0.0
     rough = points - np.nanmedian(points, axis=1, keepdims=True)
     scale = 1.4826 * float(np.nanmedian(np.abs(rough)))
-    near = (np.abs(rough) <= TAKEN_FOR_MISTAKES * scale).all(axis=2)
+    near = (np.abs(rough) <= NOISE.common_mode_outlier_sd * scale).all(axis=2)
     seen &= np.repeat(near, 2, axis=1)
     h = modes(places, seen)
     displaced = np.where(seen, away, 0.0)

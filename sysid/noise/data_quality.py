@@ -12,22 +12,7 @@ from sysid.noise.estimate import by_differences, declared_noise, quantities
 from sysid.noise.stillness import moves, quiet
 from sysid.observations.observations import UNITS, Measured, Run
 from sysid.recording.notes import plural
-
-FEW = 10
-"""Instants with readings, of all recordings together, below which a fit that explains them says little."""
-
-LISTED = 3
-"""Faults of a recording that are named; the notes have the others."""
-
-ENOUGH = 30
-"""Readings from which their scatter is judged."""
-
-RESTLESS, RESTLESS_UNDECLARED = 1.3, 10.0
-"""Scatter of readings in a recording without motion, over the declared noise, or else over that of neighbouring
-samples, from which they are not those of rest."""
-
-APART = 3.0
-"""Ratio of the noise of two recordings from which they are not weighed alike without a word."""
+from sysid.settings.noise import NOISE
 
 
 def data_quality_warnings(rig: Rig, runs: Sequence[Run]) -> list[str]:
@@ -35,10 +20,14 @@ def data_quality_warnings(rig: Rig, runs: Sequence[Run]) -> list[str]:
     said = []
     for run in runs:
         if run.doubts:
-            more = f"; and {len(run.doubts) - LISTED} more, in the notes" if len(run.doubts) > LISTED else ""
+            more = (
+                f"; and {len(run.doubts) - NOISE.listed_faults} more, in the notes"
+                if len(run.doubts) > NOISE.listed_faults
+                else ""
+            )
             said.append(
                 f"{run.name} was read with {plural(len(run.doubts), 'fault')} that may change the result: "
-                f"{'; '.join(run.doubts[:LISTED])}{more}".rstrip(".")
+                f"{'; '.join(run.doubts[: NOISE.listed_faults])}{more}".rstrip(".")
                 + "."
             )
         said += _dead(run)
@@ -46,7 +35,7 @@ def data_quality_warnings(rig: Rig, runs: Sequence[Run]) -> list[str]:
             said += _restless(rig, run)
     said += _apart(runs)
     instants = sum(max(int(np.isfinite(m.values).any(axis=1).sum()) for m in run.measured) for run in runs)
-    if instants < FEW:
+    if instants < NOISE.few_instants:
         said.append(
             f"There are readings of {plural(instants, 'instant')} only. That a rig explains so few says little of it: "
             "record for longer."
@@ -58,7 +47,7 @@ def _dead(run: Run) -> Iterator[str]:
     """Sensors of which every reading is the same."""
     for m in run.measured:
         finite = np.isfinite(m.values)
-        seen = m.values[:, finite.sum(axis=0) >= FEW]
+        seen = m.values[:, finite.sum(axis=0) >= NOISE.few_instants]
         if seen.size and np.all(np.nanmax(seen, axis=0) == np.nanmin(seen, axis=0)):
             count = int(finite.any(axis=1).sum())
             yield f"All {count} readings of {m.channel} in {run.name} are the same: look whether it was on."
@@ -71,11 +60,11 @@ def _restless(rig: Rig, run: Run) -> Iterator[str]:
         for quantity, group in quantities(m):
             values = m.values[:, group]
             values = values[:, np.isfinite(values).any(axis=0)]
-            if np.isfinite(values).sum() < ENOUGH:
+            if np.isfinite(values).sum() < NOISE.scatter_readings:
                 continue
             scatter = float(np.sqrt(np.nanmean((values - np.nanmean(values, axis=0)) ** 2)))
-            noise = float(np.median(declared[group])) * RESTLESS
-            noise = noise or max([*by_differences(values, m.t), 0.0]) * RESTLESS_UNDECLARED
+            noise = float(np.median(declared[group])) * NOISE.restless_over_declared
+            noise = noise or max([*by_differences(values, m.t), 0.0]) * NOISE.restless_over_neighbours
             if scatter > noise > 0.0:
                 yield (
                     f"No end effector moves in {run.name}, and yet the {quantity} of {m.channel} changes by more than "
@@ -97,7 +86,7 @@ def _apart(runs: Sequence[Run]) -> Iterator[str]:
                     levels.setdefault((m.channel, quantity, unit), []).append((found[0], run.name))
     for (channel, quantity, unit), there in levels.items():
         (low, calm), (high, loud) = min(there), max(there)
-        if high > APART * low:
+        if high > NOISE.noise_levels_ratio * low:
             yield (
                 f"The {quantity} of {channel} has a noise of {high:.2g} {unit} in {loud} and of {low:.2g} {unit} in "
                 f"{calm}, and both are weighed alike. Fit them apart, or leave out what is noisier."
@@ -107,6 +96,6 @@ def _apart(runs: Sequence[Run]) -> Iterator[str]:
 def _seen(run: Run, measured: Measured, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Readings of a group of columns in the longest rest, or all, empty where there are too few, and their times."""
     rest = max(quiet(run, measured.t), key=len, default=np.arange(len(measured.t)))
-    if np.isfinite(measured.values[np.ix_(rest, group)]).sum() < ENOUGH:
+    if np.isfinite(measured.values[np.ix_(rest, group)]).sum() < NOISE.scatter_readings:
         rest = rest[:0]
     return measured.values[np.ix_(rest, group)], measured.t[rest]

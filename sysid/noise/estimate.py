@@ -30,45 +30,11 @@ from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.common_mode import CommonMode, common_mode
 from sysid.noise.mixture import Mixture, mixture_of
 from sysid.noise.quantisation import common_step
-from sysid.noise.sampling_interval import NEXT, in_sampling_intervals
-from sysid.noise.scatter import (
-    MIN_REST_SAMPLES,
-    MOST_COLOURED,
-    WHITE,
-    Stretch,
-    beside_line,
-    scatter_of,
-    without_mistakes,
-)
+from sysid.noise.sampling_interval import in_sampling_intervals
+from sysid.noise.scatter import Stretch, beside_line, scatter_of, without_mistakes
 from sysid.noise.stillness import quiet
 from sysid.observations.observations import UNITS, Measured, Run
-
-UNLIKE = 2.2
-"""Ratio of the noise of two recordings at rest from which the louder one is not at rest."""
-
-
-FLOOR_SHARE = 1e-5
-"""Noise is not taken to be below this share of a column group's range (noise-free simulations)."""
-
-NEIGHBOURS = 10.0
-"""Readings farther apart than this many sampling intervals of their sensor are states of their own: their differences
-are motion, not noise, and the noise is the declared one."""
-
-SMOOTHER = 0.1
-"""Share of the differences that noise of the level and colour of a stretch has, from which the stretch is at rest."""
-
-FEW_CROSSINGS = 6.0
-"""Zero crossings of readings beside a straight line, up to which a smooth stretch may be a trend."""
-
-HELD = 0.2
-"""Share of readings that repeat the one before, from which differences say nothing of noise."""
-
-TRENDING = 100.0
-"""Standard deviation of a smooth stretch, over the declared noise, from which its readings are motion."""
-
-REPLACED_FROM = 2.0
-"""A declared noise of this many times the estimated one takes the place of the latter altogether."""
-
+from sysid.settings.noise import NOISE
 
 DECLARED = "declared by the rig"
 FROM_DIFFERENCES = "third differences"
@@ -104,10 +70,11 @@ def channel_noise(rig: Rig, runs: Sequence[Run], held_out: Sequence[Run] = ()) -
 
 
 def _far_apart(rig: Rig, runs: Sequence[Run], channel: str) -> bool:
-    """Whether no reading of a channel has a neighbour within :data:`NEIGHBOURS` of its sampling intervals."""
+    """Whether no reading of a channel has a neighbour within ``NOISE.neighbour_intervals`` of its sampling
+    intervals."""
     rate = (rig.sensors.get(channel) or rig.cameras[channel]).rate_hz
     pauses = [np.diff(m.t) for run in runs for m in run.measured if m.channel == channel]
-    return all((pause > NEIGHBOURS / rate).all() for pause in pauses)
+    return all((pause > NOISE.neighbour_intervals / rate).all() for pause in pauses)
 
 
 def declared_noise(rig: Rig, channel: str) -> np.ndarray:
@@ -160,7 +127,7 @@ def unless_larger(noise: ChannelNoise, declared: np.ndarray) -> ChannelNoise:
     then found in a scatter (of interpolated or smoothed samples) that is not the noise.
     """
     floor = np.broadcast_to(declared, noise.sigma.shape)
-    larger = floor > REPLACED_FROM * noise.sigma
+    larger = floor > NOISE.declared_noise_ratio * noise.sigma
     if larger.any():
         sigma = np.maximum(noise.sigma, floor)
         rho, white = (np.where(larger, 0.0, values) for values in (noise.rho, noise.white))
@@ -173,12 +140,12 @@ def overruled(runs: Sequence[Run], noise: Mapping[str, ChannelNoise]) -> list[st
     said: dict[tuple[str, str], str] = {}
     for m in (m for run in runs for m in run.measured):
         found = noise[m.channel]
-        if found.estimated is None or len(m.t) < MIN_REST_SAMPLES:
+        if found.estimated is None or len(m.t) < NOISE.min_rest_samples:
             continue
         for unit, (quantity, group) in zip(UNITS[m.kind], quantities(m), strict=False):
             seen = group[np.isfinite(m.values[:, group]).any(axis=0)]
             declared, shown = (np.median(sigma[seen]) if len(seen) else 0.0 for sigma in (found.sigma, found.estimated))
-            if declared > REPLACED_FROM * shown > 1e-9 * declared:
+            if declared > NOISE.declared_noise_ratio * shown > 1e-9 * declared:
                 said[(m.channel, quantity)] = (
                     f"The noise of the {quantity} of {m.channel} is {declared:.3g} {unit}, as the rig declares; "
                     f"recordings show {shown:.2g} {unit}. Unless they were smoothed or interpolated, correct the rig."
@@ -217,7 +184,7 @@ def estimate_noise(runs: list[Run], channel: str, declared: np.ndarray | None = 
         if first:
             size = [s.size for s in first]
             levels = [s.level for s in first]
-            if max(levels) > UNLIKE * min(levels):
+            if max(levels) > NOISE.unlike_rests_ratio * min(levels):
                 # Something still swings or creeps in some of them.
                 level, colour = _quantile(levels, size, 0.25), _quantile([s.rho for s in first], size, 0.5)
             else:
@@ -235,8 +202,8 @@ def estimate_noise(runs: list[Run], channel: str, declared: np.ndarray | None = 
         if parts is not None:
             level, colour, white[group] = parts
         rounding = common_step(column for _, m in found for column in m.values[:, group].T) / np.sqrt(12.0)
-        sigma[group] = max(level, rounding, FLOOR_SHARE * extent, 1e-12)
-        rho[group] = min(colour, MOST_COLOURED) if colour > WHITE else 0.0
+        sigma[group] = max(level, rounding, NOISE.noise_floor_share * extent, 1e-12)
+        rho[group] = min(colour, NOISE.largest_correlation) if colour > NOISE.white_correlation else 0.0
     return ChannelNoise(sigma, rho, source, common=common, white=white)
 
 
@@ -254,7 +221,7 @@ def by_differences(values: np.ndarray, t: np.ndarray) -> list[float]:
     ``(n,)``; empty without any. Where samples are missing between neighbours, as long as there are others, their
     differences are left out: they are motion."""
     third = np.diff(values, n=3, axis=0)
-    there, gap = np.isfinite(third), np.diff(in_sampling_intervals(t)) >= NEXT
+    there, gap = np.isfinite(third), np.diff(in_sampling_intervals(t)) >= NOISE.gap_interval
     whole = there & ~(gap[:-2] | gap[1:-1] | gap[2:])[:, None]
     third = third[whole if whole.any() else there]
     return [1.4826 * float(np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0)] if len(third) else []
@@ -267,7 +234,8 @@ def rests(run: Run, values: np.ndarray, t: np.ndarray, declared: float) -> list[
     for stretch in quiet(run, t):
         scatter = scatter_of(values[stretch], at[stretch])
         if scatter is not None and not (
-            0.0 < TRENDING * declared < scatter.level and has_trend(values[stretch], t[stretch], scatter)
+            0.0 < NOISE.trend_over_declared_noise * declared < scatter.level
+            and has_trend(values[stretch], t[stretch], scatter)
         ):
             found.append((stretch, scatter))
     return found
@@ -284,15 +252,15 @@ def has_trend(values: np.ndarray, t: np.ndarray, scatter: Stretch) -> bool:
     """
     differences = by_differences(values, t)
     repeated = np.diff(values, axis=0) == 0.0
-    if not differences or repeated.mean() > HELD:
+    if not differences or repeated.mean() > NOISE.held_reading_share:
         return False
     rho = max(scatter.rho, 0.0)
     expected = scatter.level * np.sqrt(1.0 - 1.5 * rho + 0.6 * rho**2 - 0.1 * rho**3)
-    if differences[0] >= SMOOTHER * expected:
+    if differences[0] >= NOISE.smooth_rest_share * expected:
         return False
     beside = beside_line(values, in_sampling_intervals(t))
     crossings, weight = np.sum(beside[1:] * beside[:-1] < 0.0, axis=0), np.sum(beside**2, axis=0)
-    return float(crossings @ weight) <= FEW_CROSSINGS * float(weight.sum())
+    return float(crossings @ weight) <= NOISE.trend_crossings * float(weight.sum())
 
 
 def _quantile(values: list[float], weights: list[int], share: float) -> float:

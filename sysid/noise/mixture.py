@@ -7,9 +7,9 @@ correlation of a column y at rest and X = (1, t, t^2),
     -2 log L = (n - 3) log s^2 + RSS / s^2 + log |K| + log |X^T K^-1 X|,
 
 summed over all stretches and columns, which share s, rho and the share that is white. A noise with one part only is
-the simpler one: a second part has to be worth :data:`LEAST_GAIN`. What is slow is known badly from short rests, and its
-most probable size is on average half of what it is, so means over the posterior are taken: of both variances, and of
-the variance of the mean of many samples, from which the correlation follows.
+the simpler one: a second part has to be worth ``NOISE.white_part_gain``. What is slow is known badly from short rests,
+and its most probable size is on average half of what it is, so means over the posterior are taken: of both variances,
+and of the variance of the mean of many samples, from which the correlation follows.
 """
 
 from __future__ import annotations
@@ -20,24 +20,11 @@ from typing import NamedTuple
 import numpy as np
 
 from sysid.noise.channel_noise import ChannelNoise
-from sysid.noise.scatter import MOST_COLOURED
 from sysid.noise.whitening import Whitening
-
-LEAST_GAIN = 4.0
-"""Log likelihood that a white part beside the coloured one must be worth."""
-
-DEGREE = 2
-"""Of what a stretch may do by itself: a motion that begins slowly is no noise."""
-
-COLUMNS = 12
-"""Columns of a quantity that are asked: they share level and colour."""
+from sysid.settings.noise import NOISE
 
 COLOURS, SHARES = 1.0 - np.geomspace(0.5, 0.015, 12), np.linspace(0.04, 0.94, 11)
 """Correlations and white shares that the likelihood is integrated over."""
-
-INTERVALS, WITHIN = 10.0, 1.0
-"""Sampling intervals over which coloured noise beside white is correlated, and the standard deviation of the logarithm
-of their number: what was known before."""
 
 
 class Mixture(NamedTuple):
@@ -65,8 +52,8 @@ def mixture_of(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> Mixture | 
             good = np.isfinite(values)
             one = np.ones(values.shape[1])
             whitening = Whitening(ChannelNoise(one, rho * one, "", white=white * one), good, t)
-            course = np.vander((t - t[0]) / max(t[-1] - t[0], 1e-300), DEGREE + 1)
-            course = np.broadcast_to(course[:, None], (*values.shape, DEGREE + 1))
+            course = np.vander((t - t[0]) / max(t[-1] - t[0], 1e-300), NOISE.trend_degree + 1)
+            course = np.broadcast_to(course[:, None], (*values.shape, NOISE.trend_degree + 1))
             both = whitening(np.concatenate([np.where(good, values, 0.0)[..., None], course], axis=-1))
             logs -= 2.0 * whitening.log_determinant
             for column, seen in zip(both.transpose(1, 0, 2), good.T, strict=True):
@@ -74,14 +61,14 @@ def mixture_of(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> Mixture | 
                 gram = x.T @ x
                 squares += float(y @ y - (x.T @ y) @ np.linalg.solve(gram, x.T @ y))
                 logs += float(np.linalg.slogdet(gram)[1])
-                number += int(seen.sum()) - DEGREE - 1
+                number += int(seen.sum()) - NOISE.trend_degree - 1
         variance = max(squares / number, 1e-300)
         return number * (np.log(variance) + 1.0) + logs, variance
 
-    alone = min(loss(rho, 0.0)[0] for rho in (0.0, *np.linspace(0.05, MOST_COLOURED, 20)))
+    alone = min(loss(rho, 0.0)[0] for rho in (0.0, *np.linspace(0.05, NOISE.largest_correlation, 20)))
     rho, white = (grid.ravel() for grid in np.meshgrid(COLOURS, SHARES))
     found, variance = np.array([loss(r, w) for r, w in zip(rho, white, strict=True)]).T
-    if alone - float(found.min()) < 2.0 * LEAST_GAIN:
+    if alone - float(found.min()) < 2.0 * NOISE.white_part_gain:
         return None
     found += _prior(rho)
     weight = np.exp(-0.5 * (found - found.min()))
@@ -89,17 +76,17 @@ def mixture_of(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> Mixture | 
     of_white, of_coloured = float(weight @ (variance * white)), float(weight @ (variance * (1.0 - white)))
     slow = float(weight @ (variance * (1.0 - white) * (1.0 + rho) / (1.0 - rho))) / of_coloured
     whole = of_white + of_coloured
-    return Mixture(float(np.sqrt(whole)), min((slow - 1.0) / (slow + 1.0), MOST_COLOURED), of_white / whole)
+    return Mixture(float(np.sqrt(whole)), min((slow - 1.0) / (slow + 1.0), NOISE.largest_correlation), of_white / whole)
 
 
 def _prior(rho: np.ndarray) -> np.ndarray:
     """-2 log of the prior of correlations: what is slower than a rest is long cannot be told from its course."""
-    return np.asarray((np.log(INTERVALS * (1.0 - rho)) / WITHIN) ** 2)
+    return np.asarray((np.log(NOISE.colour_intervals * (1.0 - rho)) / NOISE.colour_intervals_log_sd) ** 2)
 
 
 def _some(values: np.ndarray) -> np.ndarray:
     """A few of the columns that have readings enough ``(n, k)``."""
-    enough = np.flatnonzero(np.isfinite(values).sum(axis=0) > 2 * DEGREE)
-    if len(enough) > COLUMNS:
-        enough = enough[np.linspace(0, len(enough) - 1, COLUMNS).astype(int)]
+    enough = np.flatnonzero(np.isfinite(values).sum(axis=0) > 2 * NOISE.trend_degree)
+    if len(enough) > NOISE.mixture_columns:
+        enough = enough[np.linspace(0, len(enough) - 1, NOISE.mixture_columns).astype(int)]
     return values[:, enough]

@@ -18,18 +18,7 @@ from statistics import median_high
 
 import numpy as np
 
-ROUND_OFF = 2.5e-7
-"""Values closer than this share of the largest of a column are the same: twice what single precision tells apart."""
-
-OFF = 0.05
-"""Distance from a multiple, in steps, up to which a value is one."""
-
-FEWEST = 3
-"""Changes of a column from which they tell whether it has a step: a spike alone makes two."""
-
-UNEVEN = 0.3
-"""Triples of readings that are multiples and go on by another number of steps than before, for each change, where there
-is a step: two for each where readings mostly repeat, 0.5 on average where they do not, few in an even motion."""
+from sysid.settings.noise import NOISE
 
 
 def common_step(columns: Iterable[np.ndarray]) -> float:
@@ -47,11 +36,13 @@ def step_of(values: np.ndarray) -> float | None:
     tell."""
     values = values[np.isfinite(values)]
     order = np.argsort(values, kind="stable")
-    rises = np.diff(values[order], prepend=values[order[:1]]) > ROUND_OFF * np.max(np.abs(values), initial=0.0)
+    rises = np.diff(values[order], prepend=values[order[:1]]) > NOISE.same_value_share * np.max(
+        np.abs(values), initial=0.0
+    )
     level = np.empty(len(values), dtype=int)
     level[order] = np.cumsum(rises)
     changes = np.diff(level) != 0
-    if np.count_nonzero(changes) < FEWEST:
+    if np.count_nonzero(changes) < NOISE.fewest_changes:
         return None
     count = np.bincount(level)
     levels = np.bincount(level, values) / count
@@ -60,12 +51,12 @@ def step_of(values: np.ndarray) -> float | None:
         apart = np.diff(known)
         if not len(apart):
             continue
-        least = float(np.mean(apart[apart < (1.0 + OFF) * apart.min()]))
+        least = float(np.mean(apart[apart < (1.0 + NOISE.multiple_tolerance) * apart.min()]))
         multiple = ((levels - levels[np.argmax(count)]) / least)[level]
         whole = np.rint(multiple)
-        on = np.abs(multiple - whole) < OFF
+        on = np.abs(multiple - whole) < NOISE.multiple_tolerance
         by = np.abs(np.diff(whole))
         uneven = np.count_nonzero((by[1:] != by[:-1]) & on[2:] & on[1:-1] & on[:-2])
-        if uneven >= max(FEWEST, UNEVEN * np.count_nonzero(changes)):
+        if uneven >= max(NOISE.fewest_changes, NOISE.uneven_triples_share * np.count_nonzero(changes)):
             step = max(step, least)
     return step

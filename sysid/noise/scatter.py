@@ -6,19 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sysid.noise.sampling_interval import NEXT
-
-MISTAKEN, MOST_MISTAKEN = 8.0, 0.1
-"""Distance in robust standard deviations from which a reading at rest is a mistake, if no more than this share is."""
-
-MIN_REST_SAMPLES = 15
-"""Samples that a quiet stretch must have to be used."""
-
-LONGEST_EXACT = 400
-"""Samples of a stretch up to which it matters what a line takes away from coloured noise."""
-
-WHITE, MOST_COLOURED = 0.1, 0.98
-"""Correlation up to which noise counts as white, and the largest that is believed."""
+from sysid.settings.noise import NOISE
 
 
 class Stretch(NamedTuple):
@@ -39,7 +27,7 @@ def scatter_of(values: np.ndarray, at: np.ndarray) -> Stretch | None:
         return None
     base = _line(at)
     residual = _beside_line(values, good, base)
-    near = (np.diff(at) < NEXT)[:, None]
+    near = (np.diff(at) < NOISE.gap_interval)[:, None]
     size, pairs = int(good.sum()), int((near & good[1:] & good[:-1]).sum())
     variance = np.sum(residual**2) / (size - 2 * values.shape[1])
     # Of readings in a row the line takes up two pairs; of others in proportion.
@@ -49,14 +37,14 @@ def scatter_of(values: np.ndarray, at: np.ndarray) -> Stretch | None:
     product = np.sum(near * residual[1:] * residual[:-1]) / (pairs - taken)
     # Removing a line biases the correlation down by about 2 (1 + rho) / n.
     rho = product / variance
-    rho = min(float(rho + 2.0 * (1.0 + rho) * values.shape[1] / size), MOST_COLOURED)
+    rho = min(float(rho + 2.0 * (1.0 + rho) * values.shape[1] / size), NOISE.largest_correlation)
     return Stretch(float(np.sqrt(variance / _share_left(at, max(rho, 0.0), base))), rho, size)
 
 
 def without_mistakes(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The columns ``(n, k)`` of a quiet stretch that have readings enough, NaN where one is a mistake."""
     while True:
-        values = values[:, np.isfinite(values).sum(axis=0) >= MIN_REST_SAMPLES]
+        values = values[:, np.isfinite(values).sum(axis=0) >= NOISE.min_rest_samples]
         good = np.isfinite(values)
         if not good.any():
             return values
@@ -88,15 +76,15 @@ def _beside_line(values: np.ndarray, good: np.ndarray, base: np.ndarray) -> np.n
 def _mistakes(residual: np.ndarray, good: np.ndarray) -> np.ndarray:
     """Readings ``(n, m)`` that are no noise: far beyond the median scatter, and few (a tracker's mistakes)."""
     median = 1.4826 * float(np.median(np.abs(residual[good])))
-    far = good & (np.abs(residual) > MISTAKEN * median)
-    return far if 0.0 < median and far.sum() <= MOST_MISTAKEN * good.sum() else np.zeros_like(far)
+    far = good & (np.abs(residual) > NOISE.rest_outlier_sd * median)
+    return far if 0.0 < median and far.sum() <= NOISE.rest_outlier_share * good.sum() else np.zeros_like(far)
 
 
 def _share_left(at: np.ndarray, rho: float, base: np.ndarray) -> float:
     """Share of the variance of noise with lag-one correlation ``rho``, at the times ``at`` ``(n,)`` in usual intervals,
     that is left beside the columns of ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
     n = len(at)
-    if rho == 0.0 or n > LONGEST_EXACT:
+    if rho == 0.0 or n > NOISE.longest_exact_samples:
         return 1.0
     correlation = rho ** np.abs(np.subtract.outer(at, at))
     q = np.linalg.qr(base)[0]

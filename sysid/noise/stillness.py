@@ -8,40 +8,30 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.noise.scatter import MIN_REST_SAMPLES
 from sysid.observations.observations import Run
-
-REST_MARGIN_S = 0.15
-"""Time after the end of a motion that is not counted as quiet."""
-
-STILL_WINDOW_S = 0.1
-"""Time over which noisy poses are averaged to see whether they move."""
+from sysid.settings.noise import NOISE
 
 STILL_WITHIN = np.repeat([1e-5, 1e-4], 3)
 """Shift [m] and turn [rad] in that time from which something moves (0.1 mm/s, 1 mrad/s), and in a whole stretch from
 which it creeps: less than arms repeat (20 to 100 um), and on a pad of 1 N/mm about the noise of a force sensor."""
 
-SEEN_AS_SPEED = 6.0
-"""The least way from one pose to the next that counts as motion, over the noise, from which neighbours tell it: 4
-standard deviations of their difference."""
-
-CREEP_WINDOW_S = 1.0
-"""Time in which what is slower may get as far as that."""
-
 
 def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:
     """Stretches of sample indices in which every end effector stands still: none moves (:func:`moving`) or creeps
     (:func:`creeping`)."""
-    return [stretch for stretch in _stretches(still_at(run.poses.values(), t)) if len(stretch) >= MIN_REST_SAMPLES]
+    return [
+        stretch for stretch in _stretches(still_at(run.poses.values(), t)) if len(stretch) >= NOISE.min_rest_samples
+    ]
 
 
 def still_at(poses: Collection[PoseTrajectory], t: np.ndarray) -> np.ndarray:
-    """At which of the times [s] ``(n,)`` every end effector stands still, and has done so for :data:`REST_MARGIN_S`."""
+    """At which of the times [s] ``(n,)`` every end effector stands still, and has done so for
+    ``NOISE.rest_margin_s``."""
     still = np.ones(len(t), dtype=bool)
     for trajectory in poses:
         spans = np.array(moving(trajectory)).reshape(-1, 2)
         begun = np.bincount(np.searchsorted(t, spans[:, 0]), minlength=len(t) + 1)
-        over = np.bincount(np.searchsorted(t, spans[:, 1] + REST_MARGIN_S, side="right"), minlength=len(t) + 1)
+        over = np.bincount(np.searchsorted(t, spans[:, 1] + NOISE.rest_margin_s, side="right"), minlength=len(t) + 1)
         still &= np.cumsum(begun - over)[:-1] == 0
     for trajectory in poses:
         path, noise = _path(trajectory)
@@ -66,26 +56,26 @@ def _path(trajectory: PoseTrajectory) -> tuple[np.ndarray, np.ndarray]:
 
 def creeping(stamps: np.ndarray, path: np.ndarray, noise: np.ndarray, t: np.ndarray) -> np.ndarray:
     """At which of the times ``t`` ``(n,)`` of a stretch without motion an end effector creeps: it gets farther than
-    :data:`STILL_WITHIN` in the :data:`CREEP_WINDOW_S` about them, or in all that is left of the stretch, or drifts as
+    :data:`STILL_WITHIN` in the ``NOISE.creep_window_s`` about them, or in all that is left of the stretch, or drifts as
     far in longer and longer windows.
     ``stamps`` ``(k,)``, ``path`` ``(k, 6)``, ``noise`` ``(6,)``: its poses (:func:`_path`).
 
     However slow a press is, what it does to readings is no noise. Noisy poses are averaged over
-    :data:`STILL_WINDOW_S`; ranges of up to 8 of the deviations that are left are no creep.
+    ``NOISE.still_window_s``; ranges of up to 8 of the deviations that are left are no creep.
     """
     about = slice(max(int(np.searchsorted(stamps, t[0])) - 1, 0), int(np.searchsorted(stamps, t[-1], side="right")) + 1)
     stamps, path = stamps[about], path[about]
     times = np.unique(np.concatenate([t[:1], stamps[(stamps > t[0]) & (stamps < t[-1])], t[-1:]]))
     place = np.column_stack([np.interp(times, stamps, column) for column in path.T])
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(place, axis=0)])
-    first, last = _within(times, STILL_WINDOW_S)
+    first, last = _within(times, NOISE.still_window_s)
     place = (total[last] - total[first]) / (last - first)[:, None]
     limit = STILL_WITHIN + 8.0 * noise / np.sqrt(np.min(last - first))
-    first, last = _within(times, CREEP_WINDOW_S)
+    first, last = _within(times, NOISE.creep_window_s)
     creeps = (np.abs(place[last - 1] - place[first]) > limit).any(axis=1)
     for stretch in _stretches(~creeps):
         creeps[stretch] = (np.ptp(place[stretch], axis=0) > limit).any()
-    half = CREEP_WINDOW_S
+    half = NOISE.creep_window_s
     while half < times[-1] - times[0]:
         creeps |= _drifts(times, place, noise, ~creeps, half)
         half *= 2.0
@@ -120,20 +110,23 @@ def moving(trajectory: PoseTrajectory) -> list[tuple[float, float]]:
     """Spans of time [s] in which an end effector moves, faster than 0.1 mm/s or 1 mrad/s.
 
     A measured pose has noise, which looks like speed between neighbouring samples. Where it does, the means
-    of :data:`STILL_WINDOW_S` before and after an instant are compared instead. A single pose is that of one that
+    of ``NOISE.still_window_s`` before and after an instant are compared instead. A single pose is that of one that
     stands still.
     """
     t = trajectory.times
     if len(t) < 2:
         return []
     path, noise = _path(trajectory)
-    limit = STILL_WITHIN / STILL_WINDOW_S
+    limit = STILL_WITHIN / NOISE.still_window_s
     pause = float(np.median(np.diff(t)))
-    if np.all(SEEN_AS_SPEED * noise < limit * pause):
+    if np.all(NOISE.motion_over_noise * noise < limit * pause):
         busy = (np.abs(np.diff(path, axis=0)) > limit * np.diff(t)[:, None]).any(axis=1)
         return [(float(t[k]), float(t[k + 1])) for k in np.flatnonzero(busy)]
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(path, axis=0)])
-    first, last = np.searchsorted(t, t - STILL_WINDOW_S), np.searchsorted(t, t + STILL_WINDOW_S, side="right")
+    first, last = (
+        np.searchsorted(t, t - NOISE.still_window_s),
+        np.searchsorted(t, t + NOISE.still_window_s, side="right"),
+    )
     here = np.arange(len(t))
     before = (total[here + 1] - total[first]) / (here + 1 - first)[:, None]
     after = (total[last] - total[here]) / (last - here)[:, None]

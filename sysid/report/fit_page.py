@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from sysid.fit.given_values import rose, worsened
 from sysid.fit.result import LOOK_FIRST
-from sysid.noise.estimate import REPLACED_FROM
 from sysid.report.marker_pictures import with_marker_pictures
 from sysid.report.numbers import MISSING, Number, seconds, significant, times, with_unit
 from sysid.report.page import embedded_json, write_page
@@ -29,6 +28,7 @@ from sysid.report.tables import (
     over_noise,
     provenance_of,
 )
+from sysid.settings.noise import NOISE
 
 if TYPE_CHECKING:
     from sysid.fit.result import ChannelError, FitResult
@@ -83,7 +83,7 @@ def write_fit_report(result: FitResult, path: Path) -> Path:
         errors=ErrorTables.of(result.errors),
         noise=noise_rows(result),
         reduced=significant(result.reduced_chi2),
-        noise_replaced_from=REPLACED_FROM,
+        noise_replaced_from=NOISE.declared_noise_ratio,
         level_edges=LEVELS,
         provenance=provenance_of(result.provenance),
         notes=result.notes,

@@ -19,26 +19,8 @@ import numpy as np
 
 from sysid.model.parameters import FitParameter
 from sysid.noise.autocorrelation import autocorrelated_scores
+from sysid.settings.solve import SOLVE
 from sysid.solve.optimum import Fitted
-
-BLOCKS_PER_CHANNEL = 12
-"""Blocks of neighbouring samples that each run and channel is cut into for the sandwich estimate."""
-
-UNDETERMINED_SHARE = 0.5
-"""A direction whose standard deviation exceeds this share of what it is judged by, :meth:`FitParameter.width`, is not
-determined."""
-
-WIDEST = 10.0
-"""Largest standard deviation that is reported, in plausible ranges: beyond it nothing is known anyway."""
-
-ADDS_NOTHING = 0.95
-"""Standard deviation, over that of what was known before, from which recordings add nothing."""
-
-FAR_OFF = 4.0
-"""Reduced chi-square from which a rig misses recordings by so much that what was known decides alone."""
-
-TOGETHER = 0.97
-"""Correlation from which two parameters are reported as known only in combination."""
 
 
 class Finding(NamedTuple):
@@ -125,16 +107,16 @@ def _spread(fitted: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     colour = told.T @ told + autocorrelated_scores(fitted.parts, inverse / kappa)
     coloured = inverse @ (colour / kappa**2 + known.T @ known) @ inverse
     variance = np.max([np.diag(v) for v in (plain, sandwich, coloured)], axis=0)
-    sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)), WIDEST * prior)
+    sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)), SOLVE.widest_sd * prior)
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlation = np.clip(inverse / np.outer(spread, spread), -1.0, 1.0)
     return sd, np.sqrt(variance / np.maximum(np.diag(plain), 1e-300)), correlation
 
 
 def inverse_information(jacobian: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """(J^T J)^-1 ``(p, p)``, no direction wider than :data:`WIDEST` of the plausible ranges ``prior`` ``(p,)``."""
+    """(J^T J)^-1 ``(p, p)``, no direction wider than ``SOLVE.widest_sd`` of the plausible ranges ``prior`` ``(p,)``."""
     values, vectors = _information(jacobian * prior)
-    inverse = (vectors / np.maximum(values, WIDEST**-2)) @ vectors.T
+    inverse = (vectors / np.maximum(values, SOLVE.widest_sd**-2)) @ vectors.T
     return np.asarray(inverse * np.outer(prior, prior))
 
 
@@ -159,9 +141,9 @@ def _scores(fitted: Fitted, residual: np.ndarray) -> np.ndarray:
         at += len(times)
         if not len(times):
             continue
-        edges = np.linspace(times.min(), times.max() + 1e-9, BLOCKS_PER_CHANNEL + 1)
-        block = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, BLOCKS_PER_CHANNEL - 1)
-        scores = np.zeros((BLOCKS_PER_CHANNEL, len(fitted.parameters)))
+        edges = np.linspace(times.min(), times.max() + 1e-9, SOLVE.sandwich_blocks + 1)
+        block = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, SOLVE.sandwich_blocks - 1)
+        scores = np.zeros((SOLVE.sandwich_blocks, len(fitted.parameters)))
         np.add.at(scores, block, fitted.jacobian[rows] * residual[rows, None])
         out.append(scores)
     return np.concatenate(out)
@@ -174,7 +156,7 @@ def overdispersion(fitted: Fitted) -> float:
     other."""
     prior = np.array([q.prior_sd for q in fitted.parameters])
     values, vectors = _information(fitted.jacobian * prior)
-    spread = prior[:, None] * vectors / np.sqrt(np.maximum(values, WIDEST**-2))
+    spread = prior[:, None] * vectors / np.sqrt(np.maximum(values, SOLVE.widest_sd**-2))
     left = fitted.residual - fitted.jacobian @ (spread @ (spread.T @ (fitted.jacobian.T @ fitted.residual)))
     return max(1.0, float(np.sum((_scores(fitted, left) @ spread) ** 2)) / len(prior))
 
@@ -195,7 +177,7 @@ def _undetermined(fitted: Fitted, sd: np.ndarray) -> list[Finding]:
     at = {p.name: (x, spread) for p, x, spread in zip(fitted.parameters, fitted.scaled, sd, strict=True)}
     out = []
     for value, vector in zip(values, vectors.T, strict=True):
-        if 1.0 / np.sqrt(max(value, 1e-300)) < UNDETERMINED_SHARE:
+        if 1.0 / np.sqrt(max(value, 1e-300)) < SOLVE.undetermined_share:
             continue
         strong = np.flatnonzero(np.abs(vector) > 0.25)
         if len(strong) == 1:
@@ -230,7 +212,7 @@ def _not_told(parameter: FitParameter, why: str) -> Finding:
 
 def _no_more_than_known(parameter: FitParameter, reduced: float) -> Finding:
     """Recordings that a rig misses by far count for nothing beside what was known: nobody knows what they would say."""
-    if reduced <= FAR_OFF:
+    if reduced <= SOLVE.poor_reduced_chi2:
         return _not_told(parameter, "its interval is what was known of it before")
     sentence = (
         f"What was known of {parameter.name} before alone decides on it, since the rig misses the recordings by "
@@ -246,13 +228,13 @@ def _wide(fitted: Fitted, sd: np.ndarray, said: set[str]) -> list[Finding]:
     for p, scaled, spread in zip(fitted.parameters, fitted.scaled, sd, strict=True):
         if p.nuisance or p.name in said:
             continue
-        if p.known_sd is not None and spread > ADDS_NOTHING * p.known_sd:
+        if p.known_sd is not None and spread > SOLVE.uninformative_ratio * p.known_sd:
             out.append(_no_more_than_known(p, _reduced(fitted)))
             continue
         low, high = p.scaled_bounds
         if scaled - 1.96 * spread <= low and scaled + 1.96 * spread >= high:
             where = f"spans all possible values, {p.lower:g} to {p.upper:g} {p.unit}".rstrip()
-        elif spread >= UNDETERMINED_SHARE * p.width(scaled):
+        elif spread >= SOLVE.undetermined_share * p.width(scaled):
             first, last = interval(p, scaled, spread)
             where = f"is {first:.3g} to {last:.3g} {p.unit}".rstrip()
         else:
@@ -271,8 +253,8 @@ def _together(
             if parameters[a].nuisance or parameters[b].nuisance:
                 continue
             c = correlation[a, b]
-            limit = UNDETERMINED_SHARE * max(parameters[k].width(scaled[k]) for k in (a, b))
-            if abs(c) > TOGETHER and max(sd[a], sd[b]) < limit:
+            limit = SOLVE.undetermined_share * max(parameters[k].width(scaled[k]) for k in (a, b))
+            if abs(c) > SOLVE.combined_correlation and max(sd[a], sd[b]) < limit:
                 way = "up" if c > 0 else "down"
                 sentence = (
                     f"{parameters[b].name} and {parameters[a].name} are traded off against each other "

@@ -8,7 +8,7 @@ taken to be, in column j of a channel,
     e_j(t) = d_j(t) (mean + sd g(t) + sd g_j(t)) + sd sum_p A_p(t) v_pj g_p(t) + ROUGH D(t) r_j(t) + R(t) n_j(t),
     g(t) = c_0 + sum_l a_l sum_k c_lk h_lk(t),    c, n ~ N(0, 1),    R(t)^2 = (ROUGH D(t))^2 + U(t)^2,
 
-with h_lk the hat functions of the equidistant instants of level l of :data:`LEVELS`, ever finer and ever
+with h_lk the hat functions of the equidistant instants of level l of ``SOLVE.error_course_levels``, ever finer and ever
 weaker (a_l), so that the size drifts like a random walk. g is common to all columns of a quantity (the forces, the
 torques, the markers); g_j, g_p and r_j are made like g, and each column has a g_j and an r_j of its own. Where a body
 starts to slip a little earlier the error has the patterns of d, but not their course: v_p are the strongest principal
@@ -43,33 +43,11 @@ import numpy as np
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import column_groups
 from sysid.observations.observations import Measured, Run
+from sysid.settings.solve import SOLVE
 
 MODEL = "model"
 """Label of the error shape of what careful simulations differ in (:mod:`sysid.diagnosis.model_tolerance`); others are
 those of mesh and time step."""
-
-EXPECTED = 0.5
-"""Expected size of a direction, in units of the extrapolated error."""
-
-RIGHT_SD = 0.5
-"""Standard deviation of the constant part of the size of a direction, and of its drift in time."""
-
-LEVELS = ((6, 2**-0.5), (12, 0.5), (24, 8**-0.5))
-"""Instants of a run between which the size of a direction is interpolated, and how strong each level is."""
-
-PATTERNS, PATTERN_LEVELS = 3, 2
-"""Principal components of a direction that may take a course of their own, and the levels of which that is made."""
-
-FAINT = 1e-3
-"""Share of the strongest component below which others are left out."""
-
-ROUGH = 0.25
-"""Part of the error that follows no shape, in units of the largest error thereabouts: once of what lasts, once of what
-is new with every sample."""
-
-BELIEVED = 2.0
-"""Discretisation error that is allowed for where what is left is judged, in units of the largest error thereabouts: one
-refinement tells its size to within a factor of two."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +63,8 @@ class ErrorShape:
 
     label: str
     shapes: tuple[dict[str, np.ndarray], ...]
-    mean: float = EXPECTED
-    sd: float = RIGHT_SD
+    mean: float = SOLVE.expected_error_size
+    sd: float = SOLVE.error_size_sd
     slopes: tuple[dict[str, np.ndarray], ...] = ()
     at: np.ndarray | None = None
     reach: np.ndarray | None = None
@@ -162,7 +140,7 @@ class Basis:
     def doubtful(self, noise: ChannelNoise) -> np.ndarray:
         """Samples ``(n, m)`` that count little, since what came unforeseen is above noise and the rest of the error:
         they cannot tell either whether something is missing."""
-        return np.asarray(self.unforeseen > np.maximum(noise.sigma, ROUGH * self.largest))
+        return np.asarray(self.unforeseen > np.maximum(noise.sigma, SOLVE.rough_error_share * self.largest))
 
     def weights(self, noise: ChannelNoise) -> np.ndarray:
         """Factors on whitened samples ``(n, m)`` that account for what follows no shape."""
@@ -241,19 +219,20 @@ def basis_of(
                 unforeseen[:, group] += _largest(_rms(missed), t, run.end)[:, None] ** 2
         own.append(Changes(direction.sd * shape, drift, instants))
     if directions:
-        own.append(Changes(ROUGH * np.sqrt(largest), drift, instants))
+        own.append(Changes(SOLVE.rough_error_share * np.sqrt(largest), drift, instants))
     if bias is not None:
         always = np.ones((len(t), 1))
         own.append(Changes(bias * always, always, np.array([0.5 * run.end])))
     reach = np.full(len(at), np.inf) if reach is None else reach
-    rough = np.sqrt(ROUGH**2 * largest + unforeseen)
+    rough = np.sqrt(SOLVE.rough_error_share**2 * largest + unforeseen)
     sizes = np.sqrt(largest), np.sqrt(unforeseen)
     return Basis(expected, slopes, at, reach, tuple(common), tuple(own), rough, *sizes)
 
 
 def believed(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:
     """Of what the most probable coefficients take for the discretisation error of a channel ``(n, m)``, without a bias,
-    as much as may be: in no quantity more than :data:`BELIEVED` times the largest thereabouts, rms over the columns.
+    as much as may be: in no quantity more than ``SOLVE.allowed_error_factor`` times the largest thereabouts, rms over
+    the columns.
 
     Thousands of samples can afford any coefficient, and missing physics that happens to have a shape of the error
     would be taken for it.
@@ -263,7 +242,7 @@ def believed(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:
         group = quantity[np.isfinite(measured.values[:, quantity]).any(axis=0)]
         if len(group):
             size = _rms(np.nan_to_num(taken[:, group]))
-            most = BELIEVED * basis.largest[:, group[0]]
+            most = SOLVE.allowed_error_factor * basis.largest[:, group[0]]
             out[:, quantity] *= np.minimum(1.0, most / np.maximum(size, np.finfo(float).tiny))[:, None]
     return out
 
@@ -274,10 +253,10 @@ def _hats(t: np.ndarray, end: float, count: int) -> tuple[np.ndarray, np.ndarray
     return np.clip(1.0 - np.abs(t[:, None] - knots) / (knots[1] - knots[0]), 0.0, None), knots
 
 
-def _drift(t: np.ndarray, end: float, levels: int = len(LEVELS)) -> tuple[np.ndarray, np.ndarray]:
+def _drift(t: np.ndarray, end: float, levels: int = len(SOLVE.error_course_levels)) -> tuple[np.ndarray, np.ndarray]:
     """The functions of time that the size of a direction is made of ``(n, l)``, and their instants [s]."""
     functions, instants = [np.ones((len(t), 1))], [np.array([0.5 * end])]
-    for count, strength in LEVELS[:levels]:
+    for count, strength in SOLVE.error_course_levels[:levels]:
         hats, knots = _hats(t, end, count)
         functions.append(strength * hats)
         instants.append(knots)
@@ -287,9 +266,11 @@ def _drift(t: np.ndarray, end: float, levels: int = len(LEVELS)) -> tuple[np.nda
 def _patterns(shape: np.ndarray, t: np.ndarray, end: float, about: Callable[[np.ndarray], np.ndarray]) -> list[Changes]:
     """Changes of an error of a given shape ``(n, m)`` that has its patterns at other times, as large as ``about`` says
     of the sizes ``(n,)`` of these."""
-    drift, instants = _drift(t, end, PATTERN_LEVELS)
+    drift, instants = _drift(t, end, SOLVE.pattern_levels)
     courses, strengths, components = np.linalg.svd(shape, full_matrices=False)
-    kept = np.flatnonzero(strengths[:PATTERNS] > FAINT * max(strengths[0], np.finfo(float).tiny))
+    kept = np.flatnonzero(
+        strengths[: SOLVE.error_patterns] > SOLVE.faint_pattern_share * max(strengths[0], np.finfo(float).tiny)
+    )
     sizes = [about(np.abs(courses[:, p] * strengths[p])) for p in kept]
     return [Changes(a[:, None] * components[p], drift, instants) for p, a in zip(kept, sizes, strict=True)]
 
@@ -301,5 +282,5 @@ def _rms(values: np.ndarray) -> np.ndarray:
 
 def _largest(size: np.ndarray, t: np.ndarray, end: float) -> np.ndarray:
     """Largest of positive values ``(n,)`` about each time, in windows of the finest level ``(n,)``."""
-    hats, _ = _hats(t, end, LEVELS[-1][0])
+    hats, _ = _hats(t, end, SOLVE.error_course_levels[-1][0])
     return np.asarray(hats @ np.max(np.where(hats > 0.0, size[:, None], 0.0), axis=0))

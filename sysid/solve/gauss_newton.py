@@ -21,31 +21,12 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sysid.model.parameters import FitParameter
+from sysid.settings.solve import SOLVE
 from sysid.solve.covariance import overdispersion, uncertainty
 from sysid.solve.nonsmooth_trust_region import USED_UP, End, Point, minimise
 from sysid.solve.optimum import Fitted
 
 HALTED = "it came on slowly beside an error of mesh and time step that was measured elsewhere"
-
-SHARPER = 0.5
-"""A search that ends where chance makes less than this of what was thought before goes on from there."""
-
-FRESH = 0.1
-"""Least radius, in plausible widths, with which a search goes on after another one."""
-
-IN_SIGHT = 0.9
-"""Least share of the readings that were in sight anywhere that a point must have in sight, since those of it that are
-not say nothing of it."""
-
-
-MOST = 0.5
-"""Share of the sum of squares at the start that the calibration of sensors has to promise to be searched for first."""
-
-CALIBRATED_WITHIN, CALIBRATIONS = 30.0, 4
-"""Radius of its trust region, in plausible widths, and evaluations: readings are nearly linear in it."""
-
-SHORT = 0.2
-"""Step that is too short to be taken, in standard deviations of each parameter that is asked for."""
 
 
 class Search:
@@ -97,12 +78,12 @@ class Search:
             while True:
                 self._weight = overdispersion(self.best)
                 end = self._stage(low, high, tolerance, go_on, radius)
-                message, converged, radius = end.message, end.converged, max(end.radius, FRESH)
+                message, converged, radius = end.message, end.converged, max(end.radius, SOLVE.resumed_radius)
                 halted = self._halted()
                 if halted:
                     message, converged = HALTED, False
                     break
-                if overdispersion(self.best) > SHARPER * self._weight:
+                if overdispersion(self.best) > SOLVE.sharper_tolerance_share * self._weight:
                     break
                 if self._evaluations >= max_evaluations:
                     message, converged = USED_UP, False
@@ -153,7 +134,7 @@ class Search:
         for columns in (self._sensors, ~self._sensors):
             basis = np.linalg.qr(self.best.jacobian[:, columns])[0]
             taken.append(float(np.sum((basis.T @ residual) ** 2)))
-        return taken[0] > max(taken[1], MOST * float(residual @ residual))
+        return taken[0] > max(taken[1], SOLVE.calibration_first_share * float(residual @ residual))
 
     def _calibrate(self, low: np.ndarray, high: np.ndarray, tolerance: float, max_evaluations: int) -> None:
         """Search for the calibration of sensors alone. Bodies move as before, so the search of all begins there."""
@@ -161,20 +142,20 @@ class Search:
         sensors = [p for p, mine in zip(self._parameters, self._sensors, strict=True) if mine]
         alone = replace(self.best, parameters=sensors, jacobian=self.best.jacobian[:, self._sensors])
         self._weight = overdispersion(alone)
-        most = self._evaluations + min(CALIBRATIONS, max_evaluations // 2)
+        most = self._evaluations + min(SOLVE.calibration_evaluations, max_evaluations // 2)
         self._stage(
             np.where(self._sensors, low, begin),
             np.where(self._sensors, high, begin),
             tolerance,
             lambda: self._evaluations < most,
-            CALIBRATED_WITHIN,
+            SOLVE.calibration_radius,
         )
         self._course = [self.best.chi2]
 
     def _short(self, step: np.ndarray) -> bool:
         """Whether a step from the best point ``(p,)`` moves what was asked for by little of what it is known by."""
         asked = np.array([not p.nuisance for p in self._parameters])
-        return bool(np.all(np.abs(step)[asked] <= SHORT * uncertainty(self.best).sd[asked]))
+        return bool(np.all(np.abs(step)[asked] <= SOLVE.short_step_sd * uncertainty(self.best).sd[asked]))
 
     def _halted(self) -> bool:
         return self._halt is not None and self._halt(self._course)
@@ -192,7 +173,7 @@ class Search:
             self._tell(1)
             return None
         self._seen = max(self._seen, here.samples)
-        if self._best is not None and here.samples < IN_SIGHT * self._seen:
+        if self._best is not None and here.samples < SOLVE.in_sight_share * self._seen:
             self._tell(here.evaluations)
             return None
         self._last = here

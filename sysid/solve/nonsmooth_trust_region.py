@@ -29,48 +29,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import lsq_linear
 
-GOOD, POOR = 0.75, 0.25
-"""Share of the promised fall of the sum of squares above which the region grows and below which it shrinks."""
-
-ONCE, AGAIN = 0.5, 0.25
-"""Radius, as a share of the last step, after one step that was refused and after more."""
-
-STILL = 0.25
-"""A step was too short to matter if it changes residuals, in squares, by less than this share of the tolerance."""
-
-OTHER = 0.5
-"""A point lies beyond a kink if the derivatives at the best miss its sum of squares by this share of the change."""
-
-REACH = 2.0
-"""Points within this many radii take part in the model."""
-
-WHOLE = 0.99
-"""A step of more than this share of the radius may have been cut by it."""
-
-MOST_NEAR = 6
-"""Points beside the best that take part in the model, the newest."""
-
-MOST_KEPT = 12
-"""Points that are kept, the newest."""
-
-MOST_FINE = 3
-"""Steps within the tolerance that are taken, since they are not short, before the search ends."""
-
-SERIOUS = 8.0
-"""Promised fall within radius 1, in tolerances, from which a jump before it matters: with a tolerance of half of what
-chance makes of the sum of squares, where a 95 % interval of one parameter ends."""
-
-SMALLEST = 1e-7
-"""Radius at which the search ends."""
+from sysid.settings.solve import SOLVE
 
 AT_MINIMUM = "no step promises more than chance makes of chi-square"
 AT_KINK = "it stands at a kink or a small jump, beyond which derivatives do not tell what is better"
 AT_JUMP = "it stands at a jump of the readings, over which derivatives do not lead: start from elsewhere ('--starts 5')"
 LOST = "what promises more cannot be simulated, or hides what was seen"
 USED_UP = "the evaluations allowed were used up"
-
-RIDGE = 1e-4
-"""Weight of the square of the step: what no residual sees stays where it is."""
 
 
 @dataclass(frozen=True)
@@ -117,20 +82,22 @@ def minimise(
     best, refused, fine, doubtful, lost = begin, 0, 0, False, False
     near: list[Point] = []
     while True:
-        beside = [p for p in near if _within(p, best, REACH * radius) and _other(p, best, tolerance)][-MOST_NEAR:]
+        beside = [p for p in near if _within(p, best, SOLVE.model_radii * radius) and _other(p, best, tolerance)][
+            -SOLVE.model_points :
+        ]
         step, promised = _step(best, [_on_the_way(best, p) for p in beside], radius, bounds)
         if promised <= tolerance and beside:
             radius, doubtful = 0.5 * radius, True
             continue
         length = float(np.max(np.abs(step)))
-        cut = length > WHOLE * radius
+        cut = length > SOLVE.cut_step_share * radius
         if promised <= tolerance and cut and not doubtful:
             radius *= 2.0
             continue
         small = promised <= tolerance
         if small and (cut or not go_on() or short(step)):
             return End(best, not (cut and lost), LOST if cut and lost else AT_KINK if cut else AT_MINIMUM, radius)
-        if radius < SMALLEST:
+        if radius < SOLVE.smallest_radius:
             return _edge(best, near[-1:], bounds, tolerance, radius)
         if not go_on():
             return End(best, False, USED_UP, radius)
@@ -140,23 +107,23 @@ def minimise(
         refused += 1
         doubtful = lost = there is None
         if there is None:
-            radius = AGAIN * length
+            radius = SOLVE.radius_after_refusals * length
             continue
         share = (best.square - there.square) / promised
-        if share < 0.0 and float(np.sum((best.jacobian @ step) ** 2)) < STILL * tolerance:
+        if share < 0.0 and float(np.sum((best.jacobian @ step) ** 2)) < SOLVE.negligible_change_share * tolerance:
             return _edge(best, [there], bounds, tolerance, radius)
-        if share < POOR:
+        if share < SOLVE.poor_fall_share:
             # The first time the model has something to learn.
-            radius = (ONCE if refused == 1 else AGAIN) * length
-        elif share > GOOD:
+            radius = (SOLVE.radius_after_refusal if refused == 1 else SOLVE.radius_after_refusals) * length
+        elif share > SOLVE.good_fall_share:
             radius = max(radius, 2.0 * length)
         better = there.square < best.square
-        refused, doubtful = (0, share < POOR) if better else (refused, True)
-        little = share >= POOR and best.square - there.square <= tolerance and not cut
+        refused, doubtful = (0, share < SOLVE.poor_fall_share) if better else (refused, True)
+        little = share >= SOLVE.poor_fall_share and best.square - there.square <= tolerance and not cut
         fine += little
-        near = [*near, best if better else there][-MOST_KEPT:]
+        near = [*near, best if better else there][-SOLVE.kept_points :]
         best = there if better else best
-        if little and fine == MOST_FINE:
+        if little and fine == SOLVE.final_steps:
             return End(best, True, AT_MINIMUM, radius)
 
 
@@ -165,7 +132,7 @@ def _edge(
 ) -> End:
     """The end at the best point though derivatives promise more: beside a kink, or beside a jump that hides much."""
     hidden = _step(best, [], 1.0, bounds)[1]
-    if hidden > SERIOUS * tolerance and any(_jump(best, p) > tolerance for p in refused):
+    if hidden > SOLVE.serious_fall * tolerance and any(_jump(best, p) > tolerance for p in refused):
         return End(best, False, AT_JUMP, radius)
     return End(best, True, AT_KINK, radius)
 
@@ -186,7 +153,7 @@ def _other(point: Point, best: Point, tolerance: float) -> bool:
     """The derivatives at the best do not hold as far as this point."""
     said = best.residual + best.jacobian @ (point.x - best.x)
     told = float(said @ said)
-    return abs(told - point.square) > OTHER * (abs(told - best.square) + tolerance)
+    return abs(told - point.square) > SOLVE.beyond_kink_share * (abs(told - best.square) + tolerance)
 
 
 def _on_the_way(best: Point, point: Point) -> np.ndarray:
@@ -212,7 +179,7 @@ def _step(
     high = np.maximum(np.minimum(bounds[1] - best.x, radius), 0.0) + 1e-15
     parts = [_triangle(np.column_stack([j, best.residual])) for j in (best.jacobian, *others)]
     model = _triangle(np.vstack(parts) / np.sqrt(len(parts)))
-    matrix = np.vstack([model[:, :-1], np.sqrt(RIDGE) * np.eye(len(best.x))])
+    matrix = np.vstack([model[:, :-1], np.sqrt(SOLVE.step_ridge) * np.eye(len(best.x))])
     step = lsq_linear(matrix, -np.concatenate([model[:, -1], np.zeros(len(best.x))]), (low, high), method="bvls").x
     step = np.clip(best.x + step, *bounds) - best.x
     left = model[:, -1] + model[:, :-1] @ step

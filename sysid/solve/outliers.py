@@ -13,16 +13,16 @@ more than four frames has moved. One that stands out is kept where it may be phy
 - several markers of the frame, or of the nearest ones, miss by a similar vector, more of them than mistakes that are
   as frequent as those of the recording would by chance (binomial), even if half of them were alike;
 - the same marker stands out again and again, more often than mistakes that fall on any marker would;
-- more than :data:`MOST_OF_FRAME` of the markers of that frame stand out at once.
+- more than ``SOLVE.outlier_frame_share`` of the markers of that frame stand out at once.
 
 What is far, the recording says: the least of these squared distances, of what is not kept for these reasons, is taken
 for a mixture of the noise and of a rare, wide scatter (a contaminated normal distribution, Tukey 1960), whose share and
 widths are found by expectation maximisation; a mistake is more probably of the latter.
 
-Nothing is left out where fewer than :data:`FEWEST` markers are seen, which are too few to compare, and where half of
-the readings are far from the model, beside which none is an exception. What remains in doubt is a lone marker that is
-displaced for at most four frames and is so seldom: it is taken for a mistake, whatever moved it. Diagnoses look at
-every reading all the same.
+Nothing is left out where fewer than ``SOLVE.outlier_markers`` markers are seen, which are too few to compare, and where
+half of the readings are far from the model, beside which none is an exception. What remains in doubt is a lone marker
+that is displaced for at most four frames and is so seldom: it is taken for a mistake, whatever moved it. Diagnoses look
+at every reading all the same.
 """
 
 from __future__ import annotations
@@ -38,37 +38,8 @@ from scipy.stats import binom, chi2
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.settings.solve import SOLVE
 from sysid.solve.wrench_spikes import spikes
-
-FAR = 6.0
-"""Distance, in noise deviations of a vector's component, below which nothing is a mistake."""
-
-LEVEL = 9
-"""Frames before and after that a reading is compared with."""
-
-MOST_OF_FRAME = 1.0 / 3.0
-"""Share of the markers of a frame that may stand out at once (one always may, and two exchanged ones)."""
-
-MOST = 0.2
-"""Share of the readings of a channel from which they are no exceptions."""
-
-OTHERS = 0.3
-"""A reading this much nearer to another marker's place than to its own is of that marker."""
-
-FEWEST = 5
-"""Markers of a frame below which nothing is a mistake."""
-
-ALIKE = 0.5
-"""Vectors are alike that differ by less than this share of the longer one."""
-
-NEIGHBOURS = 4
-"""Nearest markers that a reading is compared with."""
-
-BY_CHANCE = 0.01
-"""Probability below which as many alike, or as many times the same marker, are no chance."""
-
-OFTEN = 4
-"""Times that a marker stands out from which it may be physics."""
 
 DIMENSIONS = {"markers": 3, "tracks": 2}
 """Of the vectors that a channel of markers reads."""
@@ -167,12 +138,12 @@ def _mask(measured: Measured, predicted: np.ndarray, noise: ChannelNoise) -> Mas
 
 
 def most_are_outlying(measured: Measured, predicted: np.ndarray, noise: ChannelNoise) -> bool:
-    """Whether half of the readings are more than :data:`FAR` noise deviations from the prediction ``(n, m)``, as they
-    are where a law is missing or wrong: it is then the model that stands out."""
+    """Whether half of the readings are more than ``SOLVE.outlier_sd`` noise deviations from the prediction ``(n, m)``,
+    as they are where a law is missing or wrong: it is then the model that stands out."""
     d = DIMENSIONS[measured.kind]
     miss = ((measured.values - predicted) / noise.sigma).reshape(len(measured.t), -1, d)
     far = np.sqrt(_square(miss))
-    return bool(np.isfinite(far).any() and np.nanmedian(far) > FAR)
+    return bool(np.isfinite(far).any() and np.nanmedian(far) > SOLVE.outlier_sd)
 
 
 def not_looked_for(
@@ -188,8 +159,8 @@ def not_looked_for(
     if not where:
         return []
     return [
-        f"No marker readings are treated as outliers in {', '.join(where)}: half of them or more are over {FAR:.0f} "
-        "noise deviations from the model, so that no single one is an exception."
+        f"No marker readings are treated as outliers in {', '.join(where)}: half of them or more are over "
+        f"{SOLVE.outlier_sd:.0f} noise deviations from the model, so that no single one is an exception."
     ]
 
 
@@ -213,7 +184,7 @@ def mistakes(measured: Measured, predicted: np.ndarray) -> Mask:
     miss = _beside_others(miss)
     jumps = np.linalg.norm(np.diff(miss, axis=0), axis=2)
     jumps = jumps[np.isfinite(jumps) & (jumps > 0.0)]
-    if len(jumps) < 3 * LEVEL:
+    if len(jumps) < 3 * SOLVE.outlier_frames:
         return np.zeros(there.shape, dtype=bool)
     # Differences of two readings: twice the variance of one.
     sigma = float(np.median(jumps) / np.sqrt(2.0 * chi2.median(d)))
@@ -224,18 +195,18 @@ def mistakes(measured: Measured, predicted: np.ndarray) -> Mask:
     # Beside the first and the last reading there is only one side to compare with.
     q = np.min(np.nan_to_num(apart, nan=np.inf), axis=0)
     q = np.where(there & np.isfinite(q), q, 0.0) / _usual(np.where(there, q, np.nan), sigma, d)
-    far = q > FAR**2
+    far = q > SOLVE.outlier_sd**2
     one_side = np.where(np.isfinite(forward[0]), forward[0], backward[0])
     away = miss - np.where(np.isfinite(between[0]), between[0], one_side)
     kept = _maybe_physics(far, away, there, place)
     alone = there & ~kept
     found = far & ~kept & (_of_the_rare(q[alone], d, q) > 0.5)
-    others = _of_others(seen, place, there, FAR * sigma)
-    most = np.maximum(2.0, MOST_OF_FRAME * there.sum(axis=1))
-    restless = (q > (0.5 * FAR) ** 2).sum(axis=1) > most
+    others = _of_others(seen, place, there, SOLVE.outlier_sd * sigma)
+    most = np.maximum(2.0, SOLVE.outlier_frame_share * there.sum(axis=1))
+    restless = (q > (0.5 * SOLVE.outlier_sd) ** 2).sum(axis=1) > most
     crowded = others.sum(axis=1) > most
     mask = (found & ~restless[:, None]) | (others & ~crowded[:, None])
-    return np.asarray(mask & (there.sum(axis=1) >= FEWEST)[:, None])
+    return np.asarray(mask & (there.sum(axis=1) >= SOLVE.outlier_markers)[:, None])
 
 
 def _beside_others(miss: np.ndarray) -> np.ndarray:
@@ -255,8 +226,8 @@ def _maybe_physics(far: Mask, away: np.ndarray, there: Mask, place: np.ndarray) 
     while True:
         left = far & ~kept
         chance = 0.5 * left.sum() / max(int(there.sum()), 1)
-        more = (in_frame > 1) & (binom.sf(in_frame - 1, others, chance) < BY_CHANCE)
-        more |= (nearby > 0) & (binom.sf(nearby - 1, NEIGHBOURS, chance) < BY_CHANCE)
+        more = (in_frame > 1) & (binom.sf(in_frame - 1, others, chance) < SOLVE.outlier_chance)
+        more |= (nearby > 0) & (binom.sf(nearby - 1, SOLVE.outlier_neighbours, chance) < SOLVE.outlier_chance)
         more |= _recurring(left)
         if not (left & more).any():
             return kept
@@ -264,19 +235,20 @@ def _maybe_physics(far: Mask, away: np.ndarray, there: Mask, place: np.ndarray) 
 
 
 def _alike(far: Mask, away: np.ndarray, there: Mask, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How many other readings of the frame, and of the :data:`NEIGHBOURS` nearest markers, each of ``far`` is like."""
+    """How many other readings of the frame, and of the ``SOLVE.outlier_neighbours`` nearest markers, each of ``far`` is
+    like."""
     count = np.zeros((2, *far.shape), dtype=int)
     size = np.linalg.norm(away, axis=2)
     for k in np.flatnonzero(far.any(axis=1)):
         own = np.flatnonzero(far[k])
         apart = np.linalg.norm(away[k][own, None] - away[k][None], axis=2)
-        alike = (apart < ALIKE * np.maximum(size[k][own, None], size[k][None])) & there[k]
+        alike = (apart < SOLVE.alike_vector_share * np.maximum(size[k][own, None], size[k][None])) & there[k]
         alike[np.arange(len(own)), own] = False
         count[0, k, own] = alike.sum(axis=1)
         distance = np.linalg.norm(place[k][own, None] - place[k][None], axis=2)
         distance[np.arange(len(own)), own] = np.inf
         distance = np.where(there[k], distance, np.inf)
-        nearest = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS]
+        nearest = np.argsort(distance, axis=1, kind="stable")[:, : SOLVE.outlier_neighbours]
         count[1, k, own] = np.take_along_axis(alike, nearest, axis=1).sum(axis=1)
     return count[0], count[1]
 
@@ -285,16 +257,16 @@ def _recurring(far: Mask) -> Mask:
     """Readings of markers that stand out more often than their share of all times (frames in a row are one)."""
     before = np.concatenate([np.zeros((1, far.shape[1]), dtype=bool), far[:-1]])
     times = (far & ~before).sum(axis=0)
-    seldom = binom.sf(times - 1, times.sum(), 1.0 / len(times)) < BY_CHANCE / len(times)
-    return np.asarray(far & seldom & (times >= OFTEN))
+    seldom = binom.sf(times - 1, times.sum(), 1.0 / len(times)) < SOLVE.outlier_chance / len(times)
+    return np.asarray(far & seldom & (times >= SOLVE.outlier_repetitions))
 
 
 def _usual(q: np.ndarray, sigma: float, d: int) -> np.ndarray:
     """Variance of a component that a marker has about each frame ``(n, m)``, at least that of the noise: one that
     trembles, or whose miss is strongly curved, is far only where it is farther than it usually is."""
-    edge = np.full((LEVEL, q.shape[1]), np.nan)
+    edge = np.full((SOLVE.outlier_frames, q.shape[1]), np.nan)
     about = sliding_window_view(
-        np.concatenate([edge, np.where(np.isfinite(q), q, np.nan), edge]), 2 * LEVEL + 1, axis=0
+        np.concatenate([edge, np.where(np.isfinite(q), q, np.nan), edge]), 2 * SOLVE.outlier_frames + 1, axis=0
     )
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="All-NaN slice")
@@ -307,17 +279,17 @@ def _square(vectors: np.ndarray) -> np.ndarray:
 
 
 def _levels(miss: np.ndarray) -> list[np.ndarray]:
-    """What the :data:`LEVEL` misses before each frame let expect there, as their median and on a straight line (of
-    repeated medians, Siegel 1982: both bear it that almost half of them are mistakes), ``(n, m, d)`` each."""
-    missing = np.full((LEVEL, *miss.shape[1:]), np.nan)
-    before = np.moveaxis(sliding_window_view(np.concatenate([missing, miss])[:-1], LEVEL, axis=0), -1, 0)
-    ago = np.arange(LEVEL, 0.0, -1.0).reshape(-1, 1, 1, 1)
+    """What the ``SOLVE.outlier_frames`` misses before each frame let expect there, as their median and on a straight
+    line (of repeated medians, Siegel 1982: both bear it that almost half of them are mistakes), ``(n, m, d)`` each."""
+    missing = np.full((SOLVE.outlier_frames, *miss.shape[1:]), np.nan)
+    before = np.moveaxis(sliding_window_view(np.concatenate([missing, miss])[:-1], SOLVE.outlier_frames, axis=0), -1, 0)
+    ago = np.arange(SOLVE.outlier_frames, 0.0, -1.0).reshape(-1, 1, 1, 1)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="All-NaN slice")
         flat = np.nanmedian(before, axis=0)
         slopes = []
-        for j in range(LEVEL):
-            others = np.delete(np.arange(LEVEL), j)
+        for j in range(SOLVE.outlier_frames):
+            others = np.delete(np.arange(SOLVE.outlier_frames), j)
             slopes.append(np.nanmedian((before[others] - before[j]) / (ago[j] - ago[others]), axis=0))
         slope = np.nanmedian(slopes, axis=0)
         steep = np.nanmedian(before + slope * ago, axis=0)
@@ -353,7 +325,7 @@ def _of_others(seen: np.ndarray, place: np.ndarray, there: Mask, far: float) -> 
         apart = np.linalg.norm(seen[k][off, None] - place[k][None, off], axis=2)
         np.fill_diagonal(apart, np.inf)
         nearest = np.argmin(np.nan_to_num(apart, nan=np.inf), axis=1)
-        takes = apart[np.arange(len(off)), nearest] < OTHERS * own[k, off]
+        takes = apart[np.arange(len(off)), nearest] < SOLVE.exchanged_marker_share * own[k, off]
         # A place that is taken by one whose own place is taken by another, and so on round.
         while True:
             closed = takes & takes[nearest] & np.isin(np.arange(len(off)), nearest[takes])
@@ -373,4 +345,4 @@ def _told(run: str, measured: Measured, mask: Mask) -> Outliers:
         names = [label.removeprefix("marker ").rsplit(" ", 1)[0] for label in names[::d]]
     markers = {names[k]: measured.t[mask[:, k]].tolist() for k in np.flatnonzero(mask.any(axis=0))}
     share = float(mask.sum()) / max(number, 1)
-    return Outliers(run, measured.channel, share, markers, share > MOST, measured.kind)
+    return Outliers(run, measured.channel, share, markers, share > SOLVE.outlier_channel_share, measured.kind)

@@ -19,8 +19,9 @@ from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import column_groups
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
+from sysid.settings.solve import SOLVE
 from sysid.solve.discretisation_basis import Basis, ErrorShape, Sizes, basis_of, believed
-from sysid.solve.gauss_newton import IN_SIGHT, Search
+from sysid.solve.gauss_newton import Search
 from sysid.solve.optimum import Fitted
 from sysid.solve.variable_projection import Elimination
 
@@ -305,7 +306,7 @@ class Problem:
             raise
         most = max(seen)
         return [
-            chi2 * (most / count if count else 1.0) if count >= IN_SIGHT * most else np.inf
+            chi2 * (most / count if count else 1.0) if count >= SOLVE.in_sight_share * most else np.inf
             for chi2, count in zip(found, seen, strict=True)
         ]
 

@@ -15,8 +15,9 @@ from sysid.model.parameters import FitParameter, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.estimate import quantities
 from sysid.observations.observations import UNITS, Measured
+from sysid.settings.solve import SOLVE
 from sysid.settings.uncertainty import UNCERTAINTY
-from sysid.solve.covariance import UNDETERMINED_SHARE, interval, marginal, uncertainty
+from sysid.solve.covariance import interval, marginal, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -49,7 +50,7 @@ class Nuisance:
     @property
     def told(self) -> bool:
         """The data say more of it than was known before."""
-        return self.sd < UNDETERMINED_SHARE * self.prior_sd
+        return self.sd < SOLVE.undetermined_share * self.prior_sd
 
     @property
     def bias(self) -> bool:
@@ -260,9 +261,9 @@ def confounded_with_nuisances(problem: Problem, fitted: Fitted, kinds: Sequence[
     known["every nuisance"] = _spread(fitted, unbiased, kinds)
     said = []
     for name, spread in now.items():
-        if spread < UNDETERMINED_SHARE:
+        if spread < SOLVE.undetermined_share:
             continue
-        kind = next((k for k, there in known.items() if there[name] < UNDETERMINED_SHARE), None)
+        kind = next((k for k, there in known.items() if there[name] < SOLVE.undetermined_share), None)
         if kind is not None:
             said.append(f"{name} would be determined if {REMEDIES.get(kind, 'no nuisance was allowed for')}.")
     return said

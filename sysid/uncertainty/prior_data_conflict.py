@@ -15,8 +15,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from sysid.settings.solve import SOLVE
 from sysid.settings.uncertainty import UNCERTAINTY
-from sysid.solve.covariance import WIDEST, overdispersion, uncertainty
+from sysid.solve.covariance import overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
 
 
@@ -55,7 +56,7 @@ def _without(fitted: Fitted, k: int, row: int) -> tuple[np.ndarray, Fitted]:
     low[k], high[k] = -np.inf, np.inf
     prior = np.array([p.prior_sd for p in fitted.parameters])
     upper: np.ndarray = np.linalg.qr(np.column_stack([jacobian, residual]) * weight[:, None])[1]
-    ridge = np.diag(1.0 / (WIDEST * prior))  # what nothing tells stays where it is
+    ridge = np.diag(1.0 / (SOLVE.widest_sd * prior))  # what nothing tells stays where it is
     matrix = np.vstack([upper[:, :-1], ridge])
     end = lsq_linear(matrix, -np.concatenate([upper[:, -1], np.zeros(len(prior))]), bounds=(low, high))
     moved: np.ndarray = jacobian.copy()

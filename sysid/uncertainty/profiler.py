@@ -30,8 +30,9 @@ from scipy.optimize import lsq_linear
 
 from sim_core.errors import ThinshellError
 from sysid.model.parallel_predictor import ParallelPredictor
+from sysid.settings.solve import SOLVE
 from sysid.settings.uncertainty import UNCERTAINTY
-from sysid.solve.covariance import WIDEST, inverse_information, overdispersion, uncertainty
+from sysid.solve.covariance import inverse_information, overdispersion, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.profile_likelihood import End, Profile, in_words
@@ -218,7 +219,7 @@ class Profiler:
         if not others:
             return to, float(residual @ residual)
         # A direction that the data do not see stays where it is.
-        ridge = np.diag(1.0 / (WIDEST * self._prior[others]))
+        ridge = np.diag(1.0 / (SOLVE.widest_sd * self._prior[others]))
         upper: np.ndarray = np.linalg.qr(np.column_stack([jacobian[:, others], residual]))[1]
         matrix = np.vstack([upper[:, :-1], ridge])
         target = -np.concatenate([upper[:, -1], np.zeros(len(others))])

@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import Gel, Rig
 from sim_core.simulate import Trace
-from sysid.diagnosis.model_tolerance import GEL_TOLERANCE, MODEL_TOLERANCE, deformation, model_tolerance
+from sysid.diagnosis.model_tolerance import deformation, model_tolerance
 from sysid.model.predictor import Prediction
 from sysid.observations.observations import Measured, Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.discretisation_basis import MODEL, ErrorShape, basis_of
 
 POINTS = np.random.default_rng(0).normal(size=(12, 2)) * 40.0
@@ -56,7 +57,7 @@ def test_of_a_wrench_it_is_the_change_since_the_start() -> None:
     shape = model_tolerance(
         cast(Rig, SimpleNamespace(cameras={})), [run], [Prediction({"wrist": values}, {}, Trace(T, {}, {}, {}, ()))]
     )
-    np.testing.assert_allclose(shape.shapes[0]["wrist"], MODEL_TOLERANCE * (values - 3.0))
+    np.testing.assert_allclose(shape.shapes[0]["wrist"], DIAGNOSIS.model_tolerance * (values - 3.0))
     assert shape.mean == 0.0
 
 
@@ -79,7 +80,7 @@ def test_points_on_a_gel_seen_from_its_mount_may_be_off_by_a_share_of_all_their_
     values = moved(0.0)
     run = Run("run", "", (), {}, (tracks(values),), 1.0)
     gel = Gel.model_construct(mount="world")
-    for mount, size in (("world", GEL_TOLERANCE * (values - values[0])), ("hand", 0.0 * values)):
+    for mount, size in (("world", DIAGNOSIS.gel_marker_tolerance * (values - values[0])), ("hand", 0.0 * values)):
         camera = SimpleNamespace(mount=mount, sees=[SimpleNamespace(body="pad")])
         rig = cast(Rig, SimpleNamespace(cameras={"camera": camera}, bodies={"pad": gel}))
         shape = model_tolerance(rig, [run], [Prediction({"camera": values}, {}, Trace(T, {}, {}, {}, ()))])

@@ -16,11 +16,12 @@ from sim_core.simulate import Trace
 from sysid.diagnosis import predictability
 from sysid.diagnosis.baseline import best_branch, fine_enough
 from sysid.diagnosis.beliefs import believed
-from sysid.diagnosis.predictability import RINGS_S, Unpredictable, _joined, members_of, unpredictable, without
+from sysid.diagnosis.predictability import Unpredictable, _joined, members_of, unpredictable, without
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
@@ -82,7 +83,7 @@ def test_a_snap_that_a_small_change_brings_is_left_out(problem: Any) -> None:
     derived = there.engine.predict_all(rig, there.runs, parameters, fitted.scaled)
     (found,) = unpredictable(there.engine, there.runs, fitted, there.noise, derived)
     ((begin, end),) = found.spans
-    assert begin == pytest.approx(0.8, abs=0.05) and end == pytest.approx(1.1 + RINGS_S, abs=0.05)
+    assert begin == pytest.approx(0.8, abs=0.05) and end == pytest.approx(1.1 + DIAGNOSIS.ringing_s, abs=0.05)
     assert "run: readings from 0.7" in found.sentence
     (run,) = without(there.runs, [found])
     gone = np.isnan(run.measured[0].values[:, 0])

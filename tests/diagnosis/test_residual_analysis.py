@@ -10,17 +10,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.diagnosis.residual_analysis import BLOCKS, _phase, largest_change, locate, structure
+from sysid.diagnosis.residual_analysis import _phase, largest_change, locate, structure
 from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
-from sysid.solve.discretisation_basis import MODEL, ROUGH, ErrorShape, Sizes
+from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.settings.solve import SOLVE
+from sysid.solve.discretisation_basis import MODEL, ErrorShape, Sizes
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
 
 def test_what_is_not_measured_does_not_count() -> None:
-    n = 10 * BLOCKS
+    n = 10 * DIAGNOSIS.time_blocks
     t = np.linspace(0.0, 1.0, n)
     values = np.full((n, 6), np.nan)
     values[:, 1] = 0.0  # a gauge along y
@@ -32,7 +34,7 @@ def test_what_is_not_measured_does_not_count() -> None:
     problem = Problem([run], {"gauge": noise}, cast(SerialPredictor, None), [known])
     # Every block of about ten samples, each half a standard deviation off: (10 * 0.5)^2 / 10, with that
     # deviation widened by what follows no shape.
-    widened = 1.0 + (ROUGH * 0.5) ** 2
+    widened = 1.0 + (SOLVE.rough_error_share * 0.5) ** 2
     basis = problem.basis(0, gauge)
     shared, own = (sum(len(p.instants) for p in parts) for parts in (basis.common, basis.own))
     none = Sizes(np.zeros(shared), np.zeros((6, own)))
@@ -40,7 +42,7 @@ def test_what_is_not_measured_does_not_count() -> None:
     fitted = SimpleNamespace(scaled=np.zeros(0), sizes={(0, "gauge"): none}, predictions=[prediction])
     forces, torques = structure(problem, cast(Fitted, fitted)).parts
     assert forces.own == pytest.approx(0.25 * n / widened, rel=0.01)
-    assert forces.count == BLOCKS
+    assert forces.count == DIAGNOSIS.time_blocks
     assert (torques.own, torques.count) == (0.0, 0)
 
 

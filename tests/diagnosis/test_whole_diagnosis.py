@@ -6,6 +6,7 @@ import copy
 import re
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,6 +24,7 @@ from sysid.model.parameters import rig_at
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.covariance import uncertainty
 
 T, SIGMA, SHARE = np.linspace(0.0, 1.0, 200), 0.01, 0.3
@@ -240,7 +242,7 @@ def test_what_is_too_small_to_be_seen_marks_no_window(
         return read(rig) + (0.02 * RIPPLE if fine else 0.0)
 
     for module in ("residual_analysis", "verdict"):
-        monkeypatch.setattr(f"sysid.diagnosis.{module}.LEAST_SIZE", 1e9)
+        monkeypatch.setattr(f"sysid.diagnosis.{module}.DIAGNOSIS", replace(DIAGNOSIS, least_size=1e9))
     found = diagnose(law)
     assert found.verdict == "nothing_missing"
     assert set(found.located.windows) == {"press"} and not any(found.located.windows.values())
@@ -255,7 +257,7 @@ def test_the_baseline_goes_on_beside_the_discretisation_error_measured_last(
             raise ConvergenceError("The fine mesh does not converge.", "Use another.")
         return read(rig) + (0.02 * RIPPLE if fine else 0.0)
 
-    monkeypatch.setattr(baseline, "MEASURED_WITHIN", 0.1)
+    monkeypatch.setattr(baseline, "DIAGNOSIS", replace(DIAGNOSIS, error_measured_within_sd=0.1))
     found = diagnose(law, concealed=0.0, held=0.0)
     assert found.verdict == "nothing_missing"
     assert any("The baseline fit did not converge" in note for note in found.notes)
@@ -355,9 +357,9 @@ def test_an_effect_goes_on_without_the_idle_one_beside_it(
     assert found.names == alone.names and set(found.fitted.rig.effects) == {"gel_relaxation"}
     assert [p.name for p in found.fitted.parameters] == [p.name for p in alone.fitted.parameters]
     # A refit ends where chi-square falls by less than TOLERANCE, from wherever it began.
-    assert abs(found.fitted.chi2 - alone.fitted.chi2) < refits.TOLERANCE * max(1.0, alone.fitted.misfit)
+    assert abs(found.fitted.chi2 - alone.fitted.chi2) < DIAGNOSIS.refit_tolerance * max(1.0, alone.fitted.misfit)
     off = np.abs(found.fitted.scaled - alone.fitted.scaled) / uncertainty(alone.fitted).sd
-    assert off.max() < np.sqrt(refits.TOLERANCE)
+    assert off.max() < np.sqrt(DIAGNOSIS.refit_tolerance)
     assert found.predicts == pytest.approx(alone.predicts, rel=1e-2)
 
 

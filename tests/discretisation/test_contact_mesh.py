@@ -10,12 +10,13 @@ import pytest
 
 from sim_core.rigs import Gel, load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.discretisation.contact_mesh import MARGIN, OF_RADIUS, refined_where_touched
+from sysid.discretisation.contact_mesh import refined_where_touched
 from sysid.discretisation.followed_model import follows
 from sysid.discretisation.refinement import error_of_coarser_cells
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.settings.discretisation import DISCRETISATION
 
 RIG = Path(__file__).parents[1] / "ros" / "data" / "press_gel.yaml"
 
@@ -48,9 +49,9 @@ def test_the_box_is_about_the_contact_of_hertz() -> None:
     radius = np.sqrt(ball_radius(rig) * depth)
     spacing = float(np.ptp(pad(rig).shape.whole_bounds(), axis=0).max()) / 60.0
     for low, high in (box.x_m, box.y_m):
-        assert 0.5 * (high - low) == pytest.approx((1.0 + MARGIN) * radius, abs=2.0 * spacing)
+        assert 0.5 * (high - low) == pytest.approx((1.0 + DISCRETISATION.contact_margin) * radius, abs=2.0 * spacing)
         assert abs(low + high) < 2.0 * spacing
-    assert box.edge_m <= OF_RADIUS * radius * 1.01
+    assert box.edge_m <= DISCRETISATION.edge_over_contact_radius * radius * 1.01
     assert found.finer > 1.0 and "mm long where it is touched" in found.notes[0]
 
 

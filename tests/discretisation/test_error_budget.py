@@ -10,16 +10,10 @@ from sim_core.rigs import parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate, step_times
-from sysid.discretisation.error_budget import (
-    MESH,
-    OF_NOISE,
-    STEP,
-    converge,
-    with_half_cells,
-    with_half_range,
-)
+from sysid.discretisation.error_budget import MESH, STEP, converge, with_half_cells, with_half_range
 from sysid.noise.estimate import as_declared
 from sysid.observations.observations import Measured, Run
+from sysid.settings.discretisation import DISCRETISATION
 from sysid.workflow.converge import converge_rig
 
 FORCE_N = 2e-2
@@ -71,16 +65,16 @@ def test_a_rig_that_converged_is_close_to_a_far_finer_one():
     noise = {"wrench": as_declared(rig, run.measured[0])}
     found = converge(rig, [run], noise)
     assert found.converged
-    assert found.rounds[0].worst(MESH) > OF_NOISE
-    assert found.rounds[0].worst(STEP) > OF_NOISE
+    assert found.rounds[0].worst(MESH) > DISCRETISATION.budget_over_noise
+    assert found.rounds[0].worst(STEP) > DISCRETISATION.budget_over_noise
     assert found.rig.bodies["strip"].shape.cells[0] > 6
     assert found.rig.solver.dt_s < 0.1
     dt = found.rig.solver.dt_s
     change = at_stamps(found.rig, run, 2, dt / 4) - at_stamps(found.rig, run, 1, dt)
     rms = float(np.sqrt(np.mean(change[:, :3] ** 2)))
-    assert rms < 2.0 * OF_NOISE * FORCE_N
+    assert rms < 2.0 * DISCRETISATION.budget_over_noise * FORCE_N
     before = at_stamps(rig, run, 4, dt / 4) - at_stamps(rig, run, 1, 0.1)
-    assert float(np.sqrt(np.mean(before[:, :3] ** 2))) > OF_NOISE * FORCE_N
+    assert float(np.sqrt(np.mean(before[:, :3] ** 2))) > DISCRETISATION.budget_over_noise * FORCE_N
 
 
 def test_where_the_noise_is_large_nothing_is_changed():

@@ -16,10 +16,11 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate
 from sysid.discretisation.followed_model import follows
-from sysid.discretisation.gel_extent import WIDE, widened
+from sysid.discretisation.gel_extent import widened
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.settings.discretisation import DISCRETISATION
 
 E, NU, THICK, RADIUS = 2.0e5, 0.47, 8.0e-3, 20e-3
 MARKERS = np.linspace(-8e-3, 8e-3, 9)
@@ -135,7 +136,7 @@ def test_cells_in_the_middle_stay_as_wide_as_they_were() -> None:
     assert isinstance(block, Block)
     lines = graded_lines(block.size_m, block.cells, block.ratios)[0]
     assert np.diff(lines).min() == pytest.approx(3.2 * THICK / 6, rel=1e-6)
-    assert np.ptp(lines) == pytest.approx(WIDE * THICK)
+    assert np.ptp(lines) == pytest.approx(DISCRETISATION.wide_pad_ratio * THICK)
 
 
 def test_pads_whose_size_is_known_or_that_are_wide_stay() -> None:

@@ -16,8 +16,9 @@ from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.settings.solve import SOLVE
 from sysid.solve.covariance import uncertainty
-from sysid.solve.discretisation_basis import LEVELS, PATTERN_LEVELS, RIGHT_SD, ROUGH, ErrorShape, basis_of
+from sysid.solve.discretisation_basis import ErrorShape, basis_of
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -27,22 +28,28 @@ def test_intervals_hold_the_truth_as_often_as_they_say(vectors: None) -> None:
     rng = np.random.default_rng(5)
     shape = own(TRUTH)
     known = ErrorShape("mesh", ({"gauge": shape},))
-    knots = [(np.linspace(0.0, 1.0, count), strength) for count, strength in LEVELS]
+    knots = [(np.linspace(0.0, 1.0, count), strength) for count, strength in SOLVE.error_course_levels]
     hats = [a * np.clip(1.0 - np.abs(T[:, None] - k) * (len(k) - 1), 0.0, None) for k, a in knots]
     fine = hats[-1] > 0.0
     variances, turned = np.linalg.eigh(shape.T @ shape)
     assert variances.min() > 0.0
     courses = shape @ turned
-    about = hats[-1] / LEVELS[-1][1] @ np.max(np.where(fine[:, :, None], np.abs(courses)[:, None], 0.0), axis=0)
+    about = (
+        hats[-1]
+        / SOLVE.error_course_levels[-1][1]
+        @ np.max(np.where(fine[:, :, None], np.abs(courses)[:, None], 0.0), axis=0)
+    )
 
-    def drift(levels: int = len(LEVELS)) -> np.ndarray:
+    def drift(levels: int = len(SOLVE.error_course_levels)) -> np.ndarray:
         return np.asarray(rng.standard_normal() + sum(h @ rng.standard_normal(h.shape[1]) for h in hats[:levels]))
 
     inside = np.zeros(2)
     for _ in range(300):
         drifts = [drift() for _ in range(3)]
-        size = 0.5 + RIGHT_SD * (drifts[0][:, None] + np.column_stack(drifts[1:]))
-        others = RIGHT_SD * (about * np.column_stack([drift(PATTERN_LEVELS) for _ in range(2)])) @ turned.T
+        size = 0.5 + SOLVE.error_size_sd * (drifts[0][:, None] + np.column_stack(drifts[1:]))
+        others = (
+            SOLVE.error_size_sd * (about * np.column_stack([drift(SOLVE.pattern_levels) for _ in range(2)])) @ turned.T
+        )
         values = coarse(TRUTH) + size * shape + others + SIGMA * rng.standard_normal((len(T), 2))
         problem = Problem([run_of(values)], NOISE, cast(ParallelPredictor, Linear()), [known])
         fitted = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS)
@@ -58,7 +65,7 @@ def test_an_error_without_the_shape_is_allowed_for(vectors: None, rho: float) ->
     known = ErrorShape("mesh", ({"gauge": shape},))
     inside = np.zeros(2)
     for _ in range(100):
-        values = coarse(TRUTH) + 0.5 * shape + rms * ROUGH * rng.standard_normal((len(T), 2))
+        values = coarse(TRUTH) + 0.5 * shape + rms * SOLVE.rough_error_share * rng.standard_normal((len(T), 2))
         noise = {"gauge": ChannelNoise(NOISE["gauge"].sigma, rho, "test")}
         problem = Problem([run_of(values)], noise, cast(ParallelPredictor, Linear()), [known])
         fitted = problem.fit(cast(Any, Vector(np.zeros(2))), PARAMETERS)
@@ -88,7 +95,7 @@ def test_an_error_without_the_shape_may_stay_for_a_while(vectors: None) -> None:
     block = np.minimum((np.linspace(0.0, 1.0, n) * 23).astype(int), 22)
     scores = []
     for _ in range(100):
-        fitted = beside_a_fast_error(n, 0.5**0.5 * ROUGH * rng.standard_normal((23, 8))[block])
+        fitted = beside_a_fast_error(n, 0.5**0.5 * SOLVE.rough_error_share * rng.standard_normal((23, 8))[block])
         miss = np.linalg.lstsq(fitted.jacobian, fitted.residual, rcond=None)[0]
         scores.append(miss / uncertainty(fitted).sd)
     assert np.std(scores, axis=0) == pytest.approx(np.ones(2), abs=0.3)
@@ -171,7 +178,7 @@ def test_what_was_not_measured_does_not_weigh_down_what_was(vectors: None) -> No
     noise = {"cell": ChannelNoise(np.ones(6), np.zeros(6), "test")}
     problem = Problem([run], noise, cast(ParallelPredictor, None), [ErrorShape("mesh", ({"cell": shape},))])
     rough = problem.basis(0, run.measured[0]).rough[:, 2]
-    assert rough == pytest.approx(ROUGH * 0.1, rel=1e-12)
+    assert rough == pytest.approx(SOLVE.rough_error_share * 0.1, rel=1e-12)
 
 
 def test_derivatives_are_those_of_the_residual(vectors: None) -> None:
@@ -203,7 +210,7 @@ def test_a_reading_that_a_refinement_does_not_move_may_be_off_for_long() -> None
     run = run_of(np.zeros((len(T), 2)))
     basis = basis_of([ErrorShape("mesh", ({"gauge": shape},))], 0, run, run.measured[0])
     lasting = [p.shape[:, 1:] * p.functions[:, :1] for p in basis.own if len(p.instants)]
-    assert np.hypot.reduce(lasting) == pytest.approx(np.full((len(T), 1), ROUGH * 0.5**0.5))
+    assert np.hypot.reduce(lasting) == pytest.approx(np.full((len(T), 1), SOLVE.rough_error_share * 0.5**0.5))
 
 
 def test_each_column_may_have_its_own_multiple_of_the_error(vectors: None) -> None:

@@ -9,11 +9,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sysid.discretisation.time_steps import OF_NOISE, followed, with_steps
+from sysid.discretisation.time_steps import followed, with_steps
 from sysid.model.predictor import Prediction
 from sysid.model.time_span import rollout_times
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.settings.discretisation import DISCRETISATION
 
 DT_S, END_S, BENDS_S = 0.1, 2.0, 0.8
 SIGMA_M = 1e-4
@@ -68,7 +69,9 @@ def test_steps_are_halved_until_interpolation_errs_by_less_than_a_third_of_the_n
     assert run.steps is not None
     lengths = np.diff(run.steps)
     assert np.allclose(lengths[run.steps[1:] <= BENDS_S + 1e-9], DT_S)
-    count = next(n for n in range(5) if (DT_S / 2**n) ** 2 * strength / 8.0 <= OF_NOISE * SIGMA_M)
+    count = next(
+        n for n in range(5) if (DT_S / 2**n) ** 2 * strength / 8.0 <= DISCRETISATION.interpolation_over_noise * SIGMA_M
+    )
     assert np.allclose(lengths[run.steps[:-1] >= BENDS_S - 1e-9], DT_S / 2**count)
 
 

@@ -8,6 +8,7 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from inspect import signature
 from types import SimpleNamespace
 
@@ -20,6 +21,7 @@ from sysid.fit import coverage
 from sysid.fit.coverage import Coverage, Outcome, autocorrelated_noise, draw, measure_coverage, wilson
 from sysid.fit.result import Estimate
 from sysid.model.parameters import fit_parameters
+from sysid.settings.fit import FIT
 
 
 def test_interval_of_a_share():
@@ -221,7 +223,7 @@ def test_a_long_case_is_not_waited_for_in_silence(small_rig, monkeypatch):
         if len(told) == 3:
             heard.set()
 
-    monkeypatch.setattr(coverage, "LOOK_S", 0.01)
+    monkeypatch.setattr(coverage, "FIT", replace(FIT, coverage_progress_s=0.01))
     monkeypatch.setattr(coverage, "worker_pool", ThreadPoolExecutor)
     monkeypatch.setattr(coverage, "_case", case)
     measure_coverage(small_rig(), [], ["gel.E_pa"], cases=range(2), on_progress=report)

@@ -15,12 +15,13 @@ from sim_core.rigs.motion import load_experiment
 from sim_core.simulate import Trace
 from sysid.fit import FitOptions, fit_runs
 from sysid.fit.fit import NEAREST
-from sysid.fit.minimum_norm import RISE, minimum_norm_solution
+from sysid.fit.minimum_norm import minimum_norm_solution
 from sysid.model.load import load_runs
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.settings.fit import FIT
 from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import uncertainty
 from sysid.solve.optimum import Fitted
@@ -69,7 +70,7 @@ def test_the_nearest_in_plausible_widths_is_gone_to() -> None:
     told: list[Fitted] = []
     found = minimum_norm_solution(problem, fitted, START_HERE, 30, told.append)
     np.testing.assert_allclose(found.scaled, [0.2, 1.8], atol=0.02)
-    assert found.chi2 - fitted.chi2 <= RISE and found.converged and found.message == fitted.message
+    assert found.chi2 - fitted.chi2 <= FIT.chi2_rise and found.converged and found.message == fitted.message
     assert len(told) == found.evaluations - fitted.evaluations == 1
 
 
@@ -96,7 +97,7 @@ def test_what_is_told_a_little_is_not_given_up() -> None:
     problem.runs[0].measured[0].values[:] = (2.0 * np.sin(T) + 24.0 * 0.0013 * np.cos(T))[:, None]
     fitted = problem.evaluate(cast(Any, None), [A, B], fitted.scaled)
     found = minimum_norm_solution(problem, fitted, START_HERE, 30)
-    assert found is not fitted and found.chi2 - fitted.chi2 <= RISE
+    assert found is not fitted and found.chi2 - fitted.chi2 <= FIT.chi2_rise
     assert 3.0 < found.scaled[0] - found.scaled[1] < 20.0
 
 

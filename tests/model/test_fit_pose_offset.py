@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from sysid.fit import FitOptions, FitResult, fit_runs
 from sysid.fit import multistart as starts
 from sysid.model.nuisance_parameters import KINDS
 from sysid.observations.observations import Run
+from sysid.settings.fit import FIT
 
 OFFSET = {
     "finger.offset_x_m": 2e-4,
@@ -56,7 +58,7 @@ def test_an_offset_that_nobody_told_does_not_fool_a_fit(small_rig: Any, askew: R
 @pytest.mark.slow
 def test_without_the_nuisance_it_would(small_rig: Any, askew: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Even from the truth."""
-    monkeypatch.setattr(starts, "MOST_RESTARTS", 0)
+    monkeypatch.setattr(starts, "FIT", replace(FIT, most_restarts=0))
     result = fitted(with_parameters(small_rig(), TRUTH), askew, ("time", "bias", "camera"), list(TRUTH))
     rubbing = next(e for e in result.estimates if e.name.endswith("friction"))
     assert not rubbing.ci95[0] <= TRUTH[rubbing.name] <= rubbing.ci95[1]

@@ -13,19 +13,13 @@ from sim_core.rigs import load_rig, parse_rig, with_parameters
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.simulate import Trace
 from sysid.fit.options import FitOptions
-from sysid.model.nuisance_parameters import (
-    BIAS_SD,
-    KINDS,
-    bias_sd,
-    checked_kinds,
-    has_bias,
-    nuisance_parameters,
-)
+from sysid.model.nuisance_parameters import KINDS, bias_sd, checked_kinds, has_bias, nuisance_parameters
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.pose_influence import influencing_end_effectors
 from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.settings.model import MODEL
 from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.residuals import Problem
@@ -274,7 +268,7 @@ def test_a_camera_that_places_the_markers_has_the_nuisances_of_any(places: str) 
 
 def test_the_width_of_a_bias_follows_large_readings() -> None:
     values = np.zeros((len(T), 6))
-    np.testing.assert_array_equal(bias_sd(Measured("g", "wrench", T, values, LABELS)), np.repeat(BIAS_SD, 3))
+    np.testing.assert_array_equal(bias_sd(Measured("g", "wrench", T, values, LABELS)), np.repeat(MODEL.bias_sd, 3))
     values[5, 1] = -40.0
     values[:, 0] = np.nan
     np.testing.assert_array_equal(bias_sd(Measured("g", "wrench", T, values, LABELS)), [20.0] * 3 + [0.5] * 3)

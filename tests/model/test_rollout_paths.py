@@ -14,8 +14,9 @@ from sim_core.errors import ConvergenceError
 from sim_core.rigs import Rig, load_rig
 from sim_core.simulate import NodePath
 from sysid.model.predictor import Prediction
-from sysid.model.rollout_paths import MOST, RolloutPaths
+from sysid.model.rollout_paths import RolloutPaths
 from sysid.observations.observations import Run
+from sysid.settings.model import MODEL
 
 RUN = Run("press", "", (), {}, (), 1.0)
 
@@ -89,8 +90,8 @@ def test_a_first_rollout_that_fails_fails_no_other_one(rig: Rig) -> None:
 
 def test_so_many_paths_are_kept_at_most(rig: Rig) -> None:
     paths, begin = RolloutPaths(), Rollouts()
-    for k in range(MOST + 1):
+    for k in range(MODEL.kept_paths + 1):
         paths.start(rig, replace(RUN, name=str(k)), 1, None, begin)
-    paths.start(rig, replace(RUN, name=str(MOST)), 1, None, begin)
+    paths.start(rig, replace(RUN, name=str(MODEL.kept_paths)), 1, None, begin)
     paths.start(rig, replace(RUN, name="0"), 1, None, begin)
     assert [keep for keep, _ in begin.asked[-2:]] == [False, True]

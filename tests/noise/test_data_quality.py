@@ -9,8 +9,9 @@ import pytest
 
 from sim_core.rigs import load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.noise.data_quality import FEW, data_quality_warnings
+from sysid.noise.data_quality import data_quality_warnings
 from sysid.observations.observations import Measured, Run
+from sysid.settings.noise import NOISE
 
 RIG = load_rig("strip_coarse")
 (GAUGE,) = RIG.sensors
@@ -42,7 +43,7 @@ def warnings_in(runs: list[Run]) -> list[str]:
 
 
 def test_a_recording_without_faults_gives_no_doubt() -> None:
-    assert warnings_in([run_of(FEW)]) == []
+    assert warnings_in([run_of(NOISE.few_instants)]) == []
     assert warnings_in([recording(noise(300))]) == [] == warnings_in([recording(noise(300), moves_m=0.0)])
 
 
@@ -78,11 +79,11 @@ def test_recordings_with_another_noise_are_said(times: float, apart: bool) -> No
 
 @pytest.mark.parametrize(("faults", "said"), [(1, "1 fault that"), (5, "5 faults that")])
 def test_faults_are_said_and_counted(faults: int, said: str) -> None:
-    (sentence,) = warnings_in([run_of(FEW, *(f"/wrench: fault {k}" for k in range(faults)))])
+    (sentence,) = warnings_in([run_of(NOISE.few_instants, *(f"/wrench: fault {k}" for k in range(faults)))])
     assert sentence.startswith(f"press was read with {said} may change the result: /wrench: fault 0")
     assert ("and 2 more, in the notes" in sentence) == (faults == 5)
 
 
 def test_few_instants_of_all_recordings_together_are_said() -> None:
     assert "readings of 4 instants only" in warnings_in([run_of(2), replace(run_of(2), name="other")])[0]
-    assert warnings_in([run_of(FEW // 2), run_of(FEW // 2)]) == []
+    assert warnings_in([run_of(NOISE.few_instants // 2), run_of(NOISE.few_instants // 2)]) == []

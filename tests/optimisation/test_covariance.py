@@ -10,7 +10,8 @@ import pytest
 
 from sysid.model.parameters import FitParameter
 from sysid.noise.autocorrelation import Samples
-from sysid.solve.covariance import UNDETERMINED_SHARE, WIDEST, interval, names_undetermined, uncertainty
+from sysid.settings.solve import SOLVE
+from sysid.solve.covariance import interval, names_undetermined, uncertainty
 from sysid.solve.optimum import Fitted
 
 N = 50
@@ -34,7 +35,7 @@ def test_a_parameter_without_influence_is_as_wide_as_its_range(strength: float, 
     fit = fitted(jacobian, misfit)
     known = uncertainty(fit)
     assert np.isfinite(known.sd).all() and np.isfinite(known.correlation).all()
-    assert 2.0 <= known.sd[1] <= WIDEST * 2.0
+    assert 2.0 <= known.sd[1] <= SOLVE.widest_sd * 2.0
     assert any("do not determine p1" in s for s in known.sentences)
     assert np.isfinite(interval(fit.parameters[1], 10.0, known.sd[1])).all()
 
@@ -42,7 +43,7 @@ def test_a_parameter_without_influence_is_as_wide_as_its_range(strength: float, 
 def test_a_pair_that_cancels_is_said_to_be_known_only_together() -> None:
     slope = np.linspace(1.0, 2.0, N)
     known = uncertainty(fitted(1e7 * np.column_stack([slope, -slope])))
-    assert (known.sd > UNDETERMINED_SHARE * 2.0).all()
+    assert (known.sd > SOLVE.undetermined_share * 2.0).all()
     assert any("p0 and p1 separately, only in combination" in s for s in known.sentences)
 
 
@@ -94,7 +95,7 @@ def test_what_misfit_leaves_wide_is_not_determined() -> None:
     fit = torn(1.9)
     known = uncertainty(fit)
     low, high = interval(fit.parameters[0], 10.0, known.sd[0])
-    assert known.sd[0] > UNDETERMINED_SHARE * 2.0
+    assert known.sd[0] > SOLVE.undetermined_share * 2.0
     assert known.sentences == (
         f"The data do not determine p0: its 95 % interval is {low:.3g} to {high:.3g} Pa. Record a motion that depends "
         "on it, or fix it.",

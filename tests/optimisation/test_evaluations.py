@@ -17,6 +17,7 @@ from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
+from sysid.settings.fit import FIT
 from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.residuals import Problem
 
@@ -39,8 +40,8 @@ def test_a_restart_that_cannot_be_simulated_is_left_out(small_rig: Any, monkeypa
     problem = Problem([run_of("press", "markers")], noise, cast(ParallelPredictor, Readings()))
     evaluations = Evaluations(FitOptions())
     found = Searches(small_rig(), parameters, FitOptions(), evaluations)(problem, np.array([11.0]))
-    assert len(calls) == 1 + starts.MOST_RESTARTS
-    assert evaluations.done == found.evaluations + starts.MOST_RESTARTS, "each has cost an evaluation"
+    assert len(calls) == 1 + FIT.most_restarts
+    assert evaluations.done == found.evaluations + FIT.most_restarts, "each has cost an evaluation"
     assert np.exp(found.scaled[0]) == pytest.approx(TRUTH, rel=0.05)
 
 

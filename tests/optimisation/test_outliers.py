@@ -12,7 +12,8 @@ from sim_core.simulate import Trace
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
-from sysid.solve.outliers import FAR, mistakes, most_are_outlying, not_looked_for, without_outliers, worth_another_fit
+from sysid.settings.solve import SOLVE
+from sysid.solve.outliers import mistakes, most_are_outlying, not_looked_for, without_outliers, worth_another_fit
 
 N, M, SIGMA = 200, 30, 0.1
 T = np.arange(N) / 30.0
@@ -217,7 +218,7 @@ def lost(by: float) -> tuple[Run, Prediction]:
 
 
 def test_beside_a_model_that_is_far_off_nothing_is_a_mistake() -> None:
-    run, prediction = lost(2.0 * FAR)
+    run, prediction = lost(2.0 * SOLVE.outlier_sd)
     clean, told = without_outliers([run], [prediction], KNOWN)
     assert clean == [run] and told == [] and not worth_another_fit([run], clean)
     (sentence,) = not_looked_for([run, replace(run, name="pull")], [prediction, prediction], KNOWN)
@@ -228,7 +229,7 @@ def test_beside_a_model_that_is_far_off_nothing_is_a_mistake() -> None:
 
 
 def test_beside_one_that_is_not_they_are() -> None:
-    run, prediction = lost(0.5 * FAR)
+    run, prediction = lost(0.5 * SOLVE.outlier_sd)
     assert len(without_outliers([run], [prediction], KNOWN)[1]) == 1
     assert not_looked_for([run], [prediction], KNOWN) == []
     unseen = replace(run.measured[0], values=np.full_like(run.measured[0].values, np.nan))
@@ -269,5 +270,5 @@ def test_too_many_are_kept_and_told() -> None:
 def test_nothing_near_the_noise_is_a_mistake() -> None:
     """However rare: a normal scatter reaches 5 deviations."""
     miss = np.zeros((N, M, 2))
-    miss[60, 9, 0] = 0.6 * FAR * SIGMA - NOISE[60, 9, 0]
+    miss[60, 9, 0] = 0.6 * SOLVE.outlier_sd * SIGMA - NOISE[60, 9, 0]
     assert not found(miss).any()

@@ -9,8 +9,9 @@ import pytest
 from sim_core.errors import ConfigError
 from sim_core.rigs import list_parameters, parse_rig, rig_to_yaml, with_parameters
 from sim_core.rigs.yamlfile import parse_mapping
-from sysid.diagnosis.beliefs import KNOWN_SD, believed
+from sysid.diagnosis.beliefs import believed
 from sysid.model.parameters import fit_parameters, known_before
+from sysid.settings.diagnosis import DIAGNOSIS
 
 
 def test_a_share_and_a_deviation_are_beliefs_in_the_fitted_scale(small_rig: Any) -> None:
@@ -33,7 +34,7 @@ def test_a_diagnosis_believes_the_rig_before_what_is_usual(small_rig: Any) -> No
     rig = small_rig(known={"gel.E": {"relative_sd": 0.01}})
     modulus, other = believed(rig, fit_parameters(rig, ["gel.E", "card.E"]))
     assert modulus.known_sd == pytest.approx(0.01)
-    assert other.known_sd == KNOWN_SD["E_pa"]
+    assert other.known_sd == DIAGNOSIS.known_sd["E_pa"]
 
 
 def test_what_a_fit_is_told_takes_its_place(small_rig: Any) -> None:

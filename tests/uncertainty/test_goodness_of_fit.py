@@ -13,13 +13,15 @@ from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
 from sysid.diagnosis.residual_analysis import structure
 from sysid.fit import FitOptions
-from sysid.fit.multistart import OFFSETS_DRAWN, Evaluations, Searches
+from sysid.fit.multistart import Evaluations, Searches
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, with_bags
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
-from sysid.solve.discretisation_basis import ROUGH, ErrorShape
+from sysid.settings.fit import FIT
+from sysid.settings.solve import SOLVE
+from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.goodness_of_fit import misfit_by_quantity, unexplained, worst
@@ -88,7 +90,7 @@ def test_offsets_are_drawn_once_and_only_where_more_than_noise_is_left(small_rig
     tilted = Folded(0.05)
     search, found = searched(small_rig(), tilted)
     search(problem(tilted), np.array([found.scaled[0], 2e-4]))
-    assert tilted.glanced == OFFSETS_DRAWN
+    assert tilted.glanced == FIT.offset_draws
 
 
 def test_evaluations_that_are_allowed_end_the_searches_from_other_offsets(small_rig: Any) -> None:
@@ -147,7 +149,7 @@ def test_no_more_than_twice_of_what_a_refinement_shows_is_taken_for_the_discreti
     beside, fitted = beside_discretisation_error(4.0, small_rig())
     taken = beside.corrected(fitted, 0, beside.runs[0].measured[0])
     assert taken == pytest.approx(4.0 * OWN * np.ones_like(taken), rel=0.05)
-    left = 2.0 * OWN / np.hypot(SIGMA, ROUGH * OWN)
+    left = 2.0 * OWN / np.hypot(SIGMA, SOLVE.rough_error_share * OWN)
     (found,) = misfit_by_quantity(beside, fitted)
     assert np.sqrt(found.misfit) == pytest.approx(left, rel=0.05)
     (said,) = unexplained(beside, fitted)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from sysid.fit import multistart as starts
 from sysid.fit.options import Intervals
 from sysid.observations.observations import Run
 from sysid.report import write_fit_report
+from sysid.settings.fit import FIT
 
 UNTOLD = {"markers.latency_s": 0.02, "side.fx_px": 1407.0, "side.fy_px": 1407.0}
 
@@ -66,7 +68,7 @@ def test_what_nobody_told_does_not_fool_a_fit(small_rig: Any, dirty: Run, tmp_pa
 @pytest.mark.slow
 def test_without_nuisances_it_would(small_rig: Any, dirty: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Even from the truth."""
-    monkeypatch.setattr(starts, "MOST_RESTARTS", 0)
+    monkeypatch.setattr(starts, "FIT", replace(FIT, most_restarts=0))
     result, _ = fit_runs(with_parameters(small_rig(), TRUTH), [dirty], list(TRUTH), FitOptions(nuisance=("none",)))
     assert result.nuisances == [] and result.remarks == []
     assert all(abs(e.value / TRUTH[e.name] - 1.0) > 0.03 for e in result.estimates)

@@ -1,0 +1,611 @@
+"""Settings of ``sysid.diagnosis``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sim_core.settings import setting
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """Settings of a diagnosis: baseline, screening, refits, verdict, place and time of a mismatch, next experiment."""
+
+    # baseline
+    baseline_evaluations: int = setting(
+        8,
+        "1",
+        "Evaluations allowed to the fit of the baseline.",
+        "cost",
+    )
+    baseline_evaluations_beside: int = setting(
+        5,
+        "1",
+        "Evaluations allowed to it beside the error of mesh and time step, measured where it came to.",
+        "cost",
+    )
+    branch_misfit_ratio: float = setting(
+        2.0,
+        "1",
+        "Misfit over noise from which other branches of contact are looked for, by the upper quartile of what "
+        "is left of the readings, over that of normal numbers: a snap or a landing is no other branch.",
+        "judgement",
+    )
+    normal_upper_quartile: float = setting(
+        1.1503,
+        "1",
+        "Upper quartile of the absolute value of a standard normal number.",
+        "statistics",
+    )
+    friction_factors: tuple[float, ...] = setting(
+        (0.7, 0.85, 1.15, 1.4),
+        "1",
+        "Friction coefficients that are tried, over where the search ended.",
+        "judgement",
+    )
+    offset_draws: int = setting(
+        3,
+        "1",
+        "Random places of the hands that are tried as other branches.",
+        "cost",
+    )
+    better_loss_ratio: float = setting(
+        0.98,
+        "1",
+        "Loss below which another branch is better, over that of the first.",
+        "judgement",
+    )
+    cauchy_width: float = setting(
+        3.0,
+        "1",
+        "Whitened residual that counts as far in the loss by which branches are compared.",
+        "convention",
+    )
+    too_coarse_ratio: float = setting(
+        5.0,
+        "1",
+        "Discretisation error over noise, median over readings, from which a recording weighs nothing.",
+        "judgement",
+    )
+    error_measured_within_sd: float = setting(
+        1.0,
+        "sd",
+        "How far, in standard deviations of what is known of parameters, the discretisation error is taken to "
+        "be that of the start.",
+        "cost",
+    )
+    reference_within_sd: float = setting(
+        0.3,
+        "sd",
+        "How far, likewise, what a reference model adds is taken to be that of the start.",
+        "cost",
+    )
+    ringing_within_sd: float = setting(
+        0.03,
+        "sd",
+        "The same where something vibrates.",
+        "cost",
+    )
+    held_out_evaluations: int = setting(
+        5,
+        "1",
+        "Evaluations allowed to one baseline for all recordings, which begins where that of the ones given stands.",
+        "cost",
+    )
+
+    # what is known before
+    known_sd: Mapping[str, float] = setting(
+        {"E_pa": 0.35, "density_kg_m3": 0.05, "nu": 0.05, "friction": 0.15},
+        "1",
+        "How well a rig's numbers are known where nothing is said: moduli and densities by their logarithm (a "
+        "data sheet of a similar product, a balance), Poisson ratios and friction coefficients by themselves.",
+        "judgement",
+    )
+    known_damping_share: float = setting(
+        0.5,
+        "1",
+        "How well a damping is known, in units of its value.",
+        "judgement",
+    )
+    far_from_known_sd: float = setting(
+        3.0,
+        "sd",
+        "Standard deviations of what was known of a parameter from which its fitted value needs explaining.",
+        "statistics",
+    )
+    certainly_far_sd: float = setting(
+        4.0,
+        "sd",
+        "Standard deviations of what was known of a parameter from which the verdict itself says that it is "
+        "contradicted: of twenty parameters chance takes one there in a diagnosis of 800.",
+        "statistics",
+    )
+
+    # tolerance of the model
+    model_tolerance: float = setting(
+        0.01,
+        "1",
+        "Agreement of careful simulations, in units of the deformation signal.",
+        "judgement",
+    )
+    gel_marker_tolerance: float = setting(
+        0.1,
+        "1",
+        "Agreement of careful simulations in points on a gel, in units of their motion against what the gel "
+        "is fixed to.",
+        "measured",
+    )
+
+    # where recordings can be predicted
+    ensemble_members: int = setting(
+        4,
+        "1",
+        "Rollouts of the ensemble, to both sides of the model by pairs.",
+        "cost",
+    )
+    ensemble_sd: float = setting(
+        1.5,
+        "sd",
+        "How far members are, in standard deviations, along each of the independent directions of the parameters.",
+        "judgement",
+    )
+    ensemble_least_sd: Mapping[str, float] = setting(
+        {"friction": 0.01, "E_pa": 0.01},
+        "1",
+        "Least standard deviation of a member: what a formal covariance says of a friction coefficient is too "
+        "good to be true where everything sticks or slides.",
+        "judgement",
+    )
+    unpredictable_over_noise: float = setting(
+        5.0,
+        "1",
+        "Disagreement of the ensemble over noise from which a reading is unpredictable; "
+        "``unpredictable_signal_share`` has to be reached as well.",
+        "judgement",
+    )
+    unpredictable_signal_share: float = setting(
+        0.05,
+        "1",
+        "The same over the largest deformation of the run.",
+        "judgement",
+    )
+    event_s: float = setting(
+        0.3,
+        "s",
+        "Length of the running median beside which a change is an event.",
+        "judgement",
+    )
+    event_margin_s: float = setting(
+        0.03,
+        "s",
+        "Time before an unpredictable reading, and after it where nothing vibrates, that is unpredictable as well.",
+        "judgement",
+    )
+    ringing_s: float = setting(
+        0.25,
+        "s",
+        "Time after an unpredictable reading that is unpredictable as well where there is inertia: what "
+        "follows an impact has its phase.",
+        "judgement",
+    )
+    most_unpredictable_share: float = setting(
+        0.5,
+        "1",
+        "Share of a run from which on nothing of it is left out: then it is not a matter of events.",
+        "judgement",
+    )
+    other_branch_ratio: float = setting(
+        2.0,
+        "1",
+        "Ratio of misfits from which two predictions count as those of different branches.",
+        "judgement",
+    )
+
+    # screening
+    grid_points: int = setting(
+        4,
+        "1",
+        "Points of the grid over the shapes and sizes of one effect. Each costs an evaluation of the law a step.",
+        "cost",
+    )
+    threshold_grid_points: int = setting(
+        6,
+        "1",
+        "The same of an effect with a threshold, whose misfit has several minima.",
+        "cost",
+    )
+    amplitude_sizes: int = setting(
+        2,
+        "1",
+        "Typical sizes of an amplitude that stands alone, each looked at by itself: laws are not linear in them.",
+        "cost",
+    )
+    largest_amplitude: float = setting(
+        3.0,
+        "typical sizes",
+        "Largest size, in units of the typical one, to which a response is extrapolated.",
+        "judgement",
+    )
+    null_draws: int = setting(
+        300,
+        "1",
+        "Recordings of the null that are drawn.",
+        "cost",
+    )
+    false_alarm_probability: float = setting(
+        0.01,
+        "1",
+        "Probability with which the null exceeds the threshold.",
+        "convention",
+    )
+    twin_errors: tuple[float, ...] = setting(
+        (0.0, 0.5, -0.5),
+        "1",
+        "Discretisation error of the twins beyond the expected one, in units of the extrapolated error.",
+        "judgement",
+    )
+    paired_effects: int = setting(
+        6,
+        "1",
+        "Effects whose pairs are looked at in the screening.",
+        "cost",
+    )
+
+    # refits
+    simulated_effects: int = setting(
+        8,
+        "1",
+        "Effects that are simulated where the screening says, before the best of them are refitted.",
+        "cost",
+    )
+    simulated_second_starts: int = setting(
+        3,
+        "1",
+        "Further starts of these effects that are simulated as well: along a path that never yielded, a law "
+        "with a threshold may look best where its own path is worst.",
+        "cost",
+    )
+    refitted_by_recording: int = setting(
+        2,
+        "1",
+        "Further effects that are refitted since they explain single recordings best.",
+        "cost",
+    )
+    worth_trying_share: float = setting(
+        0.5,
+        "1",
+        "Share of the evidence that is needed where the baseline shows no misfit, from which an effect is "
+        "refitted there.",
+        "judgement",
+    )
+    most_effects: int = setting(
+        3,
+        "1",
+        "Effects of one answer.",
+        "cost",
+    )
+    refitted_from_the_rig: int = setting(
+        2,
+        "1",
+        "Effects that are refitted from the rig's own numbers where the baseline contradicts these.",
+        "cost",
+    )
+    tried_beside: int = setting(
+        3,
+        "1",
+        "Effects that are tried beside an answer that leaves something.",
+        "cost",
+    )
+    could_take_share: float = setting(
+        0.25,
+        "1",
+        "Share of the structured misfit that an answer leaves which the screening must say of an effect that "
+        "it takes away, for it to be tried beside the answer: half of what it has to take away in the end, "
+        "since responses are linear.",
+        "judgement",
+    )
+    sensor_misfit_share: float = setting(
+        0.1,
+        "1",
+        "Share of the misfit that is in a sensor's readings, up to which it is no place where to look.",
+        "judgement",
+    )
+    hold_out_from: int = setting(
+        3,
+        "1",
+        "Number of recordings from which the last is held out where none is.",
+        "judgement",
+    )
+    refitted_sets: int = setting(
+        3,
+        "1",
+        "Sets that are refitted: those that simulations at their starts explain best.",
+        "cost",
+    )
+    refitted_second_starts: int = setting(
+        1,
+        "1",
+        "Further starts of the best of these sets that are refitted.",
+        "cost",
+    )
+    refit_evaluations: int = setting(
+        5,
+        "1",
+        "Evaluations allowed to a refit.",
+        "cost",
+    )
+    refit_tolerance: float = setting(
+        5.0,
+        "1",
+        "Improvement of chi-square, in units of the misfit, below which a refit ends.",
+        "judgement",
+    )
+    worse_held_out_share: float = setting(
+        0.1,
+        "1",
+        "Rise of a held-out error, over that of the baseline, from which a model predicts a quantity worse.",
+        "judgement",
+    )
+    told_apart_sd: float = setting(
+        2.0,
+        "sd",
+        "Standard deviations from which an effect beside others is told from none.",
+        "statistics",
+    )
+    confirmation_evaluations: int = setting(
+        12,
+        "1",
+        "Evaluations allowed to an answer, whose refit ended when it was told from others.",
+        "cost",
+    )
+    robust_width_sd: float = setting(
+        3.0,
+        "sd",
+        "Whitened residual from which held-out samples count linearly, so that a few do not decide.",
+        "convention",
+    )
+
+    # verdict
+    least_gain_nats: float = setting(
+        8.0,
+        "nats",
+        "Evidence over the baseline below which nothing is named, whatever the null of the case says.",
+        "judgement",
+    )
+    threshold_factor_without_misfit: float = setting(
+        3.0,
+        "1",
+        "How many times the threshold an effect must reach where the baseline shows no misfit that stands out.",
+        "judgement",
+    )
+    tie_nats: float = setting(
+        5.0,
+        "nats",
+        "Sets of effects within this of the best are reported together.",
+        "judgement",
+    )
+    most_explained_share: float = setting(
+        0.6,
+        "1",
+        "Share of the structured misfit that an answer explains, unless it leaves none that stands out.",
+        "judgement",
+    )
+    some_explained_share: float = setting(
+        0.15,
+        "1",
+        "Share from which an effect is worth telling beside something that remains unknown.",
+        "judgement",
+    )
+    worth_adding_share: float = setting(
+        0.5,
+        "1",
+        "Share of the structured misfit that a set of effects leaves which a further effect has to take away, "
+        "on the recordings given or on those held out.",
+        "judgement",
+    )
+    steady_sd: float = setting(
+        2.0,
+        "sd",
+        "Standard deviations, from block to block of time, by which held-out recordings have to speak for an "
+        "effect where the baseline shows no misfit that stands out: chance is beyond them in one case of "
+        "forty.",
+        "statistics",
+    )
+    missed_over_noise: float = setting(
+        5.0,
+        "1",
+        "Error of the baseline in a quantity over the noise, root mean square, from which what is missing may "
+        "have to be told from the error of mesh and time step though nothing stands out.",
+        "judgement",
+    )
+    mesh_over_noise: float = setting(
+        3.0,
+        "1",
+        "Error of mesh and time step there, over the noise, from which it cannot be told.",
+        "judgement",
+    )
+    mesh_explains_ratio: float = setting(
+        1.5,
+        "1",
+        "Error of the baseline over that of mesh and time step, up to which these explain it.",
+        "judgement",
+    )
+    mesh_may_explain_ratio: float = setting(
+        3.0,
+        "1",
+        "Error of the baseline over that of mesh and time step, up to which these may explain it.",
+        "judgement",
+    )
+    significance_sd: float = setting(
+        2.5,
+        "sd",
+        "Standard deviations that an improvement must be worth by its stability over blocks of time.",
+        "statistics",
+    )
+
+    # place and time of a mismatch
+    time_blocks: int = setting(
+        24,
+        "1",
+        "Blocks of time that a run is cut into.",
+        "convention",
+    )
+    window_sd: float = setting(
+        5.0,
+        "sd",
+        "A block belongs to a mismatch window when its energy exceeds the noise's by this many deviations, "
+        "and ``window_energy_share`` of the energy of the recording's largest block.",
+        "statistics",
+    )
+    window_energy_share: float = setting(
+        0.2,
+        "1",
+        "What a model misses in contact alone, a fit halves by an offset of all readings, which then are off "
+        "without contact too. A misfit like a half sine over a share ``f`` of the time, less its mean ``2 f / "
+        "pi``, leaves there ``(2 f / (pi - 2 f))^2`` of the energy of its largest block: 7 % where f is a "
+        "third, 20 % where it is a half.",
+        "judgement",
+    )
+    misfit_per_score: float = setting(
+        1.6,
+        "1",
+        "Structured misfit per score (1 = noise) above which something is missing even without a name.",
+        "judgement",
+    )
+    misfit_sd: float = setting(
+        6.0,
+        "sd",
+        "Deviations above noise that the structured misfit of a quantity with few scores must have as well.",
+        "statistics",
+    )
+    discretisation_share: float = setting(
+        0.5,
+        "1",
+        "Structured misfit below this share of the discretisation error is not blamed on physics.",
+        "judgement",
+    )
+    least_size: float = setting(
+        0.5,
+        "1",
+        "Size over what a single reading may be off, for two blocks of time, below which a difference is none "
+        "that anybody could see. With thousands of samples much less is significant, and careful models "
+        "differ in that.",
+        "judgement",
+    )
+    window_parts: int = setting(
+        8,
+        "1",
+        "Parts of a window that are told apart.",
+        "convention",
+    )
+    closure_hats: int = setting(
+        6,
+        "1",
+        "Hat functions of a closure, equidistant over a recording.",
+        "cost",
+    )
+    closure_sd: Mapping[str, float] = setting(
+        {"E_pa": 0.5, "friction": 0.3, "density_kg_m3": 0.3, "_m": 1e-3, "_deg": 1.0},
+        "1",
+        "Standard deviations of a closure of the mechanics, in the fitted scale, by the end of a parameter's name.",
+        "judgement",
+    )
+    closure_sensor_share: float = setting(
+        0.2,
+        "1",
+        "Standard deviation of the closure of a sensor, in units of the range of its readings.",
+        "judgement",
+    )
+    closure_clock_s: float = setting(
+        0.02,
+        "s",
+        "Standard deviation of the closure of a clock.",
+        "judgement",
+    )
+    other_shape_ratio: float = setting(
+        5.0,
+        "1",
+        "Misfit at the first rest over what readings may be off, root mean square over markers, from which a "
+        "shape is another one, and how many times as large as in another recording it has to be.",
+        "judgement",
+    )
+    other_shape_share: float = setting(
+        0.25,
+        "1",
+        "The same, as a share of the largest: where one recording is far off, the fit of all is off in the others.",
+        "judgement",
+    )
+    shape_readings: int = setting(
+        3,
+        "1",
+        "Readings at rest that tell a shape.",
+        "judgement",
+    )
+
+    # what is reported
+    limited_sd_share: float = setting(
+        0.7,
+        "1",
+        "Deviation of an amplitude, as a share of that of what is known before, below which recordings limit it.",
+        "judgement",
+    )
+    negligible_misfit_share: float = setting(
+        0.005,
+        "1",
+        "Share of the misfit below which none is said to be left.",
+        "convention",
+    )
+
+    # next experiment
+    path_margin_share: float = setting(
+        0.02,
+        "1",
+        "How far the path may leave the recorded one, over its extent.",
+        "judgement",
+    )
+    speed_quantile: float = setting(
+        0.95,
+        "1",
+        "Quantile of the recorded speeds that is its speed.",
+        "convention",
+    )
+    slower_factor: float = setting(
+        2.0,
+        "1",
+        "How many times slower the first pass is.",
+        "judgement",
+    )
+    least_hold_s: float = setting(
+        2.0,
+        "s",
+        "Least rest in each corner.",
+        "judgement",
+    )
+    most_hold_s: float = setting(
+        30.0,
+        "s",
+        "Longest rest in each corner.",
+        "cost",
+    )
+    hold_over_time_constant: float = setting(
+        3.0,
+        "1",
+        "Rest in each corner over the time constant of an effect of the answer.",
+        "judgement",
+    )
+    least_speed: float = setting(
+        1e-4,
+        "m/s, rad/s",
+        "Least speed of a motion.",
+        "judgement",
+    )
+    turn_arm_m: float = setting(
+        0.05,
+        "m",
+        "Length by which turns [rad] are compared with shifts.",
+        "judgement",
+    )
+
+
+DIAGNOSIS = DiagnosisSettings()
