@@ -2,7 +2,8 @@
 
 What the reference model adds to the readings was measured at the baseline, without the effects of the answer. An effect
 that acts where the cells of the rig are too wide, adhesion at the rim of a contact say, changes it. Before an answer is
-given, the reference is therefore simulated with its effects, and they are fitted on from there.
+given, the reference is therefore simulated with its effects, and they are fitted on from there. An answer of several
+effects is compared with its parts, which are fitted to the end as well (backward elimination).
 """
 
 from __future__ import annotations
@@ -15,17 +16,18 @@ from typing import cast
 import numpy as np
 
 from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.predictability import predicted_held_out
 from sysid.diagnosis.reference_model import added_at
-from sysid.diagnosis.refits import Trial, scored
-from sysid.model.parameters import rig_in
+from sysid.diagnosis.refits import Trial, begun_without, scored
+from sysid.diagnosis.verdict import size_of
+from sysid.model.parameters import FitParameter, rig_in
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
-from sysid.solve.optimum import Fitted
 
 
 def confirmed(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | None:
@@ -33,31 +35,57 @@ def confirmed(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | N
     in ``failed``, where that cannot be simulated."""
     if base.reference is None and trial.fitted.converged:
         return replace(trial, confirmed=True)
-    return fitted_to_the_end(base, trial.hypotheses, trial.fitted, failed)
+    fitted = trial.fitted
+    return fitted_to_the_end(base, trial.hypotheses, (fitted.centre, fitted.parameters, fitted.scaled), failed)
+
+
+def parts_to_fit(whole: Trial, trials: Sequence[Trial]) -> list[Hypothesis]:
+    """The effects of an answer of several without which the others have to be fitted to the end before the answer is
+    given: not where they have been, nor where they explained too little of the misfit for it to matter."""
+    if len(whole.hypotheses) < 2:
+        return []
+    known = {t.names: t for t in trials}
+    found = []
+    for one in whole.hypotheses:
+        part = known.get(whole.names - {one.effect.name})
+        if part is None or (not part.confirmed and size_of(part) >= DIAGNOSIS.most_explained_share):
+            found.append(one)
+    return found
+
+
+def confirmed_without(base: Baseline, whole: Trial, left_out: Hypothesis, failed: dict[str, str]) -> Trial | None:
+    """An answer of several effects without one of them, fitted to the end from where the answer stands."""
+    kept = tuple(h for h in whole.hypotheses if h is not left_out)
+    return fitted_to_the_end(base, kept, begun_without(whole.fitted, left_out), failed)
 
 
 def fitted_to_the_end(
-    base: Baseline, hypotheses: tuple[Hypothesis, ...], begun: Fitted, failed: dict[str, str]
+    base: Baseline,
+    hypotheses: tuple[Hypothesis, ...],
+    begun: tuple[Rig, list[FitParameter], np.ndarray],
+    failed: dict[str, str],
 ) -> Trial | None:
-    """A set of effects fitted on from where a model with them stands, whatever that was fitted beside: beside the
-    errors of mesh and time step of the baseline, and what the reference model adds where it stands."""
+    """A set of effects fitted on from where a model with them begins, whatever it was fitted beside: beside the errors
+    of mesh and time step of the baseline, and what the reference model adds where it stands. ``begun``: centre,
+    parameters, and their values in the fitted scale ``(p,)``."""
+    centre, parameters, scaled = begun
 
     def engine(known: SpaceMappedPredictor, runs: Sequence[Run], at: np.ndarray) -> SpaceMappedPredictor:
         if base.reference is None:
             return known
         coarse = base.engine.coarse
-        rigs = [rig_in(begun.centre, begun.parameters, at, run.name) for run in runs]
+        rigs = [rig_in(centre, parameters, at, run.name) for run in runs]
         jobs = [coarse.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
         added = added_at(coarse, base.reference, rigs, runs, [job.result() for job in jobs])
         return SpaceMappedPredictor(coarse, added.readings)
 
     try:
         problem, check = copy(base.problem), copy(base.check)
-        problem.engine = SparingPredictor(engine(base.engine, problem.runs, begun.scaled))
+        problem.engine = SparingPredictor(engine(base.engine, problem.runs, scaled))
         fitted = problem.fit(
-            begun.centre,
-            begun.parameters,
-            begun.scaled,
+            centre,
+            parameters,
+            scaled,
             max_evaluations=DIAGNOSIS.confirmation_evaluations,
             tolerance=2.0,
         )
@@ -69,7 +97,7 @@ def fitted_to_the_end(
             there = predicted_held_out(check, base.there, fitted)
     except ThinshellError as error:
         failed[" and ".join(sorted(h.effect.name for h in hypotheses))] = (
-            f"could not be simulated with finer cells: {error}"
+            f"could not be simulated{'' if base.reference is None else ' with finer cells'}: {error}"
         )
         return None
     return replace(scored(base, hypotheses, fitted, there), confirmed=True)

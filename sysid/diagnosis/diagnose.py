@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -22,8 +22,8 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
-from sysid.diagnosis.candidates import hypotheses, recording_scales
-from sysid.diagnosis.confirmation import confirmed, fitted_to_the_end
+from sysid.diagnosis.candidates import Hypothesis, hypotheses, recording_scales
+from sysid.diagnosis.confirmation import confirmed, confirmed_without, fitted_to_the_end, parts_to_fit
 from sysid.diagnosis.contradictions import contradictions
 from sysid.diagnosis.evidence import log_evidence
 from sysid.diagnosis.next_motion import in_words, proposed
@@ -173,7 +173,7 @@ def _from_the_rig(base: Baseline, case: Case, scales: RecordingScales, failed: d
         return []
     temper = max(1.0, min(fitted.misfit for _, fitted, _ in found))
     start, best, _ = max(found, key=lambda refit: log_evidence(refit[1], temper))
-    ended = fitted_to_the_end(base, start.whole, best, failed)
+    ended = fitted_to_the_end(base, start.whole, (best.centre, best.parameters, best.scaled), failed)
     return [] if ended is None else [ended]
 
 
@@ -204,18 +204,41 @@ def _confirmed(
     base: Baseline, trials: list[Trial], case: Case, failed: dict[str, str], tell: Progress
 ) -> tuple[Verdict, list[Trial]]:
     """The verdict, with every set of effects that it names fitted to the end, beside the reference model where there is
-    one. Where none is named, the one with most evidence is: a refit that was cut off may be no answer yet."""
+    one, and so are its parts. Where none is named, the one with most evidence is: a refit that was cut off may be no
+    answer yet."""
     verdict = decide(trials, case)
+    left_out: set[frozenset[str]] = set()
     while True:
         wanted = [t for t in verdict.named if not t.confirmed] or cut_off(trials, verdict, case)
-        if not wanted:
-            break
-        tell(0.9, "the answer" if base.reference is None else "the answer with finer cells")
-        found = [confirmed(base, t, failed) for t in wanted]
-        others = [t for t in trials if t not in wanted]
-        trials = tempered(base, [*others, *(t for t in found if t is not None)])
+        if wanted:
+            tell(0.9, "the answer" if base.reference is None else "the answer with finer cells")
+            found = [confirmed(base, t, failed) for t in wanted]
+            others = [t for t in trials if t not in wanted]
+            trials = tempered(base, [*others, *(t for t in found if t is not None)])
+        else:
+            parts = _parts_to_fit(verdict, trials, left_out)
+            if not parts:
+                break
+            for whole, one in parts:
+                tell(0.91, f"whether the answer needs that {one.effect.title}")
+                left_out.add(whole.names - {one.effect.name})
+                part = confirmed_without(base, whole, one, failed)
+                trials = trials if part is None else _best_of_each([*trials, part])
+            trials = tempered(base, trials)
         verdict = decide(trials, case)
     return verdict, trials
+
+
+def _parts_to_fit(
+    verdict: Verdict, trials: Sequence[Trial], left_out: Collection[frozenset[str]]
+) -> list[tuple[Trial, Hypothesis]]:
+    """Answers of several effects with the effect that has to be left out of them once, but those left out before."""
+    if verdict.kind == "unknown":
+        return []
+    pairs = {
+        whole.names - {one.effect.name}: (whole, one) for whole in verdict.named for one in parts_to_fit(whole, trials)
+    }
+    return [pair for names, pair in pairs.items() if names not in left_out]
 
 
 def _distinct(screen: Screen, scores: Sequence[Score], effects: int, second: int) -> list[Score]:

@@ -21,6 +21,7 @@ from sysid.diagnosis.starts import Start, begun_at, best_starts
 from sysid.diagnosis.validation import gain_of, ratios_of, seen_by_both
 from sysid.discretisation.refinement import error_sizes
 from sysid.fit.result import rms_errors
+from sysid.model.parameters import FitParameter
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
@@ -185,19 +186,14 @@ def without_idle(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial 
     set stands (backward elimination); None, and why in ``failed``, where that cannot be simulated."""
     idle = _idlest(trial.hypotheses, trial.fitted, uncertainty(trial.fitted))
     kept = tuple(h for h in trial.hypotheses if h is not idle)
-    begun = trial.fitted
-    mine = [not p.target.startswith(f"effects.{idle.key}.") for p in begun.parameters]
-    centre = begun.centre.model_copy(
-        update={"effects": {k: v for k, v in begun.centre.effects.items() if k != idle.key}}
-    )
+    centre, parameters, scaled = begun_without(trial.fitted, idle)
     problem = copy(base.problem)
     problem.engine = SparingPredictor(base.problem.engine)
-    parameters = [p for p, stays in zip(begun.parameters, mine, strict=True) if stays]
     try:
         fitted = problem.fit(
             centre,
             parameters,
-            begun.scaled[mine],
+            scaled,
             max_evaluations=DIAGNOSIS.refit_evaluations,
             tolerance=DIAGNOSIS.refit_tolerance,
         )
@@ -208,6 +204,14 @@ def without_idle(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial 
         failed[" and ".join(sorted(h.effect.name for h in kept))] = f"could not be simulated: {error}"
         return None
     return None if _hides(base.fitted, fitted) or _hides(base.there, there) else scored(base, kept, fitted, there)
+
+
+def begun_without(fitted: Fitted, left_out: Hypothesis) -> tuple[Rig, list[FitParameter], np.ndarray]:
+    """Centre, parameters and their values in the fitted scale ``(p,)`` where a model stands, without one effect."""
+    mine = [not p.target.startswith(f"effects.{left_out.key}.") for p in fitted.parameters]
+    effects = {k: v for k, v in fitted.centre.effects.items() if k != left_out.key}
+    parameters = [p for p, stays in zip(fitted.parameters, mine, strict=True) if stays]
+    return fitted.centre.model_copy(update={"effects": effects}), parameters, fitted.scaled[mine]
 
 
 def worse_there(base: Baseline, there: Fitted | None) -> str:

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from effect_hypotheses import hypothesis
+from effect_hypotheses import hypothesis, structure, trial
 
 from sim_core.rigs import load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
@@ -33,32 +33,6 @@ from sysid.fit.result import ChannelError
 from sysid.model.parameters import fit_parameters, rig_at, start_of
 from sysid.observations.observations import Run
 from sysid.solve.optimum import Fitted
-
-
-def structure(per_score: float, excess: float, own: float) -> Structure:
-    return Structure((Part(excess, round(excess / (per_score - 1.0)), own),))
-
-
-def trial(
-    name: str,
-    gain: float,
-    explained: float = 0.95,
-    held_out: float | None = 0.3,
-    left: Structure | None = None,
-    there: float | None = None,
-) -> Trial:
-    return Trial(
-        (hypothesis(name),),
-        cast(Fitted, SimpleNamespace()),
-        gain,
-        explained,
-        there,
-        left or structure(1.1, 100, 1e3),
-        held_out,
-        9.0,
-        None,
-    )
-
 
 QUIET = structure(1.1, 100.0, 1000.0)
 LOUD = structure(5.0, 5000.0, 1000.0)
