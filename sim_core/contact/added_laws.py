@@ -1,6 +1,7 @@
 """Laws that effects add to one contact term (:class:`sim_core.effects.hooks.NormalLaw`, ``FrictionLaw``).
 
-With the pressure p_0 of :mod:`sim_core.contact.law` and the pressures p_i and factors f_i of the effects,
+With the pressure p_0 of :mod:`sim_core.contact.pressure_and_friction` and the pressures p_i and factors f_i of the
+effects,
 
     p = p_0 + sum_i p_i,    friction bound = mu lambda_n prod_i f_i(lambda_n / A, slip speed),    lambda_n = A p_0
 
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_core.contact.law import MU
+from sim_core.contact.pressure_and_friction import MU
 from sim_core.effects.hooks import FrictionFactor, FrictionLaw, NormalLaw, Sliding
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ slip [N/m]. ``count[0]``: number of pairs.
 import taichi as ti
 
 from sim_core.contact.continuous_collision import segments_way
-from sim_core.contact.law import (
+from sim_core.contact.pressure_and_friction import (
     GUARD,
     OFFSET,
     RANGE,

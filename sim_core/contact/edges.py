@@ -10,7 +10,7 @@ half that of the points' (:class:`SurfaceContact`): edges bear only where points
 near, so that what a smooth contact carries depends on no mesh. Friction acts on the relative motion of the
 points that were closest at the start of the step, less the turning of their common normal, with the mollifier
 on its stiffness too. Laws:
-:mod:`sim_core.contact.law`.
+:mod:`sim_core.contact.pressure_and_friction`.
 """
 
 from __future__ import annotations
@@ -31,11 +31,21 @@ from sim_core.contact.edge_kernels import (
     measure,
     sides,
 )
-from sim_core.contact.law import OFFSET, RANGE, STIFFNESS, by_range, coefficients, normal_law, set_guard, set_law, slide
 from sim_core.contact.local_frame_derivatives import AtRest, Loads, Pairs, exerted, framed_derivatives, memory_places
 from sim_core.contact.local_frame_kernels import Frames
 from sim_core.contact.measures import Measures, SharedAreas, SquaredLengths
 from sim_core.contact.pair_distance import PairDistance
+from sim_core.contact.pressure_and_friction import (
+    OFFSET,
+    RANGE,
+    STIFFNESS,
+    by_range,
+    coefficients,
+    normal_law,
+    set_guard,
+    set_law,
+    slide,
+)
 from sim_core.contact.primitives import Primitives
 from sim_core.contact.segments import PARALLEL
 from sim_core.energies.linearised import Linearised, cross, places

@@ -1,7 +1,7 @@
 """Exact derivatives of friction, common to all kinds of contact.
 
 In terms of the slip w before it is projected (elastic slip remembered plus motion), the lagged normal m, the limit
-and the spring of :mod:`sim_core.contact.law`:
+and the spring of :mod:`sim_core.contact.pressure_and_friction`:
 
     u = (1 - m m^T) w,    F = dD/du,    new elastic slip u min(1, u_c / |u|),    slip speed max(0, |u| - u_c) / dt
 """

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sim_core.contact.added_laws import Bound
-from sim_core.contact.law import STIFFNESS
 from sim_core.contact.local_frame_kernels import Frames
+from sim_core.contact.pressure_and_friction import STIFFNESS
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, gathered, placed
 from sim_core.energies.term import Buffers
 

@@ -8,8 +8,8 @@ sample position p = sum_i w_i x_i, body origin c, rotation R and the shape's sig
 
 where y_n is the body point under the sample at the start of the step, T the projector on the tangent
 plane there and e_n the elastic slip carried over from the last step, in the body frame. Laws:
-:mod:`sim_core.contact.law`. What lies between the samples (a box's corner under the middle of a triangle) is
-left to :class:`SurfaceContact` and :class:`EdgeContact` with the shape's core
+:mod:`sim_core.contact.pressure_and_friction`. What lies between the samples (a box's corner under the middle of a
+triangle) is left to :class:`SurfaceContact` and :class:`EdgeContact` with the shape's core
 (:mod:`sim_core.contact.inner_primitives`).
 """
 
@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.contact.added_laws import AddedLaws
 from sim_core.contact.continuous_collision import point_shape_way
-from sim_core.contact.law import (
+from sim_core.contact.measures import Measures
+from sim_core.contact.pressure_and_friction import (
     OFFSET,
     RANGE,
     REACH,
@@ -38,7 +39,6 @@ from sim_core.contact.law import (
     slope,
     tangent_projector,
 )
-from sim_core.contact.measures import Measures
 from sim_core.contact.rigid_derivatives import RigidStep, ShapeSurface, rigid_derivatives
 from sim_core.contact.samples import Samples
 from sim_core.contact.shapes import signed_distance

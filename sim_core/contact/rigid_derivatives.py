@@ -15,7 +15,7 @@ import taichi as ti
 
 from sim_core.contact.added_laws import AddedLaws
 from sim_core.contact.friction_derivatives import friction_derivatives
-from sim_core.contact.law import OFFSET, REACH, STIFFNESS, by_range, normal_law
+from sim_core.contact.pressure_and_friction import OFFSET, REACH, STIFFNESS, by_range, normal_law
 from sim_core.contact.shapes import signed_distance
 from sim_core.energies.linearised import ByNumber, Linearised, axes_of, cross, gathered, placed, places, skew
 from sim_core.energies.term import Internals

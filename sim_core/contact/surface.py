@@ -19,7 +19,7 @@ width e, d = min over shares w of sum w_k d_k + e/2 (sum w_k^2 - 1), which is sm
 
 Friction acts on the motion of the sample relative to the frame of the nearest triangle at the start of the
 step: to the point in that frame where the sample then was, so that the forces on both sides have no moment
-although the surfaces are half their thicknesses apart. Laws: :mod:`sim_core.contact.law`.
+although the surfaces are half their thicknesses apart. Laws: :mod:`sim_core.contact.pressure_and_friction`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,11 @@ import scipy.sparse as sp
 
 from sim_core.contact.added_laws import AddedLaws, Bound
 from sim_core.contact.broad_phase import Candidates
-from sim_core.contact.law import (
+from sim_core.contact.local_frame_derivatives import AtRest, Loads, Pairs, exerted, framed_derivatives, memory_places
+from sim_core.contact.local_frame_kernels import Frames
+from sim_core.contact.measures import Measures
+from sim_core.contact.pair_distance import PairDistance
+from sim_core.contact.pressure_and_friction import (
     BLEND,
     OFFSET,
     RANGE,
@@ -44,10 +48,6 @@ from sim_core.contact.law import (
     set_law,
     slide,
 )
-from sim_core.contact.local_frame_derivatives import AtRest, Loads, Pairs, exerted, framed_derivatives, memory_places
-from sim_core.contact.local_frame_kernels import Frames
-from sim_core.contact.measures import Measures
-from sim_core.contact.pair_distance import PairDistance
 from sim_core.contact.primitives import Primitives
 from sim_core.contact.samples import Samples
 from sim_core.contact.surface_geometry import distances, frames, free_way, sides

@@ -8,7 +8,7 @@ import taichi as ti
 
 from sim_core.contact.closest import closest_point
 from sim_core.contact.continuous_collision import point_triangle_way
-from sim_core.contact.law import OFFSET
+from sim_core.contact.pressure_and_friction import OFFSET
 from sim_core.kernels import F1, F2, I1, I2, row, vec3
 
 

@@ -7,7 +7,7 @@ A sample ``s`` has the nodes ``own[s, :used[s]]`` with ``weights[s]`` and the ca
 import taichi as ti
 
 from sim_core.contact.closest import distance_second_derivative
-from sim_core.contact.law import (
+from sim_core.contact.pressure_and_friction import (
     BLEND,
     GUARD,
     OFFSET,
