@@ -1,9 +1,9 @@
 """Constants of the contact law where the rig gives none: contact that does not shift surfaces.
 
 Two surfaces under the pressure p stand the gap g(p) = s w apart, p = P (1 - s)^2 / s, where w is the range of the law
-and P = k w its scale of pressure (:mod:`sim_core.contact.pressure_and_friction`). Seen from the gap r w, which belongs to the pressure
-that is typical, they are displaced by (s - r) w, never by more than w. So that the displacement is small against what
-contact resolves,
+and P = k w its scale of pressure (:mod:`sim_core.contact.pressure_and_friction`). Seen from the gap r w, which belongs
+to the pressure that is typical, they are displaced by (s - r) w, never by more than w. So that the displacement is
+small against what contact resolves,
 
     w = least of:  0.5 % of the edges of a gel's surface,  30 % of the thickness of a sheet,  30 um
     P = a quarter of Young's modulus of the softer gel;  150 kPa where there is none

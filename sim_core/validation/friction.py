@@ -4,9 +4,9 @@ A flat sheet is the ideal sledge: pressure and friction act per area, alike at a
 only if tan(slope) > mu, then accelerates at g (sin - mu cos); thrown along a level plane it stops after
 v^2 / (2 mu g).
 
-Below the limit the law of :mod:`sim_core.contact.pressure_and_friction` is an elastic slip: the sheet gives way by u =
-y u_c with 2 y - y^2 = tan(slope) / mu, u_c = 2 mu p / k, and stays there. Laws that regularise Coulomb's in the velocity creep
-instead, at the speed y eps_v.
+Below the limit the law of :mod:`sim_core.contact.pressure_and_friction` is an elastic slip: the sheet gives way by
+u = y u_c with 2 y - y^2 = tan(slope) / mu, u_c = 2 mu p / k, and stays there. Laws that regularise Coulomb's in the
+velocity creep instead, at the speed y eps_v.
 
 Static above kinetic friction, a sheet pulled by a spring at a slow speed: it sticks up to mu_s N, then slips in half
 a swing about mu_k N, so that the spring's force is a sawtooth of the height 2 (mu_s - mu_k) N (Rabinowicz, Friction
