@@ -15,7 +15,15 @@ from sysid.settings import all_settings
 ROOT = Path(__file__).parents[2]
 ROOMS = sorted(all_settings())
 
-FACTS = {"first_shapes UNITS", "outliers DIMENSIONS", "common_mode KINDS", "mixture COLOURS, SHARES"}
+FACTS = {
+    "first_shapes UNITS",
+    "start_poses UNITS",
+    "wrench_units UNITS",
+    "wrench_units TORQUE_UNITS",
+    "outliers DIMENSIONS",
+    "common_mode KINDS",
+    "mixture COLOURS, SHARES",
+}
 """Tables of units, dimensions and modes, and a grid of a quadrature, which decide nothing."""
 
 

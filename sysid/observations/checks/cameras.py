@@ -10,18 +10,10 @@ from sim_core.errors import RecordingError
 from sim_core.rigs import FisheyeCamera, OrthographicCamera, PinholeCamera, Rig
 from sysid.observations.checks.finding import Finding
 from sysid.recording import CameraInfo, Recording
+from sysid.settings.observations import OBSERVATIONS
 
 MODELS = {"plumb_bob": "pinhole", "rational_polynomial": "pinhole", "equidistant": "fisheye", "": "pinhole"}
 """Models of the rig by those of ``camera_info``."""
-
-APART = 5.0
-"""Standard deviations of focal length and centre (``scale_sd``, ``centre_sd_px``) from which a camera is another."""
-
-FAR_OFF = 0.2
-"""Relative difference of focal lengths from which no fit can mend it."""
-
-OUTSIDE = 0.02
-"""Share of tracks outside of the picture from which they are not of this picture."""
 
 
 def cameras(recording: Recording, rig: Rig) -> Iterator[Finding]:
@@ -46,7 +38,7 @@ def cameras(recording: Recording, rig: Rig) -> Iterator[Finding]:
         if tracks is not None and not (isinstance(camera, OrthographicCamera) and camera.origin_id is not None):
             seen = tracks.uv[np.isfinite(tracks.uv).all(axis=-1)]
             outside = ((seen < -0.5) | (seen > np.array(known) - 0.5)).any(axis=1)
-            if len(seen) and outside.mean() > OUTSIDE:
+            if len(seen) and outside.mean() > OBSERVATIONS.outside_picture_share:
                 reach = ", ".join(
                     f"{a:.4g} to {b:.4g}" for a, b in zip(seen.min(axis=0), seen.max(axis=0), strict=True)
                 )
@@ -55,10 +47,11 @@ def cameras(recording: Recording, rig: Rig) -> Iterator[Finding]:
                     tracks.topic,
                     "warning",
                     f"{100 * outside.mean():.0f} % of the tracks of {name} are outside of its picture of {known[0]} x "
-                    f"{known[1]} px: they reach over {reach} px (more than {100 * OUTSIDE:g} %).",
+                    f"{known[1]} px: they reach over {reach} px (more than "
+                    f"{100 * OBSERVATIONS.outside_picture_share:g} %).",
                     "Give width_px, height_px and intrinsics of the picture in which they were tracked.",
                     values=(float(outside.mean()),),
-                    bound=OUTSIDE,
+                    bound=OBSERVATIONS.outside_picture_share,
                     part=name,
                 )
 
@@ -93,13 +86,13 @@ def _lens(name: str, topic: str, info: CameraInfo, camera: PinholeCamera | Fishe
         return
     for word, found, known in (("fx", info.K[0, 0], camera.fx_px), ("fy", info.K[1, 1], camera.fy_px)):
         off = abs(found / known - 1.0)
-        if off > max(APART * camera.scale_sd, 1e-3):
+        if off > max(OBSERVATIONS.camera_apart_sd * camera.scale_sd, 1e-3):
             yield Finding(
                 "focal_length",
                 topic,
-                "stops a fit" if off > FAR_OFF else "warning",
+                "stops a fit" if off > OBSERVATIONS.camera_focal_difference else "warning",
                 f"camera_info gives {word} = {found:.5g} px for {name}, the rig {known:.5g} px, {100 * off:.2g} % "
-                f"apart (more than {100 * APART * camera.scale_sd:.2g} %).",
+                f"apart (more than {100 * OBSERVATIONS.camera_apart_sd * camera.scale_sd:.2g} %).",
                 "Write the calibrated focal length into the rig.",
                 values=(float(found),),
                 bound=known,
@@ -108,7 +101,7 @@ def _lens(name: str, topic: str, info: CameraInfo, camera: PinholeCamera | Fishe
             break
     centre = np.array([info.K[0, 2], info.K[1, 2]])
     known_centre = np.array([camera.cx_px, camera.cy_px])
-    if np.abs(centre - known_centre).max() > max(APART * camera.centre_sd_px, 1.0):
+    if np.abs(centre - known_centre).max() > max(OBSERVATIONS.camera_apart_sd * camera.centre_sd_px, 1.0):
         yield Finding(
             "principal_point",
             topic,
@@ -117,6 +110,6 @@ def _lens(name: str, topic: str, info: CameraInfo, camera: PinholeCamera | Fishe
             f"({known_centre[0]:.5g}, {known_centre[1]:.5g}) px.",
             "Write the calibrated principal point of the picture that was recorded into the rig.",
             values=(float(centre[0]), float(centre[1])),
-            bound=APART * camera.centre_sd_px,
+            bound=OBSERVATIONS.camera_apart_sd * camera.centre_sd_px,
             part=name,
         )

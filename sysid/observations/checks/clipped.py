@@ -9,12 +9,9 @@ import numpy as np
 from sysid.noise.estimate import by_differences
 from sysid.noise.quantisation import step_of
 from sysid.observations.checks.finding import Finding, runs_of, when
-from sysid.observations.checks.frozen import BY_CHANCE, NOISY
 from sysid.observations.checks.motion import WORDS, at_rest, components, noisy, repeats_at_rest, unit
 from sysid.recording import Recording
-
-FEWEST = 3
-"""Readings in a row at the level."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def clipped(recording: Recording) -> Iterator[Finding]:
@@ -46,7 +43,7 @@ def constant(recording: Recording) -> Iterator[Finding]:
     """Components of a wrench that have one value throughout, beside others with noise: nothing measures them."""
     for name, wrench in recording.wrenches.items():
         values = components(wrench)
-        if len(values) < 4 * FEWEST:
+        if len(values) < 4 * OBSERVATIONS.clipped_in_a_row:
             continue
         finite = np.isfinite(values).all(axis=0)
         same = finite & (np.ptp(np.where(np.isfinite(values), values, 0.0), axis=0) == 0.0)
@@ -73,20 +70,20 @@ def constant(recording: Recording) -> Iterator[Finding]:
 def _levels(column: np.ndarray, t: np.ndarray, still: np.ndarray) -> Iterator[float]:
     """Ends of the range of a component at which it stays."""
     finite = np.isfinite(column)
-    if finite.sum() < 4 * FEWEST or np.nanmax(column) == np.nanmin(column):
+    if finite.sum() < 4 * OBSERVATIONS.clipped_in_a_row or np.nanmax(column) == np.nanmin(column):
         return
     for level in (float(np.nanmax(column)), float(np.nanmin(column))):
         at = column == level
         longest = max((b - a for a, b in runs_of(at)), default=0)
-        if longest < FEWEST:
+        if longest < OBSERVATIONS.clipped_in_a_row:
             continue
         same = column[1:] == column[:-1]
         outside = ~(at[1:] | at[:-1])
         rest = repeats_at_rest(same, still & ~at)
         if rest is None:
             rest = 0.0 if noisy(np.where(at, np.nan, column)[:, None], t) else 1.0
-        if rest > NOISY or outside.sum() < 4 * FEWEST:
+        if rest > OBSERVATIONS.noisy_repeated_share or outside.sum() < 4 * OBSERVATIONS.clipped_in_a_row:
             continue
         chance = max(float(same[outside].mean()), rest, 1.0 / len(column))
-        if len(column) * chance ** (longest - 1) < BY_CHANCE:
+        if len(column) * chance ** (longest - 1) < OBSERVATIONS.frozen_chance:
             yield level

@@ -8,22 +8,7 @@ import numpy as np
 
 from sysid.observations.checks.finding import Finding
 from sysid.recording import Recording
-
-FEWEST = 30
-"""Messages of a stream from which its clock is judged."""
-
-STEP_S = 0.05
-"""A change of the delay from stamp to recorder that stays [s]: a clock that was set."""
-
-DRIFT_S = 0.01
-"""A change of the least delay over a recording [s], steadily: a clock that is too fast or too slow. Sensors and poses
-are then shifted by as much against each other."""
-
-OFFSET_S = 0.5
-"""A difference of the delays of two streams [s]: two computers whose clocks were not set by each other."""
-
-PARTS = 12
-"""Parts of a recording of which the least delays are compared."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def clocks(recording: Recording) -> Iterator[Finding]:
@@ -31,10 +16,10 @@ def clocks(recording: Recording) -> Iterator[Finding]:
     delay of a while tells the clock."""
     usual: list[tuple[float, str]] = []
     for _, _, stream in recording.streams():
-        if stream.arrival is None or len(stream) < FEWEST:
+        if stream.arrival is None or len(stream) < OBSERVATIONS.clock_messages:
             continue
         delay = stream.arrival - stream.t
-        parts = np.array_split(np.arange(len(delay)), PARTS)
+        parts = np.array_split(np.arange(len(delay)), OBSERVATIONS.clock_parts)
         least = np.array([delay[p].min() for p in parts])
         middle = np.array([stream.t[p].mean() for p in parts])
         usual.append((float(np.median(least)), stream.topic))
@@ -47,39 +32,39 @@ def clocks(recording: Recording) -> Iterator[Finding]:
                 stream.topic,
                 "warning",
                 f"The header stamps step by {-height:+.4g} s against the recorder's clock near {at:.2f} s and stay "
-                f"there (more than {STEP_S:g} s).",
+                f"there (more than {OBSERVATIONS.clock_step_s:g} s).",
                 "Cut the recording there, or write `recording_clock: log` into the rig to use the recorder's times.",
                 times=(at,),
                 values=(height,),
-                bound=STEP_S,
+                bound=OBSERVATIONS.clock_step_s,
             )
             continue
         slope, base = np.polyfit(middle, least, 1)
         drift = float(slope * (stream.t[-1] - stream.t[0]))
         left = least - (slope * middle + base)
-        if abs(drift) > DRIFT_S and float(np.abs(left).max()) < 0.2 * abs(drift):
+        if abs(drift) > OBSERVATIONS.clock_drift_s and float(np.abs(left).max()) < 0.2 * abs(drift):
             yield Finding(
                 "clock_drift",
                 stream.topic,
                 "warning",
                 f"The header stamps drift by {-1e3 * drift:+.3g} ms against the recorder's clock over the recording, "
-                f"{-1e6 * slope:+.0f} parts in a million (more than {1e3 * DRIFT_S:g} ms).",
+                f"{-1e6 * slope:+.0f} parts in a million (more than {1e3 * OBSERVATIONS.clock_drift_s:g} ms).",
                 "Set the clocks by NTP or PTP, or write `recording_clock: log` into the rig.",
                 values=(drift, float(slope)),
-                bound=DRIFT_S,
+                bound=OBSERVATIONS.clock_drift_s,
             )
     if len(usual) > 1:
         (low, early), (high, late) = min(usual), max(usual)
-        if high - low > OFFSET_S:
+        if high - low > OBSERVATIONS.clock_offset_s:
             yield Finding(
                 "clock_offset",
                 late,
                 "warning",
                 f"Its header stamps are {high - low:.4g} s behind those of {early}, by the recorder's clock that both "
-                f"have in common (more than {OFFSET_S:g} s).",
+                f"have in common (more than {OBSERVATIONS.clock_offset_s:g} s).",
                 "Set the clocks of the two computers, or write `recording_clock: log` into the rig.",
                 values=(high - low,),
-                bound=OFFSET_S,
+                bound=OBSERVATIONS.clock_offset_s,
             )
 
 
@@ -91,4 +76,4 @@ def _step(least: np.ndarray) -> tuple[int, float] | None:
     # The part in which it steps may hold the delays of both sides.
     height = float(np.median(after) - np.median(before))
     calm = max(float(np.median(np.abs(side - np.median(side)))) for side in (before, after))
-    return (k + 1, height) if abs(height) > STEP_S and calm < 0.1 * abs(height) else None
+    return (k + 1, height) if abs(height) > OBSERVATIONS.clock_step_s and calm < 0.1 * abs(height) else None

@@ -9,11 +9,9 @@ from typing import Literal
 import numpy as np
 
 from sysid.recording import Recording
+from sysid.settings.observations import OBSERVATIONS
 
 Severity = Literal["note", "warning", "stops a fit"]
-
-SHOWN = 3
-"""Spans of time that a sentence names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +99,7 @@ def runs_of(mask: np.ndarray) -> list[tuple[int, int]]:
 
 def when(t: np.ndarray, stretches: Sequence[tuple[int, int]]) -> str:
     """The times [s] of stretches of indices, the longest ones, in words."""
-    longest = sorted(sorted(stretches, key=lambda s: s[0] - s[1])[:SHOWN])
+    longest = sorted(sorted(stretches, key=lambda s: s[0] - s[1])[: OBSERVATIONS.named_spans])
     spans = [f"{t[a]:.3f} to {t[b - 1]:.3f} s" if b - a > 1 else f"{t[a]:.3f} s" for a, b in longest]
     more = len(stretches) - len(longest)
     return ", ".join(spans) + (f" and {more} more times" if more else "")

@@ -10,25 +10,7 @@ import numpy as np
 from sysid.observations.checks.finding import Finding, runs_of, when
 from sysid.observations.checks.motion import at_rest, components, noisy, repeats_at_rest
 from sysid.recording import Recording
-
-FEWEST = 5
-"""Readings in a row that are the same."""
-
-BY_CHANCE = 1e-4
-"""Expected number of such stretches in a recording, by how often its readings repeat otherwise, below which one is no
-chance."""
-
-CHANGED = 3.0
-"""Change over its noise that is one."""
-
-BLOCK = 16
-"""Poses in a row that are looked at together."""
-
-RESTS = 3
-"""Such blocks at rest, with noise, from which poses have noise at rest."""
-
-NOISY = 0.5
-"""Share of repeated readings at rest below which a sensor has noise that shows."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def frozen(recording: Recording) -> Iterator[Finding]:
@@ -49,10 +31,10 @@ def frozen_poses(recording: Recording) -> Iterator[Finding]:
     """Stretches in which the pose of an end effector repeats exactly, where at rest it otherwise has noise."""
     for name, pose in recording.poses.items():
         values = np.hstack([pose.position, pose.quaternion])
-        if len(values) < 2 * FEWEST:
+        if len(values) < 2 * OBSERVATIONS.frozen_in_a_row:
             continue
         same = same_as_before(values)
-        found = [(a + 1, b + 1) for a, b in runs_of(same) if b - a >= BLOCK]
+        found = [(a + 1, b + 1) for a, b in runs_of(same) if b - a >= OBSERVATIONS.frozen_pose_block]
         if not found or not _noise_at_rest(values, same):
             continue
         spans = [(float(pose.t[a - 1]), float(pose.t[b - 1])) for a, b in found]
@@ -68,7 +50,7 @@ def frozen_poses(recording: Recording) -> Iterator[Finding]:
             "Fit windows of the recording without these times, BAG@BEGIN:END.",
             times=tuple(time for span in spans for time in span),
             values=tuple(end - begin for begin, end in spans),
-            bound=float(FEWEST),
+            bound=float(OBSERVATIONS.frozen_in_a_row),
             part=name,
         )
 
@@ -76,14 +58,22 @@ def frozen_poses(recording: Recording) -> Iterator[Finding]:
 def _noise_at_rest(values: np.ndarray, same: np.ndarray) -> bool:
     """Whether values ``(n, m)`` scatter about places at which they stand still: so does a sensor with noise. One
     without repeats itself there. ``same`` ``(n - 1,)``: values are those before."""
-    count = len(values) // BLOCK
-    blocks = values[: count * BLOCK].reshape(count, BLOCK, -1)
-    repeats = np.append(same, False)[: count * BLOCK].reshape(count, BLOCK).any(axis=1)
+    count = len(values) // OBSERVATIONS.frozen_pose_block
+    blocks = values[: count * OBSERVATIONS.frozen_pose_block].reshape(count, OBSERVATIONS.frozen_pose_block, -1)
+    repeats = (
+        np.append(same, False)[: count * OBSERVATIONS.frozen_pose_block]
+        .reshape(count, OBSERVATIONS.frozen_pose_block)
+        .any(axis=1)
+    )
     noise = np.std(np.diff(blocks, axis=1), axis=1) / np.sqrt(2.0)
-    half = BLOCK // 2
+    half = OBSERVATIONS.frozen_pose_block // 2
     drift = np.abs(blocks[:, half:].mean(axis=1) - blocks[:, :half].mean(axis=1))
-    rest = (drift <= CHANGED * noise * np.sqrt(2.0 / half)).all(axis=1) & (noise > 0.0).any(axis=1) & ~repeats
-    return bool(rest.sum() >= RESTS)
+    rest = (
+        (drift <= OBSERVATIONS.changed_over_noise * noise * np.sqrt(2.0 / half)).all(axis=1)
+        & (noise > 0.0).any(axis=1)
+        & ~repeats
+    )
+    return bool(rest.sum() >= OBSERVATIONS.frozen_pose_rests)
 
 
 def _sensors(recording: Recording) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
@@ -100,7 +90,7 @@ def _changes(t: np.ndarray, values: np.ndarray, begin: float, end: float) -> boo
     """Whether readings are others in the second half of a stretch of time than in the first, beyond their noise."""
     middle = 0.5 * (begin + end)
     first, second = values[(t >= begin) & (t < middle)], values[(t >= middle) & (t <= end)]
-    if min(len(first), len(second)) < FEWEST:
+    if min(len(first), len(second)) < OBSERVATIONS.frozen_in_a_row:
         return False
     columns = np.isfinite(first).all(axis=0) & np.isfinite(second).all(axis=0)
     if not columns.any():
@@ -108,7 +98,7 @@ def _changes(t: np.ndarray, values: np.ndarray, begin: float, end: float) -> boo
     whole = np.vstack([first, second])[:, columns]
     noise = np.std(np.diff(whole, axis=0), axis=0) / np.sqrt(2.0)
     apart = np.abs(first[:, columns].mean(axis=0) - second[:, columns].mean(axis=0))
-    return bool((apart > CHANGED * noise).any())
+    return bool((apart > OBSERVATIONS.changed_over_noise * noise).any())
 
 
 def same_as_before(values: np.ndarray) -> np.ndarray:
@@ -121,22 +111,22 @@ def same_as_before(values: np.ndarray) -> np.ndarray:
 def stretches(same: np.ndarray, still: np.ndarray, has_noise: bool) -> list[tuple[int, int]]:
     """Stretches of readings that repeat more often in a row than chance makes them: indices of the repeated readings,
     not of the first. ``same`` ``(n - 1,)``, ``still`` ``(n,)``; ``has_noise``: while the readings change."""
-    long = [(a, b) for a, b in runs_of(same) if b - a >= FEWEST]
+    long = [(a, b) for a, b in runs_of(same) if b - a >= OBSERVATIONS.frozen_in_a_row]
     if not long:
         return []
-    short = [b - a for a, b in runs_of(same) if b - a < FEWEST]
-    if len(short) > max(FEWEST, len(long)):
+    short = [b - a for a, b in runs_of(same) if b - a < OBSERVATIONS.frozen_in_a_row]
+    if len(short) > max(OBSERVATIONS.frozen_in_a_row, len(long)):
         # Readings repeat by themselves, as those of a display or of a coarse converter do.
         return []
     inside = np.zeros(len(same), dtype=bool)
     for a, b in long:
         inside[a:b] = True
     level = repeats_at_rest(same, still & ~np.concatenate([[False], inside]))
-    if (level is None and not has_noise) or (level is not None and level > NOISY):
+    if (level is None and not has_noise) or (level is not None and level > OBSERVATIONS.noisy_repeated_share):
         return []
     usual = float(same[~inside].mean()) if (~inside).any() else 1.0
     chance = max(usual, level or 0.0, 1.0 / len(same))
-    return [(a + 1, b + 1) for a, b in long if len(same) * chance ** (b - a) < BY_CHANCE]
+    return [(a + 1, b + 1) for a, b in long if len(same) * chance ** (b - a) < OBSERVATIONS.frozen_chance]
 
 
 def _frozen(
@@ -148,7 +138,7 @@ def _frozen(
     values: np.ndarray,
     shape: tuple[int, int],
 ) -> Iterator[Finding]:
-    if len(values) < 2 * FEWEST:
+    if len(values) < 2 * OBSERVATIONS.frozen_in_a_row:
         return
     found = stretches(same_as_before(values), at_rest(recording, t), noisy(values, t))
     if not found:
@@ -165,7 +155,7 @@ def _frozen(
         "They are left out.",
         times=tuple(t[rows]),
         values=tuple(float(b - a) for a, b in found),
-        bound=float(FEWEST),
+        bound=float(OBSERVATIONS.frozen_in_a_row),
         role=role,
         part=name,
         faulty=np.repeat(rows[:, None], shape[1], axis=1),

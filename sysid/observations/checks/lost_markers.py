@@ -11,26 +11,7 @@ from sysid.observations.checks.finding import Finding, runs_of
 from sysid.observations.checks.motion import at_rest, noisy, repeats_at_rest
 from sysid.recording import Recording
 from sysid.recording.notes import plural
-
-FEWEST = 3
-"""Readings at one exact place from which it is none of a marker."""
-
-NOISY = 0.2
-"""Share of readings that repeat at rest below which an exact repetition is no reading."""
-
-BY_CHANCE = 1e-3
-"""Expected number of stretches of repetitions in a recording below which one is no chance."""
-
-NEARLY = 0.05
-"""Step of a marker, over the usual one, that is as good as none."""
-
-MORE = 2.0
-"""Exact repetitions, over such steps, from which they are none of a tracker that goes on. A tracker that stops where it
-gains little repeats itself exactly, and hardly moves as often."""
-
-FAR = 10.0
-"""Distance from where a marker is otherwise, over how far it usually is from its median place, from which it is not
-there."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def lost_markers(recording: Recording) -> Iterator[Finding]:
@@ -76,7 +57,7 @@ def _beyond_chance(repeated: np.ndarray, seen: np.ndarray) -> np.ndarray:
     kept = np.zeros_like(repeated)
     for column in range(repeated.shape[1]):
         for a, b in runs_of(repeated[:, column]):
-            kept[a:b, column] = seen.sum() * chance ** (b - a) < BY_CHANCE
+            kept[a:b, column] = seen.sum() * chance ** (b - a) < OBSERVATIONS.lost_chance
     return kept
 
 
@@ -92,7 +73,7 @@ def _fixed_place(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Readings ``(n, m)`` at the exact place ``(d,)`` that most readings share, if no marker is there otherwise."""
     none = np.zeros(places.shape[:2], dtype=bool)
     seen = np.isfinite(places).all(axis=-1)
-    if seen.sum() < 4 * FEWEST:
+    if seen.sum() < 4 * OBSERVATIONS.lost_at_one_place:
         return none, np.zeros(places.shape[-1])
     found, count = np.unique(places[seen], axis=0, return_counts=True)
     zero = np.flatnonzero((found == 0.0).all(axis=1))
@@ -105,11 +86,13 @@ def _fixed_place(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         spread = np.nanmedian(np.linalg.norm(usual - middle, axis=-1)[:, own], axis=0) if own.any() else np.zeros(0)
         off = np.linalg.norm(middle - found[index], axis=-1)
         far = np.zeros(len(own), dtype=bool)
-        far[own] = off[own] > FAR * np.maximum(spread, 1e-3 * max(float(np.nanmax(off, initial=0.0)), 1e-12))
+        far[own] = off[own] > OBSERVATIONS.lost_distance_ratio * np.maximum(
+            spread, 1e-3 * max(float(np.nanmax(off, initial=0.0)), 1e-12)
+        )
         # Of a marker that is nowhere else nothing is known but that others are there too.
         shared = at.any(axis=0) & ~own & (far.any() or bool(at.any(axis=0).sum() > 1))
         at = at & (far | shared)
-        if at.sum() >= FEWEST:
+        if at.sum() >= OBSERVATIONS.lost_at_one_place:
             return at, found[index]
     return none, np.zeros(places.shape[-1])
 
@@ -117,7 +100,7 @@ def _fixed_place(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _repeated(recording: Recording, t: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Readings ``(n, m)`` that are exactly those before of the same marker, in a stream with noise."""
     repeated = np.zeros(places.shape[:2], dtype=bool)
-    if len(places) < FEWEST or places.shape[1] < FEWEST:
+    if len(places) < OBSERVATIONS.lost_at_one_place or places.shape[1] < OBSERVATIONS.lost_at_one_place:
         return repeated
     before = last_seen(places)
     repeated[1:] = (places[1:] == before[:-1]).all(axis=-1)
@@ -127,19 +110,21 @@ def _repeated(recording: Recording, t: np.ndarray, places: np.ndarray) -> np.nda
     others = repeated[1:][~mostly[1:]]
     still = at_rest(recording, t)
     usual = float(np.median(repeated[1:].mean(axis=0)))
-    rest = repeats_at_rest(share[1:] > NOISY, still)
+    rest = repeats_at_rest(share[1:] > OBSERVATIONS.lost_repeated_share, still)
     if rest is None:
         rest = 0.0 if noisy(places.reshape(len(places), -1), t) else 1.0
     steps = np.abs(np.diff(places, axis=0)).max(axis=-1)
     steps = steps[steps > 0.0]
-    nearly = int((steps < NEARLY * np.median(steps)).sum()) if len(steps) else 0
-    if max(usual, rest) > NOISY or others.sum() < max(FEWEST, MORE * nearly):
+    nearly = int((steps < OBSERVATIONS.no_step_share * np.median(steps)).sum()) if len(steps) else 0
+    if max(usual, rest) > OBSERVATIONS.lost_repeated_share or others.sum() < max(
+        OBSERVATIONS.lost_at_one_place, OBSERVATIONS.lost_repetitions_ratio * nearly
+    ):
         return np.zeros_like(repeated)
-    if common_step(places.reshape(len(places), -1).T) > NEARLY * float(np.median(steps)):
+    if common_step(places.reshape(len(places), -1).T) > OBSERVATIONS.no_step_share * float(np.median(steps)):
         repeated = _beyond_chance(repeated, seen)
     repeated[mostly] = False
     repeated[:, repeated.sum(axis=0) > 0.5 * seen.sum(axis=0)] = False  # what never moves is not lost
-    return repeated if repeated.sum() >= FEWEST else np.zeros_like(repeated)
+    return repeated if repeated.sum() >= OBSERVATIONS.lost_at_one_place else np.zeros_like(repeated)
 
 
 def last_seen(places: np.ndarray) -> np.ndarray:

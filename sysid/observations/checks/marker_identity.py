@@ -10,18 +10,7 @@ from scipy.spatial import cKDTree
 from sysid.observations.checks.finding import Finding, runs_of, when
 from sysid.observations.checks.lost_markers import last_seen, placed_markers
 from sysid.recording import Recording
-
-SAME = 1e-4
-"""Distance of two markers, over the usual distance of neighbours, from which they are one detection."""
-
-FEWEST = 2
-"""Frames in a row in which they are."""
-
-JUMP = 0.5
-"""Motion from one frame to the next, over the distance of neighbours, from which a marker may be another one."""
-
-THERE = 0.2
-"""Distance from where another marker was, over how far it jumped, at which it has taken the other's place."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def coincident_markers(recording: Recording) -> Iterator[Finding]:
@@ -35,12 +24,12 @@ def coincident_markers(recording: Recording) -> Iterator[Finding]:
         for k, frame in enumerate(places):
             seen = np.flatnonzero(np.isfinite(frame).all(axis=1))
             if len(seen) > 1:
-                for pair in cKDTree(frame[seen]).query_pairs(SAME * spacing):
+                for pair in cKDTree(frame[seen]).query_pairs(OBSERVATIONS.same_detection_share * spacing):
                     at[k, seen[list(pair)]] = True
         for column in range(at.shape[1]):
             kept = np.zeros(len(at), dtype=bool)
             for a, b in runs_of(at[:, column]):
-                kept[a:b] = b - a >= FEWEST
+                kept[a:b] = b - a >= OBSERVATIONS.same_detection_frames
             at[:, column] = kept
         shown = np.asarray(at.any(axis=1))
         if len(t[shown]):
@@ -49,12 +38,12 @@ def coincident_markers(recording: Recording) -> Iterator[Finding]:
                 "markers_coincide",
                 topic,
                 "warning",
-                f"The markers {numbers} are at the same place as another one, within {SAME * spacing:.2g} "
-                f"{'px' if role == 'tracks' else 'm'} where neighbours are {spacing:.3g} apart, "
+                f"The markers {numbers} are at the same place as another one, within "
+                f"{OBSERVATIONS.same_detection_share * spacing:.2g} {'px' if role == 'tracks' else 'm'} where neighbours are {spacing:.3g} apart, "
                 f"{when(t, runs_of(shown))}: the tracker followed one marker twice.",
                 "They are left out there.",
                 times=tuple(t[shown]),
-                values=(SAME * spacing,),
+                values=(OBSERVATIONS.same_detection_share * spacing,),
                 bound=spacing,
                 role=role,
                 part=name,
@@ -96,7 +85,7 @@ def exchanged_markers(recording: Recording) -> Iterator[Finding]:
             "Their readings from there on are left out, until they are exchanged back.",
             times=tuple(float(t[k]) for k in instants),
             values=(spacing,),
-            bound=JUMP * spacing,
+            bound=OBSERVATIONS.exchanged_jump_share * spacing,
             role=role,
             part=name,
             faulty=faulty,
@@ -118,18 +107,18 @@ def usual_spacing(places: np.ndarray) -> float | None:
 def _taken(before: np.ndarray, now: np.ndarray, spacing: float) -> dict[int, int]:
     """Which markers have taken whose places from one frame ``(m, d)`` to the next, each place once."""
     step = np.linalg.norm(now - before, axis=1)
-    jumped = np.flatnonzero(np.nan_to_num(step) > JUMP * spacing)
+    jumped = np.flatnonzero(np.nan_to_num(step) > OBSERVATIONS.exchanged_jump_share * spacing)
     if len(jumped) < 2:
         return {}
     # What all do is motion: a jump is beside how the others move.
     there = np.isfinite(step)
     common = np.median((now - before)[there], axis=0)
     beside = np.linalg.norm(now[jumped] - before[jumped] - common, axis=1)
-    if len(jumped) == there.sum() and np.median(beside) < JUMP * spacing:
+    if len(jumped) == there.sum() and np.median(beside) < OBSERVATIONS.exchanged_jump_share * spacing:
         return {}
     distance = np.linalg.norm(now[jumped, None] - before[None, jumped], axis=-1)
     nearest = np.argmin(distance, axis=1)
-    near = distance[np.arange(len(jumped)), nearest] < THERE * step[jumped]
+    near = distance[np.arange(len(jumped)), nearest] < OBSERVATIONS.exchanged_place_share * step[jumped]
     places = jumped[nearest]
     taken = {int(i): int(j) for i, j, good in zip(jumped, places, near, strict=True) if good and i != j}
     while taken and set(taken) != set(taken.values()):  # only whole circles

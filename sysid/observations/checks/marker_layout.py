@@ -19,24 +19,7 @@ from sysid.observations.checks.finding import Finding
 from sysid.observations.checks.rig_size import expected_markers
 from sysid.observations.rig_match import marker_numbers
 from sysid.recording import Recording
-
-FEWEST = 6
-"""Markers from which their layout is compared."""
-
-SCALE = 1.5
-"""Factor between the sizes from which a unit or a focal length is wrong."""
-
-TURNED_DEG = 45.0
-"""Turn of the layout from which axes are exchanged."""
-
-ROUNDS = 8
-"""Turns of matching and mapping."""
-
-THIN = 0.05
-"""Extent across a layout, over that along it, below which it is a line."""
-
-FITS = 0.35
-"""Distance from the map, over the distance of neighbours, within which numbers are those of the rig."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def marker_layout(recording: Recording, rig: Rig) -> Iterator[Finding]:
@@ -52,7 +35,7 @@ def marker_layout(recording: Recording, rig: Rig) -> Iterator[Finding]:
         early = np.isfinite(places[:20, theirs]).all(axis=-1).sum(axis=1)
         seen = places[int(np.argmax(early)), theirs]
         good = np.isfinite(seen).all(axis=1) & np.isfinite(expected[mine]).all(axis=1)
-        if good.sum() < FEWEST or len(common) < FEWEST:
+        if good.sum() < OBSERVATIONS.layout_markers or len(common) < OBSERVATIONS.layout_markers:
             continue
         unit = "m" if name in recording.markers else "px"
         yield from _compared(name, stream.topic, unit, expected[mine][good], seen[good])
@@ -70,7 +53,7 @@ def _compared(name: str, topic: str, unit: str, expected: np.ndarray, seen: np.n
             f"{off:.3g} {unit} off in the first frame, as a rule.",
             "Number them as the rig does (grids count row by row), or give `ids` in the rig.",
             values=(off,),
-            bound=FITS,
+            bound=OBSERVATIONS.layout_fit_share,
             part=name,
         )
         return
@@ -85,11 +68,11 @@ def _compared(name: str, topic: str, unit: str, expected: np.ndarray, seen: np.n
     linear = solution[:2].T  # plane of the rig to what was seen
     sizes = np.linalg.svd(linear, compute_uv=False)
     scale = float(np.sqrt(sizes[0] * sizes[1]))
-    if _misfit(left) > FITS * spacing * max(scale, 1e-9):
+    if _misfit(left) > OBSERVATIONS.layout_fit_share * spacing * max(scale, 1e-9):
         return  # bent or folded: its layout tells nothing more
     known = axes.T[:, :]  # the plane as the rig has it, in what is seen
     target = linear @ axes if seen.shape[1] == expected.shape[1] == 2 else linear
-    if not 1.0 / SCALE < scale < SCALE:
+    if not 1.0 / OBSERVATIONS.layout_scale < scale < OBSERVATIONS.layout_scale:
         word = " (millimetres?)" if unit == "m" and 500.0 < scale < 2000.0 else ""
         yield Finding(
             "marker_scale",
@@ -122,16 +105,16 @@ def _compared(name: str, topic: str, unit: str, expected: np.ndarray, seen: np.n
         cosine = np.clip(np.sum(own.T * axes, axis=1), -1.0, 1.0)
         turn = float(np.degrees(np.arccos(cosine)).max())
         del known
-    if abs(turn) > TURNED_DEG:
+    if abs(turn) > OBSERVATIONS.layout_turn_deg:
         yield Finding(
             "turned",
             topic,
             "stops a fit",
             f"The markers of {name} lie turned by {turn:.0f} degrees against those of the rig in the first frame (more "
-            f"than {TURNED_DEG:g} degrees).",
+            f"than {OBSERVATIONS.layout_turn_deg:g} degrees).",
             "Look at the pose of the camera or sensor in the rig, and at the order and handedness of its axes.",
             values=(turn,),
-            bound=TURNED_DEG,
+            bound=OBSERVATIONS.layout_turn_deg,
             part=name,
         )
 
@@ -141,9 +124,9 @@ def _plane(points: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     centre = points.mean(axis=0)
     if points.shape[1] == 2:
         spread = np.linalg.svd(points - centre, compute_uv=False)
-        return (centre, np.eye(2)) if spread[1] > THIN * spread[0] else None
+        return (centre, np.eye(2)) if spread[1] > OBSERVATIONS.layout_line_share * spread[0] else None
     _, spread, axes = np.linalg.svd(points - centre, full_matrices=False)
-    return (centre, axes[:2]) if spread[1] > THIN * spread[0] else None
+    return (centre, axes[:2]) if spread[1] > OBSERVATIONS.layout_line_share * spread[0] else None
 
 
 def _misfit(left: np.ndarray) -> float:
@@ -166,10 +149,10 @@ def _as_a_set(expected: np.ndarray, seen: np.ndarray) -> bool:
     if len(expected) < 2 * design.shape[1] or np.linalg.matrix_rank(design, 1e-6) < design.shape[1]:
         return False
     by_number = seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]
-    if _misfit(by_number) < FITS * spacing:
+    if _misfit(by_number) < OBSERVATIONS.layout_fit_share * spacing:
         return False
     where = expected
-    for _ in range(ROUNDS):
+    for _ in range(OBSERVATIONS.layout_rounds):
         rows, order = linear_sum_assignment(cdist(where, seen))
         where = design @ np.linalg.lstsq(design[rows], seen[order], rcond=None)[0]
-    return _misfit(seen[order] - where) < FITS * spacing
+    return _misfit(seen[order] - where) < OBSERVATIONS.layout_fit_share * spacing

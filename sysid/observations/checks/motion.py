@@ -9,9 +9,7 @@ from sysid.noise.estimate import by_differences
 from sysid.noise.stillness import still_at
 from sysid.recording import Recording
 from sysid.recording.streams import WrenchStream
-
-NOISE_OF_STEPS = 0.03
-"""Noise over the usual step from one reading to the next from which it shows."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def at_rest(recording: Recording, t: np.ndarray) -> np.ndarray:
@@ -46,7 +44,7 @@ def noisy(values: np.ndarray, t: np.ndarray) -> bool:
     steps = np.abs(np.diff(values, axis=0))
     steps = steps[steps > 0.0]
     noise = by_differences(values, t)
-    return bool(len(steps) and noise and noise[0] > NOISE_OF_STEPS * np.median(steps))
+    return bool(len(steps) and noise and noise[0] > OBSERVATIONS.noise_over_step * np.median(steps))
 
 
 def repeats_at_rest(same: np.ndarray, still: np.ndarray) -> float | None:

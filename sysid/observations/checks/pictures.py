@@ -10,18 +10,15 @@ import numpy as np
 from sim_core.errors import RecordingError
 from sysid.observations.checks.finding import Finding
 from sysid.recording import Recording
-
-LOOKED_AT = 24
-"""Pictures of a stream that are decoded, evenly over the recording; the tracker looks at all."""
-
-BLANK = 1.0
-"""Standard deviation of grey levels below which a picture shows nothing."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def pictures(recording: Recording) -> Iterator[Finding]:
     """A look at some pictures of each camera."""
     for name, stream in recording.images.items():
-        chosen = np.unique(np.linspace(0, len(stream) - 1, min(LOOKED_AT, len(stream))).astype(int))
+        chosen = np.unique(
+            np.linspace(0, len(stream) - 1, min(OBSERVATIONS.pictures_looked_at, len(stream))).astype(int)
+        )
         broken: list[tuple[float, str]] = []
         blank: list[float] = []
         sizes: Counter[tuple[int, int]] = Counter()
@@ -32,7 +29,7 @@ def pictures(recording: Recording) -> Iterator[Finding]:
                 broken.append((float(stream.t[k]), error.problem))
                 continue
             sizes[(image.shape[1], image.shape[0])] += 1
-            if float(image.std()) < BLANK:
+            if float(image.std()) < OBSERVATIONS.blank_grey_sd:
                 blank.append(float(stream.t[k]))
         looked = f"of {len(chosen)} pictures that were looked at"
         if broken:
@@ -50,11 +47,11 @@ def pictures(recording: Recording) -> Iterator[Finding]:
                 "blank_pictures",
                 stream.topic,
                 "warning",
-                f"{len(blank)} {looked} show nothing (grey levels within {BLANK:g} of each other), the first at "
-                f"{blank[0]:.3f} s.",
+                f"{len(blank)} {looked} show nothing (grey levels within {OBSERVATIONS.blank_grey_sd:g} of each other), the "
+                f"first at {blank[0]:.3f} s.",
                 "Look at exposure, light and the cap of the lens.",
                 times=tuple(blank),
-                bound=BLANK,
+                bound=OBSERVATIONS.blank_grey_sd,
                 part=name,
             )
         if len(sizes) > 1:

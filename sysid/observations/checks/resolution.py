@@ -10,9 +10,7 @@ from sysid.noise.quantisation import common_step
 from sysid.observations.checks.finding import Finding
 from sysid.observations.checks.motion import components
 from sysid.recording import Recording
-
-COARSE = 0.05
-"""Step over the range of what was measured from which it limits what is known."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def resolution(recording: Recording) -> Iterator[Finding]:
@@ -31,7 +29,7 @@ def _coarse(name: str, topic: str, quantity: str, unit: str, values: np.ndarray)
         return
     step = common_step(values.T)
     extent = float(np.max(np.nanmax(values, axis=0) - np.nanmin(values, axis=0)))
-    if step > COARSE * extent > 0.0:
+    if step > OBSERVATIONS.coarse_step_share * extent > 0.0:
         yield Finding(
             "coarse_steps",
             topic,
@@ -40,6 +38,6 @@ def _coarse(name: str, topic: str, quantity: str, unit: str, values: np.ndarray)
             f"by ({extent:.3g} {unit}).",
             "A fit counts the steps as noise. Record with more digits or a finer range.",
             values=(step,),
-            bound=COARSE * extent,
+            bound=OBSERVATIONS.coarse_step_share * extent,
             part=name,
         )

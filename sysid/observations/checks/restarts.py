@@ -10,12 +10,7 @@ from sim_core.rigs import Rig
 from sysid.observations.checks.finding import Finding
 from sysid.observations.checks.motion import at_rest
 from sysid.recording import Recording
-
-SETTLED_S = 0.3
-"""Time after a reset at which a window of the recording may begin."""
-
-LEAST_S = 0.1
-"""Time left out, in all, that is worth a word."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def resets(recording: Recording) -> Iterator[Finding]:
@@ -34,7 +29,7 @@ def resets(recording: Recording) -> Iterator[Finding]:
             "stops a fit",
             f"The simulation was put back to its start at {event.t:.3f} s, after it had moved, as the events of "
             "the recording say: what follows does not follow from what was before.",
-            f"Fit windows: BAG@0:{event.t:.2f} and BAG@{event.t + SETTLED_S:.2f}:{end:.2f}.",
+            f"Fit windows: BAG@0:{event.t:.2f} and BAG@{event.t + OBSERVATIONS.settled_after_reset_s:.2f}:{end:.2f}.",
             times=(event.t,),
             breaks=True,
         )
@@ -44,7 +39,7 @@ def time_left_out(recording: Recording, rig: Rig) -> Iterator[Finding]:
     """Stamps that go on where the simulation did not: nothing moved, relaxed or fell then."""
     skips = [event for event in recording.events if event.name == "skip" and 0.0 <= event.t <= recording.duration]
     lost = sum(event.left_out_s for event in skips)
-    if lost < LEAST_S:
+    if lost < OBSERVATIONS.time_left_out_s:
         return
     yield Finding(
         "time_left_out",
@@ -57,5 +52,5 @@ def time_left_out(recording: Recording, rig: Rig) -> Iterator[Finding]:
         "them.",
         times=tuple(event.t for event in skips),
         values=(lost,),
-        bound=LEAST_S,
+        bound=OBSERVATIONS.time_left_out_s,
     )

@@ -13,28 +13,15 @@ from sysid.observations.checks.marker_identity import usual_spacing
 from sysid.observations.checks.motion import WORDS, components, unit
 from sysid.recording import Recording
 from sysid.recording.notes import plural
-
-FAR = 20.0
-"""Distance from the middle of the neighbours, over the usual one, of a spike."""
-
-BACK = 0.2
-"""Distance of the two neighbours from each other (of the vector: a force that turns peaks in one component), over the
-height of a spike, at most."""
-
-FAR_STEPS = 5.0
-"""Height of a spike over the step in which a sensor reads, at least."""
-
-SEEN = 0.1
-"""Least height of a spike of a marker, over the distance of its neighbours."""
-
-LEAST_M = 1e-3
-"""Spikes of poses are at least so high [m]: less is noise of a pose that hardly has any."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def spikes(recording: Recording) -> Iterator[Finding]:
     """Spikes of poses, which are left out, and of sensors, which fits find and leave out by themselves."""
     for name, pose in recording.poses.items():
-        at = np.asarray(single(pose.position, 3, LEAST_M / FAR_STEPS).any(axis=1))
+        at = np.asarray(
+            single(pose.position, 3, OBSERVATIONS.pose_spike_m / OBSERVATIONS.spike_resolution_steps).any(axis=1)
+        )
         if at.any():
             height = _height(pose.position)[at].max()
             yield Finding(
@@ -46,7 +33,7 @@ def spikes(recording: Recording) -> Iterator[Finding]:
                 "They are left out.",
                 times=tuple(pose.t[at]),
                 values=(float(height),),
-                bound=LEAST_M,
+                bound=OBSERVATIONS.pose_spike_m,
                 role="pose",
                 part=name,
                 faulty=at,
@@ -59,7 +46,11 @@ def spikes(recording: Recording) -> Iterator[Finding]:
             yield _of_sensor(wrench.topic, wrench.t, at[:, k], WORDS[k], height, unit(int(k)))
     for role, _, topic, t, places in placed_markers(recording):
         flat = places.reshape(len(places), -1)
-        at = single(flat, places.shape[-1], SEEN / FAR_STEPS * (usual_spacing(places) or np.inf))
+        at = single(
+            flat,
+            places.shape[-1],
+            OBSERVATIONS.marker_spike_share / OBSERVATIONS.spike_resolution_steps * (usual_spacing(places) or np.inf),
+        )
         if at.any():
             height = float(_height(flat)[at].max())
             yield _of_sensor(
@@ -84,7 +75,11 @@ def single(values: np.ndarray, size: int, least: float | np.ndarray) -> np.ndarr
     change = (values[2:] - values[:-2]).reshape(len(inner), -1, size)
     apart = np.repeat(np.linalg.norm(change, axis=2), size, axis=1)
     with np.errstate(invalid="ignore"):
-        at[1:-1] = (inner > FAR * usual) & (inner > FAR_STEPS * least) & (apart < BACK * inner)
+        at[1:-1] = (
+            (inner > OBSERVATIONS.spike_distance_ratio * usual)
+            & (inner > OBSERVATIONS.spike_resolution_steps * least)
+            & (apart < OBSERVATIONS.spike_return_share * inner)
+        )
     return at
 
 
@@ -105,5 +100,5 @@ def _of_sensor(topic: str, t: np.ndarray, at: np.ndarray, words: str, height: fl
         "A fit leaves out single mistakes by itself (--robust).",
         times=tuple(t[at]),
         values=(height,),
-        bound=FAR,
+        bound=OBSERVATIONS.spike_distance_ratio,
     )

@@ -11,21 +11,10 @@ from sim_core.rigs import Rig
 from sysid.observations.checks.finding import Finding
 from sysid.recording import Recording
 from sysid.recording.streams import PoseStream
+from sysid.settings.observations import OBSERVATIONS
 
 UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
 """Lengths [m] that positions may be in instead of metres."""
-
-FAR_M, FAR_DEG = 0.3, 45.0
-"""Distance and angle of the first pose from the start of the rig that no table-top experiment begins at."""
-
-NEAR_M, NEAR_DEG = 0.02, 10.0
-"""Distance and angle within which another reading of the numbers agrees with the rig."""
-
-LEAST_M = 1e-3
-"""Sizes of positions [m] below which units cannot be told."""
-
-FAST_RAD_S = 30.0
-"""Usual angular speed, while it turns, beyond that of any robot's wrist [rad/s]: angles were in degrees."""
 
 
 def start_poses(recording: Recording, rig: Rig) -> Iterator[Finding]:
@@ -46,7 +35,7 @@ def _position(name: str, stream: PoseStream, start: np.ndarray, declared: bool) 
     size = float(np.linalg.norm(start))
     for word, metres in () if declared else UNITS.items():
         as_unit = float(np.linalg.norm(first * metres - start))
-        if size > LEAST_M and as_unit < 0.3 * size and as_unit < 0.05 * off:
+        if size > OBSERVATIONS.unit_position_m and as_unit < 0.3 * size and as_unit < 0.05 * off:
             yield Finding(
                 "length_unit",
                 stream.topic,
@@ -61,16 +50,16 @@ def _position(name: str, stream: PoseStream, start: np.ndarray, declared: bool) 
                 part=name,
             )
             return
-    if off > FAR_M:
+    if off > OBSERVATIONS.start_far_m:
         yield Finding(
             "start_position",
             stream.topic,
             "warning",
             f"{name} begins at {_show(first)} m, {off:.3g} m from its start in the rig at {_show(start)} m (more than "
-            f"{FAR_M:g} m).",
+            f"{OBSERVATIONS.start_far_m:g} m).",
             "Look at the frame of the poses and at `start` in the rig.",
             values=(off,),
-            bound=FAR_M,
+            bound=OBSERVATIONS.start_far_m,
             part=name,
         )
 
@@ -78,7 +67,7 @@ def _position(name: str, stream: PoseStream, start: np.ndarray, declared: bool) 
 def _orientation(name: str, stream: PoseStream, start: Rotation, declared: bool) -> Iterator[Finding]:
     q = stream.quaternion[0]
     off = _degrees_between(Rotation.from_quat(q), start)
-    if off < FAR_DEG:
+    if off < OBSERVATIONS.start_far_deg:
         return
     readings = {
         "as w x y z": Rotation.from_quat(np.roll(q, -1)),
@@ -86,7 +75,7 @@ def _orientation(name: str, stream: PoseStream, start: Rotation, declared: bool)
     }
     for word, rotation in () if declared else readings.items():
         near = _degrees_between(rotation, start)
-        if near < NEAR_DEG:
+        if near < OBSERVATIONS.start_near_deg:
             yield Finding(
                 "quaternion_order",
                 stream.topic,
@@ -97,7 +86,7 @@ def _orientation(name: str, stream: PoseStream, start: Rotation, declared: bool)
                 if word.startswith("as w")
                 else "Publish the pose of the end effector in the base frame.",
                 values=(off,),
-                bound=FAR_DEG,
+                bound=OBSERVATIONS.start_far_deg,
                 part=name,
             )
             return
@@ -105,10 +94,11 @@ def _orientation(name: str, stream: PoseStream, start: Rotation, declared: bool)
         "start_orientation",
         stream.topic,
         "note",
-        f"{name} begins turned by {off:.0f} degrees against its start in the rig (more than {FAR_DEG:g} degrees).",
+        f"{name} begins turned by {off:.0f} degrees against its start in the rig (more than "
+        f"{OBSERVATIONS.start_far_deg:g} degrees).",
         "A motion may begin anywhere; if this one should not, look at the tool frame of the robot and at `start`.",
         values=(off,),
-        bound=FAR_DEG,
+        bound=OBSERVATIONS.start_far_deg,
         part=name,
     )
 
@@ -122,16 +112,16 @@ def _degrees(name: str, stream: PoseStream) -> Iterator[Finding]:
     if len(turning) < 10:
         return
     usual = float(np.median(turning))
-    if usual > FAST_RAD_S:
+    if usual > OBSERVATIONS.fast_turn_rad_s:
         yield Finding(
             "angle_unit",
             stream.topic,
             "stops a fit",
-            f"{name} turns at {usual:.3g} rad/s as a rule (more than {FAST_RAD_S:g} rad/s): angles in degrees were "
-            f"taken for radians, with which it would be {usual * np.pi / 180:.2g} rad/s.",
+            f"{name} turns at {usual:.3g} rad/s as a rule (more than {OBSERVATIONS.fast_turn_rad_s:g} rad/s): angles in "
+            f"degrees were taken for radians, with which it would be {usual * np.pi / 180:.2g} rad/s.",
             "Convert the angles to radians before making quaternions.",
             values=(usual,),
-            bound=FAST_RAD_S,
+            bound=OBSERVATIONS.fast_turn_rad_s,
             part=name,
         )
 

@@ -9,15 +9,7 @@ import numpy as np
 from sysid.observations.checks.finding import Finding
 from sysid.observations.checks.motion import WORDS, at_rest, components, unit
 from sysid.recording import Recording
-
-BESIDE = 12
-"""Readings on each side that are compared; the two next to the step are left out."""
-
-FAR = 12.0
-"""Height of a step, over the scatter on both sides, from which it is none of noise."""
-
-ZERO = 4.0
-"""Standard deviations of its mean within which a reading is zero."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def tares(recording: Recording) -> Iterator[Finding]:
@@ -39,10 +31,13 @@ def tares(recording: Recording) -> Iterator[Finding]:
             continue
         values, still = components(wrench), at_rest(recording, wrench.t)
         measured = np.flatnonzero(np.isfinite(values).all(axis=0) & (np.ptp(values, axis=0) > 0.0))
-        if not len(measured) or len(values) < 3 * BESIDE:
+        if not len(measured) or len(values) < 3 * OBSERVATIONS.tare_side_readings:
             continue
         for k in _steps(values[:, measured], still):
-            before, after = values[k - BESIDE : k - 1], values[k + 1 : k + 1 + BESIDE]
+            before, after = (
+                values[k - OBSERVATIONS.tare_side_readings : k - 1],
+                values[k + 1 : k + 1 + OBSERVATIONS.tare_side_readings],
+            )
             column = int(
                 measured[np.argmax(np.abs(before.mean(axis=0) - after.mean(axis=0))[measured] / _scale(measured))]
             )
@@ -69,14 +64,21 @@ def _scale(components_: np.ndarray) -> np.ndarray:
 def _steps(values: np.ndarray, still: np.ndarray) -> list[int]:
     """First readings ``(k,)`` after steps to zero in ``values`` ``(n, c)``."""
     found: list[int] = []
-    for k in range(BESIDE, len(values) - BESIDE - 1):
-        if not still[k - BESIDE : k + BESIDE].all() or (found and k - found[-1] < BESIDE):
+    for k in range(OBSERVATIONS.tare_side_readings, len(values) - OBSERVATIONS.tare_side_readings - 1):
+        if not still[k - OBSERVATIONS.tare_side_readings : k + OBSERVATIONS.tare_side_readings].all() or (
+            found and k - found[-1] < OBSERVATIONS.tare_side_readings
+        ):
             continue
-        before, after = values[k - BESIDE : k - 1], values[k + 1 : k + 1 + BESIDE]
+        before, after = (
+            values[k - OBSERVATIONS.tare_side_readings : k - 1],
+            values[k + 1 : k + 1 + OBSERVATIONS.tare_side_readings],
+        )
         scatter = np.maximum(np.maximum(before.std(axis=0), after.std(axis=0)), 1e-12)
         height = np.abs(before.mean(axis=0) - after.mean(axis=0))
-        zero = np.abs(after.mean(axis=0)) < ZERO * scatter / np.sqrt(BESIDE)
+        zero = np.abs(after.mean(axis=0)) < OBSERVATIONS.tare_zero_sd * scatter / np.sqrt(
+            OBSERVATIONS.tare_side_readings
+        )
         one = np.abs(values[k] - values[k - 1]) > 0.7 * height
-        if zero.all() and ((height > FAR * scatter) & one).any():
+        if zero.all() and ((height > OBSERVATIONS.tare_step_ratio * scatter) & one).any():
             found.append(k)
     return found

@@ -11,22 +11,7 @@ from sysid.noise.quantisation import common_step
 from sysid.observations.checks.finding import Finding
 from sysid.observations.checks.motion import components
 from sysid.recording import Recording
-
-FEWEST = 40
-"""Samples from which two sources are told."""
-
-WITHIN = 0.05
-"""Variance within the two levels, over all of the variance of what neighbours leave, below which there are two. Of
-normal noise that is split at its middle 0.36 remains; of uniform noise 0.25."""
-
-SHARE = 0.2
-"""Least share of samples of each source. Fewer are spikes."""
-
-TURNS = 0.25
-"""Share of samples at which the source is another one than before, at least. Fewer are steps of what is measured."""
-
-LEAST = 1e-9
-"""Distance between the levels [m, N] below which they are round-off of a simulated recording: no sensor resolves it."""
+from sysid.settings.observations import OBSERVATIONS
 
 
 def two_publishers(recording: Recording) -> Iterator[Finding]:
@@ -68,7 +53,7 @@ def two_levels(values: np.ndarray) -> tuple[np.ndarray, float] | None:
     the other source and none where they are of the same.
     """
     values = values[:, np.isfinite(values).all(axis=0)]
-    if len(values) < FEWEST or not values.shape[1]:
+    if len(values) < OBSERVATIONS.two_source_samples or not values.shape[1]:
         return None
     window = 8
     # The midrange of a few samples lies between the two sources, whatever their pattern.
@@ -79,13 +64,20 @@ def two_levels(values: np.ndarray) -> tuple[np.ndarray, float] | None:
     levels = centred[:, column]
     second = levels > 0.0
     share = float(second.mean())
-    if not SHARE < share < 1.0 - SHARE or np.mean(second[1:] != second[:-1]) < TURNS:
+    if (
+        not OBSERVATIONS.two_source_share < share < 1.0 - OBSERVATIONS.two_source_share
+        or np.mean(second[1:] != second[:-1]) < OBSERVATIONS.two_source_turns_share
+    ):
         return None
     apart = float(np.median(levels[second]) - np.median(levels[~second]))
     # Each source by itself is continuous: it goes on from its own last sample by far less than the two are apart.
     own = np.concatenate([np.abs(np.diff(values[which, column], n=2)) for which in (second, ~second)])
     mixed = np.abs(np.diff(values[:, column], n=2))
-    if apart < LEAST or np.median(own) ** 2 > WITHIN * np.median(mixed) ** 2 or np.median(own) > 0.2 * apart:
+    if (
+        apart < OBSERVATIONS.two_source_distance
+        or np.median(own) ** 2 > OBSERVATIONS.two_source_variance_share * np.median(mixed) ** 2
+        or np.median(own) > 0.2 * apart
+    ):
         return None
     step = common_step([values[:, column]])
     if step and apart < 1.5 * step:

@@ -14,27 +14,13 @@ from sysid.observations.checks.motion import components
 from sysid.observations.checks.rig_size import extent_of
 from sysid.recording import Recording
 from sysid.recording.streams import WrenchStream
+from sysid.settings.observations import OBSERVATIONS
 
 TORQUE_UNITS = {"newton millimetres": 1000.0, "newton centimetres": 100.0}
 """How many of a unit are one newton metre."""
 
 UNITS = {"gram-force": 101.97, "millinewtons": 1000.0, "pounds-force": 0.2248, "kilogram-force": 0.10197}
 """How many of a unit are one newton."""
-
-AS_UNIT = 1.6
-"""Factor within which the noise, over that of the rig, may be that of another unit."""
-
-LOUD = 8.0
-"""Noise over that of the rig from which it is another sensor, or another unit."""
-
-ARMS = 2.0
-"""Lever arm of the wrench, over the size of the rig, from which torques and forces are not of one unit of length."""
-
-BEYOND = 1.05
-"""Readings over the range of a sensor that it cannot have: ranges are rounded."""
-
-SIGNAL = 10.0
-"""Forces over their noise from which a lever arm is looked at."""
 
 
 def wrench_units(recording: Recording, rig: Rig) -> Iterator[Finding]:
@@ -59,10 +45,14 @@ def _noise_unit(
         return
     noise = max([*by_differences(values, wrench.t), 0.0])
     ratio = noise / declared
-    if ratio < LOUD or noise < common_step(values.T):
+    if ratio < OBSERVATIONS.loud_noise_ratio or noise < common_step(values.T):
         return  # as quiet as it should be, or rounding, which is another matter
     units = UNITS if quantity == "force" else TORQUE_UNITS
-    found = [(w, s) for w, s in units.items() if s > 1.0 and 1.0 / AS_UNIT < ratio / s < AS_UNIT]
+    found = [
+        (w, s)
+        for w, s in units.items()
+        if s > 1.0 and 1.0 / OBSERVATIONS.unit_noise_factor < ratio / s < OBSERVATIONS.unit_noise_factor
+    ]
     as_unit = f" In {found[0][0]} it would be {noise / found[0][1]:.2g} {unit}." if found else ""
     if quantity == "torque" and not found:
         return
@@ -75,7 +65,7 @@ def _noise_unit(
         f"({declared:g} {unit}).{as_unit}",
         f"{remedy}, or correct `noise` in the rig." if found else "Look at the sensor, or correct the rig.",
         values=(noise,),
-        bound=LOUD * declared,
+        bound=OBSERVATIONS.loud_noise_ratio * declared,
         part=name,
     )
 
@@ -87,7 +77,7 @@ def _range(name: str, wrench: WrenchStream, sensor: WrenchSensor) -> Iterator[Fi
     ):
         if largest is None or not np.isfinite(values).any():
             continue
-        over = np.nan_to_num(np.abs(values)) > BEYOND * largest
+        over = np.nan_to_num(np.abs(values)) > OBSERVATIONS.beyond_range_factor * largest
         if over.any():
             yield Finding(
                 "sensor_range",
@@ -112,11 +102,11 @@ def _lever(name: str, wrench: WrenchStream, sensor: WrenchSensor, rig: Rig) -> I
         return
     values = values - np.median(values[: max(5, len(values) // 50)], axis=0)
     force, torque = np.linalg.norm(values[:, :3], axis=1), np.linalg.norm(values[:, 3:], axis=1)
-    high = force > max(0.5 * force.max(), SIGNAL * sensor.noise.force_n, 1e-6)
+    high = force > max(0.5 * force.max(), OBSERVATIONS.lever_arm_signal_ratio * sensor.noise.force_n, 1e-6)
     if high.sum() < 10:
         return
     arm, size = float(np.median(torque[high] / force[high])), extent_of(rig)
-    if arm > ARMS * size:
+    if arm > OBSERVATIONS.lever_arm_ratio * size:
         yield Finding(
             "torque_unit",
             wrench.topic,
@@ -125,6 +115,6 @@ def _lever(name: str, wrench: WrenchStream, sensor: WrenchSensor, rig: Rig) -> I
             f"large; as newton millimetres it is {arm:.3g} mm.",
             "Write `length_unit: mm` into this sensor of the rig, or `length_unit: m` if newton metres are right.",
             values=(arm,),
-            bound=ARMS * size,
+            bound=OBSERVATIONS.lever_arm_ratio * size,
             part=name,
         )
