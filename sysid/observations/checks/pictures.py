@@ -47,8 +47,8 @@ def pictures(recording: Recording) -> Iterator[Finding]:
                 "blank_pictures",
                 stream.topic,
                 "warning",
-                f"{len(blank)} {looked} show nothing (grey levels within {OBSERVATIONS.blank_grey_sd:g} of each other), the "
-                f"first at {blank[0]:.3f} s.",
+                f"{len(blank)} {looked} show nothing (grey levels within {OBSERVATIONS.blank_grey_sd:g} of each "
+                f"other), the first at {blank[0]:.3f} s.",
                 "Look at exposure, light and the cap of the lens.",
                 times=tuple(blank),
                 bound=OBSERVATIONS.blank_grey_sd,

@@ -117,8 +117,8 @@ def _degrees(name: str, stream: PoseStream) -> Iterator[Finding]:
             "angle_unit",
             stream.topic,
             "stops a fit",
-            f"{name} turns at {usual:.3g} rad/s as a rule (more than {OBSERVATIONS.fast_turn_rad_s:g} rad/s): angles in "
-            f"degrees were taken for radians, with which it would be {usual * np.pi / 180:.2g} rad/s.",
+            f"{name} turns at {usual:.3g} rad/s as a rule (more than {OBSERVATIONS.fast_turn_rad_s:g} rad/s): angles "
+            f"in degrees were taken for radians, with which it would be {usual * np.pi / 180:.2g} rad/s.",
             "Convert the angles to radians before making quaternions.",
             values=(usual,),
             bound=OBSERVATIONS.fast_turn_rad_s,
