@@ -40,7 +40,8 @@ def coincident_markers(recording: Recording) -> Iterator[Finding]:
                 "warning",
                 f"The markers {numbers} are at the same place as another one, within "
                 f"{OBSERVATIONS.same_detection_share * spacing:.2g} {'px' if role == 'tracks' else 'm'} where "
-                f"neighbours are {spacing:.3g} apart, {when(t, runs_of(shown))}: the tracker followed one marker twice.",
+                f"neighbours are {spacing:.3g} apart, {when(t, runs_of(shown))}: the tracker followed "
+                "one marker twice.",
                 "They are left out there.",
                 times=tuple(t[shown]),
                 values=(OBSERVATIONS.same_detection_share * spacing,),
