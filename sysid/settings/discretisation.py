@@ -42,7 +42,7 @@ class DiscretisationSettings:
         2,
         "1",
         "Power of the size of cells that the error of the mesh is proportional to.",
-        "measured",
+        "convention",
     )
     coarse_range_share: float = setting(
         0.1,
@@ -96,7 +96,7 @@ class DiscretisationSettings:
         1.0 / 3.0,
         "1",
         "Error over noise that each has to be below.",
-        "convention",
+        "judgement",
     )
     budget_rounds: int = setting(
         8,
@@ -108,7 +108,7 @@ class DiscretisationSettings:
         1,
         "1",
         "Power of the range of contact that its error is proportional to.",
-        "measured",
+        "convention",
     )
     least_contact_range_m: float = setting(
         1e-8,
@@ -120,7 +120,7 @@ class DiscretisationSettings:
         60.0,
         "s",
         "Wall time up to which a simulation is timed twice.",
-        "convention",
+        "cost",
     )
 
     # cells at contacts, and extent of pads
@@ -196,7 +196,7 @@ class DiscretisationSettings:
         8,
         "1",
         "Parts of the time of a recording that tell of a share independently of each other.",
-        "convention",
+        "judgement",
     )
     confounded_sd_ratio: float = setting(
         3.0,

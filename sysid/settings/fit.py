@@ -55,7 +55,7 @@ class FitSettings:
     restart_width: float = setting(
         0.05,
         "1",
-        "Restarts start this far (standard deviations, in units of the fitted scale) from the best so far.",
+        "Standard deviation of restarts about the best so far, in unit steps of the parameters.",
         "judgement",
     )
     start_width: float = setting(
@@ -99,7 +99,7 @@ class FitSettings:
         3,
         "1",
         "Evaluations by whose progress a search is judged.",
-        "cost",
+        "judgement",
     )
     slow_chi2_ratio: float = setting(
         0.8,
@@ -128,13 +128,13 @@ class FitSettings:
         "1",
         "Rise of chi-square, in units of what chance makes of it, that a value nearer to the start may cost. "
         "A look along intervals calls a fit better from 3.8 on.",
-        "statistics",
+        "judgement",
     )
     distance_weights: tuple[float, ...] = setting(
         (1.0, 0.1, 0.01),
         "1",
         "Weights of the distance from the start, tried in turns.",
-        "cost",
+        "judgement",
     )
     way_back_steps: int = setting(
         8,
@@ -193,7 +193,7 @@ class FitSettings:
         1.0,
         "s",
         "Progress is told at least as often.",
-        "convention",
+        "judgement",
     )
 
 

@@ -22,13 +22,13 @@ class ModelSettings:
         0.01,
         "1",
         "A value this close to a bound, in units of its standard deviation or of its range, is at the bound.",
-        "convention",
+        "judgement",
     )
     rig_difference_step: float = setting(
         1e-5,
         "1",
         "Half width, in the fitted scale, of the differences that tell what a parameter changes in the rig.",
-        "measured",
+        "convention",
     )
 
     # nuisance parameters
@@ -69,7 +69,7 @@ class ModelSettings:
         3.0,
         "sd",
         "Step, in standard deviations of what is known of the parameters, from which derivatives are made anew.",
-        "cost",
+        "judgement",
     )
 
     # time
@@ -77,7 +77,7 @@ class ModelSettings:
         30.0,
         "s",
         "Poses so long before and after a first frame are kept with it: no latency is longer.",
-        "judgement",
+        "cost",
     )
     last_poses_s: float = setting(
         1.0,

@@ -45,7 +45,7 @@ class ObservationsSettings:
         30,
         "1",
         "Messages of a stream from which its clock is judged.",
-        "statistics",
+        "judgement",
     )
     clock_step_s: float = setting(
         0.05,
@@ -70,7 +70,7 @@ class ObservationsSettings:
         12,
         "1",
         "Parts of a recording of which the least delays are compared.",
-        "convention",
+        "judgement",
     )
 
     # findings
@@ -78,7 +78,7 @@ class ObservationsSettings:
         3,
         "1",
         "Spans of time that a sentence names.",
-        "convention",
+        "judgement",
     )
 
     # frozen
@@ -99,7 +99,7 @@ class ObservationsSettings:
         3.0,
         "1",
         "Change over its noise that is one.",
-        "statistics",
+        "convention",
     )
     frozen_pose_block: int = setting(
         16,
@@ -358,7 +358,7 @@ class ObservationsSettings:
         12.0,
         "1",
         "Height of a step, over the scatter on both sides, from which it is none of noise.",
-        "statistics",
+        "judgement",
     )
     tare_zero_sd: float = setting(
         4.0,
@@ -377,9 +377,9 @@ class ObservationsSettings:
     two_source_variance_share: float = setting(
         0.05,
         "1",
-        "Variance within the two levels, over all of the variance of what neighbours leave, below which there "
-        "are two. Of normal noise that is split at its middle 0.36 remains; of uniform noise 0.25.",
-        "statistics",
+        "Squared median second difference within each of the two levels, over that of all samples, below which "
+        "there are two: the variance within two halves of normal noise is 0.36 of the whole, of uniform noise 0.25.",
+        "judgement",
     )
     two_source_share: float = setting(
         0.2,
