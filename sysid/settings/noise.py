@@ -50,7 +50,7 @@ class NoiseSettings:
         1e-5,
         "1",
         "Noise is not taken to be below this share of a column group's range (noise-free simulations).",
-        "convention",
+        "judgement",
     )
     neighbour_intervals: float = setting(
         10.0,
@@ -70,7 +70,7 @@ class NoiseSettings:
         6.0,
         "1",
         "Zero crossings of readings beside a straight line, up to which a smooth stretch may be a trend.",
-        "statistics",
+        "judgement",
     )
     held_reading_share: float = setting(
         0.2,
@@ -94,7 +94,7 @@ class NoiseSettings:
         8.0,
         "sd",
         "Distance in robust standard deviations from which a reading at rest is a mistake.",
-        "statistics",
+        "judgement",
     )
     rest_outlier_share: float = setting(
         0.1,
@@ -106,7 +106,7 @@ class NoiseSettings:
         15,
         "1",
         "Samples that a quiet stretch must have to be used.",
-        "statistics",
+        "judgement",
     )
     longest_exact_samples: int = setting(
         400,
@@ -139,7 +139,7 @@ class NoiseSettings:
         1.5,
         "usual intervals",
         "Time from one sample to the next from which one is missing between them.",
-        "judgement",
+        "convention",
     )
 
     # quantisation
@@ -148,13 +148,13 @@ class NoiseSettings:
         "1",
         "Values closer than this share of the largest of a column are the same: twice what single precision "
         "tells apart.",
-        "measured",
+        "convention",
     )
     multiple_tolerance: float = setting(
         0.05,
         "steps",
         "Distance from a multiple, in steps, up to which a value is one.",
-        "judgement",
+        "statistics",
     )
     fewest_changes: int = setting(
         3,
@@ -168,7 +168,7 @@ class NoiseSettings:
         "Triples of readings that are multiples and go on by another number of steps than before, for each "
         "change, where there is a step: two for each where readings mostly repeat, 0.5 on average where they "
         "do not, few in an even motion.",
-        "statistics",
+        "judgement",
     )
 
     # autocorrelation and spectra
@@ -182,7 +182,7 @@ class NoiseSettings:
         3.0,
         "1",
         "Largest ratio of one correlation length to the next.",
-        "cost",
+        "judgement",
     )
     longest_correlation_share: float = setting(
         0.2,
@@ -194,7 +194,7 @@ class NoiseSettings:
         1.0 / 3.0,
         "1",
         "Largest lag, in lengths of the longest recording.",
-        "convention",
+        "judgement",
     )
     transformed_at_once: float = setting(
         4e6,
@@ -257,13 +257,13 @@ class NoiseSettings:
         3.0,
         "1",
         "Variance of a mode over that of what is left, from which it is no chance.",
-        "statistics",
+        "judgement",
     )
     common_mode_outlier_sd: float = setting(
         5.0,
         "sd",
         "Robust standard deviations beyond which a displacement does not count for what markers have in common.",
-        "statistics",
+        "judgement",
     )
     restless_ratio: float = setting(
         1.5,
@@ -283,13 +283,13 @@ class NoiseSettings:
         3,
         "1",
         "Faults of a recording that are named; the notes have the others.",
-        "convention",
+        "judgement",
     )
     scatter_readings: int = setting(
         30,
         "1",
         "Readings from which their scatter is judged.",
-        "statistics",
+        "judgement",
     )
     restless_over_declared: float = setting(
         1.3,

@@ -105,7 +105,7 @@ class SolveSettings:
         0.99,
         "1",
         "A step of more than this share of the radius may have been cut by it.",
-        "convention",
+        "judgement",
     )
     model_points: int = setting(
         6,
@@ -136,13 +136,13 @@ class SolveSettings:
         1e-7,
         "plausible widths",
         "Radius at which the search ends.",
-        "convention",
+        "judgement",
     )
     step_ridge: float = setting(
         1e-4,
         "1",
         "Weight of the square of the step: what no residual sees stays where it is.",
-        "convention",
+        "judgement",
     )
 
     # error of mesh and time step
@@ -168,19 +168,19 @@ class SolveSettings:
         3,
         "1",
         "Principal components of a direction that may take a course of their own.",
-        "cost",
+        "judgement",
     )
     pattern_levels: int = setting(
         2,
         "1",
         "Levels of which the course of such a component is made.",
-        "cost",
+        "judgement",
     )
     faint_pattern_share: float = setting(
         1e-3,
         "1",
         "Share of the strongest component below which others are left out.",
-        "convention",
+        "judgement",
     )
     rough_error_share: float = setting(
         0.25,
@@ -202,7 +202,7 @@ class SolveSettings:
         6.0,
         "sd",
         "Distance, in noise deviations of a vector's component, below which nothing is a mistake.",
-        "statistics",
+        "judgement",
     )
     outlier_frames: int = setting(
         9,
@@ -264,7 +264,7 @@ class SolveSettings:
         10.0,
         "sd",
         "Distance, in noise deviations, below which nothing is a spike.",
-        "statistics",
+        "judgement",
     )
     lone_spike_ratio: float = setting(
         10.0,
@@ -308,7 +308,7 @@ class SolveSettings:
         12,
         "1",
         "Blocks of neighbouring samples that each run and channel is cut into for the sandwich estimate.",
-        "convention",
+        "judgement",
     )
     undetermined_share: float = setting(
         0.5,
@@ -321,7 +321,7 @@ class SolveSettings:
         10.0,
         "plausible ranges",
         "Largest standard deviation that is reported, in plausible ranges: beyond it nothing is known anyway.",
-        "convention",
+        "judgement",
     )
     uninformative_ratio: float = setting(
         0.95,
@@ -339,7 +339,7 @@ class SolveSettings:
         0.97,
         "1",
         "Correlation from which two parameters are reported as known only in combination.",
-        "convention",
+        "judgement",
     )
 
 
