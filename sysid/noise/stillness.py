@@ -11,9 +11,9 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.observations.observations import Run
 from sysid.settings.noise import NOISE
 
-STILL_WITHIN = np.repeat([1e-5, 1e-4], 3)
-"""Shift [m] and turn [rad] in that time from which something moves (0.1 mm/s, 1 mrad/s), and in a whole stretch from
-which it creeps: less than arms repeat (20 to 100 um), and on a pad of 1 N/mm about the noise of a force sensor."""
+STILL_WITHIN = np.repeat([NOISE.still_shift_m, NOISE.still_turn_rad], 3)
+"""Shifts [m] and turns [rad] in ``NOISE.still_window_s`` from which something moves, and in a whole stretch from which
+it creeps."""
 
 
 def quiet(run: Run, t: np.ndarray) -> list[np.ndarray]:

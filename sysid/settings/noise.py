@@ -25,6 +25,16 @@ class NoiseSettings:
         "Time over which noisy poses are averaged to see whether they move.",
         "judgement",
     )
+    still_shift_m: float = setting(
+        1e-5,
+        "m",
+        "Shift in that time from which something moves (0.1 mm/s), and in a whole stretch from which it creeps: less "
+        "than arms repeat (20 to 100 um), and on a pad of 1 N/mm about the noise of a force sensor.",
+        "judgement",
+    )
+    still_turn_rad: float = setting(
+        1e-4, "rad", "Turn in that time from which something moves (1 mrad/s), and likewise creeps.", "judgement"
+    )
     motion_over_noise: float = setting(
         6.0,
         "1",
