@@ -16,18 +16,18 @@ from typing import cast
 import numpy as np
 
 from sim_core.errors import ThinshellError
-from sim_core.rigs import Rig
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.predictability import predicted_held_out
 from sysid.diagnosis.reference_model import added_at
-from sysid.diagnosis.refits import Trial, begun_without, scored
+from sysid.diagnosis.refits import Trial, scored, without
 from sysid.diagnosis.verdict import size_of
-from sysid.model.parameters import FitParameter, rig_in
+from sysid.model.parameters import rig_in
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.solve.optimum import Fitted
 
 
 def confirmed(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | None:
@@ -35,8 +35,7 @@ def confirmed(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | N
     in ``failed``, where that cannot be simulated."""
     if base.reference is None and trial.fitted.converged:
         return replace(trial, confirmed=True)
-    fitted = trial.fitted
-    return fitted_to_the_end(base, trial.hypotheses, (fitted.centre, fitted.parameters, fitted.scaled), failed)
+    return fitted_to_the_end(base, trial.hypotheses, trial.fitted, failed)
 
 
 def parts_to_fit(whole: Trial, trials: Sequence[Trial]) -> list[Hypothesis]:
@@ -54,38 +53,35 @@ def parts_to_fit(whole: Trial, trials: Sequence[Trial]) -> list[Hypothesis]:
 
 
 def confirmed_without(base: Baseline, whole: Trial, left_out: Hypothesis, failed: dict[str, str]) -> Trial | None:
-    """An answer of several effects without one of them, fitted to the end from where the answer stands."""
-    kept = tuple(h for h in whole.hypotheses if h is not left_out)
-    return fitted_to_the_end(base, kept, begun_without(whole.fitted, left_out), failed)
+    """An answer of several effects without one of them, fitted to the end. It first comes to where it is going beside
+    what the reference model adds to the baseline: without the effect, materials may be far from those of the answer,
+    and what the reference model adds there is no matter of where it ends."""
+    part = without(base, whole, left_out, failed)
+    return None if part is None else confirmed(base, part, failed)
 
 
 def fitted_to_the_end(
-    base: Baseline,
-    hypotheses: tuple[Hypothesis, ...],
-    begun: tuple[Rig, list[FitParameter], np.ndarray],
-    failed: dict[str, str],
+    base: Baseline, hypotheses: tuple[Hypothesis, ...], begun: Fitted, failed: dict[str, str]
 ) -> Trial | None:
-    """A set of effects fitted on from where a model with them begins, whatever it was fitted beside: beside the errors
-    of mesh and time step of the baseline, and what the reference model adds where it stands. ``begun``: centre,
-    parameters, and their values in the fitted scale ``(p,)``."""
-    centre, parameters, scaled = begun
+    """A set of effects fitted on from where a model with them stands, whatever that was fitted beside: beside the
+    errors of mesh and time step of the baseline, and what the reference model adds where it stands."""
 
     def engine(known: SpaceMappedPredictor, runs: Sequence[Run], at: np.ndarray) -> SpaceMappedPredictor:
         if base.reference is None:
             return known
         coarse = base.engine.coarse
-        rigs = [rig_in(centre, parameters, at, run.name) for run in runs]
+        rigs = [rig_in(begun.centre, begun.parameters, at, run.name) for run in runs]
         jobs = [coarse.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
         added = added_at(coarse, base.reference, rigs, runs, [job.result() for job in jobs])
         return SpaceMappedPredictor(coarse, added.readings)
 
     try:
         problem, check = copy(base.problem), copy(base.check)
-        problem.engine = SparingPredictor(engine(base.engine, problem.runs, scaled))
+        problem.engine = SparingPredictor(engine(base.engine, problem.runs, begun.scaled))
         fitted = problem.fit(
-            centre,
-            parameters,
-            scaled,
+            begun.centre,
+            begun.parameters,
+            begun.scaled,
             max_evaluations=DIAGNOSIS.confirmation_evaluations,
             tolerance=2.0,
         )

@@ -173,7 +173,7 @@ def _from_the_rig(base: Baseline, case: Case, scales: RecordingScales, failed: d
         return []
     temper = max(1.0, min(fitted.misfit for _, fitted, _ in found))
     start, best, _ = max(found, key=lambda refit: log_evidence(refit[1], temper))
-    ended = fitted_to_the_end(base, start.whole, (best.centre, best.parameters, best.scaled), failed)
+    ended = fitted_to_the_end(base, start.whole, best, failed)
     return [] if ended is None else [ended]
 
 

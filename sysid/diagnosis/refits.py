@@ -182,11 +182,15 @@ def _idlest(hypotheses: Sequence[Hypothesis], fitted: Fitted, known: Uncertainty
 
 
 def without_idle(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | None:
-    """A set of several effects without the one that is not told from none beside the others, fitted on from where the
-    set stands (backward elimination); None, and why in ``failed``, where that cannot be simulated."""
-    idle = _idlest(trial.hypotheses, trial.fitted, uncertainty(trial.fitted))
-    kept = tuple(h for h in trial.hypotheses if h is not idle)
-    centre, parameters, scaled = begun_without(trial.fitted, idle)
+    """A set of several effects without the one that is not told from none beside the others (:func:`without`)."""
+    return without(base, trial, _idlest(trial.hypotheses, trial.fitted, uncertainty(trial.fitted)), failed)
+
+
+def without(base: Baseline, trial: Trial, left_out: Hypothesis, failed: dict[str, str]) -> Trial | None:
+    """A set of several effects without one of them, fitted on from where the set stands (backward elimination); None,
+    and why in ``failed``, where that cannot be simulated."""
+    kept = tuple(h for h in trial.hypotheses if h is not left_out)
+    centre, parameters, scaled = begun_without(trial.fitted, left_out)
     problem = copy(base.problem)
     problem.engine = SparingPredictor(base.problem.engine)
     try:

@@ -132,6 +132,7 @@ def parts_alone(trials: Sequence[Trial], verdict: Verdict, case: Case) -> list[s
         for part in (t for t in trials if t.names < whole.names):
             why = rejected(part, case)
             ending = f"it is no answer by itself: {why}" if why else "the rest takes away most of what that leaves"
+            ending += "" if part.fitted.converged else " (its fit did not converge)"
             share = 100.0 * max(size_of(part), 0.0)
             said.append(f"That {part.title} alone explains {share:.0f} % of the misfit beyond noise; {ending}.")
     return said

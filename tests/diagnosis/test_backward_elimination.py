@@ -85,7 +85,7 @@ def test_parts_that_are_known_well_enough_are_not_fitted_again() -> None:
     assert parts_to_fit(trial("camera_pose", 50.0), []) == []
 
 
-def test_what_is_left_begins_where_the_answer_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_left_begins_where_the_answer_stands() -> None:
     rig = load_rig("gel_sensor")
     rig = rig.model_copy(update={"effects": {n: hypothesis(n).effect.example for n in BOTH.names}})
     names = ["gel.E_pa", "effects.camera_pose.x_m", "effects.gel_stiffness_gradient.x_per_m"]
@@ -97,8 +97,27 @@ def test_what_is_left_begins_where_the_answer_stands(monkeypatch: pytest.MonkeyP
     assert [p.name for p in left] == [p.name for p in parameters[:2]]
     np.testing.assert_array_equal(at, scaled[:2])
     assert set(centre.effects) == {"camera_pose"}
-    monkeypatch.setattr(confirmation, "fitted_to_the_end", lambda base, kept, begun, failed: (kept, begun))
-    whole = replace(BOTH, fitted=fitted)
-    kept, begun = cast(Any, confirmed_without(cast(Any, None), whole, whole.hypotheses[1], {}))
-    assert [h.effect.name for h in kept] == ["camera_pose"]
-    np.testing.assert_array_equal(begun[2], scaled[:2])
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_part_comes_to_where_it_is_going_before_the_reference_model_is_asked(
+    monkeypatch: pytest.MonkeyPatch, simulated: bool
+) -> None:
+    """What the reference model adds at the materials of the answer is no matter of a part whose materials differ."""
+    whole, order = BOTH, []
+
+    def refitted(base: Any, given: Trial, left_out: Any, failed: Any) -> Trial | None:
+        order.append("beside what was known")
+        assert given is whole and left_out is whole.hypotheses[1]
+        return trial("camera_pose", 2500.0) if simulated else None
+
+    def to_the_end(base: Any, hypotheses: Any, begun: Any, failed: Any) -> Trial:
+        order.append("beside the reference model")
+        return part("camera_pose", 2700.0, QUIET)
+
+    monkeypatch.setattr(confirmation, "without", refitted)
+    monkeypatch.setattr(confirmation, "fitted_to_the_end", to_the_end)
+    base = cast(Any, SimpleNamespace(reference="finer cells"))
+    found = confirmed_without(base, whole, whole.hypotheses[1], {})
+    assert order == ["beside what was known", "beside the reference model"][: 2 if simulated else 1]
+    assert (found is None) != simulated

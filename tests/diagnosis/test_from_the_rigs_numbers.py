@@ -109,8 +109,7 @@ def test_the_better_of_both_refits_is_kept(
     def refits_of(base: Any, problem: Any, begun: Any, starts: list[Start], scales: Any, failed: Any) -> list[Any]:
         assert problem is elsewhere and begun is home
         better = {"a": 900.0, "b": 400.0}
-        found = SimpleNamespace(misfit=1.0, centre=None, parameters=[], scaled=np.zeros(0))
-        return [(s, SimpleNamespace(**vars(found), evidence=better[min(s.names)]), None) for s in starts]
+        return [(s, SimpleNamespace(misfit=1.0, evidence=better[min(s.names)]), None) for s in starts]
 
     def to_the_end(base: Any, effects: Any, begun: Any, failed: Any) -> Any:
         (name,) = (h.effect.name for h in effects)

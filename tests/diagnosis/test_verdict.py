@@ -317,5 +317,8 @@ def test_of_an_answer_of_two_effects_each_part_is_told() -> None:
     told = parts_alone([both, first, second], Verdict("named", (both,)), case)
     assert len(told) == 2
     assert told[0].startswith("That ") and "alone explains 50 %" in told[0] and "takes away most" in told[0]
-    assert "held-out recordings worse, by 2 %" in told[1]
+    assert "held-out recordings worse, by 2 %" in told[1] and "converge" not in " ".join(told)
+    cut = replace(first, fitted=cast(Fitted, SimpleNamespace(converged=False)))
+    (said, _) = parts_alone([both, cut, second], Verdict("named", (both,)), case)
+    assert said.endswith("(its fit did not converge).")
     assert parts_alone([first, second], Verdict("named", (first,)), case) == []

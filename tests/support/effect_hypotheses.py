@@ -35,7 +35,7 @@ def trial(
     """A refit of one effect or of several, whose names are separated by blanks."""
     return Trial(
         tuple(hypothesis(name) for name in names.split()),
-        cast(Fitted, SimpleNamespace()),
+        cast(Fitted, SimpleNamespace(converged=True)),
         gain,
         explained,
         there,
