@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from inspect import cleandoc
 from textwrap import fill
 from typing import Annotated, Any
 
@@ -13,7 +14,7 @@ from sim_core.errors import ConfigError
 
 
 def settings(
-    room: Annotated[str | None, typer.Argument(metavar="[ROOM]", help="One room, in full; without it, all.")] = None,
+    room: Annotated[str | None, typer.Argument(metavar="[ROOM]", help="One room; without it, all.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """List the numbers by which fits and diagnoses are decided: unit, meaning, and how each was chosen.
@@ -34,7 +35,7 @@ def settings(
         print(json.dumps({name: values(of) for name, of in found.items()}, indent=2, allow_nan=False))
         return
     for name, of in found.items():
-        print(f"{name}: {type(of).__doc__}")
+        print(fill(f"{name}: {cleandoc(type(of).__doc__ or '')}", 100))
         for one in described(of):
             unit = "" if one.unit == "1" else f" {one.unit}"
             print(f"  {one.name} = {_value(one.value)}{unit}  ({one.chosen})")
@@ -49,5 +50,5 @@ def _value(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_value(one)}" for key, one in value.items())
     if isinstance(value, tuple):
-        return ", ".join(_value(one) for one in value)
-    return f"{value:g}" if isinstance(value, float) else str(value)
+        return ", ".join(f"({_value(one)})" if isinstance(one, tuple) else _value(one) for one in value)
+    return f"{value:.7g}" if isinstance(value, float) else str(value)

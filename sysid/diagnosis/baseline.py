@@ -117,7 +117,9 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     first = None if rig.solver.inertia else replace(model, shapes=shapes)
     problem = Problem(clean, noise, model.engine, shapes, prior=True)
     tell(0.15, "baseline fit")
-    fitted = problem.fit(rig, parameters, start, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=2.0)
+    fitted = problem.fit(
+        rig, parameters, start, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=DIAGNOSIS.fit_tolerance
+    )
     if fitted.interrupted:
         raise KeyboardInterrupt
     # While the model was far off, no reading could be told to be a mistake, and chi-square was that of the mistakes.
@@ -126,7 +128,11 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         clean = again
         problem = Problem(clean, noise, model.engine, shapes, prior=True)
         fitted = problem.fit(
-            rig, parameters, fitted.scaled, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=2.0
+            rig,
+            parameters,
+            fitted.scaled,
+            max_evaluations=DIAGNOSIS.baseline_evaluations,
+            tolerance=DIAGNOSIS.fit_tolerance,
         )
         if fitted.interrupted:
             raise KeyboardInterrupt
@@ -141,7 +147,9 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         shapes = model.shapes
         problem = Problem(clean, noise, model.engine, shapes, prior=True)
         start = fitted.scaled
-        fitted = problem.fit(rig, parameters, start, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=2.0)
+        fitted = problem.fit(
+            rig, parameters, start, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=DIAGNOSIS.fit_tolerance
+        )
         if fitted.interrupted:
             raise KeyboardInterrupt
     elsewhere = None
@@ -150,7 +158,11 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         elsewhere = best_branch(model.engine, problem, fitted)
         if elsewhere is not None:
             fitted = problem.fit(
-                rig, parameters, elsewhere, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=2.0
+                rig,
+                parameters,
+                elsewhere,
+                max_evaluations=DIAGNOSIS.baseline_evaluations,
+                tolerance=DIAGNOSIS.fit_tolerance,
             )
             if fitted.interrupted:
                 raise KeyboardInterrupt
@@ -170,7 +182,11 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         unknown = f"it stands where its discretisation error is not known. {error}"
     problem = Problem(clean, noise, model.engine, shapes, prior=True)
     fitted = problem.fit(
-        rig, parameters, fitted.scaled, max_evaluations=DIAGNOSIS.baseline_evaluations_beside, tolerance=2.0
+        rig,
+        parameters,
+        fitted.scaled,
+        max_evaluations=DIAGNOSIS.baseline_evaluations_beside,
+        tolerance=DIAGNOSIS.fit_tolerance,
     )
     if unknown:
         fitted.converged, fitted.message = False, unknown
@@ -234,7 +250,7 @@ def _where_predictable(base: Baseline, sparing: SparingPredictor, tell: Tell) ->
         model.parameters,
         model.scaled,
         max_evaluations=DIAGNOSIS.baseline_evaluations_beside,
-        tolerance=2.0,
+        tolerance=DIAGNOSIS.fit_tolerance,
     )
     if fitted.interrupted:
         raise KeyboardInterrupt
@@ -321,7 +337,7 @@ def best_branch(engine: AnyEngine, problem: Problem, fitted: Fitted) -> np.ndarr
 def _cauchy(problem: Problem, predictions: Sequence[Prediction], scaled: np.ndarray) -> float:
     """Sum of log(1 + (r / c)^2) over the whitened readings, what is out of sight as far off as c."""
     residual = problem.assemble(predictions, [], scaled).residual
-    return float(np.sum(np.log1p((residual / DIAGNOSIS.cauchy_width) ** 2)))
+    return float(np.sum(np.log1p((residual / DIAGNOSIS.cauchy_width_sd) ** 2)))
 
 
 def _is_far(fitted: Fitted) -> bool:

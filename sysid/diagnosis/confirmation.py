@@ -40,24 +40,32 @@ def confirmed(base: Baseline, trial: Trial, failed: dict[str, str]) -> Trial | N
 
 def parts_to_fit(whole: Trial, trials: Sequence[Trial]) -> list[Hypothesis]:
     """The effects of an answer of several without which the others have to be fitted to the end before the answer is
-    given: not where they have been, nor where they explained too little of the misfit for it to matter."""
+    given: not where they have been, nor where a fit that converged explains too little of the misfit."""
     if len(whole.hypotheses) < 2:
         return []
     known = {t.names: t for t in trials}
-    found = []
-    for one in whole.hypotheses:
-        part = known.get(whole.names - {one.effect.name})
-        if part is None or (not part.confirmed and size_of(part) >= DIAGNOSIS.most_explained_share):
-            found.append(one)
-    return found
+    return [one for one in whole.hypotheses if not _judged(known.get(whole.names - {one.effect.name}))]
 
 
-def confirmed_without(base: Baseline, whole: Trial, left_out: Hypothesis, failed: dict[str, str]) -> Trial | None:
-    """An answer of several effects without one of them, fitted to the end. It first comes to where it is going beside
-    what the reference model adds to the baseline: without the effect, materials may be far from those of the answer,
-    and what the reference model adds there is no matter of where it ends."""
+def _judged(part: Trial | None) -> bool:
+    """Whether a part of an answer is known well enough to be compared with it."""
+    if part is None or part.confirmed:
+        return part is not None
+    return part.fitted.converged and size_of(part) < DIAGNOSIS.least_explained_share
+
+
+def confirmed_without(
+    base: Baseline, whole: Trial, left_out: Hypothesis, known: Trial | None, failed: dict[str, str]
+) -> Trial | None:
+    """An answer of several effects without one of them, fitted to the end, or as far as tells that it explains too
+    little. It first comes to where it is going beside what the reference model adds to the baseline: without the
+    effect, materials may be far from those of the answer, and what the reference model adds there is no matter of where
+    it ends. ``known``: the part as it was fitted before, which is gone on from if it is better than from where the
+    answer stands."""
     part = without(base, whole, left_out, failed)
-    return None if part is None else confirmed(base, part, failed)
+    if known is not None and (part is None or known.fitted.chi2 < part.fitted.chi2):
+        part = known
+    return part if part is None or _judged(part) else confirmed(base, part, failed)
 
 
 def fitted_to_the_end(
@@ -83,7 +91,7 @@ def fitted_to_the_end(
             begun.parameters,
             begun.scaled,
             max_evaluations=DIAGNOSIS.confirmation_evaluations,
-            tolerance=2.0,
+            tolerance=DIAGNOSIS.fit_tolerance,
         )
         if fitted.interrupted:
             raise KeyboardInterrupt

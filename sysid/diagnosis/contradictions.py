@@ -27,7 +27,8 @@ class Contradiction:
 
 
 def contradictions(fitted: Fitted) -> tuple[Contradiction, ...]:
-    """Parameters whose fitted values are ``DIAGNOSIS.far_from_known_sd``, farthest first."""
+    """Parameters whose fitted values are ``DIAGNOSIS.far_from_known_sd`` standard deviations or more from what was
+    known of them, farthest first."""
     found = []
     start = start_of(fitted.centre, fitted.parameters)
     for p, scaled, first in zip(fitted.parameters, fitted.scaled, start, strict=True):

@@ -139,7 +139,8 @@ def _trials(
         wanted = [h for h in hypotheses(best.fitted.rig, scales) if h.effect.name not in best.names]
         beside, _ = look(base.engine, best.fitted, base.problem, wanted)
         beside.temper(best.fitted.misfit)
-        needed, worth = max(case.needed, beside.threshold()), DIAGNOSIS.could_take_share * best.left.whole.excess
+        needed = max(case.needed, beside.threshold())
+        worth = DIAGNOSIS.could_take_share * DIAGNOSIS.worth_adding_share * best.left.whole.excess
         promising = [s for s in beside.singles() if s.gain > needed and s.fall > worth]
         if not promising:
             break
@@ -204,41 +205,48 @@ def _confirmed(
     base: Baseline, trials: list[Trial], case: Case, failed: dict[str, str], tell: Progress
 ) -> tuple[Verdict, list[Trial]]:
     """The verdict, with every set of effects that it names fitted to the end, beside the reference model where there is
-    one, and so are its parts. Where none is named, the one with most evidence is: a refit that was cut off may be no
-    answer yet."""
+    one, and with the parts of these that matter (:func:`parts_to_fit`). Where none is named, the one with most evidence
+    is: a refit that was cut off may be no answer yet."""
+    trials = tempered(base, _best_of_each(trials))
     verdict = decide(trials, case)
     left_out: set[frozenset[str]] = set()
     while True:
         wanted = [t for t in verdict.named if not t.confirmed] or cut_off(trials, verdict, case)
+        part = None if wanted else _part_to_fit(verdict, trials, left_out)
         if wanted:
             tell(0.9, "the answer" if base.reference is None else "the answer with finer cells")
             found = [confirmed(base, t, failed) for t in wanted]
-            others = [t for t in trials if t not in wanted]
-            trials = tempered(base, [*others, *(t for t in found if t is not None)])
+            gone = {t.names for t in wanted}
+        elif part is not None:
+            whole, one = part
+            tell(0.91, f"whether the answer needs that {one.effect.title}")
+            names = whole.names - {one.effect.name}
+            left_out.add(names)
+            known = next((t for t in trials if t.names == names), None)
+            found = [confirmed_without(base, whole, one, known, failed)]
+            gone = {names} if found[0] is not None else set()
         else:
-            parts = _parts_to_fit(verdict, trials, left_out)
-            if not parts:
-                break
-            for whole, one in parts:
-                tell(0.91, f"whether the answer needs that {one.effect.title}")
-                left_out.add(whole.names - {one.effect.name})
-                part = confirmed_without(base, whole, one, failed)
-                trials = trials if part is None else _best_of_each([*trials, part])
-            trials = tempered(base, trials)
+            break
+        trials = tempered(base, [*(t for t in trials if t.names not in gone), *(t for t in found if t is not None)])
         verdict = decide(trials, case)
     return verdict, trials
 
 
-def _parts_to_fit(
+def _part_to_fit(
     verdict: Verdict, trials: Sequence[Trial], left_out: Collection[frozenset[str]]
-) -> list[tuple[Trial, Hypothesis]]:
-    """Answers of several effects with the effect that has to be left out of them once, but those left out before."""
+) -> tuple[Trial, Hypothesis] | None:
+    """An answer of several effects with the effect that has to be left out of it next: the part that is known to be
+    best first, those that are not known last. None where all have been."""
     if verdict.kind == "unknown":
-        return []
-    pairs = {
-        whole.names - {one.effect.name}: (whole, one) for whole in verdict.named for one in parts_to_fit(whole, trials)
-    }
-    return [pair for names, pair in pairs.items() if names not in left_out]
+        return None
+    pairs = [(whole, one) for whole in verdict.named for one in parts_to_fit(whole, trials)]
+    known = {t.names: t.gain for t in trials}
+
+    def promised(pair: tuple[Trial, Hypothesis]) -> float:
+        return known.get(pair[0].names - {pair[1].effect.name}, -np.inf)
+
+    pairs = [(whole, one) for whole, one in pairs if whole.names - {one.effect.name} not in left_out]
+    return max(pairs, key=promised, default=None)
 
 
 def _distinct(screen: Screen, scores: Sequence[Score], effects: int, second: int) -> list[Score]:

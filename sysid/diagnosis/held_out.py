@@ -91,7 +91,11 @@ def held_out_together(given: Problem, others: Problem, fitted: Fitted, engine: A
     start = [known.get(p.name, at) for p, at in zip(parameters, start_of(fitted.rig, parameters), strict=True)]
     try:
         found = problem.fit(
-            fitted.centre, parameters, np.array(start), max_evaluations=DIAGNOSIS.held_out_evaluations, tolerance=2.0
+            fitted.centre,
+            parameters,
+            np.array(start),
+            max_evaluations=DIAGNOSIS.held_out_evaluations,
+            tolerance=DIAGNOSIS.fit_tolerance,
         )
     except ThinshellError:
         return None

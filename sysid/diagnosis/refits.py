@@ -169,7 +169,8 @@ def in_pose_noise(hypotheses: Sequence[Hypothesis], rig: Rig, runs: Sequence[Run
 
 
 def idle_effect(hypotheses: Sequence[Hypothesis], fitted: Fitted, known: Uncertainty) -> str:
-    """The effect of a set of several that is nearest to none, in words, if it is within ``DIAGNOSIS.told_apart_sd``."""
+    """The effect of a set of several that is nearest to none, in words, if it is nearer than
+    ``DIAGNOSIS.told_apart_sd`` standard deviations."""
     if len(hypotheses) < 2:
         return ""
     h = _idlest(hypotheses, fitted, known)

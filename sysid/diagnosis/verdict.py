@@ -129,12 +129,14 @@ def decide(trials: Sequence[Trial], case: Case) -> Verdict:
         return Verdict("refine_discretisation" if refine else "nothing_missing", ())
     best = fit[0]
     share = size_of(best)
-    if best.left.missing and share < DIAGNOSIS.most_explained_share:
+    if best.left.missing and share < DIAGNOSIS.least_explained_share:
         return Verdict("partly" if share >= DIAGNOSIS.some_explained_share else "unknown", (best,))
     ties = tuple(
         t
         for t in fit
-        if best.gain - t.gain < DIAGNOSIS.tie_nats and size_of(t) > share - 0.1 and len(t.names) == len(best.names)
+        if best.gain - t.gain < DIAGNOSIS.tie_nats
+        and size_of(t) > share - DIAGNOSIS.tie_size_share
+        and len(t.names) == len(best.names)
     )
     return Verdict("named" if len(ties) == 1 else "one_of", ties)
 

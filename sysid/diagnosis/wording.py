@@ -119,7 +119,7 @@ def not_explained(verdict: Verdict, case: Case) -> str:
     if left < DIAGNOSIS.negligible_misfit_share:
         return f"With the knowledge that {best.title}, no misfit beyond noise and the discretisation error is left."
     text = f"{_percent(left)} of the misfit beyond noise is left with the knowledge that {best.title}."
-    if size_of(best) < DIAGNOSIS.most_explained_share:
+    if size_of(best) < DIAGNOSIS.least_explained_share:
         text += " Another effect acts as well, or a law that is not in the library."
     return text
 

@@ -19,6 +19,12 @@ class DiagnosisSettings:
         "Evaluations allowed to the fit of the baseline.",
         "cost",
     )
+    fit_tolerance: float = setting(
+        2.0,
+        "1",
+        "Fall of chi-square, in units of the misfit, below which fits of the baseline and of answers end.",
+        "judgement",
+    )
     baseline_evaluations_beside: int = setting(
         5,
         "1",
@@ -56,9 +62,9 @@ class DiagnosisSettings:
         "Loss below which another branch is better, over that of the first.",
         "judgement",
     )
-    cauchy_width: float = setting(
+    cauchy_width_sd: float = setting(
         3.0,
-        "1",
+        "sd",
         "Whitened residual that counts as far in the loss by which branches are compared.",
         "convention",
     )
@@ -84,7 +90,7 @@ class DiagnosisSettings:
     ringing_within_sd: float = setting(
         0.03,
         "sd",
-        "The same where something vibrates.",
+        "How far, likewise, where something vibrates.",
         "cost",
     )
     held_out_evaluations: int = setting(
@@ -298,11 +304,10 @@ class DiagnosisSettings:
         "cost",
     )
     could_take_share: float = setting(
-        0.25,
+        0.5,
         "1",
-        "Share of the structured misfit that an answer leaves which the screening must say of an effect that "
-        "it takes away, for it to be tried beside the answer: half of what it has to take away in the end, "
-        "since responses are linear.",
+        "Share of ``worth_adding_share`` which the screening must say of an effect that it takes away of what an "
+        "answer leaves, for it to be tried beside the answer: half, since responses are linear.",
         "judgement",
     )
     sensor_misfit_share: float = setting(
@@ -351,7 +356,7 @@ class DiagnosisSettings:
         2.0,
         "sd",
         "Standard deviations from which an effect beside others is told from none.",
-        "statistics",
+        "judgement",
     )
     confirmation_evaluations: int = setting(
         12,
@@ -385,10 +390,16 @@ class DiagnosisSettings:
         "Sets of effects within this of the best are reported together.",
         "judgement",
     )
-    most_explained_share: float = setting(
+    tie_size_share: float = setting(
+        0.1,
+        "1",
+        "Share of the structured misfit by which such a set may explain less than the best.",
+        "judgement",
+    )
+    least_explained_share: float = setting(
         0.6,
         "1",
-        "Share of the structured misfit that an answer explains, unless it leaves none that stands out.",
+        "Share of the structured misfit that an answer explains at least, unless it leaves none that stands out.",
         "judgement",
     )
     some_explained_share: float = setting(
@@ -441,7 +452,7 @@ class DiagnosisSettings:
         2.5,
         "sd",
         "Standard deviations that an improvement must be worth by its stability over blocks of time.",
-        "statistics",
+        "judgement",
     )
 
     # place and time of a mismatch
@@ -456,12 +467,13 @@ class DiagnosisSettings:
         "sd",
         "A block belongs to a mismatch window when its energy exceeds the noise's by this many deviations, "
         "and ``window_energy_share`` of the energy of the recording's largest block.",
-        "statistics",
+        "judgement",
     )
     window_energy_share: float = setting(
         0.2,
         "1",
-        "What a model misses in contact alone, a fit halves by an offset of all readings, which then are off "
+        "Share of the energy of a recording's largest block that a block of a mismatch window has at least. What a "
+        "model misses in contact alone, a fit halves by an offset of all readings, which then are off "
         "without contact too. A misfit like a half sine over a share ``f`` of the time, less its mean ``2 f / "
         "pi``, leaves there ``(2 f / (pi - 2 f))^2`` of the energy of its largest block: 7 % where f is a "
         "third, 20 % where it is a half.",
@@ -477,7 +489,7 @@ class DiagnosisSettings:
         6.0,
         "sd",
         "Deviations above noise that the structured misfit of a quantity with few scores must have as well.",
-        "statistics",
+        "judgement",
     )
     discretisation_share: float = setting(
         0.5,
@@ -507,8 +519,8 @@ class DiagnosisSettings:
     )
     closure_sd: Mapping[str, float] = setting(
         {"E_pa": 0.5, "friction": 0.3, "density_kg_m3": 0.3, "_m": 1e-3, "_deg": 1.0},
-        "1",
-        "Standard deviations of a closure of the mechanics, in the fitted scale, by the end of a parameter's name.",
+        "fitted scale",
+        "Standard deviations of a closure of the mechanics, by the end of a parameter's name.",
         "judgement",
     )
     closure_sensor_share: float = setting(

@@ -95,13 +95,13 @@ class DiscretisationSettings:
     budget_over_noise: float = setting(
         1.0 / 3.0,
         "1",
-        "Error over noise that each has to be below.",
+        "Error over noise that mesh, time step and contact constants each have to be below.",
         "judgement",
     )
     budget_rounds: int = setting(
         8,
         "1",
-        "Times that all are measured.",
+        "Times that the errors of mesh, time step and contact are measured.",
         "cost",
     )
     contact_order: int = setting(
@@ -157,7 +157,8 @@ class DiscretisationSettings:
     wide_pad_ratio: float = setting(
         6.0,
         "1",
-        "Extent over thickness of a pad that is as good as infinite.",
+        "Extent over thickness of a pad that is as good as infinite, by the Fourier integral of a layer "
+        "(tests/discretisation/test_gel_extent.py).",
         "measured",
     )
     wide_enough_share: float = setting(

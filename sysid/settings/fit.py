@@ -36,13 +36,13 @@ class FitSettings:
         10,
         "1",
         "Evaluations that a search usually takes; the progress bar is scaled with it.",
-        "measured",
+        "judgement",
     )
     search_time_shares: Mapping[str, float] = setting(
         {"quadratic": 0.95, "checked": 0.8, "profiled": 0.5},
         "1",
         "Share of the time of a fit, about, that its search takes, by what is done about intervals afterwards.",
-        "measured",
+        "judgement",
     )
 
     # starts
@@ -54,8 +54,8 @@ class FitSettings:
     )
     restart_width: float = setting(
         0.05,
-        "1",
-        "Standard deviation of restarts about the best so far, in unit steps of the parameters.",
+        "unit steps",
+        "Standard deviation of restarts about the best so far.",
         "judgement",
     )
     start_width: float = setting(
@@ -145,7 +145,7 @@ class FitSettings:
     way_back_fall: float = setting(
         0.05,
         "1",
-        "Fall of the sum, promised by the next step, below which the way back ends.",
+        "Fall of the penalised sum of squares, promised by the next step, below which the way back to the start ends.",
         "cost",
     )
     step_shares: tuple[float, ...] = setting(

@@ -102,7 +102,7 @@ class ModelSettings:
         6.0,
         "sd",
         "Difference from rest, over its standard deviation, that is told.",
-        "statistics",
+        "judgement",
     )
 
 

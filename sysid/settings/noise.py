@@ -28,19 +28,22 @@ class NoiseSettings:
     still_shift_m: float = setting(
         1e-5,
         "m",
-        "Shift in that time from which something moves (0.1 mm/s), and in a whole stretch from which it creeps: less "
-        "than arms repeat (20 to 100 um), and on a pad of 1 N/mm about the noise of a force sensor.",
+        "Shift within ``still_window_s`` from which something moves (0.1 mm/s), and in a whole stretch from which "
+        "it creeps: less than arms repeat (20 to 100 um), and on a pad of 1 N/mm about the noise of a force sensor.",
         "judgement",
     )
     still_turn_rad: float = setting(
-        1e-4, "rad", "Turn in that time from which something moves (1 mrad/s), and likewise creeps.", "judgement"
+        1e-4,
+        "rad",
+        "Turn within ``still_window_s`` from which something moves (1 mrad/s), and likewise creeps.",
+        "judgement",
     )
     motion_over_noise: float = setting(
         6.0,
         "1",
         "The least way from one pose to the next that counts as motion, over the noise, from which neighbours "
         "tell it: 4 standard deviations of their difference.",
-        "statistics",
+        "judgement",
     )
     creep_window_s: float = setting(
         1.0,
@@ -164,7 +167,7 @@ class NoiseSettings:
         0.05,
         "steps",
         "Distance from a multiple, in steps, up to which a value is one.",
-        "statistics",
+        "judgement",
     )
     fewest_changes: int = setting(
         3,
@@ -217,7 +220,7 @@ class NoiseSettings:
         "1",
         "By how much colour must lower the sum of squares over lags, in units of their variance by white "
         "noise, to be believed.",
-        "statistics",
+        "judgement",
     )
     spectrum_frequencies: int = setting(
         512,
@@ -229,7 +232,7 @@ class NoiseSettings:
         4.0,
         "nats",
         "Log likelihood that a white part beside the coloured one must be worth.",
-        "statistics",
+        "judgement",
     )
     trend_degree: int = setting(
         2,

@@ -36,7 +36,7 @@ class ObservationsSettings:
     clipped_in_a_row: int = setting(
         3,
         "1",
-        "Readings in a row at the level.",
+        "Readings in a row at one extreme level from which a sensor is taken to have been at its limit.",
         "judgement",
     )
 
@@ -91,8 +91,8 @@ class ObservationsSettings:
     frozen_chance: float = setting(
         1e-4,
         "1",
-        "Expected number of such stretches in a recording, by how often its readings repeat otherwise, below "
-        "which one is no chance.",
+        "Expected number of stretches of repeated readings in a recording, by how often its readings repeat otherwise, "
+        "below which one is no chance.",
         "statistics",
     )
     changed_over_noise: float = setting(

@@ -130,7 +130,7 @@ class SolveSettings:
         "tolerances",
         "Promised fall within radius 1, in tolerances, from which a jump before it matters: with a tolerance "
         "of half of what chance makes of the sum of squares, where a 95 % interval of one parameter ends.",
-        "statistics",
+        "judgement",
     )
     smallest_radius: float = setting(
         1e-7,
@@ -282,7 +282,7 @@ class SolveSettings:
         6.0,
         "sd",
         "Change of level across a reading, in noise deviations, from which it is an event (its own deviation is 1.7).",
-        "statistics",
+        "judgement",
     )
     predicted_spike_share: float = setting(
         0.1,

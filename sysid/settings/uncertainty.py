@@ -99,7 +99,7 @@ class UncertaintySettings:
         2.5,
         "1",
         "Evaluations that a side usually takes; progress is scaled with it.",
-        "measured",
+        "judgement",
     )
 
 

@@ -5,8 +5,8 @@ reading, but only estimates its size, and the estimate need not be equally good 
 rolls over an element edge or starts to slip it is off by more than during a hold. The error is therefore
 taken to be, in column j of a channel,
 
-    e_j(t) = d_j(t) (mean + sd g(t) + sd g_j(t)) + sd sum_p A_p(t) v_pj g_p(t) + ROUGH D(t) r_j(t) + R(t) n_j(t),
-    g(t) = c_0 + sum_l a_l sum_k c_lk h_lk(t),    c, n ~ N(0, 1),    R(t)^2 = (ROUGH D(t))^2 + U(t)^2,
+    e_j(t) = d_j(t) (mean + sd g(t) + sd g_j(t)) + sd sum_p A_p(t) v_pj g_p(t) + rho D(t) r_j(t) + R(t) n_j(t),
+    g(t) = c_0 + sum_l a_l sum_k c_lk h_lk(t),    c, n ~ N(0, 1),    R(t)^2 = (rho D(t))^2 + U(t)^2,
 
 with h_lk the hat functions of the equidistant instants of level l of ``SOLVE.error_course_levels``, ever finer and ever
 weaker (a_l), so that the size drifts like a random walk. g is common to all columns of a quantity (the forces, the
@@ -14,12 +14,13 @@ torques, the markers); g_j, g_p and r_j are made like g, and each column has a g
 starts to slip a little earlier the error has the patterns of d, but not their course: v_p are the strongest principal
 components of d over the columns of a quantity, d(t) = sum_p a_p(t) v_p, and A_p(t) is the largest |a_p| about t. Where
 two refinements act on each other, and where one refinement does not show what a second one would, the error is not made
-of d at all. D(t), the largest rms of d over the columns of a quantity about t, stands for that twice: with r_j for what
-stays as long as the motion does (a marker that is off by the same all through a hold, whose every sample must not count
-as a new witness: intervals would shrink with the rate of the sensor), in R for what is new with every sample. U(t) is
-that of what came unforeseen, between two places where the error and its slopes were measured: where a gel snaps over,
-it does so with other parameters a moment later or not at all, and nobody knows which of both the real one does. What
-careful models differ in (:data:`MODEL`) is a share of the signal of the same instant: A_p(t) and D(t) are then of that.
+of d at all: a share rho (``SOLVE.rough_error_share``) is left for that. D(t), the largest rms of d over the columns of
+a quantity about t, stands for that twice: with r_j for what stays as long as the motion does (a marker that is off by
+the same all through a hold, whose every sample must not count as a new witness: intervals would shrink with the rate of
+the sensor), in R for what is new with every sample. U(t) is that of what came unforeseen, between two places where the
+error and its slopes were measured: where a gel snaps over, it does so with other parameters a moment later or not at
+all, and nobody knows which of both the real one does. What careful models differ in (:data:`MODEL`) is a share of the
+signal of the same instant: A_p(t) and D(t) are then of that.
 
 The coefficients are eliminated from the least-squares problem and the last part weighs samples down, so intervals and
 evidence are those with the error integrated out (the discrepancy of Kennedy & O'Hagan 2001 with a basis from the solver

@@ -2,9 +2,9 @@
 
 Least squares believes every reading, and one that is 100 noise deviations off counts 10^4 times. A component of a
 wrench is looked at in its miss (measured minus predicted). A reading is a spike where it is off the straight line
-through the four samples before and the four after by more than ``SOLVE.spike_sd`` noise deviations, and by more than
-``SOLVE.lone_spike_ratio`` times as much as any of these eight: it is sampled once, and nothing goes before or comes
-after. It is kept where it may be contact all the same:
+through the samples before and after (``SOLVE.spike_side_samples`` each) by more than ``SOLVE.spike_sd`` noise
+deviations, and by more than ``SOLVE.lone_spike_ratio`` times as much as any of these: it is sampled once, and nothing
+goes before or comes after. It is kept where it may be contact all the same:
 
 - the line is broken: the level afterwards is another, in any component, as when something lands, lets go or slips;
 - the prediction has an event there that is a tenth as large;

@@ -356,7 +356,7 @@ def test_an_effect_goes_on_without_the_idle_one_beside_it(
     alone, found = cut
     assert found.names == alone.names and set(found.fitted.rig.effects) == {"gel_relaxation"}
     assert [p.name for p in found.fitted.parameters] == [p.name for p in alone.fitted.parameters]
-    # A refit ends where chi-square falls by less than TOLERANCE, from wherever it began.
+    # A refit ends where chi-square falls by less than its tolerance, from wherever it began.
     assert abs(found.fitted.chi2 - alone.fitted.chi2) < DIAGNOSIS.refit_tolerance * max(1.0, alone.fitted.misfit)
     off = np.abs(found.fitted.scaled - alone.fitted.scaled) / uncertainty(alone.fitted).sd
     assert off.max() < np.sqrt(DIAGNOSIS.refit_tolerance)
