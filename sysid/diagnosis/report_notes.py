@@ -146,7 +146,10 @@ def notes(base: Baseline, case: Case, verdict: Verdict, trials: Sequence[Trial])
         said.append(f"The baseline fit did not converge: {fitted.message}.")
     for trial in verdict.named if verdict.kind != "unknown" else ():
         if not trial.fitted.converged:
-            said.append(f"The fit with '{trial.title}' did not converge: {trial.fitted.message}.")
+            said.append(
+                f"The fit with '{trial.title}' did not converge: {trial.fitted.message}. The true values may lie outside "
+                "of the intervals."
+            )
     said += parts_alone(trials, verdict, case)
     said += [snap for trial in verdict.named if (snap := other_branch(trial))]
     lasts = [t for t in verdict.named if any(h.effect.lasting for h in t.hypotheses)]
