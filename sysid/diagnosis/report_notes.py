@@ -147,8 +147,8 @@ def notes(base: Baseline, case: Case, verdict: Verdict, trials: Sequence[Trial])
     for trial in verdict.named if verdict.kind != "unknown" else ():
         if not trial.fitted.converged:
             said.append(
-                f"The fit with '{trial.title}' did not converge: {trial.fitted.message}. The true values may lie outside "
-                "of the intervals."
+                f"The fit with '{trial.title}' did not converge: {trial.fitted.message}. The true values may lie "
+                "outside of the intervals."
             )
     said += parts_alone(trials, verdict, case)
     said += [snap for trial in verdict.named if (snap := other_branch(trial))]
