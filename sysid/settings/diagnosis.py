@@ -13,12 +13,7 @@ class DiagnosisSettings:
     """Settings of a diagnosis: baseline, screening, refits, verdict, place and time of a mismatch, next experiment."""
 
     # baseline
-    baseline_evaluations: int = setting(
-        8,
-        "1",
-        "Evaluations allowed to the fit of the baseline.",
-        "cost",
-    )
+    baseline_evaluations: int = setting(8, "1", "Evaluations allowed to the fit of the baseline.", "cost")
     fit_tolerance: float = setting(
         2.0,
         "1",
@@ -26,10 +21,7 @@ class DiagnosisSettings:
         "judgement",
     )
     baseline_evaluations_beside: int = setting(
-        5,
-        "1",
-        "Evaluations allowed to it beside the error of mesh and time step, measured where it came to.",
-        "cost",
+        5, "1", "Evaluations allowed to it beside the error of mesh and time step, measured where it came to.", "cost"
     )
     branch_misfit_ratio: float = setting(
         2.0,
@@ -39,34 +31,17 @@ class DiagnosisSettings:
         "judgement",
     )
     normal_upper_quartile: float = setting(
-        1.1503,
-        "1",
-        "Upper quartile of the absolute value of a standard normal number.",
-        "statistics",
+        1.1503, "1", "Upper quartile of the absolute value of a standard normal number.", "statistics"
     )
     friction_factors: tuple[float, ...] = setting(
-        (0.7, 0.85, 1.15, 1.4),
-        "1",
-        "Friction coefficients that are tried, over where the search ended.",
-        "judgement",
+        (0.7, 0.85, 1.15, 1.4), "1", "Friction coefficients that are tried, over where the search ended.", "judgement"
     )
-    offset_draws: int = setting(
-        3,
-        "1",
-        "Random places of the hands that are tried as other branches.",
-        "cost",
-    )
+    offset_draws: int = setting(3, "1", "Random places of the hands that are tried as other branches.", "cost")
     better_loss_ratio: float = setting(
-        0.98,
-        "1",
-        "Loss below which another branch is better, over that of the first.",
-        "judgement",
+        0.98, "1", "Loss below which another branch is better, over that of the first.", "judgement"
     )
     cauchy_width_sd: float = setting(
-        3.0,
-        "sd",
-        "Whitened residual that counts as far in the loss by which branches are compared.",
-        "convention",
+        3.0, "sd", "Whitened residual that counts as far in the loss by which branches are compared.", "convention"
     )
     too_coarse_ratio: float = setting(
         5.0,
@@ -82,17 +57,9 @@ class DiagnosisSettings:
         "cost",
     )
     reference_within_sd: float = setting(
-        0.3,
-        "sd",
-        "How far, likewise, what a reference model adds is taken to be that of the start.",
-        "cost",
+        0.3, "sd", "How far, likewise, what a reference model adds is taken to be that of the start.", "cost"
     )
-    ringing_within_sd: float = setting(
-        0.03,
-        "sd",
-        "How far, likewise, where something vibrates.",
-        "cost",
-    )
+    ringing_within_sd: float = setting(0.03, "sd", "How far, likewise, where something vibrates.", "cost")
     held_out_evaluations: int = setting(
         5,
         "1",
@@ -108,12 +75,7 @@ class DiagnosisSettings:
         "data sheet of a similar product, a balance), Poisson ratios and friction coefficients by themselves.",
         "judgement",
     )
-    known_damping_share: float = setting(
-        0.5,
-        "1",
-        "How well a damping is known, in units of its value.",
-        "judgement",
-    )
+    known_damping_share: float = setting(0.5, "1", "How well a damping is known, in units of its value.", "judgement")
     far_from_known_sd: float = setting(
         3.0,
         "sd",
@@ -130,10 +92,7 @@ class DiagnosisSettings:
 
     # tolerance of the model
     model_tolerance: float = setting(
-        0.01,
-        "1",
-        "Agreement of careful simulations, in units of the deformation signal.",
-        "judgement",
+        0.01, "1", "Agreement of careful simulations, in units of the deformation signal.", "judgement"
     )
     gel_marker_tolerance: float = setting(
         0.1,
@@ -144,12 +103,7 @@ class DiagnosisSettings:
     )
 
     # where recordings can be predicted
-    ensemble_members: int = setting(
-        4,
-        "1",
-        "Rollouts of the ensemble, to both sides of the model by pairs.",
-        "cost",
-    )
+    ensemble_members: int = setting(4, "1", "Rollouts of the ensemble, to both sides of the model by pairs.", "cost")
     ensemble_sd: float = setting(
         1.5,
         "sd",
@@ -171,17 +125,9 @@ class DiagnosisSettings:
         "judgement",
     )
     unpredictable_signal_share: float = setting(
-        0.05,
-        "1",
-        "The same over the largest deformation of the run.",
-        "judgement",
+        0.05, "1", "The same over the largest deformation of the run.", "judgement"
     )
-    event_s: float = setting(
-        0.3,
-        "s",
-        "Length of the running median beside which a change is an event.",
-        "judgement",
-    )
+    event_s: float = setting(0.3, "s", "Length of the running median beside which a change is an event.", "judgement")
     event_margin_s: float = setting(
         0.03,
         "s",
@@ -202,10 +148,7 @@ class DiagnosisSettings:
         "judgement",
     )
     other_branch_ratio: float = setting(
-        2.0,
-        "1",
-        "Ratio of misfits from which two predictions count as those of different branches.",
-        "judgement",
+        2.0, "1", "Ratio of misfits from which two predictions count as those of different branches.", "judgement"
     )
 
     # screening
@@ -216,10 +159,7 @@ class DiagnosisSettings:
         "cost",
     )
     threshold_grid_points: int = setting(
-        6,
-        "1",
-        "The same of an effect with a threshold, whose misfit has several minima.",
-        "cost",
+        6, "1", "The same of an effect with a threshold, whose misfit has several minima.", "cost"
     )
     amplitude_sizes: int = setting(
         2,
@@ -233,17 +173,9 @@ class DiagnosisSettings:
         "Largest size, in units of the typical one, to which a response is extrapolated.",
         "judgement",
     )
-    null_draws: int = setting(
-        300,
-        "1",
-        "Recordings of the null that are drawn.",
-        "cost",
-    )
+    null_draws: int = setting(300, "1", "Recordings of the null that are drawn.", "cost")
     false_alarm_probability: float = setting(
-        0.01,
-        "1",
-        "Probability with which the null exceeds the threshold.",
-        "convention",
+        0.01, "1", "Probability with which the null exceeds the threshold.", "convention"
     )
     twin_errors: tuple[float, ...] = setting(
         (0.0, 0.5, -0.5),
@@ -251,19 +183,11 @@ class DiagnosisSettings:
         "Discretisation error of the twins beyond the expected one, in units of the extrapolated error.",
         "judgement",
     )
-    paired_effects: int = setting(
-        6,
-        "1",
-        "Effects whose pairs are looked at in the screening.",
-        "cost",
-    )
+    paired_effects: int = setting(6, "1", "Effects whose pairs are looked at in the screening.", "cost")
 
     # refits
     simulated_effects: int = setting(
-        8,
-        "1",
-        "Effects that are simulated where the screening says, before the best of them are refitted.",
-        "cost",
+        8, "1", "Effects that are simulated where the screening says, before the best of them are refitted.", "cost"
     )
     simulated_second_starts: int = setting(
         3,
@@ -273,10 +197,7 @@ class DiagnosisSettings:
         "cost",
     )
     refitted_by_recording: int = setting(
-        2,
-        "1",
-        "Further effects that are refitted since they explain single recordings best.",
-        "cost",
+        2, "1", "Further effects that are refitted since they explain single recordings best.", "cost"
     )
     worth_trying_share: float = setting(
         0.5,
@@ -285,24 +206,11 @@ class DiagnosisSettings:
         "refitted there.",
         "judgement",
     )
-    most_effects: int = setting(
-        3,
-        "1",
-        "Effects of one answer.",
-        "cost",
-    )
+    most_effects: int = setting(3, "1", "Effects of one answer.", "cost")
     refitted_from_the_rig: int = setting(
-        2,
-        "1",
-        "Effects that are refitted from the rig's own numbers where the baseline contradicts these.",
-        "cost",
+        2, "1", "Effects that are refitted from the rig's own numbers where the baseline contradicts these.", "cost"
     )
-    tried_beside: int = setting(
-        3,
-        "1",
-        "Effects that are tried beside an answer that leaves something.",
-        "cost",
-    )
+    tried_beside: int = setting(3, "1", "Effects that are tried beside an answer that leaves something.", "cost")
     could_take_share: float = setting(
         0.5,
         "1",
@@ -317,34 +225,15 @@ class DiagnosisSettings:
         "judgement",
     )
     hold_out_from: int = setting(
-        3,
-        "1",
-        "Number of recordings from which the last is held out where none is.",
-        "judgement",
+        3, "1", "Number of recordings from which the last is held out where none is.", "judgement"
     )
     refitted_sets: int = setting(
-        3,
-        "1",
-        "Sets that are refitted: those that simulations at their starts explain best.",
-        "cost",
+        3, "1", "Sets that are refitted: those that simulations at their starts explain best.", "cost"
     )
-    refitted_second_starts: int = setting(
-        1,
-        "1",
-        "Further starts of the best of these sets that are refitted.",
-        "cost",
-    )
-    refit_evaluations: int = setting(
-        5,
-        "1",
-        "Evaluations allowed to a refit.",
-        "cost",
-    )
+    refitted_second_starts: int = setting(1, "1", "Further starts of the best of these sets that are refitted.", "cost")
+    refit_evaluations: int = setting(5, "1", "Evaluations allowed to a refit.", "cost")
     refit_tolerance: float = setting(
-        5.0,
-        "1",
-        "Improvement of chi-square, in units of the misfit, below which a refit ends.",
-        "judgement",
+        5.0, "1", "Improvement of chi-square, in units of the misfit, below which a refit ends.", "judgement"
     )
     worse_held_out_share: float = setting(
         0.1,
@@ -353,16 +242,10 @@ class DiagnosisSettings:
         "judgement",
     )
     told_apart_sd: float = setting(
-        2.0,
-        "sd",
-        "Standard deviations from which an effect beside others is told from none.",
-        "judgement",
+        2.0, "sd", "Standard deviations from which an effect beside others is told from none.", "judgement"
     )
     confirmation_evaluations: int = setting(
-        12,
-        "1",
-        "Evaluations allowed to an answer, whose refit ended when it was told from others.",
-        "cost",
+        12, "1", "Evaluations allowed to an answer, whose refit ended when it was told from others.", "cost"
     )
     robust_width_sd: float = setting(
         3.0,
@@ -385,16 +268,10 @@ class DiagnosisSettings:
         "judgement",
     )
     tie_nats: float = setting(
-        5.0,
-        "nats",
-        "Sets of effects within this of the best are reported together.",
-        "judgement",
+        5.0, "nats", "Sets of effects within this of the best are reported together.", "judgement"
     )
     tie_size_share: float = setting(
-        0.1,
-        "1",
-        "Share of the structured misfit by which such a set may explain less than the best.",
-        "judgement",
+        0.1, "1", "Share of the structured misfit by which such a set may explain less than the best.", "judgement"
     )
     least_explained_share: float = setting(
         0.6,
@@ -403,10 +280,7 @@ class DiagnosisSettings:
         "judgement",
     )
     some_explained_share: float = setting(
-        0.15,
-        "1",
-        "Share from which an effect is worth telling beside something that remains unknown.",
-        "judgement",
+        0.15, "1", "Share from which an effect is worth telling beside something that remains unknown.", "judgement"
     )
     worth_adding_share: float = setting(
         0.5,
@@ -431,16 +305,10 @@ class DiagnosisSettings:
         "judgement",
     )
     mesh_over_noise: float = setting(
-        3.0,
-        "1",
-        "Error of mesh and time step there, over the noise, from which it cannot be told.",
-        "judgement",
+        3.0, "1", "Error of mesh and time step there, over the noise, from which it cannot be told.", "judgement"
     )
     mesh_explains_ratio: float = setting(
-        1.5,
-        "1",
-        "Error of the baseline over that of mesh and time step, up to which these explain it.",
-        "judgement",
+        1.5, "1", "Error of the baseline over that of mesh and time step, up to which these explain it.", "judgement"
     )
     mesh_may_explain_ratio: float = setting(
         3.0,
@@ -456,12 +324,7 @@ class DiagnosisSettings:
     )
 
     # place and time of a mismatch
-    time_blocks: int = setting(
-        24,
-        "1",
-        "Blocks of time that a run is cut into.",
-        "convention",
-    )
+    time_blocks: int = setting(24, "1", "Blocks of time that a run is cut into.", "convention")
     window_sd: float = setting(
         5.0,
         "sd",
@@ -505,18 +368,8 @@ class DiagnosisSettings:
         "differ in that.",
         "judgement",
     )
-    window_parts: int = setting(
-        8,
-        "1",
-        "Parts of a window that are told apart.",
-        "convention",
-    )
-    closure_hats: int = setting(
-        6,
-        "1",
-        "Hat functions of a closure, equidistant over a recording.",
-        "cost",
-    )
+    window_parts: int = setting(8, "1", "Parts of a window that are told apart.", "convention")
+    closure_hats: int = setting(6, "1", "Hat functions of a closure, equidistant over a recording.", "cost")
     closure_sd: Mapping[str, float] = setting(
         {"E_pa": 0.5, "friction": 0.3, "density_kg_m3": 0.3, "_m": 1e-3, "_deg": 1.0},
         "fitted scale",
@@ -524,17 +377,9 @@ class DiagnosisSettings:
         "judgement",
     )
     closure_sensor_share: float = setting(
-        0.2,
-        "1",
-        "Standard deviation of the closure of a sensor, in units of the range of its readings.",
-        "judgement",
+        0.2, "1", "Standard deviation of the closure of a sensor, in units of the range of its readings.", "judgement"
     )
-    closure_clock_s: float = setting(
-        0.02,
-        "s",
-        "Standard deviation of the closure of a clock.",
-        "judgement",
-    )
+    closure_clock_s: float = setting(0.02, "s", "Standard deviation of the closure of a clock.", "judgement")
     other_shape_ratio: float = setting(
         5.0,
         "1",
@@ -548,12 +393,7 @@ class DiagnosisSettings:
         "The same, as a share of the largest: where one recording is far off, the fit of all is off in the others.",
         "judgement",
     )
-    shape_readings: int = setting(
-        3,
-        "1",
-        "Readings at rest that tell a shape.",
-        "judgement",
-    )
+    shape_readings: int = setting(3, "1", "Readings at rest that tell a shape.", "judgement")
 
     # what is reported
     limited_sd_share: float = setting(
@@ -563,61 +403,22 @@ class DiagnosisSettings:
         "judgement",
     )
     negligible_misfit_share: float = setting(
-        0.005,
-        "1",
-        "Share of the misfit below which none is said to be left.",
-        "convention",
+        0.005, "1", "Share of the misfit below which none is said to be left.", "convention"
     )
 
     # next experiment
     path_margin_share: float = setting(
-        0.02,
-        "1",
-        "How far the path may leave the recorded one, over its extent.",
-        "judgement",
+        0.02, "1", "How far the path may leave the recorded one, over its extent.", "judgement"
     )
-    speed_quantile: float = setting(
-        0.95,
-        "1",
-        "Quantile of the recorded speeds that is its speed.",
-        "convention",
-    )
-    slower_factor: float = setting(
-        2.0,
-        "1",
-        "How many times slower the first pass is.",
-        "judgement",
-    )
-    least_hold_s: float = setting(
-        2.0,
-        "s",
-        "Least rest in each corner.",
-        "judgement",
-    )
-    most_hold_s: float = setting(
-        30.0,
-        "s",
-        "Longest rest in each corner.",
-        "cost",
-    )
+    speed_quantile: float = setting(0.95, "1", "Quantile of the recorded speeds that is its speed.", "convention")
+    slower_factor: float = setting(2.0, "1", "How many times slower the first pass is.", "judgement")
+    least_hold_s: float = setting(2.0, "s", "Least rest in each corner.", "judgement")
+    most_hold_s: float = setting(30.0, "s", "Longest rest in each corner.", "cost")
     hold_over_time_constant: float = setting(
-        3.0,
-        "1",
-        "Rest in each corner over the time constant of an effect of the answer.",
-        "judgement",
+        3.0, "1", "Rest in each corner over the time constant of an effect of the answer.", "judgement"
     )
-    least_speed: float = setting(
-        1e-4,
-        "m/s, rad/s",
-        "Least speed of a motion.",
-        "judgement",
-    )
-    turn_arm_m: float = setting(
-        0.05,
-        "m",
-        "Length by which turns [rad] are compared with shifts.",
-        "judgement",
-    )
+    least_speed: float = setting(1e-4, "m/s, rad/s", "Least speed of a motion.", "judgement")
+    turn_arm_m: float = setting(0.05, "m", "Length by which turns [rad] are compared with shifts.", "judgement")
 
 
 DIAGNOSIS = DiagnosisSettings()

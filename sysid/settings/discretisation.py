@@ -13,12 +13,7 @@ class DiscretisationSettings:
     believed."""
 
     # error of mesh and time step
-    error_rounds: int = setting(
-        8,
-        "1",
-        "Times that the error is measured and the fit repeated.",
-        "cost",
-    )
+    error_rounds: int = setting(8, "1", "Times that the error is measured and the fit repeated.", "cost")
     remeasured_sd: float = setting(
         1.0,
         "sd",
@@ -39,10 +34,7 @@ class DiscretisationSettings:
         "judgement",
     )
     mesh_order: int = setting(
-        2,
-        "1",
-        "Power of the size of cells that the error of the mesh is proportional to.",
-        "convention",
+        2, "1", "Power of the size of cells that the error of the mesh is proportional to.", "convention"
     )
     coarse_range_share: float = setting(
         0.1,
@@ -51,12 +43,7 @@ class DiscretisationSettings:
         "to ask what is missing; ``coarse_noise_ratio`` has to be reached as well.",
         "judgement",
     )
-    coarse_noise_ratio: float = setting(
-        3.0,
-        "1",
-        "The same in units of the noise of the readings.",
-        "judgement",
-    )
+    coarse_noise_ratio: float = setting(3.0, "1", "The same in units of the noise of the readings.", "judgement")
 
     # time steps
     interpolation_over_noise: float = setting(
@@ -65,12 +52,7 @@ class DiscretisationSettings:
         "Error of the interpolation over the noise, rms over the columns of a quantity, from which a step is halved.",
         "judgement",
     )
-    step_halvings: int = setting(
-        4,
-        "1",
-        "Times that steps are halved: to a sixteenth of the rig's.",
-        "cost",
-    )
+    step_halvings: int = setting(4, "1", "Times that steps are halved: to a sixteenth of the rig's.", "cost")
     halving_over_noise: float = setting(
         1.0,
         "1",
@@ -79,16 +61,10 @@ class DiscretisationSettings:
         "judgement",
     )
     halving_quantile: float = setting(
-        0.75,
-        "1",
-        "Quantile over time of that change that counts: impacts never agree.",
-        "judgement",
+        0.75, "1", "Quantile over time of that change that counts: impacts never agree.", "judgement"
     )
     largest_misfit_ratio: float = setting(
-        30.0,
-        "1",
-        "Misfit over noise from which it counts no more: a few readings do not decide.",
-        "judgement",
+        30.0, "1", "Misfit over noise from which it counts no more: a few readings do not decide.", "judgement"
     )
 
     # budgets
@@ -98,30 +74,12 @@ class DiscretisationSettings:
         "Error over noise that mesh, time step and contact constants each have to be below.",
         "judgement",
     )
-    budget_rounds: int = setting(
-        8,
-        "1",
-        "Times that the errors of mesh, time step and contact are measured.",
-        "cost",
-    )
+    budget_rounds: int = setting(8, "1", "Times that the errors of mesh, time step and contact are measured.", "cost")
     contact_order: int = setting(
-        1,
-        "1",
-        "Power of the range of contact that its error is proportional to.",
-        "convention",
+        1, "1", "Power of the range of contact that its error is proportional to.", "convention"
     )
-    least_contact_range_m: float = setting(
-        1e-8,
-        "m",
-        "Range of contact below which a rig may not go.",
-        "judgement",
-    )
-    timed_twice_s: float = setting(
-        60.0,
-        "s",
-        "Wall time up to which a simulation is timed twice.",
-        "cost",
-    )
+    least_contact_range_m: float = setting(1e-8, "m", "Range of contact below which a rig may not go.", "judgement")
+    timed_twice_s: float = setting(60.0, "s", "Wall time up to which a simulation is timed twice.", "cost")
 
     # cells at contacts, and extent of pads
     edge_over_contact_radius: float = setting(
@@ -131,10 +89,7 @@ class DiscretisationSettings:
         "measured",
     )
     most_edge_ratio: float = setting(
-        2.5,
-        "1",
-        "Longest edge of the rig over that of the refined cells, at most: finer ones take too long.",
-        "cost",
+        2.5, "1", "Longest edge of the rig over that of the refined cells, at most: finer ones take too long.", "cost"
     )
     least_edge_ratio: float = setting(
         1.2,
@@ -143,17 +98,9 @@ class DiscretisationSettings:
         "judgement",
     )
     contact_margin: float = setting(
-        0.2,
-        "1",
-        "What the box reaches beyond what is touched, over the radius of the contact.",
-        "judgement",
+        0.2, "1", "What the box reaches beyond what is touched, over the radius of the contact.", "judgement"
     )
-    contact_instants: int = setting(
-        60,
-        "1",
-        "Instants of a recording at which contacts are looked for.",
-        "cost",
-    )
+    contact_instants: int = setting(60, "1", "Instants of a recording at which contacts are looked for.", "cost")
     wide_pad_ratio: float = setting(
         6.0,
         "1",
@@ -162,24 +109,13 @@ class DiscretisationSettings:
         "measured",
     )
     wide_enough_share: float = setting(
-        0.8,
-        "1",
-        "Share of ``wide_pad_ratio`` from which a pad is not made wider.",
-        "judgement",
+        0.8, "1", "Share of ``wide_pad_ratio`` from which a pad is not made wider.", "judgement"
     )
-    added_cells: int = setting(
-        4,
-        "1",
-        "Cells that are added along an axis.",
-        "judgement",
-    )
+    added_cells: int = setting(4, "1", "Cells that are added along an axis.", "judgement")
 
     # finer models that recordings follow
     follow_outlier_rms: float = setting(
-        5.0,
-        "1",
-        "Misfit over its root mean square from which a reading is taken for a mistake.",
-        "judgement",
+        5.0, "1", "Misfit over its root mean square from which a reading is taken for a mistake.", "judgement"
     )
     followed_share_sd: float = setting(
         0.1,
@@ -188,16 +124,10 @@ class DiscretisationSettings:
         "judgement",
     )
     largest_followed_share: float = setting(
-        2.5,
-        "1",
-        "Share up to which it is one of these two models that recordings follow.",
-        "judgement",
+        2.5, "1", "Share up to which it is one of these two models that recordings follow.", "judgement"
     )
     follow_blocks: int = setting(
-        8,
-        "1",
-        "Parts of the time of a recording that tell of a share independently of each other.",
-        "judgement",
+        8, "1", "Parts of the time of a recording that tell of a share independently of each other.", "judgement"
     )
     confounded_sd_ratio: float = setting(
         3.0,

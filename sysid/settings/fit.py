@@ -21,22 +21,11 @@ class FitSettings:
         "cost",
     )
     outlier_looks: int = setting(
-        3,
-        "1",
-        "Times that mistaken readings are looked for and the fit repeated without them.",
-        "cost",
+        3, "1", "Times that mistaken readings are looked for and the fit repeated without them.", "cost"
     )
-    search_evaluations: int = setting(
-        30,
-        "1",
-        "Evaluations after which one search ends, converged or not.",
-        "cost",
-    )
+    search_evaluations: int = setting(30, "1", "Evaluations after which one search ends, converged or not.", "cost")
     typical_evaluations: int = setting(
-        10,
-        "1",
-        "Evaluations that a search usually takes; the progress bar is scaled with it.",
-        "judgement",
+        10, "1", "Evaluations that a search usually takes; the progress bar is scaled with it.", "judgement"
     )
     search_time_shares: Mapping[str, float] = setting(
         {"quadratic": 0.95, "checked": 0.8, "profiled": 0.5},
@@ -46,17 +35,9 @@ class FitSettings:
     )
 
     # starts
-    most_restarts: int = setting(
-        4,
-        "1",
-        "Searches that a whole fit makes from beside the best so far.",
-        "cost",
-    )
+    most_restarts: int = setting(4, "1", "Searches that a whole fit makes from beside the best so far.", "cost")
     restart_width: float = setting(
-        0.05,
-        "unit steps",
-        "Standard deviation of restarts about the best so far.",
-        "judgement",
+        0.05, "unit steps", "Standard deviation of restarts about the best so far.", "judgement"
     )
     start_width: float = setting(
         0.7,
@@ -65,23 +46,10 @@ class FitSettings:
         "way for a modulus, 0.35 for friction.",
         "judgement",
     )
-    draws_per_start: int = setting(
-        4,
-        "1",
-        "Draws, without derivatives, for each start beside the rig's own.",
-        "cost",
-    )
-    offset_draws: int = setting(
-        32,
-        "1",
-        "Draws, without derivatives, of the offsets of all end effectors.",
-        "cost",
-    )
+    draws_per_start: int = setting(4, "1", "Draws, without derivatives, for each start beside the rig's own.", "cost")
+    offset_draws: int = setting(32, "1", "Draws, without derivatives, of the offsets of all end effectors.", "cost")
     offset_searches: int = setting(
-        3,
-        "1",
-        "Searches from other offsets, of which each must bring something for the next to be made.",
-        "cost",
+        3, "1", "Searches from other offsets, of which each must bring something for the next to be made.", "cost"
     )
     better_chi2_ratio: float = setting(
         0.98,
@@ -95,12 +63,7 @@ class FitSettings:
         "A search that leaves less than this share of the chi-square where it began is far from there.",
         "judgement",
     )
-    patience_evaluations: int = setting(
-        3,
-        "1",
-        "Evaluations by whose progress a search is judged.",
-        "judgement",
-    )
+    patience_evaluations: int = setting(3, "1", "Evaluations by whose progress a search is judged.", "judgement")
     slow_chi2_ratio: float = setting(
         0.8,
         "1",
@@ -131,17 +94,9 @@ class FitSettings:
         "judgement",
     )
     distance_weights: tuple[float, ...] = setting(
-        (1.0, 0.1, 0.01),
-        "1",
-        "Weights of the distance from the start, tried in turns.",
-        "judgement",
+        (1.0, 0.1, 0.01), "1", "Weights of the distance from the start, tried in turns.", "judgement"
     )
-    way_back_steps: int = setting(
-        8,
-        "1",
-        "Steps on the way back, for each weight.",
-        "cost",
-    )
+    way_back_steps: int = setting(8, "1", "Steps on the way back, for each weight.", "cost")
     way_back_fall: float = setting(
         0.05,
         "1",
@@ -149,10 +104,7 @@ class FitSettings:
         "cost",
     )
     step_shares: tuple[float, ...] = setting(
-        (1.0, 0.5, 0.25),
-        "1",
-        "Shares of a step that are tried in turns.",
-        "convention",
+        (1.0, 0.5, 0.25), "1", "Shares of a step that are tried in turns.", "convention"
     )
 
     # comparisons
@@ -164,10 +116,7 @@ class FitSettings:
         "judgement",
     )
     explained_over_noise: float = setting(
-        1.25,
-        "1",
-        "Error over noise up to which a channel is explained.",
-        "judgement",
+        1.25, "1", "Error over noise up to which a channel is explained.", "judgement"
     )
     explained_over_discretisation: float = setting(
         1.0 / 3.0,
@@ -176,12 +125,7 @@ class FitSettings:
         "anything else than this mesh and step is.",
         "judgement",
     )
-    field_markers: int = setting(
-        4,
-        "1",
-        "Markers in sight below which there is no field to look at.",
-        "judgement",
-    )
+    field_markers: int = setting(4, "1", "Markers in sight below which there is no field to look at.", "judgement")
     coverage_refinement: int = setting(
         3,
         "1",
@@ -189,12 +133,7 @@ class FitSettings:
         "fits learn their discretisation error.",
         "judgement",
     )
-    coverage_progress_s: float = setting(
-        1.0,
-        "s",
-        "Progress is told at least as often.",
-        "judgement",
-    )
+    coverage_progress_s: float = setting(1.0, "s", "Progress is told at least as often.", "judgement")
 
 
 FIT = FitSettings()

@@ -13,10 +13,7 @@ class ModelSettings:
 
     # parameters
     plausible_log_sd: float = setting(
-        2.0,
-        "1",
-        "Width of the plausible range of a logarithm: a factor of e^2 either way.",
-        "judgement",
+        2.0, "1", "Width of the plausible range of a logarithm: a factor of e^2 either way.", "judgement"
     )
     at_bound_share: float = setting(
         0.01,
@@ -47,24 +44,9 @@ class ModelSettings:
     )
 
     # rollouts
-    kept_paths: int = setting(
-        48,
-        "1",
-        "Rollouts of which paths are kept, of some megabytes each.",
-        "cost",
-    )
-    kept_states: int = setting(
-        64,
-        "1",
-        "States that are kept.",
-        "cost",
-    )
-    carried_evaluations: int = setting(
-        5,
-        "1",
-        "Evaluations in a row without derivatives of their own.",
-        "cost",
-    )
+    kept_paths: int = setting(48, "1", "Rollouts of which paths are kept, of some megabytes each.", "cost")
+    kept_states: int = setting(64, "1", "States that are kept.", "cost")
+    carried_evaluations: int = setting(5, "1", "Evaluations in a row without derivatives of their own.", "cost")
     fresh_derivatives_sd: float = setting(
         3.0,
         "sd",
@@ -74,16 +56,10 @@ class ModelSettings:
 
     # time
     registration_reach_s: float = setting(
-        30.0,
-        "s",
-        "Poses so long before and after a first frame are kept with it: no latency is longer.",
-        "cost",
+        30.0, "s", "Poses so long before and after a first frame are kept with it: no latency is longer.", "cost"
     )
     last_poses_s: float = setting(
-        1.0,
-        "s",
-        "Time before the last pose that tells whether the end effector stands still there.",
-        "judgement",
+        1.0, "s", "Time before the last pose that tells whether the end effector stands still there.", "judgement"
     )
     still_end_s: float = setting(
         0.1,
@@ -99,10 +75,7 @@ class ModelSettings:
         "judgement",
     )
     window_rest_sd: float = setting(
-        6.0,
-        "sd",
-        "Difference from rest, over its standard deviation, that is told.",
-        "judgement",
+        6.0, "sd", "Difference from rest, over its standard deviation, that is told.", "judgement"
     )
 
 

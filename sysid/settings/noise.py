@@ -14,16 +14,10 @@ class NoiseSettings:
 
     # rests
     rest_margin_s: float = setting(
-        0.15,
-        "s",
-        "Time after the end of a motion that is not counted as quiet.",
-        "judgement",
+        0.15, "s", "Time after the end of a motion that is not counted as quiet.", "judgement"
     )
     still_window_s: float = setting(
-        0.1,
-        "s",
-        "Time over which noisy poses are averaged to see whether they move.",
-        "judgement",
+        0.1, "s", "Time over which noisy poses are averaged to see whether they move.", "judgement"
     )
     still_shift_m: float = setting(
         1e-5,
@@ -46,18 +40,12 @@ class NoiseSettings:
         "judgement",
     )
     creep_window_s: float = setting(
-        1.0,
-        "s",
-        "Time in which a slower motion may get as far as one that counts.",
-        "judgement",
+        1.0, "s", "Time in which a slower motion may get as far as one that counts.", "judgement"
     )
 
     # level of noise
     unlike_rests_ratio: float = setting(
-        2.2,
-        "1",
-        "Ratio of the noise of two recordings at rest from which the louder one is not at rest.",
-        "judgement",
+        2.2, "1", "Ratio of the noise of two recordings at rest from which the louder one is not at rest.", "judgement"
     )
     noise_floor_share: float = setting(
         1e-5,
@@ -104,41 +92,17 @@ class NoiseSettings:
         "judgement",
     )
     rest_outlier_sd: float = setting(
-        8.0,
-        "sd",
-        "Distance in robust standard deviations from which a reading at rest is a mistake.",
-        "judgement",
+        8.0, "sd", "Distance in robust standard deviations from which a reading at rest is a mistake.", "judgement"
     )
     rest_outlier_share: float = setting(
-        0.1,
-        "1",
-        "Largest share of readings at rest that may be such mistakes.",
-        "judgement",
+        0.1, "1", "Largest share of readings at rest that may be such mistakes.", "judgement"
     )
-    min_rest_samples: int = setting(
-        15,
-        "1",
-        "Samples that a quiet stretch must have to be used.",
-        "judgement",
-    )
+    min_rest_samples: int = setting(15, "1", "Samples that a quiet stretch must have to be used.", "judgement")
     longest_exact_samples: int = setting(
-        400,
-        "1",
-        "Samples of a stretch up to which it matters what a line takes away from coloured noise.",
-        "cost",
+        400, "1", "Samples of a stretch up to which it matters what a line takes away from coloured noise.", "cost"
     )
-    white_correlation: float = setting(
-        0.1,
-        "1",
-        "Correlation up to which noise counts as white.",
-        "judgement",
-    )
-    largest_correlation: float = setting(
-        0.98,
-        "1",
-        "Largest correlation of noise that is believed.",
-        "judgement",
-    )
+    white_correlation: float = setting(0.1, "1", "Correlation up to which noise counts as white.", "judgement")
+    largest_correlation: float = setting(0.98, "1", "Largest correlation of noise that is believed.", "judgement")
 
     # sampling
     shortest_interval: float = setting(
@@ -149,10 +113,7 @@ class NoiseSettings:
         "judgement",
     )
     gap_interval: float = setting(
-        1.5,
-        "usual intervals",
-        "Time from one sample to the next from which one is missing between them.",
-        "convention",
+        1.5, "usual intervals", "Time from one sample to the next from which one is missing between them.", "convention"
     )
 
     # quantisation
@@ -164,16 +125,10 @@ class NoiseSettings:
         "convention",
     )
     multiple_tolerance: float = setting(
-        0.05,
-        "steps",
-        "Distance from a multiple, in steps, up to which a value is one.",
-        "judgement",
+        0.05, "steps", "Distance from a multiple, in steps, up to which a value is one.", "judgement"
     )
     fewest_changes: int = setting(
-        3,
-        "1",
-        "Changes of a column from which they tell whether it has a step: a spike alone makes two.",
-        "judgement",
+        3, "1", "Changes of a column from which they tell whether it has a step: a spike alone makes two.", "judgement"
     )
     uneven_triples_share: float = setting(
         0.3,
@@ -185,17 +140,9 @@ class NoiseSettings:
     )
 
     # autocorrelation and spectra
-    shortest_correlation_samples: float = setting(
-        1.5,
-        "samples",
-        "Shortest correlation length.",
-        "judgement",
-    )
+    shortest_correlation_samples: float = setting(1.5, "samples", "Shortest correlation length.", "judgement")
     correlation_length_ratio: float = setting(
-        3.0,
-        "1",
-        "Largest ratio of one correlation length to the next.",
-        "judgement",
+        3.0, "1", "Largest ratio of one correlation length to the next.", "judgement"
     )
     longest_correlation_share: float = setting(
         0.2,
@@ -203,18 +150,8 @@ class NoiseSettings:
         "Longest correlation length, in lengths of the longest recording: what is slower is not told from a parameter.",
         "judgement",
     )
-    largest_lag_share: float = setting(
-        1.0 / 3.0,
-        "1",
-        "Largest lag, in lengths of the longest recording.",
-        "judgement",
-    )
-    transformed_at_once: float = setting(
-        4e6,
-        "1",
-        "Numbers that are transformed at a time.",
-        "cost",
-    )
+    largest_lag_share: float = setting(1.0 / 3.0, "1", "Largest lag, in lengths of the longest recording.", "judgement")
+    transformed_at_once: float = setting(4e6, "1", "Numbers that are transformed at a time.", "cost")
     colour_evidence: float = setting(
         6.0,
         "1",
@@ -222,17 +159,9 @@ class NoiseSettings:
         "noise, to be believed.",
         "judgement",
     )
-    spectrum_frequencies: int = setting(
-        512,
-        "1",
-        "Frequencies that a spectrum is averaged over.",
-        "cost",
-    )
+    spectrum_frequencies: int = setting(512, "1", "Frequencies that a spectrum is averaged over.", "cost")
     white_part_gain: float = setting(
-        4.0,
-        "nats",
-        "Log likelihood that a white part beside the coloured one must be worth.",
-        "judgement",
+        4.0, "nats", "Log likelihood that a white part beside the coloured one must be worth.", "judgement"
     )
     trend_degree: int = setting(
         2,
@@ -241,10 +170,7 @@ class NoiseSettings:
         "judgement",
     )
     mixture_columns: int = setting(
-        12,
-        "1",
-        "Columns of a quantity that are asked: they share level and colour.",
-        "cost",
+        12, "1", "Columns of a quantity that are asked: they share level and colour.", "cost"
     )
     colour_intervals: float = setting(
         10.0,
@@ -253,24 +179,15 @@ class NoiseSettings:
         "judgement",
     )
     colour_intervals_log_sd: float = setting(
-        1.0,
-        "1",
-        "Prior standard deviation of the logarithm of ``colour_intervals``.",
-        "judgement",
+        1.0, "1", "Prior standard deviation of the logarithm of ``colour_intervals``.", "judgement"
     )
 
     # common modes of pictures
     common_mode_markers: int = setting(
-        6,
-        "1",
-        "Markers from which a picture tells what they have in common.",
-        "judgement",
+        6, "1", "Markers from which a picture tells what they have in common.", "judgement"
     )
     common_mode_variance_ratio: float = setting(
-        3.0,
-        "1",
-        "Variance of a mode over that of what is left, from which it is no chance.",
-        "judgement",
+        3.0, "1", "Variance of a mode over that of what is left, from which it is no chance.", "judgement"
     )
     common_mode_outlier_sd: float = setting(
         5.0,
@@ -293,17 +210,9 @@ class NoiseSettings:
         "judgement",
     )
     listed_faults: int = setting(
-        3,
-        "1",
-        "Faults of a recording that are named; the notes have the others.",
-        "judgement",
+        3, "1", "Faults of a recording that are named; the notes have the others.", "judgement"
     )
-    scatter_readings: int = setting(
-        30,
-        "1",
-        "Readings from which their scatter is judged.",
-        "judgement",
-    )
+    scatter_readings: int = setting(30, "1", "Readings from which their scatter is judged.", "judgement")
     restless_over_declared: float = setting(
         1.3,
         "1",
@@ -312,10 +221,7 @@ class NoiseSettings:
         "judgement",
     )
     restless_over_neighbours: float = setting(
-        10.0,
-        "1",
-        "The same over the scatter of neighbouring samples, where no noise is declared.",
-        "judgement",
+        10.0, "1", "The same over the scatter of neighbouring samples, where no noise is declared.", "judgement"
     )
     noise_levels_ratio: float = setting(
         3.0,

@@ -20,16 +20,10 @@ class ObservationsSettings:
         "statistics",
     )
     camera_focal_difference: float = setting(
-        0.2,
-        "1",
-        "Relative difference of focal lengths from which no fit can mend it.",
-        "judgement",
+        0.2, "1", "Relative difference of focal lengths from which no fit can mend it.", "judgement"
     )
     outside_picture_share: float = setting(
-        0.02,
-        "1",
-        "Share of tracks outside of the picture from which they are not of this picture.",
-        "judgement",
+        0.02, "1", "Share of tracks outside of the picture from which they are not of this picture.", "judgement"
     )
 
     # clipped
@@ -41,17 +35,9 @@ class ObservationsSettings:
     )
 
     # clocks
-    clock_messages: int = setting(
-        30,
-        "1",
-        "Messages of a stream from which its clock is judged.",
-        "judgement",
-    )
+    clock_messages: int = setting(30, "1", "Messages of a stream from which its clock is judged.", "judgement")
     clock_step_s: float = setting(
-        0.05,
-        "s",
-        "A change of the delay from stamp to recorder that stays: a clock that was set.",
-        "judgement",
+        0.05, "s", "A change of the delay from stamp to recorder that stays: a clock that was set.", "judgement"
     )
     clock_drift_s: float = setting(
         0.01,
@@ -66,28 +52,13 @@ class ObservationsSettings:
         "A difference of the delays of two streams: two computers whose clocks were not set by each other.",
         "judgement",
     )
-    clock_parts: int = setting(
-        12,
-        "1",
-        "Parts of a recording of which the least delays are compared.",
-        "judgement",
-    )
+    clock_parts: int = setting(12, "1", "Parts of a recording of which the least delays are compared.", "judgement")
 
     # findings
-    named_spans: int = setting(
-        3,
-        "1",
-        "Spans of time that a sentence names.",
-        "judgement",
-    )
+    named_spans: int = setting(3, "1", "Spans of time that a sentence names.", "judgement")
 
     # frozen
-    frozen_in_a_row: int = setting(
-        5,
-        "1",
-        "Readings in a row that are the same.",
-        "judgement",
-    )
+    frozen_in_a_row: int = setting(5, "1", "Readings in a row that are the same.", "judgement")
     frozen_chance: float = setting(
         1e-4,
         "1",
@@ -95,43 +66,21 @@ class ObservationsSettings:
         "below which one is no chance.",
         "statistics",
     )
-    changed_over_noise: float = setting(
-        3.0,
-        "1",
-        "Change over its noise that is one.",
-        "convention",
-    )
-    frozen_pose_block: int = setting(
-        16,
-        "1",
-        "Poses in a row that are looked at together.",
-        "judgement",
-    )
+    changed_over_noise: float = setting(3.0, "1", "Change over its noise that is one.", "convention")
+    frozen_pose_block: int = setting(16, "1", "Poses in a row that are looked at together.", "judgement")
     frozen_pose_rests: int = setting(
-        3,
-        "1",
-        "Such blocks at rest, with noise, from which poses have noise at rest.",
-        "judgement",
+        3, "1", "Such blocks at rest, with noise, from which poses have noise at rest.", "judgement"
     )
     noisy_repeated_share: float = setting(
-        0.5,
-        "1",
-        "Share of repeated readings at rest below which a sensor has noise that shows.",
-        "judgement",
+        0.5, "1", "Share of repeated readings at rest below which a sensor has noise that shows.", "judgement"
     )
 
     # lost markers
     lost_at_one_place: int = setting(
-        3,
-        "1",
-        "Readings at one exact place from which it is none of a marker.",
-        "judgement",
+        3, "1", "Readings at one exact place from which it is none of a marker.", "judgement"
     )
     lost_repeated_share: float = setting(
-        0.2,
-        "1",
-        "Share of readings that repeat at rest below which an exact repetition is no reading.",
-        "judgement",
+        0.2, "1", "Share of readings that repeat at rest below which an exact repetition is no reading.", "judgement"
     )
     lost_chance: float = setting(
         1e-3,
@@ -140,10 +89,7 @@ class ObservationsSettings:
         "statistics",
     )
     no_step_share: float = setting(
-        0.05,
-        "1",
-        "Step of a marker, over the usual one, that is as good as none.",
-        "judgement",
+        0.05, "1", "Step of a marker, over the usual one, that is as good as none.", "judgement"
     )
     lost_repetitions_ratio: float = setting(
         2.0,
@@ -167,12 +113,7 @@ class ObservationsSettings:
         "Distance of two markers, over the usual distance of neighbours, from which they are one detection.",
         "judgement",
     )
-    same_detection_frames: int = setting(
-        2,
-        "1",
-        "Frames in a row in which two markers are one detection.",
-        "judgement",
-    )
+    same_detection_frames: int = setting(2, "1", "Frames in a row in which two markers are one detection.", "judgement")
     exchanged_jump_share: float = setting(
         0.5,
         "1",
@@ -187,35 +128,14 @@ class ObservationsSettings:
     )
 
     # layout of markers
-    layout_markers: int = setting(
-        6,
-        "1",
-        "Markers from which their layout is compared.",
-        "judgement",
-    )
+    layout_markers: int = setting(6, "1", "Markers from which their layout is compared.", "judgement")
     layout_scale: float = setting(
-        1.5,
-        "1",
-        "Factor between the sizes from which a unit or a focal length is wrong.",
-        "judgement",
+        1.5, "1", "Factor between the sizes from which a unit or a focal length is wrong.", "judgement"
     )
-    layout_turn_deg: float = setting(
-        45.0,
-        "deg",
-        "Turn of the layout from which axes are exchanged.",
-        "judgement",
-    )
-    layout_rounds: int = setting(
-        8,
-        "1",
-        "Turns of matching and mapping.",
-        "cost",
-    )
+    layout_turn_deg: float = setting(45.0, "deg", "Turn of the layout from which axes are exchanged.", "judgement")
+    layout_rounds: int = setting(8, "1", "Turns of matching and mapping.", "cost")
     layout_line_share: float = setting(
-        0.05,
-        "1",
-        "Extent across a layout, over that along it, below which it is a line.",
-        "judgement",
+        0.05, "1", "Extent across a layout, over that along it, below which it is a line.", "judgement"
     )
     layout_fit_share: float = setting(
         0.35,
@@ -226,68 +146,37 @@ class ObservationsSettings:
 
     # motion
     noise_over_step: float = setting(
-        0.03,
-        "1",
-        "Noise over the usual step from one reading to the next from which it shows.",
-        "judgement",
+        0.03, "1", "Noise over the usual step from one reading to the next from which it shows.", "judgement"
     )
 
     # pictures
     pictures_looked_at: int = setting(
-        24,
-        "1",
-        "Pictures of a stream that are decoded, evenly over the recording; the tracker looks at all.",
-        "cost",
+        24, "1", "Pictures of a stream that are decoded, evenly over the recording; the tracker looks at all.", "cost"
     )
     blank_grey_sd: float = setting(
-        1.0,
-        "grey levels",
-        "Standard deviation of grey levels below which a picture shows nothing.",
-        "judgement",
+        1.0, "grey levels", "Standard deviation of grey levels below which a picture shows nothing.", "judgement"
     )
 
     # rates
     rate_ratio: float = setting(
-        4.0,
-        "1",
-        "Factor between the rates from which stamps, or the rig, are wrong.",
-        "judgement",
+        4.0, "1", "Factor between the rates from which stamps, or the rig, are wrong.", "judgement"
     )
-    rate_samples: int = setting(
-        20,
-        "1",
-        "Samples from which a rate is told.",
-        "judgement",
-    )
+    rate_samples: int = setting(20, "1", "Samples from which a rate is told.", "judgement")
 
     # resolution
     coarse_step_share: float = setting(
-        0.05,
-        "1",
-        "Step over the range of what was measured from which it limits what is known.",
-        "judgement",
+        0.05, "1", "Step over the range of what was measured from which it limits what is known.", "judgement"
     )
 
     # restarts
     settled_after_reset_s: float = setting(
-        0.3,
-        "s",
-        "Time after a reset at which a window of the recording may begin.",
-        "judgement",
+        0.3, "s", "Time after a reset at which a window of the recording may begin.", "judgement"
     )
-    time_left_out_s: float = setting(
-        0.1,
-        "s",
-        "Time left out, in all, that is worth a word.",
-        "judgement",
-    )
+    time_left_out_s: float = setting(0.1, "s", "Time left out, in all, that is worth a word.", "judgement")
 
     # spikes
     spike_distance_ratio: float = setting(
-        20.0,
-        "1",
-        "Distance from the middle of the neighbours, over the usual one, of a spike.",
-        "judgement",
+        20.0, "1", "Distance from the middle of the neighbours, over the usual one, of a spike.", "judgement"
     )
     spike_return_share: float = setting(
         0.2,
@@ -297,22 +186,13 @@ class ObservationsSettings:
         "judgement",
     )
     spike_resolution_steps: float = setting(
-        5.0,
-        "1",
-        "Height of a spike over the step in which a sensor reads, at least.",
-        "judgement",
+        5.0, "1", "Height of a spike over the step in which a sensor reads, at least.", "judgement"
     )
     marker_spike_share: float = setting(
-        0.1,
-        "1",
-        "Least height of a spike of a marker, over the distance of its neighbours.",
-        "judgement",
+        0.1, "1", "Least height of a spike of a marker, over the distance of its neighbours.", "judgement"
     )
     pose_spike_m: float = setting(
-        1e-3,
-        "m",
-        "Spikes of poses are at least so high: less is noise of a pose that hardly has any.",
-        "judgement",
+        1e-3, "m", "Spikes of poses are at least so high: less is noise of a pose that hardly has any.", "judgement"
     )
 
     # start poses
@@ -329,17 +209,9 @@ class ObservationsSettings:
         "judgement",
     )
     start_near_deg: float = setting(
-        10.0,
-        "deg",
-        "Angle within which another reading of the numbers agrees with the rig.",
-        "judgement",
+        10.0, "deg", "Angle within which another reading of the numbers agrees with the rig.", "judgement"
     )
-    unit_position_m: float = setting(
-        1e-3,
-        "m",
-        "Sizes of positions below which units cannot be told.",
-        "judgement",
-    )
+    unit_position_m: float = setting(1e-3, "m", "Sizes of positions below which units cannot be told.", "judgement")
     fast_turn_rad_s: float = setting(
         30.0,
         "rad/s",
@@ -349,31 +221,17 @@ class ObservationsSettings:
 
     # tares
     tare_side_readings: int = setting(
-        12,
-        "1",
-        "Readings on each side that are compared; the two next to the step are left out.",
-        "judgement",
+        12, "1", "Readings on each side that are compared; the two next to the step are left out.", "judgement"
     )
     tare_step_ratio: float = setting(
-        12.0,
-        "1",
-        "Height of a step, over the scatter on both sides, from which it is none of noise.",
-        "judgement",
+        12.0, "1", "Height of a step, over the scatter on both sides, from which it is none of noise.", "judgement"
     )
     tare_zero_sd: float = setting(
-        4.0,
-        "sd",
-        "Standard deviations of its mean within which a reading is zero.",
-        "statistics",
+        4.0, "sd", "Standard deviations of its mean within which a reading is zero.", "statistics"
     )
 
     # two publishers
-    two_source_samples: int = setting(
-        40,
-        "1",
-        "Samples from which two sources are told.",
-        "judgement",
-    )
+    two_source_samples: int = setting(40, "1", "Samples from which two sources are told.", "judgement")
     two_source_variance_share: float = setting(
         0.05,
         "1",
@@ -381,12 +239,7 @@ class ObservationsSettings:
         "there are two: the variance within two halves of normal noise is 0.36 of the whole, of uniform noise 0.25.",
         "judgement",
     )
-    two_source_share: float = setting(
-        0.2,
-        "1",
-        "Least share of samples of each source. Fewer are spikes.",
-        "judgement",
-    )
+    two_source_share: float = setting(0.2, "1", "Least share of samples of each source. Fewer are spikes.", "judgement")
     two_source_turns_share: float = setting(
         0.25,
         "1",
@@ -403,16 +256,10 @@ class ObservationsSettings:
 
     # units of wrenches
     unit_noise_factor: float = setting(
-        1.6,
-        "1",
-        "Factor within which the noise, over that of the rig, may be that of another unit.",
-        "judgement",
+        1.6, "1", "Factor within which the noise, over that of the rig, may be that of another unit.", "judgement"
     )
     loud_noise_ratio: float = setting(
-        8.0,
-        "1",
-        "Noise over that of the rig from which it is another sensor, or another unit.",
-        "judgement",
+        8.0, "1", "Noise over that of the rig from which it is another sensor, or another unit.", "judgement"
     )
     lever_arm_ratio: float = setting(
         2.0,
@@ -422,16 +269,10 @@ class ObservationsSettings:
         "judgement",
     )
     beyond_range_factor: float = setting(
-        1.05,
-        "1",
-        "Readings over the range of a sensor that it cannot have: ranges are rounded.",
-        "judgement",
+        1.05, "1", "Readings over the range of a sensor that it cannot have: ranges are rounded.", "judgement"
     )
     lever_arm_signal_ratio: float = setting(
-        10.0,
-        "1",
-        "Forces over their noise from which a lever arm is looked at.",
-        "judgement",
+        10.0, "1", "Forces over their noise from which a lever arm is looked at.", "judgement"
     )
 
 

@@ -44,12 +44,7 @@ class SolveSettings:
         "Radius of the trust region of the calibration of sensors: readings are nearly linear in it.",
         "judgement",
     )
-    calibration_evaluations: int = setting(
-        4,
-        "1",
-        "Evaluations allowed to the calibration of sensors.",
-        "cost",
-    )
+    calibration_evaluations: int = setting(4, "1", "Evaluations allowed to the calibration of sensors.", "cost")
     short_step_sd: float = setting(
         0.2,
         "sd",
@@ -59,29 +54,15 @@ class SolveSettings:
 
     # trust region over kinks
     good_fall_share: float = setting(
-        0.75,
-        "1",
-        "Share of the promised fall of the sum of squares above which the region grows.",
-        "convention",
+        0.75, "1", "Share of the promised fall of the sum of squares above which the region grows.", "convention"
     )
     poor_fall_share: float = setting(
-        0.25,
-        "1",
-        "Share of the promised fall of the sum of squares below which the region shrinks.",
-        "convention",
+        0.25, "1", "Share of the promised fall of the sum of squares below which the region shrinks.", "convention"
     )
     radius_after_refusal: float = setting(
-        0.5,
-        "1",
-        "Radius, as a share of the last step, after one step that was refused.",
-        "convention",
+        0.5, "1", "Radius, as a share of the last step, after one step that was refused.", "convention"
     )
-    radius_after_refusals: float = setting(
-        0.25,
-        "1",
-        "The same after more than one refused step.",
-        "convention",
-    )
+    radius_after_refusals: float = setting(0.25, "1", "The same after more than one refused step.", "convention")
     negligible_change_share: float = setting(
         0.25,
         "1",
@@ -95,35 +76,14 @@ class SolveSettings:
         "the change.",
         "judgement",
     )
-    model_radii: float = setting(
-        2.0,
-        "radii",
-        "Points within this many radii take part in the model.",
-        "judgement",
-    )
+    model_radii: float = setting(2.0, "radii", "Points within this many radii take part in the model.", "judgement")
     cut_step_share: float = setting(
-        0.99,
-        "1",
-        "A step of more than this share of the radius may have been cut by it.",
-        "judgement",
+        0.99, "1", "A step of more than this share of the radius may have been cut by it.", "judgement"
     )
-    model_points: int = setting(
-        6,
-        "1",
-        "Points beside the best that take part in the model, the newest.",
-        "cost",
-    )
-    kept_points: int = setting(
-        12,
-        "1",
-        "Points that are kept, the newest.",
-        "cost",
-    )
+    model_points: int = setting(6, "1", "Points beside the best that take part in the model, the newest.", "cost")
+    kept_points: int = setting(12, "1", "Points that are kept, the newest.", "cost")
     final_steps: int = setting(
-        3,
-        "1",
-        "Steps within the tolerance that are taken, since they are not short, before the search ends.",
-        "cost",
+        3, "1", "Steps within the tolerance that are taken, since they are not short, before the search ends.", "cost"
     )
     serious_fall: float = setting(
         8.0,
@@ -132,25 +92,14 @@ class SolveSettings:
         "of half of what chance makes of the sum of squares, where a 95 % interval of one parameter ends.",
         "judgement",
     )
-    smallest_radius: float = setting(
-        1e-7,
-        "plausible widths",
-        "Radius at which the search ends.",
-        "judgement",
-    )
+    smallest_radius: float = setting(1e-7, "plausible widths", "Radius at which the search ends.", "judgement")
     step_ridge: float = setting(
-        1e-4,
-        "1",
-        "Weight of the square of the step: what no residual sees stays where it is.",
-        "judgement",
+        1e-4, "1", "Weight of the square of the step: what no residual sees stays where it is.", "judgement"
     )
 
     # error of mesh and time step
     expected_error_size: float = setting(
-        0.5,
-        "1",
-        "Expected size of a direction, in units of the extrapolated error.",
-        "judgement",
+        0.5, "1", "Expected size of a direction, in units of the extrapolated error.", "judgement"
     )
     error_size_sd: float = setting(
         0.5,
@@ -165,22 +114,11 @@ class SolveSettings:
         "judgement",
     )
     error_patterns: int = setting(
-        3,
-        "1",
-        "Principal components of a direction that may take a course of their own.",
-        "judgement",
+        3, "1", "Principal components of a direction that may take a course of their own.", "judgement"
     )
-    pattern_levels: int = setting(
-        2,
-        "1",
-        "Levels of which the course of such a component is made.",
-        "judgement",
-    )
+    pattern_levels: int = setting(2, "1", "Levels of which the course of such a component is made.", "judgement")
     faint_pattern_share: float = setting(
-        1e-3,
-        "1",
-        "Share of the strongest component below which others are left out.",
-        "judgement",
+        1e-3, "1", "Share of the strongest component below which others are left out.", "judgement"
     )
     rough_error_share: float = setting(
         0.25,
@@ -204,12 +142,7 @@ class SolveSettings:
         "Distance, in noise deviations of a vector's component, below which nothing is a mistake.",
         "judgement",
     )
-    outlier_frames: int = setting(
-        9,
-        "1",
-        "Frames before and after that a reading is compared with.",
-        "judgement",
-    )
+    outlier_frames: int = setting(9, "1", "Frames before and after that a reading is compared with.", "judgement")
     outlier_frame_share: float = setting(
         1.0 / 3.0,
         "1",
@@ -217,35 +150,16 @@ class SolveSettings:
         "judgement",
     )
     outlier_channel_share: float = setting(
-        0.2,
-        "1",
-        "Share of the readings of a channel from which they are no exceptions.",
-        "judgement",
+        0.2, "1", "Share of the readings of a channel from which they are no exceptions.", "judgement"
     )
     exchanged_marker_share: float = setting(
-        0.3,
-        "1",
-        "A reading this much nearer to another marker's place than to its own is of that marker.",
-        "judgement",
+        0.3, "1", "A reading this much nearer to another marker's place than to its own is of that marker.", "judgement"
     )
-    outlier_markers: int = setting(
-        5,
-        "1",
-        "Markers of a frame below which nothing is a mistake.",
-        "judgement",
-    )
+    outlier_markers: int = setting(5, "1", "Markers of a frame below which nothing is a mistake.", "judgement")
     alike_vector_share: float = setting(
-        0.5,
-        "1",
-        "Vectors are alike that differ by less than this share of the longer one.",
-        "judgement",
+        0.5, "1", "Vectors are alike that differ by less than this share of the longer one.", "judgement"
     )
-    outlier_neighbours: int = setting(
-        4,
-        "1",
-        "Nearest markers that a reading is compared with.",
-        "judgement",
-    )
+    outlier_neighbours: int = setting(4, "1", "Nearest markers that a reading is compared with.", "judgement")
     outlier_chance: float = setting(
         0.01,
         "1",
@@ -253,30 +167,16 @@ class SolveSettings:
         "statistics",
     )
     outlier_repetitions: int = setting(
-        4,
-        "1",
-        "Times that a marker stands out from which it may be physics.",
-        "judgement",
+        4, "1", "Times that a marker stands out from which it may be physics.", "judgement"
     )
 
     # spikes of wrenches
-    spike_sd: float = setting(
-        10.0,
-        "sd",
-        "Distance, in noise deviations, below which nothing is a spike.",
-        "judgement",
-    )
+    spike_sd: float = setting(10.0, "sd", "Distance, in noise deviations, below which nothing is a spike.", "judgement")
     lone_spike_ratio: float = setting(
-        10.0,
-        "1",
-        "A spike is this many times as far from the line as its neighbours are.",
-        "judgement",
+        10.0, "1", "A spike is this many times as far from the line as its neighbours are.", "judgement"
     )
     spike_side_samples: int = setting(
-        4,
-        "samples",
-        "Samples before and after that a reading is compared with.",
-        "judgement",
+        4, "samples", "Samples before and after that a reading is compared with.", "judgement"
     )
     level_change_sd: float = setting(
         6.0,
@@ -285,23 +185,12 @@ class SolveSettings:
         "judgement",
     )
     predicted_spike_share: float = setting(
-        0.1,
-        "1",
-        "Share of a spike from which an event of the prediction explains it.",
-        "judgement",
+        0.1, "1", "Share of a spike from which an event of the prediction explains it.", "judgement"
     )
     alike_spike_share: float = setting(
-        0.5,
-        "1",
-        "Spikes are alike that differ by less than this share of the longer one.",
-        "judgement",
+        0.5, "1", "Spikes are alike that differ by less than this share of the longer one.", "judgement"
     )
-    alike_spikes: int = setting(
-        3,
-        "1",
-        "Number of alike spikes that are no accident.",
-        "judgement",
-    )
+    alike_spikes: int = setting(3, "1", "Number of alike spikes that are no accident.", "judgement")
 
     # covariance
     sandwich_blocks: int = setting(
@@ -336,10 +225,7 @@ class SolveSettings:
         "judgement",
     )
     combined_correlation: float = setting(
-        0.97,
-        "1",
-        "Correlation from which two parameters are reported as known only in combination.",
-        "judgement",
+        0.97, "1", "Correlation from which two parameters are reported as known only in combination.", "judgement"
     )
 
 

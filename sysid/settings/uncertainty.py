@@ -48,10 +48,7 @@ class UncertaintySettings:
 
     # profile likelihood
     deviance_root: float = setting(
-        1.959964,
-        "sd",
-        "Root of the deviance at the ends of an interval of 95 %.",
-        "statistics",
+        1.959964, "sd", "Root of the deviance at the ends of an interval of 95 %.", "statistics"
     )
     believed_roots: tuple[float, ...] = setting(
         (1.5, 2.5),
@@ -59,35 +56,14 @@ class UncertaintySettings:
         "Roots of the deviance at the ends of a quadratic interval that is believed: 23 % off at the most.",
         "judgement",
     )
-    farthest_ranges: float = setting(
-        3.0,
-        "plausible ranges",
-        "Farthest that a parameter is taken.",
-        "cost",
-    )
-    most_points: int = setting(
-        10,
-        "1",
-        "Points on each side of the optimum.",
-        "cost",
-    )
-    most_steps: int = setting(
-        4,
-        "1",
-        "Evaluations of the rig at one point.",
-        "cost",
-    )
+    farthest_ranges: float = setting(3.0, "plausible ranges", "Farthest that a parameter is taken.", "cost")
+    most_points: int = setting(10, "1", "Points on each side of the optimum.", "cost")
+    most_steps: int = setting(4, "1", "Evaluations of the rig at one point.", "cost")
     worth_evaluating: float = setting(
-        0.1,
-        "1",
-        "Promised fall of the deviance from which another evaluation is worth its time.",
-        "cost",
+        0.1, "1", "Promised fall of the deviance from which another evaluation is worth its time.", "cost"
     )
     beyond_root: float = setting(
-        2.1,
-        "sd",
-        "Root of the deviance that a point beyond the end of the interval aims at.",
-        "cost",
+        2.1, "sd", "Root of the deviance that a point beyond the end of the interval aims at.", "cost"
     )
     bracket_share: float = setting(
         0.05,
@@ -96,10 +72,7 @@ class UncertaintySettings:
         "judgement",
     )
     typical_evaluations: float = setting(
-        2.5,
-        "1",
-        "Evaluations that a side usually takes; progress is scaled with it.",
-        "judgement",
+        2.5, "1", "Evaluations that a side usually takes; progress is scaled with it.", "judgement"
     )
 
 
