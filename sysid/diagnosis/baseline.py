@@ -13,10 +13,12 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
+from scipy.stats import norm
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.diagnosis.beliefs import believed, open_parameters
+from sysid.diagnosis.fits import fit_within
 from sysid.diagnosis.held_out import PARAMETERS_ALONE, held_out_problem, held_out_together
 from sysid.diagnosis.predictability import unpredictable, without
 from sysid.diagnosis.reference_model import Added, Reference, Standing, reference_for, standing
@@ -117,25 +119,13 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     first = None if rig.solver.inertia else replace(model, shapes=shapes)
     problem = Problem(clean, noise, model.engine, shapes, prior=True)
     tell(0.15, "baseline fit")
-    fitted = problem.fit(
-        rig, parameters, start, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=DIAGNOSIS.fit_tolerance
-    )
-    if fitted.interrupted:
-        raise KeyboardInterrupt
+    fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, start)
     # While the model was far off, no reading could be told to be a mistake, and chi-square was that of the mistakes.
     again, _ = without_outliers(runs, fitted.predictions, noise)
     if worth_another_fit(clean, again):
         clean = again
         problem = Problem(clean, noise, model.engine, shapes, prior=True)
-        fitted = problem.fit(
-            rig,
-            parameters,
-            fitted.scaled,
-            max_evaluations=DIAGNOSIS.baseline_evaluations,
-            tolerance=DIAGNOSIS.fit_tolerance,
-        )
-        if fitted.interrupted:
-            raise KeyboardInterrupt
+        fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, fitted.scaled)
     shorter = None
     if rig.solver.inertia:
         runs, shorter, undecided = _shorter_steps(engine, problem, fitted, runs, noise)
@@ -147,25 +137,13 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         shapes = model.shapes
         problem = Problem(clean, noise, model.engine, shapes, prior=True)
         start = fitted.scaled
-        fitted = problem.fit(
-            rig, parameters, start, max_evaluations=DIAGNOSIS.baseline_evaluations, tolerance=DIAGNOSIS.fit_tolerance
-        )
-        if fitted.interrupted:
-            raise KeyboardInterrupt
+        fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, start)
     elsewhere = None
     if _is_far(fitted):
         tell(0.22, "other branches of contact")
         elsewhere = best_branch(model.engine, problem, fitted)
         if elsewhere is not None:
-            fitted = problem.fit(
-                rig,
-                parameters,
-                elsewhere,
-                max_evaluations=DIAGNOSIS.baseline_evaluations,
-                tolerance=DIAGNOSIS.fit_tolerance,
-            )
-            if fitted.interrupted:
-                raise KeyboardInterrupt
+            fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, elsewhere)
     clean, outliers = without_outliers(runs, fitted.predictions, noise)
     noise = channel_noise(rig, clean, held_out)
     tell(0.28, "error of mesh and time step where the fit stands")
@@ -245,15 +223,7 @@ def _where_predictable(base: Baseline, sparing: SparingPredictor, tell: Tell) ->
     notes = (*base.notes, *(u.sentence for u in found))
     runs, again = without(base.problem.runs, found), SpaceMappedPredictor(sparing, base.engine.added)
     problem = Problem(runs, base.noise, again, base.problem.error_shapes, prior=True)
-    fitted = problem.fit(
-        model.centre,
-        model.parameters,
-        model.scaled,
-        max_evaluations=DIAGNOSIS.baseline_evaluations_beside,
-        tolerance=DIAGNOSIS.fit_tolerance,
-    )
-    if fitted.interrupted:
-        raise KeyboardInterrupt
+    fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations_beside, model.centre, model.parameters, model.scaled)
     problem.engine = base.engine
     check = Problem(without(base.check.runs, found), base.noise, base.check.engine, base.check.error_shapes)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
@@ -343,9 +313,7 @@ def _cauchy(problem: Problem, predictions: Sequence[Prediction], scaled: np.ndar
 def _is_far(fitted: Fitted) -> bool:
     """Whether a model misses more than about a sixth of the readings by far, or most of them by more than noise."""
     left = np.abs(fitted.residual[: len(fitted.residual) - fitted.pulls])
-    return bool(
-        len(left) and np.quantile(left, 0.75) > np.sqrt(DIAGNOSIS.branch_misfit_ratio) * DIAGNOSIS.normal_upper_quartile
-    )
+    return bool(len(left) and np.quantile(left, 0.75) > np.sqrt(DIAGNOSIS.branch_misfit_ratio) * norm.ppf(0.875))
 
 
 def _shorter_steps(

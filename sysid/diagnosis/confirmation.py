@@ -18,6 +18,7 @@ import numpy as np
 from sim_core.errors import ThinshellError
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
+from sysid.diagnosis.fits import fit_within
 from sysid.diagnosis.predictability import predicted_held_out
 from sysid.diagnosis.reference_model import added_at
 from sysid.diagnosis.refits import Trial, scored, without
@@ -86,15 +87,7 @@ def fitted_to_the_end(
     try:
         problem, check = copy(base.problem), copy(base.check)
         problem.engine = SparingPredictor(engine(base.engine, problem.runs, begun.scaled))
-        fitted = problem.fit(
-            begun.centre,
-            begun.parameters,
-            begun.scaled,
-            max_evaluations=DIAGNOSIS.confirmation_evaluations,
-            tolerance=DIAGNOSIS.fit_tolerance,
-        )
-        if fitted.interrupted:
-            raise KeyboardInterrupt
+        fitted = fit_within(problem, DIAGNOSIS.confirmation_evaluations, begun.centre, begun.parameters, begun.scaled)
         there = None
         if check.runs:
             check.engine = engine(cast(SpaceMappedPredictor, check.engine), check.runs, fitted.scaled)

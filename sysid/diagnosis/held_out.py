@@ -10,6 +10,7 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sysid.diagnosis.beliefs import believed, open_parameters
+from sysid.diagnosis.fits import fit_within
 from sysid.diagnosis.reference_model import Reference, standing
 from sysid.diagnosis.residual_analysis import Structure, structure
 from sysid.discretisation.time_steps import predicted_with_steps
@@ -90,17 +91,9 @@ def held_out_together(given: Problem, others: Problem, fitted: Fitted, engine: A
     known = dict(zip((p.name for p in fitted.parameters), fitted.scaled, strict=True))
     start = [known.get(p.name, at) for p, at in zip(parameters, start_of(fitted.rig, parameters), strict=True)]
     try:
-        found = problem.fit(
-            fitted.centre,
-            parameters,
-            np.array(start),
-            max_evaluations=DIAGNOSIS.held_out_evaluations,
-            tolerance=DIAGNOSIS.fit_tolerance,
-        )
+        found = fit_within(problem, DIAGNOSIS.held_out_evaluations, fitted.centre, parameters, np.array(start))
     except ThinshellError:
         return None
-    if found.interrupted:
-        raise KeyboardInterrupt
     whole = structure(problem, found)
     if whole.missing:
         return None

@@ -15,6 +15,7 @@ from sim_core.rigs import Rig
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.evidence import deviations, distance_from_none, inflation_of, log_evidence, significance
+from sysid.diagnosis.fits import fit_within
 from sysid.diagnosis.predictability import predicted_held_out
 from sysid.diagnosis.residual_analysis import Structure, largest_change, structure
 from sysid.diagnosis.starts import Start, begun_at, best_starts
@@ -195,15 +196,7 @@ def without(base: Baseline, trial: Trial, left_out: Hypothesis, failed: dict[str
     problem = copy(base.problem)
     problem.engine = SparingPredictor(base.problem.engine)
     try:
-        fitted = problem.fit(
-            centre,
-            parameters,
-            scaled,
-            max_evaluations=DIAGNOSIS.refit_evaluations,
-            tolerance=DIAGNOSIS.refit_tolerance,
-        )
-        if fitted.interrupted:
-            raise KeyboardInterrupt
+        fitted = fit_within(problem, DIAGNOSIS.refit_evaluations, centre, parameters, scaled, DIAGNOSIS.refit_tolerance)
         there = predicted_held_out(base.check, base.there, fitted)
     except ThinshellError as error:
         failed[" and ".join(sorted(h.effect.name for h in kept))] = f"could not be simulated: {error}"

@@ -14,14 +14,14 @@ class DiagnosisSettings:
 
     # baseline
     baseline_evaluations: int = setting(8, "1", "Evaluations allowed to the fit of the baseline.", "cost")
+    baseline_evaluations_beside: int = setting(
+        5, "1", "Evaluations allowed to it beside the error of mesh and time step, measured where it came to.", "cost"
+    )
     fit_tolerance: float = setting(
         2.0,
         "1",
         "Fall of chi-square, in units of the misfit, below which fits of the baseline and of answers end.",
         "judgement",
-    )
-    baseline_evaluations_beside: int = setting(
-        5, "1", "Evaluations allowed to it beside the error of mesh and time step, measured where it came to.", "cost"
     )
     branch_misfit_ratio: float = setting(
         2.0,
@@ -29,9 +29,6 @@ class DiagnosisSettings:
         "Misfit over noise from which other branches of contact are looked for, by the upper quartile of what "
         "is left of the readings, over that of normal numbers: a snap or a landing is no other branch.",
         "judgement",
-    )
-    normal_upper_quartile: float = setting(
-        1.1503, "1", "Upper quartile of the absolute value of a standard normal number.", "statistics"
     )
     friction_factors: tuple[float, ...] = setting(
         (0.7, 0.85, 1.15, 1.4), "1", "Friction coefficients that are tried, over where the search ended.", "judgement"
