@@ -159,17 +159,9 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     except ThinshellError as error:
         unknown = f"it stands where its discretisation error is not known. {error}"
     problem = Problem(clean, noise, model.engine, shapes, prior=True)
-    fitted = problem.fit(
-        rig,
-        parameters,
-        fitted.scaled,
-        max_evaluations=DIAGNOSIS.baseline_evaluations_beside,
-        tolerance=DIAGNOSIS.fit_tolerance,
-    )
+    fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations_beside, rig, parameters, fitted.scaled)
     if unknown:
         fitted.converged, fitted.message = False, unknown
-    if fitted.interrupted:
-        raise KeyboardInterrupt
     problem.engine = SpaceMappedPredictor(engine, model.engine.added)
     tell(0.38, "held-out recordings")
     check, notes = held_out_problem(engine, fitted, noise, held_out, reference)

@@ -53,6 +53,7 @@ LOUD = structure(5.0, 5000.0, 1000.0)
         ([trial("air_drag", 400.0, explained=0.9, left=LOUD)], LOUD, "named"),
         ([trial("air_drag", 400.0, explained=0.9, there=0.3, left=LOUD)], LOUD, "partly"),
         ([trial("air_drag", 40.0), trial("stream_delay", 38.0)], LOUD, "one_of"),
+        ([trial("air_drag", 40.0), trial("stream_delay", 38.0, explained=0.8)], LOUD, "named"),
         ([trial("air_drag", 40.0), trial("stream_delay", 20.0)], LOUD, "named"),
         # Structure that the discretisation error could leave is neither blamed on physics nor called nothing.
         ([], structure(5.0, 5000.0, 20000.0), "refine_discretisation"),
