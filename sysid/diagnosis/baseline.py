@@ -23,6 +23,7 @@ from sysid.diagnosis.held_out import PARAMETERS_ALONE, held_out_problem, held_ou
 from sysid.diagnosis.predictability import unpredictable, without
 from sysid.diagnosis.reference_model import Added, Reference, Standing, reference_for, standing
 from sysid.diagnosis.residual_analysis import Structure, structure
+from sysid.discretisation.coarser_cells import coarsened
 from sysid.discretisation.followed_model import follows
 from sysid.discretisation.time_steps import predicted_with_steps, shorter_throughout
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
@@ -89,6 +90,8 @@ class Baseline:
 def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell) -> Baseline:
     """Fit the baseline. Raises ``ThinshellError`` where a recording that is given cannot be simulated; ones held out
     are left out then, with a note."""
+    coarser = coarsened(rig)
+    rig = rig if coarser is None else coarser.rig
     parameters = believed(rig, fit_parameters(rig, open_parameters(rig)))
     parameters += nuisance_parameters(rig, runs, parameters, KINDS)
     start = start_of(rig, parameters)
@@ -101,7 +104,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         runs, own = predicted_with_steps(engine, rigs, runs, noise)
     tell(0.04, "cells and extent of gels")
     sparing = SparingPredictor(engine)
-    reference, added, told = reference_for(sparing, rig, parameters, runs, held_out, noise)
+    reference, added, told = reference_for(sparing, rig, parameters, runs, held_out, noise, coarser)
     tell(0.08, "error of mesh and time step")
 
     def stands(scaled: np.ndarray, own: Sequence[Prediction], known: Added | None = None) -> Standing:

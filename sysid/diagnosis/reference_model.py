@@ -2,7 +2,8 @@
 
 Cells that are too wide and a pad that is cut off change readings by tens of times the noise. Both are mended in a
 reference model, which costs ten times a rollout of the rig. It is simulated where the baseline stands, and what it adds
-is kept for all else (:mod:`sysid.model.space_mapping`).
+is kept for all else (:mod:`sysid.model.space_mapping`). A rig with so many cells that it costs as much itself is the
+reference model, and one with coarser cells takes its place (:mod:`sysid.discretisation.coarser_cells`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.diagnosis.model_tolerance import model_tolerance
+from sysid.discretisation.coarser_cells import CoarserCells
 from sysid.discretisation.contact_mesh import ContactMesh, refined_where_touched
 from sysid.discretisation.followed_model import follows
 from sysid.discretisation.gel_extent import widened
@@ -81,10 +83,17 @@ def reference_for(
     runs: Sequence[Run],
     held_out: Sequence[Run],
     noise: dict[str, ChannelNoise],
+    coarser: CoarserCells | None = None,
 ) -> tuple[Reference | None, Added | None, tuple[str, ...]]:
     """The reference model whose extent and cells the recordings ``runs`` follow, None where those of the rig are as
-    good, what it adds, and what was not possible, in words."""
-    wide, mesh = widened(rig), refined_where_touched(rig, [*runs, *held_out])
+    good, what it adds, and what was not possible, in words. ``coarser``: how ``rig`` has come to its cells, where a
+    user's are finer: these are taken for what recordings follow. Raises ``ThinshellError`` where these cannot be
+    simulated."""
+
+    def finer(own: Rig) -> ContactMesh | None:
+        return refined_where_touched(own, [*runs, *held_out]) if coarser is None else coarser.given_cells(own)
+
+    wide, mesh = widened(rig), finer(rig)
     if wide is None and mesh is None:
         return None, None, ()
     known = np.array([p.known_sd or p.prior_sd for p in parameters])
@@ -97,16 +106,18 @@ def reference_for(
         if wide is not None:
             here = _all(engine, wide.rig, runs)
             if _extends(engine, mesh, runs, own, here, noise, known):
-                extended, mesh = wide.rig, refined_where_touched(wide.rig, [*runs, *held_out])
+                extended, mesh = wide.rig, finer(wide.rig)
                 there = [replace(d, values=h.values) for d, h in zip(own, here, strict=True)]
                 notes += wide.notes
         if mesh is not None:
             fine = _all(engine, mesh.rig, runs)
-            if follows(runs, there, [fine], noise, known)[0].refines:
+            if coarser is not None or follows(runs, there, [fine], noise, known)[0].refines:
                 notes += mesh.notes
             else:
                 mesh = fine = None
     except ThinshellError as error:
+        if coarser is not None:
+            raise
         mesh, told = None, (f"The cells of the rig are kept: with finer ones, simulations do not end. {error}",)
     if mesh is None or fine is None:
         reference = None if extended is rig else Reference(extended, None, tuple(notes))

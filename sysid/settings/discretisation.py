@@ -81,7 +81,14 @@ class DiscretisationSettings:
     least_contact_range_m: float = setting(1e-8, "m", "Range of contact below which a rig may not go.", "judgement")
     timed_twice_s: float = setting(60.0, "s", "Wall time up to which a simulation is timed twice.", "cost")
 
-    # cells at contacts, and extent of pads
+    # cells of searches, cells at contacts, and extent of pads
+    searched_nodes: int = setting(
+        2500,
+        "1",
+        "Nodes of gels above which searches of a diagnosis are made with coarser cells than the rig's: a rollout with "
+        "derivatives takes a minute above.",
+        "cost",
+    )
     edge_over_contact_radius: float = setting(
         1.25,
         "1",

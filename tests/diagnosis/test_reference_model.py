@@ -56,7 +56,12 @@ class Engine:
 
 
 def found(
-    small_rig: Any, monkeypatch: pytest.MonkeyPatch, truth: str, fails: tuple[str, ...] = (), engine: Any = None
+    small_rig: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    truth: str,
+    fails: tuple[str, ...] = (),
+    engine: Any = None,
+    coarser: Any = None,
 ) -> Any:
     """What is made of a recording of the model ``truth`` with a modulus that is 10 % off, after a quiet one."""
     rig = small_rig().model_copy(update={"name": ""})
@@ -75,7 +80,7 @@ def found(
         runs.append(Run(name, "", (), {}, (Measured("gauge", "markers", T, values, ("u",)),), 1.0))
     parameters = fit_parameters(rig, ["card.E"])
     assert len(start_of(rig, parameters)) == 1
-    return reference_for(cast(Any, engine or Engine(fails)), rig, parameters, runs, [], noise)
+    return reference_for(cast(Any, engine or Engine(fails)), rig, parameters, runs, [], noise, coarser)
 
 
 @pytest.mark.parametrize("truth", ["", "wide", "fine", "wide fine"])
@@ -108,6 +113,20 @@ def test_cells_with_which_simulations_do_not_end_are_not_taken(small_rig: Any, m
     reference, added, told = found(small_rig, monkeypatch, "wide fine", ("wide fine",))
     assert reference.notes == ("It is wide.",) and added.error is None
     assert "simulations do not end" in told[0] and "does not converge" in told[0]
+
+
+def test_the_cells_of_a_user_are_the_reference_of_coarser_ones_whatever_recordings_follow(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def given_cells(rig: Any) -> ContactMesh:
+        return ContactMesh(rig.model_copy(update={"name": f"{rig.name} fine"}), 2.0, ("They are the user's.",))
+
+    coarser = SimpleNamespace(given_cells=given_cells)
+    reference, added, told = found(small_rig, monkeypatch, "", coarser=coarser)
+    assert reference.notes == ("They are the user's.",) and not told
+    np.testing.assert_allclose(added.readings["run"]["gauge"], SHAPES["fine"][:, None], atol=1e-12)
+    with pytest.raises(ConvergenceError):
+        found(small_rig, monkeypatch, "", (" fine",), coarser=coarser)
 
 
 def test_a_rig_has_the_shapes_of_the_reference_and_keeps_its_own_numbers(small_rig: Any) -> None:

@@ -20,11 +20,13 @@ from sysid.diagnosis import baseline, candidates, held_out, refits, starts
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.result import Diagnosis
 from sysid.diagnosis.wording import NOWHERE
+from sysid.discretisation import coarser_cells
 from sysid.model.parameters import rig_at
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.settings.discretisation import DISCRETISATION
 from sysid.solve.covariance import uncertainty
 
 T, SIGMA, SHARE = np.linspace(0.0, 1.0, 200), 0.01, 0.3
@@ -382,3 +384,36 @@ def test_a_set_is_cut_down_to_the_effects_that_are_told_from_none(monkeypatch: p
     assert [("".join(sorted(t.names)), t.gain) for t in found] == [("abc", 20.0), ("ab", 19.0), ("a", 18.0), ("d", 5.0)]
     better = [trial("a", 18.5), *known[1:]]
     assert {t.gain for t in diagnosing._pruned(None, better, {})} == {20.0, 19.0, 18.5, 5.0}  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("share", [0.0, SHARE])
+def test_a_rig_with_many_cells_is_searched_with_few_and_judged_with_its_own(
+    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    """The error of cells goes with their square; recordings follow those of the rig, which are never differentiated."""
+    from tests.conftest import SMALL
+
+    rig = gel_rig(SMALL)
+    gel = rig.bodies["gel"]
+    shape = gel.shape.model_copy(update={"cells": (4, 4, 4)})  # type: ignore[union-attr]
+    rig = rig.model_copy(update={"bodies": {**rig.bodies, "gel": gel.model_copy(update={"shape": shape})}})
+    monkeypatch.setattr(coarser_cells, "DISCRETISATION", replace(DISCRETISATION, searched_nodes=200))
+    differentiated: set[int] = set()
+    submit = Sums.submit_with_derivatives
+
+    def cells(there: Rig) -> int:
+        return int(there.bodies["gel"].shape.cells[0])  # type: ignore[union-attr]
+
+    def counted(engine: Sums, there: Rig, *rest: Any) -> Future[Prediction]:
+        differentiated.add(cells(there))
+        return submit(engine, there, *rest)
+
+    monkeypatch.setattr(Sums, "submit_with_derivatives", counted)
+
+    def law(there: Rig, run: Run, fine: bool) -> np.ndarray:
+        return read(there) + 0.4 * (1.0 / cells(there) ** 2 - 1.0 / 16.0) * RIPPLE
+
+    found = diagnose(law, concealed=share, held=share, rig=rig)
+    assert found.verdict == ("named" if share else "nothing_missing"), found.sentence
+    assert any("2 x 2 x 2 cells of gel" in note and "4 x 4 x 4" in note for note in found.notes)
+    assert differentiated <= {2}
