@@ -53,6 +53,7 @@ def known(outlook):
     return {p.name: p for p in outlook.parameters}
 
 
+@pytest.mark.slow
 def test_the_expected_interval_is_that_of_a_recording(small_rig, plan, tmp_path):
     """A recording with the declared noise, its noise estimated from itself, linearised at the truth."""
     rig = small_rig()

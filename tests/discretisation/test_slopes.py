@@ -46,6 +46,7 @@ def pressed(small_rig: Callable[..., Rig], tmp_path_factory: pytest.TempPathFact
     return rig, load_run(rig, bag)
 
 
+@pytest.mark.slow
 def test_slopes_of_the_discretisation_error_are_its_differences(
     pressed: tuple[Rig, Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -66,6 +66,7 @@ def test_truth_comes_back_from_a_finer_simulation(recorded_finer):
         assert low <= TRUTH[estimate.name] <= high, estimate
 
 
+@pytest.mark.slow
 def test_what_the_data_cannot_tell_is_said(recorded):
     """The camera sees the card only, which the gel's stiffness does not reach."""
     rig, _, bag = recorded

@@ -37,6 +37,7 @@ def press(tmp_path):
     return str(task)
 
 
+@pytest.mark.slow
 def test_every_method_finds_it_and_what_was_made_is_kept(press, tmp_path, monkeypatch):
     monkeypatch.setattr("sysid.inverse.methods.STEPS", 5)
     monkeypatch.setattr("sysid.inverse.methods.GENERATIONS", 1)

@@ -42,6 +42,7 @@ def test_a_recording_has_the_poses_that_are_told(small_rig: Any, askew: Run) -> 
     np.testing.assert_allclose(askew.poses["finger"].positions[0], start, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_an_offset_that_nobody_told_does_not_fool_a_fit(small_rig: Any, askew: Run) -> None:
     result = fitted(with_parameters(small_rig(), START), askew, KINDS, list(TRUTH))
     assert result.converged and result.reduced_chi2 < 1.1

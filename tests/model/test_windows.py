@@ -86,6 +86,7 @@ def test_a_window_is_predicted_as_the_whole_recording_is_there(rig: Rig, session
     assert part.notes == ("The window ends at 9 s, the recording's readings at 5.400 s.",), "the others are told once"
 
 
+@pytest.mark.slow
 def test_one_press_is_fitted_and_the_other_held_out(
     rig: Rig, session: Path, second: float, workers: ParallelPredictor
 ) -> None:

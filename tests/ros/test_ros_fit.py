@@ -19,6 +19,7 @@ RECORDINGS = 3
 """Presses that are recorded at most."""
 
 
+@pytest.mark.slow
 def test_a_recorded_session_gives_back_the_gel(record_press: Callable[[Path], dict[str, int]], tmp_path: Path) -> None:
     """The rig is coarse, for real time: its mesh error is 17 times the noise, and the interval has that in it. How
     wide it is depends on when the messages came; it must tell the truth from where the fit began."""

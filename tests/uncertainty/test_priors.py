@@ -15,6 +15,7 @@ from sysid.fit import FitOptions, fit_runs
 from sysid.model.parameters import fit_parameters, known_before
 
 
+@pytest.mark.slow
 def test_a_known_thickness_determines_the_modulus_as_well_as_it_is_known(tmp_path: Path) -> None:
     """A pull tells E h alone: what h is thought to be, E makes up for, and what h is unsure of, E is too."""
     rig = strip_rig()
@@ -41,6 +42,7 @@ def test_a_known_thickness_determines_the_modulus_as_well_as_it_is_known(tmp_pat
     assert at_bound.estimates[0].at_bound
 
 
+@pytest.mark.slow
 def test_what_was_known_wrongly_is_told_and_not_taken_for_what_the_data_do_not_determine(tmp_path: Path) -> None:
     """A pull tells E to a few percent. Beside twice of that, known to 0.5 %, the fit stays there."""
     run = pulled(strip_rig(), TRUTH, tmp_path / "bag")
