@@ -118,13 +118,18 @@ def _trials(
     if not promising and not apart and not contradicted:
         return []
     chosen = _distinct(screen, promising, DIAGNOSIS.simulated_effects, DIAGNOSIS.simulated_second_starts)
-    names = {screen.hypotheses[s.numbers[0]].effect.name for s in chosen}
-    apart = [s for s in apart if screen.hypotheses[s.numbers[0]].effect.name not in names]
+    names = {_effect(screen, s) for s in chosen}
+    apart = [s for s in apart if _effect(screen, s) not in names]
     starts = [_start(screen, s) for s in (*chosen, *_distinct(screen, apart, DIAGNOSIS.refitted_by_recording, 0))]
     pair = _best_pair(screen, promising)
     if pair is not None and pair.gain > singles[0].gain + case.needed:
         starts.append(_start(screen, pair))
     trials = trials_of(base, base.fitted, starts, scales, failed) if starts else []
+    alone = _distinct(
+        screen, [s for s in singles if _effect(screen, s) in _only_in_pairs(trials, case)], len(singles), 0
+    )
+    if alone:
+        trials += trials_of(base, base.fitted, [_start(screen, s) for s in alone], scales, failed)
     if contradicted:
         tell(0.7, "the same from the rig's own numbers")
         trials = _best_of_each([*trials, *_from_the_rig(base, case, scales, failed)])
@@ -176,6 +181,20 @@ def _from_the_rig(base: Baseline, case: Case, scales: RecordingScales, failed: d
     start, best, _ = max(found, key=lambda refit: log_evidence(refit[1], temper))
     ended = fitted_to_the_end(base, start.whole, best, failed)
     return [] if ended is None else [ended]
+
+
+def _only_in_pairs(trials: Sequence[Trial], case: Case) -> set[str]:
+    """Where misfit stands out and no set of effects is an answer, the effects of pairs with enough evidence that were
+    not refitted alone: a companion that predicts recordings held out worse must not take a true effect along."""
+    if not case.missing or answers(trials, case):
+        return set()
+    alone = {name for t in trials if len(t.names) == 1 for name in t.names}
+    return {name for t in trials if len(t.names) > 1 and t.gain > case.needed for name in t.names} - alone
+
+
+def _effect(screen: Screen, score: Score) -> str:
+    """Name of the effect of a single score."""
+    return screen.hypotheses[score.numbers[0]].effect.name
 
 
 def _best_of_each(trials: Sequence[Trial]) -> list[Trial]:
@@ -254,9 +273,9 @@ def _distinct(screen: Screen, scores: Sequence[Score], effects: int, second: int
     misfit with several minima."""
     first: dict[str, Score] = {}
     for score in scores:
-        first.setdefault(screen.hypotheses[score.numbers[0]].effect.name, score)
+        first.setdefault(_effect(screen, score), score)
     leading = dict(list(first.items())[:effects])
-    others = [s for s in scores if screen.hypotheses[s.numbers[0]].effect.name in leading and s not in leading.values()]
+    others = [s for s in scores if _effect(screen, s) in leading and s not in leading.values()]
     return [*leading.values(), *others[:second]]
 
 

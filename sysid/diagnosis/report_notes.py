@@ -106,7 +106,9 @@ def fates(rig: Rig, verdict: Verdict, trials: Sequence[Trial], case: Case, scree
     fit = [t for t in trials if not rejected(t, case)]
     for trial in sorted(trials, key=lambda t: -len(t.names)):
         why = reason(trial, case) or needless(trial, fit, case) or "fits, but less well than the answer"
-        became |= {h.effect.name: why for h in trial.hypotheses}
+        for h in trial.hypotheses:
+            others = " and that ".join(o.effect.title for o in trial.hypotheses if o is not h)
+            became[h.effect.name] = f"tried beside the knowledge that {others} only: {why}" if others else why
     if verdict.kind in ("named", "one_of", "partly"):
         became |= {h.effect.name: "the answer" for t in verdict.named for h in t.hypotheses}
     return became

@@ -82,3 +82,32 @@ def test_what_could_take_away_enough_is_tried_once(
     assert done == tried
     assert told == ["what 'a' leaves"]
     assert {"".join(sorted(t.names)) for t in found} == {names for sets in tried for names in sets}
+
+
+@pytest.mark.parametrize(
+    ("good", "missing", "tried"),
+    [("", True, [["a", "ab", "b"], ["b"]]), ("a", True, [["a", "ab", "b"]]), ("", False, [["a", "ab", "b"]])],
+)
+def test_a_companion_that_predicts_worse_does_not_take_an_effect_along(
+    monkeypatch: pytest.MonkeyPatch, good: str, missing: bool, tried: list[list[str]]
+) -> None:
+    """Of three sets a, b and both, b alone falls to others that explain more where it is simulated. If neither a nor
+    both together are an answer, it is refitted alone all the same; not where a is, nor where nothing is missing."""
+    done: list[list[str]] = []
+
+    def trials_of(base: Any, begun: Any, starts: list[Start], scales: Any, failed: Any) -> list[Any]:
+        sets = sorted("".join(sorted(s.names)) for s in starts)
+        done.append(sets)
+        return [trial(names, 100.0 * len(names)) for names in sets if len(sets) == 1 or names != "b"]
+
+    monkeypatch.setattr(Screening, "score", lambda self, numbers: Score(tuple(numbers), 900.0, 0.0, (), np.zeros(1)))
+    monkeypatch.setattr(diagnosing, "trials_of", trials_of)
+    monkeypatch.setattr(diagnosing, "tempered", lambda _, trials: sorted(trials, key=lambda t: -t.gain))
+    monkeypatch.setattr(diagnosing, "answers", lambda trials, case: [t for t in trials if t.names == set(good)])
+    monkeypatch.setattr(diagnosing, "hypotheses", lambda rig, scales: [])
+    monkeypatch.setattr(diagnosing, "look", lambda *given: (Screening(), {}))
+    screen = Screening(a=(80.0, 900.0), b=(70.0, 900.0))
+    case = cast(Any, SimpleNamespace(missing=missing, needed=8.0, contradictions=()))
+    base = cast(Any, SimpleNamespace(fitted=None, engine=None, problem=None))
+    diagnosing._trials(base, cast(Any, screen), screen.singles(), case, cast(Any, None), {}, lambda share, text: None)
+    assert done == tried
