@@ -125,9 +125,8 @@ def _trials(
     if pair is not None and pair.gain > singles[0].gain + case.needed:
         starts.append(_start(screen, pair))
     trials = trials_of(base, base.fitted, starts, scales, failed) if starts else []
-    alone = _distinct(
-        screen, [s for s in singles if _effect(screen, s) in _only_in_pairs(trials, case)], len(singles), 0
-    )
+    untried = _only_in_pairs(trials, case)
+    alone = _distinct(screen, [s for s in singles if _effect(screen, s) in untried], len(singles), 0)
     if alone:
         trials += trials_of(base, base.fitted, [_start(screen, s) for s in alone], scales, failed)
     if contradicted:

@@ -50,15 +50,15 @@ class CoarserCells:
 
 
 def coarsened(rig: Rig) -> CoarserCells | None:
-    """The rig with so few cells of its gels that it has ``DISCRETISATION.searched_nodes`` nodes or less, or one cell
-    along some axis before; None where it has no more, where no gel can have coarser cells, and where it has sheets,
-    whose cells are as many."""
+    """The rig with so few cells of its gels that it has ``DISCRETISATION.searched_nodes`` nodes or less, as far as all
+    axes of a gel can have fewer, without which nothing tells the error; None where it has no more nodes, where no gel
+    can have coarser cells, and where it has sheets, whose cells are as many."""
     if any(isinstance(body, Sheet) for body in rig.bodies.values()):
         return None
     coarse, halvings = rig, 0
     while _nodes(coarse) > DISCRETISATION.searched_nodes:
-        shapes = {n: s for n, s in _hexahedral(coarse).items() if min(s.cells) > 1}
-        halved = {n: _halved(s) for n, s in shapes.items()}
+        pairs = {n: (s, _halved(s)) for n, s in _hexahedral(coarse).items()}
+        halved = {n: h for n, (s, h) in pairs.items() if all(a > b for a, b in zip(s.cells, h.cells, strict=True))}
         if not halved:
             break
         bodies = {n: coarse.bodies[n].model_copy(update={"shape": s}) for n, s in halved.items()}

@@ -85,8 +85,8 @@ class DiscretisationSettings:
     searched_nodes: int = setting(
         2500,
         "1",
-        "Nodes of gels above which searches of a diagnosis are made with coarser cells than the rig's: a rollout with "
-        "derivatives takes a minute above.",
+        "Nodes of gels above which searches of a diagnosis are made with coarser cells than the rig's: with 5,000 "
+        "a baseline takes over half an hour.",
         "cost",
     )
     edge_over_contact_radius: float = setting(

@@ -69,6 +69,12 @@ def test_planes_of_symmetry_keep_even_numbers_and_boxes_get_longer_edges(monkeyp
     assert found.given_cells(found.rig).rig == rig
 
 
+def test_cells_that_cannot_get_fewer_along_all_axes_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plane of symmetry needs two cells: with as many along an axis, nothing would tell the error of the mesh."""
+    search_up_to(10, monkeypatch)
+    assert coarsened(with_shape(cells=(2, 2, 4), symmetry=("x", "y"))) is None
+
+
 def test_wider_pads_get_cells_as_fine_as_those_given(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = with_shape(cells=(8, 8, 4)).model_copy(update={"sensors": {}, "cameras": {}})
     search_up_to(1000, monkeypatch)
