@@ -15,7 +15,7 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.contradictions import contradictions
 from sysid.diagnosis.refits import Trial, in_pose_noise
-from sysid.diagnosis.report_notes import other_branch, parts_alone
+from sysid.diagnosis.report_notes import Screened, fates, other_branch, parts_alone
 from sysid.diagnosis.residual_analysis import Part, Structure
 from sysid.diagnosis.result import Located
 from sysid.diagnosis.verdict import (
@@ -323,3 +323,15 @@ def test_of_an_answer_of_two_effects_each_part_is_told() -> None:
     (said, _) = parts_alone([both, cut, second], Verdict("named", (both,)), case)
     assert said.endswith("(its fit did not converge).")
     assert parts_alone([first, second], Verdict("named", (first,)), case) == []
+
+
+def test_what_became_of_a_pair_is_not_told_of_its_effects_alone() -> None:
+    """A pair that predicts worse says nothing of an effect that was tried alone, and of another one only beside it."""
+    case = Case(structure(5.0, 5000.0, 1000.0), None, 8.0)
+    pair = trial("gel_relaxation gel_mullins", 500.0, held_out=-0.1)
+    trials = [pair, trial("gel_relaxation", 300.0)]
+    screened = Screened(cast(Any, None), [], {})
+    became = fates(load_rig("gel_sensor"), Verdict("unknown", ()), trials, case, screened)
+    relaxes = pair.hypotheses[0].effect.title
+    assert became["gel_mullins"].startswith(f"tried beside the knowledge that {relaxes} only: it predicts held-out")
+    assert "beside" not in became["gel_relaxation"]
