@@ -6,11 +6,18 @@ therefore split by the orthonormal modes of a picture,
 
     h_u = (1, 0, 1, 0, ...) / sqrt(N),  h_v alike,  h_turn ~ (-p_v, p_u),  h_scale ~ (p_u, p_v),
 
-and what is left. White or first-order autoregressive noise of variance s^2 and correlation rho tells a mean over n
-samples to s^2 (1 + rho) / (n (1 - rho)); where that of a mode's coefficient is larger than what is left of the markers
-makes of it, the mode of whitened readings is weighed down to the same,
+and what is left. The mean over n samples of white or first-order autoregressive noise of variance s^2 and correlation
+rho has the variance s^2 (1 + rho) / (n (1 - rho)). Where that of a mode's coefficient is larger than what the markers'
+own noise makes of it, the mode has noise of its own; the ratio of the two,
 
-    r' = r - sum_k (1 - share_k) h_k (h_k . r),    share_k^2 = [s^2 (1 + rho) / (1 - rho)]_left / [...]_k.
+    share_k^2 = [s^2 (1 + rho) / (1 - rho)]_left / [s^2 (1 + rho) / (1 - rho)]_k,
+
+gives its variance in units of the markers' own innovations. The whitened readings w of one picture, each weighted by a
+factor a_j that accounts for further independent noise, then have the covariance
+
+    cov(a w) = I + G^T G,    G_kj = a_j h_kj (1 / share_k^2 - 1)^(1/2) for markers that are seen, else 0,
+
+of rank four over the identity. :class:`CommonWhitening` applies its inverse symmetric root, by Woodbury's identity.
 """
 
 from __future__ import annotations
@@ -37,13 +44,33 @@ class CommonMode:
     rho: np.ndarray
     shares: np.ndarray
 
-    def weighed(self, white: np.ndarray, places: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Whitened values ``(n, m, ...)``, 0 where they are not ``seen`` ``(n, m)``, with the modes of each picture
-        weighed down. ``places`` ``(m,)``: of the markers."""
-        flat = white.reshape(*white.shape[:2], -1)
-        h = modes(places, seen)
-        found = np.einsum("nkm,nmp->nkp", h, flat)
-        return np.asarray(white - np.einsum("nkm,k,nkp->nmp", h, 1.0 - self.shares, found).reshape(white.shape))
+    def deviations(self, places: np.ndarray, seen: np.ndarray, weights: np.ndarray | float = 1.0) -> np.ndarray:
+        """What modes of unit variance add to the whitened readings of each picture ``(n, r, m)``, of those ``r`` modes
+        that have noise of their own. ``places`` ``(m,)``: of the markers; ``seen`` ``(n, m)``: which of them count;
+        ``weights`` ``(n, m)``: factors on whitened readings."""
+        kept = np.flatnonzero(self.shares < 1.0)
+        whole = modes(places, np.isfinite(places)[None])[0, kept]
+        sizes = np.sqrt(self.shares[kept] ** -2 - 1.0)
+        return np.asarray((sizes[:, None] * whole) * (weights * seen)[:, None])
+
+
+class CommonWhitening:
+    """The map (I + G^T G)^(-1/2), picture by picture, of whitened readings whose common modes have the
+    ``deviations`` G ``(n, r, m)`` (:meth:`CommonMode.deviations`)."""
+
+    def __init__(self, deviations: np.ndarray) -> None:
+        values, vectors = np.linalg.eigh(np.einsum("nrm,nsm->nrs", deviations, deviations))
+        values = np.maximum(values, 0.0)
+        # (1 - (1 + x)^(-1/2)) / x, without the cancellation at small x.
+        root = np.sqrt(1.0 + values)
+        self._factor = np.einsum("nri,ni,nsi->nrs", vectors, 1.0 / (root * (1.0 + root)), vectors)
+        self._deviations = deviations
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """Readings ``(n, m, ...)``, 0 where they do not count."""
+        flat = values.reshape(*values.shape[:2], -1)
+        taken = self._factor @ (self._deviations @ flat)
+        return np.asarray(values - (self._deviations.transpose(0, 2, 1) @ taken).reshape(values.shape))
 
 
 def modes(places: np.ndarray, seen: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from sysid.model.prediction_source import AnyEngine
 from sysid.model.predictor import Prediction
 from sysid.noise.autocorrelation import Samples
 from sysid.noise.channel_noise import ChannelNoise
+from sysid.noise.common_mode import CommonWhitening
 from sysid.noise.estimate import column_groups
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
@@ -142,37 +143,37 @@ class Problem:
         key = (index, measured.channel)
         known = self._eliminations.get(key)
         if known is None or not known.suits(good):
-            known = Elimination(self.basis(index, measured), self._own[measured.channel], good, measured.t)
+            common = self._common(index, measured, good)
+            known = Elimination(self.basis(index, measured), self._own[measured.channel], good, measured.t, common)
             self._eliminations[key] = known
         return known
 
     def whiten(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
-        """Values ``(n, m, ...)`` in units of the noise and of what of the discretisation error follows no shape, what
-        all markers of a picture have in common weighed as its noise asks for."""
+        """Values ``(n, m, ...)`` in units of the noise, with what all markers of a picture have in common, and of what
+        of the discretisation error follows no shape."""
         white = self._by_column(index, measured, values)
         good = np.isfinite(white)
-        return np.where(good, self._in_common(index, measured, np.where(good, white, 0.0), good), np.nan)
+        seen = np.asarray(good.reshape(*good.shape[:2], -1).all(axis=2))
+        return np.where(good, self._in_common(index, measured, np.where(good, white, 0.0), seen), np.nan)
 
-    def _in_common(self, index: int, measured: Measured, white: np.ndarray, good: np.ndarray) -> np.ndarray:
-        """Whitened values ``(n, m, ...)``, 0 where they are not ``good``, with what all markers of a picture have in
-        common weighed down (:mod:`sysid.noise.common_mode`)."""
+    def _common(self, index: int, measured: Measured, seen: np.ndarray) -> np.ndarray | None:
+        """What noise makes all markers of a picture have in common ``(n, r, m)``, in units of whitened samples, of
+        which those ``seen`` ``(n, m)`` count; None: nothing."""
         common = self.noise[measured.channel].common
         if common is None:
-            return white
+            return None
         key = (index, measured.channel)
         if key not in self._places:
             first = np.argmax(np.isfinite(measured.values), axis=0)
             self._places[key] = np.take_along_axis(measured.values, first[None], axis=0)[0]
-        seen = np.asarray(good.reshape(*good.shape[:2], -1).all(axis=2))
-        return common.weighed(white, self._places[key], seen)
+        weights = self._weights_of(index, measured) if self.eliminates else 1.0
+        return common.deviations(self._places[key], seen, weights)
 
-    def _weighed(self, index: int, measured: Measured, rows: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """The same for the rows ``(k, p)`` of what is ``seen`` ``(n, m)``."""
-        if self.noise[measured.channel].common is None:
-            return rows
-        whole = np.zeros((*seen.shape, rows.shape[1]))
-        whole[seen] = rows
-        return np.asarray(self._in_common(index, measured, whole, seen)[seen])
+    def _in_common(self, index: int, measured: Measured, white: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Whitened values ``(n, m, ...)``, 0 where they are not ``seen`` ``(n, m)``, in units of the noise that markers
+        have in common as well."""
+        common = self._common(index, measured, seen)
+        return white if common is None else CommonWhitening(common)(white)
 
     def _by_column(self, index: int, measured: Measured, values: np.ndarray) -> np.ndarray:
         """As :meth:`whiten`, each column for itself."""
@@ -215,7 +216,8 @@ class Problem:
     ) -> Assembled:
         """All samples of all runs in one least-squares problem.
 
-        The discretisation error is eliminated channel by channel (:mod:`sysid.solve.variable_projection`).
+        Noise of each column, noise that columns have in common and the discretisation error are one covariance, of
+        which the error is eliminated channel by channel (:mod:`sysid.solve.variable_projection`).
         ``names``: of the parameters that the predictions have derivatives by; ``scaled``: where the predictions stand,
         for errors that change with the parameters. Raises ``ConvergenceError`` where a prediction or a derivative is
         not a number, other than out of sight (NaN in the prediction).
@@ -237,19 +239,19 @@ class Problem:
                     vectors += [slopes[:, :, k] for k in range(len(names))]
                 stacked = np.stack(vectors, axis=2)
                 times = np.broadcast_to(m.t[:, None], white.shape)[good]
-                rows = np.zeros((len(times), stacked.shape[2]))
                 if self.eliminates:
                     eliminate = self._elimination(i, m, seen)
                     stacked[:, :, 0] -= eliminate.mean_error(scaled)
                     if names and scaled is not None:
                         stacked = np.concatenate([stacked, eliminate.slopes(scaled)], axis=2)
-                    rows = np.zeros((len(times), stacked.shape[2]))
                     left, sizes[(i, m.channel)] = eliminate(stacked)
                     times, count = np.concatenate([times, eliminate.times]), np.count_nonzero(seen)
-                    rows[seen[good]] = self._weighed(i, m, left[:count], seen)
-                    rows = np.concatenate([rows, left[count:]])
                 else:
-                    rows[seen[good]] = self._weighed(i, m, stacked[seen], seen)
+                    left = self._in_common(i, m, np.where(seen[:, :, None], stacked, 0.0), seen)[seen]
+                    count = len(left)
+                rows = np.zeros((np.count_nonzero(good), stacked.shape[2]))
+                rows[seen[good]] = left[:count]
+                rows = np.concatenate([rows, left[count:]])
                 assembled.append(rows)
                 sight.append(np.concatenate([seen[good], np.ones(len(rows) - np.count_nonzero(good), dtype=bool)]))
                 labels.append((i, m.channel, times))

@@ -9,7 +9,7 @@ import pytest
 
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
-from sysid.noise.common_mode import CommonMode, common_mode, modes
+from sysid.noise.common_mode import CommonMode, CommonWhitening, common_mode, modes
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
 from sysid.solve.residuals import Problem
@@ -78,13 +78,12 @@ def test_a_motion_of_the_whole_picture_is_known_as_well_as_the_shake_allows() ->
     own = ChannelNoise(common.sigma, common.rho, "")
     total = ChannelNoise(np.full(2 * MARKERS, np.hypot(OWN_PX, SHAKE_PX)), np.full(2 * MARKERS, 0.62), "")
 
-    def deviations(noise: ChannelNoise, weighed: CommonMode | None) -> float:
-        column = whiten(drift, noise, t)
-        column = column if weighed is None else weighed.weighed(column, PLACES, seen)
+    def deviations(noise: ChannelNoise, shake: CommonMode | None) -> float:
+        known = CommonWhitening(shake.deviations(PLACES, seen) if shake else np.zeros((frames, 0, 2 * MARKERS)))
+        column = known(whiten(drift, noise, t))
         scores = []
         for _ in range(150):
-            miss = whiten(shaken(rng, frames), noise, t)
-            miss = miss if weighed is None else weighed.weighed(miss, PLACES, seen)
+            miss = known(whiten(shaken(rng, frames), noise, t))
             scores.append(np.sum(column * miss) / np.sqrt(np.sum(column**2)))
         return float(np.std(scores))
 

@@ -45,18 +45,27 @@ def dense(found: Basis) -> np.ndarray:
 
 @pytest.mark.parametrize(("bias", "common"), [(1.0, COMMON), (1e4, COMMON), (1.0, 0)])
 @pytest.mark.parametrize("rho", [0.0, 0.8])
-def test_rows_and_coefficients_are_those_of_the_whole_problem(bias: float, common: int, rho: float) -> None:
+@pytest.mark.parametrize("modes", [0, 2])
+def test_rows_and_coefficients_are_those_of_the_whole_problem(bias: float, common: int, rho: float, modes: int) -> None:
+    """``modes``: number of those in which the columns of one instant have noise in common."""
     rng = np.random.default_rng(3)
     here, good = basis(rng, bias, common), rng.uniform(size=(N, M)) > 0.2
     noise = ChannelNoise(rng.uniform(0.5, 2.0, M), np.array([rho, 0.0, 0.5 * rho]), "test")
     vectors = rng.standard_normal((N, M, 2)) + 3.0 * bias
-    eliminate = Elimination(here, noise, good, T)
+    deviations = 4.0 * rng.standard_normal((N, modes, M))
+    eliminate = Elimination(here, noise, good, T, deviations)
     rows, sizes = eliminate(vectors)
     # Missing samples are NaN, so that those after them are whitened without them.
     root = np.where(good[:, :, None], dense(here), np.nan)
     root = (whiten(root, noise, T) * here.weights(noise)[:, :, None])[good]
-    whole = np.vstack([root, np.eye(root.shape[1])])
-    right = np.vstack([vectors[good], np.zeros((root.shape[1], 2))])
+    # Whitened noise has the covariance I + G^T G over all samples that count.
+    each = np.zeros((N, modes, N, M))
+    each[np.arange(N), :, np.arange(N)] = deviations
+    shaking = each.reshape(N * modes, N, M)[:, good]
+    values, vectors_of = np.linalg.eigh(np.eye(np.count_nonzero(good)) + shaking.T @ shaking)
+    inverse_root = (vectors_of / np.sqrt(values)) @ vectors_of.T
+    whole = np.vstack([inverse_root @ root, np.eye(root.shape[1])])
+    right = np.vstack([inverse_root @ vectors[good], np.zeros((root.shape[1], 2))])
     coefficients = np.linalg.lstsq(whole, right, rcond=None)[0]
     left = right - whole @ coefficients
     assert rows == pytest.approx(left, rel=1e-9, abs=1e-9 * np.abs(vectors).max())
