@@ -22,13 +22,10 @@ of rank four over the identity. :class:`CommonWhitening` applies its inverse sym
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.noise.sampling_interval import in_sampling_intervals
-from sysid.noise.scatter import Stretch, scatter_of
 from sysid.settings.noise import NOISE
 
 KINDS = ((0, 1), (2,), (3,))
@@ -93,84 +90,3 @@ def modes(places: np.ndarray, seen: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(shapes, axis=2, keepdims=True)
     enough = (there.sum(axis=1) >= NOISE.common_mode_markers)[:, None, None]
     return np.where(enough & (size > 0.0), shapes / np.maximum(size, 1e-300), 0.0)
-
-
-def common_mode(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> CommonMode | None:
-    """What markers have in common in stretches of pictures in which nothing moves, each ``(n, m)`` at times ``(n,)``;
-    None where it is what chance makes of their own noise, or where there are no such stretches."""
-    left: list[Stretch] = []
-    found: list[list[Stretch]] = [[] for _ in KINDS]
-    columns = 0
-    for values, t in stretches:
-        columns = values.shape[1]
-        parts = _split(values)
-        if parts is None:
-            continue
-        coefficients, own = parts
-        at = in_sampling_intervals(t)
-        rest = scatter_of(own, at)
-        shown = [scatter_of(coefficients[:, list(kind)], at) for kind in KINDS]
-        if rest is not None and all(s is not None for s in shown):
-            left.append(rest)
-            for of_kind, s in zip(found, shown, strict=True):
-                of_kind.append(s)  # type: ignore[arg-type]
-    if not left:
-        return None
-    # Where something still swings, markers have other things in common than the noise of the picture.
-    calm = NOISE.restless_ratio * min(s.level for s in left)
-    kept = [k for k, s in enumerate(left) if s.level <= calm]
-    left, found = [left[k] for k in kept], [[of_kind[k] for k in kept] for of_kind in found]
-    own_level, own_rho = _pooled(left)
-    shares = np.ones(4)
-    for kind, of_kind in zip(KINDS, found, strict=True):
-        level, rho = _pooled(of_kind)
-        if level**2 > NOISE.common_mode_variance_ratio * own_level**2:
-            shares[list(kind)] = min(1.0, np.sqrt(_of_means(own_level, own_rho) / _of_means(level, rho)))
-    if (shares == 1.0).all() or own_level <= 0.0:
-        return None
-    return CommonMode(np.full(columns, own_level), np.full(columns, own_rho), shares)
-
-
-def _of_means(level: float, rho: float) -> float:
-    """Variance of means of many samples, times their number."""
-    return level**2 * (1.0 + rho) / (1.0 - rho)
-
-
-def _pooled(stretches: Sequence[Stretch]) -> tuple[float, float]:
-    """Level and correlation of noise over stretches."""
-    size = [s.size for s in stretches]
-    rho = min(float(np.average([s.rho for s in stretches], weights=size)), NOISE.largest_correlation)
-    level = float(np.sqrt(np.average(np.square([s.level for s in stretches]), weights=size)))
-    return level, rho if rho > NOISE.white_correlation else 0.0
-
-
-def _split(values: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Coefficients of the modes ``(n, 4)`` of pictures ``(n, m)``, as of pictures in which all markers are seen, and
-    what is left of the displacements ``(n, m)``; None with too few pictures or markers. What is a mistake counts for
-    neither."""
-    if values.shape[1] < 2 * NOISE.common_mode_markers:
-        return None
-    whole = np.isfinite(values).sum(axis=0) >= NOISE.min_rest_samples
-    if whole.reshape(-1, 2).all(axis=1).sum() < NOISE.common_mode_markers:
-        return None
-    places = np.where(whole, np.nanmedian(np.where(whole, values, 0.0), axis=0), np.nan)
-    away = values - places
-    seen = np.isfinite(away)
-    # A shift by the median first: mistakes stand out from it, however many markers they draw along in a mean.
-    points = np.where(seen, away, np.nan).reshape(len(values), -1, 2)
-    lost = ~np.isfinite(points).any(axis=(1, 2))
-    points[lost] = 0.0
-    rough = points - np.nanmedian(points, axis=1, keepdims=True)
-    scale = 1.4826 * float(np.nanmedian(np.abs(rough)))
-    near = (np.abs(rough) <= NOISE.common_mode_outlier_sd * scale).all(axis=2)
-    seen &= np.repeat(near, 2, axis=1)
-    h = modes(places, seen)
-    displaced = np.where(seen, away, 0.0)
-    coefficients = np.einsum("nkm,nm->nk", h, displaced)
-    # Four of the 2 N coordinates of a picture are in its modes.
-    free = np.sqrt(1.0 - 4.0 / np.maximum(seen.sum(axis=1, keepdims=True), 5.0))
-    own = np.where(seen, (displaced - np.einsum("nkm,nk->nm", h, coefficients)) / free, np.nan)
-    full = modes(places, np.isfinite(places)[None])[0]
-    # Of a mode that moves all markers alike, a picture with fewer of them shows a smaller coefficient.
-    share = np.einsum("nkm,km->nk", h, full)
-    return np.where(share > 0.0, coefficients / np.maximum(share, 1e-300), np.nan), own

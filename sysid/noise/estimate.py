@@ -27,7 +27,8 @@ import numpy as np
 
 from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sysid.noise.channel_noise import ChannelNoise
-from sysid.noise.common_mode import CommonMode, common_mode
+from sysid.noise.common_mode import CommonMode
+from sysid.noise.common_mode_estimate import common_mode
 from sysid.noise.mixture import Mixture, mixture_of
 from sysid.noise.quantisation import common_step
 from sysid.noise.sampling_interval import in_sampling_intervals

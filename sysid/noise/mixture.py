@@ -70,7 +70,7 @@ def mixture_of(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> Mixture | 
     found, variance = np.array([loss(r, w) for r, w in zip(rho, white, strict=True)]).T
     if alone - float(found.min()) < 2.0 * NOISE.white_part_gain:
         return None
-    found += _prior(rho)
+    found += prior_loss(rho)
     weight = np.exp(-0.5 * (found - found.min()))
     weight /= weight.sum()
     of_white, of_coloured = float(weight @ (variance * white)), float(weight @ (variance * (1.0 - white)))
@@ -79,7 +79,7 @@ def mixture_of(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> Mixture | 
     return Mixture(float(np.sqrt(whole)), min((slow - 1.0) / (slow + 1.0), NOISE.largest_correlation), of_white / whole)
 
 
-def _prior(rho: np.ndarray) -> np.ndarray:
+def prior_loss(rho: np.ndarray) -> np.ndarray:
     """-2 log of the prior of correlations: what is slower than a rest is long cannot be told from its course."""
     return np.asarray((np.log(NOISE.colour_intervals * (1.0 - rho)) / NOISE.colour_intervals_log_sd) ** 2)
 

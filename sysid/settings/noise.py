@@ -186,9 +186,21 @@ class NoiseSettings:
     common_mode_markers: int = setting(
         6, "1", "Markers from which a picture tells what they have in common.", "judgement"
     )
-    common_mode_variance_ratio: float = setting(
-        3.0, "1", "Variance of a mode over that of what is left, from which it is no chance.", "judgement"
+    common_mode_least_excess: float = setting(
+        0.25,
+        "1",
+        "Variance that a mode must have beyond what the markers' own noise makes of it, in units of that, to be "
+        "weighed: below, the square of a score along it is off by less.",
+        "cost",
     )
+    common_mode_sizes: tuple[float, float] = setting(
+        (0.05, 2e3),
+        "1",
+        "Least and largest variance of a mode's noise, over that of the markers' own, that its likelihood is "
+        "integrated over.",
+        "convention",
+    )
+    common_mode_size_count: int = setting(30, "1", "Number of these variances.", "cost")
     common_mode_outlier_sd: float = setting(
         5.0,
         "sd",

@@ -245,7 +245,7 @@ class Problem:
                     if names and scaled is not None:
                         stacked = np.concatenate([stacked, eliminate.slopes(scaled)], axis=2)
                     left, sizes[(i, m.channel)] = eliminate(stacked)
-                    times, count = np.concatenate([times, eliminate.times]), np.count_nonzero(seen)
+                    times, count = np.concatenate([times, eliminate.times]), int(np.count_nonzero(seen))
                 else:
                     left = self._in_common(i, m, np.where(seen[:, :, None], stacked, 0.0), seen)[seen]
                     count = len(left)

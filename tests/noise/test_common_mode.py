@@ -9,7 +9,8 @@ import pytest
 
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
-from sysid.noise.common_mode import CommonMode, CommonWhitening, common_mode, modes
+from sysid.noise.common_mode import CommonMode, CommonWhitening, modes
+from sysid.noise.common_mode_estimate import common_mode
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
 from sysid.solve.residuals import Problem
@@ -47,7 +48,31 @@ def test_a_shake_is_told_from_the_noise_of_the_markers(mistakes: float) -> None:
     assert (found.rho == 0.0).all()
     of_shift = (MARKERS * SHAKE_PX**2) * (1.0 + RHO) / (1.0 - RHO) + OWN_PX**2
     assert found.shares[:2] == pytest.approx(OWN_PX / np.sqrt(of_shift), rel=0.25)
-    assert (found.shares[2:] == 1.0).all(), "it neither turns nor zooms"
+    # It neither turns nor zooms: what chance shows of that is less than the markers' own noise.
+    assert (found.shares[2:] ** -2 - 1.0 < 1.0).all()
+
+
+def test_a_short_rest_shows_how_much_a_picture_turns() -> None:
+    """Two rests of 20 pictures, too short to show the colour of the noise: over 40 recordings the variance of the turn
+    is as often too large as too small within a factor of four, and it is hardly ever missed."""
+    turn_rad = 4e-4
+    about = PLACES.reshape(-1, 2) - PLACES.reshape(-1, 2).mean(axis=0)
+    moved = np.stack([-about[:, 1], about[:, 0]], axis=1).ravel()
+    true = turn_rad**2 * np.sum(moved**2) / OWN_PX**2 * (1.0 + RHO) / (1.0 - RHO)
+    found = []
+    for seed in range(40):
+        rng = np.random.default_rng(100 + seed)
+        rests = []
+        for _ in range(2):
+            turn = turn_rad * rng.standard_normal(20)
+            for k in range(1, 20):
+                turn[k] = RHO * turn[k - 1] + np.sqrt(1.0 - RHO**2) * turn[k]
+            values = PLACES + OWN_PX * rng.standard_normal((20, 2 * MARKERS)) + turn[:, None] * moved
+            rests.append((values, np.arange(20) / RATE_HZ))
+        common = common_mode(rests)
+        found.append(0.0 if common is None else common.shares[2] ** -2 - 1.0)
+    assert 0.25 < np.median(found) / true < 4.0
+    assert np.mean(np.array(found) < 0.1 * true) <= 0.1
 
 
 def test_markers_with_noise_of_their_own_have_nothing_in_common() -> None:
