@@ -10,12 +10,20 @@ import numpy as np
 import pytest
 import variations
 from fit_fixtures import declared, vectors, workers
+from processor_time import pytest_runtest_logstart, pytest_runtest_makereport, pytest_terminal_summary
 from threadpoolctl import threadpool_limits
 
 from sim_core.rigs import Rig, parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 
-__all__ = ["declared", "vectors", "workers"]
+__all__ = [
+    "declared",
+    "pytest_runtest_logstart",
+    "pytest_runtest_makereport",
+    "pytest_terminal_summary",
+    "vectors",
+    "workers",
+]
 
 
 def pytest_configure(config: pytest.Config) -> None:

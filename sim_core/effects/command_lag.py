@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from sim_core.effects.base import EffectParameter, RecordingScales, Values
 from sim_core.effects.hooks import CommandMap
@@ -22,9 +21,6 @@ from sim_core.rigs import Rig
 
 if TYPE_CHECKING:
     from sim_core.scene.scene import Frame
-
-TURN_STEP = 1e-5
-"""Turn [rad] by which turns are differentiated, centrally."""
 
 
 @dataclass(frozen=True)
@@ -84,19 +80,22 @@ class CommandLag(CommandMap[Past]):
         return Past(commands[first:], reached), reached
 
     def pull(self, times: np.ndarray, poses: Sequence[Frame], weights: np.ndarray, values: Values) -> np.ndarray:
+        from scipy.spatial.transform import Rotation
+
+        from sim_core.geometry.turns import geodesic, turn_slopes
+
         since = times - times[0]
         left, mix = _delayed(since, values["delay_s"])
         rotations = Rotation.concatenate([r for _, r in poses])
-        places = np.array([p for p, _ in poses])
         right = np.minimum(left + 1, len(times) - 1)
-        goals = _geodesic(rotations[left], rotations[right], mix), _blend(places[left], places[right], mix)
-        by_left, by_right = _turn_slopes(rotations[left], rotations[right], mix)
+        goals = geodesic(rotations[left], rotations[right], mix)
+        by_left, by_right = turn_slopes(lambda a, b: geodesic(a, b, mix), rotations[left], rotations[right])
         shares = np.array([1.0, *(_share(float(dt), values["tau_s"]) for dt in np.diff(times))])
-        here = [goals[0][0]]
+        here = [goals[0]]
         for k in range(1, len(times)):
-            here.append(_geodesic(here[-1], goals[0][k], shares[k]))
+            here.append(geodesic(here[-1], goals[k], shares[k]))
         behind = Rotation.concatenate([here[0], *here[:-1]])
-        by_here, by_goal = _turn_slopes(behind, goals[0], shares)
+        by_here, by_goal = turn_slopes(lambda a, b: geodesic(a, b, shares), behind, goals)
         out, carried = np.zeros_like(weights), np.zeros(6)
         for k in reversed(range(len(times))):
             w = weights[k] + carried
@@ -113,8 +112,9 @@ def _share(dt: float, tau: float) -> float:
 
 
 def _towards(start: Frame, goal: Frame, share: float) -> Frame:
-    turn = (start[1].inv() * goal[1]).as_rotvec()
-    return start[0] + share * (goal[0] - start[0]), start[1] * Rotation.from_rotvec(share * turn)
+    from sim_core.geometry.turns import geodesic
+
+    return start[0] + share * (goal[0] - start[0]), geodesic(start[1], goal[1], share)
 
 
 def _interpolated(commands: tuple[tuple[float, Frame], ...], at: float) -> Frame:
@@ -127,8 +127,7 @@ def _interpolated(commands: tuple[tuple[float, Frame], ...], at: float) -> Frame
     if end == start:
         return one
     share = (at - start) / (end - start)
-    turn = Slerp([0.0, 1.0], Rotation.concatenate([one[1], other[1]]))(share)
-    return (1.0 - share) * one[0] + share * other[0], turn
+    return _towards(one, other, share)
 
 
 def _delayed(since: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
@@ -137,27 +136,3 @@ def _delayed(since: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
     left = np.clip(np.searchsorted(since, at, side="right") - 1, 0, len(since) - 1)
     width = since[np.minimum(left + 1, len(since) - 1)] - since[left]
     return left, np.where(width > 0.0, (at - since[left]) / np.where(width > 0.0, width, 1.0), 0.0)
-
-
-def _blend(one: np.ndarray, other: np.ndarray, share: np.ndarray) -> np.ndarray:
-    return np.asarray(one + share[:, None] * (other - one))
-
-
-def _geodesic(one: Rotation, other: Rotation, share: np.ndarray | float) -> Rotation:
-    turn = (one.inv() * other).as_rotvec()
-    return one * Rotation.from_rotvec(np.asarray(share)[..., None] * turn)
-
-
-def _turn_slopes(one: Rotation, other: Rotation, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the turn in the world of rotations between others by small turns of these, ``(n, 3, 3)`` each."""
-    middle = _geodesic(one, other, share)
-    found: tuple[list[np.ndarray], list[np.ndarray]] = [], []
-    for axis in np.eye(3):
-        for which in (0, 1):
-            ends = []
-            for step in (TURN_STEP, -TURN_STEP):
-                turn = Rotation.from_rotvec(step * axis)
-                there = _geodesic(turn * one, other, share) if which == 0 else _geodesic(one, turn * other, share)
-                ends.append((there * middle.inv()).as_rotvec())
-            found[which].append((ends[0] - ends[1]) / (2.0 * TURN_STEP))
-    return np.stack(found[0], axis=-1), np.stack(found[1], axis=-1)

@@ -8,7 +8,6 @@ with a rotation vector a about the horizontal axes of the base frame (z up, REP 
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import RigMap
@@ -41,6 +40,8 @@ class GravityDirection(RigMap):
     def amend_rig(self, rig: Rig, targets: tuple[str, ...], values: Values) -> Rig:
         if self.vanishes(values):
             return rig
+        from scipy.spatial.transform import Rotation
+
         turn = Rotation.from_rotvec([values["tilt_x_rad"], values["tilt_y_rad"], 0.0])
         turned = turn.apply(np.asarray(rig.gravity_m_s2))
         return rig.model_copy(update={"gravity_m_s2": tuple(float(g) for g in turned)})

@@ -14,20 +14,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.command_lag import TURN_STEP
 from sim_core.effects.hooks import CommandMap
 from sim_core.rigs import Rig
 
 if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
     from sim_core.scene.scene import Frame
 
-Pose = tuple[np.ndarray, Rotation]
 
-
-class HandBacklash(CommandMap[Pose]):
+class HandBacklash(CommandMap["Frame"]):
     """A hand with play."""
 
     name = "hand_backlash"
@@ -49,10 +47,10 @@ class HandBacklash(CommandMap[Pose]):
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(rig.end_effectors)
 
-    def begin(self, pose: Frame, values: Values) -> Pose:
+    def begin(self, pose: Frame, values: Values) -> Frame:
         return pose
 
-    def advance(self, memory: Pose, pose: Frame, dt: float, values: Values) -> tuple[Pose, Frame]:
+    def advance(self, memory: Frame, pose: Frame, dt: float, values: Values) -> tuple[Frame, Frame]:
         place, turn = pose
         if values["play_m"] > 0.0:
             place = memory[0] + _share(pose[0] - memory[0], values["play_m"]) * (pose[0] - memory[0])
@@ -61,6 +59,8 @@ class HandBacklash(CommandMap[Pose]):
         return (place, turn), (place, turn)
 
     def pull(self, times: np.ndarray, poses: Sequence[Frame], weights: np.ndarray, values: Values) -> np.ndarray:
+        from scipy.spatial.transform import Rotation
+
         play, turn_play = values["play_m"], np.deg2rad(values["play_deg"])
         here = [poses[0]]
         for pose in poses[1:]:
@@ -94,8 +94,9 @@ def _by_behind(away: np.ndarray, play: float) -> np.ndarray:
 
 
 def _towards(one: Rotation, other: Rotation, play: float) -> Rotation:
-    turn = (one.inv() * other).as_rotvec()
-    return one * Rotation.from_rotvec(_share(turn, play) * turn)
+    from sim_core.geometry.turns import geodesic
+
+    return geodesic(one, other, _share((one.inv() * other).as_rotvec(), play)[..., 0])
 
 
 def _turn_slopes(one: Rotation, other: Rotation, play: float) -> tuple[np.ndarray, np.ndarray]:
@@ -103,14 +104,6 @@ def _turn_slopes(one: Rotation, other: Rotation, play: float) -> tuple[np.ndarra
     ``(n, 3, 3)`` each."""
     if play == 0.0:
         return np.zeros((len(one), 3, 3)), np.tile(np.eye(3), (len(one), 1, 1))
-    middle = _towards(one, other, play)
-    found: tuple[list[np.ndarray], list[np.ndarray]] = [], []
-    for axis in np.eye(3):
-        small = Rotation.from_rotvec(TURN_STEP * axis)
-        for which, slopes in enumerate(found):
-            ends = []
-            for turn in (small, small.inv()):
-                there = _towards(turn * one, other, play) if which == 0 else _towards(one, turn * other, play)
-                ends.append((there * middle.inv()).as_rotvec())
-            slopes.append((ends[0] - ends[1]) / (2.0 * TURN_STEP))
-    return np.stack(found[0], axis=-1), np.stack(found[1], axis=-1)
+    from sim_core.geometry.turns import turn_slopes
+
+    return turn_slopes(lambda a, b: _towards(a, b, play), one, other)

@@ -10,7 +10,6 @@ sec. 2.5).
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import Channel, Linear
@@ -43,6 +42,8 @@ class WrenchFrame(Linear):
         return tuple(n for n, s in rig.sensors.items() if isinstance(s, WrenchSensor))
 
     def matrix(self, channel: Channel, values: Values) -> np.ndarray:
+        from scipy.spatial.transform import Rotation
+
         x, y, z = (values[f"{a}_m"] for a in "xyz")
         turn = Rotation.from_rotvec([values[f"r{a}_deg"] for a in "xyz"], degrees=True).as_matrix().T
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -16,7 +16,7 @@ from sim_core.effects import amended
 from sim_core.rigs import WORLD, Affine, Rig, Sheet
 from sim_core.rigs.observers import Camera
 from sim_core.rigs.trajectory import PoseTrajectory
-from sim_core.scene.assembly import BuiltBody, build_body, world_pose
+from sim_core.scene.assembly import BuiltBody, build_body
 from sim_core.scene.offset import with_offsets
 from sim_core.scene.scene import Frame
 from sim_core.sensing.observe import Tracked, locate
@@ -43,7 +43,7 @@ class Layout:
 
     def body_frame(self, body: str, frames: Mapping[str, Frame]) -> Frame:
         """Rest frame of a body when the mounts are at ``frames``."""
-        return world_pose(self.rig.bodies[body].pose, frames[self.mount_of(body)])
+        return self.rig.bodies[body].pose.within(frames[self.mount_of(body)])
 
     def camera_frame(self, camera: Camera, frames: Mapping[str, Frame]) -> Frame:
         """Optical frame of a camera, where it truly is."""

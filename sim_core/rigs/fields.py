@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
-from scipy.spatial.transform import Rotation
 
 from sim_core.errors import nearest_match
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 FloatArray = NDArray[np.float64]
 
@@ -207,6 +209,8 @@ class Pose(Strict):
 
     def rotation(self) -> Rotation:
         """Orientation of the placed frame."""
+        from scipy.spatial.transform import Rotation
+
         if self.quaternion_xyzw is not None:
             return Rotation.from_quat(self.quaternion_xyzw)
         return Rotation.from_euler("xyz", self.rpy_deg or (0.0, 0.0, 0.0), degrees=True)
@@ -214,6 +218,11 @@ class Pose(Strict):
     def quaternion(self) -> FloatArray:
         """Unit quaternion x y z w with w >= 0, shape ``(4,)``."""
         return np.asarray(self.rotation().as_quat(canonical=True), dtype=np.float64)
+
+    def within(self, carrier: tuple[FloatArray, Rotation]) -> tuple[FloatArray, Rotation]:
+        """Origin [m] ``(3,)`` and rotation in the world of this pose in a frame that is at ``carrier`` there."""
+        origin, rotation = carrier
+        return np.asarray(origin + rotation.apply(self.position())), rotation * self.rotation()
 
     def matrix(self) -> FloatArray:
         """Homogeneous transform, shape ``(4, 4)``."""

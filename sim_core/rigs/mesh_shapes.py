@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from sim_core.errors import ConfigError
-from sim_core.geometry.mesh_file import read_sheet, read_solid
-from sim_core.geometry.sheets import SheetMesh
-from sim_core.geometry.solids import TetMesh
 from sim_core.rigs.fields import Flag, FloatArray, Length, Name, Strict, Text, trouble
 from sim_core.rigs.regions import RefinedBox, Region
+
+if TYPE_CHECKING:
+    from sim_core.geometry.sheets import SheetMesh
+    from sim_core.geometry.solids import TetMesh
 
 Unit = Literal["m", "cm", "mm", "um", "in"]
 
@@ -55,6 +56,8 @@ class SheetFile(_MeshFile):
 
     def mesh(self) -> SheetMesh:
         """The mesh as the file has it."""
+        from sim_core.geometry.mesh_file import read_sheet
+
         return read_sheet(Path(self.file), self.unit, self.weld)
 
     def _nodes(self) -> FloatArray:
@@ -85,6 +88,8 @@ class GelFile(_MeshFile):
 
     def mesh(self) -> TetMesh:
         """The mesh as the file has it."""
+        from sim_core.geometry.mesh_file import read_solid
+
         boxes = {name: region.box() for name, region in self.face_regions.items()}
         return read_solid(Path(self.file), self.unit, self.weld, boxes, self.fill.edge_m if self.fill else None)
 

@@ -18,14 +18,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PPoly
-from scipy.linalg import solveh_banded
-from scipy.optimize import brentq
-from scipy.spatial.transform import Rotation, Slerp
 
 from sim_core.rigs.fields import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline, PPoly
 
 FEWEST = 5
 """Fewest samples in a row that a spline is put through; fewer are joined by straight lines."""
@@ -56,6 +56,8 @@ class PoseCurve:
 
     def sample(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions [m] ``(k, 3)`` and unit quaternions ``(k, 4)`` at times [s] ``(k,)`` within the samples'."""
+        from scipy.spatial.transform import Rotation, Slerp
+
         out = np.empty((len(times), 7))
         starts = self.times[list(self.corners[:-1])]
         piece = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, len(self.pieces) - 1)
@@ -82,6 +84,8 @@ class PoseCurve:
 def pose_curve(times: FloatArray, positions: FloatArray, quaternions: FloatArray, noise: FloatArray) -> PoseCurve:
     """The curve of samples ``(n,)``, ``(n, 3)``, ``(n, 4)``, n at least 2. ``noise``: standard deviations of their
     positions [m] and turns [rad], one axis, that are smoothed away; zero where the curve goes through the samples."""
+    from scipy.interpolate import PPoly
+
     values = np.hstack([positions, quaternions])
     corners = find_corners(times, values, noise)
     sigma = np.array([noise[0], 0.5 * noise[1]])  # a turn by a changes a quaternion by a / 2
@@ -153,12 +157,17 @@ def _misses(times: FloatArray, values: FloatArray, at: np.ndarray, others: np.nd
 
 def _spline(times: FloatArray, values: FloatArray, sigma: float) -> CubicSpline:
     """The cubic spline through samples ``(n, m)``, or near those with noise ``sigma`` in each of three directions."""
+    from scipy.interpolate import CubicSpline
+
     near = values if sigma <= 0.0 else _smoothed(times, values, sigma)
     return CubicSpline(times, near, bc_type="not-a-knot" if near is values else "natural")
 
 
 def _smoothed(times: FloatArray, values: FloatArray, sigma: float) -> FloatArray:
     """Values ``(n, m)`` of the smoothing spline at the samples; the samples themselves where they have less noise."""
+    from scipy.linalg import solveh_banded
+    from scipy.optimize import brentq
+
     n, steps = len(times), np.diff(times)
     span = float(times[-1] - times[0])
     mu = (np.pi * (np.arange(2, n) - 0.5) / span) ** 4 * (span / (n - 1))
@@ -204,6 +213,8 @@ def noise_of(times: FloatArray, positions: FloatArray, quaternions: FloatArray) 
     """
     if len(times) < 4 * FEWEST:
         return np.zeros(2)
+    from scipy.spatial.transform import Rotation
+
     turns = Rotation.from_quat(quaternions)
     relative = (turns[:-1].inv() * turns[1:]).as_rotvec()
     sigma = np.full(2, np.inf)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from sim_core.rigs.fields import FloatArray, Strict, of_length
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 OFFSETS = ("offset_x_m", "offset_y_m", "offset_z_m", "offset_rx_deg", "offset_ry_deg", "offset_rz_deg")
 """Shift and turn of an end effector, or of a camera, against its poses, in the order of :meth:`Displaced.offset`."""
@@ -46,4 +48,6 @@ class Displaced(Strict):
         offset = self.offset()
         if not offset.any():
             return origin, rotation
+        from scipy.spatial.transform import Rotation
+
         return origin + rotation.apply(offset[:3]), rotation * Rotation.from_rotvec(offset[3:])

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sim_core.errors import RecordingError
 from sim_core.rigs.fields import FloatArray
@@ -126,6 +125,8 @@ class PoseTrajectory:
 
     def speeds(self) -> tuple[FloatArray, FloatArray]:
         """Linear [m/s] and angular [rad/s] speed between neighbouring samples, each ``(n - 1,)``."""
+        from scipy.spatial.transform import Rotation
+
         steps = np.diff(self.times)
         rotations = Rotation.from_quat(self.quaternions)
         angles = (rotations[:-1].inv() * rotations[1:]).magnitude()

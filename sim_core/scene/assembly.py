@@ -29,7 +29,6 @@ from sim_core.geometry.folds import Fold, folded
 from sim_core.geometry.subdivision import split_tets, split_triangles
 from sim_core.rigs import Affine, Block, Disc, Dome, Gel, GelFile, Rectangle, Rig, Rigid, Sheet, SheetFile
 from sim_core.rigs.bodies import WORLD
-from sim_core.rigs.fields import Pose
 
 
 @dataclass
@@ -71,12 +70,6 @@ class BuiltBody:
         return np.asarray(self.rest[0] + (points - self.local[0]) @ self.rotation.T)
 
 
-def world_pose(pose: Pose, carrier: tuple[np.ndarray, Rotation]) -> tuple[np.ndarray, Rotation]:
-    """Pose of a body given in its carrier's frame, in the world."""
-    origin, rotation = carrier
-    return origin + rotation.apply(pose.position()), rotation * pose.rotation()
-
-
 def build_body(
     rig: Rig,
     name: str,
@@ -88,7 +81,7 @@ def build_body(
     """Mesh one body. ``offset``: index of its first node. ``refine``: factor on cells in each direction. ``given``:
     where the nodes of a sheet or a gel are at rest, in its frame [m], if not where the rig has them."""
     spec = rig.bodies[name]
-    origin, rotation = world_pose(spec.pose, carrier)
+    origin, rotation = spec.pose.within(carrier)
     mesh: sheets.SheetMesh | solids.TetMesh | None
     layout: sheets.SheetMesh | solids.TetMesh | None
     unit_mass = None

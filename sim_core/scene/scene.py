@@ -31,7 +31,6 @@ from sim_core.scene.assembly import (
     held_nodes,
     leave_to_mount,
     strain_laws,
-    world_pose,
 )
 from sim_core.scene.contact_constants import constants_of, finest_edge
 from sim_core.scene.fields import Fields
@@ -150,7 +149,7 @@ class Scene:
         made before are of no use any more."""
         shapes = {name: shape for name, shape in self._shapes.items() if name != body}
         if rest is not None and not np.array_equal(rest, self.bodies[body].drawn):
-            origin, rotation = world_pose(self.bodies[body].spec.pose, self.start[self.mount_of(body)])
+            origin, rotation = self.bodies[body].spec.pose.within(self.start[self.mount_of(body)])
             shapes[body] = np.ascontiguousarray(rotation.inv().apply(rest - origin))
         kept, loads = dict(self.__dict__), self.system.loads
         try:
@@ -430,14 +429,14 @@ class Scene:
                 out[np.ix_(follower.nodes, axes)] = there[:, axes]
         for body in self.bodies.values():
             if isinstance(body.spec, Rigid):
-                _, rotation = world_pose(body.spec.pose, frames[body.spec.mount])
+                _, rotation = body.spec.pose.within(frames[body.spec.mount])
                 body.rotation[:] = rotation.as_matrix()
         return out
 
     def body_frame(self, name: str, frames: Mapping[str, Frame]) -> Frame:
         """Where the rest frame of a body is when the mounts are at ``frames``."""
         spec = self.bodies[name].spec
-        return world_pose(spec.pose, frames[self.mount_of(name)])
+        return spec.pose.within(frames[self.mount_of(name)])
 
     def mount_of(self, body: str) -> str:
         """Name of the mount in whose frame the pose of a body is given."""

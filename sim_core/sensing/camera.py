@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from sim_core.rigs import FisheyeCamera, OrthographicCamera, PinholeCamera
@@ -19,6 +18,8 @@ def project(camera: Camera, points: np.ndarray, beyond: bool = False) -> np.ndar
     """
     if isinstance(camera, OrthographicCamera):
         return np.asarray(points[:, :2] / camera.scale_m_per_px + [camera.cx_px, camera.cy_px])
+    import cv2
+
     coefficients = np.asarray(camera.distortion)
     zero = np.zeros(3)
     if isinstance(camera, FisheyeCamera):
@@ -37,6 +38,8 @@ def project_slopes(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Derivatives of the pixels by the points [px/m], ``(n, 2, 3)``, wherever they are."""
     if isinstance(camera, OrthographicCamera):
         return np.broadcast_to(np.eye(2, 3) / camera.scale_m_per_px, (len(points), 2, 3))
+    import cv2
+
     coefficients = np.asarray(camera.distortion)
     zero = np.zeros(3)
     # A motion of all points is a translation of the camera; OpenCV gives the derivatives by that.

@@ -27,7 +27,6 @@ from sim_core.rigs import Rig, Sight, track_ids
 from sim_core.rigs.bodies import Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import Scene
-from sim_core.scene.assembly import world_pose
 from sim_core.scene.scene import Frame
 from sim_core.sensing.camera import project
 from sim_core.sensing.observe import frame_of
@@ -156,7 +155,7 @@ def _under(
     body, lens = scene.bodies[sight.body], scene.rig.cameras[name]
     assert isinstance(body.layout, sheets.SheetMesh)
     frames = simulation.actual_frames()
-    origin, rotation = lens.truly(*world_pose(lens.pose, frames[lens.mount]))
+    origin, rotation = lens.truly(*lens.pose.within(frames[lens.mount]))
     picture = project(lens, rotation.inv().apply(scene.system.x[body.nodes] - origin))
     flat = sheets.SheetMesh(np.column_stack([picture, np.zeros(len(picture))]), body.layout.triangles)
     found = []

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import cv2
 import numpy as np
 
 from sim_core.errors import RecordingError
@@ -73,6 +72,8 @@ class ImageStream(Stream):
 
 
 def _compressed(message: Any) -> Bytes:
+    import cv2
+
     data = np.asarray(message.data, dtype=np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if image is None:

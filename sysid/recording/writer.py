@@ -8,7 +8,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -353,5 +352,7 @@ def _encode(topic: str, image: NDArray[np.uint8], fmt: str) -> NDArray[np.uint8]
         raise RecordingError(
             f"{topic}: image of shape {image.shape}, {image.dtype}.", "Give uint8, grey or red-green-blue."
         )
+    import cv2
+
     ordered = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     return np.asarray(cv2.imencode(f".{fmt}", ordered)[1], dtype=np.uint8).reshape(-1)

@@ -79,15 +79,16 @@ def test_every_number_on_the_command_line_has_bounds() -> None:
             option.parser("nan")
 
 
-def test_rigs_lists_all_rigs_and_experiments() -> None:
-    done = run("rigs")
-    assert done.returncode == 0
+def test_rigs_lists_all_rigs_and_experiments(capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main(["rigs"]) == 0
+    shown = capsys.readouterr().out
     for name in names_in("rigs") + names_in("experiments"):
-        assert name in done.stdout
+        assert name in shown
 
 
-def test_params_as_json_names_units_and_bounds() -> None:
-    rows = {row["name"]: row for row in json.loads(run("params", "card_press", "--json").stdout)}
+def test_params_as_json_names_units_and_bounds(capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main(["params", "card_press", "--json"]) == 0
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
     assert rows["card.E_pa"]["unit"] == "Pa"
     assert rows["card.nu"]["upper"] == 0.5
     assert rows["contacts.gel-card.stiffness_pa_per_m"]["value"] is None
@@ -291,14 +292,20 @@ def test_package_xml_has_the_version_of_the_package() -> None:
 
 
 @pytest.mark.parametrize("command", [["fit", "--params", "strip.E"], ["diagnose"]])
-def test_a_recording_of_another_rig_is_said_before_anything_is_simulated(command: list[str], tmp_path: Path) -> None:
+def test_a_recording_of_another_rig_is_said_before_anything_is_simulated(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Its topics serve the rig, and yet its markers lie otherwise: what differs is named with the remedy."""
     first, *others = command
     words = [first, "strip_coarse", str(PRESS_POST), *others, "--out", str(tmp_path / "out")]
-    with subprocess.Popen([*THINSHELL, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as child:
-        assert child.stderr is not None
-        said = child.stderr.readline()
-        child.kill()
+
+    def begun(*given: Any, **more: Any) -> None:
+        raise AssertionError("a simulation has begun")
+
+    monkeypatch.setattr("sim_core.simulate.Simulation.__init__", begun)
+    monkeypatch.setattr("sysid.model.parallel_predictor.ParallelPredictor.__enter__", begun)
+    assert app.main(words) == 2
+    said = capsys.readouterr().err
     assert said.startswith("thinshell: ") and "is in the frame 'tactile_left_gel', in the rig" in said
     assert "--despite" in said
     assert "Give the rig that it was recorded with" in said
@@ -313,12 +320,12 @@ def test_the_doctor_does_not_ask_for_what_extras_bring(absent: tuple[str, ...], 
     assert works or "scipy" in done.stderr
 
 
-def test_settings_are_listed_with_unit_meaning_and_origin() -> None:
-    shown = run("settings", "uncertainty")
-    assert shown.returncode == 0
-    assert "  conflict_sd = 3 sd  (statistics)\n      Standard deviations of the difference" in shown.stdout
-    listed = json.loads(run("settings", "--json").stdout)
-    assert listed["uncertainty"]["conflict_sd"] == 3.0
-    refused = run("settings", "kitchen")
-    assert refused.returncode == 2
-    assert "There are no settings of 'kitchen'. Choose one of " in refused.stderr and "uncertainty" in refused.stderr
+def test_settings_are_listed_with_unit_meaning_and_origin(capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main(["settings", "uncertainty"]) == 0
+    shown = capsys.readouterr().out
+    assert "  conflict_sd = 3 sd  (statistics)\n      Standard deviations of the difference" in shown
+    assert app.main(["settings", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["uncertainty"]["conflict_sd"] == 3.0
+    assert app.main(["settings", "kitchen"]) == 2
+    refused = capsys.readouterr().err
+    assert "There are no settings of 'kitchen'. Choose one of " in refused and "uncertainty" in refused

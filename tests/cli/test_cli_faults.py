@@ -229,16 +229,16 @@ def test_the_same_as_a_command(name: str, tmp_path: Path) -> None:
     assert snapshot(tmp_path) == before
 
 
-def test_a_truncated_recording_is_read_as_far_as_it_goes_and_left_alone(tmp_path: Path) -> None:
+def test_a_truncated_recording_is_read_as_far_as_it_goes_and_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     whole = sorted((config_folder().parent / "bags").rglob("*.mcap"))[0]
     cut = tmp_path / "cut.mcap"
     shutil.copy(whole, cut)
     cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
     before = snapshot(tmp_path)
-    done = subprocess.run(
-        [sys.executable, "-m", "sysid", "inspect", str(cut)], capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0
-    assert "messages were recovered" in done.stdout
-    assert "Traceback" not in done.stderr
+    assert main(["inspect", str(cut)]) == 0
+    output, errors = capsys.readouterr()
+    assert "messages were recovered" in output
+    assert "Traceback" not in errors
     assert snapshot(tmp_path) == before

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from shell_terms import X_AXIS, strip
 
-from sim_core.effects import air_drag
+from sim_core.energies import air_drag
 from sim_core.energies.membrane import Membrane
 from sim_core.energies.term import check_term
 from sim_core.rigs import Rig
 from sim_core.scene import build_scene
 
 
-class Draggy(air_drag._Drag):
+class Draggy(air_drag.AirDragTerm):
     """The drag of air without its derivative by the start of the step, or by areas."""
 
     linearise: Any = None
 
 
-class Shapeless(air_drag._Drag):
+class Shapeless(air_drag.AirDragTerm):
     by_areas: Any = None
 
 
@@ -33,11 +33,11 @@ class Forgetful(Membrane):
         return {"memory": np.zeros(1)}
 
 
-class Silent(air_drag._Drag):
+class Silent(air_drag.AirDragTerm):
     measured_at_rest: Any = None
 
 
-def drag(kind: type[air_drag._Drag]) -> air_drag._Drag:
+def drag(kind: type[air_drag.AirDragTerm]) -> air_drag.AirDragTerm:
     mesh = strip("regular", (2, 1))
     return kind("card.other_name", mesh.triangles, mesh.areas)
 
@@ -72,11 +72,11 @@ def test_what_lacks_a_derivative_is_refused(term: Callable[[], Any], said: str) 
 
 
 def test_a_scene_with_such_a_term_is_not_built(monkeypatch: pytest.MonkeyPatch, small_rig: Callable[..., Rig]) -> None:
-    monkeypatch.delattr(air_drag._Drag, "linearise")
-    with pytest.raises(TypeError, match=r"_Drag.*no method linearise"):
+    monkeypatch.delattr(air_drag.AirDragTerm, "linearise")
+    with pytest.raises(TypeError, match=r"AirDragTerm.*no method linearise"):
         build_scene(small_rig(effects={"air_drag": {"drag_coefficient": 1.0}}))
 
 
 def test_complete_terms_pass() -> None:
-    check_term(drag(air_drag._Drag))
+    check_term(drag(air_drag.AirDragTerm))
     check_term(membrane(Membrane))

@@ -120,10 +120,10 @@ def test_card_that_is_shaken_in_thick_air_against_differences_of_rollouts():
 
 def test_the_name_of_a_term_is_of_no_account(monkeypatch):
     """Of the drag's term: the gradient by the shape at rest is the same, and not that without it."""
-    from sim_core.effects import air_drag
+    from sim_core.energies import air_drag
 
     rig, poses, times = held_or_shaken(True)
-    data, made, found = rig.model_dump(), air_drag._Drag.__init__, []
+    data, made, found = rig.model_dump(), air_drag.AirDragTerm.__init__, []
 
     def renamed(self, name, *given):
         made(self, "card.wind" if name.startswith("card.") else name, *given)
@@ -132,7 +132,7 @@ def test_the_name_of_a_term_is_of_no_account(monkeypatch):
     for effects, rename in ((drag, False), (drag, True), ({}, False)):
         with monkeypatch.context() as patch:
             if rename:
-                patch.setattr(air_drag._Drag, "__init__", renamed)
+                patch.setattr(air_drag.AirDragTerm, "__init__", renamed)
             scene = build_scene(parse_rig({**data, "effects": effects}, "thick air"))
         tape = Tape(scene, poses, times, TIGHT)
         given = {c: np.ones_like(r) for c, r in tape.trace.outputs.items()}

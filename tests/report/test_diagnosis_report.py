@@ -45,10 +45,9 @@ NAN = float("nan")
 
 
 @pytest.fixture(scope="module")
-def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Page]:
+def verdicts(diagnosis_pages: dict[str, Path]) -> dict[str, Page]:
     """A page of each verdict."""
-    folder = tmp_path_factory.mktemp("verdicts")
-    return {v: checked(write_diagnosis_report(make_diagnosis(v), folder / f"{v}.html")) for v in VERDICTS}
+    return {verdict: checked(page) for verdict, page in diagnosis_pages.items()}
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
@@ -151,6 +150,8 @@ def _as_a_set(expected: np.ndarray, seen: np.ndarray) -> bool:
     by_number = seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]
     if _misfit(by_number) < OBSERVATIONS.layout_fit_share * spacing:
         return False
+    from scipy.optimize import linear_sum_assignment
+
     where = expected
     for _ in range(OBSERVATIONS.layout_rounds):
         rows, order = linear_sum_assignment(cdist(where, seen))

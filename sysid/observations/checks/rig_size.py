@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from sim_core.rigs import MarkerSensor, Rig, Rigid, marker_positions
 from sim_core.rigs.bodies import WORLD
-from sim_core.scene.assembly import world_pose
-from sim_core.scene.scene import Frame
 from sim_core.sensing.camera import project
-from sim_core.sensing.observe import frame_of
 from sysid.recording import Recording
+
+if TYPE_CHECKING:
+    from sim_core.scene.scene import Frame
 
 
 def extent_of(rig: Rig) -> float:
@@ -20,7 +22,7 @@ def extent_of(rig: Rig) -> float:
         places.append(np.array(effector.start.position_m))
     frames = _starts(rig)
     for body in rig.bodies.values():
-        places.append(world_pose(body.pose, frames[getattr(body, "mount", WORLD) or WORLD])[0])
+        places.append(body.pose.within(frames[getattr(body, "mount", WORLD) or WORLD])[0])
     for sensor in rig.sensors.values():
         places.append(np.array(sensor.pose.position_m))
     points = np.array(places)
@@ -30,10 +32,12 @@ def extent_of(rig: Rig) -> float:
 def expected_markers(rig: Rig, name: str, recording: Recording) -> np.ndarray | None:
     """Where the rig has the markers of a sensor [m] ``(m, 3)`` or camera [px] ``(m, 2)``, undeformed, when the end
     effectors are at their first poses; None where that is not in the rig (``placed: first_frame``)."""
+    from scipy.spatial.transform import Rotation
+
     frames = _starts(rig)
     for effector, stream in recording.poses.items():
         if effector in frames and len(stream):
-            frames[effector] = frame_of(stream.position[0], stream.quaternion[0])
+            frames[effector] = stream.position[0], Rotation.from_quat(stream.quaternion[0])
     bodies = {n: b for n, b in rig.bodies.items() if not isinstance(b, Rigid)}
     if name in rig.sensors:
         sensor = rig.sensors[name]
@@ -43,12 +47,12 @@ def expected_markers(rig: Rig, name: str, recording: Recording) -> np.ndarray | 
     camera = rig.cameras[name]
     if any(sight.points.placed == "first_frame" for sight in camera.sees):
         return None
-    origin, rotation = camera.truly(*world_pose(camera.pose, frames[camera.mount]))
+    origin, rotation = camera.truly(*camera.pose.within(frames[camera.mount]))
     seen = []
     for sight in camera.sees:
         body = bodies[sight.body]
         local = marker_positions(sight.points, body)[0]
-        at, turn = world_pose(body.pose, frames[getattr(body, "mount", WORLD) or WORLD])
+        at, turn = body.pose.within(frames[getattr(body, "mount", WORLD) or WORLD])
         seen.append(project(camera, rotation.inv().apply(turn.apply(local) + at - origin)))
     return np.vstack(seen)
 
