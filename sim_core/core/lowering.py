@@ -22,19 +22,16 @@ from __future__ import annotations
 import ast
 import math
 import re
-import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
+from sim_core.core.law_sources import PACKAGE, Source, Sources, decorators
 from sim_core.errors import ThinshellError
 
-__all__ = ["Library", "LoweringError", "header", "write_header"]
+__all__ = ["Library", "LoweringError", "header"]
 
-PACKAGE = Path(__file__).resolve().parents[1]
-DECORATORS = {"ti.func", "ti.kernel"}
 SCALAR = set("sqrt exp log sin cos tan tanh asin acos atan2 pow abs min max select floor ceil".split())
 METHODS = set(
     "norm norm_sqr normalized dot cross outer_product transpose trace determinant inverse sum max min".split()
@@ -62,108 +59,45 @@ class LoweringError(ThinshellError):
     """A law in words that C++ has no counterpart for."""
 
 
-@dataclass
-class Source:
-    """One module as text: its functions, and the expressions that its constants and imports stand for."""
-
-    name: str
-    path: Path
-
-    def __post_init__(self) -> None:
-        self.functions: dict[str, ast.FunctionDef] = {}
-        self.constants: dict[str, tuple[ast.expr, int | None]] = {}
-        self.imports: dict[str, tuple[str, str | None]] = {}
-        for node in ast.parse(self.path.read_text(), str(self.path)).body:
-            if isinstance(node, ast.FunctionDef) and {ast.unparse(d) for d in node.decorator_list} & DECORATORS:
-                self.functions[node.name] = node
-            elif isinstance(node, ast.Import):
-                self.imports.update({a.asname or a.name: (a.name, None) for a in node.names})
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                self.imports.update({a.asname or a.name: (node.module, a.name) for a in node.names})
-            elif isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
-                for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
-                    names = target.elts if isinstance(target, ast.Tuple) else [target]
-                    for i, name in enumerate(names):
-                        if isinstance(name, ast.Name):
-                            self.constants[name.id] = node.value, i if isinstance(target, ast.Tuple) else None
-
-    @property
-    def space(self) -> str:
-        """Its C++ namespace."""
-        return self.name.rpartition(".")[2]
-
-
-class Library:
+class Library(Sources):
     """Functions that are lowered together, those called before those that call them."""
 
-    def __init__(self, root: Path = PACKAGE.parent) -> None:
-        self._root = root
-        self._sources: dict[str, Source] = {}
-        self._done: dict[tuple[str, str], Function | None] = {}
+    def __init__(self) -> None:
+        super().__init__()
+        self.functions: dict[tuple[str, str], Function | None] = {}
+        """By module and name; None while one is being lowered."""
 
-    def source(self, name: str, path: Path | None = None) -> Source | None:
-        """A module by its name; None where it is not one of the project's."""
-        if name not in self._sources:
-            path = path or self._root / (name.replace(".", "/") + ".py")
-            if not path.is_file():
-                return None
-            self._sources[name] = Source(name, path)
-        return self._sources[name]
-
-    def find(self, source: Source, name: str) -> tuple[Source, str] | None:
-        """Where a name of a module is defined."""
-        if name in source.imports:
-            module, attribute = source.imports[name]
-            origin = self.source(module) if attribute else None
-            return self.find(origin, attribute) if origin and attribute else None
-        return (source, name) if name in source.functions or name in source.constants else None
-
-    def constant(self, source: Source, name: str) -> Any:
-        """Value of a constant of a module. Raises ``ValueError`` where it has none that its text alone gives."""
-        found = self.find(source, name)
-        if found is None or found[1] not in found[0].constants:
-            raise ValueError(name)
-        home, (node, index) = found[0], found[0].constants[found[1]]
-        value = self.evaluate(home, node, {})
-        return value if index is None else value[index]
-
-    def evaluate(self, source: Source, node: ast.expr, known: dict[str, Any]) -> Any:
-        """Value of an expression of constants. Raises ``ValueError`` where it is none."""
-        names: dict[str, Any] = {"range": range, "math": math, "float": float, "int": int, "len": len}
-        for part in ast.walk(node):
-            if isinstance(part, ast.Name) and part.id not in names:
-                names[part.id] = known[part.id] if part.id in known else self.constant(source, part.id)
-            elif isinstance(part, ast.Attribute) and ast.unparse(part.value) != "math":
-                raise ValueError(ast.unparse(part))
-        try:
-            return eval(compile(ast.Expression(node), str(source.path), "eval"), {"__builtins__": {}}, names)
-        except Exception as error:
-            raise ValueError(str(error)) from error
-
-    def need(self, source: Source, name: str) -> Function:
+    def need(self, source: Source, node: ast.FunctionDef) -> Function:
         """A function, lowered after all that it calls."""
-        key = source.name, name
-        if key not in self._done:
-            self._done[key] = None
-            function = Function(self, source, source.functions[name])
-            del self._done[key]
-            self._done[key] = function
-        function_or_none = self._done[key]
-        if function_or_none is None:
-            node = source.functions[name]
-            raise LoweringError(f"{source.path}:{node.lineno}: {name} calls itself.", "Write a loop.")
-        return function_or_none
+        key = source.name, node.name
+        if key not in self.functions:
+            self.functions[key] = None
+            made = Function(self, source, node)
+            del self.functions[key]  # those that it calls have come before it
+            self.functions[key] = made
+        found = self.functions[key]
+        if found is None:
+            raise LoweringError(f"{source.path}:{node.lineno}: the law {node.name} calls itself.", "Write a loop.")
+        return found
+
+    def law(self, function: Callable[..., Any]) -> Function:
+        """A law by itself: a plain function of a module or a class, with its source in a file."""
+        code = function.__code__
+        source = self.source(function.__module__, Path(code.co_filename))
+        for node in ast.walk(source.tree) if source else ():
+            if isinstance(node, ast.FunctionDef) and node.name == function.__name__:
+                if code.co_firstlineno in (node.lineno, *(d.lineno for d in node.decorator_list)):
+                    assert source is not None
+                    return self.need(source, node)
+        raise LoweringError(
+            f"{code.co_filename} does not hold the law {function.__name__}.", "Write it with def in a file."
+        )
 
     def text(self) -> str:
         """The header with all functions that were needed."""
         spaces: dict[str, str] = {}
-        out = [
-            "// Lowered from the laws' Python source by sim_core.core.lowering; written by the build.",
-            "#pragma once",
-            "",
-        ]
-        out += ['#include "dual.hpp"', ""]
-        for (module, _), function in self._done.items():
+        out = ["// Written by sim_core.core.lowering.", "#pragma once", '#include "dual.hpp"', ""]
+        for (module, _), function in self.functions.items():
             assert function is not None
             space = function.source.space
             if spaces.setdefault(space, module) != module:
@@ -179,7 +113,7 @@ class Function:
         self.library, self.source, self.node = library, source, node
         self.written: set[str] = set()
         self._indent = 0
-        self.kernel = any(ast.unparse(d) == "ti.kernel" for d in node.decorator_list)
+        self.kernel = "ti.kernel" in decorators(node)
         self.parameters = [a.arg for a in node.args.args]
         self._static: dict[str, Any] = {}
         self._scopes: list[set[str]] = [set(self.parameters)]
@@ -344,6 +278,8 @@ class Function:
         self._emit("}")
 
     def _do_While(self, node: ast.While) -> None:
+        if node.orelse:
+            self._fail(node, "has a loop with else", "Write what follows after the loop.")
         self._emit(f"while ({self._of(node.test)}) {{")
         with self._block():
             self._body(node.body)
@@ -355,8 +291,11 @@ class Function:
         targets = node.target.elts if isinstance(node.target, ast.Tuple) else [node.target]
         names = [t.id for t in targets if isinstance(t, ast.Name)]
         ranges = _ranges(over, len(names))
-        if node.orelse or len(names) != len(targets):
-            self._fail(node, "has a loop that laws do not have", "Write 'for i in range(n):' without else.")
+        leaves = any(isinstance(n, ast.Break | ast.Continue) for n in ast.walk(node))
+        if node.orelse or len(names) != len(targets) or (leaves and (ranges is None or len(names) > 1)):
+            self._fail(
+                node, "has a loop that laws do not have", "Write 'for i in range(n):', loop in loop, without else."
+            )
         if ranges is None:
             values = self._constant(over) if static else None
             if values is None:
@@ -373,12 +312,11 @@ class Function:
         with self._block(self._indent):
             for name, bounds in zip(names, ranges, strict=True):
                 first, end = ("0", bounds[0]) if len(bounds) == 1 else (self._of(bounds[0]), bounds[1])
-                step = self._of(bounds[2]) if len(bounds) == 3 else "1"
+                if len(bounds) > 2:
+                    self._fail(node, "counts in steps", "Loop over range(first, end).")
                 i, last = _cpp(name), f"{name}_end"
-                self._emit(
-                    f"{'THINSHELL_UNROLL ' if static else ''}for (int {i} = {first}, {last} = {self._of(end)}; "
-                    f"{i} < {last}; {i} += {step}) {{"
-                )
+                bounded = f"int {i} = {first}, {last} = {self._of(end)}; {i} < {last}; ++{i}"
+                self._emit(f"{'THINSHELL_UNROLL ' if static else ''}for ({bounded}) {{")
                 self._scopes[-1].add(name)
                 self._indent += 2
             with self._block(self._indent):
@@ -406,7 +344,7 @@ class Function:
         """An expression; in parentheses if it binds less than ``binding``."""
         if isinstance(node, ast.Name | ast.Attribute | ast.Subscript) and isinstance(node.ctx, ast.Load):
             value = self._constant(node)
-            if isinstance(value, bool | int | float):
+            if isinstance(value, bool | int | float) and math.isfinite(value):
                 return _number(value)
         handle = getattr(self, f"_of_{type(node).__name__}", None)
         if handle is None:
@@ -417,7 +355,7 @@ class Function:
         return text if bound >= binding else f"({text})"
 
     def _of_Constant(self, node: ast.Constant) -> tuple[str, int]:
-        if not isinstance(node.value, bool | int | float):
+        if not isinstance(node.value, bool | int | float) or not math.isfinite(node.value):
             self._fail(node, f"has the constant {node.value!r}", "Laws have numbers only.")
         return _number(node.value), 9
 
@@ -480,12 +418,16 @@ class Function:
         if not isinstance(node.func, ast.Name) or node.func.id in self._locals:
             return None
         found = self.library.find(self.source, node.func.id)
-        return self.library.need(*found) if found and found[1] in found[0].functions else None
+        return (
+            self.library.need(found[0], found[0].functions[found[1]])
+            if found and found[1] in found[0].functions
+            else None
+        )
 
     def _shape(self, node: ast.Call) -> tuple[str, int, int] | None:
         """Least type of the entries, rows and columns of a matrix type that is called."""
-        found = self.library.find(self.source, node.func.id) if isinstance(node.func, ast.Name) else None
-        made = found[0].constants[found[1]][0] if found and found[1] in found[0].constants else None
+        found = self.library.expression(self.source, node.func.id) if isinstance(node.func, ast.Name) else None
+        made = found[1] if found else None
         if not isinstance(made, ast.Call) or ast.unparse(made.func) not in ("ti.types.vector", "ti.types.matrix"):
             return None
         sizes = [int(ast.literal_eval(a)) for a in made.args[:-1]]
@@ -503,8 +445,8 @@ class Function:
             return f"laws::{callee.source.space}::{_cpp(callee.node.name)}({self._list(node.args)})", 9
         if shape := self._shape(node):
             return self._matrix(node.args, *shape)
-        short = name[3:] if name.startswith("ti.") else name
-        if (name.startswith("ti.") or short in ("abs", "min", "max")) and short in SCALAR:
+        short = re.sub(r"^(ti|math)\.", "", name)
+        if short in SCALAR and (short != name or short in ("abs", "min", "max")):
             return f"{short}({self._list(node.args)})", 9
         if short == "static":
             return self._of(_inside(node)), 0
@@ -524,7 +466,7 @@ class Function:
         if isinstance(node.func, ast.Attribute) and node.func.attr in METHODS and not name.startswith("ti."):
             return f"{self._of(node.func.value, 9)}.{node.func.attr}({self._list(node.args)})", 9
         known = ", ".join(sorted(SCALAR))
-        self._fail(node, f"calls {name}", f"Laws call each other, methods of vectors, and ti.: {known}.")
+        self._fail(node, f"calls {name}", f"Laws call each other, methods of vectors, and {known}.")
 
     def _matrix(self, entries: Sequence[ast.expr], kind: str, rows: int, columns: int) -> tuple[str, int]:
         flat = [e for r in entries for e in (r.elts if isinstance(r, ast.List) else [r])]
@@ -567,21 +509,10 @@ def header(modules: Iterable[str] | None = None) -> str:
     for module in modules:
         source = library.source(module)
         assert source is not None, module
-        for name in source.functions:
-            library.need(source, name)
+        for name in source.laws:
+            library.need(source, source.functions[name])
     return library.text()
 
 
-def write_header(path: Path, modules: Iterable[str] | None = None) -> None:
-    """Write the header, unless it is there already as it would be written."""
-    text = header(modules)
-    if not path.is_file() or path.read_text() != text:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-
-
 if __name__ == "__main__":
-    if len(sys.argv) == 2:
-        write_header(Path(sys.argv[1]))
-    else:
-        print(header(), end="")
+    print(header(), end="")
