@@ -32,7 +32,7 @@ from sim_core.errors import ThinshellError
 
 __all__ = ["Library", "LoweringError", "header"]
 
-SCALAR = set("sqrt exp log sin cos tan tanh asin acos atan2 pow abs min max select floor ceil".split())
+SCALAR = set("sqrt exp log sin cos tan tanh asin acos atan atan2 pow abs min max select floor ceil".split())
 METHODS = set(
     "norm norm_sqr normalized dot cross outer_product transpose trace determinant inverse sum max min".split()
 )
@@ -110,7 +110,7 @@ class Function:
     """One function in C++. ``written``: numbers of the arguments that it writes to."""
 
     def __init__(self, library: Library, source: Source, node: ast.FunctionDef) -> None:
-        self.library, self.source, self.node = library, source, node
+        self.library, self.source, self.node, self.name = library, source, node, _cpp(node.name)
         self.written: set[str] = set()
         self._indent = 0
         self.kernel = "ti.kernel" in decorators(node)
@@ -165,7 +165,7 @@ class Function:
         if self.parameters:
             head.append(f"template <{', '.join(f'class A{i}' for i in range(len(self.parameters)))}>")
         kind = "auto" if self._returns else "void"
-        head.append(f"THINSHELL_FN {kind} {_cpp(self.node.name)}({', '.join(declared)}) {{")
+        head.append(f"THINSHELL_FN {kind} {self.name}({', '.join(declared)}) {{")
         return "\n".join([*head, *using, body, "}"])
 
     def _fail(self, node: ast.AST, what: str, remedy: str) -> NoReturn:
@@ -442,11 +442,11 @@ class Function:
                 self._fail(
                     node, f"calls {name} with {len(node.args)} of {len(callee.parameters)} arguments", "Give all."
                 )
-            return f"laws::{callee.source.space}::{_cpp(callee.node.name)}({self._list(node.args)})", 9
+            return f"laws::{callee.source.space}::{callee.name}({self._list(node.args)})", 9
         if shape := self._shape(node):
             return self._matrix(node.args, *shape)
         short = re.sub(r"^(ti|math)\.", "", name)
-        if short in SCALAR and (short != name or short in ("abs", "min", "max")):
+        if short in SCALAR and (short != name or short in ("abs", "min", "max", "pow")):
             return f"{short}({self._list(node.args)})", 9
         if short == "static":
             return self._of(_inside(node)), 0

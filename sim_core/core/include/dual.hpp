@@ -90,15 +90,15 @@ template <class T, int N> THINSHELL_FN T value(const Dual2<T, N> &x) { return x.
   THINSHELL_FN bool operator OP(U a, const D<T, N> &b) { return T(a) OP b.v; }
 
 // An operator of two dual numbers, and of one and a plain number c, which has no derivative.
-#define THINSHELL_DUAL_OPERATOR(D, OP, F, FA, FB, FAA, FAB, FBB, WITH_RIGHT, WITH_LEFT)                                 \
+#define THINSHELL_DUAL_OPERATOR(D, OP, F, G, FA, FB, FAA, FAB, FBB, WITH_RIGHT, WITH_LEFT)                                 \
   template <class T, int N> THINSHELL_FN D<T, N> operator OP(const D<T, N> &a, const D<T, N> &b) {                      \
-    const T x = a.v, y = b.v, f = F;                                                                                    \
+    const T x = a.v, y = b.v, f = F, g = G;                                                                             \
     return chain(a, b, f, T(FA), T(FB), T(FAA), T(FAB), T(FBB));                                                        \
   }                                                                                                                     \
   template <class T, int N, class U, class = typename EnableIf<is_number<U>>::type>                                     \
-  THINSHELL_FN D<T, N> operator OP(const D<T, N> &a, U c) { const T x = a.v, y = T(c), f = F; return WITH_RIGHT; }      \
+  THINSHELL_FN D<T, N> operator OP(const D<T, N> &a, U c) { const T x = a.v, y = T(c), f = F, g = G; return WITH_RIGHT; } \
   template <class T, int N, class U, class = typename EnableIf<is_number<U>>::type>                                     \
-  THINSHELL_FN D<T, N> operator OP(U c, const D<T, N> &b) { const T x = T(c), y = b.v, f = F; return WITH_LEFT; }       \
+  THINSHELL_FN D<T, N> operator OP(U c, const D<T, N> &b) { const T x = T(c), y = b.v, f = F, g = G; return WITH_LEFT; } \
   template <class T, int N, class U> THINSHELL_FN D<T, N> &operator OP##=(D<T, N> &a, const U &b) { return a = a OP b; }
 
 #define THINSHELL_DUAL_FUNCTION(D, NAME, F, F1, F2)                                                                     \
@@ -110,11 +110,11 @@ template <class T, int N> THINSHELL_FN T value(const Dual2<T, N> &x) { return x.
 #define THINSHELL_DUAL(D)                                                                                               \
   THINSHELL_DUAL_COMPARISON(D, <) THINSHELL_DUAL_COMPARISON(D, >) THINSHELL_DUAL_COMPARISON(D, <=)                      \
   THINSHELL_DUAL_COMPARISON(D, >=) THINSHELL_DUAL_COMPARISON(D, ==) THINSHELL_DUAL_COMPARISON(D, !=)                    \
-  THINSHELL_DUAL_OPERATOR(D, +, x + y, 1, 1, 0, 0, 0, (void(y), shifted(a, f)), (void(x), shifted(b, f)))               \
-  THINSHELL_DUAL_OPERATOR(D, -, x - y, 1, -1, 0, 0, 0, shifted(a, f), chain(b, f, T(-1), T(0)))                         \
-  THINSHELL_DUAL_OPERATOR(D, *, x * y, y, x, 0, 1, 0, chain(a, f, y, T(0)), chain(b, f, x, T(0)))                       \
-  THINSHELL_DUAL_OPERATOR(D, /, x / y, T(1) / y, -f / y, 0, T(-1) / (y * y), T(2) * f / (y * y),                        \
-                          chain(a, f, T(1) / y, T(0)), chain(b, f, -f / y, T(2) * f / (y * y)))                         \
+  THINSHELL_DUAL_OPERATOR(D, +, x + y, f, 1, 1, 0, 0, 0, shifted(a, g), shifted(b, g))                                  \
+  THINSHELL_DUAL_OPERATOR(D, -, x - y, f, 1, -1, 0, 0, 0, shifted(a, g), chain(b, g, T(-1), T(0)))                      \
+  THINSHELL_DUAL_OPERATOR(D, *, x * y, f, y, x, 0, 1, 0, chain(a, g, y, T(0)), chain(b, g, x, T(0)))                    \
+  THINSHELL_DUAL_OPERATOR(D, /, x / y, T(1) / y, g, -f * g, 0, -g * g, T(2) * f * g * g, chain(a, f, g, T(0)),          \
+                          chain(b, f, -f * g, T(2) * f * g * g))                                                        \
   template <class T, int N> THINSHELL_FN D<T, N> operator-(const D<T, N> &a) { return chain(a, -a.v, T(-1), T(0)); }    \
   template <class T, int N> THINSHELL_FN D<T, N> operator+(const D<T, N> &a) { return a; }                              \
   THINSHELL_DUAL_FUNCTION(D, abs, abs(x), x < T(0) ? T(-1) : T(1), T(0))                                                \
@@ -136,8 +136,8 @@ template <class T, int N> THINSHELL_FN T value(const Dual2<T, N> &x) { return x.
   }                                                                                                                     \
   template <class T, int N, class U, class = typename EnableIf<is_number<U>>::type>                                     \
   THINSHELL_FN D<T, N> pow(const D<T, N> &a, U p) {                                                                     \
-    const T x = a.v, n = T(p);                                                                                          \
-    return chain(a, pow(x, n), n * pow(x, n - T(1)), n * (n - T(1)) * pow(x, n - T(2)));                                \
+    const T x = a.v, n = T(p), m = n * (n - T(1));                                                                      \
+    return chain(a, pow(x, n), n == T(0) ? n : n * pow(x, n - T(1)), m == T(0) ? m : m * pow(x, n - T(2)));             \
   }                                                                                                                     \
   template <class T, int N> THINSHELL_FN D<T, N> pow(const D<T, N> &a, const D<T, N> &p) { return exp(p * log(a)); }    \
   template <class T, int N, class U, class = typename EnableIf<is_number<U>>::type>                                     \
