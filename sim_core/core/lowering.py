@@ -20,43 +20,16 @@ cannot be translated raises :class:`LoweringError` with function, line and remed
 from __future__ import annotations
 
 import ast
-import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from sim_core.core.law_sources import PACKAGE, Source, Sources, decorators
-from sim_core.errors import ThinshellError
+from sim_core.core.lowering_expressions import OPERATORS, Expressions, LoweringError, cpp_name, inside
 
 __all__ = ["Library", "LoweringError", "header"]
-
-SCALAR = set("sqrt exp log sin cos tan tanh asin acos atan atan2 pow abs min max select floor ceil".split())
-METHODS = set(
-    "norm norm_sqr normalized dot cross outer_product transpose trace determinant inverse sum max min".split()
-)
-RESERVED = SCALAR | set(
-    "S R lift matrix_of tuple_of columns identity matmul divide floor_divide floor_modulo power to_int to_real laws "
-    "thinshell alignas auto bool case catch char class const constexpr default delete do double enum explicit export "
-    "extern float friend goto inline int long mutable namespace new operator private protected public register short "
-    "signed sizeof static struct switch template this throw typedef typename union unsigned using virtual void "
-    "volatile".split()
-)
-OPERATORS: dict[type, tuple[str, int]] = {
-    ast.Or: ("||", 1), ast.And: ("&&", 2), ast.Eq: ("==", 4), ast.NotEq: ("!=", 4), ast.Lt: ("<", 4),
-    ast.LtE: ("<=", 4), ast.Gt: (">", 4), ast.GtE: (">=", 4), ast.Add: ("+", 5), ast.Sub: ("-", 5),
-    ast.Mult: ("*", 6), ast.Div: ("/", 6),
-}  # fmt: skip
-"""C++ operators and how strongly they bind; unary ones bind with 7."""
-CALLED = {
-    ast.Div: "divide", ast.FloorDiv: "floor_divide", ast.Mod: "floor_modulo", ast.MatMult: "matmul", ast.Pow: "pow",
-}  # fmt: skip
-"""Operators that are functions in C++."""
-
-
-class LoweringError(ThinshellError):
-    """A law in words that C++ has no counterpart for."""
 
 
 class Library(Sources):
@@ -106,21 +79,17 @@ class Library(Sources):
         return "\n".join(out)
 
 
-class Function:
+class Function(Expressions):
     """One function in C++. ``written``: numbers of the arguments that it writes to."""
 
     def __init__(self, library: Library, source: Source, node: ast.FunctionDef) -> None:
-        self.library, self.source, self.node, self.name = library, source, node, _cpp(node.name)
-        self.written: set[str] = set()
-        self._indent = 0
+        super().__init__(library, source, node)
+        self.library, self.name = library, cpp_name(node.name)
         self.kernel = "ti.kernel" in decorators(node)
-        self.parameters = [a.arg for a in node.args.args]
-        self._static: dict[str, Any] = {}
-        self._scopes: list[set[str]] = [set(self.parameters)]
+        self.written: set[str] = set()
+        self._indent = self._fresh = 0
         self._lines: list[str] = []
-        self._fresh = 0
         stores = [n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
-        self._locals = {*self.parameters, *stores}
         self._loaded = {n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Load)}
         self._changed = {n for n in stores if stores.count(n) > 1} | (set(stores) & set(self.parameters))
         self._returns = sum(isinstance(n, ast.Return) for n in ast.walk(node))
@@ -148,12 +117,12 @@ class Function:
         declared, copies = [], []
         for i, name in enumerate(self.parameters):
             if self._by_reference(name):
-                declared.append(f"A{i} &&{_cpp(name)}")
+                declared.append(f"A{i} &&{cpp_name(name)}")
             elif name in self._changed:
                 declared.append(f"const A{i} {name}_given")
-                copies.append(f"  auto {_cpp(name)} = lift<S>({name}_given);")
+                copies.append(f"  auto {cpp_name(name)} = lift<S>({name}_given);")
             else:
-                declared.append(f"const A{i} {_cpp(name)}")
+                declared.append(f"const A{i} {cpp_name(name)}")
         with self._block(2):
             self._body(self.node.body)
         body = "\n".join(copies + self._lines)
@@ -168,10 +137,6 @@ class Function:
         head.append(f"THINSHELL_FN {kind} {self.name}({', '.join(declared)}) {{")
         return "\n".join([*head, *using, body, "}"])
 
-    def _fail(self, node: ast.AST, what: str, remedy: str) -> NoReturn:
-        line = getattr(node, "lineno", self.node.lineno)
-        raise LoweringError(f"{self.source.path}:{line}: the law {self.node.name} {what}.", remedy)
-
     def _emit(self, line: str) -> None:
         self._lines.append(" " * self._indent + line)
 
@@ -183,13 +148,21 @@ class Function:
         self._scopes.pop()
         self._indent = before
 
-    def _known(self, name: str) -> bool:
-        return any(name in scope for scope in self._scopes)
-
     def _base(self, node: ast.expr) -> str:
         while isinstance(node, ast.Subscript):
             node = node.value
         return node.id if isinstance(node, ast.Name) else ""
+
+    def _callee(self, node: ast.Call) -> Function | None:
+        """The law that is called, or None."""
+        if not isinstance(node.func, ast.Name) or node.func.id in self._locals:
+            return None
+        found = self.library.find(self.source, node.func.id)
+        return (
+            self.library.need(found[0], found[0].functions[found[1]])
+            if found and found[1] in found[0].functions
+            else None
+        )
 
     # ---- statements
 
@@ -230,7 +203,7 @@ class Function:
         if not isinstance(target, ast.Tuple):
             self._set(target, self._of(node.value))
             return
-        value = _inside(node.value)
+        value = inside(node.value)
         self._fresh += 1
         name = f"t{self._fresh}_"
         if isinstance(value, ast.Tuple):
@@ -249,7 +222,9 @@ class Function:
             self._scopes[-1].add(target.id)
             lifted = target.id in self._changed
             self._emit(
-                f"auto {_cpp(target.id)} = lift<S>({value});" if lifted else f"const auto {_cpp(target.id)} = {value};"
+                f"auto {cpp_name(target.id)} = lift<S>({value});"
+                if lifted
+                else f"const auto {cpp_name(target.id)} = {value};"
             )
         elif isinstance(target, ast.Name | ast.Subscript):
             self._emit(f"{self._of(target)} = {value};")
@@ -286,7 +261,7 @@ class Function:
         self._emit("}")
 
     def _do_For(self, node: ast.For) -> None:
-        over = _inside(node.iter)
+        over = inside(node.iter)
         static = over is not node.iter
         targets = node.target.elts if isinstance(node.target, ast.Tuple) else [node.target]
         names = [t.id for t in targets if isinstance(t, ast.Name)]
@@ -314,7 +289,7 @@ class Function:
                 first, end = ("0", bounds[0]) if len(bounds) == 1 else (self._of(bounds[0]), bounds[1])
                 if len(bounds) > 2:
                     self._fail(node, "counts in steps", "Loop over range(first, end).")
-                i, last = _cpp(name), f"{name}_end"
+                i, last = cpp_name(name), f"{name}_end"
                 bounded = f"int {i} = {first}, {last} = {self._of(end)}; {i} < {last}; ++{i}"
                 self._emit(f"{'THINSHELL_UNROLL ' if static else ''}for ({bounded}) {{")
                 self._scopes[-1].add(name)
@@ -324,170 +299,6 @@ class Function:
             for _ in names:
                 self._indent -= 2
                 self._emit("}")
-
-    # ---- expressions
-
-    def _constant(self, node: ast.expr) -> Any:
-        """Value of an expression of constants, or None."""
-        inner = _inside(node)
-        if any(isinstance(n, ast.Name) and n.id in self._locals and n.id not in self._static for n in ast.walk(inner)):
-            return None
-        try:
-            return self.library.evaluate(self.source, inner, self._static)
-        except ValueError:
-            return None
-
-    def _list(self, nodes: Iterable[ast.expr]) -> str:
-        return ", ".join(self._of(n) for n in nodes)
-
-    def _of(self, node: ast.expr, binding: int = 0) -> str:
-        """An expression; in parentheses if it binds less than ``binding``."""
-        if isinstance(node, ast.Name | ast.Attribute | ast.Subscript) and isinstance(node.ctx, ast.Load):
-            value = self._constant(node)
-            if isinstance(value, bool | int | float) and math.isfinite(value):
-                return _number(value)
-        handle = getattr(self, f"_of_{type(node).__name__}", None)
-        if handle is None:
-            self._fail(
-                node, f"has the expression '{ast.unparse(node)}'", "Write it with numbers, vectors and matrices."
-            )
-        text, bound = handle(node)
-        return text if bound >= binding else f"({text})"
-
-    def _of_Constant(self, node: ast.Constant) -> tuple[str, int]:
-        if not isinstance(node.value, bool | int | float) or not math.isfinite(node.value):
-            self._fail(node, f"has the constant {node.value!r}", "Laws have numbers only.")
-        return _number(node.value), 9
-
-    def _of_Name(self, node: ast.Name) -> tuple[str, int]:
-        if not self._known(node.id):
-            if node.id in self._locals:
-                self._fail(node, f"uses '{node.id}' outside of the block that assigns it first", "Assign it before.")
-            self._fail(
-                node, f"uses '{node.id}', which its module does not define as a number", "Pass it as an argument."
-            )
-        return _cpp(node.id), 9
-
-    def _of_Attribute(self, node: ast.Attribute) -> tuple[str, int]:
-        if node.attr != "shape":
-            self._fail(node, f"uses '{ast.unparse(node)}'", "Laws know x.shape[k], x[i] and the methods of vectors.")
-        return f"{self._of(node.value, 9)}.shape", 9
-
-    def _of_Subscript(self, node: ast.Subscript) -> tuple[str, int]:
-        at = node.slice
-        if any(isinstance(n, ast.Slice) for n in ast.walk(at)):
-            self._fail(node, f"takes the slice '{ast.unparse(node)}'", "Write a loop over its entries.")
-        value = self._of(node.value, 9)
-        return (f"{value}({self._list(at.elts)})" if isinstance(at, ast.Tuple) else f"{value}[{self._of(at)}]"), 9
-
-    def _of_UnaryOp(self, node: ast.UnaryOp) -> tuple[str, int]:
-        sign = "!" if isinstance(node.op, ast.Not) else "-" if isinstance(node.op, ast.USub) else "+"
-        return f"{sign}{self._of(node.operand, 8)}", 7
-
-    def _of_BinOp(self, node: ast.BinOp) -> tuple[str, int]:
-        kind = type(node.op)
-        if kind is ast.Pow and isinstance(power := self._constant(node.right), int):
-            return f"power<{power}>({self._of(node.left)})", 9
-        real = any(isinstance(n, ast.Constant) and isinstance(n.value, float) for n in (node.left, node.right))
-        if kind in CALLED and not (kind is ast.Div and real):
-            return f"{CALLED[kind]}({self._of(node.left)}, {self._of(node.right)})", 9
-        if kind not in OPERATORS:
-            self._fail(node, f"has the operator of '{ast.unparse(node)}'", "Use + - * / // % ** @.")
-        sign, bound = OPERATORS[kind]
-        return f"{self._of(node.left, bound)} {sign} {self._of(node.right, bound + 1)}", bound
-
-    def _of_BoolOp(self, node: ast.BoolOp) -> tuple[str, int]:
-        sign, bound = OPERATORS[type(node.op)]
-        return f" {sign} ".join(self._of(v, bound + 1) for v in node.values), bound
-
-    def _of_Compare(self, node: ast.Compare) -> tuple[str, int]:
-        values, parts = [node.left, *node.comparators], []
-        for a, op, b in zip(values, node.ops, values[1:], strict=False):
-            if type(op) not in OPERATORS:
-                self._fail(node, f"compares by '{ast.unparse(node)}'", "Use == != < <= > >=.")
-            parts.append(f"{self._of(a, 5)} {OPERATORS[type(op)][0]} {self._of(b, 5)}")
-        return " && ".join(parts), 4 if len(parts) == 1 else 2
-
-    def _of_IfExp(self, node: ast.IfExp) -> tuple[str, int]:
-        return f"select({self._list([node.test, node.body, node.orelse])})", 9
-
-    # ---- calls
-
-    def _callee(self, node: ast.Call) -> Function | None:
-        """The law that is called, or None."""
-        if not isinstance(node.func, ast.Name) or node.func.id in self._locals:
-            return None
-        found = self.library.find(self.source, node.func.id)
-        return (
-            self.library.need(found[0], found[0].functions[found[1]])
-            if found and found[1] in found[0].functions
-            else None
-        )
-
-    def _shape(self, node: ast.Call) -> tuple[str, int, int] | None:
-        """Least type of the entries, rows and columns of a matrix type that is called."""
-        found = self.library.expression(self.source, node.func.id) if isinstance(node.func, ast.Name) else None
-        made = found[1] if found else None
-        if not isinstance(made, ast.Call) or ast.unparse(made.func) not in ("ti.types.vector", "ti.types.matrix"):
-            return None
-        sizes = [int(ast.literal_eval(a)) for a in made.args[:-1]]
-        return "R" if "f" in ast.unparse(made.args[-1]) else "int", sizes[0], sizes[1] if len(sizes) > 1 else 1
-
-    def _of_Call(self, node: ast.Call) -> tuple[str, int]:
-        name = ast.unparse(node.func)
-        if node.keywords:
-            self._fail(node, f"names arguments of {name}", "Give arguments by position.")
-        if callee := self._callee(node):
-            if len(node.args) != len(callee.parameters):
-                self._fail(
-                    node, f"calls {name} with {len(node.args)} of {len(callee.parameters)} arguments", "Give all."
-                )
-            return f"laws::{callee.source.space}::{callee.name}({self._list(node.args)})", 9
-        if shape := self._shape(node):
-            return self._matrix(node.args, *shape)
-        short = re.sub(r"^(ti|math)\.", "", name)
-        if short in SCALAR and (short != name or short in ("abs", "min", "max", "pow")):
-            return f"{short}({self._list(node.args)})", 9
-        if short == "static":
-            return self._of(_inside(node)), 0
-        if short in ("cast", "i32", "f64", "int", "float"):
-            real = ast.unparse(node.args[1])[3:] == "f64" if short == "cast" else short in ("f64", "float")
-            return f"{'to_real<S>' if real else 'to_int'}({self._of(node.args[0])})", 9
-        if short in ("Vector", "Matrix") and isinstance(node.args[0], ast.List):
-            rows = node.args[0].elts
-            flat = [e for r in rows for e in r.elts] if isinstance(rows[0], ast.List) else rows  # type: ignore[attr-defined]
-            return self._matrix(flat, "int", len(rows), len(flat) // len(rows))
-        if short in ("Matrix.zero", "Vector.zero", "Matrix.identity"):
-            kind = "S" if ast.unparse(node.args[0]) == "ti.f64" else "int"
-            sizes = ", ".join(str(self._constant(a)) for a in node.args[1:])
-            return (f"identity<{kind}, {sizes}>()" if short == "Matrix.identity" else f"Mat<{kind}, {sizes}>{{}}"), 9
-        if short == "Matrix.cols" and isinstance(node.args[0], ast.List):
-            return f"columns({self._list(node.args[0].elts)})", 9
-        if isinstance(node.func, ast.Attribute) and node.func.attr in METHODS and not name.startswith("ti."):
-            return f"{self._of(node.func.value, 9)}.{node.func.attr}({self._list(node.args)})", 9
-        known = ", ".join(sorted(SCALAR))
-        self._fail(node, f"calls {name}", f"Laws call each other, methods of vectors, and {known}.")
-
-    def _matrix(self, entries: Sequence[ast.expr], kind: str, rows: int, columns: int) -> tuple[str, int]:
-        flat = [e for r in entries for e in (r.elts if isinstance(r, ast.List) else [r])]
-        return f"matrix_of<{kind}, {rows}, {columns}>({self._list(flat)})", 9
-
-
-def _cpp(name: str) -> str:
-    return f"{name}_" if name in RESERVED else name
-
-
-def _number(value: bool | int | float) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return f"R({value!r})" if isinstance(value, float) else str(value) if value >= 0 else f"({value})"
-
-
-def _inside(node: ast.expr) -> ast.expr:
-    """What stands in ``ti.static``, or the expression itself."""
-    if not (isinstance(node, ast.Call) and ast.unparse(node.func) == "ti.static"):
-        return node
-    return node.args[0] if len(node.args) == 1 else ast.Tuple(node.args, ast.Load())
 
 
 def _ranges(node: ast.expr, count: int) -> list[list[ast.expr]] | None:

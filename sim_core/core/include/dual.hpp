@@ -90,20 +90,22 @@ template <class T, int N> THINSHELL_FN T value(const Dual2<T, N> &x) { return x.
   THINSHELL_FN bool operator OP(U a, const D<T, N> &b) { return T(a) OP b.v; }
 
 // An operator of two dual numbers, and of one and a plain number c, which has no derivative.
-#define THINSHELL_DUAL_OPERATOR(D, OP, F, G, FA, FB, FAA, FAB, FBB, WITH_RIGHT, WITH_LEFT)                                 \
+#define THINSHELL_DUAL_OPERATOR(D, OP, F, G, FA, FB, FAA, FAB, FBB, WITH_RIGHT, WITH_LEFT)                              \
   template <class T, int N> THINSHELL_FN D<T, N> operator OP(const D<T, N> &a, const D<T, N> &b) {                      \
-    const T x = a.v, y = b.v, f = F, g = G;                                                                             \
+    [[maybe_unused]] const T x = a.v, y = b.v, f = F, g = G;                                                            \
     return chain(a, b, f, T(FA), T(FB), T(FAA), T(FAB), T(FBB));                                                        \
   }                                                                                                                     \
   template <class T, int N, class U, class = typename EnableIf<is_number<U>>::type>                                     \
-  THINSHELL_FN D<T, N> operator OP(const D<T, N> &a, U c) { const T x = a.v, y = T(c), f = F, g = G; return WITH_RIGHT; } \
+  THINSHELL_FN D<T, N> operator OP(const D<T, N> &a, U c) {                                                             \
+    [[maybe_unused]] const T x = a.v, y = T(c), f = F, g = G; return WITH_RIGHT; }                                      \
   template <class T, int N, class U, class = typename EnableIf<is_number<U>>::type>                                     \
-  THINSHELL_FN D<T, N> operator OP(U c, const D<T, N> &b) { const T x = T(c), y = b.v, f = F, g = G; return WITH_LEFT; } \
+  THINSHELL_FN D<T, N> operator OP(U c, const D<T, N> &b) {                                                             \
+    [[maybe_unused]] const T x = T(c), y = b.v, f = F, g = G; return WITH_LEFT; }                                       \
   template <class T, int N, class U> THINSHELL_FN D<T, N> &operator OP##=(D<T, N> &a, const U &b) { return a = a OP b; }
 
 #define THINSHELL_DUAL_FUNCTION(D, NAME, F, F1, F2)                                                                     \
   template <class T, int N> THINSHELL_FN D<T, N> NAME(const D<T, N> &a) {                                               \
-    const T x = a.v, f = F, g = F1;                                                                                     \
+    [[maybe_unused]] const T x = a.v, f = F, g = F1;                                                                    \
     return chain(a, f, g, T(F2));                                                                                       \
   }
 

@@ -29,7 +29,7 @@ template <class T> struct Bare { using type = T; };
 template <class T> struct Bare<T &> : Bare<T> {};
 template <class T> struct Bare<T &&> : Bare<T> {};
 template <class T> struct Bare<const T> : Bare<T> {};
-template <class T> T &&value_of_type() noexcept;
+template <class T> THINSHELL_FN T &&value_of_type() noexcept;
 
 template <class T> constexpr bool is_integer =
     Same<T, int>::value || Same<T, bool>::value || Same<T, long>::value || Same<T, long long>::value ||
