@@ -25,19 +25,19 @@ class StrainBeyondLaw(UserWarning):
     """A sheet is strained beyond the range of its membrane law."""
 
 
-def check_strains(scene: Scene, time: float) -> None:
+def check_strains(scene: Scene, time: float, x: np.ndarray | None = None) -> None:
     """Warn, once a sheet and scene, where a sheet is strained beyond the range of its law at a ``time`` [s] since the
-    start, at the positions that the scene's system holds."""
+    start, at positions ``x`` [m] ``(n, 3)``, by default those that the scene's system holds."""
     for name, body in scene.bodies.items():
         if name in scene.strained:
             continue
         for term in body.terms:
             if isinstance(term, Membrane) and not isinstance(term, RubberMembrane):
-                _check(scene, name, term, time)
+                _check(scene, name, term, time, scene.system.x if x is None else x)
 
 
-def _check(scene: Scene, name: str, term: Membrane, time: float) -> None:
-    strain = term.strains_at(scene.system.x)
+def _check(scene: Scene, name: str, term: Membrane, time: float, x: np.ndarray) -> None:
+    strain = term.strains_at(x)
     mean, half = 0.5 * (strain[:, 0] + strain[:, 1]), 0.5 * (strain[:, 0] - strain[:, 1])
     radius = np.hypot(half, 0.5 * strain[:, 2])
     high, low = (np.sqrt(np.maximum(1.0 + 2.0 * (mean + sign * radius), 0.0)) - 1.0 for sign in (1.0, -1.0))
