@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,7 +22,7 @@ from sim_core.errors import ConvergenceError
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.carriage import start_state
 from sim_core.scene.scene import Frame, Scene
-from sim_core.scene.strain_range import check_strains
+from sim_core.scene.strain_range import check_strains_at
 from sim_core.sensing.instants import Instants, InstantsAlong, bearing_nodes, read_all
 from sim_core.sensing.observe import Observer, frame_of
 from sim_core.simulation import FOREVER_S, SETTLED_AFTER_S, NodePath, Trace, interpolate
@@ -34,8 +33,8 @@ from sim_core.solve.step import State, advance
 STATE = ("x", "v", "x_past", "v_past", "anchor", "load", "speed", "rotation", "d_x", "d_v", "d_rotation")
 """Arrays of a state, in the order of ``thinshell_state``."""
 
-CHUNK_BYTES = 32_000_000
-"""Memory of what a call returns, up to which it makes several steps."""
+CHUNK_BYTES = 3_000_000
+"""Memory of what a call returns, up to which it makes several steps; readings are made of it within the cache."""
 
 
 @dataclass
@@ -224,7 +223,7 @@ class CoreRollout:
                 None if moves is None else np.ascontiguousarray(moves[done - 1 : done - 1 + ask]),
                 inertia,
             )
-            self.reports += [self._report(c) for c in counts[:made]]
+            self.reports += self._reports(counts[:made])
             self.counts = np.concatenate([self.counts, counts[:made]])
             if made:
                 yield self._chunk(slice(done, done + made))
@@ -316,19 +315,12 @@ class CoreRollout:
         since = float(self._library.thinshell_past(self._handle))
         return State(t, x, v, internals, Past(x_past, v_past, since) if since else None)
 
-    def _report(self, counts: Any) -> StepReport:
-        tightest = int(counts["tightest"])
-        return StepReport(
-            Result.CONVERGED,
-            int(counts["iterations"]),
-            int(counts["factorisations"]),
-            int(counts["tries"]),
-            float(counts["residual"]),
-            float(counts["update"]),
-            int(counts["contacts"]),
-            float(counts["gap"]),
-            self.contacts[tightest].name if tightest >= 0 and self.contacts else "",
-        )
+    def _reports(self, counts: np.ndarray) -> list[StepReport]:
+        names = [term.name for term in self.contacts] + [""]  # the last one where no contact is the tightest
+        return [
+            StepReport(Result.CONVERGED, iterations, factorisations, tries, residual, update, contacts, gap, names[at])
+            for iterations, factorisations, tries, _, contacts, at, residual, update, gap in counts.tolist()
+        ]
 
     # What steps came to
 
@@ -382,11 +374,12 @@ def simulate_compiled(
 
 def tell(scene: Scene, rollout: CoreRollout, chunk: Chunk, on_step: Callable[[int, int], None] | None) -> None:
     """Warn of strains, and report progress."""
-    for k in range(*chunk.steps.indices(len(rollout.times))):
-        if k:
-            check_strains(scene, float(rollout.times[k] - rollout.times[0]), chunk.at.x[k - chunk.steps.start])
-            if on_step is not None:
-                on_step(k, len(rollout.times) - 1)
+    if chunk.steps.start == 0:
+        return
+    check_strains_at(scene, rollout.times[chunk.steps] - rollout.times[0], chunk.at.x)
+    if on_step is not None:
+        for k in range(chunk.steps.start, chunk.steps.stop):
+            on_step(k, len(rollout.times) - 1)
 
 
 def trace_of(rollout: CoreRollout, outputs: dict[str, np.ndarray], path: list[np.ndarray]) -> Trace:

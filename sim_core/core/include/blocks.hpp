@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "small.hpp"
@@ -64,15 +65,21 @@ class Blocks {
     for (int k = 0; k < 9; k += 4) block(to.at)[k] += value;
   }
 
-  // out += A x with `width` columns, innermost: (nodes, 3, width) both.
+  // Let `multiply` know which nodes matter.
+  void border(const std::vector<bool> &nodes) {
+    for (int i = 0; i < int(nodes.size()); ++i)
+      for (int k = start_[i]; k < start_[i + 1]; ++k)
+        if (nodes[i] || nodes[column_[k]]) border_.push_back({k, i});
+  }
+
+  // out += A x of moves x of the border's nodes alone, or at these alone for any x, with `width` columns, innermost:
+  // (nodes, 3, width) both.
   void multiply(const double *x, double *out, int width) const {
-    for (int i = 0; i < nodes(); ++i)
-      for (int k = start_[i]; k < start_[i + 1]; ++k) {
-        const int j = column_[k];
-        const double *b = block(k);
-        times(b, 3, 1, x + 3 * std::size_t(j) * width, out + 3 * std::size_t(i) * width, width);
-        if (i != j) times(b, 1, 3, x + 3 * std::size_t(i) * width, out + 3 * std::size_t(j) * width, width);
-      }
+    for (const auto &[k, i] : border_) {
+      const int j = column_[k];
+      times(block(k), 3, 1, x + 3 * std::size_t(j) * width, out + 3 * std::size_t(i) * width, width);
+      if (i != j) times(block(k), 1, 3, x + 3 * std::size_t(i) * width, out + 3 * std::size_t(j) * width, width);
+    }
   }
 
  private:
@@ -90,6 +97,7 @@ class Blocks {
   const int32_t *rank_;
   std::vector<std::vector<int>> partners_;
   std::vector<int> start_, column_;
+  std::vector<std::pair<int, int>> border_;  // block and its row
   std::vector<double> value_;
 };
 

@@ -84,8 +84,9 @@ Pressed<S> press(const Friction<S> &f, const Vec<S, 3> &arm, const Mat<S, 3, 3> 
   const auto [distance, n, second] =
       laws::shapes::signed_distance(Vec<S, 3>(matmul(rotation.transpose(), arm)), shape);
   (void)second;
-  Pressed<S> out;
+  Pressed<S> out{};
   out.gap = distance - law[OFFSET];
+  if (!(out.gap < law[REACH]) && !rubs(f.limit)) return out;
   out.load = area * laws::pressure_and_friction::pressure(out.gap, law);
   out.force = out.load * matmul(rotation, n);
   if (rubs(f.limit)) {
@@ -134,8 +135,15 @@ class Contacts {
   void guard(bool on) {
     for (int c = 0; c < r_.contacts; ++c) {
       laws_[8 * c + GUARD] = on;
-      laws_[8 * c + CORE] = on ? 1e-3 : 0.2;
+      laws_[8 * c + CORE] = on ? core_guarded : core_free;
     }
+  }
+
+  // Whether the guard changes the law at the gaps that were found last.
+  bool guard_matters() const {
+    bool out = false;
+    each([&](int c, int s) { out = out || gap_[s] < core_free * law(c)[RANGE]; });
+    return out;
   }
 
   // `turned`: rotations at the end of the step (contacts, 9).
@@ -301,6 +309,9 @@ class Contacts {
   }
 
  private:
+  // Share of the range below which the law is straight (sim_core/contact/pressure_and_friction.py).
+  static constexpr double core_guarded = 1e-3, core_free = 0.2;
+
   template <class F> void each(F &&f) const {
     for (int c = 0; c < r_.contacts; ++c)
       for (int s = r_.sample_start[c]; s < r_.sample_start[c + 1]; ++s) f(c, s);

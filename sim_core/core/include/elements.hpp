@@ -13,10 +13,12 @@
 //     L^T [dK/dp e + dB/dp (e - e_b) / tau - B de_b/dp / tau]
 #pragma once
 
+#include <limits>
 #include <vector>
 
 #include "blocks.hpp"
 #include "laws.hpp"
+#include "pack.hpp"
 #include "record.hpp"
 
 namespace thinshell {
@@ -252,6 +254,7 @@ class Hinges {
     moment_.assign(count_, 0.0);
     slope_.assign(12 * count_, 0.0);
     whole_.assign(r_.couplings, 0.0);
+    seen_.assign(std::size_t(3) * r_.nodes, std::numeric_limits<double>::quiet_NaN());
     turn_now_.assign(damped_ ? r_.hinges * r_.columns : 0, 0.0);
     turn_past_ = turn_now_;
     find_stencils();
@@ -286,14 +289,15 @@ class Hinges {
   }
 
   double energy(const double *x) {
+    if (!seen(x))
+      for (int first = 0; first < count_; first += Pack::size) measure_angles(x, first);
     double out = 0.0;
-    for (int e = 0; e < count_; ++e) angle_[e] = turned(x, e);
     for (int e = 0; e < count_; ++e) {
       double held = 0.0, rubbed = 0.0;
       for (int k = r_.coupling_start[e]; k < r_.coupling_start[e + 1]; ++k) {
         const int o = r_.coupling_column[k];
         held += r_.bend_stiffness[k] * angle_[o];
-        rubbed += r_.bend_damping[k] * (angle_[o] - base_[o]);
+        if (damped_) rubbed += r_.bend_damping[k] * (angle_[o] - base_[o]);
       }
       out += 0.5 * angle_[e] * held + 0.5 * (angle_[e] - base_[e]) * rubbed / rates_.tau;
     }
@@ -402,13 +406,40 @@ class Hinges {
     }
   }
 
+  using Four = Vec<Pack, 3>;
+
+  // One of the nodes of four hinges; beyond the last hinge the last one again.
+  Four four(const double *x, int first, int a) const {
+    Four out;
+    for (int l = 0; l < Pack::size; ++l) {
+      const int i = node(std::min(first + l, count_ - 1), a);
+      for (int k = 0; k < 3; ++k) out[k].a[l] = x[3 * i + k];
+    }
+    return out;
+  }
+  int lanes_from(int first) const { return std::min(Pack::size, count_ - first); }
+
+  bool seen(const double *x) const { return std::equal(seen_.begin(), seen_.end(), x); }
+
+  void measure_angles(const double *x, int first) {
+    seen_[0] = std::numeric_limits<double>::quiet_NaN();  // slopes are not those of these angles
+    const Pack found = laws::dihedral::angle(four(x, first, 0), four(x, first, 1), four(x, first, 2), four(x, first, 3));
+    for (int l = 0; l < lanes_from(first); ++l) angle_[first + l] = found.a[l] - r_.rest_angle[first + l];
+  }
+
   // Angles, their slopes and the moments on the hinges.
   void measure(const double *x) {
-    for (int e = 0; e < count_; ++e) {
-      const Vec3 p = at(x, e, 0), q = at(x, e, 1), u = at(x, e, 2), v = at(x, e, 3);
-      angle_[e] = laws::dihedral::angle(p, q, u, v) - r_.rest_angle[e];
-      const auto g = laws::dihedral::angle_gradient(p, q, u, v);
-      for (int k = 0; k < 12; ++k) slope_[12 * e + k] = g[k];
+    if (!seen(x)) {
+      for (int first = 0; first < count_; first += Pack::size) {
+        const Four p = four(x, first, 0), q = four(x, first, 1), u = four(x, first, 2), v = four(x, first, 3);
+        const Pack found = laws::dihedral::angle(p, q, u, v);
+        const auto g = laws::dihedral::angle_gradient(p, q, u, v);
+        for (int l = 0; l < lanes_from(first); ++l) {
+          angle_[first + l] = found.a[l] - r_.rest_angle[first + l];
+          for (int k = 0; k < 12; ++k) slope_[12 * (first + l) + k] = g[k].a[l];
+        }
+      }
+      std::copy(x, x + seen_.size(), seen_.begin());
     }
     for (int e = 0; e < count_; ++e) {
       double total = 0.0;
@@ -423,22 +454,31 @@ class Hinges {
 
   // Moments times the second derivatives of the angles, side by side (sim_core/energies/dihedral.py).
   void add_curved(const double *x, Blocks &h) const {
-    const Slot *slot = outer_.data();
-    for (int e = 0; e < count_; ++e)
+    for (int first = 0; first < count_; first += Pack::size) {
+      Pack moment(0.0);
+      for (int l = 0; l < lanes_from(first); ++l) moment.a[l] = moment_[first + l];
       for (int side = 0; side < 2; ++side) {
-        const auto [n, along, up, dc, dphi] =
-            laws::dihedral::side_curvature(at(x, e, 0), at(x, e, 1), at(x, e, 2 + side), side ? -1.0 : 1.0);
+        const auto [n, along, up, dc, dphi] = laws::dihedral::side_curvature(
+            four(x, first, 0), four(x, first, 1), four(x, first, 2 + side), Pack(side ? -1.0 : 1.0));
+        int pair = 0;
         for (int i = 0; i < 3; ++i)
-          for (int j = i; j < 3; ++j, ++slot) {
-            const Vec3 left = moment_[e] * (dc(i, 2 * j) * along + dc(i, 2 * j + 1) * up);
-            const Vec3 right = moment_[e] * dphi(i, 2) * (dphi(j, 0) * along + dphi(j, 1) * up);
-            Mat3 block;
+          for (int j = i; j < 3; ++j, ++pair) {
+            const Four left = moment * (dc(i, 2 * j) * along + dc(i, 2 * j + 1) * up);
+            const Four right = (moment * dphi(i, 2)) * (dphi(j, 0) * along + dphi(j, 1) * up);
+            Mat<Pack, 3, 3> block;
             for (int a = 0; a < 3; ++a)
               for (int b = 0; b < 3; ++b) block(a, b) = n[a] * left[b] - right[a] * n[b];
             if (i == j) block = 0.5 * (block + block.transpose());
-            h.add(*slot, block);
+            for (int l = 0; l < lanes_from(first); ++l) {
+              const Slot slot = outer_[12 * (first + l) + 6 * side + pair];
+              double *to = h.block(slot.at);
+              const int down = slot.turned ? 1 : 3, right_by = slot.turned ? 3 : 1;
+              for (int a = 0; a < 3; ++a)
+                for (int b = 0; b < 3; ++b) to[down * a + right_by * b] += block(a, b).a[l];
+            }
           }
       }
+    }
   }
 
   void measure_slopes(const double *x, const double *dx) {
@@ -458,7 +498,7 @@ class Hinges {
   int count_;
   bool damped_ = false;
   Rates rates_{1.0, 0.0, 1.0};
-  std::vector<double> angle_, base_, moment_, slope_, whole_, row_, turn_now_, turn_past_;
+  std::vector<double> angle_, base_, moment_, slope_, whole_, row_, seen_, turn_now_, turn_past_;
   std::vector<int> first_, stencil_, place_, inner_;
   std::vector<Slot> outer_;
 };

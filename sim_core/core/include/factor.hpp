@@ -49,15 +49,12 @@ class Envelope {
         if (definite ? !(pivot > 0.0) : !(std::abs(pivot) > 0.0)) return false;
         inverse_[i] = 1.0 / pivot;
       }
-      for (int k = j + group; k <= last; ++k) {
-        double *below = &value_[start_[k]] - k;
-        if (group == 3) {
-          const double a = row[0][k] * inverse_[j], b = row[1][k] * inverse_[j + 1], c = row[2][k] * inverse_[j + 2];
-          subtract(below, row[0], row[1], row[2], a, b, c, k, last);
-        } else {
-          for (int g = 0; g < group; ++g) subtract(below, row[g], row[g][k] * inverse_[j + g], k, last);
-        }
-      }
+      int k = j + group;
+      if (group == 3)
+        for (; k + 2 <= last; k += 3) subtract_three(row, &inverse_[j], k, last);
+      for (; k <= last; ++k)
+        for (int g = 0; g < group; ++g)
+          subtract(&value_[start_[k]] - k, row[g], row[g][k] * inverse_[j + g], k, last);
       j += group;
     }
     return true;
@@ -66,9 +63,7 @@ class Envelope {
   // Solve in place for one right-hand side.
   void solve(double *b) const {
     for (int j = 0; j < count_; ++j) {
-      const double f = b[j] * inverse_[j];
-      const double *row = &value_[start_[j]] - j;
-      for (int k = j + 1; k <= last_[j]; ++k) b[k] -= f * row[k];
+      subtract(b, &value_[start_[j]] - j, b[j] * inverse_[j], j + 1, last_[j]);
     }
     for (int j = count_ - 1; j >= 0; --j) {
       const double *row = &value_[start_[j]] - j;
@@ -84,17 +79,14 @@ class Envelope {
     for (int j = 0; j < count_; ++j) {
       const double *row = &value_[start_[j]] - j, *from = b + std::size_t(j) * width;
       for (int k = j + 1; k <= last_[j]; ++k) {
-        const double f = row[k] * inverse_[j];
-        double *to = b + std::size_t(k) * width;
-        for (int p = 0; p < width; ++p) to[p] -= f * from[p];
+        subtract(b + std::size_t(k) * width, from, row[k] * inverse_[j], 0, width - 1);
       }
     }
     for (int j = count_ - 1; j >= 0; --j) {
       const double *row = &value_[start_[j]] - j;
       double *to = b + std::size_t(j) * width;
       for (int k = j + 1; k <= last_[j]; ++k) {
-        const double *from = b + std::size_t(k) * width;
-        for (int p = 0; p < width; ++p) to[p] -= row[k] * from[p];
+        subtract(to, b + std::size_t(k) * width, row[k], 0, width - 1);
       }
       for (int p = 0; p < width; ++p) to[p] *= inverse_[j];
     }
@@ -104,9 +96,26 @@ class Envelope {
   static void subtract(double *__restrict to, const double *__restrict row, double factor, int begin, int last) {
     for (int m = begin; m <= last; ++m) to[m] -= factor * row[m];
   }
-  static void subtract(double *__restrict to, const double *__restrict p, const double *__restrict q,
-                       const double *__restrict r, double a, double b, double c, int begin, int last) {
-    for (int m = begin; m <= last; ++m) to[m] -= a * p[m] + b * q[m] + c * r[m];
+  // What three rows, with the inverses of their pivots, take from three others.
+  void subtract_three(double *const *row, const double *inverse, int k, int last) {
+    double f[3][3];
+    for (int g = 0; g < 3; ++g)
+      for (int i = 0; i < 3; ++i) f[i][g] = row[g][k + i] * inverse[g];
+    double *const to[3] = {&value_[start_[k]] - k, &value_[start_[k + 1]] - k - 1, &value_[start_[k + 2]] - k - 2};
+    for (int i = 0; i < 2; ++i)
+      for (int m = k + i; m < k + 2; ++m)
+        to[i][m] -= f[i][0] * row[0][m] + f[i][1] * row[1][m] + f[i][2] * row[2][m];
+    multiply_three(to[0], to[1], to[2], row[0], row[1], row[2], f, k + 2, last);
+  }
+  static void multiply_three(double *__restrict x, double *__restrict y, double *__restrict z,
+                             const double *__restrict p, const double *__restrict q, const double *__restrict r,
+                             const double (&f)[3][3], int begin, int last) {
+    for (int m = begin; m <= last; ++m) {
+      const double a = p[m], b = q[m], c = r[m];
+      x[m] -= f[0][0] * a + f[0][1] * b + f[0][2] * c;
+      y[m] -= f[1][0] * a + f[1][1] * b + f[1][2] * c;
+      z[m] -= f[2][0] * a + f[2][1] * b + f[2][2] * c;
+    }
   }
 
   int count_ = 0;

@@ -64,6 +64,9 @@ class System {
         mass_slot_.push_back(slot.turned ? -1 : slot.at);
       }
     lay_out_factor();
+    std::vector<bool> held(r_.nodes, false);
+    for (std::size_t k = 0; k < whole_; ++k) held[k / 3] = held[k / 3] || r_.prescribed[k];
+    hessian.border(held);
     load_ = largest(r_.external, whole_);
   }
 
@@ -172,13 +175,18 @@ class System {
 
   bool factorise(bool definite, double shift = 0.0) {
     factor.clear();
-    for (const Entry &e : entries_) factor[e.to] = hessian.block(e.block)[e.of];
+    for (const Whole &w : wholes_) {
+      const double *from = hessian.block(w.block);
+      for (int q = 0; q < 3; ++q)
+        for (int p = 0; p < 3; ++p) factor[w.to[q] + p] = from[3 * p + q];
+    }
+    for (const Entry &e : entries_) factor[e.to] = entry(e);
     if (shift != 0.0)
       for (int k = 0; k < count(); ++k) factor[factor.place(k, k)] += shift;
     return factor.factorise(definite);
   }
 
-  // H dx of moves of all nodes, over the unknowns.
+  // H dx of moves of what is prescribed, over the unknowns.
   std::vector<double> follow(const std::vector<double> &move) const {
     std::vector<double> out(whole_, 0.0);
     hessian.multiply(move.data(), out.data(), 1);
@@ -195,6 +203,11 @@ class System {
   struct Entry {
     int block, of;
     std::size_t to;
+  };
+  // A block off the diagonal, all components of whose nodes are unknown: where its columns go.
+  struct Whole {
+    int block;
+    std::size_t to[3];
   };
 
   double entry(const Entry &e) const { return hessian.block(e.block)[e.of]; }
@@ -218,10 +231,18 @@ class System {
     };
     each([&](int, int, int row, int column) { last[column] = std::max(last[column], row); });
     factor.lay_out(last);
+    std::vector<std::vector<Entry>> of_block;
     each([&](int b, int of, int row, int column) {
-      entries_.push_back({b, of, factor.place(column, row)});
-      if (row == column) diagonal_.push_back(entries_.back());
+      if (of_block.empty() || of_block.back().front().block != b) of_block.emplace_back();
+      of_block.back().push_back({b, of, factor.place(column, row)});
+      if (row == column) diagonal_.push_back(of_block.back().back());
     });
+    for (const auto &found : of_block) {
+      if (found.size() == 9)  // of the first row, p = 0, where each of the columns begins
+        wholes_.push_back({found[0].block, {found[0].to, found[1].to, found[2].to}});
+      else
+        entries_.insert(entries_.end(), found.begin(), found.end());
+    }
   }
 
   const Record &r_;
@@ -231,6 +252,7 @@ class System {
   std::vector<double> touch_, predicted_, base_;
   std::vector<int> number_, mass_slot_;
   std::vector<Entry> entries_, diagonal_;
+  std::vector<Whole> wholes_;
 
  public:
   Triangles triangles;
