@@ -11,8 +11,9 @@ from sim_core.energies.membrane import Membrane
 from sim_core.permanent_state import PermanentState
 from sim_core.scene.scene import Scene
 
-WIDEST = 120
-"""Width of the factor's rows up to which an envelope is the faster factor: its flops grow with the square of that."""
+WIDEST = 160
+"""Width of the factor's rows up to which the core is the faster path: the flops of its envelope grow with the square of
+that. At 125 entries it was 2.1 times as fast as the other path, at 177 1.1 times (docs/design/compiled_core.md)."""
 
 
 def covers(scene: Scene, *, keep_states: bool = False, left: PermanentState | None = None) -> str | None:
