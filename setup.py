@@ -5,9 +5,12 @@ file without pyproject.toml beside it, and because colcon cannot read a package 
 gives ``requires-python``.
 """
 
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
+from setuptools.command.build_py import build_py
+from setuptools.command.develop import develop
 
 ROOT = Path(__file__).resolve().parent
 SHARE = Path("share/thinshell_ros")
@@ -24,8 +27,40 @@ def share_files() -> list[tuple[str, list[str]]]:
     return [(folder.as_posix(), files) for folder, files in folders.items()]
 
 
+def compile_core(into: Path) -> None:
+    """Compile the core of sim_core to ``into``. Without a compiler the package works all the same, slower, and compiles
+    it at first use where there is one by then."""
+    sys.path.insert(0, str(ROOT))
+    try:
+        from sim_core.core.build import find_or_build
+
+        print(f"compiled core: {find_or_build((into,))}")
+    except OSError as error:
+        print(f"The compiled core was not built: {error}.", file=sys.stderr)
+    finally:
+        sys.path.remove(str(ROOT))
+
+
+class BuildWithCore(build_py):
+    """Builds the modules, and the compiled core beside them (in place where the package is installed for editing)."""
+
+    def run(self) -> None:
+        super().run()
+        base = ROOT if self.editable_mode else Path(self.build_lib)
+        compile_core(base / "sim_core" / "core" / "built")
+
+
+class DevelopWithCore(develop):
+    """Installs for editing the way colcon does with --symlink-install."""
+
+    def run(self) -> None:
+        super().run()
+        compile_core(ROOT / "sim_core" / "core" / "built")
+
+
 setup(
     name="thinshell_ros",
+    cmdclass={"build_py": BuildWithCore, "develop": DevelopWithCore},
     version="0.1.0",
     python_requires=">=3.10,<3.14",
     packages=find_packages(str(ROOT), include=["sim_core*", "sysid*", "thinshell_ros*"]),

@@ -61,6 +61,11 @@ class AddedLaws:
             self._values[key] = {p.name: parameters[f"{key}.{p.name}"] for p in effect.parameters}
 
     @property
+    def amended(self) -> bool:
+        """Whether there is any law."""
+        return bool(self._normal or self._friction)
+
+    @property
     def presses(self) -> bool:
         """Whether any law adds pressure."""
         return bool(self._normal)

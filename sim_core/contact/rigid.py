@@ -290,6 +290,26 @@ class RigidContact:
         self._free = BoundKernel(_free_way, self._y, self._dy, self._shape, self._c, self._keep, self._way)
 
     @property
+    def rotation_target(self) -> np.ndarray:
+        """Rotation of the body at the end of the step, as its driver wrote it ``(3, 3)``."""
+        return np.array(self._target)
+
+    @property
+    def law(self) -> np.ndarray:
+        """Numbers of the law, as :mod:`sim_core.contact.pressure_and_friction` lays them out ``(8,)``."""
+        return self._c
+
+    @property
+    def shape(self) -> np.ndarray:
+        """Shape of the body (:mod:`sim_core.contact.shapes`) ``(5,)``."""
+        return self._shape
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Areas of the samples [m^2] ``(n,)``."""
+        return self._areas
+
+    @property
     def offset(self) -> float:
         """Distance [m] at which there is no gap."""
         return float(self._c[OFFSET])

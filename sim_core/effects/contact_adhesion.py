@@ -14,13 +14,16 @@ where it is short (JKR; Maugis, J. Colloid Interface Sci. 150, 1992).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import numpy as np
-
+from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import Normal, NormalLaw
+from sim_core.effects.hooks import NormalLaw
 from sim_core.rigs import Rig
+
+
+def cohesion(gap: float, work_j_m2: float, range_m: float) -> float:
+    """psi(g) [J/m^2]."""
+    s = min(1.0, max(0.0, gap / range_m))
+    return -work_j_m2 * (1.0 - s) ** 2 * (1.0 + 2.0 * s)
 
 
 class ContactAdhesion(NormalLaw):
@@ -44,23 +47,10 @@ class ContactAdhesion(NormalLaw):
         EffectParameter("range_m", "m", 1e-6, 1e-2, (1e-4,), None, True, 1.0, "distance over which surfaces attract"),
     )
     example = {"work_j_m2": 0.5, "range_m": 0.0002}
+    energy = Law(cohesion)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(c.name for c in rig.contacts)
 
     def reach(self, values: Values) -> float:
         return values["range_m"] if values["work_j_m2"] > 0.0 else 0.0
-
-    def normal(self, gap: np.ndarray, values: Values) -> Normal:
-        work, span = values["work_j_m2"], values["range_m"]
-        s = np.clip(gap / span, 0.0, 1.0)
-        inside = (gap > 0.0) & (gap < span)
-        energy = -work * (1.0 - s) ** 2 * (1.0 + 2.0 * s)
-        slope = np.where(inside, 6.0 * work / span**2 * (1.0 - 2.0 * s), 0.0)
-        return Normal(energy, -6.0 * work / span * s * (1.0 - s), slope)
-
-    def normal_by(self, gap: np.ndarray, values: Values) -> Mapping[str, np.ndarray]:
-        work, span = values["work_j_m2"], values["range_m"]
-        s = np.clip(gap / span, 0.0, 1.0)
-        by_range = np.where((gap > 0.0) & (gap < span), 6.0 * work / span**2 * s * (2.0 - 3.0 * s), 0.0)
-        return {"work_j_m2": -6.0 / span * s * (1.0 - s), "range_m": by_range}

@@ -8,13 +8,16 @@ place of the inverse square one of finite range, next to it over d = 3 d_0."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import numpy as np
-
+from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import Normal, NormalLaw
+from sim_core.effects.hooks import NormalLaw
 from sim_core.rigs import Rig
+
+
+def attraction(gap: float, pressure_pa: float, range_m: float) -> float:
+    """psi(g) [J/m^2]."""
+    left = min(1.0, max(0.0, 1.0 - gap / range_m))
+    return -pressure_pa * range_m / 3.0 * left**3 + pressure_pa * min(gap, 0.0)
 
 
 class ElectrostaticAttraction(NormalLaw):
@@ -36,21 +39,10 @@ class ElectrostaticAttraction(NormalLaw):
         EffectParameter("range_m", "m", 1e-5, 5e-2, (1e-3,), None, True, 1.0, "distance from which on there is none"),
     )
     example = {"pressure_pa": 60.0, "range_m": 0.001}
+    energy = Law(attraction)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(c.name for c in rig.contacts)
 
     def reach(self, values: Values) -> float:
         return values["range_m"] if values["pressure_pa"] > 0.0 else 0.0
-
-    def normal(self, gap: np.ndarray, values: Values) -> Normal:
-        most, span = values["pressure_pa"], values["range_m"]
-        left = np.clip(1.0 - gap / span, 0.0, 1.0)
-        energy = -most * span / 3.0 * left**3 + most * np.minimum(gap, 0.0)
-        return Normal(energy, -most * left**2, np.where(gap > 0.0, -2.0 * most / span * left, 0.0))
-
-    def normal_by(self, gap: np.ndarray, values: Values) -> Mapping[str, np.ndarray]:
-        most, span = values["pressure_pa"], values["range_m"]
-        left = np.clip(1.0 - gap / span, 0.0, 1.0)
-        by_range = np.where(gap > 0.0, -2.0 * most * left * gap / span**2, 0.0)
-        return {"pressure_pa": -(left**2), "range_m": by_range}

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
+from sim_core.core.pointwise import Law
 from sim_core.effects.base import Effect, Values
 
 if TYPE_CHECKING:
@@ -228,6 +229,7 @@ class Normal:
 class NormalLaw(Effect):
     """Contact pressure beside that which keeps surfaces apart: attraction, a soft layer between them.
 
+    It is one formula, an energy per area; pressure, slope and all that gradients need are its derivatives.
     Friction goes with the pressure that keeps surfaces apart, not with this one, so that attraction adds to the load of
     friction as far as it presses the surfaces together (Derjaguin, Z. Phys. 88, 1934). Gaps may be negative while an
     iteration is on its way; the law must go on there smoothly.
@@ -238,17 +240,24 @@ class NormalLaw(Effect):
 
     bonds: ClassVar[bool] = False
 
+    @property
+    @abstractmethod
+    def energy(self) -> Law:
+        """Energy [J/m^2] as a function of the gap [m] and of parameters of the effect by their names."""
+
     @abstractmethod
     def reach(self, values: Values) -> float:
         """Gap [m] from which on it is zero."""
 
-    @abstractmethod
     def normal(self, gap: Array, values: Values) -> Normal:
         """Energy, pressure and slope at gaps [m] ``(n,)``."""
+        found = self.energy.at(values, gap)
+        return Normal(found.v, -found.d[0], found.second(0, 0))
 
-    @abstractmethod
     def normal_by(self, gap: Array, values: Values) -> Mapping[str, Array]:
         """Derivatives of the pressure by each parameter ``(n,)``."""
+        found = self.energy.at(values, gap)
+        return {name: -found.second(i, 0) for i, name in enumerate(self.energy.arguments) if i}
 
 
 @dataclass(frozen=True)
@@ -272,11 +281,18 @@ class FrictionFactor:
 
 
 class FrictionLaw(Effect):
-    """A factor on the coefficient of friction."""
+    """A factor on the coefficient of friction, in one formula."""
 
+    @property
     @abstractmethod
+    def factor(self) -> Law:
+        """The factor as a function of pressure [Pa], slip speed [m/s], and parameters of the effect by their names."""
+
     def friction(self, at: Sliding, values: Values) -> FrictionFactor:
         """The factor and its derivatives, at points in contact."""
+        found = self.factor.at(values, at.pressure, at.speed)
+        by = dict(zip(self.factor.arguments[2:], found.d[2:], strict=True))
+        return FrictionFactor(found.v, found.d[0], found.d[1], by)
 
 
 Memory = TypeVar("Memory")

@@ -8,11 +8,17 @@ of smooth asperities (Schallamach, Proc. Phys. Soc. B 65, 1952), and the coeffic
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import FrictionFactor, FrictionLaw, Sliding
+from sim_core.core.pointwise import Law
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import FrictionLaw
 from sim_core.rigs import Rig
+
+
+def schallamach(pressure: float, speed: float, exponent: float, pressure_pa: float) -> float:
+    """mu(p) / mu."""
+    return math.pow(1.0 + max(pressure, 0.0) / pressure_pa, -exponent)
 
 
 class PressureFriction(FrictionLaw):
@@ -33,14 +39,7 @@ class PressureFriction(FrictionLaw):
         EffectParameter("pressure_pa", "Pa", 1.0, 1e8, (1e3, 1e4), None, True, 2.0, "pressure from which on it does"),
     )
     example = {"exponent": 0.3, "pressure_pa": 1000.0}
+    factor = Law(schallamach, order=1)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(c.name for c in rig.contacts if c.friction > 0.0)
-
-    def friction(self, at: Sliding, values: Values) -> FrictionFactor:
-        power, scale = values["exponent"], values["pressure_pa"]
-        whole = 1.0 + np.maximum(at.pressure, 0.0) / scale
-        value = whole**-power
-        slope = -power * value / whole / scale
-        by = {"exponent": -np.log(whole) * value, "pressure_pa": -slope * at.pressure / scale}
-        return FrictionFactor(value, slope, np.zeros_like(value), by)

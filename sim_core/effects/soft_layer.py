@@ -8,13 +8,15 @@ u. The layer has no friction of its own."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import numpy as np
-
+from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import Normal, NormalLaw
+from sim_core.effects.hooks import NormalLaw
 from sim_core.rigs import Rig
+
+
+def layer(gap: float, pressure_pa: float, thickness_m: float) -> float:
+    """psi(g) [J/m^2]."""
+    return pressure_pa * thickness_m / 3.0 * max(0.0, 1.0 - gap / thickness_m) ** 3
 
 
 class SoftLayer(NormalLaw):
@@ -35,19 +37,10 @@ class SoftLayer(NormalLaw):
         EffectParameter("thickness_m", "m", 1e-6, 1e-2, (1e-4, 5e-4), None, True, 1.0, "thickness of the layer"),
     )
     example = {"pressure_pa": 500.0, "thickness_m": 0.0005}
+    energy = Law(layer)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(c.name for c in rig.contacts)
 
     def reach(self, values: Values) -> float:
         return values["thickness_m"] if values["pressure_pa"] > 0.0 else 0.0
-
-    def normal(self, gap: np.ndarray, values: Values) -> Normal:
-        most, span = values["pressure_pa"], values["thickness_m"]
-        left = np.maximum(1.0 - gap / span, 0.0)
-        return Normal(most * span / 3.0 * left**3, most * left**2, 2.0 * most / span * left)
-
-    def normal_by(self, gap: np.ndarray, values: Values) -> Mapping[str, np.ndarray]:
-        most, span = values["pressure_pa"], values["thickness_m"]
-        left = np.maximum(1.0 - gap / span, 0.0)
-        return {"pressure_pa": left**2, "thickness_m": 2.0 * most * left * gap / span**2}

@@ -8,14 +8,20 @@ its viscous part) and v_s fixed, since recordings hardly tell it beside a.
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import FrictionFactor, FrictionLaw, Sliding
+from sim_core.core.pointwise import Law
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import FrictionLaw
 from sim_core.rigs import Rig
 
 SLIP_SPEED_SCALE_M_S = 2e-3
 """Slip speed by which the static part has fallen to 1/e."""
+
+
+def bump(pressure: float, speed: float, excess: float) -> float:
+    """mu(v) / mu_k."""
+    return 1.0 + excess * math.exp(-((speed / SLIP_SPEED_SCALE_M_S) ** 2))
 
 
 class StaticFriction(FrictionLaw):
@@ -39,17 +45,7 @@ class StaticFriction(FrictionLaw):
         ),
     )
     example = {"excess": 0.5}
+    factor = Law(bump, order=1)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(c.name for c in rig.contacts if c.friction > 0.0)
-
-    def friction(self, at: Sliding, values: Values) -> FrictionFactor:
-        ratio = at.speed / SLIP_SPEED_SCALE_M_S
-        bump = np.exp(-(ratio**2))
-        excess = values["excess"]
-        return FrictionFactor(
-            1.0 + excess * bump,
-            np.zeros_like(bump),
-            -2.0 * excess * bump * ratio / SLIP_SPEED_SCALE_M_S,
-            {"excess": bump},
-        )

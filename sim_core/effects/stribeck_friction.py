@@ -8,11 +8,17 @@ Wit, Automatica 30, 1994, eq. 7). The viscosity is given as 1 / v_v.
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import FrictionFactor, FrictionLaw, Sliding
+from sim_core.core.pointwise import Law
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import FrictionLaw
 from sim_core.rigs import Rig
+
+
+def tustin(pressure: float, speed: float, excess: float, speed_m_s: float, viscous_s_m: float) -> float:
+    """mu(v) / mu_k."""
+    return 1.0 + excess * math.exp(-speed / speed_m_s) + viscous_s_m * speed
 
 
 class StribeckFriction(FrictionLaw):
@@ -37,13 +43,7 @@ class StribeckFriction(FrictionLaw):
         EffectParameter("viscous_s_m", "s/m", 0.0, 1e4, (1.0,), 0.0, False, 5.0, "rise with speed"),
     )  # fmt: skip
     example = {"excess": 0.4, "speed_m_s": 0.02, "viscous_s_m": 2.0}
+    factor = Law(tustin, order=1)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(c.name for c in rig.contacts if c.friction > 0.0)
-
-    def friction(self, at: Sliding, values: Values) -> FrictionFactor:
-        excess, scale, viscous = values["excess"], values["speed_m_s"], values["viscous_s_m"]
-        fade = np.exp(-at.speed / scale)
-        by = {"excess": fade, "speed_m_s": excess * fade * at.speed / scale**2, "viscous_s_m": at.speed}
-        value = 1.0 + excess * fade + viscous * at.speed
-        return FrictionFactor(value, np.zeros_like(fade), viscous - excess * fade / scale, by)

@@ -58,6 +58,11 @@ class ElementValues(ABC):
         self._more_damping[:] = beside
         self.configure(self._given)
 
+    @property
+    def damping(self) -> np.ndarray:
+        """Damping by the rate of strain of the elements, beta [s] ``(m,)``."""
+        return self._damping
+
     def _configure_grading(self, parameters: Mapping[str, float]) -> None:
         if self.grading is not None:
             self.grading.configure(parameters)

@@ -40,6 +40,11 @@ class Grading:
         """Units of its numbers by their names."""
         return {f"{key}.{p.name}": p.unit for key, effect in self._maps.items() for p in effect.parameters}
 
+    @property
+    def changes(self) -> bool:
+        """Whether the factors change in time."""
+        return any(effect.changes for effect in self._maps.values())
+
     def configure(self, parameters: Mapping[str, float]) -> None:
         """Take its numbers from those of the term."""
         self._values = {
@@ -52,7 +57,7 @@ class Grading:
         """Let it be some time [s] since the start, below zero while bodies settle before it; True where factors
         changed."""
         time = max(time, 0.0)
-        if time == self._time or not any(effect.changes for effect in self._maps.values()):
+        if time == self._time or not self.changes:
             return False
         self._time = time
         self._measure()

@@ -94,6 +94,18 @@ class MassDamping(Memoryless):
             self._strength = self._density
         self._factor = 0.0
 
+    @property
+    def matrix(self) -> sp.csr_matrix:
+        """What damps, alpha M, between the nodes of the body [kg/s] ``(k, k)``."""
+        return self._strength * self._matrix
+
+    def matrix_by(self, quantity: str) -> sp.csr_matrix:
+        """Derivative of :attr:`matrix` by ``mass_damping_per_s`` or ``density``."""
+        (mass, _), more = self._plain, self._beside
+        if quantity == "mass_damping_per_s":
+            return self._density * mass
+        return self._alpha * mass if more is None else self._alpha * mass + more[0]
+
     def blocks(self) -> np.ndarray:
         return np.column_stack(self._upper) + self._nodes.start
 
@@ -117,13 +129,9 @@ class MassDamping(Memoryless):
 
     def force_by(self, quantity: str, step: StepContext) -> np.ndarray:
         """Derivative of dE/dx ``(n, 3)`` at the end of a step by ``mass_damping_per_s`` or ``density``."""
-        (mass, _), more = self._plain, self._beside
-        speed = (self._buffers.x[self._nodes] - step.x_base[self._nodes]) / step.tau
         out = np.zeros_like(self._buffers.x)
-        if quantity == "mass_damping_per_s":
-            out[self._nodes] = self._density * (mass @ speed)
-        else:
-            out[self._nodes] = self._alpha * (mass @ speed) + (0.0 if more is None else more[0] @ speed)
+        speed = (self._buffers.x[self._nodes] - step.x_base[self._nodes]) / step.tau
+        out[self._nodes] = self.matrix_by(quantity) @ speed
         return out
 
     def along(self, vectors: np.ndarray, kept: np.ndarray, step: StepContext, internals: Internals) -> MassDampingAlong:

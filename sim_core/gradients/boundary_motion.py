@@ -80,6 +80,30 @@ def driven(scene: Scene, frames: Mapping[str, Frame], moved: Motions, count: int
     return Driven(x, turns)
 
 
+def start_along(
+    scene: Scene, frames: Mapping[str, Frame], moved: Motions, start: tuple[np.ndarray, np.ndarray], count: int
+) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Derivatives of where mounts at ``frames`` put the bodies: of the positions and velocities at the ``start`` ``(n,
+    3)`` each, ``(n, 3, count)``, and of the rotations of rigid bodies by their terms ``(9, count)``."""
+    follow = driven(scene, frames, moved, count)
+    x, v = follow.x.copy(), np.zeros_like(follow.x)
+    free = [c for c in carried_freely(scene, start[0], frames) if c.mount in moved]
+    for carrier in free:
+        x[carrier.nodes] = v[carrier.nodes] = 0.0
+    for carrier in free:
+        frame, motion, nodes = frames[carrier.mount], moved[carrier.mount], carrier.nodes
+        weights = carrier.weights[:, None, None]
+        x[nodes] += weights * carried_along(carrier.local, frame, motion)
+        turned = np.concatenate([np.zeros_like(motion[:3]), motion[3:]])
+        v[nodes] += weights * carried_along(frame[1].inv().apply(start[1][nodes]), frame, turned)
+    rotations = {}
+    for body, term in carried_contacts(scene):
+        if term.name in follow.turns:
+            turns = np.stack([(body.rotation @ skew(e)).ravel() for e in np.eye(3)], axis=-1)
+            rotations[term.name] = turns @ follow.turns[term.name]
+    return x, v, rotations
+
+
 def carried_along(local: np.ndarray, frame: Frame, moved: np.ndarray) -> np.ndarray:
     """Motion ``(k, 3, p)`` in the world of points ``local`` [m] ``(k, 3)`` of a frame."""
     inner = moved[:3] - skew(local) @ moved[3:]

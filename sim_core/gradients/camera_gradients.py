@@ -6,7 +6,7 @@ camera with a little more and one with a little less of each parameter, many pic
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -29,14 +29,23 @@ class Imaging:
 
     def take(self, observer: Observer, rig: Rig, frames: Mapping[str, Frame]) -> None:
         """One picture of each camera, at the positions that the scene of ``rig`` holds."""
+
+        def before(end: Rig) -> dict[str, np.ndarray]:
+            return {name: points[None] for name, points in observer.before_cameras(frames, end).items()}
+
+        self.take_all(rig, before)
+
+    def take_all(self, rig: Rig, before: Callable[[Rig], Mapping[str, np.ndarray]]) -> None:
+        """Pictures of each camera of a ``rig`` at several instants. ``before``: what the cameras of a rig are to see in
+        the frames of their mounts [m] ``(t, n, 3)``."""
         if not self._changing:
             return
-        plain = observer.before_cameras(frames)
+        plain = before(rig)
         for k in self._changing:
             for high in (True, False):
                 end = self._end(k, high)
                 alike = {name: end.cameras[name].sees == camera.sees for name, camera in rig.cameras.items()}
-                points = plain if all(alike.values()) else observer.before_cameras(frames, end)
+                points = plain if all(alike.values()) else before(end)
                 for name in plain:
                     self._kept.setdefault((name, k, high), []).append(points[name])
 
@@ -57,7 +66,7 @@ class Imaging:
     def _imaged(self, channel: str, k: int, high: bool) -> np.ndarray | None:
         if (channel, k, high) not in self._kept:
             return None
-        points, camera = np.stack(self._kept[channel, k, high]), self._end(k, high).cameras[channel]
+        points, camera = np.concatenate(self._kept[channel, k, high]), self._end(k, high).cameras[channel]
         at_once = max(1, POINTS // max(1, points.shape[1]))
         parts = (points[a : a + at_once] for a in range(0, len(points), at_once))
         return np.concatenate([taken(camera, part, beyond=high) for part in parts])

@@ -16,18 +16,17 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from sim_core.energies.linearised import skew
+from sim_core.core.covers import covers
 from sim_core.gradients.boundary_motion import (
     Motions,
-    carried_along,
-    carried_contacts,
-    carried_freely,
     driven,
     midway_motion,
+    start_along,
 )
 from sim_core.gradients.camera_gradients import Imaging
 from sim_core.gradients.directions import Direction, checked, command_motions, motions, slopes, together
 from sim_core.gradients.initial_equilibrium import linearised
+from sim_core.gradients.on_core import tangent_compiled
 from sim_core.gradients.parameter_jacobian import Columns
 from sim_core.gradients.step import LinearStep, Motion, Outcome, no_memory
 from sim_core.permanent_state import PermanentState, permanent_state
@@ -113,22 +112,11 @@ class TangentSimulation(Simulation):
     def _start(self) -> Motion:
         """Derivatives of where the mounts put the bodies."""
         scene, count = self.scene, len(self._along)
-        follow = driven(scene, self.frames, self._moved, count)
-        x, v, memory = follow.x.copy(), np.zeros_like(follow.x), no_memory(self.state, count)
-        start_x, start_v = start_state(scene, self.frames, self.left)
-        free = [c for c in carried_freely(scene, start_x, self.frames) if c.mount in self._moved]
-        for carrier in free:
-            x[carrier.nodes] = v[carrier.nodes] = 0.0
-        for carrier in free:
-            frame, moved, nodes = self.frames[carrier.mount], self._moved[carrier.mount], carrier.nodes
-            weights = carrier.weights[:, None, None]
-            x[nodes] += weights * carried_along(carrier.local, frame, moved)
-            turned = np.concatenate([np.zeros_like(moved[:3]), moved[3:]])
-            v[nodes] += weights * carried_along(frame[1].inv().apply(start_v[nodes]), frame, turned)
-        for _, term in carried_contacts(scene):
-            if term.name in follow.turns:
-                turns = np.stack([(term.rotation @ skew(e)).ravel() for e in np.eye(3)], axis=-1)
-                memory[term.name][:9] = turns @ follow.turns[term.name]
+        start = start_state(scene, self.frames, self.left)
+        x, v, rotations = start_along(scene, self.frames, self._moved, start, count)
+        memory = no_memory(self.state, count)
+        for name, rotation in rotations.items():
+            memory[name][:9] = rotation
         return Motion(x, v, memory) if self.left is None else self._start_left(self.left, x, v, memory)
 
     def _start_left(self, left: PermanentState, x: np.ndarray, v: np.ndarray, memory: dict[str, np.ndarray]) -> Motion:
@@ -279,6 +267,8 @@ def simulate_tangent(
     directions. ``keep_path``, ``beside``, ``left``: as of :func:`sim_core.simulate.simulate`; what was left has
     derivatives along the same directions."""
     along = checked(along)
+    if along and covers(scene, left=left) is None:
+        return tangent_compiled(scene, poses, times, along, on_step, settings, keep_path=keep_path, beside=beside)
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
     commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
     moving = command_motions(scene.rig, along, commanded, times)

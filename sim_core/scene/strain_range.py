@@ -28,23 +28,26 @@ class StrainBeyondLaw(UserWarning):
 def check_strains(scene: Scene, time: float) -> None:
     """Warn, once a sheet and scene, where a sheet is strained beyond the range of its law at a ``time`` [s] since the
     start, at the positions that the scene's system holds."""
+    check_strains_at(scene, np.array([time]), scene.system.x[None])
+
+
+def check_strains_at(scene: Scene, times: np.ndarray, x: np.ndarray) -> None:
+    """The same at several times [s] ``(t,)`` at positions ``x`` [m] ``(t, n, 3)``."""
     for name, body in scene.bodies.items():
         if name in scene.strained:
             continue
         for term in body.terms:
             if isinstance(term, Membrane) and not isinstance(term, RubberMembrane):
-                _check(scene, name, term, time)
+                _check(scene, name, term, times, x)
 
 
-def _check(scene: Scene, name: str, term: Membrane, time: float) -> None:
-    strain = term.strains_at(scene.system.x)
-    mean, half = 0.5 * (strain[:, 0] + strain[:, 1]), 0.5 * (strain[:, 0] - strain[:, 1])
-    radius = np.hypot(half, 0.5 * strain[:, 2])
-    high, low = (np.sqrt(np.maximum(1.0 + 2.0 * (mean + sign * radius), 0.0)) - 1.0 for sign in (1.0, -1.0))
-    largest = np.where(high > -low, high, low)
-    worst = int(np.argmax(np.abs(largest)))
-    if abs(largest[worst]) <= LARGEST_STRAIN:
+def _check(scene: Scene, name: str, term: Membrane, times: np.ndarray, x: np.ndarray) -> None:
+    largest = _largest_stretches(term, x)
+    beyond = np.flatnonzero((np.abs(largest) > LARGEST_STRAIN).any(axis=1))
+    if not len(beyond):
         return
+    largest, time = largest[beyond[0]], float(times[beyond[0]])
+    worst = int(np.argmax(np.abs(largest)))
     scene.strained.add(name)
     body = scene.bodies[name]
     assert isinstance(body.layout, SheetMesh)
@@ -58,3 +61,14 @@ def _check(scene: Scene, name: str, term: Membrane, time: float) -> None:
         StrainBeyondLaw,
         stacklevel=2,
     )
+
+
+def _largest_stretches(term: Membrane, x: np.ndarray) -> np.ndarray:
+    """Of the two principal stretches of each triangle less one the larger one by size ``(t, m)``."""
+    sides = x[:, term.triangles[:, 1:]] - x[:, term.triangles[:, :1]]
+    hats = term.hats()[:, 1:]
+    f, g = (hats[:, 0, k, None] * sides[:, :, 0] + hats[:, 1, k, None] * sides[:, :, 1] for k in range(2))
+    first, second, across = ((a * b).sum(axis=-1) for a, b in ((f, f), (g, g), (f, g)))
+    mean, radius = 0.5 * (first + second), np.hypot(0.5 * (first - second), across)
+    high, low = (np.sqrt(np.maximum(mean + sign * radius, 0.0)) - 1.0 for sign in (1.0, -1.0))
+    return np.asarray(np.where(high > -low, high, low))

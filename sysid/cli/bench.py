@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from sim_core.errors import ConfigError
+from sysid.cli.bounds import whole_number
 from sysid.cli.options import library
 from sysid.cli.progress import progress
 
 
 def bench(
+    rig: Annotated[
+        str | None, typer.Argument(metavar="[RIG", help="With a recording: only a rollout along its motion.")
+    ] = None,
+    bag: Annotated[Path | None, typer.Argument(metavar="BAG]", help="Recording of that rig.")] = None,
+    columns: Annotated[
+        int, whole_number("--columns", "Parameters of that rig to differentiate by, the first ones.", 0)
+    ] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Only the forming rig in one process.")] = False,
     scenes: Annotated[
@@ -21,7 +30,24 @@ def bench(
         bool, typer.Option("--gradients", help="Only the adjoint: steps per second backwards, memory by horizon.")
     ] = False,
 ) -> None:
-    """Measure steps per second, the share of each part of a step, and how both grow with the mesh."""
+    """Measure steps per second, the share of each part of a step, and how both grow with the mesh; or the CPU time of a
+    step along a recording, and whether steps run on the compiled core.
+
+    Example: thinshell bench strip.yaml recordings/rec_01 --columns 15 --json
+    """
+    if rig is not None:
+        if bag is None or quick or scenes or gradients:
+            raise ConfigError(
+                "The speed along a recording needs a rig and the recording, and nothing of --quick, --scenes and "
+                "--gradients.",
+                "Give RIG BAG, or neither of them.",
+            )
+        from sim_core.rigs import load_rig
+
+        print(library("sysid.bench", "run_recording_benchmark")(load_rig(rig), bag, columns, as_json))
+        return
+    if columns:
+        raise ConfigError("--columns is about a rollout along a recording.", "Give RIG BAG too.")
     if quick + scenes + gradients > 1:
         raise ConfigError("--quick, --scenes and --gradients each leave out what the others measure.", "Give one.")
     if gradients:

@@ -122,14 +122,14 @@ def _incomplete() -> Iterator[tuple[type[Effect], str]]:
         }
         return type("Unfinished", (base,), body)
 
-    yield made(NormalLaw, "targets", "reach", "normal"), "normal_by"
+    yield made(NormalLaw, "targets", "reach"), "energy"
     yield made(ReadingMap, "targets", "read", "push", "memory_s"), "pull"
     yield made(BodyForce, "targets", "terms"), "numbers"
-    yield made(NormalLaw, "targets", "reach", "normal", "normal_by", title=""), "title"
-    yield made(NormalLaw, "targets", "reach", "normal", "normal_by", example={}), "example"
+    yield made(NormalLaw, "targets", "reach", "energy", title=""), "title"
+    yield made(NormalLaw, "targets", "reach", "energy", example={}), "example"
     fixed = EffectParameter("shape", "-", 0.0, 1.0, (0.1,), None, False, 0.1, "a shape")
     yield (
-        made(NormalLaw, "targets", "reach", "normal", "normal_by", parameters=(fixed,), example={"shape": 0.5}),
+        made(NormalLaw, "targets", "reach", "energy", parameters=(fixed,), example={"shape": 0.5}),
         "vanishes",
     )
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 from sim_core.energies.linearised import flatten, unflatten
 from sim_core.scene import build_scene
-from sim_core.simulate import Simulation, frame_of
+from sim_core.sensing.observe import frame_of
+from sim_core.simulate import Simulation
 from sim_core.solve.integrator import step_context
 
 

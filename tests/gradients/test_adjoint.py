@@ -16,7 +16,8 @@ from sim_core.rigs import list_parameters, parse_rig, with_parameters
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
-from sim_core.simulate import Simulation, frame_of, simulate, step_times
+from sim_core.sensing.observe import frame_of
+from sim_core.simulate import Simulation, simulate, step_times
 from sim_core.solve.step import NewtonSettings
 
 EFFECTS = {

@@ -6,7 +6,8 @@ import pytest
 from sim_core.bench.stress_test import RISE, step_energies, tolerance_of, total_energy
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.scene import build_scene
-from sim_core.simulate import Simulation, frame_of
+from sim_core.sensing.observe import frame_of
+from sim_core.simulate import Simulation
 from sim_core.solve.report import NewtonSettings
 
 TIGHT = NewtonSettings(step_tolerance_m=1e-12, force_tolerance=1e-9)

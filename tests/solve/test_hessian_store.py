@@ -7,7 +7,8 @@ import pytest
 from scipy.sparse import triu
 
 from sim_core.scene import build_scene
-from sim_core.simulate import Simulation, frame_of
+from sim_core.sensing.observe import frame_of
+from sim_core.simulate import Simulation
 from sim_core.solve import hessian_store as stiffness
 from sim_core.solve.hessian_store import Keeper, _Prepared
 

@@ -1,0 +1,68 @@
+// What a rollout is made of: flat arrays that the caller owns, in C order, and the switches of the search.
+// sim_core/core/record.py writes it; fields, order and types are the same there.
+#pragma once
+
+#include <cstdint>
+
+namespace thinshell {
+
+struct Record {
+  // Sizes. `columns`: derivatives that are carried, padded to a multiple of `lanes` (columns.hpp).
+  int64_t nodes, triangles, hinges, couplings, contacts, samples, corners, mounts, followers, bearing, columns;
+
+  // Nodes: which components are prescribed (nodes, 3), rank of each in the elimination (nodes), where they are at rest.
+  const uint8_t *prescribed;
+  const int32_t *rank;
+  const double *external;  // weight and dead loads [N] (nodes, 3)
+
+  // Mass [kg], and what damps by mass, alpha M of the nodes that nothing holds [kg/s], of one sparse pattern.
+  const int32_t *mass_start, *mass_column;
+  const double *mass, *mass_damping;
+
+  // Triangles: nodes (t, 3), gradients of the hat functions (t, 3, 2), area times stiffness (t, 9), damping [s] (t).
+  const int32_t *triangle;
+  const double *hats, *stretch_stiffness, *stretch_damping;
+
+  // Hinges: nodes (h, 4), angles at rest (h). Bending is a quadratic form in their angles: rows of couplings, with the
+  // stiffness [N m] and the damping of it [N m s].
+  const int32_t *hinge;
+  const double *rest_angle;
+  const int32_t *coupling_start, *coupling_column;
+  const double *bend_stiffness, *bend_damping;
+
+  // Contacts with rigid shapes: samples of each (contacts + 1), the body's node and mount, its rotation in the mount
+  // (contacts, 9), the law (contacts, 8), the shape (contacts, 5); samples: nodes (s, corners), weights, areas [m^2].
+  const int32_t *sample_start, *body_node, *body_mount;
+  const double *body_rotation, *law, *shape;
+  const int32_t *sample_node;
+  const double *sample_weight, *sample_area;
+
+  // Followers: node, mount, components that follow (f, 3), place in the mount's frame [m] (f, 3).
+  const int32_t *follower_node, *follower_mount;
+  const uint8_t *follower_axes;
+  const double *follower_local;
+
+  // Nodes of which derivatives of the loads are wanted.
+  const int32_t *bearing_node;
+
+  // Search.
+  double step_tolerance, force_tolerance;
+  int64_t fast_iterations, second_order;
+
+  // Derivatives of the numbers above, one block a column that has some: `*_of`: which column.
+  int64_t stretch_blocks, bend_blocks, mass_blocks;
+  const int32_t *stretch_of, *bend_of, *mass_of;
+  const double *d_stretch_stiffness, *d_stretch_damping;  // (., t, 9), (., t)
+  const double *d_bend_stiffness, *d_bend_damping;        // (., couplings) each
+  const double *d_mass, *d_mass_damping;                  // (., entries) each
+  const double *d_external;                               // (nodes, 3, columns)
+  const double *d_law;                                    // (contacts, 8, columns)
+};
+
+// What was done in a step. `failed`: the search gave up, and the state is as it was.
+struct StepCounts {
+  int64_t iterations, factorisations, tries, residuals, contacts, tightest;
+  double residual, update, gap;
+};
+
+}  // namespace thinshell

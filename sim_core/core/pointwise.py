@@ -1,0 +1,124 @@
+"""Laws of one's own: plain functions of numbers, with derivatives that nobody writes.
+
+A law is a Python function of numbers in the language of :mod:`sim_core.core.lowering`. At its first use it is lowered
+to C++, compiled, and kept in the user's cache under the hash of its text and of all that it calls; later processes load
+it. Where there is no compiler the same function runs in numpy (:mod:`sim_core.core.jets`), and a warning says so.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import warnings
+from collections.abc import Callable, Mapping
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from sim_core.core.build import FLAGS, HERE, build, cache_folder, compiler, target
+from sim_core.core.jets import NAMES, Jet
+from sim_core.core.lowering import Library, LoweringError
+
+__all__ = ["Law"]
+
+SECOND = "for (int i = 0; i < {count} * ({count} + 1) / 2; ++i) *(at += n) = f.h[i];"
+ENTRY = """#include "laws.hpp"
+extern "C" void evaluate(long n, double *x) {{
+  using D = thinshell::{kind}<double, {count}>;
+  for (long k = 0; k < n; ++k) {{
+    const D f = thinshell::{name}({arguments});
+    double *at = x + {count} * n + k;
+    *at = f.v;
+    for (int i = 0; i < {count}; ++i) *(at += n) = f.d[i];
+    {second}
+  }}
+}}
+"""
+
+
+class Law:
+    """A law y = f(x_1, ..., x_k), called with numbers or arrays ``(n,)``, of which the first is one, for its
+    :class:`Jet`: values and the derivatives by all arguments. ``order``: 2, or 1 for the first derivatives alone.
+
+    Raises :class:`LoweringError` at its first use where it cannot be lowered or compiled.
+    """
+
+    def __init__(self, function: Callable[..., float], order: int = 2) -> None:
+        self._function, self._order = function, order
+        code = function.__code__
+        self.arguments = code.co_varnames[: code.co_argcount]
+        """Names of the arguments."""
+
+    def __call__(self, *arguments: Any) -> Jet:
+        k, n = len(self.arguments), len(arguments[0])
+        rows = np.empty((2 * k + 1 + (k * (k + 1) // 2 if self._order == 2 else 0), n))
+        for i, argument in enumerate(arguments):
+            rows[i] = argument
+        if self._compiled is None:
+            return self._in_numpy(rows[:k])
+        self._compiled(n, rows.ctypes.data)
+        return Jet(rows[k], rows[k + 1 : 2 * k + 1], rows[2 * k + 1 :])
+
+    def at(self, values: Mapping[str, float], *arguments: np.ndarray) -> Jet:
+        """The law at its first arguments, the rest taken from ``values`` by their names."""
+        return self(*arguments, *(values[name] for name in self.arguments[len(arguments) :]))
+
+    @functools.cached_property
+    def _compiled(self) -> Any:
+        """``evaluate`` of its library, or None where there is no compiler."""
+        library = Library()
+        law = library.law(self._function)
+        if compiler() is None:
+            warnings.warn(
+                f"No C++ compiler was found: the law {self._function.__name__} runs in numpy, far more slowly. "
+                "Install g++ or clang++, or set CXX.",
+                stacklevel=3,
+            )
+            return None
+        count = len(self.arguments)
+        inputs = ", ".join(f"D::variable(x[{i} * n + k], {i})" for i in range(count))
+        name = f"laws::{law.source.space}::{law.name}"
+        kind, second = ("Dual2", SECOND.format(count=count)) if self._order == 2 else ("Dual", "")
+        laws = library.text()
+        main = ENTRY.format(name=name, count=count, arguments=inputs, kind=kind, second=second)
+        headers = [(HERE / "include" / h).read_text() for h in ("small.hpp", "dual.hpp")]
+        digest = hashlib.sha256("\0".join([*FLAGS, *target(), *headers, laws, main]).encode()).hexdigest()[:16]
+        path = cache_folder() / "laws" / f"{law.source.space}_{law.name}_{digest}.so"
+        try:
+            if not path.exists():
+                build(path, laws, main)
+            evaluate = ctypes.CDLL(str(path)).evaluate
+        except OSError as error:
+            raise LoweringError(
+                f"The law {law.name} of {law.source.path} could not be compiled: {error}.",
+                f"Have it return one number; if it does, remove {path.parent} and try again.",
+            ) from error
+        evaluate.argtypes, evaluate.restype = (ctypes.c_long, ctypes.c_void_p), None
+        return evaluate
+
+    def _in_numpy(self, x: np.ndarray) -> Jet:
+        try:
+            return self._jet(x)
+        except ValueError:  # it branches, so that each point goes its own way
+            points = [self._jet(x[:, i : i + 1]) for i in range(x.shape[1])]
+            return Jet(*(np.concatenate([getattr(p, part) for p in points], axis=-1) for part in "vdh"))
+
+    def _jet(self, x: np.ndarray) -> Jet:
+        k, n = x.shape
+        variables = Jet.variables(x)
+        found = _for_jets(self._function)(*variables) + 0.0 * variables[0]  # a jet even if it is a number
+        sizes = {"v": (n,), "d": (k, n), "h": (k * (k + 1) // 2, n)}
+        return Jet(*(np.broadcast_to(getattr(found, part), size) for part, size in sizes.items()))
+
+
+@functools.cache
+def _for_jets(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, and the plain functions that it calls, with functions of jets in place of those of numbers."""
+    known = dict(function.__globals__)
+    for name in function.__code__.co_names:
+        called = known.get(name)
+        if isinstance(called, FunctionType) and called is not function:
+            known[name] = _for_jets(getattr(called, "__wrapped__", called))
+    return FunctionType(function.__code__, {**known, **NAMES})
