@@ -57,8 +57,8 @@ class Table:
             [self.frames[k] for k in index],
         )
 
-    def in_one_frame(self, declared: str | None, notes: Notes) -> tuple[Table, str]:
-        """Return the rows of the declared frame, or of the only one, and its name."""
+    def in_one_frame(self, declared: str | None, framed: bool, notes: Notes) -> tuple[Table, str]:
+        """Return the rows of the declared frame, or of the only one, and its name. ``framed``: they might have one."""
         counts = {frame: self.frames.count(frame) for frame in dict.fromkeys(self.frames)}
         listing = ", ".join(f"{frame!r} ({plural(count, 'message')})" for frame, count in counts.items())
         if declared is not None:
@@ -76,7 +76,7 @@ class Table:
                 "Record each frame on a topic of its own, and name the right one in the rig.",
             )
         frame = next(iter(counts))
-        if not frame:
+        if not frame and framed:
             notes.warning(self.topic, "frame_id is empty: taken for the frame that the rig states")
         return self, frame
 
@@ -118,12 +118,14 @@ def read_series(
     frame_id: str | None,
     clock: TimeSource,
     notes: Notes,
+    framed: bool = True,
 ) -> Series:
     """Read a topic whose values change with time; see ``read_table`` for the arguments.
 
-    ``frame_id`` is the frame declared for it, ``clock`` the clock to use.
+    ``frame_id`` is the frame declared for it, ``clock`` the clock to use; ``framed``: messages may have frames, as rows
+    of tables do not.
     """
-    table, frame = read_table(topic, msgtype, source, content, notes).in_one_frame(frame_id, notes)
+    table, frame = read_table(topic, msgtype, source, content, notes).in_one_frame(frame_id, framed, notes)
     kept, times_ns = order_in_time(topic, table.stamps_ns, table.source.log_ns, clock, notes)
     table = table.take(kept)
     return Series(topic, frame, table.source, table.rows, times_ns)

@@ -20,6 +20,8 @@ from sysid.recording.topics import SensorTopic
 _ORTHONORMAL = 1e-3
 """Difference of R times its transpose from the identity, of round-off in files of calibrations."""
 
+_COMPONENTS = tuple(f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz")
+
 LARGEST_N = 1e4
 """Forces beyond this are worth a remark."""
 
@@ -50,8 +52,12 @@ def wrench_stream(series: Series, declared: SensorTopic, t0_ns: int, notes: Note
     if not mask.any():
         raise RecordingError(f"{topic}: every wrench holds only NaN or infinity.", "Check the force sensor.")
     values = np.where(mask, values, np.nan)
-    if not mask.all():
-        notes.count("warning", topic, "message", "with NaN or infinite components, masked", t[~mask.all(axis=1)])
+    never = ~mask.any(axis=0)
+    if never.any():
+        notes.info(topic, f"never measured: {', '.join(np.array(_COMPONENTS)[never])}")
+    lacking = ~(mask | never).all(axis=1)
+    if lacking.any():
+        notes.count("warning", topic, "message", "with NaN or infinite components, masked", t[lacking])
     if declared.length_unit == "mm":
         notes.info(topic, "torques scaled from N mm to N m, as declared")
         values[:, 3:] *= 1e-3

@@ -155,7 +155,9 @@ def test_two_chains_are_refused_by_their_names(tmp_path: Path) -> None:
         *arm(),
         also(1, transform(START, "mocap", "tool", (9, 9, 9)), transform(START, "base", "mocap", (0, 0, 0))),
     ]
-    with pytest.raises(RecordingError, match=r"two chains .* base - (link|mocap) - tool and base - (link|mocap) - tool"):
+    with pytest.raises(
+        RecordingError, match=r"two chains .* base - (link|mocap) - tool and base - (link|mocap) - tool"
+    ):
         read(tmp_path, items + wrenches(30), names)
 
 
