@@ -175,6 +175,11 @@ def rolled(rig: Rig, poses: Mapping[str, PoseTrajectory], end: float, title: str
             recorder.take()
             kept.append(k)
             readings.append(simulation.read())
+    findings += [
+        Finding("pressed far", least.sentence, "Press less deep, or give the gel finer cells.")
+        for least in simulation.least_volumes.values()
+        if least.ratio < least.softening
+    ]
     states = recorder.history()
     findings += untouched(rig, states, findings)
     wrenches = {n: np.stack([r[n] for r in readings]) for n, s in rig.sensors.items() if isinstance(s, WrenchSensor)}
