@@ -322,3 +322,17 @@ def test_settings_are_listed_with_unit_meaning_and_origin() -> None:
     refused = run("settings", "kitchen")
     assert refused.returncode == 2
     assert "There are no settings of 'kitchen'. Choose one of " in refused.stderr and "uncertainty" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("fit r a --held-out b c d --out o", "fit r a --held-out b --held-out c --held-out d --out o"),
+        ("fit r a --held-out b --held-out c --out o", "fit r a --held-out b --held-out c --out o"),
+        ("fit r a --held-out=b --out o", "fit r a --held-out=b --out o"),
+        ("fit r --out o --held-out b c -- a", "fit r --out o --held-out b --held-out c -- a"),
+        ("fit r a b --out o", "fit r a b --out o"),
+    ],
+)
+def test_an_option_takes_all_the_words_behind_it(words: str, expected: str) -> None:
+    assert app.each_named(words.split()) == expected.split()
