@@ -144,5 +144,5 @@ def test_shared_meshes_in_pieces() -> None:
     with pytest.warns(MeshRepaired, match="180 vertices became 44"):
         mesh = read_sheet(FAULT / "cracked.stl", "m")
     assert pieces_of(mesh.triangles).max() == 0 and mesh.areas.sum() == pytest.approx(0.003, rel=1e-4)
-    with pytest.raises(ConfigError, match="is in 2 pieces, and piece 2 .* is held by nothing"):
+    with pytest.raises(ConfigError, match=r"is in 2 pieces, and piece 2 .* is held by nothing"):
         load_rig(str(FAULT / "rig_two_parts.yaml"))

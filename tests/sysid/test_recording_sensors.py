@@ -140,7 +140,7 @@ def test_a_cloud_shorter_than_it_states(tmp_path: Path) -> None:
     items[2][3].data = items[2][3].data[:-8]
     recording = read(tmp_path, poses(6) + items)
     assert len(recording.markers["sensor"]) == 5
-    assert "1 message dropped: the first holds 40 bytes where 1 x 3 points of 16" in notes(recording)
+    assert "s after the first of this topic, holds 40 bytes where 1 x 3 points of 16" in notes(recording)
 
 
 def test_markers_that_are_never_finite(tmp_path: Path) -> None:
