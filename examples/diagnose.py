@@ -16,7 +16,7 @@ def main() -> str:
     """Returns the verdict."""
     rig, pull = load_rig("strip_coarse"), load_experiment("pull_taut")
     with tempfile.TemporaryDirectory() as folder:
-        bag = Path(folder) / "pull.bag"
+        bag = Path(folder) / "pull"
         simulate_to_bag(with_parameters(rig, {"effects.camera_distortion.k1": K1}), pull, bag, seed=2)
         diagnosis, _ = diagnose_runs(rig, [load_run(rig, bag)], [])
     print(diagnosis.sentence)

@@ -16,7 +16,7 @@ def main() -> float:
     truth = {p.name: p.value for p in list_parameters(rig)}["strip.E_pa"]
     assert truth is not None
     with tempfile.TemporaryDirectory() as folder:
-        bag, out = Path(folder) / "pull.bag", Path(folder) / "fit"
+        bag, out = Path(folder) / "pull", Path(folder) / "fit"
         print(simulate_to_bag(rig, pull, bag, seed=1))
         start = with_parameters(rig, {"strip.E": 0.7 * truth})
         result = fit_bags(start, [bag], ["strip.E"], FitOptions(intervals="quadratic"), out=out)

@@ -16,6 +16,7 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.carriage import start_state
 from sim_core.scene.offset import with_offsets
 from sim_core.scene.scene import Frame, Scene
+from sim_core.scene.solid_range import LeastVolume, volumes_left
 from sim_core.scene.strain_range import check_strains
 from sim_core.sensing.observe import Observer, frame_of
 from sim_core.solve.integrator import at_start
@@ -57,6 +58,7 @@ class Trace:
     'markers' or 'tracks'; ``ids``: marker numbers; ``reports``: one a step (``n - 1``); ``states``: node positions,
     frames, contact forces and slip at the same instants, where they were asked for, and ``path`` the positions alone.
     ``left``: what bodies keep at the end, None where they keep nothing.
+    ``least_volumes``: where gels were pressed most.
     """
 
     times: np.ndarray
@@ -67,6 +69,7 @@ class Trace:
     states: StateHistory | None = None
     path: NodePath | None = None
     left: PermanentState | None = None
+    least_volumes: tuple[LeastVolume, ...] = ()
 
     def at(self, channel: str, times: np.ndarray) -> np.ndarray:
         """Readings at any times [s], linear between steps, held at the ends: ``(k, ...)``."""
@@ -120,6 +123,8 @@ class Simulation:
         scene = self.scene
         self._check_scene()
         self.halvings = 0
+        self.least_volumes: dict[str, LeastVolume] = {}
+        """Where each gel was pressed most since then."""
         self.frames = with_offsets(scene.rig, {**scene.start, **(frames or {})})
         targets = scene.targets(self.frames)
         x, v = start_state(scene, self.frames, self.left)
@@ -144,7 +149,7 @@ class Simulation:
         try:
             report = self._step(begin, target, dt, MAX_HALVINGS)
         except ConvergenceError as error:
-            raise ConvergenceError(f"{error.problem} {self._unmade(begin, target)}".strip(), error.remedy) from error
+            raise type(error)(f"{error.problem} {self._unmade(begin, target)}".strip(), error.remedy) from error
         check_strains(self.scene, self.state.t)
         return report
 
@@ -186,7 +191,13 @@ class Simulation:
         """One step without subdivision."""
         targets = self.scene.targets(end)
         guess = None if self.beside is None else self.beside.onward(self.state, self.state.t + dt)
-        self.state, report = advance(self.scene.system, self.state, targets, dt, self._settings, guess)
+        after, report = advance(self.scene.system, self.state, targets, dt, self._settings, guess)
+        for found in volumes_left(self.scene, self.state.x, after.x, self.state.t):
+            if not found.ratio > 0.0:
+                raise found.refused()
+            if found.body not in self.least_volumes or found.ratio < self.least_volumes[found.body].ratio:
+                self.least_volumes[found.body] = found
+        self.state = after
         return report
 
     def actual_frames(self) -> dict[str, Frame]:
@@ -306,4 +317,6 @@ def run(
     states = None if recorder is None else recorder.history()
     kept = NodePath(times, np.stack(path)) if keep_path else None
     left = simulation.permanent_state()
-    return Trace(times, outputs, simulation.observer.kinds, simulation.observer.ids, tuple(reports), states, kept, left)
+    least = tuple(simulation.least_volumes.values())
+    observer = simulation.observer
+    return Trace(times, outputs, observer.kinds, observer.ids, tuple(reports), states, kept, left, least)

@@ -56,10 +56,8 @@ def main(folder: Path = DEFAULT) -> int:
     for motion in (*TRAINING, *HELD_OUT):
         experiment = load_experiment(motion)
         with progress(f"record {motion}") as report:
-            print(
-                simulate_to_bag(truth, experiment, folder / f"{motion}.bag", seed=experiment.seed, on_progress=report)
-            )
-    runs, held_out = ([load_run(rig, folder / f"{n}.bag") for n in names] for names in (TRAINING, HELD_OUT))
+            print(simulate_to_bag(truth, experiment, folder / motion, seed=experiment.seed, on_progress=report))
+    runs, held_out = ([load_run(rig, folder / n) for n in names] for names in (TRAINING, HELD_OUT))
     with progress("diagnose", timed=False) as report:
         diagnosis, _ = diagnose_runs(rig, runs, held_out, on_progress=report)
     diagnosis.write(folder / "diagnosis.json")

@@ -96,6 +96,7 @@ def simulate_to_bag(
     lines = [f"{out}: {duration:.2f} s, {len(times) - 1} steps, at most {worst} Newton iterations a step."]
     if rig.contacts and not touched:
         lines.append("Nothing came into contact.")
+    lines += [least.sentence for least in trace.least_volumes if least.ratio < least.softening]
     lines += [f"  {topic}: {count} messages" for topic, count in counts.items()]
     return "\n".join(lines)
 

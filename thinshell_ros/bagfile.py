@@ -15,6 +15,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from sim_core.errors import RecordingError
+from sysid.recording.writer import check_name
 from thinshell_ros.mcapfile import CheckedMcap
 
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
@@ -38,11 +39,12 @@ class BagFile:
         [s]: of one file, after which another begins; 0 for no limit.
 
         Raises:
-            RecordingError: the path exists, or cannot be created.
+            RecordingError: the path exists, cannot be created, or has the name of another kind of file.
         """
         self.path = Path(path).expanduser()
         if self.path.exists() or self.path.is_symlink():
             raise RecordingError(f"{self.path} exists already.", "Choose another path, or move it away first.")
+        check_name(self.path)
         self._bag = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
         try:
             self._bag.path.mkdir(parents=True)

@@ -60,7 +60,7 @@ def _recordings(
     if not bags:
         raise ConfigError("There is no recording to fit.", "Set the parameter bag_uri to a bag, or to a list of them.")
     check_parts(bags, held_out)
-    _check_topics([*bags, *held_out], {n: t for n, t in topics.items() if t != topic_names(rig)[n]})
+    _check_topics(rig, [*bags, *held_out], {n: t for n, t in topics.items() if t != topic_names(rig)[n]})
     return with_topics(rig, topics), bags, held_out
 
 
@@ -140,12 +140,12 @@ def with_topics(rig: Rig, topics: Mapping[str, str]) -> Rig:
     )
 
 
-def _check_topics(bags: Sequence[Path], named: Mapping[str, str]) -> None:
+def _check_topics(rig: Rig, bags: Sequence[Path], named: Mapping[str, str]) -> None:
     """Each recording has the topics that were named for it. Raises ``RecordingError``."""
     if not named:
         return
     for path in dict.fromkeys(part_of(bag).path for bag in bags):
-        there = open_bag(path, Notes()).topics
+        there = open_bag(path, Notes(), rig.table_columns).topics
         for name, topic in named.items():
             if not any(("/" + other.strip("/")).endswith("/" + topic.strip("~/")) for other in there):
                 raise RecordingError(

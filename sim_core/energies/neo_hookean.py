@@ -126,6 +126,11 @@ class NeoHookean(ElementValues):
         """Of the elements [Pa] ``(m,)``."""
         return np.asarray(self._moduli[:, MU])
 
+    @property
+    def poisson_ratios(self) -> np.ndarray:
+        """Of the elements ``(m,)``."""
+        return np.asarray(self._nu)
+
     def shear_moduli_by(self, quantity: str) -> np.ndarray:
         """Derivative of :attr:`shear_moduli` by ``E_pa`` or ``nu`` ``(m,)``."""
         if quantity == "E_pa":

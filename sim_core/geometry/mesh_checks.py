@@ -63,25 +63,89 @@ def without_unused(points: np.ndarray, cells: np.ndarray, notes: list[str]) -> t
     return points[used], cells_now.reshape(cells.shape)
 
 
-def joined(points: np.ndarray, cells: np.ndarray, weld: bool | None, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Join vertices at one place. ``weld``: None refuses them, False keeps them apart."""
+def joined(
+    points: np.ndarray, cells: np.ndarray, weld: bool | None, notes: list[str], apart: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Join vertices at one place: nearer than ``FLAT`` of the shortest edge at either, so that nothing but a degenerate
+    element fits between them. ``weld``: None refuses them, unless the format keeps all triangles ``apart``; False keeps
+    them apart."""
     if weld is False:
         return points, cells
-    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
-    pairs = cKDTree(points).query_pairs(COINCIDENT * diagonal, output_type="ndarray")
+    same = COINCIDENT * float(np.linalg.norm(np.ptp(points, axis=0)))
+    reach = np.maximum(FLAT * _shortest_edges(points, cells), same)
+    pairs = cKDTree(points).query_pairs(float(reach.max()), output_type="ndarray")
+    gaps = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    near = gaps <= reach[pairs].min(axis=1)
+    pairs, gaps = pairs[near], gaps[near]
     if not len(pairs):
         return points, cells
-    if weld is None:
+    widest = float(gaps.max())
+    if weld is None and not apart:
         shown = "; ".join(f"{a} and {b}" for a, b in pairs[:SHOWN])
+        where = "at one place" if widest <= same else f"at one place but for up to {widest:.2g} m"
         raise ConfigError(
-            f"has {len(pairs)} pairs of vertices at one place: {shown}.",
+            f"has {len(pairs)} pairs of vertices {where}: {shown}.",
             "Write 'weld: true' to join them, or 'weld: false' where the body is slit there and they are to part.",
         )
     graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
     _, label = connected_components(graph, directed=False)
     _, first = np.unique(label, return_index=True)
-    notes.append(f"Vertices at one place were joined: {len(points)} became {len(first)}.")
+    words = "Vertices at one place were joined" if widest <= same else f"Seams up to {widest:.2g} m wide were welded"
+    notes.append(f"{words}: {len(points)} vertices became {len(first)}.")
     return points[first], label[cells]
+
+
+def _shortest_edges(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Length [m] of the shortest edge of the elements at each vertex ``(n,)``; of those with nodes within their edges
+    half of it."""
+    corners = points[cells[:, :4]]
+    sides = np.linalg.norm(corners[:, :, None] - corners[:, None, :], axis=3)
+    k = corners.shape[1]
+    shortest = sides[:, ~np.eye(k, dtype=bool)].min(axis=1) * (0.5 if cells.shape[1] > 4 else 1.0)
+    found = np.full(len(points), np.inf)
+    np.minimum.at(found, cells, np.broadcast_to(shortest[:, None], cells.shape))
+    return np.where(np.isfinite(found), found, 0.0)
+
+
+def pieces_of(cells: np.ndarray) -> np.ndarray:
+    """Number of the piece that each element ``(m, k)`` belongs to ``(m,)``: elements hang together by common
+    vertices."""
+    rows = np.repeat(np.arange(len(cells)), cells.shape[1])
+    graph = coo_matrix((np.ones(cells.size), (rows, cells.ravel())), shape=(len(cells), int(cells.max()) + 1))
+    _, label = connected_components(graph @ graph.T, directed=False)
+    return np.asarray(label)
+
+
+def check_seams(points: np.ndarray, triangles: np.ndarray) -> None:
+    """Raise where a vertex at an edge of the surface lies on another such edge between its ends: the two sides look
+    joined there and are not."""
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, count = np.unique(sides, axis=0, return_counts=True)
+    rim = edges[count == 1]
+    if not len(rim):
+        return
+    a, b = points[rim[:, 0]], points[rim[:, 1]]
+    length = np.linalg.norm(b - a, axis=1)
+    vertices = np.unique(rim)
+    near = cKDTree(points[vertices]).query_ball_point(0.5 * (a + b), 0.5 * length)
+    edge = np.repeat(np.arange(len(rim)), [len(n) for n in near])
+    vertex = vertices[np.concatenate([np.asarray(n, dtype=np.int64) for n in near])] if len(edge) else edge
+    other = (vertex != rim[edge, 0]) & (vertex != rim[edge, 1])
+    edge, vertex = edge[other], vertex[other]
+    along = (b - a)[edge] / length[edge, None]
+    offset = points[vertex] - a[edge]
+    share = (offset * along).sum(axis=1)
+    away = np.linalg.norm(offset - share[:, None] * along, axis=1)
+    slack = FLAT * length[edge]
+    on = (away <= slack) & (share > slack) & (share < length[edge] - slack)
+    if on.any():
+        first = int(np.flatnonzero(on)[0])
+        raise ConfigError(
+            f"has vertices on edges of other triangles, which they do not share: {ids(np.unique(vertex[on]))}, as "
+            f"{int(vertex[first])} on the edge {rim[edge[first]].tolist()}.",
+            "Give both sides of a seam the same vertices, as by merging or remeshing; or write 'weld: false' where the "
+            "body is slit there.",
+        )
 
 
 def check_distinct(cells: np.ndarray, kind: str) -> None:

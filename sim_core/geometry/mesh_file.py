@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from sim_core.errors import ConfigError
 from sim_core.geometry import mesh_checks as checks
+from sim_core.geometry.mesh_dialects import read
 from sim_core.geometry.sheets import SheetMesh
 from sim_core.geometry.solids import TetMesh, quadratic, surface_of
 
@@ -31,8 +32,8 @@ class MeshRepaired(UserWarning):
 
 def read_sheet(path: Path, unit: str, weld: bool | None = None) -> SheetMesh:
     """Triangles of a file as a sheet, coordinates as in the file, in m. ``weld``: join vertices at one place (True),
-    keep them apart (False), or refuse them (None). Those at exactly one place in an STL file, whose triangles
-    share none, are joined in any case."""
+    keep them apart (False), or refuse them (None). Those of an STL file, whose triangles share none, are joined
+    where it is not False, and at exactly one place in any case."""
     return _sheet(path, _stamp(path), unit, weld)
 
 
@@ -64,8 +65,10 @@ def _stamp(path: Path) -> tuple[int, int]:
 def _sheet(path: Path, stamp: tuple[int, int], unit: str, weld: bool | None) -> SheetMesh:
     notes: list[str] = []
     with _named(path):
-        mesh = _read(path)
-        points, triangles = _triangles(mesh, unit, weld, notes)
+        mesh = read(path)
+        points, triangles = _triangles(mesh, unit, weld, notes, _apart(path))
+        if weld is not False:
+            checks.check_seams(points, triangles)
         triangles = checks.oriented(triangles, notes)
     _tell(path, notes)
     return SheetMesh(points, np.ascontiguousarray(triangles, dtype=np.int32))
@@ -82,10 +85,10 @@ def _solid(
 ) -> TetMesh:
     notes: list[str] = []
     with _named(path):
-        mesh = _read(path)
+        mesh = read(path)
         kinds = {block.type: block.data for block in mesh.cells if block.type in ("tetra", "tetra10")}
         if fill_edge_m is not None:
-            points, triangles = _triangles(mesh, unit, weld, notes)
+            points, triangles = _triangles(mesh, unit, weld, notes, _apart(path))
             checks.check_closed(triangles)
             points, tets = filled(points, checks.oriented(triangles, notes), fill_edge_m)
         elif len(kinds) != 1:
@@ -146,7 +149,12 @@ def filled(points: np.ndarray, triangles: np.ndarray, edge_m: float) -> tuple[np
     return np.asarray(corners, dtype=float), np.asarray(tets, dtype=np.int64)[:, [0, 2, 1, 3]]
 
 
-def _triangles(mesh: Any, unit: str, weld: bool | None, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def _apart(path: Path) -> bool:
+    """Whether the triangles of a file share no vertices, by its format."""
+    return path.suffix.lower() == ".stl"
+
+
+def _triangles(mesh: Any, unit: str, weld: bool | None, notes: list[str], apart: bool) -> tuple[np.ndarray, np.ndarray]:
     """Vertices [m] and triangles, checked but for their orientation."""
     points = _vertices(mesh)
     points = np.pad(points, ((0, 0), (0, 3 - points.shape[1]))) * UNITS[unit]
@@ -158,18 +166,27 @@ def _triangles(mesh: Any, unit: str, weld: bool | None, notes: list[str]) -> tup
             f"has {', '.join(sorted(others)) or 'no triangles'}, and triangles are wanted.",
             "Export the surface as triangles.",
         )
+    for block in (*triangles, *quads):
+        _check_numbers(points, block)
     if quads:
         notes.append(f"{sum(len(q) for q in quads)} quadrilaterals were cut into triangles.")
-        triangles += [np.vstack([q[:, [0, 1, 2]], q[:, [0, 2, 3]]]) for q in quads]
+        triangles += [_cut(points, q) for q in quads]
     cells = np.vstack(triangles).astype(np.int64)
-    _check_numbers(points, cells)
     checks.check_finite(points)
     points, cells = checks.without_unused(points, cells, notes)
     checks.check_extent(points, unit, UNITS)
-    points, cells = checks.joined(points, cells, weld, notes)
+    points, cells = checks.joined(points, cells, weld, notes, apart)
     checks.check_distinct(cells, "triangles")
     checks.check_triangles(points, cells)
     return points, cells
+
+
+def _cut(points: np.ndarray, quads: np.ndarray) -> np.ndarray:
+    """Triangles of quadrilaterals, cut along the diagonal that lies inside."""
+    a, b, c, d = np.moveaxis(points[quads], 1, 0)
+    outside = (np.cross(b - a, c - a) * np.cross(c - a, d - a)).sum(axis=1) < 0.0
+    turned = np.where(outside[:, None], np.roll(quads, -1, axis=1), quads)
+    return np.vstack([turned[:, [0, 1, 2]], turned[:, [0, 2, 3]]])
 
 
 def _vertices(mesh: Any) -> np.ndarray:
@@ -209,27 +226,6 @@ def _inside(corners: np.ndarray, box: np.ndarray) -> np.ndarray:
     slack = 1e-9
     inside: np.ndarray = ((corners >= box[0] - slack) & (corners <= box[1] + slack)).all(axis=-1)
     return inside
-
-
-def _read(path: Path) -> Any:
-    import meshio
-
-    if path.suffix.lower() == ".ply":
-        with path.open("rb") as file:
-            # meshio looks for this line for ever.
-            if not any(line.strip() == b"end_header" for line in file):
-                raise ConfigError("cannot be read as a mesh: its header has no end.", "Export it again.")
-    shown = io.StringIO()
-    try:
-        # meshio prints what is wrong and ends the process.
-        with contextlib.redirect_stdout(shown), contextlib.redirect_stderr(shown):
-            return meshio.read(path)
-    except (Exception, SystemExit) as error:
-        reason = " ".join((str(error) if isinstance(error, Exception) else shown.getvalue()).split())
-        raise ConfigError(
-            f"cannot be read as a mesh: {reason or type(error).__name__}.",
-            "Triangles: OBJ, STL, PLY. Tetrahedra: Gmsh (.msh), VTK (.vtk, .vtu).",
-        ) from None
 
 
 @contextlib.contextmanager

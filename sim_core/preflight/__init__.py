@@ -13,6 +13,7 @@ from sim_core.preflight.bonds import bond_findings
 from sim_core.preflight.coarse import coarse_findings
 from sim_core.preflight.finding import Finding
 from sim_core.preflight.overlaps import overlap_findings
+from sim_core.preflight.pieces import piece_findings
 from sim_core.preflight.sight import sight_findings
 from sim_core.preflight.touch import touch_findings
 from sim_core.rigs import Rig
@@ -27,5 +28,6 @@ def review(
     """Findings on a rig as it stands and, with ``poses`` by end effector, on the motion; none where all looks right."""
     layout = layout or lay_out(rig)
     found = [*overlap_findings(layout), *bond_findings(layout), *coarse_findings(layout)]
+    found += piece_findings(layout)
     found += sight_findings(layout, poses)
     return [*found, *(touch_findings(layout, poses) if poses is not None else [])]

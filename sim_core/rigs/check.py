@@ -9,6 +9,7 @@ import numpy as np
 
 from sim_core.errors import nearest_match
 from sim_core.rigs.fields import trouble
+from sim_core.rigs.pieces import pieces_held
 
 if TYPE_CHECKING:
     from sim_core.rigs.observers import Points
@@ -21,6 +22,7 @@ def check_references(rig: Rig) -> None:
     _check_names(rig)
     _check_mounts(rig)
     _check_clamps(rig)
+    _check_held(rig)
     _check_loads(rig)
     _check_joints(rig)
     _check_contacts(rig)
@@ -69,6 +71,32 @@ def _check_clamps(rig: Rig) -> None:
     for index, clamp in enumerate(rig.clamps):
         _refer(clamp.body, soft, "sheet or gel", "clamps", index, "body")
         _check_region(rig, clamp.body, clamp.region, "clamps", index)
+
+
+def _check_held(rig: Rig) -> None:
+    """Without inertia every step is an equilibrium, and what nothing holds has none."""
+    if rig.solver.inertia:
+        return
+    touching = {name for contact in rig.contacts for name in contact.between}
+    for name, body in rig.bodies.items():
+        if body.type not in ("sheet", "gel") or name in touching or (body.type == "gel" and body.mount is not None):
+            continue
+        if body.type == "gel" and body.shape.symmetry:
+            continue
+        free = [piece for piece in pieces_held(rig, name) if not piece.holders]
+        if not free:
+            continue
+        whole = free[0].count == 1
+        held = (
+            "is held by nothing" if whole else f"is in {free[0].count} pieces, and {free[0].words} is held by nothing"
+        )
+        join = "Clamp it" if whole else "Join the pieces in the program that made the mesh, clamp each"
+        raise trouble(
+            f"{held}: no clamp and no contact, and without inertia it has no equilibrium.",
+            f"{join}, declare a contact, or set solver.inertia: true.",
+            "bodies",
+            name,
+        )
 
 
 def _check_loads(rig: Rig) -> None:

@@ -23,7 +23,8 @@ class _MeshFile(Strict):
     """What meshes of sheets and gels share. The body's rest coordinates are those of the file, in m.
 
     ``weld``: join vertices that are at one place (true), or keep them apart, as of a slit (false); without it, such
-    vertices are refused. Triangles of STL files, which share none, are joined where they meet exactly.
+    vertices are refused. Triangles of STL files, which share none, are joined where they meet. One place: within a
+    thousandth of the shortest edges there.
     """
 
     type: Literal["mesh"]

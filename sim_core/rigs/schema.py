@@ -231,6 +231,11 @@ class Rig(Strict):
     recording_clock: Literal["header", "log"] = Field(
         default="header", description="clock of recordings: stamps of headers, or the time at which the recorder wrote"
     )
+    table_columns: dict[Text, Text] = Field(
+        default={},
+        description="name of a column in tables of recordings -> what it is, as `wrench.force_z` or, where the name "
+        "has no unit, `wrench.force_z [mN]`; other columns that are not known are not read then",
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Rig:

@@ -22,7 +22,7 @@ Model = TypeVar("Model", bound=Strict)
 
 MAX_BYTES = 10_000_000
 
-RECORDINGS = {".mcap", ".db3"}
+RECORDINGS = {".mcap", ".db3", ".bag"}
 """Endings of files of recordings."""
 
 
@@ -93,7 +93,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
 def _wanted(path: Path) -> str:
     """What to give instead of what is no YAML file."""
     inside = [path, *path.iterdir()] if path.is_dir() else [path]
-    if any(p.suffix in RECORDINGS or p.name == "metadata.yaml" for p in inside):
+    if any(RECORDINGS & {s.lower() for s in p.suffixes} or p.name == "metadata.yaml" for p in inside):
         return "This looks like a recording; rigs and experiments come before recordings."
     return "Name the YAML file inside it." if path.is_dir() else "Name a YAML file."
 

@@ -111,7 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     cut = given.index("--") if "--" in given else len(given)
     debug = "--debug" in given[:cut]
-    plain = [word for index, word in enumerate(given) if word != "--debug" or index > cut]
+    plain = each_named([word for index, word in enumerate(given) if word != "--debug" or index > cut])
     try:
         with interrupts_remembered():
             code = typer.main.get_command(app).main(plain or ["--help"], "thinshell", standalone_mode=False)
@@ -134,6 +134,25 @@ def main(arguments: list[str] | None = None) -> int:
         text, code = _explain(error)
         print(f"thinshell: {_one_line(text)}", file=sys.stderr)
         return code
+
+
+LISTS = ("--held-out",)
+"""Options that take all the words behind them, up to the next option."""
+
+
+def each_named(words: list[str]) -> list[str]:
+    """The words of a command line with the option before each of its values: '--held-out a b' are two."""
+    found: list[str] = []
+    option = ""
+    for index, word in enumerate(words):
+        if word == "--":
+            return found + words[index:]
+        if word.startswith("-"):
+            option = word if word in LISTS else ""
+            found.append(word)
+        else:
+            found += [option, word] if option and found[-1] != option else [word]
+    return found
 
 
 def _explain(error: Exception) -> tuple[str, int]:

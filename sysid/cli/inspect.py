@@ -43,7 +43,7 @@ def inspect(
     check_bag(bag)
     names, missing = None, []
     if chosen is not None:
-        topics = open_bag(bag, Notes()).topics
+        topics = open_bag(bag, Notes(), chosen.table_columns).topics
         names, absent = topics_of(chosen, topics)
         if not (names.wrench or names.markers or names.tracks or names.images):
             check_topics(chosen, bag, topics)

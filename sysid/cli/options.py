@@ -26,7 +26,7 @@ BagsArgument = Annotated[
 ]
 HeldOutOption = Annotated[
     list[Path] | None,
-    typer.Option("--held-out", metavar="BAG", help="Recording kept for the check; may be repeated."),
+    typer.Option("--held-out", metavar="BAG...", help="Recordings kept for the check, one or several."),
 ]
 ExperimentsArgument = Annotated[
     list[str],

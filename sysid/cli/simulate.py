@@ -18,7 +18,9 @@ def simulate(
         str,
         typer.Argument(metavar="EXPERIMENT", help="Experiment: a name from 'thinshell rigs' or a YAML file."),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="BAG", help="New rosbag2 folder to write.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="BAG", help="New rosbag2 folder to write, or a single file: NAME.mcap.")
+    ],
     seed: Annotated[int | None, whole_number("--seed", "Seed of the noise; default: the experiment's.", 0)] = None,
     refine: Annotated[
         int,
@@ -48,16 +50,18 @@ def simulate(
 ) -> None:
     """Simulate an experiment on a rig and write what its sensors would have recorded.
 
-    Example: thinshell simulate card_press press_hold_release --out press.bag --set card.E=1e9
+    Example: thinshell simulate card_press press_hold_release --out press --set card.E=1e9
     """
     from sim_core.preflight import review
     from sim_core.rigs import load_rig, with_parameters
     from sim_core.rigs.motion import compile_experiment, load_experiment
+    from sysid.recording.writer import check_name
 
     chosen = with_parameters(load_rig(rig), parse_settings(settings or []))
     plan = load_experiment(experiment)
     poses = compile_experiment(plan, chosen)
     check_new(out, "recording")
+    check_name(out)
     for finding in review(chosen, poses):
         warn(finding.text)
     from sysid.simulate import simulate_to_bag

@@ -35,7 +35,7 @@ def track(
     chosen = load_rig(rig) if rig is not None else None
     check_bag(bag)
     check_new(out, "folder")
-    topics = None if chosen is None else topics_of(chosen, open_bag(bag, Notes()).topics)[0]
+    topics = None if chosen is None else topics_of(chosen, open_bag(bag, Notes(), chosen.table_columns).topics)[0]
     from sysid.vision.command import track as track_markers
 
     with progress("track") as report:

@@ -24,6 +24,7 @@ from sysid.fit.marker_field import marker_fields
 from sysid.fit.minimum_norm import minimum_norm_solution
 from sysid.fit.multistart import Evaluations, Progress, Searches, Step
 from sysid.fit.options import FitOptions, Intervals
+from sysid.fit.pressed_gels import pressed_gels
 from sysid.fit.result import (
     Estimate,
     FitResult,
@@ -221,6 +222,7 @@ def _fit_runs(
             contradicted=found.contradicted,
             cautions=why
             + data_quality_warnings(rig, runs)
+            + pressed_gels(runs, fitted.predictions)
             + large_discretisation_errors(problem)
             + unresolved_quantities(problem),
             undetermined=open_ended | {p.name for p in found.profiles if p.undetermined},

@@ -75,7 +75,7 @@ def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
 
     Raises ``RecordingError`` when nothing can be compared, and where a finding makes a fit meaningless, unless
     ``despite`` has its name."""
-    topics = open_bag(Path(path), Notes()).topics
+    topics = open_bag(Path(path), Notes(), rig.table_columns).topics
     check_topics(rig, path, topics)
     names, missing = topics_of(rig, topics)
     recording = read_recording(path, names, need_pose=bool(rig.end_effectors))

@@ -69,6 +69,7 @@ def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str
         camera_info=infos,
         images=images,
         time=rig.recording_clock,
+        columns=rig.table_columns,
     )
     return names, tuple(missing)
 

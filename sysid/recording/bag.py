@@ -4,32 +4,23 @@ from __future__ import annotations
 
 import sqlite3
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePath, PureWindowsPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 import zstandard
 
-from sim_core.errors import RecordingError, nearest_match
+from sim_core.errors import RecordingError
 from sysid.recording.arrays import Ints
-from sysid.recording.files import (
-    SUFFIXES,
-    TABLE,
-    ZSTD_MAGIC,
-    index_file,
-    open_payloads,
-    permission_denied,
-)
-from sysid.recording.notes import Notes, plural
+from sysid.recording.files import index_file, permission_denied
+from sysid.recording.find import METADATA, files_of
+from sysid.recording.formats import TABLE, content_of
+from sysid.recording.notes import Notes
 from sysid.recording.storage import FileIndex, Payloads
 
-METADATA = "metadata.yaml"
-
-WHAT = "a rosbag2 directory, an .mcap, .db3 or .bag file, or tables (.csv)"
-"""What a recording may be."""
+_ZSTD = b"\x28\xb5\x2f\xfd"
 
 LARGEST_MESSAGE = 1 << 30
 """Bytes that a message may unpack to."""
@@ -53,13 +44,13 @@ class MessageSet:
     """Where the messages of one topic are, in the order of recording.
 
     Attributes:
-        paths: the files of the recording.
-        file: index into ``paths`` per message, shape (k,).
+        open: opens each file of the recording.
+        file: index into ``open`` per message, shape (k,).
         locator: position in that file per message, shape (k, 3).
         log_ns: time of recording [ns], shape (k,).
     """
 
-    paths: tuple[Path, ...]
+    open: tuple[Callable[[], Payloads], ...]
     file: Ints
     locator: Ints
     log_ns: Ints
@@ -69,7 +60,7 @@ class MessageSet:
 
     def take(self, which: Any) -> MessageSet:
         """Return the messages selected by an index array or mask."""
-        return MessageSet(self.paths, self.file[which], self.locator[which], self.log_ns[which])
+        return MessageSet(self.open, self.file[which], self.locator[which], self.log_ns[which])
 
     def payloads(self) -> Iterator[bytes]:
         """Yield the serialised messages one by one; for what cannot be read, no bytes."""
@@ -77,11 +68,11 @@ class MessageSet:
         try:
             for k, place in zip(self.file.tolist(), self.locator.tolist(), strict=True):
                 if k not in opened:
-                    opened[k] = open_payloads(self.paths[k])
+                    opened[k] = self.open[k]()
                 try:
                     data = opened[k].payload(*place)
                     # Messages compressed one by one start with the zstd magic, which no CDR message does.
-                    yield _unpacked(data) if data[:4] == ZSTD_MAGIC else data
+                    yield _unpacked(data) if data[:4] == _ZSTD else data
                 except (sqlite3.DatabaseError, zstandard.ZstdError, struct.error, ValueError, OverflowError):
                     yield b""  # what is damaged is no message of any type
         finally:
@@ -105,6 +96,11 @@ class Bag:
     topics: dict[str, TopicInfo]
     compression: str
 
+    @property
+    def of_tables(self) -> bool:
+        """Whether it is made of tables, which have no frames and no camera_info."""
+        return all(index.storage == TABLE for index in self.files)
+
     def messages(self, topic: str) -> MessageSet:
         """Return the messages of one topic, ordered by their time of recording."""
         file, locator, log_ns = [], [], []
@@ -115,7 +111,7 @@ class Bag:
             locator.append(index.locator[mine])
             log_ns.append(index.log_ns[mine])
         found = MessageSet(
-            tuple(index.path for index in self.files),
+            tuple(index.open for index in self.files),
             np.concatenate(file),
             np.concatenate(locator),
             np.concatenate(log_ns),
@@ -132,24 +128,27 @@ def _unpacked(data: bytes) -> bytes:
     return message
 
 
-def open_bag(path: Path, notes: Notes) -> Bag:
+def open_bag(path: Path, notes: Notes, columns: Mapping[str, str] | None = None) -> Bag:
     """Find and index the files of a recording.
 
     Args:
         path: a rosbag2 directory, a directory of splits, or one storage file.
         notes: takes what was repaired or assumed.
+        columns: by names of columns of tables, what they are.
 
     Raises:
         RecordingError: there is no recording, or nothing in it can be read.
     """
     try:
-        paths, metadata = _files_of(path, notes)
+        paths, metadata = files_of(path, notes)
     except PermissionError as error:
         raise permission_denied(Path(error.filename or path)) from error
-    files = tuple(index_file(file) for file in paths)
+    files = _indexed(paths, columns or {}, notes)
     for index in files:
         for problem in index.problems:
             notes.warning(index.path.name, problem)
+        for remark in index.remarks:
+            notes.info(index.path.name, remark)
     topics = _topics(files)
     total = sum(len(index.log_ns) for index in files)
     if not total:
@@ -168,92 +167,24 @@ def open_bag(path: Path, notes: Notes) -> Bag:
     return Bag(path, files, topics, "+".join(sorted(kinds)))
 
 
-def _files_of(path: Path, notes: Notes) -> tuple[list[Path], Mapping[str, Any]]:
-    if not path.exists():
-        siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
-        hint = nearest_match(path.name, siblings) if siblings else f"{path.parent} does not exist either."
-        raise RecordingError(f"Recording {path} does not exist.", hint)
-    if path.is_file():
-        if path.name == METADATA:
-            return _files_of(path.parent, notes)
-        return [path], {}
-    if not path.is_dir():
-        raise RecordingError(
-            f"{path} is neither a file nor a folder (a device, a pipe or a socket).",
-            f"Give {WHAT}.",
-        )
-    here = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_natural)
-    tables = sorted((p for p in path.iterdir() if p.suffix.lower() == TABLE), key=_natural)
-    if tables and not here and not (path / METADATA).exists():
-        return tables, {}
-    metadata = _metadata(path / METADATA, notes)
-    if metadata:
-        listed = [_listed_file(path, str(name)) for name in metadata["relative_file_paths"]]
-        missing = [p.name for p in listed if not p.is_file()]
-        found = [p for p in listed if p.is_file()]
-        if listed and not found:
-            raise RecordingError(
-                f"{path / METADATA} lists {', '.join(missing)}, of which none exists.",
-                "Copy the storage files beside metadata.yaml.",
-            )
-        if missing:
-            notes.warning(METADATA, f"{plural(len(missing), 'split')} of {len(listed)} missing: {', '.join(missing)}")
-        unlisted = [p.name for p in here if p not in listed]
-        if unlisted:
-            notes.warning(METADATA, f"files beside the listed ones are not read: {', '.join(unlisted)}")
-        return found, metadata
-    if not here:
-        inner = sorted(p.name for p in path.iterdir() if p.is_dir() and (p / METADATA).exists())
-        if inner:
-            raise RecordingError(
-                f"{path} is a folder of {plural(len(inner), 'recording')}, not a recording.",
-                "Give one of: " + ", ".join(inner) + ".",
-            )
-        listing = f"a {METADATA} that lists nothing" if (path / METADATA).exists() else f"no {METADATA}"
-        raise RecordingError(
-            f"{path} is not a recording: it holds {listing} and no .mcap, .db3, .bag or .csv file.",
-            f"Give {WHAT}.",
-        )
-    notes.warning(METADATA, f"missing or unusable; {plural(len(here), 'storage file')} read in the order of names")
-    return here, {}
-
-
-def _listed_file(folder: Path, name: str) -> Path:
-    """The file that a metadata.yaml lists: its base name, of a path of Windows too, and with the ending that
-    compression added after the name was written."""
-    base = PureWindowsPath(PurePath(name).name).name
-    plain = folder / base
-    packed = folder / f"{base}.zstd"
-    return packed if packed.is_file() and not plain.is_file() else plain
-
-
-def _metadata(path: Path, notes: Notes) -> Mapping[str, Any]:
-    """Return the bag's metadata, empty when there is none that can be used."""
-    if not path.exists():
-        return {}
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        information = content["rosbag2_bagfile_information"]
-        if not isinstance(information["relative_file_paths"], list):
-            raise TypeError("relative_file_paths is no list")
-        counts = information.get("topics_with_message_count")
-        if not isinstance(counts, list | None):
-            raise TypeError("topics_with_message_count is no list")
-    except (yaml.YAMLError, ValueError, KeyError, TypeError, RecursionError) as error:
-        notes.warning(METADATA, f"cannot be used: {' '.join(str(error).split())}")
-        return {}
-    return dict(information)
-
-
-def _natural(path: Path) -> tuple[tuple[int, str], ...]:
-    """Sort key that puts part_2 before part_10."""
-    words: list[str] = [""]
-    for char in path.name:
-        if char.isdigit() == words[-1][-1:].isdigit():
-            words[-1] += char
-        else:
-            words.append(char)
-    return tuple((int(word), "") if word.isdigit() else (-1, word) for word in words)
+def _indexed(paths: Sequence[Path], columns: Mapping[str, str], notes: Notes) -> tuple[FileIndex, ...]:
+    """The files that can be read. Raises ``RecordingError`` where none can, or where a table has faults, with those of
+    all."""
+    found: list[FileIndex] = []
+    faults: dict[Path, RecordingError] = {}
+    for path in paths:
+        try:
+            found.append(index_file(path, columns))
+        except RecordingError as error:
+            faults[path] = error
+    tables = [path for path in faults if content_of(path).kind == TABLE]
+    if tables:
+        raise RecordingError(" ".join(faults[path].problem for path in tables), faults[tables[0]].remedy)
+    if not found:
+        raise next(iter(faults.values()))
+    for path, fault in faults.items():
+        notes.warning(path.name, f"left out: {fault.problem}")
+    return tuple(found)
 
 
 def _topics(files: tuple[FileIndex, ...]) -> dict[str, TopicInfo]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,10 @@ def cloud_fields(message: Any) -> Cloud:
     row = int(message.row_step) if height > 1 else width * step
     if data.size < height * row or row < width * step:
         raise ValueError(f"holds {data.size} bytes where {height} x {width} points of {step} are stated")
+    ends = [at + np.dtype(kind).itemsize for at, kind in zip(offsets, formats, strict=True)]
+    if min(offsets, default=0) < 0 or max(ends, default=0) > step:
+        # numpy adds in 32 bits, and reads where there is nothing.
+        raise ValueError(f"has fields that reach to byte {max(ends)} of points of {step}")
     try:
         dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
     except ValueError as error:
@@ -139,18 +144,23 @@ def _assign(series: Series, needed: tuple[str, ...], t: Floats, notes: Notes) ->
         Ids of the markers (m,), row and column per point (p,), and the fields of all points (p,).
     """
     topic = series.topic
-    sizes = np.array([len(cloud[needed[0]]) for cloud in series.rows])
-    common = set.intersection(*(set(cloud) for cloud in series.rows))
-    points = {name: np.concatenate([cloud[name] for cloud in series.rows]) for name in sorted(common)}
+    common = Counter(frozenset(cloud) for cloud in series.rows).most_common(1)[0][0]
+    sound = np.array([common <= cloud.keys() and _are_whole(cloud.get("id")) for cloud in series.rows])
+    if "id" in common and not sound.any():
+        raise RecordingError(f"{topic}: the field id holds numbers that are not whole.", "Write the id as UINT32.")
+    if not sound.all():
+        notes.count(
+            "warning", topic, "message", "with other fields than most, or ids that are not whole, left out", t[~sound]
+        )
+    clouds = [cloud for cloud, kept in zip(series.rows, sound, strict=True) if kept]
+    sizes = np.array([len(cloud[needed[0]]) if kept else 0 for cloud, kept in zip(series.rows, sound, strict=True)])
+    points = {name: np.concatenate([cloud[name] for cloud in clouds]) for name in sorted(common)}
     row = np.repeat(np.arange(len(sizes)), sizes)
     if "id" in points:
-        number = points["id"].astype(np.float64)
-        if not (np.isfinite(number).all() and (number == np.round(number)).all()):
-            raise RecordingError(f"{topic}: the field id holds numbers that are not whole.", "Write the id as UINT32.")
         name = points["id"].astype(np.int64)
-    elif len(set(sizes.tolist())) == 1:
+    elif len(set(sizes[sound].tolist())) == 1:
         notes.warning(topic, "no field id: markers are told apart by their row")
-        name = np.tile(np.arange(sizes[0]), len(sizes)).astype(np.int64)
+        name = np.tile(np.arange(sizes[sound][0]), len(clouds)).astype(np.int64)
     else:
         raise RecordingError(
             f"{topic}: no field id, and from {sizes.min()} to {sizes.max()} rows a message: markers cannot "
@@ -180,10 +190,22 @@ def _assign(series: Series, needed: tuple[str, ...], t: Floats, notes: Notes) ->
     return ids, row[first], column[first], {key: values[first] for key, values in points.items()}
 
 
+def _are_whole(ids: Any) -> bool:
+    """Whether numbers of markers are whole; of a cloud without any, yes."""
+    number = np.zeros(0) if ids is None else ids.astype(np.float64)
+    return bool(np.isfinite(number).all() and (number == np.round(number)).all() and (np.abs(number) < 2**62).all())
+
+
 def _fill(clouds: Cloud, names: tuple[str, ...], row: Ints, column: Ints, shape: tuple[int, int]) -> Floats:
     out = np.full((*shape, len(names)), np.nan)
     out[row, column] = np.stack([clouds[name].astype(np.float64) for name in names], axis=-1)
     return out
+
+
+def _usual(sizes: Floats) -> float:
+    """The largest of sizes [m] ``(n, 3)`` but for those of one message, which may be damaged."""
+    largest = np.sort(sizes.max(axis=1))
+    return float(max(largest[-2 if len(largest) > 1 else -1], 0.0))
 
 
 def _scale(topic: str, position: Floats, displacement: Floats | None, declared: SensorTopic, notes: Notes) -> float:
@@ -191,11 +213,8 @@ def _scale(topic: str, position: Floats, displacement: Floats | None, declared: 
         notes.info(topic, "positions scaled from mm to m, as declared")
         return 1e-3
     if declared.length_unit is None:
-        flat = position.reshape(-1, 3)
-        spread = float((np.nanmax(flat, axis=0) - np.nanmin(flat, axis=0)).max())
-        moved = 0.0
-        if displacement is not None and np.isfinite(displacement).any():
-            moved = float(np.nanmax(np.abs(displacement)))
+        spread = _usual(np.nanmax(position, axis=1, initial=-np.inf) - np.nanmin(position, axis=1, initial=np.inf))
+        moved = 0.0 if displacement is None else _usual(np.nanmax(np.abs(displacement), axis=1, initial=0.0))
         if max(spread, moved) > WIDEST_M:
             raise RecordingError(
                 f"{topic}: markers spread over {spread:.4g} m and move by up to {moved:.4g} m (plausible: "

@@ -1,192 +1,269 @@
 """Tables of laboratories without ROS: CSV files with named columns and units, written as a recording.
 
-The first columns that are named so are the time and the readings, each with its unit in brackets::
+The names of the columns are the time and the readings, each with its unit (:mod:`sysid.recording.csv_header`)::
 
     time [s], x [mm], force_z [N], wrench.torque_x [N mm], marker_tracks.7.u [px], marker_tracks.7.v [px]
 
 A name is a component, or ``topic.component``; markers have their number between the two. Components: ``x y z``
-(position), ``qx qy qz qw`` or ``roll pitch yaw`` (turn) of ``current_pose``; ``force_x`` to ``torque_z`` of ``wrench``;
-``u v`` of ``marker_tracks`` and ``x y z`` of ``markers``, by number. Empty cells are readings that are missing. Several
-files of one folder share one clock. Columns may be parted by commas, semicolons (then with decimal commas or points) or
-tabs; lines that begin with # are remarks.
+(position), ``qx qy qz qw`` or ``roll pitch yaw`` (turn) of ``current_pose``; ``force_x`` to ``torque_z`` of
+``wrench``; ``u v`` of ``marker_tracks`` and ``x y z`` of ``markers``, by number. Names of another program are mapped to
+these in the rig (``table_columns``). Empty cells are readings that are missing. Several files of one folder share one
+clock. Columns may be parted by commas, semicolons (then with decimal commas or points) or tabs, and lines may end with
+one; text may be UTF-8, UTF-16 or Latin 1; lines that begin with #, and those before the line of names, are remarks;
+units may be a line of their own below the names.
 """
 
 from __future__ import annotations
 
 import csv
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import datetime
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim_core.errors import RecordingError, nearest_match
+from sim_core.errors import RecordingError
 from sysid.recording.arrays import Floats
+from sysid.recording.csv_header import MARKER, TRACK, WRENCH, Column, Unknown, column_of, is_time
+from sysid.recording.formats import encoding_of
+from sysid.recording.notes import plural
 from sysid.recording.writer import RecordingWriter
 
-UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
-    "angle": {"rad": 1.0, "deg": np.pi / 180.0},
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605},
-    "torque": {"N m": 1.0, "N mm": 1e-3, "mN m": 1e-3, "N cm": 1e-2, "kgf cm": 9.80665e-2},
-    "pixel": {"px": 1.0},
-    "number": {"": 1.0, "1": 1.0},
-}
-"""Factors to SI units and px."""
-
-POSE = {"x": "length", "y": "length", "z": "length", "qx": "number", "qy": "number", "qz": "number", "qw": "number",
-        "roll": "angle", "pitch": "angle", "yaw": "angle"}  # fmt: skip
-WRENCH = {f"{kind}_{axis}": kind for kind in ("force", "torque") for axis in "xyz"}
-TRACK = {"u": "pixel", "v": "pixel"}
-MARKER = {axis: "length" for axis in "xyz"}
-
-_POSES = ("current_pose", "target_pose")
-_COLUMN = re.compile(r"^(?P<name>[^\[\]()]*?)\s*(?:[\[(](?P<unit>[^\[\]()]*)[\])])?$")
 _START_S, _LATEST_S = 1e6, 2e9
 """Stamp [s] of time 0, so that times before it have one, and the latest time."""
 _LARGEST = 1 << 29
 """Bytes of a table that are read."""
+_MISSING = {"", "nan", "na", "n/a", "#n/a", "-", "--", "null", "none"}
+"""Cells without a reading."""
+_LISTED = 6
+"""Faults of a table that are listed."""
+_PREAMBLE = 100
+"""Lines in which the line of names is looked for."""
 
 
-@dataclass(frozen=True)
-class _Column:
-    """Where a column belongs: topic, number of the marker (None of others), component."""
+def write_table(
+    path: Path, out: Path, shown: Path, mapped: Mapping[str, str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Write a CSV file as a recording ``out``, which must not exist. Returns what was assumed and what else is to be
+    said of it, in words.
 
-    topic: str
-    marker: int | None
-    component: str
-    factor: float
-
-
-def write_table(path: Path, out: Path) -> tuple[str, ...]:
-    """Write a CSV file as a recording ``out``, which must not exist. Returns what was assumed, in words.
+    Args:
+        path: the file.
+        out: the recording.
+        shown: the path to name in messages.
+        mapped: by names of columns of the file, what they are, as ``wrench.force_z`` or ``wrench.force_z [mN]``.
 
     Raises:
-        RecordingError: a file is no such table; the message names file, column and line.
+        RecordingError: a file is no such table; the message names all that is wrong, with columns and lines.
     """
-    t, columns = _read(path)
+    table = _Table(path, shown, mapped)
+    t, columns = table.read()
+    assumed: list[str] = []
     if t.min() < -_START_S or t.max() > _LATEST_S:
         raise RecordingError(
-            f"{path}: the times go from {t.min():g} to {t.max():g} s.", "Count them from the start of the recording."
+            f"{shown}: the times go from {t.min():g} to {t.max():g} s.",
+            "Count them from the start of the recording, and check their unit.",
         )
-    assumed: list[str] = []
     with RecordingWriter(out) as bag:
         stamps = [round(1e9 * (_START_S + float(value))) for value in t]
         for topic in dict.fromkeys(column.topic for column in columns):
             mine = {c: values for c, values in columns.items() if c.topic == topic}
-            kind = topic.rpartition("/")[2]
-            if kind in _POSES:
+            kind = next(iter(mine)).kind
+            if kind == "pose":
                 assumed += _poses(bag, topic, stamps, {c.component: v for c, v in mine.items()})
             elif kind == "wrench":
                 _wrenches(bag, topic, stamps, {c.component: v for c, v in mine.items()})
             else:
                 _markers(bag, topic, kind, stamps, mine)
-    return tuple(assumed)
+    return tuple(assumed), tuple(table.remarks)
 
 
-def _read(path: Path) -> tuple[Floats, dict[_Column, Floats]]:
-    """Times [s] ``(n,)`` and columns ``(n,)``, SI units, of one file."""
-    if path.stat().st_size > _LARGEST:
-        raise RecordingError(f"{path} has {path.stat().st_size} bytes.", f"Split it: at most {_LARGEST} are read.")
-    raw = path.read_bytes()
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if len(lines) < 2:
+class _Table:
+    """One file while it is read. ``faults``: what is wrong, ``remarks``: what is harmless, in words."""
+
+    def __init__(self, path: Path, shown: Path, mapped: Mapping[str, str]) -> None:
+        self.path, self.shown, self.mapped = path, shown, mapped
+        self.faults: list[str] = []
+        self.remarks: list[str] = []
+
+    def read(self) -> tuple[Floats, dict[Column, Floats]]:
+        """Times [s] ``(n,)`` and columns ``(n,)``, SI units."""
+        lines = self._lines()
+        separator, names, rows = self._parted(lines)
+        columns = self._columns(names)
+        rows = self._even(rows, names, separator)
+        time_at = next((k for k, column in columns.items() if column.kind == "time"), None)
+        if time_at is None:
+            shown = ", ".join(names[:8])
+            self.faults.append(f"it has no column of times among {shown}. Name it with its unit, as in time [s]")
+        values = {k: self._numbers(names[k], column, k, rows) for k, column in columns.items()}
+        if time_at is not None:
+            without = np.isnan(values[time_at])
+            if without.any() and not self.faults:
+                first = rows[int(np.argmax(without))][0]
+                self.faults.append(f"line {first} has no time" + _more(int(without.sum())))
+        self._refuse()
+        assert time_at is not None
+        t = columns[time_at].factor * values[time_at]
+        return t, {column: column.factor * values[k] for k, column in columns.items() if k != time_at}
+
+    def _refuse(self) -> None:
+        if not self.faults:
+            return
+        shown = "; ".join(f.rstrip(".") for f in self.faults[:_LISTED])
+        rest = f"; and {len(self.faults) - _LISTED} more" if len(self.faults) > _LISTED else ""
         raise RecordingError(
-            f"{path} has no header line and readings.", "Write a line of names, as in time [s], x [mm]."
+            f"{self.shown}: {shown}{rest}.",
+            "Correct the table, or say in the rig what its columns are: table_columns: {NAME: wrench.force_z}.",
         )
-    separator = next((mark for mark in ("\t", ";", ",") if mark in lines[0]), ",")
-    try:
-        rows = list(csv.reader(lines, delimiter=separator))
-    except csv.Error as error:
-        raise RecordingError(f"{path} is no CSV table: {error}.", "Save it as CSV again.") from error
-    header = [name.strip() for name in rows[0]]
-    time_at, factor = _time(path, header)
-    places = [_column(path, name) if k != time_at else None for k, name in enumerate(header)]
-    doubled = next((c for k, c in enumerate(places) if c is not None and _alike(c, places[:k])), None)
-    if doubled is not None:
-        raise RecordingError(f"{path} has {doubled.topic}.{doubled.component} twice.", "Keep one of the two columns.")
-    values = np.full((len(rows) - 1, len(header)), np.nan)
-    for k, row in enumerate(rows[1:]):
-        if len(row) > len(header):
+
+    def _lines(self) -> list[tuple[int, str]]:
+        """The lines that are no remarks, with their numbers in the file."""
+        size = self.path.stat().st_size
+        if size > _LARGEST:
+            raise RecordingError(f"{self.shown} has {size} bytes.", f"Split it: at most {_LARGEST} are read.")
+        raw = self.path.read_bytes()
+        encoding = encoding_of(raw)
+        try:
+            text = raw.decode(encoding)
+        except UnicodeDecodeError:
+            text = raw.decode(encoding, errors="replace") if encoding.startswith("utf-16") else raw.decode("latin-1")
+        numbered = enumerate(text.lstrip("\ufeff").splitlines(), start=1)
+        lines = [(k, line) for k, line in numbered if line.strip() and not line.lstrip().startswith("#")]
+        if len(lines) < 2:
             raise RecordingError(
-                f"{path}: line {k + 2} has {len(row)} cells, the header {len(header)}.", "Give each column a name."
+                f"{self.shown} has no header line and readings.", "Write a line of names, as in time [s], x [mm]."
             )
-        for c, cell in enumerate(row):
-            values[k, c] = _number(path, header[c], k + 2, cell, separator)
-    if np.isnan(values[:, time_at]).any():
-        line = int(np.argmax(np.isnan(values[:, time_at]))) + 2
-        raise RecordingError(f"{path}: line {line} has no time.", "Give each reading its time.")
-    t = factor * values[:, time_at]
-    return t, {c: c.factor * values[:, k] for k, c in enumerate(places) if c is not None}
+        return lines
+
+    def _parted(self, lines: list[tuple[int, str]]) -> tuple[str, list[str], list[tuple[int, list[str]]]]:
+        """Separator, names of the columns, and the rows with their lines."""
+        separator, begin = _separator(lines[0][1]), 0
+        for k, (_, line) in enumerate(lines[:_PREAMBLE]):
+            mark = _separator(line)
+            if any(is_time(cell, self.mapped) for cell in _cells(line, mark)):
+                separator, begin = mark, k
+                break
+        try:
+            parsed = [(number, next(csv.reader([line], delimiter=separator))) for number, line in lines[begin:]]
+        except csv.Error as error:
+            raise RecordingError(f"{self.shown} is no CSV table: {error}.", "Save it as CSV again.") from error
+        names = [name.strip() for name in parsed[0][1]]
+        rows = parsed[1:]
+        if rows and not any(name.endswith(("]", ")")) for name in names) and (units := _units(rows[0][1])):
+            names = [
+                f"{n} [{u}]" if u and n else n for n, u in zip(names, [*units, *names[len(units) :]], strict=False)
+            ]
+            rows = rows[1:]
+        return separator, names, rows
+
+    def _columns(self, names: Sequence[str]) -> dict[int, Column]:
+        """What each column is, but for those that nobody reads."""
+        columns: dict[int, Column] = {}
+        unread = []
+        for k, name in enumerate(names):
+            if not name:
+                continue
+            try:
+                column = column_of(name, self.mapped)
+            except Unknown as error:
+                self.faults.append(str(error))
+                continue
+            if column is None:
+                unread.append(name)
+            elif any(column.place == other.place for other in columns.values()):
+                self.faults.append(f"it has {column if column.kind != 'time' else 'the time'} twice: {name!r}")
+            else:
+                columns[k] = column
+        if unread:
+            more = f" and {len(unread) - _LISTED} more" if len(unread) > _LISTED else ""
+            self.remarks.append(f"columns not read: {', '.join(unread[:_LISTED])}{more}")
+        return columns
+
+    def _even(
+        self, rows: Sequence[tuple[int, list[str]]], names: list[str], separator: str
+    ) -> list[tuple[int, list[str]]]:
+        """Rows with as many cells as there are names: a separator at the end of a line ends it, and begins no cell."""
+        width = max((k + 1 for k, name in enumerate(names) if name), default=0)
+        even, long = [], []
+        for number, row in rows:
+            filled = max((k + 1 for k, cell in enumerate(row) if cell.strip()), default=0)
+            if filled > width:
+                long.append((number, row))
+            even.append((number, [*row[:width], *[""] * (width - len(row))]))
+        if long:
+            number, row = long[0]
+            words = f"line {number} has {len(row)} cells, the header {width}: {separator.join(row)[:60]!r}"
+            if separator == "," and all(len(row) > width for _, row in long) and 2 * len(long) > len(rows):
+                words += (
+                    ": commas part the columns and the decimals. Save it with semicolons or tabs between columns, or "
+                    "with decimal points"
+                )
+            else:
+                words += ". Give each column a name"
+            self.faults.append(words + _more(len(long)))
+        return even
+
+    def _numbers(self, name: str, column: Column, k: int, rows: Sequence[tuple[int, list[str]]]) -> Floats:
+        """The cells of a column as numbers, NaN where there is none."""
+        values = np.full(len(rows), np.nan)
+        cells = [row[k].strip() if k < len(row) else "" for _, row in rows]
+        points = any("." in cell for cell in cells)
+        wrong = []
+        for at, cell in enumerate(cells):
+            if cell.lower() in _MISSING:
+                continue
+            try:
+                values[at] = _number(cell, points, column.kind == "time")
+            except ValueError:
+                wrong.append(at)
+        if wrong and not any(f.startswith("line") and "cells, the header" in f for f in self.faults):
+            self.faults.append(
+                f"line {rows[wrong[0]][0]} has {cells[wrong[0]][:40]!r} for {name!r}" + _more(len(wrong))
+                + ". Write a number, or leave the cell empty"
+            )  # fmt: skip
+        return values
 
 
-def _time(path: Path, header: Sequence[str]) -> tuple[int, float]:
-    for k, name in enumerate(header):
-        matched = _COLUMN.match(name)
-        if matched and matched["name"].strip().lower() in ("t", "time"):
-            return k, _factor(path, name, "time", matched["unit"])
-    raise RecordingError(
-        f"{path} has no column of times among {', '.join(header[:8])}.", "Name it with its unit, as in time [s]."
-    )
+def _more(count: int) -> str:
+    return f" ({plural(count, 'such line')})" if count > 1 else ""
 
 
-def _column(path: Path, name: str) -> _Column:
-    matched = _COLUMN.match(name)
-    words = (matched["name"].strip() if matched else name).split(".")
-    component = words[-1].strip()
-    topic = ".".join(words[:-1]).strip().replace(".", "/")
-    marker = None
-    head, _, last = topic.rpartition("/")
-    if re.fullmatch(r"[0-9]{1,9}", last):
-        topic, marker = head, int(last)
-    if not topic:
-        topic = "current_pose" if component in POSE else "wrench"
-    kind = topic.rpartition("/")[2]
-    numbered = {"marker_tracks": TRACK, "markers": MARKER}
-    kinds = POSE if kind in _POSES else WRENCH if kind == "wrench" else numbered.get(kind, {})
-    if component not in kinds or (kind in numbered) != (marker is not None):
-        known = [*POSE, *WRENCH, "marker_tracks.7.u", "markers.7.x"]
-        raise RecordingError(f"{path}: the column {name!r} is not known.", nearest_match(component, known))
-    return _Column(
-        topic, marker, component, _factor(path, name, kinds[component], matched["unit"] if matched else None)
-    )
+def _separator(line: str) -> str:
+    return next((mark for mark in ("\t", ";", ",") if mark in line), ",")
 
 
-def _factor(path: Path, name: str, quantity: str, unit: str | None) -> float:
-    known = UNITS[quantity]
-    found = (unit or "").strip().replace("·", " ").replace("*", " ").replace("µ", "u")
-    if found not in known:
-        raise RecordingError(
-            f"{path}: the column {name!r} has " + (f"the unit {found!r}." if found else "no unit."),
-            f"Write one of these in brackets behind its name: {', '.join(filter(None, known))}.",
-        )
-    return known[found]
-
-
-def _alike(column: _Column, others: Sequence[_Column | None]) -> bool:
-    place = (column.topic, column.marker, column.component)
-    return any(o is not None and (o.topic, o.marker, o.component) == place for o in others)
-
-
-def _number(path: Path, column: str, line: int, cell: str, separator: str) -> float:
-    text = cell.strip()
-    if not text or text.lower() in ("nan", "na", "-", "null"):
-        return np.nan
+def _cells(line: str, separator: str) -> list[str]:
     try:
-        value = float(text.replace(",", ".") if separator != "," else text)
+        return next(csv.reader([line], delimiter=separator))
+    except csv.Error:
+        return []
+
+
+def _units(row: Iterable[str]) -> list[str]:
+    """The units of a line of units, empty for a line of anything else."""
+    cells = [cell.strip() for cell in row]
+    if not any(cells) or any(any(mark.isdigit() for mark in cell) for cell in cells):
+        return []
+    if any(cell.lower() in _MISSING - {""} for cell in cells):
+        return []
+    return [cell.strip("[]()") for cell in cells]
+
+
+def _number(cell: str, points: bool, is_date: bool) -> float:
+    """A number with a decimal point or a decimal comma, or a date as seconds since 1970."""
+    if "," in cell and (points or cell.count(",") > 1):
+        raise ValueError(cell)  # of which of the two parts thousands nobody knows
+    try:
+        value = float(cell.replace(",", "."))
     except ValueError:
-        raise RecordingError(
-            f"{path}: line {line} has {text[:40]!r} for {column!r}.", "Write a number, or leave the cell empty."
-        ) from None
-    if np.isinf(value):
-        raise RecordingError(f"{path}: line {line} has {text!r} for {column!r}.", "Leave the cell empty.")
+        if not is_date:
+            raise
+        at = datetime.datetime.fromisoformat(cell.replace("Z", "+00:00"))
+        value = (at if at.tzinfo else at.replace(tzinfo=datetime.timezone.utc)).timestamp()
+    if not np.isfinite(value):
+        raise ValueError(cell)
     return value
 
 
@@ -216,7 +293,7 @@ def _wrenches(bag: RecordingWriter, topic: str, stamps: Sequence[int], columns: 
 
 
 def _markers(
-    bag: RecordingWriter, topic: str, kind: str, stamps: Sequence[int], columns: Mapping[_Column, Floats]
+    bag: RecordingWriter, topic: str, kind: str, stamps: Sequence[int], columns: Mapping[Column, Floats]
 ) -> None:
     axes = list(TRACK if kind == "marker_tracks" else MARKER)
     ids = sorted({column.marker for column in columns if column.marker is not None})

@@ -4,93 +4,99 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
+import zlib
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import zstandard
 
 from sim_core.errors import RecordingError
 from sysid.recording import storage_mcap, storage_sqlite
+from sysid.recording.formats import ROSBAG1, SQLITE, TABLE, Content, content_of, plain_name, refuse
 from sysid.recording.storage import FileIndex, Payloads
-
-SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".bag")
-TABLE = ".csv"
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 class _Unpacked:
     """A plain copy of a file compressed as a whole; it lives as long as this object."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, packed: str) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="thinshell-bag-")
-        self.path = Path(self._folder.name) / path.stem
-        unpacker = zstandard.ZstdDecompressor().decompressobj()
-        with path.open("rb") as packed, self.path.open("wb") as plain:
-            while block := packed.read(1 << 20):
+        self.path = Path(self._folder.name) / plain_name(path.name)
+        self.problems: tuple[str, ...] = ()
+        unpacker = _unpacker(packed)
+        with path.open("rb") as source, self.path.open("wb") as plain:
+            while block := source.read(1 << 20):
                 while block:
                     if unpacker.eof:
-                        unpacker = zstandard.ZstdDecompressor().decompressobj()
+                        unpacker = _unpacker(packed)
                     try:
                         plain.write(unpacker.decompress(block))
-                    except zstandard.ZstdError as error:
+                    except (zstandard.ZstdError, zlib.error) as error:
+                        if plain.tell():
+                            self.problems = (f"the compressed file is damaged behind {plain.tell()} bytes of content",)
+                            return
                         raise RecordingError(
-                            f"{path} does not decompress as zstd: {error}.",
+                            f"{path} does not decompress as {packed}: {error}.",
                             "Use another copy of the recording.",
                         ) from error
                     block = unpacker.unused_data if unpacker.eof else b""
-        self.cut_short = not unpacker.eof
+        self.problems = () if unpacker.eof else ("the compressed file is cut short",)
+
+
+def _unpacker(packed: str) -> Any:
+    return zlib.decompressobj(zlib.MAX_WBITS + 16) if packed == "gzip" else zstandard.ZstdDecompressor().decompressobj()
 
 
 class _Converted:
     """A recording of another kind as an .mcap file; it lives as long as this object."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, plain: Path, kind: str, shown: Path, mapped: Mapping[str, str]) -> None:
         from sysid.recording.csv_tables import write_table
         from sysid.recording.rosbag1 import write_as_ros2
 
         self._folder = tempfile.TemporaryDirectory(prefix="thinshell-bag-")
         out = Path(self._folder.name) / "bag"
-        self.problems: tuple[str, ...] = ()
-        if path.suffix.lower() == TABLE:
-            self.problems = write_table(path, out)
+        self.remarks: tuple[str, ...] = ()
+        if kind == TABLE:
+            self.problems, self.remarks = write_table(plain, out, shown, mapped)
         else:
-            self.problems = write_as_ros2(path, out, path)
+            self.problems = write_as_ros2(plain, out, shown)
         self.path = next(out.glob("*.mcap"))
 
 
-def index_file(path: Path) -> FileIndex:
-    """Index one storage file: ``.mcap`` or ``.db3``, each also with ``.zstd`` behind it, ``.bag`` of ROS 1 or ``.csv``.
+def index_file(path: Path, mapped: Mapping[str, str]) -> FileIndex:
+    """Index one storage file or table, whatever its name and its compression. ``mapped``: names of columns of tables.
 
     Raises:
         RecordingError: the file cannot be opened, is no such file, or nothing in it can be read.
     """
     try:
-        if foreign := _foreign(path):
-            made = _converted(path, path.stat().st_mtime_ns)
-            index = storage_mcap.index_mcap(made.path, path)
-            return replace(index, storage=foreign, compression="", problems=(*made.problems, *index.problems))
-        plain, compressed, cut_short = _plain(path)
-        is_sqlite = _is_sqlite(plain, path)
-        index = (storage_sqlite.index_sqlite if is_sqlite else storage_mcap.index_mcap)(plain, path)
+        content = content_of(path)
+        if content.words:
+            raise refuse(path, content)
+        plain, problems, remarks = _plain(path, content, tuple(mapped.items()))
+        reader = storage_sqlite.index_sqlite if content.kind == SQLITE else storage_mcap.index_mcap
+        index = reader(plain, path)
     except PermissionError as error:
         raise permission_denied(path) from error
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}.", "Use another copy.") from error
-    if compressed:
-        index = replace(index, compression="+".join(filter(None, [index.compression, "zstd file"])))
-    if cut_short:
-        index = replace(index, problems=("the compressed file is cut short", *index.problems))
-    return index
+    index = replace(index, problems=(*problems, *index.problems), remarks=remarks)
+    if content.kind in (TABLE, ROSBAG1):
+        index = replace(index, storage=content.kind, compression="")
+    if content.packed:
+        index = replace(index, compression="+".join(filter(None, [index.compression, f"{content.packed} file"])))
+    return index if plain == path else replace(index, open=partial(_opened, path, tuple(mapped.items())))
 
 
-def open_payloads(path: Path) -> Payloads:
-    """Open a storage file for reading single messages."""
-    if _foreign(path):
-        return storage_mcap.McapPayloads(_converted(path, path.stat().st_mtime_ns).path)
-    plain, _, _ = _plain(path)
-    is_sqlite = _is_sqlite(plain, path)
-    return storage_sqlite.SqlitePayloads(plain) if is_sqlite else storage_mcap.McapPayloads(plain)
+def _opened(path: Path, mapped: tuple[tuple[str, str], ...]) -> Payloads:
+    """The messages of a file that is compressed or no recording of ROS 2, made readable again where it no longer is."""
+    content = content_of(path)
+    plain, _, _ = _plain(path, content, mapped)
+    return storage_sqlite.SqlitePayloads(plain) if content.kind == SQLITE else storage_mcap.McapPayloads(plain)
 
 
 def sha256(path: Path) -> str:
@@ -109,35 +115,31 @@ def permission_denied(path: Path) -> RecordingError:
     )
 
 
-@lru_cache(maxsize=4)
-def _unpacked(path: Path, _modified_ns: int) -> _Unpacked:
-    return _Unpacked(path)
+def _plain(
+    path: Path, content: Content, mapped: tuple[tuple[str, str], ...]
+) -> tuple[Path, tuple[str, ...], tuple[str, ...]]:
+    """The file itself, or a copy of it that is unpacked or a recording of ROS 2; what was lost or assumed, and what
+    else is to be said, in words."""
+    plain, modified = path, path.stat().st_mtime_ns
+    problems: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    if content.packed:
+        unpacked = _unpacked(path, modified, content.packed)
+        plain, problems = unpacked.path, unpacked.problems
+    if content.kind in (TABLE, ROSBAG1):
+        made = _converted(path, modified, plain, content.kind, mapped)
+        plain, problems = made.path, (*problems, *made.problems)
+        remarks = made.remarks
+    return plain, problems, remarks
 
 
 @lru_cache(maxsize=4)
-def _converted(path: Path, _modified_ns: int) -> _Converted:
-    return _Converted(path)
+def _unpacked(path: Path, _modified_ns: int, packed: str) -> _Unpacked:
+    return _Unpacked(path, packed)
 
 
-def _foreign(path: Path) -> str:
-    """The kind of a file that is no ROS 2 recording, '' of one that is."""
-    if path.suffix.lower() == TABLE:
-        return "csv"
-    with path.open("rb") as file:
-        return "rosbag1" if file.read(9) == b"#ROSBAG V" else ""
-
-
-def _plain(path: Path) -> tuple[Path, bool, bool]:
-    """Return a path to the uncompressed file, whether it was compressed, and whether that was cut short."""
-    with path.open("rb") as file:
-        compressed = file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
-    if not compressed:
-        return path, False, False
-    unpacked = _unpacked(path, path.stat().st_mtime_ns)
-    return unpacked.path, True, unpacked.cut_short
-
-
-def _is_sqlite(plain: Path, shown: Path) -> bool:
-    with plain.open("rb") as file:
-        magic = file.read(16)
-    return magic == storage_sqlite.MAGIC
+@lru_cache(maxsize=4)
+def _converted(
+    path: Path, _modified_ns: int, plain: Path, kind: str, mapped: tuple[tuple[str, str], ...]
+) -> _Converted:
+    return _Converted(plain, kind, path, dict(mapped))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,9 @@ from sysid.recording.bag import MessageSet
 from sysid.recording.message_types import TYPESTORE
 from sysid.recording.notes import Notes, plural
 from sysid.recording.times import TimeSource, order_in_time
+
+LONGEST_NAME = 80
+"""Characters of a name out of a recording that are shown."""
 
 
 def decode(data: bytes, msgtype: str) -> Any:
@@ -57,10 +61,21 @@ class Table:
             [self.frames[k] for k in index],
         )
 
-    def in_one_frame(self, declared: str | None, notes: Notes) -> tuple[Table, str]:
-        """Return the rows of the declared frame, or of the only one, and its name."""
-        counts = {frame: self.frames.count(frame) for frame in dict.fromkeys(self.frames)}
-        listing = ", ".join(f"{frame!r} ({plural(count, 'message')})" for frame, count in counts.items())
+    def in_one_frame(self, declared: str | None, framed: bool, notes: Notes) -> tuple[Table, str]:
+        """Return the rows of the declared frame, or of the only one, and its name. ``framed``: they might have one."""
+        counts = Counter(self.frames)
+        stray = [frame for frame, count in counts.items() if count == 1]
+        if declared is None and len(counts) - len(stray) == 1 and stray:
+            # One message is no second publisher: it is damaged.
+            when = _after(self.source.log_ns, self.frames.index(stray[0]))
+            notes.warning(
+                self.topic,
+                f"{plural(len(stray), 'message')} of another frame dropped: the first, {when}, has frame_id "
+                f"{stray[0][:LONGEST_NAME]!r}",
+            )
+            kept = np.array([frame not in stray for frame in self.frames])
+            return self.take(kept).in_one_frame(None, framed, notes)
+        listing = ", ".join(f"{frame[:LONGEST_NAME]!r} ({plural(count, 'message')})" for frame, count in counts.items())
         if declared is not None:
             if declared not in counts:
                 raise RecordingError(
@@ -76,7 +91,7 @@ class Table:
                 "Record each frame on a topic of its own, and name the right one in the rig.",
             )
         frame = next(iter(counts))
-        if not frame:
+        if not frame and framed:
             notes.warning(self.topic, "frame_id is empty: taken for the frame that the rig states")
         return self, frame
 
@@ -118,15 +133,22 @@ def read_series(
     frame_id: str | None,
     clock: TimeSource,
     notes: Notes,
+    framed: bool = True,
 ) -> Series:
     """Read a topic whose values change with time; see ``read_table`` for the arguments.
 
-    ``frame_id`` is the frame declared for it, ``clock`` the clock to use.
+    ``frame_id`` is the frame declared for it, ``clock`` the clock to use; ``framed``: messages may have frames, as rows
+    of tables do not.
     """
-    table, frame = read_table(topic, msgtype, source, content, notes).in_one_frame(frame_id, notes)
+    table, frame = read_table(topic, msgtype, source, content, notes).in_one_frame(frame_id, framed, notes)
     kept, times_ns = order_in_time(topic, table.stamps_ns, table.source.log_ns, clock, notes)
     table = table.take(kept)
     return Series(topic, frame, table.source, table.rows, times_ns)
+
+
+def _after(log_ns: Ints, k: int) -> str:
+    """When the k-th message of a topic was recorded, in words."""
+    return f"recorded {1e-9 * float(log_ns[k] - log_ns.min()):.3f} s after the first of this topic"
 
 
 def read_table(topic: str, msgtype: str, source: MessageSet, content: Callable[[Any], Any], notes: Notes) -> Table:
@@ -146,7 +168,7 @@ def read_table(topic: str, msgtype: str, source: MessageSet, content: Callable[[
     stamps: list[int] = []
     frames: list[str] = []
     kept: list[int] = []
-    fault = ""
+    fault, first = "", 0
     for k, data in enumerate(source.payloads()):
         try:
             if not data:
@@ -154,6 +176,7 @@ def read_table(topic: str, msgtype: str, source: MessageSet, content: Callable[[
             message = decode(data, msgtype)
             row = content(message)
         except ValueError as error:
+            first = first if fault else k
             fault = fault or str(error)
             continue
         rows.append(row)
@@ -169,6 +192,6 @@ def read_table(topic: str, msgtype: str, source: MessageSet, content: Callable[[
             "Record the topic with the type and fields of the bag contract, or leave it out of the map.",
         )
     if lost:
-        notes.warning(topic, f"{plural(lost, 'message')} dropped: the first {fault}")
+        notes.warning(topic, f"{plural(lost, 'message')} dropped: the first, {_after(source.log_ns, first)}, {fault}")
     index = np.array(kept, dtype=np.int64)
     return Table(topic, source.take(index), rows, np.array(stamps, dtype=np.int64), frames)

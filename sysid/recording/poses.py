@@ -32,7 +32,8 @@ _JUMP_RAD_S, _JUMP_RAD = 10.0, 0.2
 
 
 def pose_content(message: Any) -> tuple[float, ...]:
-    """Return position and orientation of any message that holds one pose, shape (7,).
+    """Return position and orientation of any message that holds one pose, shape (7,), and behind them the six variances
+    of one that states them.
 
     Raises:
         ValueError: a number is not finite.
@@ -46,7 +47,8 @@ def pose_content(message: Any) -> tuple[float, ...]:
     values = (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
     if not all(map(math.isfinite, values)):
         raise ValueError("holds NaN or infinity")
-    return values
+    covariance = getattr(getattr(message, "pose", None), "covariance", None)
+    return values if covariance is None else (*values, *np.diag(np.reshape(covariance, (6, 6))).tolist())
 
 
 def pose_stream(series: Series, declared: EETopics, t0_ns: int, notes: Notes) -> PoseStream:
@@ -58,7 +60,7 @@ def pose_stream(series: Series, declared: EETopics, t0_ns: int, notes: Notes) ->
     topic, t = series.topic, series.seconds(t0_ns)
     values = np.array(series.rows, dtype=np.float64)
     position = _metres(topic, t, values[:, :3], declared, notes)
-    quaternion = _unit_quaternions(topic, values[:, 3:], declared, notes)
+    quaternion = _unit_quaternions(topic, values[:, 3:7], declared, notes)
     _note_jumps(topic, t, position, notes)
     _note_turns(topic, t, quaternion, notes)
     note_gaps(topic, t, notes)
@@ -69,7 +71,18 @@ def pose_stream(series: Series, declared: EETopics, t0_ns: int, notes: Notes) ->
         arrival=series.arrival(t0_ns),
         position=position,
         quaternion=quaternion,
+        stated_sd=_stated_sd(values[:, 7:], declared),
     )
+
+
+def _stated_sd(variances: Floats, declared: EETopics) -> tuple[float, float] | None:
+    """Usual standard deviations of position [m] and orientation [rad] that messages state; None where they state none
+    (variances of zero, below zero or not finite)."""
+    stated = np.isfinite(variances).all(axis=1) & (variances > 0.0).all(axis=1) if variances.shape[1] else np.zeros(0)
+    if not stated.any():
+        return None
+    sd = np.sqrt(np.median(variances[stated], axis=0))
+    return float(sd[:3].max()) * (1e-3 if declared.length_unit == "mm" else 1.0), float(sd[3:].max())
 
 
 def check_pair(measured: PoseStream, commanded: PoseStream, declared: EETopics, notes: Notes) -> None:

@@ -47,7 +47,7 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
     """
     names = TopicNames() if topics is None else topics
     notes = Notes()
-    bag = open_bag(Path(path), notes)
+    bag = open_bag(Path(path), notes, names.columns)
     roles = _roles(names, bag, notes)
     by_tf = {name: ee.tf for name, ee in names.ee.items() if ee.tf is not None}
     _check_needed(bag, roles, need_pose and not by_tf)
@@ -196,7 +196,9 @@ def _series(role: str, name: str, topic: str, names: TopicNames, bag: Bag, notes
         raise RecordingError(
             f"Topic {topic} ({role}) has no messages.", "Record it, or take out of the rig what publishes it."
         )
-    series = read_series(topic, info.msgtypes[0], bag.messages(topic), _CONTENT[role], frame_id, names.time, notes)
+    series = read_series(topic, info.msgtypes[0], bag.messages(topic), _CONTENT[role], frame_id, names.time, notes,
+        framed=not bag.of_tables,
+    )  # fmt: skip
     if len(series.rows) == 1:
         notes.warning(topic, "a single message (latched?): taken as constant")
     return series
@@ -255,7 +257,7 @@ def _camera_topics(
         beside = [roles[role][camera] for role in ("tracks", "images") if camera in roles[role]]
         topic = camera_info_topic(camera, names.camera_info, beside, len(cameras) == 1, bag.topics, notes)
         found[camera] = topic if topic is not None and bag.topics[topic].count else None
-        if found[camera] is None:
+        if found[camera] is None and not bag.of_tables:
             notes.warning(beside[0], f"no camera_info for camera {camera!r}: not calibrated")
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,19 @@ from sysid.recording.streams import CameraInfo, WrenchStream
 from sysid.recording.times import note_gaps
 from sysid.recording.topics import SensorTopic
 
+_ORTHONORMAL = 1e-3
+"""Difference of R times its transpose from the identity, of round-off in files of calibrations."""
+
+_COMPONENTS = tuple(f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz")
+
 LARGEST_N = 1e4
 """Forces beyond this are worth a remark."""
 
 TRIED = 5
 """Images that are tried; where none of them can be decoded the topic is of no use."""
 
+_FIELDS = ("K", "D", "model", "width", "height", "R", "P", "binning", "roi")
+"""Fields of a calibration that stay the same over a recording."""
 _COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 
 
@@ -44,8 +52,12 @@ def wrench_stream(series: Series, declared: SensorTopic, t0_ns: int, notes: Note
     if not mask.any():
         raise RecordingError(f"{topic}: every wrench holds only NaN or infinity.", "Check the force sensor.")
     values = np.where(mask, values, np.nan)
-    if not mask.all():
-        notes.count("warning", topic, "message", "with NaN or infinite components, masked", t[~mask.all(axis=1)])
+    never = ~mask.any(axis=0)
+    if never.any():
+        notes.info(topic, f"never measured: {', '.join(np.array(_COMPONENTS)[never])}")
+    lacking = ~(mask | never).all(axis=1)
+    if lacking.any():
+        notes.count("warning", topic, "message", "with NaN or infinite components, masked", t[lacking])
     if declared.length_unit == "mm":
         notes.info(topic, "torques scaled from N mm to N m, as declared")
         values[:, 3:] *= 1e-3
@@ -75,16 +87,30 @@ def read_camera_info(topic: str, source: MessageSet, notes: Notes) -> CameraInfo
     if not np.any(first.K):
         notes.info(topic, "K is zero: the camera is not calibrated")
         return None
-    for other in table.rows[1:]:
-        if not (np.array_equal(other.K, first.K) and np.array_equal(other.D, first.D)):
+    for k, other in enumerate(table.rows[1:], start=1):
+        changed = [name for name in _FIELDS if not _same(getattr(other, name), getattr(first, name))]
+        if changed:
             raise RecordingError(
-                f"{topic}: the calibration changes during the recording.",
+                f"{topic}: the calibration changes during the recording: {', '.join(changed)} at message {k + 1} of "
+                f"{len(table.rows)}.",
                 "Cut the recording where it changes, or record the right camera_info only.",
             )
     if not np.isfinite(first.K).all() or first.K[0, 0] <= 0.0 or first.K[1, 1] <= 0.0:
         raise RecordingError(
             f"{topic}: focal lengths {first.K[0, 0]:g} and {first.K[1, 1]:g} px.", "Calibrate the camera."
         )
+    x, y, width, height = first.roi
+    if first.width and first.height and (x + width > first.width or y + height > first.height):
+        raise RecordingError(
+            f"{topic}: roi of {width} x {height} px from column {x} and row {y} on is not within the {first.width} x "
+            f"{first.height} px of the camera.",
+            "REP 104 counts roi in pixels of the whole sensor at full resolution: record it so.",
+        )
+    if first.R.any() and not np.allclose(first.R @ first.R.T, np.eye(3), atol=_ORTHONORMAL):
+        notes.warning(topic, "R is no rotation: not used")
+    if first.P.any() and not np.isfinite(first.P).all():
+        notes.warning(topic, "P is not finite: not used")
+        first = replace(first, P=np.zeros((3, 4)))
     if first.model not in _COEFFICIENTS and (first.model or np.any(first.D)):
         raise RecordingError(
             f"{topic}: distortion model {first.model!r} is not known.",
@@ -96,6 +122,10 @@ def read_camera_info(topic: str, source: MessageSet, notes: Notes) -> CameraInfo
             f"{first.model} has {' or '.join(str(n) for n in _COEFFICIENTS[first.model])}.",
         )
     return first
+
+
+def _same(one: Any, other: Any) -> bool:
+    return np.array_equal(one, other, equal_nan=True) if isinstance(one, np.ndarray) else bool(one == other)
 
 
 def image_stream(series: Series, msgtype: str, camera: CameraInfo | None, t0_ns: int, notes: Notes) -> ImageStream:
@@ -124,6 +154,7 @@ def image_stream(series: Series, msgtype: str, camera: CameraInfo | None, t0_ns:
 
 
 def _camera_info(message: Any) -> CameraInfo:
+    roi = message.roi
     return CameraInfo(
         K=np.array(message.k, dtype=np.float64).reshape(3, 3),
         D=np.array(message.d, dtype=np.float64),
@@ -131,4 +162,8 @@ def _camera_info(message: Any) -> CameraInfo:
         width=int(message.width),
         height=int(message.height),
         frame_id=str(message.header.frame_id),
+        R=np.array(message.r, dtype=np.float64).reshape(3, 3),
+        P=np.array(message.p, dtype=np.float64).reshape(3, 4),
+        binning=(max(1, int(message.binning_x)), max(1, int(message.binning_y))),
+        roi=(int(roi.x_offset), int(roi.y_offset), int(roi.width), int(roi.height)),
     )

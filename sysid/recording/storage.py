@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from sysid.recording.arrays import Ints
+
+
+class Payloads(Protocol):
+    """Bytes of single messages by position."""
+
+    def payload(self, a: int, b: int, c: int, /) -> bytes:
+        """Return one message's bytes; the arguments are a row of ``FileIndex.locator``."""
+
+    def close(self) -> None:
+        """Release the file."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +42,8 @@ class FileIndex:
         log_ns: time of recording per message [ns], shape (k,).
         locator: position of the payload per message, shape (k, 3); its meaning is the storage's own.
         problems: damage found and what was done about it, one sentence part each.
+        remarks: what else is to be said of it, harmless.
+        open: opens it for reading single messages.
     """
 
     path: Path
@@ -41,13 +54,5 @@ class FileIndex:
     log_ns: Ints
     locator: Ints
     problems: tuple[str, ...]
-
-
-class Payloads(Protocol):
-    """Bytes of single messages by position."""
-
-    def payload(self, a: int, b: int, c: int, /) -> bytes:
-        """Return one message's bytes; the arguments are a row of ``FileIndex.locator``."""
-
-    def close(self) -> None:
-        """Release the file."""
+    open: Callable[[], Payloads]
+    remarks: tuple[str, ...] = ()

@@ -14,6 +14,7 @@ import struct
 import zlib
 from array import array
 from collections.abc import Container
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 
@@ -164,7 +165,7 @@ class _Scan:
             else:
                 self.promised = Statistics.read(stream).message_count
 
-    def index(self, path: Path) -> FileIndex:
+    def index(self, path: Path, shown: Path) -> FileIndex:
         """Return what was found."""
         rows = np.frombuffer(self.rows, dtype=np.int64).reshape(-1, 5).copy()
         order = {channel_id: k for k, channel_id in enumerate(sorted(self.channels))}
@@ -178,7 +179,7 @@ class _Scan:
         if self.promised is not None and len(rows) != self.promised:
             self.problems.append(f"{len(rows)} messages found where the summary counts {self.promised}")
         return FileIndex(
-            path=path,
+            path=shown,
             storage="mcap",
             compression="+".join(sorted(c for c in self.compression if c)),
             channels=tuple(self._entry(self.channels[channel_id]) for channel_id in order),
@@ -186,6 +187,7 @@ class _Scan:
             log_ns=rows[:, 1],
             locator=rows[:, 2:],
             problems=tuple(self.problems),
+            open=partial(McapPayloads, path),
         )
 
     def _entry(self, channel: Channel) -> ChannelEntry:
@@ -225,7 +227,7 @@ def index_mcap(path: Path, shown: Path) -> FileIndex:
                 "Give a rosbag2 directory, an .mcap, .db3 or .bag file, or tables (.csv).",
             )
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            return _scanned(data, size, shown).index(shown)
+            return _scanned(data, size, shown).index(path, shown)
 
 
 def _scanned(data: mmap.mmap, size: int, shown: Path) -> _Scan:

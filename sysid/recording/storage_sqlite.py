@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,7 @@ def index_sqlite(path: Path, shown: Path) -> FileIndex:
         log_ns=table[:, 1],
         locator=locator,
         problems=tuple(problems),
+        open=partial(SqlitePayloads, path),
     )
 
 

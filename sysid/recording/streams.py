@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -49,12 +49,15 @@ class PoseStream(Stream):
     Attributes:
         position: [m], shape (n, 3).
         quaternion: unit, x y z w, without sign flips along the stream, shape (n, 4).
+        stated_sd: standard deviations of position [m] and orientation [rad] that its messages state; None where they
+            state none.
     """
 
     _per_sample: ClassVar[tuple[str, ...]] = ("t", "arrival", "position", "quaternion")
 
     position: Floats
     quaternion: Floats
+    stated_sd: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +109,10 @@ class MarkerStream(Stream):
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """A calibrated camera.
+    """A calibrated camera, and which part of its sensor the recorded pictures show (REP 104).
+
+    K, D, R, P, width and height are those of the whole sensor at full resolution, whatever was recorded; ``recorded``
+    gives those of the pictures.
 
     Attributes:
         K: intrinsic matrix [px], shape (3, 3).
@@ -115,6 +121,11 @@ class CameraInfo:
         width: [px], 0 when not stated.
         height: [px], 0 when not stated.
         frame_id: optical frame.
+        R: rotation of rectified pictures, shape (3, 3); zeros when not stated.
+        P: projection into rectified pictures [px], shape (3, 4); zeros when not stated.
+        binning: columns and rows of the sensor that are one of the picture, 1 for none.
+        roi: window of the sensor that the pictures show [px]: first column, first row, width, height; width and height
+            are 0 for the whole sensor.
     """
 
     K: Floats
@@ -123,6 +134,34 @@ class CameraInfo:
     width: int
     height: int
     frame_id: str
+    R: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    P: Floats = field(default_factory=lambda: np.zeros((3, 4)))
+    binning: tuple[int, int] = (1, 1)
+    roi: tuple[int, int, int, int] = (0, 0, 0, 0)
+
+    def recorded(self, rectified: bool = False) -> CameraInfo:
+        """The calibration of the pictures as recorded: binned, cut to the window, and without distortion where they
+        are ``rectified``.
+
+        Columns and rows are counted at the centres of pixels: binning by b moves u to (u + 1/2) / b - 1/2.
+        """
+        x, y, width, height = self.roi
+        size = (width or self.width, height or self.height)
+        b = np.array(self.binning, dtype=np.float64)
+        to_recorded = np.array(
+            [[1 / b[0], 0.0, (0.5 - x) / b[0] - 0.5], [0.0, 1 / b[1], (0.5 - y) / b[1] - 0.5], [0.0, 0.0, 1.0]]
+        )
+        P = to_recorded @ self.P
+        return replace(
+            self,
+            K=P[:, :3] if rectified else to_recorded @ self.K,
+            D=np.zeros_like(self.D) if rectified else self.D,
+            P=P,
+            width=size[0] // self.binning[0],
+            height=size[1] // self.binning[1],
+            binning=(1, 1),
+            roi=(0, 0, 0, 0),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,6 +71,7 @@ class TopicNames:
         camera_info: by camera; a camera not named here takes the one in its own namespace.
         images: raw or compressed images, by camera.
         time: clock of all streams, 'header' (stamps) or 'log' (time of recording).
+        columns: by names of columns of tables, what they are, as ``wrench.force_z [mN]``.
     """
 
     ee: Mapping[str, EETopics] = field(default_factory=lambda: {"ee": EETopics()})
@@ -80,6 +81,7 @@ class TopicNames:
     camera_info: Mapping[str, str | None] = field(default_factory=dict)
     images: Mapping[str, str | None] = field(default_factory=lambda: {"camera": None})
     time: TimeSource = "header"
+    columns: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> TopicNames:
@@ -93,6 +95,9 @@ class TopicNames:
         for role, entries in data.items():
             if role == "time":
                 values[role] = _one_of(entries, ("header", "log"), "topics.time")
+                continue
+            if role == "columns" and isinstance(entries, Mapping):
+                values[role] = {str(name): str(meaning) for name, meaning in entries.items()}
                 continue
             if not isinstance(entries, Mapping):
                 raise RecordingError(

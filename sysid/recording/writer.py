@@ -30,6 +30,17 @@ TRACK_FIELDS = (("u", _F4), ("v", _F4), ("id", _U4), ("confidence", _F4))
 _LATEST_NS = (2**31 - 1) * 1_000_000_000
 
 
+def check_name(path: Path) -> None:
+    """Raise ``RecordingError`` for a name by which other tools would take a recording for what it is not."""
+    kind = {".bag": "a ROS 1 bag", ".db3": "a file of sqlite3"}.get(path.suffix.lower())
+    if kind is not None:
+        plain = path.with_suffix("")
+        raise RecordingError(
+            f"{path} has the name of {kind}, which other tools would take it for.",
+            f"Name a folder, {plain}, or a single file, {plain}.mcap.",
+        )
+
+
 class RecordingWriter:
     """Writes one recording as an MCAP bag; a context manager.
 
@@ -42,13 +53,14 @@ class RecordingWriter:
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Prepare to write the bag directory ``path``.
+        """Prepare to write the bag directory ``path``, or the single file of a name that ends with ``.mcap``.
 
         Raises:
-            RecordingError: the path exists.
+            RecordingError: the path exists, or has the name of another kind of file.
         """
         self.path = Path(path)
         self._refuse_existing()
+        check_name(self.path)
         self._types: dict[str, str] = {}
         self._remarks: dict[str, str] = {}
         self._index: list[tuple[int, str, int, int]] = []  # time, topic, offset and size in the spool
@@ -68,9 +80,10 @@ class RecordingWriter:
         assert self._folder is not None
         try:
             if kind is None:
-                self._store(self._folder / self.path.name)
+                made = self._folder / (self.path.stem if self.path.suffix.lower() == ".mcap" else self.path.name)
+                self._store(made)
                 self._refuse_existing()
-                (self._folder / self.path.name).rename(self.path)
+                (next(made.glob("*.mcap")) if self.path.suffix.lower() == ".mcap" else made).rename(self.path)
         finally:
             self._spool.close()
             shutil.rmtree(self._folder, ignore_errors=True)

@@ -22,6 +22,25 @@ class ObservationsSettings:
     camera_focal_difference: float = setting(
         0.2, "1", "Relative difference of focal lengths from which no fit can mend it.", "judgement"
     )
+    camera_same_focal: float = setting(
+        1e-3,
+        "1",
+        "Relative difference of focal lengths of one calibration, rounded when it was written down.",
+        "judgement",
+    )
+    camera_same_centre_px: float = setting(
+        1.0,
+        "px",
+        "Difference of the centre, or of distorted places where the rig states no noise, within one calibration: "
+        "columns are counted from 0, 1 or one half.",
+        "judgement",
+    )
+    camera_rays: int = setting(
+        9, "1", "Rays along each side of the picture by which two distortions are compared.", "cost"
+    )
+    camera_turn_deg: float = setting(
+        0.1, "deg", "Turn of rectified pictures against the camera below which both are one.", "judgement"
+    )
     outside_picture_share: float = setting(
         0.02, "1", "Share of tracks outside of the picture from which they are not of this picture.", "judgement"
     )

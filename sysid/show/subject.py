@@ -104,22 +104,17 @@ def subject_of(rig: Rig, what: str | None, on_progress: Progress | None = None) 
     if what is None:
         return still(rig)
     path = Path(what)
-    if path.suffix == ".npz":
+    if path.suffix.lower() == ".npz":
         return of_trace(rig, path)
     from sysid.observations.selection import part_of
+    from sysid.recording.find import is_recording
 
-    if _is_recording(part_of(path).path):
+    if is_recording(part_of(path).path):
         return of_recording(rig, path, say)
     experiment = load_experiment(what)
     poses = compile_experiment(experiment, rig)
     end = max([experiment.duration_s or 0.0, *(p.times[-1] for p in poses.values())])
     return rolled(rig, poses, float(end), f"{experiment.name} on {rig.name}", "experiment", say)
-
-
-def _is_recording(path: Path) -> bool:
-    if path.is_dir():
-        return any(p.suffix in {".mcap", ".db3"} or p.name == "metadata.yaml" for p in path.iterdir())
-    return path.suffix in {".mcap", ".db3"}
 
 
 def still(rig: Rig) -> Subject:
@@ -180,6 +175,11 @@ def rolled(rig: Rig, poses: Mapping[str, PoseTrajectory], end: float, title: str
             recorder.take()
             kept.append(k)
             readings.append(simulation.read())
+    findings += [
+        Finding("pressed far", least.sentence, "Press less deep, or give the gel finer cells.")
+        for least in simulation.least_volumes.values()
+        if least.ratio < least.softening
+    ]
     states = recorder.history()
     findings += untouched(rig, states, findings)
     wrenches = {n: np.stack([r[n] for r in readings]) for n, s in rig.sensors.items() if isinstance(s, WrenchSensor)}

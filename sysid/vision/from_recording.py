@@ -146,7 +146,7 @@ def _write_tracks(bag: RecordingWriter, result: TrackingResult, stamps: list[int
     bag.camera_info(
         f"{_namespace(stream.topic)}/camera_info",
         stamps[0],
-        np.zeros((3, 3)) if info is None else info.K,
+        np.zeros((3, 3)) if info is None else info.recorded().K,
         np.zeros(5) if info is None else info.D,
         "plumb_bob" if info is None else info.model,
         width,

@@ -32,7 +32,7 @@ def converge_rig(
     else:
         refuse_no_noise(undeclared(rig))
         with tempfile.TemporaryDirectory() as folder:
-            bag = Path(folder) / "motion.bag"
+            bag = Path(folder) / "motion"
             simulate_to_bag(rig, load_experiment(motion), bag)
             runs, _ = load_runs(rig, [bag])
         noise = {m.channel: as_declared(rig, m) for run in runs for m in run.measured}

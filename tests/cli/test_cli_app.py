@@ -329,3 +329,17 @@ def test_settings_are_listed_with_unit_meaning_and_origin(capsys: pytest.Capture
     assert app.main(["settings", "kitchen"]) == 2
     refused = capsys.readouterr().err
     assert "There are no settings of 'kitchen'. Choose one of " in refused and "uncertainty" in refused
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("fit r a --held-out b c d --out o", "fit r a --held-out b --held-out c --held-out d --out o"),
+        ("fit r a --held-out b --held-out c --out o", "fit r a --held-out b --held-out c --out o"),
+        ("fit r a --held-out=b --out o", "fit r a --held-out=b --out o"),
+        ("fit r --out o --held-out b c -- a", "fit r --out o --held-out b --held-out c -- a"),
+        ("fit r a b --out o", "fit r a b --out o"),
+    ],
+)
+def test_an_option_takes_all_the_words_behind_it(words: str, expected: str) -> None:
+    assert app.each_named(words.split()) == expected.split()

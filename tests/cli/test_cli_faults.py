@@ -40,9 +40,9 @@ class Fault:
     files: dict[str, str] = field(default_factory=dict)
 
 
-SIMULATE = "simulate my.yaml press_hold_release --out out.bag"
+SIMULATE = "simulate my.yaml press_hold_release --out out"
 SLIDE = "simulate card_press slide --out o --set"
-MOVE = "simulate card_press move.yaml --out out.bag"
+MOVE = "simulate card_press move.yaml --out out"
 FIT = "fit card_press a.mcap --params card.E --out result"
 BAG = {"a.mcap": "this is no recording"}
 
@@ -125,6 +125,13 @@ FAULTS: dict[str, Fault] = {
     "no motion at all": Fault(MOVE, "neither motions nor duration_s", {"move.yaml": "name: test\n"}),
     "too long": Fault(MOVE, "more than 2000000", motion("0.004", "1.0, speed_m_s: 1.0e-6, times: 100")),
     # recordings
+    "recording named as one of ROS 1": Fault(
+        "simulate card_press press_post --out run.bag",
+        r"run\.bag has the name of a ROS 1 bag.* Name a folder, run, or a single file, run\.mcap",
+    ),
+    "held-out recordings missing": Fault(
+        f"fit card_press {PRESS_POST} --params gel.E --held-out none other --out o", r"none does not exist"
+    ),
     "recording missing": Fault("inspect no.bag", r"no\.bag does not exist"),
     "recording is no recording": Fault("inspect a.mcap", r"a\.mcap", BAG),
     "recording is empty": Fault("inspect a.mcap", r"a\.mcap", {"a.mcap": ""}),

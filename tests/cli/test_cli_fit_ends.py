@@ -63,7 +63,7 @@ def test_the_exit_code_says_whether_the_fit_converged_and_ctrl_c_was_pressed(
 
 def test_a_fit_that_is_interrupted_twice_keeps_what_it_found(tmp_path: Path) -> None:
     """Ctrl-C is answered; pressed again while the simulations that are on end, it takes nothing."""
-    bag, out = tmp_path / "run.bag", tmp_path / "out"
+    bag, out = tmp_path / "run", tmp_path / "out"
     truth = with_parameters(load_rig("strip_coarse"), {"strip.E_pa": 2e5})
     simulate_to_bag(truth, load_experiment("pull_taut"), bag, seed=0)
     child = subprocess.Popen(

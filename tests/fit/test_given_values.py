@@ -90,8 +90,8 @@ def test_a_recording_of_the_rig_itself_leaves_the_rig_as_it_is(tmp_path: Path) -
     press = "name: press\nmotions: {finger: [{type: wait, duration_s: 0.6}, {type: press, depth_m: 0.0025}]}\n"
     (tmp_path / "press.yaml").write_text(press)
     rig = load_rig(str(tmp_path / "sensor.yaml"))
-    simulate_to_bag(rig, load_experiment(str(tmp_path / "press.yaml")), tmp_path / "own.bag")
-    result = fit_bags(rig, [tmp_path / "own.bag"], ["pad.E_pa"], out=tmp_path / "fit")
+    simulate_to_bag(rig, load_experiment(str(tmp_path / "press.yaml")), tmp_path / "own")
+    result = fit_bags(rig, [tmp_path / "own"], ["pad.E_pa"], out=tmp_path / "fit")
     assert result.converged
     assert not rose(result.errors)
     for error in result.errors:

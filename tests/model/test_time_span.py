@@ -37,7 +37,7 @@ IN_MOTION_S = 0.55
 @pytest.fixture(scope="module")
 def session(small_rig: Callable[..., Rig], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A press, with all streams 60 ms ahead of the poses."""
-    bag = tmp_path_factory.mktemp("lead") / "session.bag"
+    bag = tmp_path_factory.mktemp("lead") / "session"
     poses = [{"position_m": [0.0, 0.0, -0.014]}, {"position_m": [0.0, 0.0, 0.0]}]
     motion = [
         {"type": "wait", "duration_s": 0.1},

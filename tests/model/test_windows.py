@@ -52,7 +52,7 @@ def rig(small_rig: Callable[..., Rig]) -> Rig:
 @pytest.fixture(scope="module")
 def session(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two presses, the second deeper and from 2.5 s on."""
-    bag = tmp_path_factory.mktemp("session") / "session.bag"
+    bag = tmp_path_factory.mktemp("session") / "session"
     motion = [{"type": "wait", "duration_s": 0.1}, *press(0.011), *press(0.013)]
     experiment = Experiment.model_validate({"name": "session", "motions": {"finger": motion}})
     simulate_to_bag(with_parameters(rig, TRUTH), experiment, bag, seed=3)
@@ -97,7 +97,7 @@ def test_one_press_is_fitted_and_the_other_held_out(
     (found,) = result.estimates
     assert found.ci95[0] <= TRUTH["card.E_pa"] <= found.ci95[1]
     scores = {(e.run, e.channel): e for e in result.errors if e.held_out}
-    assert {run for run, _ in scores} == {f"session.bag@{second}:9"}
+    assert {run for run, _ in scores} == {f"session@{second}:9"}
     side = next(e for (_, channel), e in scores.items() if channel == "side")
     assert side.after < 1.4 * side.noise < 0.5 * side.before
 
@@ -280,7 +280,7 @@ def test_no_reading_is_named_twice(tmp_path: Path, given: list[str], held_out: l
 @pytest.fixture(scope="module")
 def copies(session: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """The session, its only file, and a copy of it under another name."""
-    copy = tmp_path_factory.mktemp("copies") / "other.bag"
+    copy = tmp_path_factory.mktemp("copies") / "other"
     shutil.copytree(session, copy)
     (inside,) = session.glob("*.mcap")
     return {"bag": session, "file": inside, "copy": copy}
@@ -289,9 +289,9 @@ def copies(session: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
 @pytest.mark.parametrize(
     ("given", "held_out", "words"),
     [
-        (["bag", "file"], [], r"mcap, which has readings of .*session\.bag, is given twice"),
-        (["bag"], ["copy"], r"other\.bag, which has readings of .*session\.bag, is given both to use and to hold out"),
-        (["bag@0:2"], ["copy@1:3"], r"Of .*other\.bag, which .* the readings from 1 to 2 s are given both"),
+        (["bag", "file"], [], r"mcap, which has readings of .*session, is given twice"),
+        (["bag"], ["copy"], r"other, which has readings of .*session, is given both to use and to hold out"),
+        (["bag@0:2"], ["copy@1:3"], r"Of .*other, which .* the readings from 1 to 2 s are given both"),
         (["copy@0:2"], ["file"], r"the readings from 0 to 2 s are given both"),
     ],
 )

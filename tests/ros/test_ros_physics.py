@@ -324,6 +324,23 @@ def test_where_a_step_fails_the_end_effector_is_held_until_the_command_retreats(
     assert physics.failure is None
 
 
+def test_a_gel_that_is_pressed_too_far_is_told_by_name_and_a_retreat_is_followed(physics: Physics) -> None:
+    """To the mount that the gel of 4 mm is glued to, and back; the force that guards look at never falls on the way."""
+    physics.reset()
+    forces = []
+    for _ in range(40):
+        readings = press(physics, 0.0035, 5)
+        forces.append(-readings["pad_wrench"][2])
+        if physics.failure is not None:
+            break
+    assert physics.failure is not None
+    assert "pad would turn inside out near x = " in physics.failure.words
+    assert forces[-1] > 10.0 and (np.diff(forces) >= -1e-3 * max(forces)).all()
+    press(physics, 0.0105, 60)
+    assert physics.failure is None
+    physics.reset()
+
+
 def test_time_goes_on_over_a_reset(physics: Physics) -> None:
     before = physics.time
     physics.reset()

@@ -12,13 +12,22 @@ from sysid.recording import EETopics, SensorTopic, TopicNames, read_recording
 
 def test_mixed_frames_are_refused_unless_one_is_declared(tmp_path: Path) -> None:
     items = wrenches()
-    items[3] = ("/wrench", WRENCH, log_time(3), wrench(log_time(3), frame="tool0"))
+    for k in (3, 9):
+        items[k] = ("/wrench", WRENCH, log_time(k), wrench(log_time(k), frame="tool0"))
     path = store(tmp_path / "bag", poses() + items)
-    with pytest.raises(RecordingError, match=r"more than one frame: 'gel' \(19 messages\), 'tool0'"):
+    with pytest.raises(RecordingError, match=r"more than one frame: 'gel' \(18 messages\), 'tool0'"):
         read_recording(path)
     recording = read_recording(path, TopicNames(wrench={"sensor": SensorTopic(frame_id="gel")}))
-    assert len(recording.wrenches["sensor"]) == 19
+    assert len(recording.wrenches["sensor"]) == 18
     assert "messages of other frames than 'gel' dropped" in notes(recording)
+
+
+def test_one_message_of_another_frame_is_damaged(tmp_path: Path) -> None:
+    items = wrenches()
+    items[3] = ("/wrench", WRENCH, log_time(3), wrench(log_time(3), frame="tool0"))
+    recording = read_recording(store(tmp_path / "bag", poses() + items))
+    assert len(recording.wrenches["sensor"]) == 19
+    assert "1 message of another frame dropped: the first, recorded 0.030 s after" in notes(recording)
 
 
 def test_a_wrong_frame_is_refused(tmp_path: Path) -> None:
@@ -43,7 +52,7 @@ def test_poses_with_nan_are_dropped(tmp_path: Path) -> None:
     items[3] = ("/current_pose", POSE, log_time(3), pose(log_time(3), q=(0, 0, 0, np.inf)))
     recording = read(tmp_path, items + wrenches())
     assert len(recording.poses["ee"]) == 18
-    assert "/current_pose: 2 messages dropped: the first holds NaN or infinity" in notes(recording)
+    assert "s after the first of this topic, holds NaN or infinity" in notes(recording)
 
 
 def test_poses_with_nothing_but_nan(tmp_path: Path) -> None:

@@ -31,7 +31,13 @@ def test_components_that_are_not_finite_are_masked(tmp_path: Path) -> None:
     stream = recording.wrenches["sensor"]
     np.testing.assert_array_equal(stream.mask, np.tile([True, True, True, False, False, True], (20, 1)))
     assert np.isnan(stream.torque[:, :2]).all() and (stream.torque[:, 2] == 0.5).all()
-    assert "20 messages with NaN or infinite components, masked" in notes(recording)
+    assert "never measured: torque_x, torque_y" in notes(recording) and "masked" not in notes(recording)
+
+
+def test_readings_that_lack_a_component_are_counted(tmp_path: Path) -> None:
+    items = wrenches(18) + wrenches(20, m=(np.nan, 0.0, 0.5))[18:]
+    recording = read(tmp_path, poses() + items)
+    assert "2 messages with NaN or infinite components, masked" in notes(recording)
 
 
 def test_a_wrench_with_nothing_but_nan(tmp_path: Path) -> None:
@@ -134,7 +140,7 @@ def test_a_cloud_shorter_than_it_states(tmp_path: Path) -> None:
     items[2][3].data = items[2][3].data[:-8]
     recording = read(tmp_path, poses(6) + items)
     assert len(recording.markers["sensor"]) == 5
-    assert "1 message dropped: the first holds 40 bytes where 1 x 3 points of 16" in notes(recording)
+    assert "s after the first of this topic, holds 40 bytes where 1 x 3 points of 16" in notes(recording)
 
 
 def test_markers_that_are_never_finite(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +30,14 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from sim_core.errors import RecordingError
-from sim_core.rigs import parse_rig
+from sim_core.rigs import load_rig, parse_rig
 from sysid.model.load import load_run
 from sysid.recording import EETopics, TopicNames, read_recording
 
 GEOMETRY = "geometry_msgs/msg/"
+FAULT = (
+    Path(os.environ.get("THINSHELL_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "faults" / "tf_elsewhere"
+)
 TF = "tf2_msgs/msg/TFMessage"
 
 
@@ -122,6 +126,45 @@ def test_a_frame_pair_against_the_tree(tmp_path: Path) -> None:
 def test_frames_without_a_chain_are_named(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"from 'base' to 'tol': 'tol' is in none.* Did you mean 'tool'"):
         read(tmp_path, arm() + wrenches(30), TopicNames(ee={"ee": EETopics(tf=("base", "tol"))}))
+
+
+def also(k: int, *transforms: Any) -> Item:
+    return ("/tf", TF, log_time(k), make(TF, transforms=list(transforms)))
+
+
+def test_only_what_the_chain_needs_is_judged(tmp_path: Path) -> None:
+    """A frame with two parents, and transforms that are none, elsewhere in the tree."""
+    odd = [transform(START, frame, "camera", (0, 0, 1.0)) for frame in ("base", "odom", "link")]
+    bad = transform(START, "base", "table", (0, 0, 1.0), (0.0, 0.0, 0.0, 0.0))
+    names = TopicNames(ee={"ee": EETopics(tf=("base", "tool"))})
+    recording = read(tmp_path, [*arm(), also(1, *odd), also(2, bad), *wrenches(30)], names)
+    assert len(recording.poses["ee"]) == 30
+    assert "/tf" not in notes(recording)
+
+
+def test_a_second_parent_on_the_chain_that_leads_nowhere_is_said(tmp_path: Path) -> None:
+    names = TopicNames(ee={"ee": EETopics(tf=("base", "tool"))})
+    recording = read(tmp_path, [*arm(), also(1, transform(START, "mocap", "tool", (9, 9, 9))), *wrenches(30)], names)
+    np.testing.assert_allclose(recording.poses["ee"].position[0], [0.2, 0.0, 0.3], atol=1e-9)
+    assert "'tool' has the parent 'mocap' beside 'link': the chain base - link - tool is used" in notes(recording)
+
+
+def test_two_chains_are_refused_by_their_names(tmp_path: Path) -> None:
+    names = TopicNames(ee={"ee": EETopics(tf=("base", "tool"))})
+    items = [
+        *arm(),
+        also(1, transform(START, "mocap", "tool", (9, 9, 9)), transform(START, "base", "mocap", (0, 0, 0))),
+    ]
+    with pytest.raises(
+        RecordingError, match=r"two chains .* base - (link|mocap) - tool and base - (link|mocap) - tool"
+    ):
+        read(tmp_path, items + wrenches(30), names)
+
+
+@pytest.mark.skipif(not FAULT.is_dir(), reason="the shared inputs are not here")
+def test_two_parents_elsewhere_do_not_stop_a_recording() -> None:
+    run = load_run(load_rig(str(FAULT / "rig.yaml")), FAULT / "tf_two_parents_elsewhere")
+    assert all(len(pose.times) > 100 for pose in run.poses.values())
 
 
 def test_a_rig_names_the_frame_pair(tmp_path: Path) -> None:

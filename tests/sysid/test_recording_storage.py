@@ -147,7 +147,7 @@ def test_an_unlisted_file_is_said(bag: Path) -> None:
     shutil.copy(bag / "press.mcap", bag / "older.mcap")
     recording = read_recording(bag)
     assert_whole(recording)
-    assert "files beside the listed ones are not read: older.mcap" in notes(recording)
+    assert "files that it does not list are not read: older.mcap" in notes(recording)
 
 
 @pytest.mark.parametrize("text", ["{[", "other: 1", "rosbag2_bagfile_information: {relative_file_paths: 3}", ""])
@@ -198,10 +198,16 @@ def test_not_a_recording(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello, this is no bag")
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
-    with pytest.raises(RecordingError, match="not an MCAP file"):
+    with pytest.raises(RecordingError, match="no header line and readings"):
         read_recording(tmp_path / "notes.txt")
+    (tmp_path / "notes.bin").write_bytes(b"\x00\x01 this is no bag")
+    with pytest.raises(RecordingError, match="not an MCAP file"):
+        read_recording(tmp_path / "notes.bin")
     with pytest.raises(RecordingError, match=r"ROS 1 bag.*rosbags-convert"):
         read_recording(tmp_path / "old" / "old.bag")
+    with pytest.raises(RecordingError, match=r"is a folder of 1 recording, not a recording\. Give .*old\."):
+        read_recording(tmp_path)
+    shutil.rmtree(tmp_path / "old")
     with pytest.raises(RecordingError, match="it holds no metadata"):
         read_recording(tmp_path)
     (tmp_path / "metadata.yaml").write_text("nothing: of a bag\n")

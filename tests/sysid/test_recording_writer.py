@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -272,3 +273,15 @@ def test_jpeg_and_ready_made_bytes(tmp_path: Path) -> None:
     image = read_recording(tmp_path / "bag").images["camera"].image(0)
     assert image.shape == (24, 32)
     assert np.abs(image.astype(int) - grey).max() <= 8
+
+
+def test_other_tools_open_what_is_written_under_its_name(tmp_path: Path) -> None:
+    data = make_data()
+    folder, file = write(tmp_path / "run", data), write(tmp_path / "run.mcap", data)
+    assert file.is_file()
+    for path in (folder, file):
+        with AnyReader([path]) as reader:
+            assert reader.message_count == sum(read_recording(path).provenance.message_counts.values()) > 0
+    for name in ("run.bag", "run.db3"):
+        with pytest.raises(RecordingError, match=r"Name a folder, .*run, or a single file, .*run\.mcap"):
+            RecordingWriter(tmp_path / name)

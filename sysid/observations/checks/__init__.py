@@ -15,7 +15,7 @@ from sysid.observations.checks.clipped import clipped, constant
 from sysid.observations.checks.clocks import clocks
 from sysid.observations.checks.finding import Finding, Severity, without_faulty
 from sysid.observations.checks.frozen import frozen, frozen_poses
-from sysid.observations.checks.identity import frames, numbers
+from sysid.observations.checks.identity import frames, numbers, pose_covariance
 from sysid.observations.checks.lost_markers import lost_markers
 from sysid.observations.checks.marker_identity import coincident_markers, exchanged_markers
 from sysid.observations.checks.marker_layout import marker_layout
@@ -50,6 +50,7 @@ AGAINST_ITSELF: tuple[Callable[[Recording], Iterable[Finding]], ...] = (
 )
 AGAINST_RIG: tuple[Callable[[Recording, Rig], Iterable[Finding]], ...] = (
     frames,
+    pose_covariance,
     numbers,
     start_poses,
     wrench_units,
