@@ -26,6 +26,20 @@ class SetupCheckSettings:
     most_markers: int = setting(24, "1", "Markers of a sensor or camera that are compared.", "cost")
     most_rollouts: int = setting(24, "1", "Rollouts of mistakes in the poses.", "cost")
 
+    # what is tried
+    mount_turns_deg: tuple[float, ...] = setting(
+        (30.0, -30.0, 45.0, -45.0, 60.0, -60.0),
+        "deg",
+        "Turns of a sensor or camera on holes of another pattern.",
+        "convention",
+    )
+    same_turn_deg: float = setting(3.0, "deg", "Turn of a first pose below which it is told without one.", "judgement")
+    same_place_m: float = setting(1e-4, "m", "Distance of a first pose from the rig's start that is none.", "judgement")
+    size_log_reach: float = setting(
+        9.0, "1", "Logarithms of sizes of a prediction that are tried, either way.", "convention"
+    )
+    size_log_step: float = setting(0.02, "1", "Step of these logarithms: the least error of a model.", "convention")
+
     # how models err
     model_errors: tuple[float, ...] = setting(
         (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56, 5.12),

@@ -22,7 +22,7 @@ import numpy as np
 
 from sysid.settings.setup_check import SETUP_CHECK
 
-SIZES = np.exp(np.linspace(-9.0, 9.0, 901))
+SIZES = np.exp(np.arange(-SETUP_CHECK.size_log_reach, SETUP_CHECK.size_log_reach, SETUP_CHECK.size_log_step))
 """Sizes of a prediction that are tried."""
 
 
@@ -106,21 +106,18 @@ class Quantity:
 @dataclass(frozen=True)
 class Evidence:
     """Log likelihood of the likeliest ``size`` of the prediction, and the relative ``error`` of the model there;
-    ``left``: root mean square of what it leaves about the biases, over that of the readings; ``noise``: that of the
-    noise."""
+    ``left``: root mean square of what it leaves about the biases, over that of the readings."""
 
     log: float
     size: float
     error: float
     left: float
-    noise: float
 
     def materially_better(self, other: Evidence, log_sd: float) -> bool:
-        """Whether it leaves at most half of the squares that another one leaves beyond noise, or takes away what is
-        implausible in its size."""
-        beyond, known = (max(e.left**2 - e.noise**2, 0.0) for e in (self, other))
+        """Whether the error of the model is at most half of that of another one, or takes away what is implausible in
+        its size."""
         size, before = abs(np.log(self.size)), abs(np.log(other.size))
-        return bool(beyond < 0.5 * known or (before > log_sd and size < 0.5 * before))
+        return bool(self.error < 0.5 * other.error or (before > log_sd and size < 0.5 * before))
 
 
 def evidence(quantities: Sequence[Quantity], predicted: Sequence[np.ndarray]) -> Evidence:
@@ -134,16 +131,15 @@ def evidence(quantities: Sequence[Quantity], predicted: Sequence[np.ndarray]) ->
     error = max(_least_error(log[..., best]) for log in logs)
     squares = np.array([q.left(p, size) for q, p in zip(quantities, predicted, strict=True)]).sum(axis=0)
     whole = max(squares[1], 1e-300)
-    noise = sum(q.values.size * (q.sigma / max(q.signal, q.sigma, 1e-300)) ** 2 / q.values.shape[1] for q in quantities)
     left = float(np.sqrt(squares[0] / whole))
-    return Evidence(float(total[best]), size, error, left, float(np.sqrt(noise / whole)))
+    return Evidence(float(total[best]), size, error, left)
 
 
 def _least_error(log: np.ndarray) -> float:
     """The smallest error of the model that is about as likely as the likeliest; ``log`` ``(e, f)``."""
     errors = np.square(SETUP_CHECK.model_errors)
     whole = np.sqrt(errors[:, None] + errors)
-    return float(whole[log > log.max() - SETUP_CHECK.likely_nats].min())
+    return float(whole[log >= log.max() - SETUP_CHECK.likely_nats].min())
 
 
 def _filled(values: np.ndarray) -> np.ndarray:

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import MarkerSensor
 from sim_core.rigs.observers import Camera
+from sysid.settings.setup_check import SETUP_CHECK
 from sysid.setup_check.mistakes import Mistake, axes_of, pose_text, signed_permutations
-from sysid.setup_check.wrench_mistakes import MOUNT_TURNS_DEG
 
 LENGTHS = {"mm": 1e3, "cm": 1e2, "inch": 1.0 / 0.0254}
 """How many of a unit of length are one metre."""
@@ -38,7 +38,7 @@ def marker_mistakes(name: str, sensor: MarkerSensor) -> Iterator[Mistake]:
             _space(matrix),
         )  # fmt: skip
     for axis, vector in zip("xyz", np.eye(3), strict=True):
-        for degrees in MOUNT_TURNS_DEG:
+        for degrees in SETUP_CHECK.mount_turns_deg:
             matrix = Rotation.from_rotvec(np.radians(degrees) * vector).inv().as_matrix()
             yield Mistake(
                 "marker mount turned", f"the frame of {name} is turned by {degrees:g} degrees about its {axis} axis",
@@ -69,7 +69,7 @@ def picture_mistakes(name: str, camera: Camera) -> Iterator[Mistake]:
             f"cameras.{name}.picture_axes: {axes}", name, 1.0, _plane(matrix, centre, there),
         )  # fmt: skip
     middle = np.array([camera.cx_px, camera.cy_px])
-    for degrees in MOUNT_TURNS_DEG:
+    for degrees in SETUP_CHECK.mount_turns_deg:
         angle = np.radians(degrees)
         matrix = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         turned = camera.pose.rotation() * Rotation.from_rotvec([0.0, 0.0, angle])

@@ -21,14 +21,12 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.settings.setup_check import SETUP_CHECK
 from sysid.setup_check.mistakes import Mistake, Poses, axes_of, numbers, pose_text, signed_permutations
 
 Frame = tuple[np.ndarray, Rotation]
 Posed = tuple[np.ndarray, Rotation]
 """Positions [m] ``(n, 3)`` and rotations."""
-
-ONE_AXIS_DEG = 3.0
-"""Turns within which an offset is told without one."""
 
 
 def pose_mistakes(rig: Rig, poses: Poses, reach_m: float) -> Iterator[Mistake]:
@@ -56,8 +54,8 @@ def _anchored(name: str, rest: Frame, first: Frame) -> Iterator[Mistake]:
     """Another point of the tool, and another base."""
     shift = rest[1].inv().apply(first[0] - rest[0])
     turn = rest[1].inv() * first[1]
-    turned = np.degrees(turn.magnitude()) > ONE_AXIS_DEG
-    far = np.linalg.norm(shift) > 1e-4
+    turned = np.degrees(turn.magnitude()) > SETUP_CHECK.same_turn_deg
+    far = np.linalg.norm(shift) > SETUP_CHECK.same_place_m
     if not turned and not far:
         return
     none, still = np.zeros(3), Rotation.identity()
@@ -75,7 +73,7 @@ def _anchored(name: str, rest: Frame, first: Frame) -> Iterator[Mistake]:
         moved = bool(np.linalg.norm(offset) > 0.0)
         what = f"a point {1e3 * np.linalg.norm(offset):.4g} mm off, at {numbers(offset)} m in its axes" if moved else ""
         angle = np.degrees(rotation.magnitude())
-        how = f"axes turned by {angle:.3g} degrees" if angle > ONE_AXIS_DEG else ""
+        how = f"axes turned by {angle:.3g} degrees" if angle > SETUP_CHECK.same_turn_deg else ""
         inverse = rotation.inv()
         back = inverse.apply(-offset)
         yield Mistake(
@@ -92,7 +90,7 @@ def _anchored(name: str, rest: Frame, first: Frame) -> Iterator[Mistake]:
         inverse = rotation.inv()
         back = inverse.apply(-offset)
         angle = np.degrees(rotation.magnitude())
-        how = f" and turned by {angle:.3g} degrees" if angle > ONE_AXIS_DEG else ""
+        how = f" and turned by {angle:.3g} degrees" if angle > SETUP_CHECK.same_turn_deg else ""
         yield Mistake(
             "base for base_link", f"the poses of {name} are told in another base, at {numbers(-back)} m{how}",
             f"end_effectors.{name}.topics.base: {pose_text(back, inverse)}", name, 1.0,

@@ -8,16 +8,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import WrenchSensor
+from sim_core.rigs.observers import NEWTONS
+from sysid.settings.setup_check import SETUP_CHECK
 from sysid.setup_check.mistakes import Mistake, axes_of, pose_text, signed_permutations
 
-FORCE_UNITS = {"mN": 1000.0, "gf": 101.97162, "kgf": 0.10197162, "lbf": 0.22480894}
+FORCE_UNITS = {unit: 1.0 / newtons for unit, newtons in NEWTONS.items() if unit != "N"}
 """How many of a unit are one newton."""
 
 TORQUE_LENGTHS = {"mm": 1000.0, "cm": 100.0}
 """How many of a unit of length are one metre."""
-
-MOUNT_TURNS_DEG = (30.0, -30.0, 45.0, -45.0, 60.0, -60.0)
-"""Turns of a sensor that is mounted on holes of another pattern."""
 
 
 def wrench_mistakes(name: str, sensor: WrenchSensor) -> Iterator[Mistake]:
@@ -60,7 +59,7 @@ def wrench_mistakes(name: str, sensor: WrenchSensor) -> Iterator[Mistake]:
                     axes(matrix, torque), name, weight, _map(matrix, torque),
                 )  # fmt: skip
     for axis, vector in zip("xyz", one, strict=True):
-        for degrees in MOUNT_TURNS_DEG:
+        for degrees in SETUP_CHECK.mount_turns_deg:
             matrix = Rotation.from_rotvec(np.radians(degrees) * vector).inv().as_matrix()
             yield Mistake(
                 "wrench mount turned", f"{name} is mounted turned by {degrees:g} degrees about its {axis} axis",
