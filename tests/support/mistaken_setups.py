@@ -1,6 +1,6 @@
 """Discrete mistakes of set-up, drawn at random and made in sound recordings, and what the check says of them.
 
-Run by itself it prints a table of kinds against rigs: ``python tests/setup_check/mistaken_setups.py --count 100``. The
+Run by itself it prints a table of kinds against rigs: ``python tests/support/mistaken_setups.py --count 100``. The
 mistakes are written out here, in terms of messages, without the tables that the check has.
 """
 
