@@ -174,6 +174,9 @@ class ObservationsSettings:
     repeated_chance: float = setting(
         1e-2, "1", "Share of the repetitions that chance may make, by how often single columns repeat.", "statistics"
     )
+    repeated_regular_share: float = setting(
+        0.9, "1", "Share of the turns of repetitions and new readings that are alike in a regular stream.", "judgement"
+    )
     coarse_stamp_share: float = setting(
         0.1,
         "1",

@@ -16,7 +16,18 @@ class SetupCheckSettings:
     most_steps: int = setting(100, "1", "Steps of the solver in one rollout.", "cost")
     per_frame: int = setting(8, "1", "Readings that are averaged at an instant.", "cost")
     fewest_frames: int = setting(4, "1", "Instants with readings from which a column is compared.", "judgement")
-    rollout_s: float = setting(10.0, "s", "Processor time of one rollout; one that takes more is given up.", "cost")
+    first_rollout_s: float = setting(
+        60.0,
+        "s",
+        "Processor time of the rollout of the recording as it is, beyond which the rig cannot follow it.",
+        "cost",
+    )
+    rollout_ratio: float = setting(
+        3.0, "1", "Processor time of a rollout with other poses, over that of the recording as it is, at most.", "cost"
+    )
+    rollout_s: float = setting(
+        20.0, "s", "Processor time of such a rollout where the recording as it is cannot be followed.", "cost"
+    )
     signal_share: float = setting(
         0.9,
         "1",

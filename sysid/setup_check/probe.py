@@ -153,16 +153,17 @@ def _within_time(most_s: float) -> Callable[[int, int], None]:
 
 
 class Rollouts:
-    """Predictions of the instants of a probe along other poses; the scene is built once."""
+    """Predictions of the instants of a probe along other poses; the scene is built once. A rollout that takes far
+    longer than the first one, that of the recording as it is, is given up: it is far from anything that happened."""
 
     def __init__(self, rig: Rig, probe: Probe) -> None:
         self.probe, self._rig = probe, rig
         self._scene: Scene = build_scene(rig)
-        self.made = 0
+        self._most_s, self._first = SETUP_CHECK.first_rollout_s, True
 
     def along(self, poses: Poses) -> dict[str, np.ndarray] | None:
         """Readings by channel ``(k, m)``; None where the rig cannot follow the poses."""
-        self.made += 1
+        begun = time.process_time()
         firsts = {name: replace(first, poses=dict(poses)) for name, first in self.probe.run.firsts.items()}
         run = replace(self.probe.run, poses=dict(poses), firsts=firsts)
         try:
@@ -172,9 +173,14 @@ class Rollouts:
             times = rollout_times([rig], run, self.probe.dt)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # strains of a set-up that is only tried
-                trace = simulate(self._scene, run.poses, times, _within_time(SETUP_CHECK.rollout_s))
+                trace = simulate(self._scene, run.poses, times, _within_time(self._most_s))
+            if self._first:
+                self._most_s = SETUP_CHECK.rollout_ratio * (time.process_time() - begun)
             return {
                 m.channel: predicted(trace, rig, m.channel, m.t, run.since).reshape(len(m.t), -1) for m in run.measured
             }
         except ThinshellError:
+            self._most_s = min(self._most_s, SETUP_CHECK.rollout_s)
             return None
+        finally:
+            self._first = False

@@ -36,7 +36,7 @@ SETUPS = (
     ("gel_sensor", "press_twist"),
     ("card_press", "press_post"),
     ("glove_finger", "press_far"),
-    ("lifting", "lift"),
+    ("proof_bench", "press_twist"),
 )
 """Five rigs and the experiments that are recorded with them."""
 

@@ -267,8 +267,8 @@ def pictures_in_centiseconds(p: Press) -> None:
     p.tracks.t = np.round(p.tracks.t, 2)
 
 
-def wrench_in_tenths(p: Press) -> None:
-    p.wrench.t = np.round(p.wrench.t, 1)
+def wrench_in_steps(p: Press) -> None:
+    p.wrench.t = 0.04 * np.round(p.wrench.t / 0.04)
 
 
 def places_at_rest(p: Press) -> None:
@@ -325,7 +325,7 @@ FAULTS: dict[str, tuple[Callable[[Press], None], ...]] = {
     "clock_drift": (clock_too_fast,),
     "coarse_steps": (coarse,),
     "repeated": (tracks_twice, markers_twice, wrench_twice, poses_twice),
-    "coarse_stamps": (pictures_in_centiseconds, wrench_in_tenths),
+    "coarse_stamps": (pictures_in_centiseconds, wrench_in_steps),
     "markers_at_rest": (places_at_rest,),
     "displacements_zeroed": (zeroed_displacements,),
     "blank_pictures": (dark,),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,8 +44,9 @@ def repeats(values: np.ndarray) -> np.ndarray:
     are few.
 
     A row repeats by chance where each of its columns does. How often a column does is taken from the rows that are
-    another reading as a whole. At a standstill without noise, and where a driver is stuck, more rows are the same in a
-    row than a faster publisher makes.
+    another reading as a whole. Columns that stand still together, as those of a pose without noise, do so for long,
+    not for every second message. At a standstill without noise, and where a driver is stuck, more rows are the same in
+    a row than a faster publisher makes.
     """
     none = np.zeros(len(values), dtype=bool)
     finite = np.isfinite(values)
@@ -64,6 +66,16 @@ def repeats(values: np.ndarray) -> np.ndarray:
     columns = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     usual = (columns[fresh].sum(axis=0) + 1.0) / (fresh.sum() + 2.0)
     chance = float(np.exp(np.log(usual).sum()))
-    if len(same) * chance > OBSERVATIONS.repeated_chance * short.sum():
+    if len(same) * chance > OBSERVATIONS.repeated_chance * short.sum() and not _regular(same):
         return none
     return np.concatenate([[False], same])
+
+
+def _regular(same: np.ndarray) -> bool:
+    """Whether repetitions ``(n,)`` and new readings take turns, nearly always so many of the one after so many of the
+    other, while anything changes."""
+    again = [(a, b) for a, b in runs_of(same) if b - a < OBSERVATIONS.frozen_in_a_row]
+    turns = [(b - a, after - b) for (a, b), (after, _) in pairwise(again)]
+    turns = [turn for turn in turns if turn[1] < OBSERVATIONS.frozen_in_a_row]
+    usual = max(turns.count(turn) for turn in set(turns)) if turns else 0
+    return usual >= max(OBSERVATIONS.repeated_fewest, OBSERVATIONS.repeated_regular_share * len(turns))
