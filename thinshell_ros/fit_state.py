@@ -100,6 +100,7 @@ def result_of(fit: dict[str, Any], job_id: str, request: FitRequest) -> dict[str
     estimates = fit["estimates"]
     source = fit["provenance"]
     astray = [] if fit["converged"] else [not_converged(fit["message"])]
+    astray += [fit["no_success"]] if fit["no_success"] else []
     return {
         "job_id": job_id,
         "rig": fit["rig"],

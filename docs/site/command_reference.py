@@ -15,7 +15,8 @@ HEAD = """# Command line
 This page is made from the commands. `thinshell COMMAND --help` prints the same.
 
 Exit codes: 0, done; 1, a defect of the program, a validation row that is missed, or a soak that found one; 2, input
-that cannot be used, with one paragraph that says what to do; 3, a fit that did not converge; 130, interrupted.
+that cannot be used, with one paragraph that says what to do; 3, a fit that did not converge; 4, a fit or a
+diagnosis of which the model misses the recordings by more than ten times their noise; 130, interrupted.
 """
 
 

@@ -135,6 +135,13 @@ def describe(value: object) -> str:
     return str(value)
 
 
+def each_axis_once(axes: tuple[str, ...]) -> tuple[str, ...]:
+    """Axes with their signs, if each is there once."""
+    if len({axis.removeprefix("-") for axis in axes}) < len(axes):
+        raise trouble("names an axis twice.", "Name each axis once, with a minus where it is reversed.")
+    return axes
+
+
 def of_length(count: int) -> BeforeValidator:
     """Requires a list with so many entries."""
 

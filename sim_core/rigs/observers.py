@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Literal, get_args
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from sim_core.rigs.bodies import WORLD
 from sim_core.rigs.fields import (
@@ -21,6 +22,7 @@ from sim_core.rigs.fields import (
     Strict,
     Text,
     Topic,
+    each_axis_once,
     of_length,
     trouble,
 )
@@ -103,8 +105,23 @@ class Points(Strict):
         return self.grid[0] * self.grid[1] if self.grid is not None else len(self.positions_m or ())
 
 
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+Axes = Annotated[tuple[Axis, Axis, Axis], of_length(3), AfterValidator(each_axis_once)]
+"""Where recorded components x, y and z point: axes of the frame that the rig has."""
+
+PictureAxis = Literal["u", "-u", "v", "-v"]
+PictureAxes = Annotated[tuple[PictureAxis, PictureAxis], of_length(2), AfterValidator(each_axis_once)]
+"""Where recorded columns and rows point in the picture of the camera that the rig has."""
+
+ForceUnit = Literal["N", "mN", "gf", "kgf", "lbf"]
+"""Of recorded forces, and of the forces in recorded torques."""
+
 LengthUnit = Literal["m", "mm"] | None
 """Of recordings; what is written is believed, nothing is taken for m."""
+
+
+NEWTONS: Mapping[str, float] = {"N": 1.0, "mN": 1e-3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605}
+"""One of each unit of force [N]."""
 
 
 class WrenchNoise(Strict):
@@ -157,6 +174,17 @@ class WrenchSensor(Strict):
     length_unit: LengthUnit = Field(
         default=None, description="unit of lengths in recorded torques, where that is not m"
     )
+    force_unit: ForceUnit = Field(
+        default="N", description="unit of recorded forces, and of the forces in recorded torques"
+    )
+    force_axes: Axes = Field(
+        default=("x", "y", "z"),
+        description="axes of the sensor's frame along which recorded forces x, y, z are: [-x, -y, -z] where they are "
+        "those that act by it",
+    )
+    torque_axes: Axes = Field(
+        default=("x", "y", "z"), description="axes of the sensor's frame about which recorded torques x, y, z are"
+    )
     range_n: SensorRange | None = Field(default=None, description="largest force component that the sensor reads")
     range_nm: SensorRange | None = Field(default=None, description="largest torque component that the sensor reads")
 
@@ -183,6 +211,9 @@ class MarkerSensor(Strict):
     noise: MarkerNoise = Field(default=MarkerNoise(), description="white noise of each coordinate")
     topic: Topic = Field(default="markers", description="topic of its readings")
     length_unit: LengthUnit = Field(default=None, description="unit of recorded positions, where that is not m")
+    axes: Axes = Field(
+        default=("x", "y", "z"), description="axes of the sensor's frame along which recorded x, y, z are"
+    )
 
 
 Sensor = Annotated[WrenchSensor | MarkerSensor, Field(discriminator="type")]
@@ -226,6 +257,10 @@ class _Camera(Displaced):
     )
     noise: TrackNoise = Field(default=TrackNoise(), description="white noise of each image coordinate")
     topics: CameraTopics = Field(default=CameraTopics(), description="topics of its streams")
+    picture_axes: PictureAxes = Field(
+        default=("u", "v"),
+        description="where recorded u and v of tracks point in the picture of the rig: [-u, v] where it is mirrored",
+    )
     offset_sd_m: ShiftSds = Field(default=(0.0, 0.0, 0.0), description="standard deviations of the shifts [m]")
     offset_sd_deg: TurnSds = Field(default=(0.0, 0.0, 0.0), description="standard deviations of the turns [deg]")
     scale_sd: Spread = Field(

@@ -29,7 +29,7 @@ from sim_core.rigs.fields import (
     trouble,
 )
 from sim_core.rigs.loads import Load
-from sim_core.rigs.observers import Camera, Sensor
+from sim_core.rigs.observers import Axes, Camera, Sensor
 from sim_core.rigs.pose_offset import Displaced, ShiftSds, TurnSds
 from sim_core.rigs.regions import Region
 
@@ -100,6 +100,8 @@ class PoseTopics(Strict):
 
     ``length_unit`` and ``quaternion_order`` are for recordings that do not keep to m and x, y, z, w, or that look as if
     they did not: what is written is believed.
+    ``axes``, ``base`` and ``tool`` are for recordings of another frame, as where the flange was recorded: the pose is
+    base * P_recorded * tool, with positions along ``axes`` first.
     ``tf``: parent and child frame of the transforms ``/tf`` and ``/tf_static`` that are the measured pose, for robots
     that publish no pose of their own.
     ``max_gap_s``: longest gap in a recorded pose stream that is bridged by a straight line; a longer one
@@ -116,6 +118,15 @@ class PoseTopics(Strict):
     )
     quaternion_order: Literal["xyzw", "wxyz"] | None = Field(
         default=None, description="order of recorded quaternions; left out: x, y, z, w"
+    )
+    axes: Axes = Field(
+        default=("x", "y", "z"), description="axes of the base along which recorded positions x, y, z are"
+    )
+    base: Pose = Field(
+        default=Pose(), description="pose, in the base frame, of the frame that recorded poses are told in"
+    )
+    tool: Pose = Field(
+        default=Pose(), description="pose of the end effector in the frame of the tool that recorded poses are of"
     )
     max_gap_s: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=3600.0)] = Field(
         default=1.0, description="longest gap of a recorded pose stream that a straight line bridges"

@@ -1,7 +1,8 @@
 """Entry point of ``thinshell``: collects the subcommands and turns errors into one paragraph.
 
 Exit codes: 0 done; 1 a defect of the program, or a soak that found one; 2 input or data that cannot be used; 3 a fit
-that did not converge; 130 interrupted.
+that did not converge; 4 a fit or a diagnosis of which the model misses the recordings by more than ten times their
+noise; 130 interrupted.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import typer
+
+from sysid.cli.fit import NO_SUCCESS
 from sysid.cli.options import (
     BagsArgument,
     DespiteOption,
@@ -26,6 +29,8 @@ def diagnose(
 ) -> None:
     """Find out whether the rig explains the recordings, and name the physics that is missing.
 
+    Exit code 4: what the model leaves that was found is more than ten times the noise.
+
     Example: thinshell diagnose card_press run1 run2 --held-out run3 --out diagnosis
     """
     from sim_core.rigs import load_rig
@@ -35,7 +40,7 @@ def diagnose(
     check_new(out, "folder")
     find = library("sysid.workflow", "diagnose_bags")
     with progress("diagnose", timed=False) as report:
-        summary = find(
+        found = find(
             chosen,
             bags,
             held_out=held_out or [],
@@ -45,4 +50,6 @@ def diagnose(
             despite=despite or [],
             fresh_bodies=fresh_bodies,
         )
-    print(summary)
+    print(f"{found.table()}\nReport: {out / 'report.html'}")
+    if found.no_success:
+        raise typer.Exit(NO_SUCCESS)

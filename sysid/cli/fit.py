@@ -29,6 +29,9 @@ from sysid.observations.selection import check_parts
 NOT_CONVERGED = 3
 """Exit code."""
 
+NO_SUCCESS = 4
+"""Exit code: the model misses the recordings by far more than their noise."""
+
 KEPT = "Interrupted: what was found so far is put together."
 
 
@@ -71,7 +74,8 @@ def fit(
 ) -> None:
     """Estimate parameters of a rig, their uncertainty, and how well held-out recordings are predicted.
 
-    Exit code 3: the fit did not converge. Ctrl-C keeps what was found so far.
+    Exit code 3: the fit did not converge; 4: what it leaves is more than ten times the noise. Ctrl-C keeps what was
+    found so far.
 
     Example: thinshell fit card_press run1 run2 --params card.E,gel.E --held-out run3 --out fit
     """
@@ -121,3 +125,5 @@ def fit(
         raise KeyboardInterrupt
     if not result.converged:
         raise typer.Exit(NOT_CONVERGED)
+    if result.no_success:
+        raise typer.Exit(NO_SUCCESS)

@@ -19,9 +19,12 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sim_core.rigs.motion import Experiment
 from sysid.fit.marker_field import MarkerField
 from sysid.fit.result import ChannelError, Series
+from sysid.uncertainty.goodness_of_fit import no_success
 
 SCHEMA = "thinshell.diagnosis/2"
 VERDICTS = (
@@ -127,7 +130,8 @@ class Diagnosis:
     that an effect needed, by the simulated null of the case; ``places``: of a misfit that no known effect explains, the
     most unreliable first; ``tried``: what became of each effect; ``notes``: what
     a reader should know of the fit; ``next_motion``: the next experiment, where it can be told as a motion;
-    ``structured``: what the verdict that something is missing rests on.
+    ``structured``: what the verdict that something is missing rests on; ``setups_tried``: mistakes of set-up that were
+    tried first, in words (:mod:`sysid.setup_check`).
     """
 
     verdict: str
@@ -156,6 +160,29 @@ class Diagnosis:
     places: tuple[UnreliablePlace, ...] = ()
     next_motion: Experiment | None = None
     structured: tuple[StructuredMisfit, ...] = ()
+    setups_tried: tuple[str, ...] = ()
+
+    @property
+    def no_success(self) -> str:
+        """What is said first where the model that is found misses the recordings by far more than their noise, twice
+        the error of mesh and time step apart; else empty."""
+        multiples: dict[str, float] = {}
+        for e in (self.amended or self.baseline).errors:
+            if not e.held_out and e.after_over_noise is not None:
+                words = f"the {e.quantity or 'position'} of {e.channel}"
+                beside = float(np.sqrt(max(e.after**2 - (2.0 * e.own) ** 2, 0.0))) / e.noise
+                multiples[words] = max(multiples.get(words, 0.0), beside)
+        return no_success(multiples, self.setups_tried)
+
+    def table(self) -> str:
+        """Verdict, notes and numbers as text."""
+        lines = [self.no_success, ""] if self.no_success else []
+        lines += [self.sentence, *self.notes, ""]
+        for effect in self.effects:
+            for p in effect.parameters:
+                lines.append(f"  {p.name} = {p.value:.4g} ({p.ci95[0]:.4g} .. {p.ci95[1]:.4g}) {p.unit}")
+        lines += [f"Not explained: {self.not_explained}", f"Next: {self.next_experiment}"]
+        return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series, the fields of markers and the next motion, in the documented schema."""
@@ -166,7 +193,7 @@ class Diagnosis:
             "amended": data.pop("amended"),
             "noise_floor": data.pop("noise_floor"),
         }
-        return {"schema": SCHEMA, **data, "fit": fit}
+        return {"schema": SCHEMA, **data, "no_success": self.no_success, "fit": fit}
 
     def write(self, path: Path) -> None:
         """Write ``diagnosis.json``."""

@@ -53,7 +53,7 @@ from sysid.solve.nonsmooth_trust_region import AT_KINK
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
 from sysid.solve.residuals import Problem
-from sysid.uncertainty.goodness_of_fit import unexplained
+from sysid.uncertainty.goodness_of_fit import noise_multiples, unexplained
 from sysid.uncertainty.nuisance_estimates import confounded_with_nuisances, nuisances_of, remarks, with_mean_nuisances
 from sysid.uncertainty.prior_data_conflict import prior_data_conflicts
 from sysid.uncertainty.profile_likelihood import Profile
@@ -219,6 +219,7 @@ def _fit_runs(
             profiles=found.profiles,
             outliers=look.outliers,
             unexplained=left,
+            noise_multiples=noise_multiples(problem, fitted),
             contradicted=found.contradicted,
             cautions=why
             + data_quality_warnings(rig, runs)

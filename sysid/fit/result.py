@@ -18,6 +18,7 @@ from sysid.solve.covariance import Finding, interval, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import Outliers
 from sysid.solve.residuals import Problem
+from sysid.uncertainty.goodness_of_fit import no_success
 from sysid.uncertainty.nuisance_estimates import Nuisance
 from sysid.uncertainty.profile_likelihood import Profile
 
@@ -109,7 +110,9 @@ class FitResult:
     left, in words (:mod:`sysid.uncertainty.goodness_of_fit`); ``contradicted``: what was known before and the
     recordings contradict (:mod:`sysid.uncertainty.prior_data_conflict`); ``cautions``: where values and intervals rest
     on the error of mesh and time step, in words; ``undetermined``: names of the parameters that the data do not
-    determine, or of which they only give a limit."""
+    determine, or of which they only give a limit; ``noise_multiples``: root mean square of what is left over
+    the noise, by quantity (:func:`sysid.uncertainty.goodness_of_fit.noise_multiples`); ``tried``: mistakes of set-up
+    that were tried before the fit, in words (:mod:`sysid.setup_check`)."""
 
     rig: str
     estimates: list[Estimate]
@@ -135,12 +138,19 @@ class FitResult:
     contradicted: list[str] = field(default_factory=list)
     cautions: list[str] = field(default_factory=list)
     undetermined: set[str] = field(default_factory=set)
+    noise_multiples: dict[str, float] = field(default_factory=dict)
+    tried: list[str] = field(default_factory=list)
+
+    @property
+    def no_success(self) -> str:
+        """What is said first where the fitted rig misses the recordings by far more than their noise; else empty."""
+        return no_success(self.noise_multiples, self.tried)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data without the series and the fields of markers, which are for the report."""
         data = asdict(replace(self, series=[], marker_fields=[]))
         del data["series"], data["marker_fields"]
-        return {**data, "undetermined": sorted(self.undetermined)}
+        return {**data, "undetermined": sorted(self.undetermined), "no_success": self.no_success}
 
     def write(self, path: Path) -> None:
         """Write ``fit.json``."""
@@ -149,6 +159,7 @@ class FitResult:
     def table(self) -> str:
         """Parameters and errors as text, below whether they are to be trusted."""
         lines = [] if self.converged else [not_converged(self.message), ""]
+        lines += [self.no_success, ""] if self.no_success else []
         for sentence in [*self.contradicted, *self.unexplained, *self.cautions]:
             lines += [sentence, ""]
         undetermined = self.undetermined

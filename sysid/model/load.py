@@ -18,6 +18,7 @@ from sysid.model.sequence import earlier_motion
 from sysid.model.windows import window_of
 from sysid.observations.checks import Finding, examine
 from sysid.observations.observations import Measured, Run, distinct_names, of_recording
+from sysid.observations.recorded_axes import in_rig_axes
 from sysid.observations.rig_match import check_topics, marker_numbers, numbers_apart
 from sysid.observations.rig_topics import topics_of
 from sysid.observations.selection import part_of
@@ -77,22 +78,32 @@ def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
     ``despite`` has its name."""
     topics = open_bag(Path(path), Notes(), rig.table_columns).topics
     check_topics(rig, path, topics)
-    names, missing = topics_of(rig, topics)
-    recording = read_recording(path, names, need_pose=bool(rig.end_effectors))
-    findings, recording = examine(recording, rig)
-    unlike = " ".join(found.problem for found in findings if found.of_another_rig)
-    if unlike:
-        unlike += " Give the rig that it was recorded with, if that is another one."
+    recording = read_recording(path, topics_of(rig, topics)[0], need_pose=bool(rig.end_effectors))
+    findings, recording = examine(in_rig_axes(rig, recording), rig)
     breaks: list[tuple[float, RecordingError]] = []
     for found in findings:
         if found.severity == "stops a fit" and found.name not in despite:
             stop = RecordingError(
-                " ".join(filter(None, [f"{path}: {found.channel}: {found.problem}", unlike])),
+                " ".join(filter(None, [f"{path}: {found.channel}: {found.problem}", unlike_rig(findings)])),
                 f"{found.remedy} To go on all the same: --despite {found.name}.",
             )
             if not found.breaks:
                 raise stop
             breaks += [(t, stop) for t in found.times]
+    return replace(lined_up(rig, recording, findings, path), breaks=tuple(breaks))
+
+
+def unlike_rig(findings: Sequence[Finding]) -> str:
+    """In what a recording differs from those of the rig, in words."""
+    unlike = " ".join(found.problem for found in findings if found.of_another_rig)
+    return unlike + " Give the rig that it was recorded with, if that is another one." if unlike else ""
+
+
+def lined_up(rig: Rig, recording: Recording, findings: Sequence[Finding], path: Path) -> Run:
+    """Line a recording up with its rig: in the rig's axes, without the readings that ``findings`` say are faulty.
+    Raises ``RecordingError`` when nothing can be compared."""
+    names, missing = topics_of(rig, recording.provenance.message_counts)
+    unlike = unlike_rig(findings)
     poses: dict[str, PoseTrajectory] = {}
     corners: list[str] = []
     for name in rig.end_effectors:
@@ -148,7 +159,6 @@ def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
         doubts=tuple(told_once([note for note in said if note.severity == "warning"])),
         lacking=lacking,
         counted=tuple(note for note in notes if note.times),
-        breaks=tuple(breaks),
         span_ns=(recording.t0_ns, recording.t0_ns + round(1e9 * recording.duration)),
     )
 

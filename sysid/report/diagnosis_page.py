@@ -258,7 +258,7 @@ def lead(d: Diagnosis) -> list[str]:
     """What the verdict rests on: a few sentences."""
     bags = d.provenance.get("bags") or []
     used, kept = (recordings(bags, d.baseline.errors, held_out) for held_out in (False, True))
-    out = []
+    out = [d.no_success] if d.no_success else []
     if used:
         more = f"; {kept} more {'was' if kept == 1 else 'were'} held out" if kept else ""
         out.append(f"The rig {d.rig} was fitted to {plural(used, 'recording')}{more}.")

@@ -121,7 +121,7 @@ def explains(result: FitResult) -> str:
 
 def overall_level(result: FitResult) -> str:
     """The colour of the headline."""
-    if not result.converged or result.contradicted or rose(result.errors):
+    if not result.converged or result.no_success or result.contradicted or rose(result.errors):
         return "bad"
     held_out = level(over_noise([e for e in result.errors if e.held_out], after=True, own=True))
     worst = {"bad": 2, "fair": 1}
@@ -134,6 +134,8 @@ def headline(result: FitResult) -> str:
         return "The fit did not converge: take its values as a start, not as a result."
     if not result.estimates:
         return "Nothing was fitted: the rig as it is, against the recordings."
+    if result.no_success:
+        return "This fit is no success: what it leaves is many times the noise. Take its values as no result."
     if result.contradicted:
         return "The recordings contradict what was known before, and the fit lies between the two."
     if rose(result.errors):
@@ -203,7 +205,7 @@ def lead(result: FitResult, undetermined: set[str]) -> list[str]:
             "Intervals are widened by the misfit, but a law that is missing can still pull values away from "
             "the truth; 'thinshell diagnose' looks for one."
         )
-    return [*out, *result.contradicted, *result.unexplained, *result.cautions]
+    return [*filter(None, [result.no_success]), *out, *result.contradicted, *result.unexplained, *result.cautions]
 
 
 def _went(start: float, end: float) -> str:

@@ -182,6 +182,35 @@ class ObservationsSettings:
     )
     rate_samples: int = setting(20, "1", "Samples from which a rate is told.", "judgement")
 
+    # repeated readings
+    repeated_share: float = setting(
+        0.1,
+        "1",
+        "Share of messages that repeat the one before from which a publisher is faster than its sensor.",
+        "judgement",
+    )
+    repeated_fewest: int = setting(10, "1", "Repeated messages from which that is told.", "judgement")
+    repeated_chance: float = setting(
+        1e-2, "1", "Share of the repetitions that chance may make, by how often single columns repeat.", "statistics"
+    )
+    repeated_regular_share: float = setting(
+        0.9, "1", "Share of the turns of repetitions and new readings that are alike in a regular stream.", "judgement"
+    )
+    coarse_stamp_share: float = setting(
+        0.1,
+        "1",
+        "Step of the stamps, over the usual interval, from which their rounding shifts readings in time.",
+        "judgement",
+    )
+    stamp_multiple_share: float = setting(
+        1e-3, "1", "Distance of stamps from multiples of a step, over the step, that is none.", "convention"
+    )
+
+    # displacements of markers
+    at_rest_share: float = setting(
+        0.1, "1", "Change of positions, over that of displacements, below which they are those at rest.", "judgement"
+    )
+
     # resolution
     coarse_step_share: float = setting(
         0.05, "1", "Step over the range of what was measured from which it limits what is known.", "judgement"
@@ -244,6 +273,12 @@ class ObservationsSettings:
     )
     tare_step_ratio: float = setting(
         12.0, "1", "Height of a step, over the scatter on both sides, from which it is none of noise.", "judgement"
+    )
+    tare_jump_over_step: float = setting(
+        4.0,
+        "1",
+        "With ``tare_step_ratio`` over it: jump in motion over the largest step near by, at least.",
+        "judgement",
     )
     tare_zero_sd: float = setting(
         4.0, "sd", "Standard deviations of its mean within which a reading is zero.", "statistics"

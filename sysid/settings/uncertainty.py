@@ -18,6 +18,13 @@ class UncertaintySettings:
         "Mean square of a whitened residual up to which noise, whose size is estimated from a rest, may have left it.",
         "judgement",
     )
+    failed_noise_multiple: float = setting(
+        10.0,
+        "1",
+        "Root mean square of what a model leaves, over the noise, from which it is no success: noise is then a "
+        "hundredth of what is missed, and intervals widened by it rest on an error of which no law is known.",
+        "convention",
+    )
     chance_sd: float = setting(
         4.0,
         "sd",

@@ -8,6 +8,7 @@ alone is left. The discretisation error is allowed for as far as it is believed
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +62,30 @@ def misfit_by_quantity(problem: Problem, fitted: Fitted) -> list[QuantityMisfit]
 def worst(problem: Problem, fitted: Fitted) -> float:
     """The largest :attr:`QuantityMisfit.excess` of any quantity; 0 without readings."""
     return max((found.excess for found in misfit_by_quantity(problem, fitted)), default=0.0)
+
+
+def noise_multiples(problem: Problem, fitted: Fitted) -> dict[str, float]:
+    """By quantity and channel, in words, the largest root mean square of what a fit leaves, in units of its noise."""
+    most: dict[str, float] = {}
+    for found in misfit_by_quantity(problem, fitted):
+        words = f"the {found.quantity} of {found.channel}"
+        most[words] = max(most.get(words, 0.0), float(np.sqrt(found.misfit)))
+    return most
+
+
+def no_success(multiples: Mapping[str, float], tried: Sequence[str]) -> str:
+    """What is said, before anything else, of a model that misses readings by more than
+    ``UNCERTAINTY.failed_noise_multiple`` times their noise (:func:`noise_multiples`); empty where none does. ``tried``:
+    what was tried to explain it, in words."""
+    worst = {words: times for words, times in multiples.items() if times > UNCERTAINTY.failed_noise_multiple}
+    if not worst:
+        return ""
+    missed = ", ".join(f"{times:.3g} times the noise in {words}" for words, times in worst.items())
+    sentences = " ".join(["Tried to explain it:", *tried]) if tried else "No mistake of set-up was tried to explain it."
+    return (
+        f"This is no success: the model misses the recordings by {missed} (more than "
+        f"{UNCERTAINTY.failed_noise_multiple:g} times). Take its values as no result. {sentences}"
+    )
 
 
 def unexplained(problem: Problem, fitted: Fitted) -> list[str]:

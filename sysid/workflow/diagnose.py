@@ -14,6 +14,7 @@ from sysid.diagnosis.result import Diagnosis
 from sysid.io.atomic_folder import whole_folder, write_results
 from sysid.model.load import load_runs
 from sysid.report import REPORT, write_diagnosis_report
+from sysid.setup_check.check import refuse_mistaken_setups
 
 
 def diagnose_bags(
@@ -26,7 +27,7 @@ def diagnose_bags(
     on_warning: Callable[[str], None] | None = None,
     despite: Collection[str] = (),
     fresh_bodies: bool = False,
-) -> str:
+) -> Diagnosis:
     """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``, and
     where there is one ``next_experiment.yaml``.
     ``on_warning``: hears what speaks against the recordings before anything is simulated; ``despite``: findings that do
@@ -34,7 +35,9 @@ def diagnose_bags(
     (:mod:`sysid.model.sequence`)."""
     with whole_folder(out) as folder:
         runs, kept = load_runs(rig, bags, held_out, on_warning, despite, fresh_bodies)
+        tried = refuse_mistaken_setups(rig, [*runs, *kept], despite, on_warning)
         diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
+        diagnosis.setups_tried = tuple(tried)
         write_results(
             folder,
             out,
@@ -44,16 +47,7 @@ def diagnose_bags(
                 lambda place: write_diagnosis_report(diagnosis, place / REPORT),
             ],
         )
-    lines = [diagnosis.sentence, *diagnosis.notes, ""]
-    for effect in diagnosis.effects:
-        for p in effect.parameters:
-            lines.append(f"  {p.name} = {p.value:.4g} ({p.ci95[0]:.4g} .. {p.ci95[1]:.4g}) {p.unit}")
-    lines += [
-        f"Not explained: {diagnosis.not_explained}",
-        f"Next: {diagnosis.next_experiment}",
-        f"Report: {out / REPORT}",
-    ]
-    return "\n".join(lines)
+    return diagnosis
 
 
 def write_rigs(rig: Rig, diagnosis: Diagnosis, amended: Rig, folder: Path) -> None:

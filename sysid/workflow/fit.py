@@ -14,6 +14,7 @@ from sysid.io.atomic_folder import whole_folder, write_results
 from sysid.model.load import load_runs
 from sysid.model.parameters import bounds_cut
 from sysid.report import REPORT, write_fit_report
+from sysid.setup_check.check import refuse_mistaken_setups
 from sysid.solve.interruption import interrupts_ignored
 
 
@@ -40,7 +41,9 @@ def fit_bags(
             on_warning(text)
     with whole_folder(out) as folder:
         runs, kept = load_runs(rig, bags, held_out, on_warning, despite, fresh_bodies)
+        tried = refuse_mistaken_setups(rig, [*runs, *kept], despite, on_warning)
         result, fitted = fit_runs(rig, runs, names, options, held_out=kept, on_progress=on_progress, on_step=on_step)
+        result.tried = tried
         with interrupts_ignored():
             write_results(
                 folder,

@@ -26,6 +26,10 @@ FACTS = {
     "common_mode KINDS",
     "mixture COLOURS, SHARES",
     "stillness STILL_WITHIN",
+    "wrench_mistakes FORCE_UNITS",
+    "wrench_mistakes TORQUE_LENGTHS",
+    "marker_mistakes LENGTHS",
+    "marker_mistakes PICTURES",
 }
 """Tables of units, dimensions and modes, and a grid of a quadrature, which decide nothing."""
 

@@ -29,15 +29,27 @@ class Ended:
     """What the command line asks of a result."""
 
     converged: bool
+    no_success: str = ""
 
     def table(self) -> str:
         return "the table"
 
 
-@pytest.mark.parametrize(("converged", "pressed", "code"), [(1, 0, 0), (0, 0, 3), (0, 1, 130), (1, 1, 130)])
+@pytest.mark.parametrize(
+    ("converged", "pressed", "missed", "code"),
+    [
+        (1, 0, "", 0),
+        (0, 0, "", 3),
+        (0, 0, "far", 3),
+        (1, 0, "This is no success.", 4),
+        (0, 1, "", 130),
+        (1, 1, "", 130),
+    ],
+)
 def test_the_exit_code_says_whether_the_fit_converged_and_ctrl_c_was_pressed(
     converged: bool,
     pressed: bool,
+    missed: str,
     code: int,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -48,7 +60,7 @@ def test_the_exit_code_says_whether_the_fit_converged_and_ctrl_c_was_pressed(
             with suppress(KeyboardInterrupt):
                 os.kill(os.getpid(), signal.SIGINT)
                 time.sleep(1.0)
-        return Ended(bool(converged))
+        return Ended(bool(converged), missed)
 
     monkeypatch.setattr("sysid.workflow.fit_bags", fitted)
     (tmp_path / "run.mcap").touch()

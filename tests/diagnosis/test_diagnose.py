@@ -40,7 +40,7 @@ def test_a_hidden_law_is_named_and_none_where_there_is_none(small_rig, tmp_path:
         plan = Experiment.model_validate({"name": name, "seed": seed, "motions": {"finger": motion}})
         simulate_to_bag(truth, plan, tmp_path / name, seed=seed, refine=2)
     out = tmp_path / "out"
-    said = diagnose_bags(rig, [tmp_path / "press"], held_out=[tmp_path / "deeper"], out=out)
+    said = diagnose_bags(rig, [tmp_path / "press"], held_out=[tmp_path / "deeper"], out=out).table()
     data = json.loads((out / "diagnosis.json").read_text())
     assert data["schema"] == "thinshell.diagnosis/2"
     written = {"diagnosis.json", "report.html", "rig.yaml", "amended_rig.yaml"}

@@ -120,7 +120,7 @@ def test_standard_deviations_are_in_the_units_of_the_parameters(rig: Rig, tmp_pa
     fit = {
         "rig": "pull", "estimates": estimates, "correlation": [[1.0, 0.2], [0.2, 1.0]], "misfit": 1.1,
         "converged": True, "identifiability": ["a"], "remarks": [], "cautions": [], "notes": ["b"], "unexplained": [],
-        "undetermined": [],
+        "undetermined": [], "no_success": "",
         "provenance": {"bags": [{"path": "one", "sha256": ["ab"]}], "versions": {"thinshell_ros": "0.1.0"}},
     }  # fmt: skip
     state = FitState("fit_7", "running")
@@ -141,7 +141,7 @@ def test_a_fit_that_did_not_converge_is_a_warning(rig: Rig, tmp_path: Path) -> N
     fit = {
         "rig": "pull", "estimates": [], "correlation": [], "misfit": 40.0, "converged": False,
         "message": "the evaluations allowed, 2, are used up", "identifiability": ["a"], "remarks": [], "notes": [],
-        "cautions": [], "unexplained": ["It leaves more than noise."], "undetermined": [],
+        "cautions": [], "unexplained": ["It leaves more than noise."], "undetermined": [], "no_success": "",
         "provenance": {"bags": [], "versions": {}},
     }  # fmt: skip
     state = FitState("fit_7", "running")
@@ -169,7 +169,7 @@ def test_a_fit_that_needs_a_look_is_a_warning(
     fit = {
         "rig": "pull", "estimates": [], "correlation": [], "misfit": 1.0, "converged": True, "message": "",
         "identifiability": ["a", "The data do not determine strip.nu: 0 to 0.5 fit about as well."], "remarks": [],
-        "cautions": ["c"], "notes": ["n"], "unexplained": [], "undetermined": [],
+        "cautions": ["c"], "notes": ["n"], "unexplained": [], "undetermined": [], "no_success": "",
         "provenance": {"bags": [], "versions": {}},
     }  # fmt: skip
     state = FitState("fit_7", "running")

@@ -82,10 +82,9 @@ def write(p: Press, path: Path) -> Path:
         for t, row in zip(p.wrench.t, p.wrench.values, strict=True):
             bag.wrench("tactile/left/wrench", stamped("wrench", t), row[:3], row[3:], p.wrench.frame)
             recorded("wrench", t)
-        for t, places in zip(p.markers.t, p.markers.places, strict=True):
-            bag.markers(
-                "tactile/left/markers", stamped("markers", t), places, p.markers.rest, p.markers.ids, "tactile_left_gel"
-            )
+        rests = np.broadcast_to(p.markers.rest, p.markers.places.shape)
+        for t, places, rest in zip(p.markers.t, p.markers.places, rests, strict=True):
+            bag.markers("tactile/left/markers", stamped("markers", t), places, rest, p.markers.ids, "tactile_left_gel")
         for t, uv in zip(p.tracks.t, p.tracks.uv, strict=True):
             sure = np.ones(len(p.tracks.ids))
             bag.tracks("outside/marker_tracks", stamped("tracks", t), uv, p.tracks.ids, sure, "outside_optical_frame")
@@ -242,6 +241,57 @@ def broken_picture(p: Press) -> None:
     p.pictures = [b"\x89PNG but no more", scene, scene]
 
 
+def _twice(t: np.ndarray) -> np.ndarray:
+    """Times with another one halfway to the next."""
+    return np.column_stack([t, t + 0.5 * np.median(np.diff(t))]).ravel()
+
+
+def tracks_twice(p: Press) -> None:
+    p.tracks.t, p.tracks.uv = _twice(p.tracks.t), np.repeat(p.tracks.uv, 2, axis=0)
+
+
+def markers_twice(p: Press) -> None:
+    p.markers.t, p.markers.places = _twice(p.markers.t), np.repeat(p.markers.places, 2, axis=0)
+
+
+def wrench_twice(p: Press) -> None:
+    p.wrench.t, p.wrench.values = _twice(p.wrench.t), np.repeat(p.wrench.values, 2, axis=0)
+
+
+def poses_twice(p: Press) -> None:
+    p.pose.t, p.pose.position = _twice(p.pose.t), np.repeat(p.pose.position, 2, axis=0)
+    p.pose.quaternion = np.repeat(p.pose.quaternion, 2, axis=0)
+
+
+def pictures_in_centiseconds(p: Press) -> None:
+    p.tracks.t = np.round(p.tracks.t, 2)
+
+
+def wrench_in_steps(p: Press) -> None:
+    p.wrench.t = 0.04 * np.round(p.wrench.t / 0.04)
+
+
+def places_at_rest(p: Press) -> None:
+    """x, y, z as at rest, and the displacements beside them."""
+    p.markers.places, p.markers.rest = (
+        np.broadcast_to(p.markers.rest, p.markers.places.shape).copy(),
+        2.0 * p.markers.rest - p.markers.places,
+    )
+
+
+def zeroed_displacements(p: Press) -> None:
+    rests = np.broadcast_to(p.markers.rest, p.markers.places.shape).copy()
+    half = int(np.searchsorted(p.markers.t, 2.5))
+    rests[half:] = p.markers.places[half]
+    p.markers.rest = rests
+
+
+def tared_in_motion(p: Press) -> None:
+    """Set to zero while it rubs on the post."""
+    at = int(np.argmax(np.abs(p.wrench.values[:, 0])))
+    p.wrench.values[at:] -= p.wrench.values[at].copy()
+
+
 TURNED = Rotation.from_euler("z", 90.0, degrees=True)
 """How the hand starts by the rig that :func:`inverted` and :func:`wrong_order` are compared with."""
 
@@ -270,10 +320,14 @@ FAULTS: dict[str, tuple[Callable[[Press], None], ...]] = {
     "markers_renumbered": (renumbered,),
     "markers_coincide": (merged,),
     "pose_spike": (jumping_pose,),
-    "tare": (tared,),
+    "tare": (tared, tared_in_motion),
     "clock_step": (clock_set,),
     "clock_drift": (clock_too_fast,),
     "coarse_steps": (coarse,),
+    "repeated": (tracks_twice, markers_twice, wrench_twice, poses_twice),
+    "coarse_stamps": (pictures_in_centiseconds, wrench_in_steps),
+    "markers_at_rest": (places_at_rest,),
+    "displacements_zeroed": (zeroed_displacements,),
     "blank_pictures": (dark,),
     "broken_pictures": (broken_picture,),
 }

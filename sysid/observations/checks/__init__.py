@@ -13,6 +13,8 @@ from sim_core.rigs import Rig
 from sysid.observations.checks.cameras import cameras
 from sysid.observations.checks.clipped import clipped, constant
 from sysid.observations.checks.clocks import clocks
+from sysid.observations.checks.coarse_stamps import coarse_stamps
+from sysid.observations.checks.displacements import displacements
 from sysid.observations.checks.finding import Finding, Severity, without_faulty
 from sysid.observations.checks.frozen import frozen, frozen_poses
 from sysid.observations.checks.identity import frames, numbers, pose_covariance
@@ -21,6 +23,7 @@ from sysid.observations.checks.marker_identity import coincident_markers, exchan
 from sysid.observations.checks.marker_layout import marker_layout
 from sysid.observations.checks.pictures import pictures
 from sysid.observations.checks.rates import rates
+from sysid.observations.checks.repeated import repeated
 from sysid.observations.checks.resolution import resolution
 from sysid.observations.checks.restarts import resets, time_left_out
 from sysid.observations.checks.spikes import spikes
@@ -35,7 +38,10 @@ __all__ = ["AGAINST_ITSELF", "AGAINST_RIG", "Finding", "Severity", "examine", "w
 AGAINST_ITSELF: tuple[Callable[[Recording], Iterable[Finding]], ...] = (
     clocks,
     resets,
+    coarse_stamps,
     two_publishers,
+    repeated,
+    displacements,
     lost_markers,
     frozen_poses,
     frozen,

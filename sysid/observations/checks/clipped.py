@@ -1,4 +1,4 @@
-"""Forces and torques that stop at one level: the range of the sensor, or of its converter, was left."""
+"""Readings that stop at one level: the range of the sensor, or of its converter, was left."""
 
 from __future__ import annotations
 
@@ -10,33 +10,48 @@ from sysid.noise.estimate import by_differences
 from sysid.noise.quantisation import step_of
 from sysid.observations.checks.finding import Finding, runs_of, when
 from sysid.observations.checks.motion import WORDS, at_rest, components, noisy, repeats_at_rest, unit
+from sysid.observations.checks.streams import Rows, streams_of
 from sysid.recording import Recording
 from sysid.settings.observations import OBSERVATIONS
 
 
 def clipped(recording: Recording) -> Iterator[Finding]:
-    """Components of a wrench whose largest or smallest value is read exactly many times in a row."""
-    for name, wrench in recording.wrenches.items():
-        values, still = components(wrench), at_rest(recording, wrench.t)
-        for component in range(6):
-            column = values[:, component]
-            for level in _levels(column, wrench.t, still):
-                at = column == level
+    """Columns of any stream whose largest or smallest value is read exactly many times in a row."""
+    for stream in streams_of(recording):
+        still = at_rest(recording, stream.t)
+        width = stream.values.shape[1] // max(stream.columns, 1)
+        for column in range(stream.values.shape[1]):
+            values = stream.values[:, column]
+            for level in _levels(values, stream.t, still):
+                at = values == level
+                word, shown = _named(stream, column, width)
+                left_out = stream.role != "pose"
                 yield Finding(
                     "clipped",
-                    wrench.topic,
+                    stream.topic,
                     "warning",
-                    f"{WORDS[component]} reads exactly {level:.6g} {unit(component)}, never beyond it, in "
-                    f"{int(at.sum())} of {int(np.isfinite(column).sum())} readings, {when(wrench.t, runs_of(at))}: "
-                    "the sensor was at the end of its range.",
-                    "They are left out.",
-                    times=tuple(wrench.t[at]),
+                    f"{word} reads exactly {level:.6g} {shown}, never beyond it, in {int(at.sum())} of "
+                    f"{int(np.isfinite(values).sum())} readings, {when(stream.t, runs_of(at))}: the sensor was at the "
+                    "end of its range.",
+                    "They are left out." if left_out else "Fit windows of the recording without these times.",
+                    times=tuple(stream.t[at]),
                     values=(float(level),),
                     bound=float(level),
-                    role="wrench",
-                    part=name,
-                    faulty=at[:, None] & (np.arange(6) == component),
+                    role=stream.role if left_out else "",
+                    part=stream.name,
+                    faulty=at[:, None] & (np.arange(stream.columns) == column // width) if left_out else None,
                 )
+
+
+def _named(stream: Rows, column: int, width: int) -> tuple[str, str]:
+    """A column in words, and its unit."""
+    if stream.role == "wrench":
+        return WORDS[column], unit(column)
+    if stream.role == "pose":
+        names = ("x", "y", "z", "qx", "qy", "qz", "qw")
+        return f"{names[column]} of {stream.name}", "m" if column < len("xyz") else ""
+    axes, shown = ("uv", "px") if stream.role == "tracks" else ("xyz", "m")
+    return f"{axes[column % width]} of a marker of {stream.name}", shown
 
 
 def constant(recording: Recording) -> Iterator[Finding]:

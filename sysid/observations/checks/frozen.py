@@ -8,29 +8,25 @@ from collections.abc import Iterator
 import numpy as np
 
 from sysid.observations.checks.finding import Finding, runs_of, when
-from sysid.observations.checks.motion import at_rest, components, noisy, repeats_at_rest
+from sysid.observations.checks.motion import at_rest, noisy, repeats_at_rest
+from sysid.observations.checks.streams import Rows, streams_of
 from sysid.recording import Recording
 from sysid.settings.observations import OBSERVATIONS
 
 
 def frozen(recording: Recording) -> Iterator[Finding]:
     """Stretches in which a wrench, or all markers of a sensor or camera, repeat exactly."""
-    for name, wrench in recording.wrenches.items():
-        values = components(wrench)
-        yield from _frozen(recording, "wrench", name, wrench.topic, wrench.t, values, (len(values), 6))
-    for name, markers in recording.markers.items():
-        shape = markers.position.shape[:2]
-        values = markers.position.reshape(len(markers), -1)
-        yield from _frozen(recording, "markers", name, markers.topic, markers.t, values, shape)
-    for name, tracks in recording.tracks.items():
-        values = tracks.uv.reshape(len(tracks), -1)
-        yield from _frozen(recording, "tracks", name, tracks.topic, tracks.t, values, tracks.uv.shape[:2])
+    for stream in streams_of(recording):
+        if stream.role != "pose":
+            yield from _frozen(recording, stream)
 
 
 def frozen_poses(recording: Recording) -> Iterator[Finding]:
     """Stretches in which the pose of an end effector repeats exactly, where at rest it otherwise has noise."""
-    for name, pose in recording.poses.items():
-        values = np.hstack([pose.position, pose.quaternion])
+    streams = list(streams_of(recording))
+    sensors = [s for s in streams if s.role != "pose"]
+    for pose in (s for s in streams if s.role == "pose"):
+        name, values = pose.name, pose.values
         if len(values) < 2 * OBSERVATIONS.frozen_in_a_row:
             continue
         same = same_as_before(values)
@@ -38,7 +34,7 @@ def frozen_poses(recording: Recording) -> Iterator[Finding]:
         if not found or not _noise_at_rest(values, same):
             continue
         spans = [(float(pose.t[a - 1]), float(pose.t[b - 1])) for a, b in found]
-        felt = [sensor for sensor, t, of in _sensors(recording) if any(_changes(t, of, *span) for span in spans)]
+        felt = [s.name for s in sensors if any(_changes(s.t, s.values, *span) for span in spans)]
         yield Finding(
             "frozen_pose",
             pose.topic,
@@ -74,16 +70,6 @@ def _noise_at_rest(values: np.ndarray, same: np.ndarray) -> bool:
         & ~repeats
     )
     return bool(rest.sum() >= OBSERVATIONS.frozen_pose_rests)
-
-
-def _sensors(recording: Recording) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Names, times [s] and readings ``(n, m)`` of wrench sensors and markers."""
-    for name, wrench in recording.wrenches.items():
-        yield name, wrench.t, components(wrench)
-    for name, markers in recording.markers.items():
-        yield name, markers.t, markers.position.reshape(len(markers), -1)
-    for name, tracks in recording.tracks.items():
-        yield name, tracks.t, tracks.uv.reshape(len(tracks), -1)
 
 
 def _changes(t: np.ndarray, values: np.ndarray, begin: float, end: float) -> bool:
@@ -129,15 +115,8 @@ def stretches(same: np.ndarray, still: np.ndarray, has_noise: bool) -> list[tupl
     return [(a + 1, b + 1) for a, b in long if len(same) * chance ** (b - a) < OBSERVATIONS.frozen_chance]
 
 
-def _frozen(
-    recording: Recording,
-    role: str,
-    name: str,
-    topic: str,
-    t: np.ndarray,
-    values: np.ndarray,
-    shape: tuple[int, int],
-) -> Iterator[Finding]:
+def _frozen(recording: Recording, stream: Rows) -> Iterator[Finding]:
+    t, values = stream.t, stream.values
     if len(values) < 2 * OBSERVATIONS.frozen_in_a_row:
         return
     found = stretches(same_as_before(values), at_rest(recording, t), noisy(values, t))
@@ -148,7 +127,7 @@ def _frozen(
         rows[a:b] = True
     yield Finding(
         "frozen",
-        topic,
+        stream.topic,
         "warning",
         f"{int(rows.sum())} of {len(rows)} readings repeat the one before exactly, {when(t, found)}, while the others "
         "have noise: the sensor or its driver was stuck.",
@@ -156,7 +135,7 @@ def _frozen(
         times=tuple(t[rows]),
         values=tuple(float(b - a) for a, b in found),
         bound=float(OBSERVATIONS.frozen_in_a_row),
-        role=role,
-        part=name,
-        faulty=np.repeat(rows[:, None], shape[1], axis=1),
+        role=stream.role,
+        part=stream.name,
+        faulty=stream.faulty(rows),
     )

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sysid.noise.estimate import by_differences
 from sysid.observations.checks.finding import Finding
 from sysid.observations.checks.motion import WORDS, at_rest, components, unit
 from sysid.recording import Recording
@@ -54,6 +55,42 @@ def tares(recording: Recording) -> Iterator[Finding]:
                 bound=0.0,
                 part=name,
             )
+        for k in _steps_in_motion(values[:, measured], wrench.t, still):
+            column = int(measured[np.argmax(np.abs(values[k] - values[k - 1])[measured] / _scale(measured))])
+            yield Finding(
+                "tare",
+                wrench.topic,
+                "warning",
+                f"While it moves, {WORDS[column]} jumps from {values[k - 1, column]:.4g} {unit(column)} to nothing at "
+                f"{wrench.t[k]:.3f} s with all else that the sensor measures, and goes on from there: it was set to "
+                "zero in the middle of the recording.",
+                f"Fit the recording in two windows, BAG@0:{wrench.t[k]:.3f} and what follows: each has its own bias.",
+                times=(float(wrench.t[k]),),
+                values=(float(values[k - 1, column]), 0.0),
+                bound=0.0,
+                part=name,
+            )
+
+
+def _steps_in_motion(values: np.ndarray, t: np.ndarray, still: np.ndarray) -> list[int]:
+    """First readings ``(k,)`` at which all of ``values`` ``(n, c)`` jump to zero while something moves, and leave it
+    again: what lets go stays at zero."""
+    side = OBSERVATIONS.tare_side_readings
+    noise = np.array([max(by_differences(column[:, None], t), default=0.0) for column in values.T])
+    steps = np.abs(np.diff(values, axis=0))
+    zero = (np.abs(values) <= OBSERVATIONS.tare_zero_sd * noise).all(axis=1)
+    found: list[int] = []
+    for k in np.flatnonzero(zero):
+        if not side <= k < len(values) - side or still[k - 1 : k + 1].all() or (found and k - found[-1] < side):
+            continue
+        near = np.maximum(steps[k - side : k - 1].max(axis=0), steps[k : k + side - 1].max(axis=0))
+        jumped = steps[k - 1] > OBSERVATIONS.tare_step_ratio * np.maximum(
+            noise, near / OBSERVATIONS.tare_jump_over_step
+        )
+        goes_on = np.abs(values[k + 1 : k + side]).max(axis=0) > OBSERVATIONS.tare_step_ratio * noise
+        if jumped.any() and goes_on.any():
+            found.append(int(k))
+    return found
 
 
 def _scale(components_: np.ndarray) -> np.ndarray:

@@ -1,0 +1,337 @@
+"""Discrete mistakes of set-up, drawn at random and made in sound recordings, and what the check says of them.
+
+Run by itself it prints a table of kinds against rigs: ``python tests/support/mistaken_setups.py --count 100``. The
+mistakes are written out here, in terms of messages, without the tables that the check has.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig, load_rig
+from sim_core.rigs.motion import load_experiment
+from sysid.model.load import lined_up
+from sysid.observations.checks import Finding, examine
+from sysid.observations.observations import Run
+from sysid.observations.rig_topics import topics_of
+from sysid.recording import Recording, read_recording
+from sysid.recording.bag import open_bag
+from sysid.recording.notes import Notes
+from sysid.setup_check.check import notes_of
+from sysid.setup_check.compare import Comparison, compare
+from sysid.simulate import simulate_to_bag
+
+SETUPS = (
+    ("strip_coarse", "pull_taut"),
+    ("gel_sensor", "press_twist"),
+    ("card_press", "press_post"),
+    ("glove_finger", "press_far"),
+    ("proof_bench", "press_twist"),
+)
+"""Five rigs and the experiments that are recorded with them."""
+
+
+@dataclass(frozen=True)
+class Made:
+    """A mistake that was made: its kind, what findings name it, and the recording."""
+
+    kind: str
+    detail: str
+    names: tuple[str, ...]
+    recording: Recording
+
+
+Make = Callable[[Rig, Recording, np.random.Generator], Made]
+
+
+def _channel(draw: np.random.Generator, group: dict) -> str:
+    return str(draw.choice(sorted(group)))
+
+
+def _with_wrench(recording: Recording, name: str, force: np.ndarray, torque: np.ndarray) -> Recording:
+    w = recording.wrenches[name]
+    return replace(
+        recording,
+        wrenches={**recording.wrenches, name: replace(w, force=w.force @ force.T, torque=w.torque @ torque.T)},
+    )
+
+
+def wrench_sign(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.wrenches)
+    which = draw.choice(["both", "force"])
+    torque = -np.eye(3) if which == "both" else np.eye(3)
+    return Made("wrench sign", which, ("wrench reversed", "force reversed"),
+                _with_wrench(recording, name, -np.eye(3), torque))  # fmt: skip
+
+
+def wrench_quarter_turn(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name, axis, angle = _channel(draw, recording.wrenches), str(draw.choice(list("xyz"))), draw.choice([90, -90, 180])
+    turn = np.rint(Rotation.from_euler(axis, angle, degrees=True).as_matrix())
+    return Made(
+        "wrench axes turned", f"{axis} {angle}", ("wrench axes turned",), _with_wrench(recording, name, turn, turn)
+    )
+
+
+def wrench_left_handed(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.wrenches)
+    flip = np.diag(np.where(np.arange(3) == draw.integers(3), -1.0, 1.0))
+    return Made("wrench left-handed", str(np.diag(flip)), ("wrench axes left-handed",),
+                _with_wrench(recording, name, flip, flip))  # fmt: skip
+
+
+def wrench_axes_swapped(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.wrenches)
+    a, b = draw.choice(3, 2, replace=False)
+    order = np.arange(3)
+    order[[a, b]] = order[[b, a]]
+    return Made("wrench axes swapped", str(order), ("wrench axes left-handed",),
+                _with_wrench(recording, name, np.eye(3)[order], np.eye(3)[order]))  # fmt: skip
+
+
+def wrench_mount(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name, axis, angle = _channel(draw, recording.wrenches), str(draw.choice(list("xyz"))), draw.choice([30, -30])
+    turn = Rotation.from_euler(axis, angle, degrees=True).as_matrix()
+    return Made(
+        "wrench 30 degrees", f"{axis} {angle}", ("wrench mount turned",), _with_wrench(recording, name, turn, turn)
+    )
+
+
+def force_unit(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.wrenches)
+    unit = str(draw.choice(["mN", "gf", "kgf"]))
+    factor = {"mN": 1e3, "gf": 1e3 / 9.80665, "kgf": 1.0 / 9.80665}[unit] * np.eye(3)
+    return Made("force unit", unit, ("force unit", "force_unit", "force_size", "force_noise"),
+                _with_wrench(recording, name, factor, factor))  # fmt: skip
+
+
+def torque_unit(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.wrenches)
+    return Made("torque unit", "N mm", ("torque unit", "torque_unit"),
+                _with_wrench(recording, name, np.eye(3), 1e3 * np.eye(3)))  # fmt: skip
+
+
+def _with_markers(recording: Recording, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    m = recording.markers[name]
+    return replace(recording, markers={**recording.markers, name: replace(m, position=change(m.position))})
+
+
+def marker_axes(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.markers)
+    if draw.random() < 0.5:
+        flip = np.diag(np.where(np.arange(3) == draw.integers(3), -1.0, 1.0))
+        names = ("marker axes left-handed", "turned", "mirrored", "marker_order")
+        return Made("marker axes", str(np.diag(flip)), names,
+                    _with_markers(recording, name, lambda p: p @ flip.T))  # fmt: skip
+    axis, angle = str(draw.choice(list("xyz"))), draw.choice([90, 180, 30])
+    turn = Rotation.from_euler(axis, angle, degrees=True).as_matrix()
+    return Made("marker axes", f"{axis} {angle}",
+                ("marker axes turned", "marker mount turned", "turned", "marker_order"),
+                _with_markers(recording, name, lambda p: p @ turn.T))  # fmt: skip
+
+
+def marker_displacements(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.markers)
+    return Made("displacements", "x for dx", ("displacements for positions", "marker_scale"),
+                _with_markers(recording, name, lambda p: p - p[:1]))  # fmt: skip
+
+
+def picture_flipped(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.tracks)
+    camera, tracks = rig.cameras[name], recording.tracks[name]
+    how = str(draw.choice(["u", "v", "both", "transposed"]))
+    uv = tracks.uv.copy()
+    if how in ("u", "both"):
+        uv[..., 0] = camera.width_px - 1 - uv[..., 0]
+    if how in ("v", "both"):
+        uv[..., 1] = camera.height_px - 1 - uv[..., 1]
+    if how == "transposed":
+        uv = uv[..., ::-1]
+    return Made("picture flipped", how, ("picture mirrored", "picture turned", "mirrored", "turned", "marker_order"),
+                replace(recording, tracks={**recording.tracks, name: replace(tracks, uv=uv)}))  # fmt: skip
+
+
+def camera_mount(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.tracks)
+    camera, tracks = rig.cameras[name], recording.tracks[name]
+    angle = np.radians(draw.choice([30, -30]))
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    middle = np.array([camera.cx_px, camera.cy_px])
+    return Made("camera 30 degrees", f"{np.degrees(angle):.0f}", ("camera turned", "turned"), replace(
+        recording, tracks={**recording.tracks, name: replace(tracks, uv=(tracks.uv - middle) @ turn.T + middle)}
+    ))  # fmt: skip
+
+
+def _with_poses(
+    recording: Recording, name: str, change: Callable[[np.ndarray, Rotation], tuple[np.ndarray, Rotation]]
+) -> Recording:
+    changed = {}
+    for group in ("poses", "target_poses"):
+        streams = dict(getattr(recording, group))
+        if name in streams:
+            position, rotation = change(streams[name].position, Rotation.from_quat(streams[name].quaternion))
+            streams[name] = replace(streams[name], position=position, quaternion=rotation.as_quat())
+        changed[group] = streams
+    return replace(recording, **changed)
+
+
+def flange(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.poses)
+    offset = draw.uniform(0.03, 0.25) * np.eye(3)[draw.choice(3, p=[0.15, 0.15, 0.7])] * draw.choice([-1, 1])
+    turn = Rotation.from_euler("z", draw.choice([0, 0, 45, -45]), degrees=True)
+    return Made("flange for tool", f"{np.round(offset, 3)} {turn.magnitude():.2f}", ("flange for tool", "tool turned"),
+                _with_poses(recording, name, lambda p, r: (p + r.apply(offset), r * turn)))  # fmt: skip
+
+
+def tool_turned(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name, axis, angle = _channel(draw, recording.poses), str(draw.choice(list("xyz"))), draw.choice([30, -30, 90, 180])
+    turn = Rotation.from_euler(axis, angle, degrees=True)
+    return Made("tool turned", f"{axis} {angle}", ("tool turned", "flange for tool", "quaternion_order"),
+                _with_poses(recording, name, lambda p, r: (p, r * turn)))  # fmt: skip
+
+
+def other_base(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.poses)
+    offset = draw.uniform(-0.5, 0.5, 3)
+    turn = Rotation.from_euler("z", draw.choice([0, 90, -90, 180, 30]), degrees=True)
+    return Made("base for base_link", f"{np.round(offset, 2)} {turn.magnitude():.2f}",
+                ("base for base_link", "base axes turned"),
+                _with_poses(recording, name, lambda p, r: (turn.apply(p) + offset, turn * r)))  # fmt: skip
+
+
+def base_left_handed(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.poses)
+    flip = np.where(np.arange(3) == draw.integers(3), -1.0, 1.0)
+    return Made("base left-handed", str(flip), ("base axes left-handed",),
+                _with_poses(recording, name, lambda p, r: (p * flip, r)))  # fmt: skip
+
+
+def pose_millimetres(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    name = _channel(draw, recording.poses)
+    return Made("pose unit", "mm", ("length_unit", "pose unit"),
+                _with_poses(recording, name, lambda p, r: (1e3 * p, r)))  # fmt: skip
+
+
+def fingers(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    one, other = draw.choice(sorted(recording.poses), 2, replace=False)
+    poses = dict(recording.poses)
+    poses[one], poses[other] = poses[other], poses[one]
+    return Made("fingers swapped", f"{one} {other}", ("fingers swapped",), replace(recording, poses=poses))
+
+
+def milliseconds(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+    def slow(group: dict) -> dict:
+        return {name: replace(stream, t=1e3 * stream.t, arrival=None) for name, stream in group.items()}
+
+    return Made("time unit", "ms", ("time_unit", "rate"), replace(
+        recording, poses=slow(recording.poses), target_poses=slow(recording.target_poses),
+        wrenches=slow(recording.wrenches), markers=slow(recording.markers), tracks=slow(recording.tracks),
+    ))  # fmt: skip
+
+
+def makers(recording: Recording) -> list[Make]:
+    """What can be done wrong in a recording."""
+    found: list[Make] = []
+    if recording.wrenches:
+        found += [wrench_sign, wrench_quarter_turn, wrench_left_handed, wrench_axes_swapped, wrench_mount, force_unit,
+                  torque_unit]  # fmt: skip
+    if recording.markers:
+        found += [marker_axes, marker_displacements]
+    if recording.tracks:
+        found += [picture_flipped, camera_mount]
+    if recording.poses:
+        found += [flange, flange, tool_turned, other_base, base_left_handed, pose_millimetres, milliseconds]
+    if len(recording.poses) > 1:
+        found += [fingers]
+    return found
+
+
+def sound(rig: Rig, experiment: str, folder: Path) -> Recording:
+    """A sound recording of an experiment."""
+    bag = folder / f"{rig.name}+{experiment}"
+    if not bag.exists():
+        simulate_to_bag(rig, load_experiment(experiment), bag)
+    return read_recording(bag, topics_of(rig, open_bag(bag, Notes()).topics)[0])
+
+
+def judged(rig: Rig, recording: Recording, path: Path) -> tuple[tuple[Finding, ...], Comparison | None]:
+    """All findings, and the comparison with the rig; None where the recording cannot be lined up."""
+    findings, seen = examine(recording, rig)
+    try:
+        run: Run = lined_up(rig, seen, findings, path)
+        return findings, compare(rig, run)
+    except ThinshellError:
+        return findings, None
+
+
+def outcome(rig: Rig, made: Made, path: Path) -> str:
+    """'first', 'among', 'other' (something else is named), or 'silent'."""
+    findings, comparison = judged(rig, made.recording, path)
+    if any(f.name in made.names and f.severity != "note" for f in findings):
+        return "first"
+    if comparison is None:
+        return "refused"
+    named = [t.mistake.kind for t in comparison.named]
+    if named and named[0] in made.names:
+        return "first"
+    if any(kind in made.names for kind in named):
+        return "among"
+    if named or any(f.severity == "stops a fit" for f in findings):
+        return "other"
+    if any(f.name in made.names for f in notes_of(comparison)):
+        return "note"
+    everything = comparison.as_written.values()
+    if comparison.followed and all(e.error <= 0.08 and abs(np.log(e.size)) < 0.7 for e in everything):
+        return "no effect"
+    return "silent"
+
+
+def cases(count: int, seed: int, folder: Path, only: str = "") -> Iterator[tuple[str, Made, str]]:
+    """Rig, mistake and outcome of so many random mistakes."""
+    setups = [(load_rig(rig), experiment) for rig, experiment in SETUPS if only in rig]
+    recordings = [sound(rig, experiment, folder) for rig, experiment in setups]
+    for k in range(count):
+        draw = np.random.default_rng([seed, k])
+        which = k % len(setups)
+        rig, recording = setups[which][0], recordings[which]
+        possible = makers(recording)
+        made = possible[int(draw.integers(len(possible)))](rig, recording, draw)
+        yield rig.name, made, outcome(rig, made, folder / rig.name)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rig", default="")
+    parser.add_argument("--folder", type=Path)
+    given = parser.parse_args()
+    table: Counter[tuple[str, str, str]] = Counter()
+    with tempfile.TemporaryDirectory() as temporary:
+        begun = time.process_time()
+        for rig, made, found in cases(given.count, given.seed, given.folder or Path(temporary), given.rig):
+            table[made.kind, rig, found] += 1
+            print(
+                f"{rig:<14}{made.kind:<22}{made.detail:<32}{found:<10}{time.process_time() - begun:8.0f} s", flush=True
+            )
+    outcomes = sorted({key[2] for key in table})
+    print(f"\n{'mistake':<22}" + "".join(f"{o:>11}" for o in outcomes))
+    for kind in sorted({key[0] for key in table}):
+        row = [sum(n for (k, _, o), n in table.items() if k == kind and o == out) for out in outcomes]
+        print(f"{kind:<22}" + "".join(f"{n:>11}" for n in row))
+
+
+if __name__ == "__main__":
+    import warnings
+
+    warnings.simplefilter("ignore")
+    main()
