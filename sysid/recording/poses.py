@@ -36,7 +36,7 @@ def pose_content(message: Any) -> tuple[float, ...]:
     of one that states them.
 
     Raises:
-        ValueError: a number is not finite.
+        ValueError: a number is not finite, or the orientation is zero.
     """
     if hasattr(message, "transform"):
         p, q = message.transform.translation, message.transform.rotation
@@ -47,6 +47,8 @@ def pose_content(message: Any) -> tuple[float, ...]:
     values = (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
     if not all(map(math.isfinite, values)):
         raise ValueError("holds NaN or infinity")
+    if math.hypot(*values[3:]) < _ZERO_QUATERNION:
+        raise ValueError("has an orientation of zero (the identity is x=0, y=0, z=0, w=1)")
     covariance = getattr(getattr(message, "pose", None), "covariance", None)
     return values if covariance is None else (*values, *np.diag(np.reshape(covariance, (6, 6))).tolist())
 
@@ -143,13 +145,6 @@ def _metres(topic: str, t: Floats, position: Floats, declared: EETopics, notes: 
 
 def _unit_quaternions(topic: str, raw: Floats, declared: EETopics, notes: Notes) -> Floats:
     norm = np.linalg.norm(raw, axis=1)
-    zero = norm < _ZERO_QUATERNION
-    if zero.any():
-        raise RecordingError(
-            f"{topic}: {plural(int(zero.sum()), 'orientation')} of {len(zero)} "
-            f"zero (first at message {int(np.argmax(zero))}: {_show(raw[np.argmax(zero)])}).",
-            "Publish an orientation; the identity is x=0, y=0, z=0, w=1.",
-        )
     quaternion = raw
     off = np.abs(norm - 1.0)
     if float(off.max()) > _UNIT_TOLERANCE:

@@ -95,11 +95,17 @@ def test_quaternions_are_normalised(tmp_path: Path) -> None:
     assert "quaternions normalised (norms from 1.80278 to 1.80278)" in notes(recording)
 
 
-def test_a_zero_quaternion_is_refused(tmp_path: Path) -> None:
+def test_a_zero_quaternion_costs_its_message_and_no_other(tmp_path: Path) -> None:
     items = poses()
     items[6] = ("/current_pose", POSE, log_time(6), pose(log_time(6), q=(0, 0, 0, 0)))
-    with pytest.raises(RecordingError, match=r"1 orientation of 20 zero \(first at message 6"):
-        read(tmp_path, items + wrenches())
+    recording = read(tmp_path, items + wrenches())
+    assert len(recording.poses["ee"]) == 19
+    assert "recorded 0.060 s after the first of this topic, has an orientation of zero" in notes(recording)
+
+
+def test_poses_without_any_orientation_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"none of 20 messages can be used: .* zero \(the identity is x=0"):
+        read(tmp_path, poses(q=(0, 0, 0, 0)) + wrenches())
 
 
 def test_a_w_first_identity_is_refused_and_can_be_declared(tmp_path: Path) -> None:

@@ -183,3 +183,25 @@ def test_confidence_outside_its_range(tmp_path: Path) -> None:
 def test_tracks_with_other_field_names(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"has no field u, v \(it has x, y, id\)"):
         read(tmp_path, poses(6) + tracks({"x": UV["u"], "y": UV["v"], "id": IDS}))
+
+
+@pytest.mark.parametrize("offset", [12, 2**31 - 4, 2**32 - 4])
+def test_a_field_beyond_its_point_costs_its_message_alone(tmp_path: Path, offset: int) -> None:
+    """numpy adds offset and size in 32 bits, and would read where there is nothing."""
+    items = poses() + tracks({**UV, "id": IDS, "confidence": np.ones(3)})
+    topic, _, _, message = items[-1]
+    message.fields[0].offset = message.point_step if offset == 12 else offset
+    recording = read(tmp_path, items)
+    assert len(recording.tracks["camera"]) == sum(item[0] == topic for item in items) - 1
+    assert "has fields that reach to byte" in notes(recording)
+
+
+@pytest.mark.parametrize("change", ["name", "datatype"])
+def test_one_cloud_of_other_fields_is_left_out(tmp_path: Path, change: str) -> None:
+    """Without its id, or with ids that are no whole numbers, the other messages keep theirs."""
+    items = poses() + tracks({**UV, "id": IDS, "confidence": np.ones(3)})
+    field = next(f for f in items[-1][3].fields if f.name == "id")
+    setattr(field, change, "number" if change == "name" else 7)
+    stream = read(tmp_path, items).tracks["camera"]
+    assert stream.ids.tolist() == sorted(int(k) for k in IDS)
+    assert np.isnan(stream.uv[-1]).all() and np.isfinite(stream.uv[:-1]).all()
