@@ -10,8 +10,7 @@ using thinshell::StepCounts;
 
 namespace {
 
-Frames frames_at(const Rollout &, const Record &record, const double *places, const double *motions, int64_t moving,
-                 int64_t k) {
+Frames frames_at(const Record &record, const double *places, const double *motions, int64_t moving, int64_t k) {
   const double *moved = nullptr;
   if (motions && record.columns) moved = motions + (moving ? 6 * record.mounts * record.columns * k : 0);
   return {places + 12 * record.mounts * k, moved};
@@ -78,7 +77,7 @@ int64_t thinshell_steps(void *handle, int64_t count, const double *dt, const dou
   Handle &h = *static_cast<Handle *>(handle);
   std::vector<double> guess(beside ? h.rollout.system.whole() : 0);
   for (int64_t k = 0; k < count; ++k) {
-    const Frames frames = frames_at(h.rollout, h.record, places, motions, moving, k);
+    const Frames frames = frames_at(h.record, places, motions, moving, k);
     if (beside)
       for (std::size_t i = 0; i < guess.size(); ++i) guess[i] = h.rollout.x[i] + beside[k * guess.size() + i];
     counts[k] = StepCounts{};
@@ -93,7 +92,7 @@ int64_t thinshell_steps(void *handle, int64_t count, const double *dt, const dou
 void thinshell_accept(void *handle, double dt, const double *places, const double *motions, const double *there,
                       int64_t inertia, const Outputs *out) {
   Handle &h = *static_cast<Handle *>(handle);
-  h.rollout.accept(dt, frames_at(h.rollout, h.record, places, motions, 0, 0), there, inertia != 0);
+  h.rollout.accept(dt, frames_at(h.record, places, motions, 0, 0), there, inertia != 0);
   h.rollout.write(*out);
 }
 
