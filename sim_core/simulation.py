@@ -77,7 +77,8 @@ class Trace:
 
 
 def interpolate(times: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Linear interpolation along the first axis, held beyond the ends."""
+    """Linear interpolation of ``values`` ``(n, ...)`` at the ``times`` [s] ``(n,)`` along the first axis, in their
+    unit, held beyond the ends; ``at`` [s] ``(k,)``."""
     if len(times) == 1:
         return np.repeat(values, len(at), axis=0)
     right = np.clip(np.searchsorted(times, at, side="right"), 1, len(times) - 1)
@@ -89,7 +90,7 @@ def interpolate(times: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.nda
 @dataclass(frozen=True)
 class Settling:
     """A step on the way to the first equilibrium, from ``before``, at rest, to ``after`` in ``dt`` [s], with or without
-    ``inertia``; at its end the system has the ``unknowns``."""
+    ``inertia``; at its end the system has the ``unknowns`` ``(u,)`` [m]."""
 
     before: State
     after: State
@@ -230,7 +231,8 @@ class Simulation:
 
 def settle(scene: Scene, state: State, targets: np.ndarray, settings: NewtonSettings) -> tuple[Settling, ...]:
     """The way to equilibrium under gravity and loads with everything held in place: short, then ever longer damped
-    steps, and a last one without inertia. All of them end at the time 0, at which loads are those of the start."""
+    steps, and a last one without inertia. All of them end at the time 0, at which loads are those of the start.
+    ``targets`` [m] ``(n, 3)``: positions of what is prescribed."""
     system = scene.system
     inertia = system.inertia
     made: list[Settling] = []
@@ -290,7 +292,7 @@ def run(
     keep_path: bool = False,
 ) -> Trace:
     """As :func:`sim_core.simulate.simulate`, with a simulation at hand, which is reset first; then ``on_reset`` is
-    called."""
+    called. ``times`` [s] ``(n,)``: instants of the steps."""
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
 
     commanded = [{name: frame_of(p[k], q[k]) for name, (p, q) in tracks.items()} for k in range(len(times))]

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_core.geometry.mesh_checks import pieces_of
-from sim_core.geometry.sheets import SheetMesh
 from sim_core.rigs.fields import FloatArray
 
 if TYPE_CHECKING:
@@ -43,6 +41,9 @@ def pieces_held(rig: Rig, name: str) -> list[Piece]:
     if body.shape.type != "mesh":
         low, high = body.shape.bounds()
         return [Piece(1, 1, 0, low, high, (*mount, *(label for label, _ in clamps)))]
+    from sim_core.geometry.mesh_checks import pieces_of
+    from sim_core.geometry.sheets import SheetMesh
+
     mesh = body.shape.mesh()
     cells = mesh.triangles if isinstance(mesh, SheetMesh) else mesh.tets
     label = pieces_of(cells)

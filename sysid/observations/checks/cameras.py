@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-import cv2
 import numpy as np
 
 from sim_core.errors import RecordingError
@@ -241,6 +240,8 @@ def _distortion(name: str, topic: str, info: CameraInfo, camera: Lens, tracks: T
     which there are markers."""
     if not np.any(info.D) and not any(camera.distortion):
         return
+    import cv2
+
     low, high = np.zeros(2), np.array([camera.width_px, camera.height_px]) - 1.0
     if tracks is not None and np.isfinite(tracks.uv).any():
         low = np.nanmin(tracks.uv, axis=(0, 1)).clip(low, high)
