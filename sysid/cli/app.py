@@ -28,6 +28,7 @@ from sysid.cli import (
     fit,
     inspect,
     inverse,
+    ledger,
     optimise,
     plan,
     presses,
@@ -91,6 +92,7 @@ app.command("presses")(presses.presses)
 app.command("rigs")(rigs.rigs)
 app.command("params")(rigs.params)
 app.command("effects")(effects.effects)
+app.command("ledger")(ledger.ledger)
 app.command("settings")(settings.settings)
 app.command("experiments")(experiments.experiments)
 app.command("tasks")(tasks.tasks)

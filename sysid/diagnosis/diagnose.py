@@ -92,6 +92,8 @@ def diagnose_runs(
         diagnosis, amended = _collect(rig, base, case, verdict, trials, Screened(screen, singles, failed), places)
     diagnosis.notes = (*told, *diagnosis.notes)
     diagnosis.provenance = provenance(rig, list(runs), list(held_out))
+    if diagnosis.ledger is not None:
+        diagnosis.ledger = replace(diagnosis.ledger, provenance=diagnosis.provenance)
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
     return diagnosis, amended
@@ -398,5 +400,6 @@ def _collect(
         places=places,
         next_motion=motion,
         structured=_structured(case),
+        ledger=screened.screen.ledger(base.fitted),
     )
     return diagnosis, fitted.rig if base.reference is None else base.reference.fine(fitted.rig)

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from sim_core.rigs.motion import Experiment
+from sysid.comparison.ledger import Ledger
 from sysid.fit.marker_field import MarkerField
 from sysid.fit.result import ChannelError, Series
 from sysid.uncertainty.goodness_of_fit import no_success
@@ -131,7 +132,7 @@ class Diagnosis:
     most unreliable first; ``tried``: what became of each effect; ``notes``: what
     a reader should know of the fit; ``next_motion``: the next experiment, where it can be told as a motion;
     ``structured``: what the verdict that something is missing rests on; ``setups_tried``: mistakes of set-up that were
-    tried first, in words (:mod:`sysid.setup_check`).
+    tried first, in words (:mod:`sysid.setup_check`); ``ledger``: of the look at all effects from the baseline.
     """
 
     verdict: str
@@ -161,6 +162,7 @@ class Diagnosis:
     next_motion: Experiment | None = None
     structured: tuple[StructuredMisfit, ...] = ()
     setups_tried: tuple[str, ...] = ()
+    ledger: Ledger | None = None
 
     @property
     def no_success(self) -> str:
@@ -185,9 +187,10 @@ class Diagnosis:
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data without the series, the fields of markers and the next motion, in the documented schema."""
-        data = asdict(replace(self, series=[], marker_fields=[], next_motion=None))
-        del data["series"], data["marker_fields"], data["next_motion"]
+        """Plain data without the series, the fields of markers, the next motion and the ledger, in the documented
+        schema."""
+        data = asdict(replace(self, series=[], marker_fields=[], next_motion=None, ledger=None))
+        del data["series"], data["marker_fields"], data["next_motion"], data["ledger"]
         fit = {
             "baseline": data.pop("baseline"),
             "amended": data.pop("amended"),

@@ -30,6 +30,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from sysid.comparison import ledger
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.model.prediction_source import Responding
 from sysid.model.predictor import Prediction
@@ -41,11 +42,12 @@ from sysid.solve.residuals import Problem
 @dataclass(frozen=True)
 class Block:
     """One recording. ``gram`` ``(c + 1, c + 1)``: of the columns, with the residual as the last one; ``twin``
-    ``(c + 1,)``: products with the discretisation error that is left."""
+    ``(c + 1,)``: products with the discretisation error that is left; ``parts``: the Gram matrix by blocks of time."""
 
     run: str
     gram: np.ndarray
     twin: np.ndarray
+    parts: tuple[ledger.Block, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,32 @@ class Screen:
     def temper(self, kappa: float) -> None:
         """Weigh the data by 1 / kappa: what the best model leaves of the misfit, over noise."""
         self.kappa = max(1.0, kappa)
+
+    def ledger(self, base: Fitted) -> ledger.Ledger:
+        """What all this follows from, as a value that is written to a file."""
+        starts = base.scaled - self._at[: self.shared] * self._sd[: self.shared]
+        columns = [
+            ledger.Column(
+                "parameter", p.name, "", {}, p.name, p.unit, float(at), 1.0, p.log, float(start - at), float(sd),
+                False, *(float(v) for v in limits),
+            )
+            for p, at, start, sd, limits in zip(
+                base.parameters, base.scaled, starts, self._sd, self._limits, strict=False
+            )
+        ]  # fmt: skip
+        for h in self.hypotheses:
+            label = ", ".join([h.key, *(f"{name} {value:.4g}" for name, value in h.shape.items())])
+            for a in h.amplitudes:
+                # An amplitude that vanishes at infinity has one value, and its factor says how much of its response.
+                at, scale = (a.none, a.typical - a.none) if np.isfinite(a.none) else (a.typical, 0.0)
+                low, high = a.limits
+                columns.append(
+                    ledger.Column(
+                        "effect", h.effect.name, label, dict(h.shape), a.parameter.name, a.parameter.unit, float(at),
+                        float(scale), False, 0.0, float(a.sd), low >= 0.0, float(low), float(high),
+                    )
+                )  # fmt: skip
+        return ledger.Ledger(tuple(columns), tuple(p for b in self.blocks for p in b.parts), self.kappa, {})
 
     def score(self, numbers: Sequence[int]) -> Score:
         """A set of hypotheses."""
@@ -252,15 +280,17 @@ def _blocks(problem: Problem, base: Fitted, predictions: Sequence[Prediction], c
         beside.append(Prediction(p.values, derivatives, p.trace))
     names = [str(k) for k in range(len(index) + 1)]
     assembled = problem.assemble(beside, names, base.scaled)
-    rows: list[list[np.ndarray]] = [[] for _ in problem.runs]
-    at = 0
-    for i, _, times in assembled.labels:
-        rows[i].append(np.arange(at, at + len(times)))
-        at += len(times)
+    owner = np.concatenate([np.full(len(times), i) for i, _, times in assembled.labels])
+    instants = np.concatenate([times for _, _, times in assembled.labels])
+    # The rows of a channel are its readings, then the coefficients of the discretisation error.
+    measured = np.concatenate(
+        [np.arange(len(times)) < base.compared[(i, channel)].there.sum() for i, channel, times in assembled.labels]
+    )
     blocks = []
     for i, run in enumerate(problem.runs):
-        mine = np.concatenate(rows[i]) if rows[i] else np.zeros(0, dtype=int)
+        mine = owner == i
         j, r = assembled.jacobian[mine], assembled.residual[mine]
         table = np.column_stack([j[:, :-1], r])
-        blocks.append(Block(run.name, table.T @ table, table.T @ j[:, -1]))
+        parts = ledger.blocks_of(run.name, run.end, instants[mine], measured[mine], table)
+        blocks.append(Block(run.name, table.T @ table, table.T @ j[:, -1], tuple(parts)))
     return blocks

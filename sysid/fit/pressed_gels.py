@@ -13,6 +13,6 @@ def pressed_gels(runs: Sequence[Run], predictions: Sequence[Prediction]) -> list
     return [
         of_recording(run.name, least.sentence)
         for run, prediction in zip(runs, predictions, strict=True)
-        for least in prediction.trace.least_volumes
+        for least in getattr(prediction.trace, "least_volumes", ())
         if least.ratio < least.softening
     ]

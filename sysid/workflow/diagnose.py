@@ -28,8 +28,8 @@ def diagnose_bags(
     despite: Collection[str] = (),
     fresh_bodies: bool = False,
 ) -> Diagnosis:
-    """Diagnose bags; write ``diagnosis.json``, ``report.html``, ``rig.yaml`` (as given), ``amended_rig.yaml``, and
-    where there is one ``next_experiment.yaml``.
+    """Diagnose bags; write ``diagnosis.json``, ``ledger.npz``, ``report.html``, ``rig.yaml`` (as given),
+    ``amended_rig.yaml``, and where there is one ``next_experiment.yaml``.
     ``on_warning``: hears what speaks against the recordings before anything is simulated; ``despite``: findings that do
     not stop it (:func:`sysid.model.load.read_run`); ``fresh_bodies``: recordings do not show the same bodies in turn
     (:mod:`sysid.model.sequence`)."""
@@ -43,6 +43,7 @@ def diagnose_bags(
             out,
             [
                 lambda place: diagnosis.write(place / "diagnosis.json"),
+                lambda place: diagnosis.ledger.write(place / "ledger.npz") if diagnosis.ledger is not None else None,
                 lambda place: write_rigs(rig, diagnosis, amended, place),
                 lambda place: write_diagnosis_report(diagnosis, place / REPORT),
             ],

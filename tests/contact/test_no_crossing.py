@@ -252,7 +252,7 @@ def test_a_push_through_a_pad_ends_in_words(move):
     with pytest.raises(ConvergenceError) as caught:
         for k in range(1, 16):
             simulation.step({"hand": (np.array([0.0, 0.0, 0.005 - move * k]), Rotation.identity())}, DT)
-    for word in ("pad and plate", "must stay above 0", "hand has made", "mm of this step", "End the motion"):
+    for word in ("pad would turn inside out near", "hand has made", "mm of this step"):
         assert word in str(caught.value)
     displaced = REST_ON_GEL * WIDEST_M  # what contact takes out of the geometry
     assert -displaced < simulation.frames["hand"][0][2] < 0.0035

@@ -10,6 +10,8 @@ import pytest
 
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import Experiment
+from sysid.comparison.ledger import read_ledger
+from sysid.comparison.posterior import posterior
 from sysid.diagnosis.result import NamedParameter
 from sysid.simulate import simulate_to_bag
 from sysid.workflow import diagnose_bags
@@ -43,9 +45,11 @@ def test_a_hidden_law_is_named_and_none_where_there_is_none(small_rig, tmp_path:
     said = diagnose_bags(rig, [tmp_path / "press"], held_out=[tmp_path / "deeper"], out=out).table()
     data = json.loads((out / "diagnosis.json").read_text())
     assert data["schema"] == "thinshell.diagnosis/2"
-    written = {"diagnosis.json", "report.html", "rig.yaml", "amended_rig.yaml"}
+    written = {"diagnosis.json", "ledger.npz", "report.html", "rig.yaml", "amended_rig.yaml"}
     assert {f.name for f in out.iterdir()} == written | ({"next_experiment.yaml"} if effect else set())
     amended = load_rig(out / "amended_rig.yaml")
+    judged = posterior(read_ledger(out))
+    assert ("gel_relaxation" in judged.models[0].effects) == bool(effect), judged.models[:3]
     if effect is None:
         assert data["verdict"] == "nothing_missing", said
         assert not amended.effects

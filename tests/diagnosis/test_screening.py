@@ -11,6 +11,7 @@ import pytest
 
 from sim_core.effects import effect_by_name
 from sim_core.simulate import Trace
+from sysid.comparison.posterior import Evidence
 from sysid.diagnosis.candidates import Amplitude, Hypothesis
 from sysid.diagnosis.screening import Screen, look
 from sysid.model.parameters import fit_parameters, start_of
@@ -104,6 +105,21 @@ def test_the_simulated_null_is_rarely_exceeded(small_rig: Any) -> None:
     assert np.mean(np.array(gains) > thresholds) <= 0.05
     assert -6.0 < np.median(thresholds) < 12.0
     assert screened(small_rig, SHARE)[0].singles()[0].gain > max(thresholds)
+
+
+def test_the_ledger_of_a_look_has_its_evidence(small_rig: Any) -> None:
+    """Laplace's evidence of the screen, and twice that for an amplitude that cannot be negative and is far from zero;
+    all readings are in its blocks of time."""
+    screen, base, _ = screened(small_rig, SHARE, (1, 2))
+    found = screen.ledger(base)
+    evidence = Evidence(found)
+    first, other = list(evidence.places)
+    assert first[0] == other[0] == "gel_relaxation"
+    assert evidence.factor([first]) == pytest.approx(screen.score([0]).gain + np.log(2.0), abs=1e-4)
+    assert sum(b.readings for b in found.blocks) == 2 * len(T)
+    np.testing.assert_allclose(found.gram, screen.whole, rtol=1e-9, atol=1e-9)
+    (amplitude,) = evidence.amplitudes([first])
+    assert amplitude.value == pytest.approx(SHARE, abs=3.0 * SIGMA / np.sqrt(200.0))
 
 
 def test_two_laws_are_scored_together(small_rig: Any) -> None:

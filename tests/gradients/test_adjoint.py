@@ -385,7 +385,7 @@ def test_what_is_kept_changes_nothing_but_round_off(small_rig, visit):
 
 def test_steps_in_parts(small_rig, visit, monkeypatch):
     """A step that fails as a whole is gone through in its parts: against differences, for poses and a parameter."""
-    from sim_core import simulate as module
+    from sim_core import simulation as module
 
     plain = module.advance
 

@@ -70,7 +70,7 @@ def test_rigs_agree_with_the_recordings(sheet: str) -> None:
     np.testing.assert_allclose(found, given, atol=3e-4)
     start = run.poses["puller"].positions[0]
     np.testing.assert_allclose(start, rig.end_effectors["puller"].start.position_m, atol=1e-5)
-    measured = np.isfinite(channel(run, "gauge").values).all(axis=0)
+    measured = np.isfinite(channel(run, "gauge").values).any(axis=0)
     assert measured.tolist() == [False, True, False, False, False, False]
 
 
@@ -80,7 +80,7 @@ def test_a_pull_in_few_steps() -> None:
     prediction = SerialPredictor().predict(rig, run, dt=run.end / 8)
     force, track = prediction.values["gauge"], prediction.values["video"]
     assert np.isfinite(force).all() and np.isfinite(track).all()
-    assert force[-1, 1] > 1.0 and channel(run, "gauge").values[-1, 1] > 1.0
+    assert force[-1, 1] > 1.0 and np.nanmax(channel(run, "gauge").values[-30:, 1]) > 1.0
     # What the stretched sheet does along the other axes is small.
     assert np.abs(force[:, [0, 2]]).max() < 0.05 * force[-1, 1]
     measured, predicted = pins(channel(run, "video").values), pins(track)

@@ -23,7 +23,7 @@ from thinshell_ros.fit_state import FitState
 RIG = load_rig(Path(__file__).parent / "data" / "pull_coarse.yaml")
 START_S = 120.0
 FIT = {
-    "rig": "pull", "correlation": [[1.0]], "misfit": 1.1, "converged": True, "unexplained": [],
+    "rig": "pull", "correlation": [[1.0]], "misfit": 1.1, "converged": True, "no_success": "", "unexplained": [],
     "undetermined": [], "identifiability": [],
     "remarks": [], "cautions": [], "notes": [], "provenance": {"bags": [], "versions": {}},
     "estimates": [{"name": "strip.E_pa", "value": 4e9, "sd": 0.01, "log": True, "ci95": [3.9e9, 4.1e9], "unit": "Pa"}],

@@ -161,7 +161,8 @@ def test_a_diagnosis_is_a_job_as_a_fit_is(fitter: Fitter, tmp_path: Path) -> Non
     low, high = result["ci95"]["strip.E_pa"]
     assert low < 4.4e9 < high
     folder = tmp_path / "fits" / answer.message
-    assert {p.name for p in folder.iterdir()} == {"diagnosis.json", "report.html", "rig.yaml", "amended_rig.yaml"}
+    written = {"diagnosis.json", "ledger.npz", "report.html", "rig.yaml", "amended_rig.yaml"}
+    assert {p.name for p in folder.iterdir()} == written
 
 
 def test_a_fit_tells_how_far_it_is_and_gives_what_the_library_gives(

@@ -1,0 +1,101 @@
+"""``thinshell ledger``: what a diagnosis has seen, judged again without a rollout."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sysid.cli.options import library
+
+if TYPE_CHECKING:
+    from sysid.comparison.ledger import Ledger
+
+
+def ledger(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a diagnosis, or its ledger.npz.")],
+    without: Annotated[
+        list[str] | None,
+        typer.Option("--without", metavar="EFFECT", help="As of a library without this effect; may be repeated."),
+    ] = None,
+    nothing: Annotated[
+        float, typer.Option("--nothing", min=1e-6, max=1.0 - 1e-6, help="Prior probability that nothing is missing.")
+    ] = 0.5,
+    compare: Annotated[
+        Path | None, typer.Option("--compare", metavar="FOLDER", help="Another diagnosis, whose answer is shown too.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Judge the recordings of a diagnosis again, with other priors or without an effect. No simulation is run.
+
+    Probabilities are those of the linearised model, among the effects of the library: what none of them explains has no
+    share in them.
+
+    Example: thinshell ledger diagnosis --without gel_relaxation
+    """
+    read = library("sysid.comparison.ledger", "read_ledger")
+    found = [read(path).without(without or []) for path in (folder, compare) if path is not None]
+    judged = [_judged(one, nothing) for one in found]
+    if as_json:
+        print(json.dumps(judged if compare else judged[0], indent=2, allow_nan=False))
+        return
+    for path, one in zip((folder, compare), judged, strict=False):
+        print(f"{path}: {one['readings']} readings in {one['blocks']} blocks of {len(one['recordings'])} recordings")
+        print(f"  {'probability':>11}  {'log B [nats]':>12}  {'left':>6}  effects that are missing")
+        for model in one["models"]:
+            names = " and ".join(model["effects"]) or "nothing is missing"
+            print(f"  {model['probability']:11.3f}  {model['log_bayes_factor']:12.1f}  {model['left']:6.2f}  {names}")
+            for a in model["amplitudes"]:
+                low, high = a["ci95"]
+                print(f"{'':37}{a['effect']}.{a['name']} = {a['value']:.4g} ({low:.4g} .. {high:.4g}) {a['unit']}")
+        print()
+    if compare:
+        _print_change(judged[0]["inclusion"], judged[1]["inclusion"])
+    print("log B: Bayes factor over nothing missing. left: mean squared misfit in units of the noise.")
+
+
+def _judged(found: Ledger, nothing: float) -> dict[str, Any]:
+    """The posterior of a ledger as plain data."""
+    from sysid.comparison.posterior import Evidence, posterior
+
+    evidence, result = Evidence(found), posterior(found, nothing=nothing)
+    models = []
+    for m in result.credible():
+        chosen = list(zip(m.effects, m.hypotheses, strict=True))
+        models.append(
+            {
+                "effects": list(m.effects),
+                "probability": m.probability,
+                "log_bayes_factor": m.log_bayes_factor,
+                "left": evidence.left(chosen),
+                "amplitudes": [
+                    {
+                        "effect": a.column.owner,
+                        "name": a.column.name,
+                        "value": a.value,
+                        "ci95": list(a.interval),
+                        "unit": a.column.unit,
+                    }
+                    for a in (evidence.amplitudes(chosen) if chosen else [])
+                ],
+            }
+        )
+    return {
+        "models": models,
+        "nothing_missing": result.nothing,
+        "inclusion": result.inclusion,
+        "readings": sum(b.readings for b in found.blocks),
+        "blocks": len(found.blocks),
+        "recordings": list(dict.fromkeys(b.recording for b in found.blocks)),
+        "temper": found.temper,
+    }
+
+
+def _print_change(first: dict[str, float], second: dict[str, float]) -> None:
+    """Effects whose probability differs most between two diagnoses."""
+    names = sorted({*first, *second}, key=lambda n: -abs(first.get(n, 0.0) - second.get(n, 0.0)))
+    print("Probability that an effect is missing, in the first and in the second:")
+    for name in names[:10]:
+        print(f"  {first.get(name, 0.0):6.3f}  {second.get(name, 0.0):6.3f}  {name}")

@@ -1,0 +1,155 @@
+"""The ledger of a diagnosis: products of all columns of the linearised model, block of time by block of time.
+
+About the point where a baseline stands, whitened residuals y are linear in the parameters of the rig and in the
+amplitudes of all effects that it may lack,
+
+    y = J dtheta + D a + e,    e ~ N(0, I),
+
+with the error of mesh, time step and form and the noise that readings have in common taken out beforehand
+(:mod:`sysid.solve.variable_projection`). All that a comparison of models needs are the products of these columns with
+each other and with y, summed over blocks of time: it can be made again with other priors, without an effect, or without
+a part of a recording, and no simulation is run.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from sim_core.errors import ThinshellError
+
+SCHEMA = "thinshell/ledger/1"
+"""What a file of this layout says that it is."""
+
+BLOCKS = 12
+"""Convention: blocks of time of a recording."""
+
+
+class LedgerError(ThinshellError):
+    """A file that is no ledger, or one that cannot be used."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One direction of the linearised model.
+
+    ``owner``: name of the parameter, or of the effect; ``hypothesis``: label of the shape of the effect, all of whose
+    amplitudes belong together, empty for a parameter; ``shape``: values of the parameters of an effect that are no
+    amplitude; ``name``, ``unit``: of the parameter or amplitude, whose value is ``at`` + factor * ``scale``, in the
+    fitted scale (a logarithm where ``log``). The factor has a normal prior with ``prior_mean`` and ``prior_sd``, half
+    of one from zero on where ``one_sided``, and the bounds ``lower`` and ``upper``."""
+
+    kind: Literal["parameter", "effect"]
+    owner: str
+    hypothesis: str
+    shape: Mapping[str, float]
+    name: str
+    unit: str
+    at: float
+    scale: float
+    log: bool
+    prior_mean: float
+    prior_sd: float
+    one_sided: bool
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Block:
+    """A part of a recording. ``start``, ``end`` [s]; ``readings``: number of readings in it; ``gram`` ``(c + 1, c +
+    1)``: products of the whitened columns, with the residual as the last one."""
+
+    recording: str
+    start: float
+    end: float
+    readings: int
+    gram: np.ndarray
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """``columns``: parameters first; ``blocks``: of all recordings; ``temper``: mean squared whitened residual that the
+    best model leaves, at least 1, by which the weight of the data is divided; ``provenance``: of what it was made."""
+
+    columns: tuple[Column, ...]
+    blocks: tuple[Block, ...]
+    temper: float
+    provenance: Mapping[str, Any]
+
+    @property
+    def gram(self) -> np.ndarray:
+        """Sum over all blocks ``(c + 1, c + 1)``."""
+        return np.asarray(np.sum([b.gram for b in self.blocks], axis=0))
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects that it has columns of."""
+        return tuple(dict.fromkeys(c.owner for c in self.columns if c.kind == "effect"))
+
+    def without(self, effects: Collection[str]) -> Ledger:
+        """The ledger as of a library that does not have these effects. Raises ``LedgerError`` for an unknown one."""
+        unknown = sorted(set(effects) - set(self.effects))
+        if unknown:
+            raise LedgerError(
+                f"The ledger has no columns of {' and '.join(unknown)}.", f"It has those of {', '.join(self.effects)}."
+            )
+        kept = [k for k, c in enumerate(self.columns) if c.kind == "parameter" or c.owner not in effects]
+        index = np.array([*kept, len(self.columns)])
+        blocks = tuple(replace(b, gram=b.gram[np.ix_(index, index)]) for b in self.blocks)
+        return replace(self, columns=tuple(self.columns[k] for k in kept), blocks=blocks)
+
+    def write(self, path: Path) -> None:
+        """Write ``ledger.npz``: the Gram matrices as arrays, all else as JSON."""
+        words = {
+            "schema": SCHEMA,
+            "columns": [asdict(c) for c in self.columns],
+            "blocks": [
+                {"recording": b.recording, "start": b.start, "end": b.end, "readings": b.readings} for b in self.blocks
+            ],
+            "temper": self.temper,
+            "provenance": dict(self.provenance),
+        }
+        grams = np.stack([b.gram for b in self.blocks])
+        with path.open("wb") as file:
+            np.savez_compressed(file, words=np.array(json.dumps(words, default=str)), grams=grams)
+
+
+def read_ledger(path: Path) -> Ledger:
+    """Read ``ledger.npz``, or that of the folder of a diagnosis. Raises ``LedgerError`` for anything else."""
+    file = path / "ledger.npz" if path.is_dir() else path
+    try:
+        with np.load(file, allow_pickle=False) as kept:
+            words, grams = json.loads(str(kept["words"])), kept["grams"]
+        if words.get("schema") != SCHEMA:
+            raise LedgerError(f"{file} has the layout {words.get('schema')!r}, not {SCHEMA!r}.", "Diagnose again.")
+        columns = tuple(Column(**c) for c in words["columns"])
+        if grams.shape != (len(words["blocks"]), len(columns) + 1, len(columns) + 1) or not np.isfinite(grams).all():
+            raise LedgerError(f"{file} has products that do not belong to its columns.", "Diagnose again.")
+        blocks = tuple(Block(gram=g, **b) for b, g in zip(words["blocks"], grams, strict=True))
+        return Ledger(columns, blocks, float(words["temper"]), words["provenance"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        raise LedgerError(
+            f"{file} cannot be read as a ledger ({error}).", "Name a ledger.npz, or the folder of a diagnosis."
+        ) from error
+
+
+def blocks_of(
+    recording: str, end: float, times: np.ndarray, readings: np.ndarray, rows: np.ndarray, count: int = BLOCKS
+) -> list[Block]:
+    """Blocks of one recording from whitened ``rows`` ``(n, c + 1)`` of columns and residual at the ``times`` [s]
+    ``(n,)``, of which those with ``readings`` ``(n,)`` are no coefficients of an error that was taken out."""
+    edges = np.linspace(0.0, max(end, np.finfo(float).tiny), count + 1)
+    block = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, count - 1)
+    found = []
+    for b in range(count):
+        mine = rows[block == b]
+        number = int(np.count_nonzero(readings[block == b]))
+        found.append(Block(recording, float(edges[b]), float(edges[b + 1]), number, mine.T @ mine))
+    return found
