@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sysid.cli.bounds import number
 from sysid.cli.options import library
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def ledger(
         typer.Option("--without", metavar="EFFECT", help="As of a library without this effect; may be repeated."),
     ] = None,
     nothing: Annotated[
-        float, typer.Option("--nothing", min=1e-6, max=1.0 - 1e-6, help="Prior probability that nothing is missing.")
+        float, number("--nothing", "Prior probability that nothing is missing.", 1e-6, 1.0 - 1e-6)
     ] = 0.5,
     compare: Annotated[
         Path | None, typer.Option("--compare", metavar="FOLDER", help="Another diagnosis, whose answer is shown too.")
