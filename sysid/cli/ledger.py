@@ -31,8 +31,7 @@ def ledger(
 ) -> None:
     """Judge the recordings of a diagnosis again, with other priors or without an effect. No simulation is run.
 
-    Probabilities are those of the linearised model, among the effects of the library: what none of them explains has no
-    share in them.
+    Probabilities are those of the linearised model, of the effects of the library and of places with unknown physics.
 
     Example: thinshell ledger diagnosis --without gel_relaxation
     """
@@ -59,9 +58,10 @@ def ledger(
 
 def _judged(found: Ledger, nothing: float) -> dict[str, Any]:
     """The posterior of a ledger as plain data."""
-    from sysid.comparison.posterior import Evidence, posterior
+    from sysid.comparison.posterior import Evidence, posterior, temper_of
 
-    evidence, result = Evidence(found), posterior(found, nothing=nothing)
+    temper = temper_of(found)
+    evidence, result = Evidence(found, temper=temper), posterior(found, nothing=nothing)
     models = []
     for m in result.credible():
         chosen = list(zip(m.effects, m.hypotheses, strict=True))
@@ -86,11 +86,12 @@ def _judged(found: Ledger, nothing: float) -> dict[str, Any]:
     return {
         "models": models,
         "nothing_missing": result.nothing,
+        "unknown": result.unknown,
         "inclusion": result.inclusion,
         "readings": sum(b.readings for b in found.blocks),
         "blocks": len(found.blocks),
         "recordings": list(dict.fromkeys(b.recording for b in found.blocks)),
-        "temper": found.temper,
+        "temper": temper,
     }
 
 

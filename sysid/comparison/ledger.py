@@ -3,12 +3,13 @@
 About the point where a baseline stands, whitened residuals y are linear in the parameters of the rig and in the
 amplitudes of all effects that it may lack,
 
-    y = J dtheta + D a + e,    e ~ N(0, I),
+    y = J dtheta + D a + C c + e,    e ~ N(0, I),
 
-with the error of mesh, time step and form and the noise that readings have in common taken out beforehand
-(:mod:`sysid.solve.variable_projection`). All that a comparison of models needs are the products of these columns with
-each other and with y, summed over blocks of time: it can be made again with other priors, without an effect, or without
-a part of a recording, and no simulation is run.
+and in the coefficients c of closures, errors of a place of the model that have no law
+(:mod:`sysid.diagnosis.closures`), with the error of mesh, time step and form and the noise that readings have in common
+taken out beforehand (:mod:`sysid.solve.variable_projection`). All that a comparison of models needs are the products of
+these columns with each other and with y, summed over blocks of time: it can be made again with other priors, without an
+effect, or without a part of a recording, and no simulation is run.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 
-SCHEMA = "thinshell/ledger/1"
+SCHEMA = "thinshell/ledger/2"
 """What a file of this layout says that it is."""
 
 BLOCKS = 12
@@ -39,13 +40,14 @@ class LedgerError(ThinshellError):
 class Column:
     """One direction of the linearised model.
 
-    ``owner``: name of the parameter, or of the effect; ``hypothesis``: label of the shape of the effect, all of whose
-    amplitudes belong together, empty for a parameter; ``shape``: values of the parameters of an effect that are no
+    ``owner``: name of the parameter, of the effect, or of the slot of a closure; ``hypothesis``: label of the shape of
+    the effect, all of whose amplitudes belong together, empty for a parameter, what is off in words for a closure;
+    ``shape``: values of the parameters of an effect that are no
     amplitude; ``name``, ``unit``: of the parameter or amplitude, whose value is ``at`` + factor * ``scale``, in the
     fitted scale (a logarithm where ``log``). The factor has a normal prior with ``prior_mean`` and ``prior_sd``, half
     of one from zero on where ``one_sided``, and the bounds ``lower`` and ``upper``."""
 
-    kind: Literal["parameter", "effect"]
+    kind: Literal["parameter", "effect", "closure"]
     owner: str
     hypothesis: str
     shape: Mapping[str, float]
@@ -75,12 +77,11 @@ class Block:
 
 @dataclass(frozen=True)
 class Ledger:
-    """``columns``: parameters first; ``blocks``: of all recordings; ``temper``: mean squared whitened residual that the
-    best model leaves, at least 1, by which the weight of the data is divided; ``provenance``: of what it was made."""
+    """``columns``: parameters first, then effects, then closures; ``blocks``: of all recordings; ``provenance``: of
+    what it was made."""
 
     columns: tuple[Column, ...]
     blocks: tuple[Block, ...]
-    temper: float
     provenance: Mapping[str, Any]
 
     @property
@@ -100,7 +101,7 @@ class Ledger:
             raise LedgerError(
                 f"The ledger has no columns of {' and '.join(unknown)}.", f"It has those of {', '.join(self.effects)}."
             )
-        kept = [k for k, c in enumerate(self.columns) if c.kind == "parameter" or c.owner not in effects]
+        kept = [k for k, c in enumerate(self.columns) if c.kind != "effect" or c.owner not in effects]
         index = np.array([*kept, len(self.columns)])
         blocks = tuple(replace(b, gram=b.gram[np.ix_(index, index)]) for b in self.blocks)
         return replace(self, columns=tuple(self.columns[k] for k in kept), blocks=blocks)
@@ -113,7 +114,6 @@ class Ledger:
             "blocks": [
                 {"recording": b.recording, "start": b.start, "end": b.end, "readings": b.readings} for b in self.blocks
             ],
-            "temper": self.temper,
             "provenance": dict(self.provenance),
         }
         grams = np.stack([b.gram for b in self.blocks])
@@ -133,7 +133,7 @@ def read_ledger(path: Path) -> Ledger:
         if grams.shape != (len(words["blocks"]), len(columns) + 1, len(columns) + 1) or not np.isfinite(grams).all():
             raise LedgerError(f"{file} has products that do not belong to its columns.", "Diagnose again.")
         blocks = tuple(Block(gram=g, **b) for b, g in zip(words["blocks"], grams, strict=True))
-        return Ledger(columns, blocks, float(words["temper"]), words["provenance"])
+        return Ledger(columns, blocks, words["provenance"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
         raise LedgerError(
             f"{file} cannot be read as a ledger ({error}).", "Name a ledger.npz, or the folder of a diagnosis."

@@ -1,7 +1,9 @@
-"""Posterior probabilities of sets of effects, from the ledger of a diagnosis.
+"""Posterior probabilities of what is missing, from the ledger of a diagnosis.
 
-With the products G of columns and residual r, tempered by kappa, priors N(m, L^-1) of the parameters p and N(0, S) of
-the amplitudes of a set of effects with columns s, the parameters are integrated out once,
+A model is a set of effects and of slots with physics that is unknown. The coefficients of the closures of a slot, in
+units of what it is known to within, are N(0, w^2) in all models, by which careful simulators differ, and N(0, W^2)
+where the slot is one of the set. With the products G of columns and residual r, tempered by kappa, priors N(m, L^-1) of
+parameters and narrow closures p and N(0, S) of what a set adds with columns s, the former are integrated out once,
 
     A = G_pp / kappa + L,    H = G_ss / kappa - G_sp A^-1 G_ps / kappa^2,
     g = -G_sr / kappa - G_sp A^-1 (L m - G_pr / kappa) / kappa,
@@ -11,8 +13,9 @@ and the Bayes factor of the set over the rig without any effect is
     log B = 1/2 g^T (H + S^-1)^-1 g - 1/2 log det(1 + S^(1/2) H S^(1/2)) + sum log 2 Phi(mean_k / sd_k),
 
 the last term for amplitudes that are zero or more, by their marginals (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995).
-Shapes of an effect are equally probable, effects are missing independently of each other, and nothing is missing with
-the prior probability one half. All single effects and all pairs are computed; triples extend the most probable pairs.
+The temper kappa is the mean squared residual that all columns together leave, at least 1. Shapes of an effect are
+equally probable, effects and slots are missing independently of each other, and nothing is missing with the prior
+probability one half. All single ones and all pairs are computed; triples extend the most probable pairs.
 
 Probabilities are the mean over bootstrap samples of the blocks (bagged posterior: Huggins & Miller, arXiv 1912.07104),
 which makes them honest where no model is right and blocks disagree.
@@ -33,6 +36,16 @@ from sysid.comparison.ledger import Column, Ledger
 
 NOTHING_MISSING = 0.5
 """Convention: prior probability that nothing is missing."""
+
+BACKGROUND_WIDTH = 0.02
+"""Prior: w, standard deviation of the coefficients of closures where careful simulators differ, in units of that where
+the physics of a slot is unknown."""
+
+UNKNOWN_WIDTH = 1.0
+"""Prior: W, likewise where it is unknown."""
+
+UNKNOWN = "unknown: "
+"""Begin of the name of a slot with unknown physics, where effects have their names."""
 
 EXTENDED_PAIRS = 20
 """Cost: most probable pairs of effects that a third effect is added to."""
@@ -55,8 +68,8 @@ class Amplitude:
 
 @dataclass(frozen=True)
 class Model:
-    """A set of effects, empty where nothing is missing. ``log_bayes_factor`` [nats]: over nothing missing, averaged
-    over shapes; ``hypotheses``: the most probable shape of each effect."""
+    """A set of effects and of slots with unknown physics, empty where nothing is missing. ``log_bayes_factor`` [nats]:
+    over nothing missing, averaged over shapes; ``hypotheses``: the most probable shape of each effect."""
 
     effects: tuple[str, ...]
     hypotheses: tuple[str, ...]
@@ -76,6 +89,11 @@ class Posterior:
         return next(m.probability for m in self.models if not m.effects)
 
     @property
+    def unknown(self) -> float:
+        """Probability that some physics is missing that the library does not have."""
+        return sum(m.probability for m in self.models if any(e.startswith(UNKNOWN) for e in m.effects))
+
+    @property
     def inclusion(self) -> dict[str, float]:
         """Probability of each effect that it is missing, largest first."""
         found: dict[str, float] = {}
@@ -90,32 +108,47 @@ class Posterior:
         return self.models[: int(np.searchsorted(sums, level)) + 1]
 
 
-class Evidence:
-    """Bayes factors of sets of hypotheses over a ledger. ``weights`` ``(blocks,)``: of the blocks, all 1 by default."""
+@dataclass(frozen=True)
+class Widths:
+    """Standard deviations of the coefficients of closures, in units of their own: where careful simulators differ, and
+    where the physics is unknown."""
 
-    def __init__(self, ledger: Ledger, weights: np.ndarray | None = None) -> None:
-        columns = ledger.columns
+    background: float = BACKGROUND_WIDTH
+    unknown: float = UNKNOWN_WIDTH
+
+
+class Evidence:
+    """Bayes factors of sets of hypotheses over a ledger. ``weights`` ``(blocks,)``: of the blocks, all 1 by default;
+    ``temper``: mean squared residual of the best model, by which the weight of the data is divided."""
+
+    def __init__(
+        self, ledger: Ledger, weights: np.ndarray | None = None, *, widths: Widths = Widths(), temper: float = 1.0
+    ) -> None:
+        columns, n = ledger.columns, len(ledger.columns)
         grams = np.stack([b.gram for b in ledger.blocks])
-        whole = np.tensordot(np.ones(len(grams)) if weights is None else weights, grams, 1) / ledger.temper
-        p = sum(c.kind == "parameter" for c in columns)
-        n = len(columns)
-        precision = np.array([c.prior_sd**-2 for c in columns[:p]])
-        pull = precision * np.array([c.prior_mean for c in columns[:p]]) - whole[:p, n]
-        self._slope, self._information = -whole[p:n, n], whole[p:n, p:n]
-        if p:
-            inner = cho_factor(whole[:p, :p] + np.diag(precision), lower=True)
-            solved = cho_solve(inner, np.column_stack([whole[:p, p:n], pull]))
-            self._information = self._information - whole[p:n, :p] @ solved[:, :-1]
-            self._slope = self._slope - whole[p:n, :p] @ solved[:, -1]
-        self._whole, self._pull, self._precision = whole, pull, precision
+        whole = np.tensordot(np.ones(len(grams)) if weights is None else weights, grams, 1) / temper
+        base = [k for k, c in enumerate(columns) if c.kind != "effect"]
+        own = [k for k, c in enumerate(columns) if c.kind != "parameter"]
+        more = np.sqrt(widths.unknown**2 - widths.background**2)
+        narrow = [c.prior_sd * (widths.background if c.kind == "closure" else 1.0) for c in columns]
+        self._columns = [columns[k] for k in own]
+        self._sd = np.array([c.prior_sd * (more if c.kind == "closure" else 1.0) for c in self._columns])
+        self._base, self._own = np.array(base, dtype=int), np.array(own, dtype=int)
+        self._precision = np.array([narrow[k] ** -2 for k in base])
+        self._pull = self._precision * np.array([columns[k].prior_mean for k in base]) - whole[self._base, n]
+        self._slope, self._information = -whole[self._own, n], whole[np.ix_(self._own, self._own)]
+        if base:
+            inner = cho_factor(whole[np.ix_(base, base)] + np.diag(self._precision), lower=True)
+            solved = cho_solve(inner, np.column_stack([whole[np.ix_(base, own)], self._pull]))
+            self._information = self._information - whole[np.ix_(own, base)] @ solved[:, :-1]
+            self._slope = self._slope - whole[np.ix_(own, base)] @ solved[:, -1]
+        self._whole, self._temper = whole, temper
         self._readings = sum(b.readings for b in ledger.blocks)
-        self._temper = ledger.temper
-        self._columns = columns[p:]
-        self._sd = np.array([c.prior_sd for c in self._columns])
         self._one_sided = np.array([c.one_sided for c in self._columns], dtype=bool)
         places: dict[tuple[str, str], list[int]] = {}
         for k, c in enumerate(self._columns):
-            places.setdefault((c.owner, c.hypothesis), []).append(k)
+            key = (c.owner, c.hypothesis) if c.kind == "effect" else (f"{UNKNOWN}{c.owner}", "")
+            places.setdefault(key, []).append(k)
         self.places = {key: np.array(k) for key, k in places.items()}
 
     def factor(self, hypotheses: Sequence[tuple[str, str]]) -> float:
@@ -129,21 +162,23 @@ class Evidence:
 
     def left(self, hypotheses: Sequence[tuple[str, str]]) -> float:
         """Mean squared whitened residual of the most probable parameters and amplitudes, 1 for noise alone."""
-        p, n = len(self._precision), len(self._whole) - 1
-        s = p + np.concatenate([self.places[h] for h in hypotheses]).astype(int) if hypotheses else np.zeros(0, int)
-        chosen = np.concatenate([np.arange(p), s]).astype(int)
-        precision = np.concatenate([self._precision, self._sd[s - p] ** -2])
-        slope = np.concatenate([self._pull, -self._whole[s, n]])
+        n = len(self._whole) - 1
+        s = np.concatenate([self.places[h] for h in hypotheses]).astype(int) if hypotheses else np.zeros(0, int)
+        chosen = np.concatenate([self._base, self._own[s]])
+        precision = np.concatenate([self._precision, self._sd[s] ** -2])
+        slope = np.concatenate([self._pull, -self._whole[self._own[s], n]])
         best = np.linalg.solve(self._whole[np.ix_(chosen, chosen)] + np.diag(precision), slope)
         whole, z = np.append(chosen, n), np.append(best, 1.0)
         return float(self._temper * (z @ self._whole[np.ix_(whole, whole)] @ z) / max(self._readings, 1))
 
     def amplitudes(self, hypotheses: Sequence[tuple[str, str]]) -> list[Amplitude]:
-        """Marginal posterior of each amplitude of hypotheses."""
+        """Marginal posterior of each amplitude of hypotheses; coefficients of closures have no size of their own."""
         mean, covariance, s = self._solved(hypotheses)
         found = []
         for k, m, sd in zip(s, mean, np.sqrt(np.diag(covariance)), strict=True):
             c = self._columns[k]
+            if c.kind == "closure":
+                continue
             low = (max(c.lower, 0.0) if c.one_sided else c.lower) - m
             marginal = truncnorm(low / sd, (c.upper - m) / sd, loc=m, scale=sd)
             ends = sorted(_physical(c, float(v)) for v in marginal.ppf([0.025, 0.975]))
@@ -161,10 +196,25 @@ def _physical(column: Column, factor: float) -> float:
     return float(np.exp(value)) if column.log else value
 
 
-def posterior(ledger: Ledger, *, nothing: float = NOTHING_MISSING, bags: int = BAGS, seed: int = 0) -> Posterior:
-    """Posterior probabilities of all sets of up to three effects. ``nothing``: prior probability that nothing is
-    missing; ``bags``: bootstrap samples of the blocks, 0: all data as they are."""
-    models = _all_models(Evidence(ledger))
+def temper_of(ledger: Ledger, widths: Widths = Widths()) -> float:
+    """Mean squared residual that all columns together leave, at least 1."""
+    evidence = Evidence(ledger, widths=widths)
+    return max(1.0, evidence.left(list(evidence.places)))
+
+
+def posterior(
+    ledger: Ledger,
+    *,
+    nothing: float = NOTHING_MISSING,
+    widths: Widths = Widths(),
+    bags: int = BAGS,
+    seed: int = 0,
+) -> Posterior:
+    """Posterior probabilities of all sets of up to three effects and slots with unknown physics. ``nothing``: prior
+    probability that nothing is missing; ``widths``: of closures; ``bags``: bootstrap samples of the blocks, 0: all data
+    as they are."""
+    temper = temper_of(ledger, widths)
+    models = _all_models(Evidence(ledger, widths=widths, temper=temper))
     effects = {e for found in models for e in found}
     each = 1.0 - nothing ** (1.0 / max(len(effects), 1))
     odds = np.log(each) - np.log1p(-each)
@@ -181,7 +231,7 @@ def posterior(ledger: Ledger, *, nothing: float = NOTHING_MISSING, bags: int = B
         total = np.zeros(len(order))
         for _ in range(bags):
             drawn = rng.multinomial(len(ledger.blocks), np.full(len(ledger.blocks), 1.0 / len(ledger.blocks)))
-            evidence = Evidence(ledger, drawn.astype(float))
+            evidence = Evidence(ledger, drawn.astype(float), widths=widths, temper=temper)
             factors = [evidence.factor(s) + o if s else 0.0 for s, o in zip(shapes, offset, strict=True)]
             total += _normalised(prior[order] + np.array(factors))
         probability = of_all.copy()

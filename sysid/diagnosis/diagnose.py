@@ -23,6 +23,7 @@ from sim_core.rigs import Rig
 from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import Hypothesis, hypotheses, recording_scales
+from sysid.diagnosis.closures import Closures
 from sysid.diagnosis.confirmation import confirmed, confirmed_without, fitted_to_the_end, parts_to_fit
 from sysid.diagnosis.contradictions import contradictions
 from sysid.diagnosis.evidence import log_evidence
@@ -72,7 +73,8 @@ def diagnose_runs(
         tell(0.42, "a look at all effects")
         scales = recording_scales([*base.problem.runs, *base.check.runs])
         wanted = hypotheses(base.fitted.rig, scales)
-        screen, failed = look(base.engine, base.fitted, base.problem, wanted)
+        closures = Closures(base.fitted.rig, base.problem)
+        screen, failed = look(base.engine, base.fitted, base.problem, wanted, closures)
         screen.temper(base.fitted.misfit)
         singles = screen.singles()
         case = Case(

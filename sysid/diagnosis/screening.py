@@ -32,6 +32,7 @@ from scipy.optimize import lsq_linear
 
 from sysid.comparison import ledger
 from sysid.diagnosis.candidates import Hypothesis
+from sysid.diagnosis.closures import Closure, Closures
 from sysid.model.prediction_source import Responding
 from sysid.model.predictor import Prediction
 from sysid.settings.diagnosis import DIAGNOSIS
@@ -42,7 +43,8 @@ from sysid.solve.residuals import Problem
 @dataclass(frozen=True)
 class Block:
     """One recording. ``gram`` ``(c + 1, c + 1)``: of the columns, with the residual as the last one; ``twin``
-    ``(c + 1,)``: products with the discretisation error that is left; ``parts``: the Gram matrix by blocks of time."""
+    ``(c + 1,)``: products with the discretisation error that is left; ``parts``: the Gram matrix by blocks of time,
+    with closures between columns and residual."""
 
     run: str
     gram: np.ndarray
@@ -66,11 +68,14 @@ class Score:
 class Screen:
     """Gram matrices of all recordings with what is known beforehand.
 
-    ``hypotheses``: those that could be simulated; ``blocks``: of the recordings.
+    ``hypotheses``: those that could be simulated; ``blocks``: of the recordings; ``closures``: of which the ledger
+    has columns too.
     """
 
-    def __init__(self, base: Fitted, hypotheses: Sequence[Hypothesis], blocks: list[Block]) -> None:
-        self.hypotheses = list(hypotheses)
+    def __init__(
+        self, base: Fitted, hypotheses: Sequence[Hypothesis], blocks: list[Block], closures: Sequence[Closure] = ()
+    ) -> None:
+        self.hypotheses, self.closures = list(hypotheses), tuple(closures)
         self.blocks = blocks
         self.shared = len(base.parameters)
         ends = self.shared + np.cumsum([0, *(len(h.amplitudes) for h in hypotheses)])
@@ -97,7 +102,7 @@ class Screen:
         self.kappa = max(1.0, kappa)
 
     def ledger(self, base: Fitted) -> ledger.Ledger:
-        """What all this follows from, as a value that is written to a file."""
+        """What all this follows from, and the closures, as a value that is written to a file."""
         starts = base.scaled - self._at[: self.shared] * self._sd[: self.shared]
         columns = [
             ledger.Column(
@@ -120,7 +125,14 @@ class Screen:
                         float(scale), False, 0.0, float(a.sd), low >= 0.0, float(low), float(high),
                     )
                 )  # fmt: skip
-        return ledger.Ledger(tuple(columns), tuple(p for b in self.blocks for p in b.parts), self.kappa, {})
+        for c in self.closures:
+            columns.append(
+                ledger.Column(
+                    "closure", f"{c.slot.place} {c.slot.name}", c.slot.words, {}, c.name, "1", 0.0, 1.0, False, 0.0,
+                    c.sd, False, -np.inf, np.inf,
+                )
+            )  # fmt: skip
+        return ledger.Ledger(tuple(columns), tuple(p for b in self.blocks for p in b.parts), {})
 
     def score(self, numbers: Sequence[int]) -> Score:
         """A set of hypotheses."""
@@ -238,38 +250,49 @@ def _root(matrix: np.ndarray) -> np.ndarray:
 
 
 def look(
-    engine: Responding, base: Fitted, problem: Problem, wanted: Sequence[Hypothesis]
+    engine: Responding,
+    base: Fitted,
+    problem: Problem,
+    wanted: Sequence[Hypothesis],
+    closures: Closures | None = None,
 ) -> tuple[Screen, dict[str, str]]:
-    """Screen hypotheses beside a fitted baseline on the recordings of a problem; and why some could not be."""
+    """Screen hypotheses beside a fitted baseline on the recordings of a problem; and why some could not be.
+    ``closures``: those that the ledger is to have columns of."""
     sized = [column for h in wanted for column in h.columns()]
     at = (base.parameters, base.scaled)
-    if sized:
-        jobs = [engine.submit_responses(base.rig, run, *at, sized) for run in problem.runs]
+    if sized or closures is not None:
+        free = {run.name: [] if closures is None else closures.modulated(run) for run in problem.runs}
+        jobs = [engine.submit_responses(base.rig, run, *at, sized, free[run.name]) for run in problem.runs]
     else:
         jobs = [engine.submit_with_derivatives(base.rig, run, *at) for run in problem.runs]
     found = [job.result() for job in jobs]
+    if closures is not None:
+        found = [closures.append(run, p) for run, p in zip(problem.runs, found, strict=True)]
     shared = len(base.parameters)
+    ends = shared + len(sized)
     bad = np.zeros(len(sized), dtype=bool)
     for prediction in found:
         for derivatives in prediction.derivatives.values():
-            lost = ~np.isfinite(derivatives[..., shared:])
+            lost = ~np.isfinite(derivatives[..., shared:ends])
             seen = np.isfinite(derivatives[..., :shared]).all(axis=-1) if shared else np.ones(lost.shape[:-1], bool)
             bad |= (lost & seen[..., None]).any(axis=(0, 1))
     owner = np.repeat(np.arange(len(wanted)), [len(h.amplitudes) for h in wanted])
     broken = set(owner[bad])
     kept = [h for k, h in enumerate(wanted) if k not in broken]
-    columns = [k for k in range(len(sized)) if owner[k] not in broken]
+    own = [*range(shared), *(shared + k for k in range(len(sized)) if owner[k] not in broken)]
     names = {h.effect.name for h in kept}
     failed = {h.effect.name: "could not be simulated" for k, h in enumerate(wanted) if k in broken}
-    return Screen(base, kept, _blocks(problem, base, found, columns)), {
-        n: why for n, why in failed.items() if n not in names
-    }
+    free_columns = () if closures is None else tuple(closures.columns)
+    index = np.array([*own, *range(ends, ends + len(free_columns))], dtype=int)
+    blocks = _blocks(problem, base, found, index, len(own))
+    return Screen(base, kept, blocks, free_columns), {n: why for n, why in failed.items() if n not in names}
 
 
-def _blocks(problem: Problem, base: Fitted, predictions: Sequence[Prediction], columns: Sequence[int]) -> list[Block]:
-    """Gram matrices of the recordings of a problem."""
-    shared = len(base.parameters)
-    index = np.concatenate([np.arange(shared), shared + np.asarray(columns, dtype=int)]).astype(int)
+def _blocks(
+    problem: Problem, base: Fitted, predictions: Sequence[Prediction], index: np.ndarray, own: int
+) -> list[Block]:
+    """Gram matrices of the recordings of a problem. ``index``: of the derivatives that are wanted, of which
+    the screening has the first ``own``, and the ledger all."""
     beside = []
     for i, (run, p) in enumerate(zip(problem.runs, predictions, strict=True)):
         derivatives = {}
@@ -290,7 +313,7 @@ def _blocks(problem: Problem, base: Fitted, predictions: Sequence[Prediction], c
     for i, run in enumerate(problem.runs):
         mine = owner == i
         j, r = assembled.jacobian[mine], assembled.residual[mine]
-        table = np.column_stack([j[:, :-1], r])
-        parts = ledger.blocks_of(run.name, run.end, instants[mine], measured[mine], table)
+        parts = ledger.blocks_of(run.name, run.end, instants[mine], measured[mine], np.column_stack([j[:, :-1], r]))
+        table = np.column_stack([j[:, :own], r])
         blocks.append(Block(run.name, table.T @ table, table.T @ j[:, -1], tuple(parts)))
     return blocks

@@ -75,14 +75,17 @@ def slot_evidence(engine: Responding, problem: Problem, base: Fitted, kappa: flo
     slots = mechanical_slots(base.rig)
     names = [name for _, parameters in slots for name in parameters]
     parameters = {p.name: p for p in fit_parameters(base.rig, names)}
-    modulated = {run.name: [Modulated(n, c, w) for n in parameters for c, w in hats(run)] for run in problem.runs}
+    modulated = {
+        run.name: [Modulated(n, (c - w, c, c + w), (0.0, 1.0, 0.0)) for n in parameters for c, w in hats(run)]
+        for run in problem.runs
+    }
     jobs = [
         engine.submit_responses(base.rig, run, base.parameters, base.scaled, [], modulated[run.name])
         for run in problem.runs
     ]
     predictions = [job.result() for job in jobs]
-    sensed = _sensor_slots(problem)
-    columns, owners = _columns(problem, base, predictions, list(parameters), sensed)
+    sensors = sensor_slots(problem)
+    columns, owners = _columns(problem, base, predictions, list(parameters), sensors)
     assembled = problem.assemble(columns, [str(k) for k in range(len(owners) + len(base.parameters))], base.scaled)
     rows: list[list[np.ndarray]] = [[] for _ in problem.runs]
     at = 0
@@ -97,11 +100,11 @@ def slot_evidence(engine: Responding, problem: Problem, base: Fitted, kappa: flo
     left = np.linalg.solve(inner, slope) if shared else np.zeros(0)
     beyond = max(float(assembled.residual @ assembled.residual) - base.samples, 1.0)
     found = []
-    for slot, wanted in [*slots, *((s, [s.name]) for s in sensed)]:
+    for slot, wanted in [*slots, *((s, [s.name]) for s in sensors)]:
         mine = np.array([k for k, (kind, name) in enumerate(owners) if (kind, name) in _keys(slot, wanted)], dtype=int)
         if not len(mine):
             continue
-        sd = np.array([_sd(slot, owners[k][1], parameters) for k in mine])
+        sd = np.array([coefficient_sd(slot, owners[k][1], parameters) for k in mine])
         gain, fall = 0.0, 0.0
         for part in rows:
             here = np.concatenate(part) if part else np.zeros(0, dtype=int)
@@ -123,7 +126,7 @@ def hats(run: Run) -> list[tuple[float, float]]:
     return [(k * width, width) for k in range(DIAGNOSIS.closure_hats)]
 
 
-def _sensor_slots(problem: Problem) -> list[Slot]:
+def sensor_slots(problem: Problem) -> list[Slot]:
     """Slots of the sensors, cameras and clocks."""
     kinds = {m.channel: m.kind for run in problem.runs for m in run.measured}
     found = []
@@ -139,7 +142,7 @@ def _keys(slot: Slot, wanted: Sequence[str]) -> set[tuple[str, str]]:
     return {(kind, name) for name in wanted}
 
 
-def _sd(slot: Slot, name: str, parameters: dict[str, FitParameter]) -> float:
+def coefficient_sd(slot: Slot, name: str, parameters: dict[str, FitParameter]) -> float:
     """Standard deviation of the coefficient of a column."""
     if slot.place in ("wrench", "camera"):
         return DIAGNOSIS.closure_sensor_share
@@ -149,49 +152,64 @@ def _sd(slot: Slot, name: str, parameters: dict[str, FitParameter]) -> float:
 
 
 def _columns(
-    problem: Problem, base: Fitted, predictions: Sequence[Prediction], names: Sequence[str], sensed: Sequence[Slot]
+    problem: Problem, base: Fitted, predictions: Sequence[Prediction], names: Sequence[str], sensors: Sequence[Slot]
 ) -> tuple[list[Prediction], list[tuple[str, str]]]:
     """Predictions with the derivatives by the baseline's parameters and by all coefficients, and to what each of the
     latter belongs."""
     shared = len(base.parameters)
     owners = [("parameter", n) for n in names for _ in range(DIAGNOSIS.closure_hats)]
-    widths = {}
-    for slot in sensed:
-        kind = next(m.kind for run in problem.runs for m in run.measured if m.channel == slot.name)
-        widths[slot] = 1 if slot.place == "clock" else 6 if kind == "wrench" else 2 * DIMENSIONS[kind]
+    widths = {slot: shape_count(slot, problem) for slot in sensors}
+    for slot in sensors:
         owners += [(slot.place, slot.name)] * (DIAGNOSIS.closure_hats * widths[slot])
     out = []
     for run, prediction in zip(problem.runs, predictions, strict=True):
         derivatives = {}
         for m in run.measured:
             parts = [prediction.derivatives[m.channel]]
-            for slot in sensed:
+            for slot in sensors:
                 shape = (*m.values.shape, DIAGNOSIS.closure_hats * widths[slot])
-                parts.append(
-                    _sensed(slot, run, m, prediction.values[m.channel]) if slot.name == m.channel else np.zeros(shape)
-                )
+                values, size = prediction.values[m.channel], reading_size(m)
+                mine = slot.name == m.channel
+                parts.append(sensed(slot, m, values, size, _hats_at(run, m.t)) if mine else np.zeros(shape))
             derivatives[m.channel] = np.concatenate(parts, axis=-1)
         out.append(Prediction(prediction.values, derivatives, prediction.trace))
     assert all(d.shape[-1] == shared + len(owners) for p in out for d in p.derivatives.values())
     return out, owners
 
 
-def _sensed(slot: Slot, run: Run, measured: Measured, values: np.ndarray) -> np.ndarray:
-    """Columns ``(n, m, k)`` of a sensor's closure: of a wrench each component by itself, in units of its range; of
-    markers shifts of the whole picture and what grows with the place in it; of a clock the rate of the readings."""
+def shape_count(slot: Slot, problem: Problem) -> int:
+    """How many shapes the closure of a sensor has."""
+    kind = next(m.kind for run in problem.runs for m in run.measured if m.channel == slot.name)
+    return 1 if slot.place == "clock" else 6 if kind == "wrench" else 2 * DIMENSIONS[kind]
+
+
+def _hats_at(run: Run, t: np.ndarray) -> np.ndarray:
+    return np.stack([np.maximum(0.0, 1.0 - np.abs(t - c) / w) for c, w in hats(run)], axis=-1)
+
+
+def reading_size(measured: Measured) -> np.ndarray:
+    """How much the readings of a channel vary: the range of each component of a wrench, ``(6,)``, and how far markers
+    move, root mean square, ``(1,)``."""
+    if measured.kind == "wrench":
+        return np.asarray(np.ptp(np.nan_to_num(measured.values), axis=0))
+    values = measured.values
+    moved = np.nan_to_num(values - values[np.argmax(np.isfinite(values).any(axis=1))])
+    return np.array([max(float(np.sqrt(np.mean(moved**2))), 1e-12)])
+
+
+def sensed(slot: Slot, measured: Measured, values: np.ndarray, size: np.ndarray, courses: np.ndarray) -> np.ndarray:
+    """Columns ``(n, m, k)`` of a sensor's closure, each of its shapes by each of the ``courses`` ``(n, c)``: of a
+    wrench each component by itself; of markers shifts of the whole picture and what grows with the place in it, both
+    of the ``size`` of the readings; of a clock the rate of the readings. ``values`` ``(n, m)``: as predicted."""
     t = measured.t
-    courses = np.stack([np.maximum(0.0, 1.0 - np.abs(t - c) / w) for c, w in hats(run)], axis=-1)
     if slot.place == "clock":
         rate = np.gradient(np.nan_to_num(values), t, axis=0) if len(t) > 1 else np.zeros(values.shape)
         shapes = -rate[..., None]
     elif measured.kind == "wrench":
-        size = np.ptp(np.nan_to_num(measured.values), axis=0)
         shapes = np.broadcast_to(np.diag(size), (len(t), 6, 6))
     else:
         k = DIMENSIONS[measured.kind]
         points = np.nan_to_num(values).reshape(len(t), -1, k)
-        moved = np.nan_to_num(values - values[np.argmax(np.isfinite(values).any(axis=1))])
-        size = max(float(np.sqrt(np.mean(moved**2))), 1e-12)
         about = points - points.mean(axis=1, keepdims=True)
         about = about / max(float(np.abs(about).max(initial=0.0)), 1e-12)
         shifts = np.broadcast_to(np.eye(k), (*points.shape, k))

@@ -33,15 +33,16 @@ from sim_core.rigs import Rig
 
 @dataclass(frozen=True)
 class Modulated:
-    """A parameter of the rig that changes in time by a hat function: 1 at ``centre`` [s], 0 from ``width`` [s] away."""
+    """A parameter of the rig that changes in time: by the ``values`` ``(n,)`` at the ``times`` [s] ``(n,)``, linearly
+    between them, and as at the first and the last one before and after."""
 
     parameter: str
-    centre: float
-    width: float
+    times: tuple[float, ...]
+    values: tuple[float, ...]
 
     def course(self, t: float) -> float:
         """How much of the change there is at a time [s]."""
-        return max(0.0, 1.0 - abs(t - self.centre) / self.width)
+        return float(np.interp(t, self.times, self.values))
 
 
 Way = Literal["reading", "law", "numbers", "rollout"]

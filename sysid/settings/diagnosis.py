@@ -373,6 +373,10 @@ class DiagnosisSettings:
         "Standard deviations of a closure of the mechanics, by the end of a parameter's name.",
         "judgement",
     )
+    feature_samples: int = setting(200, "1", "Instants at which a feature of a recording is kept.", "cost")
+    feature_smoothing: int = setting(
+        5, "1", "Instants that a feature of noisy readings is averaged over.", "convention"
+    )
     closure_sensor_share: float = setting(
         0.2, "1", "Standard deviation of the closure of a sensor, in units of the range of its readings.", "judgement"
     )

@@ -25,7 +25,7 @@ def folder(tmp_path: Path) -> Path:
     y = 3.0 * SHAPES["gel_relaxation"] + rng.standard_normal(len(T))
     rows = np.column_stack([*(-d for d in SHAPES.values()), y])
     blocks = blocks_of("press", 1.0, T, np.ones(len(T), dtype=bool), rows)
-    Ledger(tuple(columns), tuple(blocks), 1.0, {}).write(tmp_path / "ledger.npz")
+    Ledger(tuple(columns), tuple(blocks), {}).write(tmp_path / "ledger.npz")
     return tmp_path
 
 

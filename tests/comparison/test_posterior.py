@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from sysid.comparison.ledger import Block, Column, Ledger, LedgerError, blocks_of, read_ledger
-from sysid.comparison.posterior import Evidence, posterior
+from sysid.comparison.posterior import UNKNOWN, Evidence, Widths, posterior, temper_of
 
 READINGS, BLOCKS = 240, 12
 T = np.linspace(0.0, 1.0, READINGS)
@@ -35,13 +35,34 @@ def ledger(y: np.ndarray, one_sided: bool = False, mean: float = 0.0) -> Ledger:
     columns += [column("effect", name, 2.0, one_sided) for name in NAMES]
     rows = np.column_stack([-PARAMETERS, -EFFECTS, y])
     blocks = blocks_of("run", 1.0, T, np.ones(READINGS, dtype=bool), rows, BLOCKS)
-    return Ledger(tuple(columns), tuple(blocks), 1.0, {"made": "by hand"})
+    return Ledger(tuple(columns), tuple(blocks), {"made": "by hand"})
 
 
 def drawn(seed: int, sizes: dict[str, float]) -> np.ndarray:
     rng = np.random.default_rng(seed)
     made = sum((size * EFFECTS[:, NAMES.index(name)] for name, size in sizes.items()), np.zeros(READINGS))
     return np.asarray(made + PARAMETERS @ [0.4, -0.3] + rng.standard_normal(READINGS))
+
+
+SLOTS = {
+    "sheet": np.stack([np.sin(3.0 * T), np.cos(3.0 * T), np.sin(5.0 * T)], axis=1),
+    "wrench": np.stack([np.sign(T - 0.4), np.abs(T - 0.6)], axis=1),
+}
+
+
+def with_closures(y: np.ndarray) -> Ledger:
+    """The same ledger with closures of two slots, whose coefficients have the standard deviation 0.5."""
+    plain = ledger(y)
+    columns = list(plain.columns)
+    for owner, shapes in SLOTS.items():
+        columns += [
+            Column("closure", owner, f"{owner} is off", {}, f"by shape {k}", "1", 0.0, 1.0, False, 0.0, 0.5, False,
+                   -np.inf, np.inf)
+            for k in range(shapes.shape[1])
+        ]  # fmt: skip
+    rows = np.column_stack([-PARAMETERS, -EFFECTS, *(-shapes for shapes in SLOTS.values()), y])
+    blocks = blocks_of("run", 1.0, T, np.ones(READINGS, dtype=bool), rows, BLOCKS)
+    return replace(plain, columns=tuple(columns), blocks=tuple(blocks))
 
 
 def marginal(y: np.ndarray, chosen: tuple[str, ...], mean: float = 0.0) -> float:
@@ -59,6 +80,44 @@ def test_bayes_factors_are_those_of_the_whole_covariance(mean: float) -> None:
         for chosen in combinations(NAMES, count):
             found = evidence.factor([(n, n) for n in chosen])
             assert found == pytest.approx(marginal(y, chosen, mean) - marginal(y, (), mean), abs=1e-7)
+
+
+def test_unknown_physics_is_a_closure_with_wide_coefficients() -> None:
+    """Bayes factors of slots, of effects beside the narrow closures that all models have, and of both together, against
+    dense covariances."""
+    widths, y = Widths(background=0.1, unknown=2.0), drawn(9, {"lag": 1.0}) + SLOTS["sheet"] @ [0.6, -0.9, 0.4]
+
+    def density(chosen: tuple[str, ...], slots: tuple[str, ...]) -> float:
+        d = EFFECTS[:, [NAMES.index(n) for n in chosen]]
+        covariance = np.eye(READINGS) + 9.0 * PARAMETERS @ PARAMETERS.T + 4.0 * d @ d.T
+        for owner, shapes in SLOTS.items():
+            covariance += (0.5 * (2.0 if owner in slots else 0.1)) ** 2 * shapes @ shapes.T
+        return float(multivariate_normal(np.zeros(READINGS), covariance).logpdf(y))
+
+    evidence = Evidence(with_closures(y), widths=widths)
+    for chosen, slots in (((), ("sheet",)), (("lag",), ()), (("lag",), ("sheet",)), ((), ("sheet", "wrench"))):
+        keys = [*((n, n) for n in chosen), *((f"{UNKNOWN}{n}", "") for n in slots)]
+        assert evidence.factor(keys) == pytest.approx(density(chosen, slots) - density((), ()), abs=1e-7)
+
+
+def test_what_the_library_lacks_is_placed_and_what_it_has_is_named() -> None:
+    beyond = posterior(with_closures(drawn(10, {}) + SLOTS["wrench"] @ [1.5, 0.8]))
+    assert beyond.models[0].effects == (f"{UNKNOWN}wrench",)
+    assert beyond.unknown > 0.9 and beyond.nothing < 1e-3
+    named = posterior(with_closures(drawn(11, {"creep": 4.0})))
+    assert named.models[0].effects == ("creep",)
+    assert named.unknown < 0.2
+    # What careful simulators differ in is no unknown physics.
+    careful = posterior(with_closures(drawn(12, {}) + SLOTS["sheet"] @ [0.01, -0.01, 0.0]))
+    assert careful.nothing > 0.5
+
+
+def test_data_weigh_less_where_no_column_explains_them() -> None:
+    y = drawn(13, {"lag": 3.0})
+    noise = 2.0 * np.random.default_rng(14).standard_normal(READINGS)
+    assert temper_of(with_closures(y)) == pytest.approx(1.0, abs=0.15)
+    # Of 240 readings about six numbers are fitted; the variance of the noise is 1 + 4.
+    assert temper_of(with_closures(y + noise)) == pytest.approx(5.0, abs=1.0)
 
 
 def test_an_amplitude_that_cannot_be_negative_has_half_of_a_prior() -> None:

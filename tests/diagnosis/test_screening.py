@@ -42,7 +42,7 @@ class Linear:
         return [Prediction({"gauge": scaled[0] * MATERIAL}, {"gauge": slopes}, cast(Trace, None)) for _ in runs]
 
     def submit_responses(
-        self, rig: Any, run: Any, parameters: Any, scaled: np.ndarray, candidates: Sequence[Any]
+        self, rig: Any, run: Any, parameters: Any, scaled: np.ndarray, candidates: Sequence[Any], modulated: Any = ()
     ) -> Future[Prediction]:
         courses = {"gel_relaxation": LAW, "gel_relaxation#other": OTHER, "gel_relaxation#broken": np.nan * LAW}
         columns = [courses[key] * values["share"] for c in candidates for key, values in c.items()]

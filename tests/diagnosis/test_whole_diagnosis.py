@@ -87,6 +87,7 @@ class Sums:
         for effects in candidates:
             there = here.model_copy(update={"effects": {**here.effects, **effects}})
             columns.append(np.nan_to_num(type(self).law(there, run, False) - plain.values["markers"]))
+        columns += [np.zeros_like(plain.values["markers"]) for _ in modulated]
         derivatives = np.concatenate([plain.derivatives["markers"], np.stack(columns, axis=-1)], axis=-1)
         future: Future[Prediction] = Future()
         future.set_result(Prediction(plain.values, {"markers": derivatives}, plain.trace))

@@ -118,8 +118,8 @@ def test_a_parameter_that_changes_all_the_time_is_the_parameter(found: Any) -> N
     names = ["gel.E_pa", "contacts.gel-card.friction", "finger.offset_z_m"]
     parameters = fit_parameters(rig, names)
     scaled = start_of(rig, parameters)
-    changing = [Modulated(name, 0.0, 1e12) for name in names]
-    changing += [Modulated(names[0], 0.0, TIMES[-1]), Modulated(names[0], TIMES[-1], TIMES[-1])]
+    changing = [Modulated(name, (0.0,), (1.0,)) for name in names]
+    changing += [Modulated(names[0], (0.0, TIMES[-1]), (1.0, 0.0)), Modulated(names[0], (0.0, TIMES[-1]), (0.0, 1.0))]
     columns = predictor.predict_responses(rig, run, parameters, scaled, [], changing).derivatives
     for channel, slopes in columns.items():
         size = np.abs(slopes[..., :3]).max()

@@ -1,0 +1,171 @@
+"""Closures: what a place of the model may do that no effect of the library describes.
+
+Every slot (:mod:`sysid.diagnosis.slots`) has an error without a law: the modulus of a sheet, say, is off by
+
+    E (1 + sum_f c_f phi_f),
+
+with features phi_f of what the recordings show, which are the same for all recordings: how hard is pressed, where the
+hand is, which way and how fast it goes, how late it is. With small coefficients these are what careful models differ
+in; with large ones they are physics that nobody has named (Kennedy & O'Hagan, J. R. Stat. Soc. B 63, 2001, with the
+discrepancy inside of the model as in Sargsyan, Huan & Najm, Int. J. Uncertain. Quantif. 9, 2019). The two widths are
+those of :mod:`sysid.comparison.posterior`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
+
+from sim_core.rigs import Rig
+from sysid.diagnosis.slots import (
+    Slot,
+    coefficient_sd,
+    mechanical_slots,
+    reading_size,
+    sensed,
+    sensor_slots,
+    shape_count,
+)
+from sysid.model.parameters import FitParameter, fit_parameters
+from sysid.model.predictor import Prediction
+from sysid.model.responses import Modulated
+from sysid.observations.observations import Run
+from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.solve.residuals import Problem
+
+
+@dataclass(frozen=True)
+class Course:
+    """A feature of one recording. ``times`` [s] ``(n,)``, ``values`` ``(n,)``: within -1 and 1."""
+
+    feature: str
+    times: np.ndarray
+    values: np.ndarray
+
+    def at(self, t: np.ndarray) -> np.ndarray:
+        """Its values at instants [s] ``(m,)``."""
+        return np.asarray(np.interp(t, self.times, self.values))
+
+
+@dataclass(frozen=True)
+class Closure:
+    """One coefficient. ``name``: what it changes, by which feature; ``sd``: its standard deviation where the physics of
+    the slot is unknown, as large as what the slot is known to within."""
+
+    slot: Slot
+    name: str
+    sd: float
+
+
+class Closures:
+    """The closures of all slots of a rig in a problem. ``columns``: in the order of what :meth:`append` adds."""
+
+    def __init__(self, rig: Rig, problem: Problem) -> None:
+        self._runs = problem.runs
+        self._sizes: dict[str, np.ndarray] = {}
+        self._courses = {run.name: course for run, course in zip(problem.runs, courses(problem.runs), strict=True)}
+        features = [c.feature for c in next(iter(self._courses.values()))]
+        slots = mechanical_slots(rig)
+        parameters = {p.name: p for p in fit_parameters(rig, [n for _, names in slots for n in names])}
+        self._parameters = [n for _, names in slots for n in names if n in parameters]
+        self.columns = [
+            Closure(slot, f"{name} by {feature}", coefficient_sd(slot, name, parameters))
+            for slot, names in slots
+            for name in names
+            if name in parameters
+            for feature in features
+        ]
+        none: dict[str, FitParameter] = {}
+        self._sensors = sensor_slots(problem)
+        self._widths = {slot: shape_count(slot, problem) for slot in self._sensors}
+        for slot in self._sensors:
+            sd = coefficient_sd(slot, slot.name, none)
+            names = [f"shape {k + 1} by {f}" for k in range(self._widths[slot]) for f in ("nothing", *features)]
+            self.columns += [Closure(slot, f"{slot.name} {name}", sd) for name in names]
+        for m in (m for run in problem.runs for m in run.measured):
+            self._sizes[m.channel] = np.maximum(reading_size(m), self._sizes.get(m.channel, 0.0))
+
+    def modulated(self, run: Run) -> list[Modulated]:
+        """Those of the mechanics, for the rollout of a recording."""
+        return [
+            Modulated(name, tuple(c.times.tolist()), tuple(c.values.tolist()))
+            for name in self._parameters
+            for c in self._courses[run.name]
+        ]
+
+    def append(self, run: Run, prediction: Prediction) -> Prediction:
+        """A prediction whose last derivatives are by :meth:`modulated`, with those of sensors after them."""
+        derivatives = {}
+        for m in run.measured:
+            by = np.stack([np.ones(len(m.t)), *(c.at(m.t) for c in self._courses[run.name])], axis=-1)
+            parts = [prediction.derivatives[m.channel]]
+            for slot in self._sensors:
+                if slot.name == m.channel:
+                    parts.append(sensed(slot, m, prediction.values[m.channel], self._sizes[m.channel], by))
+                else:
+                    parts.append(np.zeros((*m.values.shape, self._widths[slot] * by.shape[1])))
+            derivatives[m.channel] = np.concatenate(parts, axis=-1)
+        return Prediction(prediction.values, derivatives, prediction.trace)
+
+
+def courses(runs: Sequence[Run]) -> list[list[Course]]:
+    """Features of recordings, with one scale for all of them: the ``time`` since the first one began, the ``place`` of
+    the hands along the direction in which they move most, the ``square`` of it, in which ``direction`` they go and how
+    fast (``speed``), and the ``load`` on the wrench sensors, without any of which there is no such feature."""
+    grids = [np.linspace(0.0, run.end, DIAGNOSIS.feature_samples) for run in runs]
+    moves = _moves(runs, grids)
+    speeds = [np.gradient(m, grid, axis=0) for m, grid in zip(moves, grids, strict=True)]
+    loads = [_load(run, grid) for run, grid in zip(runs, grids, strict=True)]
+    whole = np.vstack(moves)
+    _, _, axes = np.linalg.svd(whole - whole.mean(axis=0), full_matrices=False)
+    centre, axis = whole.mean(axis=0), axes[0]
+    reach = _largest([(m - centre) @ axis for m in moves])
+    fastest = _largest([np.linalg.norm(s, axis=1) for s in speeds])
+    hardest = _largest(loads)
+    begun = np.concatenate([[0.0], np.cumsum([run.end for run in runs])])
+    found = []
+    for k, grid in enumerate(grids):
+        place = (moves[k] - centre) @ axis / reach
+        along, fast = speeds[k] @ axis, np.linalg.norm(speeds[k], axis=1)
+        typical = max(float(np.sqrt(np.mean(fast**2))), 1e-12)
+        features = {
+            "time": 2.0 * (begun[k] + grid) / begun[-1] - 1.0,
+            "place": place,
+            "square": place**2,
+            "direction": along / np.hypot(along, 0.1 * typical),
+            "speed": fast / fastest,
+            "load": loads[k] / hardest,
+        }
+        found.append([Course(name, grid, values) for name, values in features.items()])
+    return found
+
+
+def _largest(parts: Sequence[np.ndarray]) -> float:
+    return max(float(np.max(np.abs(p), initial=0.0)) for p in parts) or 1.0
+
+
+def _moves(runs: Sequence[Run], grids: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Where the hands are, ``(n, 6 h)``: shifts, and turns from the first pose, each over its largest."""
+    parts: list[list[np.ndarray]] = []
+    for run, grid in zip(runs, grids, strict=True):
+        mine = []
+        for name in sorted(run.poses):
+            (at, turned), (first, before) = run.poses[name].sample(grid), runs[0].poses[name].sample(grids[0][:1])
+            mine += [at - first, (Rotation.from_quat(before).inv() * Rotation.from_quat(turned)).as_rotvec()]
+        parts.append(mine or [np.zeros((len(grid), 1))])
+    scales = [_largest([part[k] for part in parts]) for k in range(len(parts[0]))]
+    return [np.hstack([p / s for p, s in zip(part, scales, strict=True)]) for part in parts]
+
+
+def _load(run: Run, grid: np.ndarray) -> np.ndarray:
+    """Size of the forces on the wrench sensors, smoothed, ``(n,)``; zero without any."""
+    total = np.zeros(len(grid))
+    for m in run.measured:
+        if m.kind == "wrench" and np.isfinite(m.values).any():
+            size = np.linalg.norm(np.nan_to_num(m.values[:, :3]), axis=1)
+            total += uniform_filter1d(np.interp(grid, m.t, size), DIAGNOSIS.feature_smoothing)
+    return total

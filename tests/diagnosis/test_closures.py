@@ -1,0 +1,52 @@
+"""Features of recordings that closures go by."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.diagnosis.closures import courses
+from sysid.observations.observations import Measured, Run
+
+T = np.linspace(0.0, 2.0, 401)
+
+
+def run(name: str, heights: np.ndarray, force: np.ndarray | None = None) -> Run:
+    """A hand that goes up and down without a turn."""
+    positions = np.column_stack([np.zeros((len(T), 2)), heights])
+    poses = {"hand": PoseTrajectory(T, positions, np.tile([0.0, 0.0, 0.0, 1.0], (len(T), 1)))}
+    wrench = (
+        np.zeros((len(T), 6))
+        if force is None
+        else np.column_stack([np.zeros((len(T), 2)), force, np.zeros((len(T), 3))])
+    )
+    return Run(name, name, (name,), poses, (Measured("wrench", "wrench", T, wrench, tuple("abcdef")),), float(T[-1]))
+
+
+def test_features_are_those_of_the_motion_and_of_the_load() -> None:
+    up = 0.02 * np.sin(np.pi * T)
+    first, second = courses([run("a", up, 3.0 * np.abs(up)), run("b", 0.5 * up, -1.0 * np.abs(up))])
+    a, b = ({c.feature: c for c in found} for found in (first, second))
+    # Times count from the first recording on, over all of them.
+    assert (a["time"].values[0], b["time"].values[-1]) == (-1.0, 1.0)
+    assert b["time"].values[0] == pytest.approx(0.0)
+    # One scale for all recordings, whose sign has no meaning.
+    place = a["place"].values * np.sign(a["place"].at(np.array([0.5]))[0])
+    np.testing.assert_allclose(place, np.sin(np.pi * a["place"].times), atol=2e-3)
+    assert np.max(np.abs(b["place"].values)) == pytest.approx(0.5, abs=2e-3)
+    np.testing.assert_allclose(a["square"].values, a["place"].values ** 2)
+    np.testing.assert_allclose(a["speed"].values, np.abs(np.cos(np.pi * a["speed"].times)), atol=0.02)
+    turned = a["direction"].at(np.array([0.25, 0.75, 1.25, 1.75])) * np.sign(a["direction"].at(np.array([0.25]))[0])
+    np.testing.assert_allclose(turned, [1.0, -1.0, -1.0, 1.0], atol=0.02)
+    assert np.max(a["load"].values) == pytest.approx(1.0)
+    assert np.max(b["load"].values) == pytest.approx(1.0 / 3.0, abs=0.02)
+
+
+def test_what_does_not_happen_has_no_feature_that_is_no_number() -> None:
+    (found,) = courses([run("still", np.zeros(len(T)))])
+    assert all(np.isfinite(c.values).all() for c in found)
+    (without,) = courses([replace(run("still", np.zeros(len(T))), measured=())])
+    assert np.all({c.feature: c for c in without}["load"].values == 0.0)
