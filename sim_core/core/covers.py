@@ -45,5 +45,5 @@ def covers(scene: Scene, *, keep_states: bool = False, left: PermanentState | No
         return "The core has no bodies that nothing holds."
     width = layout_of(scene).width
     if width > WIDEST and not loaded.supernodes:
-        return f"The rows of the factor would be {width:.0f} entries wide, and without MKL the core's is for up to {WIDEST}."
+        return f"Without MKL the core's factor has rows of up to {WIDEST} entries, and here {width:.0f} are needed."
     return None

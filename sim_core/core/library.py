@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sim_core.core.build import cache_folder, find_or_build
-from sim_core.solve.factor import pymklpardiso
+from sim_core.solve.factor import pardiso_address
 
 BUILT = Path(__file__).resolve().parent / "built"
 """Where the library is when it was compiled with the package."""
@@ -108,18 +108,9 @@ def load() -> Loaded:
     sizes = ctypes.sizeof(RecordStruct), COUNTS.itemsize
     if sizes != (library.thinshell_sizes(0), library.thinshell_sizes(1)):
         raise RuntimeError("the records of sim_core/core/library.py and include/record.hpp differ")
-    function = _pardiso()
+    function = pardiso_address()
     library.thinshell_pardiso(function)
     return Loaded(library, "", time.perf_counter() - begin, function is not None)
-
-
-def _pardiso() -> int | None:
-    """Address of MKL's ``pardiso_64`` in the library that :mod:`sim_core.solve.factor` loads; None where the platform
-    has none."""
-    if pymklpardiso is None:
-        return None
-    found = getattr(ctypes.CDLL(pymklpardiso._mkl_pardiso.__file__), "pardiso_64", None)
-    return None if found is None else ctypes.cast(found, ctypes.c_void_p).value
 
 
 def pointer_to(array: np.ndarray) -> int:

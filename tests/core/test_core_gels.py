@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 from strip_over_table import by_python, strip_rig
 
 from sim_core.core.covers import covers
+from sim_core.core.library import load
+from sim_core.core.rollout import CoreRollout
 from sim_core.gradients import directions, simulate_tangent
 from sim_core.gradients.directions import command_motions
 from sim_core.gradients.tangent import TangentSimulation, recorded
@@ -17,6 +19,7 @@ from sim_core.scene import build_scene
 from sim_core.scene.solid_range import ElementInverted
 from sim_core.sensing.observe import frame_of
 from sim_core.simulate import simulate, step_times
+from sim_core.solve.factor import pardiso_address
 from sim_core.solve.report import NewtonSettings
 
 TIGHT = NewtonSettings(step_tolerance_m=1e-13, force_tolerance=1e-11)
@@ -145,6 +148,46 @@ def test_derivatives_against_differences_of_rollouts(name):
         central = (high.outputs[channel] - low.outputs[channel]) / (2.0 * wide)
         error = np.abs(derivatives[channel][..., 0] - central)
         assert np.nanmax(error) < 1e-6 * np.nanmax(np.abs(central)) + lost / wide, channel
+
+
+@pytest.fixture
+def without_mkl():
+    load().functions.thinshell_pardiso(None)
+    yield
+    load().functions.thinshell_pardiso(pardiso_address())
+
+
+def _finer():
+    rig = gel_rig()
+    block = rig.bodies["gel"]
+    finer = block.model_copy(update={"shape": block.shape.model_copy(update={"cells": (3, 2, 1)})})
+    return build_scene(rig.model_copy(update={"bodies": {**rig.bodies, "gel": finer}}))
+
+
+def _supernodes(scene):
+    core = CoreRollout(scene, PRESSED, TIMES, TIGHT)
+    return bool(load().functions.thinshell_supernodes(core._handle))
+
+
+@pytest.mark.skipif(pardiso_address() is None, reason="no wheel of MKL for this platform")
+def test_both_factors_solve_the_same(request):
+    scene = _finer()
+    along = directions(scene.rig, NUMBERS)
+    assert _supernodes(scene)
+    trace, found = simulate_tangent(scene, PRESSED, TIMES, along, settings=TIGHT, keep_path=True)
+    again = simulate_tangent(scene, PRESSED, TIMES, along, settings=TIGHT, keep_path=True)[0]
+    assert np.array_equal(trace.path.positions, again.path.positions)
+    request.getfixturevalue("without_mkl")
+    assert not _supernodes(scene)
+    other, expected = simulate_tangent(scene, PRESSED, TIMES, along, settings=TIGHT, keep_path=True)
+    assert np.abs(trace.path.positions - other.path.positions).max() < 1e-13
+    for channel, values in expected.items():
+        scale = np.nanmax(np.abs(values), axis=tuple(range(values.ndim - 1)))
+        assert np.nanmax(np.abs(found[channel] - values) / scale) < 1e-8, channel
+
+
+def test_a_narrow_mesh_keeps_the_envelope():
+    assert not _supernodes(build_scene(gel_rig()))
 
 
 def test_a_gel_is_not_pressed_inside_out():

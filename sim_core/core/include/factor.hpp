@@ -262,8 +262,9 @@ class Factor {
   }
 
  private:
-  // What calls of the library cost, in flops of the envelope.
-  static constexpr double calls = 1e6;
+  // What calls of the library cost, in flops of the envelope: both take as long at 1e5 of these (gels of 84 unknowns),
+  // and at 5e5 the envelope takes 4 % longer (docs/design/compiled_core.md).
+  static constexpr double calls = 2e5;
 
   Envelope envelope_;
   Pardiso supernodal_, indefinite_;
