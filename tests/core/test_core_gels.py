@@ -194,3 +194,15 @@ def test_a_gel_is_not_pressed_inside_out():
     poses = moved([[0, 0, 0], [0, 0, -0.011]], [[0, 0, 0], [0, 0, 0]])
     with pytest.raises(ElementInverted, match="inside out"):
         simulate(build_scene(gel_rig(solver=STATIC)), poses, TIMES)
+
+
+def test_the_least_volume_of_a_turn_is_that_of_its_closed_form():
+    """On the straight way of a turn by a it comes to cos(a/2)^2."""
+    poses = moved([[0, 0, 0.05], [0, 0, 0.05]], [[0, 0, 0], [120, 0, 0]], until=0.005)
+    scene = build_scene(gel_rig(solver=STATIC, damping_s=0.0, gravity_m_s2=[0.0, 0.0, 0.0]))
+    core = CoreRollout(scene, poses, TIMES[:2], NewtonSettings())
+    core.press(core.settle())
+    for chunk in core.run():
+        core.press(chunk)
+    assert core.handed_over == 0
+    assert core.least_volumes["gel"].ratio == pytest.approx(0.25, rel=1e-9)
