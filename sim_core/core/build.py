@@ -28,6 +28,7 @@ LAWS = (
     "sim_core.contact.shapes",
     "sim_core.energies.dihedral",
     "sim_core.energies.membrane",
+    "sim_core.energies.neo_hookean_kernels",
 )
 """Modules of the laws that the core uses, which are lowered with all that they call."""
 

@@ -45,8 +45,13 @@ void *thinshell_make(const Record *record) { return new Handle(*record); }
 
 void thinshell_free(void *handle) { delete static_cast<Handle *>(handle); }
 
-// Entries in the envelope of the factor.
-int64_t thinshell_envelope(void *handle) { return int64_t(static_cast<Handle *>(handle)->rollout.system.factor.size()); }
+// Let there be PARDISO: the address of MKL's pardiso_64; null: none.
+void thinshell_pardiso(void *function) {
+  thinshell::pardiso_function = reinterpret_cast<thinshell::PardisoFunction>(function);
+}
+
+// Whether the factor is one by supernodes.
+int64_t thinshell_supernodes(void *handle) { return static_cast<Handle *>(handle)->rollout.system.factor.by_supernodes(); }
 
 // One of the arrays of the state; its size in `size`.
 double *thinshell_state(void *handle, int64_t which, int64_t *size) {

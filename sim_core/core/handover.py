@@ -32,7 +32,7 @@ class SlowSteps(Simulation):
         try:
             return self._step(begin, target, dt, MAX_HALVINGS)
         except ConvergenceError as error:
-            raise ConvergenceError(f"{error.problem} {self._unmade(begin, target)}".strip(), error.remedy) from error
+            raise type(error)(f"{error.problem} {self._unmade(begin, target)}".strip(), error.remedy) from error
 
     def _advance(self, end: Mapping[str, Frame], dt: float) -> StepReport:
         report = super()._advance(end, dt)

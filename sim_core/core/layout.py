@@ -12,17 +12,20 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from sim_core.contact.rigid import RigidContact
 from sim_core.energies.bending import Bending
 from sim_core.energies.membrane import Membrane
+from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.scene.scene import Scene
 from sim_core.solve.system import System
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Terms of all sheets; ``pattern``: which hinges bending couples, csr ``(h, h)``; ``rank``: place of each node in
+    """Terms of all sheets and gels; ``pattern``: which hinges bending couples, csr ``(h, h)``; ``rank``:
+    place of each node in
     the elimination ``(n,)``; ``width``: root of the mean square of the widths of the factor's rows [entries]."""
 
     membranes: list[Membrane]
     bendings: list[Bending]
+    gels: list[NeoHookean]
     pattern: sp.csr_matrix
     rank: np.ndarray
     width: float
@@ -37,9 +40,10 @@ def layout_of(scene: Scene) -> Layout:
     if system not in _known:
         membranes = [t for t in system.terms if isinstance(t, Membrane)]
         bendings = [t for t in system.terms if isinstance(t, Bending)]
+        gels = [t for t in system.terms if isinstance(t, NeoHookean)]
         pattern = _coupled_hinges(bendings)
-        rank, width = _ranks(scene, _coupled_nodes(scene, membranes, bendings, pattern))
-        _known[system] = Layout(membranes, bendings, pattern, rank, width)
+        rank, width = _ranks(scene, _coupled_nodes(scene, membranes, bendings, gels, pattern))
+        _known[system] = Layout(membranes, bendings, gels, pattern, rank, width)
     return _known[system]
 
 
@@ -62,11 +66,15 @@ def _members(groups: np.ndarray, count: int) -> sp.csr_matrix:
 
 
 def _coupled_nodes(
-    scene: Scene, membranes: list[Membrane], bendings: list[Bending], pattern: sp.csr_matrix
+    scene: Scene,
+    membranes: list[Membrane],
+    bendings: list[Bending],
+    gels: list[NeoHookean],
+    pattern: sp.csr_matrix,
 ) -> sp.csr_matrix:
     """Nodes that the Hessian couples, ``(n, n)``."""
     count = len(scene.rest)
-    groups = [t.triangles for t in membranes]
+    groups = [t.triangles for t in membranes] + [t.tets for t in gels]
     groups += [t.samples.nodes for t in scene.system.terms if isinstance(t, RigidContact)]
     graph = sp.csr_matrix(scene.system.mass != 0, dtype=float)
     for group in groups:

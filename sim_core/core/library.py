@@ -12,18 +12,20 @@ from typing import Any
 import numpy as np
 
 from sim_core.core.build import cache_folder, find_or_build
+from sim_core.solve.factor import pardiso_address
 
 BUILT = Path(__file__).resolve().parent / "built"
 """Where the library is when it was compiled with the package."""
 
-_SIZES = ("nodes", "triangles", "hinges", "couplings", "contacts", "samples", "corners", "mounts", "followers",
-          "bearing", "columns")  # fmt: skip
+_SIZES = ("nodes", "triangles", "hinges", "couplings", "tetrahedra", "contacts", "samples", "corners",
+          "mounts", "followers", "bearing", "columns")  # fmt: skip
 _ARRAYS = (
-    ("prescribed", np.uint8), ("rank", np.int32), ("external", np.float64),
+    ("prescribed", np.uint8), ("rank", np.int32), ("rest", np.float64), ("external", np.float64),
     ("mass_start", np.int32), ("mass_column", np.int32), ("mass", np.float64), ("mass_damping", np.float64),
     ("triangle", np.int32), ("hats", np.float64), ("stretch_stiffness", np.float64), ("stretch_damping", np.float64),
     ("hinge", np.int32), ("rest_angle", np.float64), ("coupling_start", np.int32), ("coupling_column", np.int32),
     ("bend_stiffness", np.float64), ("bend_damping", np.float64),
+    ("tetrahedron", np.int32), ("gel_gradient", np.float64), ("gel_volume", np.float64), ("gel_number", np.float64),
     ("sample_start", np.int32), ("body_node", np.int32), ("body_mount", np.int32), ("body_rotation", np.float64),
     ("law", np.float64), ("shape", np.float64), ("sample_node", np.int32), ("sample_weight", np.float64),
     ("sample_area", np.float64),
@@ -32,12 +34,13 @@ _ARRAYS = (
 )  # fmt: skip
 _SEARCH = (("step_tolerance", ctypes.c_double), ("force_tolerance", ctypes.c_double),
            ("fast_iterations", ctypes.c_int64), ("second_order", ctypes.c_int64))  # fmt: skip
-_BLOCKS = ("stretch_blocks", "bend_blocks", "mass_blocks")
+_BLOCKS = ("stretch_blocks", "bend_blocks", "gel_blocks", "mass_blocks")
 _SLOPES = (
-    ("stretch_of", np.int32), ("bend_of", np.int32), ("mass_of", np.int32),
+    ("stretch_of", np.int32), ("bend_of", np.int32), ("gel_of", np.int32), ("mass_of", np.int32),
     ("d_stretch_stiffness", np.float64), ("d_stretch_damping", np.float64),
     ("d_bend_stiffness", np.float64), ("d_bend_damping", np.float64),
-    ("d_mass", np.float64), ("d_mass_damping", np.float64), ("d_external", np.float64), ("d_law", np.float64),
+    ("d_gel", np.float64), ("d_mass", np.float64), ("d_mass_damping", np.float64),
+    ("d_external", np.float64), ("d_law", np.float64),
 )  # fmt: skip
 
 
@@ -68,11 +71,13 @@ class OutputsStruct(ctypes.Structure):
 
 @dataclass(frozen=True)
 class Loaded:
-    """The library, or the ``lack`` of it in a sentence; ``compile_s``: how long it took to have it [s]."""
+    """The library, or the ``lack`` of it in a sentence; ``compile_s``: how long it took to have it [s]; ``supernodes``:
+    whether it has a factor for wide meshes."""
 
     functions: Any
     lack: str
     compile_s: float
+    supernodes: bool = False
 
 
 @functools.cache
@@ -89,7 +94,8 @@ def load() -> Loaded:
         "lanes": (integer, []),
         "make": (pointer, [pointer]),
         "free": (None, [pointer]),
-        "envelope": (integer, [pointer]),
+        "pardiso": (None, [pointer]),
+        "supernodes": (integer, [pointer]),
         "state": (pointer, [pointer, integer, ctypes.POINTER(integer)]),
         "past": (ctypes.c_double, [pointer]),
         "rest": (None, [pointer, integer]),
@@ -102,7 +108,9 @@ def load() -> Loaded:
     sizes = ctypes.sizeof(RecordStruct), COUNTS.itemsize
     if sizes != (library.thinshell_sizes(0), library.thinshell_sizes(1)):
         raise RuntimeError("the records of sim_core/core/library.py and include/record.hpp differ")
-    return Loaded(library, "", time.perf_counter() - begin)
+    function = pardiso_address()
+    library.thinshell_pardiso(function)
+    return Loaded(library, "", time.perf_counter() - begin, function is not None)
 
 
 def pointer_to(array: np.ndarray) -> int:

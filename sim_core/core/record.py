@@ -15,6 +15,8 @@ from sim_core.core.layout import Layout, layout_of
 from sim_core.energies.bending import Bending
 from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.membrane import Membrane
+from sim_core.energies.neo_hookean import NeoHookean
+from sim_core.energies.neo_hookean_moduli import apart
 from sim_core.rigs import Rigid
 from sim_core.scene.scene import Scene
 from sim_core.solve.report import NewtonSettings
@@ -52,6 +54,7 @@ def record_values(
         "columns": columns,
         "prescribed": system.prescribed,
         "rank": layout.rank,
+        "rest": scene.rest,
         "bearing": len(bearing),
         "bearing_node": bearing,
         "step_tolerance": settings.step_tolerance_m,
@@ -62,6 +65,7 @@ def record_values(
     values |= _masses(scene, by, columns)
     values |= _triangles(layout, by)
     values |= _hinges(layout, by)
+    values |= _tetrahedra(layout, by)
     values |= _contacts(scene, by, columns)
     return values | _followers(scene)
 
@@ -225,6 +229,47 @@ def _hinges(layout: Layout, by: NumberSlopes) -> dict[str, Any]:
         "bend_of": columns,
         "d_bend_stiffness": d_stiffness,
         "d_bend_damping": d_damping,
+    }
+
+
+def _gel_slopes(term: NeoHookean, by: NumberSlopes) -> list[tuple[np.ndarray, np.ndarray]]:
+    """By each number of a gel that changes: its slopes ``(p,)``, the derivatives of the numbers of the elements, and of
+    the logarithm of their factor, ``(m, 5)``."""
+    found = []
+    for quantity, slope in by.of(term.name):
+        change = np.zeros((len(term.tets), 5))
+        if quantity == "stiffness_damping_s":
+            change[:, 3] = 1.0
+        elif term.grading is not None and quantity in term.grading.numbers:
+            change[:, 4] = term.grading.by(quantity)
+        else:
+            change[:, :3] = apart(term.moduli_by(quantity))
+        found.append((slope, change))
+    return found
+
+
+def _tetrahedra(layout: Layout, by: NumberSlopes) -> dict[str, Any]:
+    """Tetrahedra of gels."""
+    terms = layout.gels
+    count, first = sum(len(t.tets) for t in terms), 0
+    parts: dict[int, list[np.ndarray]] = {}
+    for term in terms:
+        own = slice(first, first + len(term.tets))
+        first = own.stop
+        for slope, change in _gel_slopes(term, by):
+            for column in np.flatnonzero(slope).tolist():
+                parts.setdefault(column, [np.zeros((count, 5))])[0][own] += slope[column] * change
+    columns, (d_gel,) = _collected(parts, (count, 5))
+    numbers = [np.column_stack([apart(t.moduli), t.damping]) for t in terms]
+    return {
+        "tetrahedra": count,
+        "tetrahedron": np.vstack([t.tets for t in terms] or [np.empty((0, 10))]),
+        "gel_gradient": np.concatenate([t.gradients for t in terms] or [np.empty((0, 10, 3))]),
+        "gel_volume": np.concatenate([t.weights for t in terms] or [np.empty((0, 4))]),
+        "gel_number": np.concatenate(numbers or [np.empty((0, 4))]),
+        "gel_blocks": len(columns),
+        "gel_of": columns,
+        "d_gel": d_gel,
     }
 
 

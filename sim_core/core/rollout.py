@@ -22,6 +22,7 @@ from sim_core.errors import ConvergenceError
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.carriage import start_state
 from sim_core.scene.scene import Frame, Scene
+from sim_core.scene.solid_range import LeastVolume, volumes_left
 from sim_core.scene.strain_range import check_strains_at
 from sim_core.sensing.instants import Instants, InstantsAlong, bearing_nodes, read_all
 from sim_core.sensing.observe import Observer, frame_of
@@ -81,6 +82,9 @@ class CoreRollout:
         self.handed_over = 0
         """Steps that the core's search gave up."""
         self._slow: SlowSteps | None = None
+        self.least_volumes: dict[str, LeastVolume] = {}
+        """Where each gel was pressed most."""
+        self._seen = np.zeros((0, 3))
 
     def __del__(self) -> None:
         if getattr(self, "_handle", None):
@@ -233,6 +237,16 @@ class CoreRollout:
                 yield self._chunk(slice(done, done + 1))
                 done += 1
 
+    def press(self, chunk: Chunk) -> None:
+        """Take note of what is left of gels' volumes; steps after which nothing is left are refused by the slower
+        searches."""
+        for k, x in enumerate(chunk.at.x, chunk.steps.start):
+            if k:
+                for found in volumes_left(self.scene, self._seen, x, float(self.times[k - 1] - self.times[0])):
+                    if found.body not in self.least_volumes or found.ratio < self.least_volumes[found.body].ratio:
+                        self.least_volumes[found.body] = found
+            self._seen = x
+
     def _moves(self, beside: NodePath) -> np.ndarray | None:
         """How nodes move in each step of a rollout near by ``(t - 1, n, 3)``; None where it has not the same nodes."""
         if beside.positions.shape[1:] != self.scene.rest.shape:
@@ -373,7 +387,8 @@ def simulate_compiled(
 
 
 def tell(scene: Scene, rollout: CoreRollout, chunk: Chunk, on_step: Callable[[int, int], None] | None) -> None:
-    """Warn of strains, and report progress."""
+    """Warn of strains, watch volumes, and report progress."""
+    rollout.press(chunk)
     if chunk.steps.start == 0:
         return
     check_strains_at(scene, rollout.times[chunk.steps] - rollout.times[0], chunk.at.x)
@@ -386,4 +401,14 @@ def trace_of(rollout: CoreRollout, outputs: dict[str, np.ndarray], path: list[np
     """The trace of a rollout that was made."""
     kept = NodePath(rollout.times, np.concatenate(path)) if path else None
     observer = rollout.observer
-    return Trace(rollout.times, outputs, observer.kinds, observer.ids, tuple(rollout.reports), None, kept, None)
+    return Trace(
+        rollout.times,
+        outputs,
+        observer.kinds,
+        observer.ids,
+        tuple(rollout.reports),
+        None,
+        kept,
+        None,
+        tuple(rollout.least_volumes.values()),
+    )

@@ -131,11 +131,25 @@ class NeoHookean(ElementValues):
         """Of the elements ``(m,)``."""
         return np.asarray(self._nu)
 
+    @property
+    def moduli(self) -> np.ndarray:
+        """mu, K [Pa] and K_own / K of the elements ``(m, 3)``."""
+        return self._moduli
+
+    @property
+    def relaxes(self) -> bool:
+        """Whether it has a share that relaxes, be it zero."""
+        return self._relaxes
+
+    def moduli_by(self, quantity: str) -> np.ndarray:
+        """Derivative of :attr:`moduli` by ``E_pa`` or ``nu``, in forces that are linear in them ``(m, 3)``."""
+        if quantity == "E_pa":
+            return moduli(1.0, self._nu)
+        return moduli_by_nu(self._given["E_pa"], self._nu)
+
     def shear_moduli_by(self, quantity: str) -> np.ndarray:
         """Derivative of :attr:`shear_moduli` by ``E_pa`` or ``nu`` ``(m,)``."""
-        if quantity == "E_pa":
-            return np.asarray(self._moduli[:, MU] / self._given["E_pa"])
-        return np.asarray(moduli_by_nu(self._given["E_pa"], self._nu)[:, MU])
+        return np.asarray(self.moduli_by(quantity)[:, MU])
 
     def blocks(self) -> np.ndarray:
         """Return all ordered pairs of the ten nodes of each element, ``(100 m, 2)``."""

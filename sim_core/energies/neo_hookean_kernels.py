@@ -81,22 +81,49 @@ def _load(deformation: ti.template(), p):
     return g
 
 
+@ti.func
+def energy_density(g: mat3, shear, pressure, memory: mat3):
+    """Energy per volume at rest [Pa] at F = 1 + ``g``, with ``shear`` in place of mu, and the energy J - 1 times
+    ``pressure`` and H : C / 2 of the ``memory`` H [Pa], but for its value at rest."""
+    bilinear = _bilinear(g)
+    theta = g.trace() + bilinear
+    strain = g + g.transpose() + g.transpose() @ g
+    density = shear * (0.5 * g.norm_sqr() - bilinear + theta * theta / 6.0)
+    return density + pressure * theta + 0.5 * (memory * strain).sum()
+
+
+@ti.func
+def first_piola(g: mat3, shear, pressure, memory: mat3):
+    """First Piola-Kirchhoff stress [Pa] at F = 1 + ``g``, with ``shear`` in place of mu, from the derivative
+    ``pressure`` by J of all else and the ``memory`` H [Pa]."""
+    one = ti.Matrix.identity(ti.f64, 3)
+    f = one + g
+    cof_g = _cofactor(g)
+    theta = g.trace() + cof_g.trace() + g.determinant()
+    # F - cof F = G + G^T - tr(G) 1 - cof G, which is small when G is.
+    stress = shear * (g + g.transpose() - g.trace() * one - cof_g)
+    return stress + (shear / 3.0 * theta + pressure) * _cofactor(f) + f @ memory
+
+
+@ti.func
+def _memory_at(history: ti.template(), constants: ti.template(), p):
+    """H at quadrature point ``p``, zero where nothing is remembered."""
+    memory = mat3(0.0)
+    if constants[p // 4, REMEMBERS] > 0.0:
+        memory = _memory(history, p)
+    return memory
+
+
 @ti.kernel
 def add_energy(deformation: F3, dilatation: F1, history: F2, weight: F2, moduli: F2, constants: F2, out: F1):
     ti.loop_config(serialize=True)
     for e in range(weight.shape[0]):
-        mu, bulk, total = moduli[e, MU], constants[e, BULK_SHARE] * moduli[e, BULK], 0.0
-        share = constants[e, SHARE]
+        bulk, total = constants[e, BULK_SHARE] * moduli[e, BULK], 0.0
+        shear = constants[e, SHARE] * moduli[e, MU]
         for q in range(4):
             p = 4 * e + q
-            g = _load(deformation, p)
-            bilinear = _bilinear(g)
-            theta = g.trace() + bilinear
-            density = share * mu * (0.5 * g.norm_sqr() - bilinear + theta * theta / 6.0)
-            density += (0.5 * bulk * dilatation[p] + history[p, 6]) * theta
-            if constants[e, REMEMBERS] > 0.0:
-                strain = g + g.transpose() + g.transpose() @ g
-                density += 0.5 * (_memory(history, p) * strain).sum()
+            pressure = 0.5 * bulk * dilatation[p] + history[p, 6]
+            density = energy_density(_load(deformation, p), shear, pressure, _memory_at(history, constants, p))
             total += weight[e, q] * density
         out[0] = out[0] + total
 
@@ -108,18 +135,9 @@ def _piola(
 ):  # fmt: skip
     """First Piola-Kirchhoff stress at quadrature point ``p`` [Pa]."""
     e = p // 4
-    mu, bulk, share = moduli[e, MU], constants[e, BULK_SHARE] * moduli[e, BULK], constants[e, SHARE]
-    one = ti.Matrix.identity(ti.f64, 3)
-    g = _load(deformation, p)
-    f = one + g
-    cof_g = _cofactor(g)
-    theta = g.trace() + cof_g.trace() + g.determinant()
-    # F - cof F = G + G^T - tr(G) 1 - cof G, which is small when G is.
-    stress = share * mu * (g + g.transpose() - g.trace() * one - cof_g)
-    stress += (share * mu / 3.0 * theta + bulk * dilatation[p] + history[p, 6]) * _cofactor(f)
-    if constants[e, REMEMBERS] > 0.0:
-        stress += f @ _memory(history, p)
-    return stress
+    pressure = constants[e, BULK_SHARE] * moduli[e, BULK] * dilatation[p] + history[p, 6]
+    shear = constants[e, SHARE] * moduli[e, MU]
+    return first_piola(_load(deformation, p), shear, pressure, _memory_at(history, constants, p))
 
 
 @ti.kernel
@@ -184,7 +202,7 @@ def along_then(x: F2, rest: F2, tets: I2, grad: F3, weight: F2, virtual: F2, wor
             p = 4 * e + q
             g = _displacement_gradient(x, rest, tets, grad, p)
             theta = g.trace() + _bilinear(g)
-            s = _deviatoric(g)
+            s = deviatoric(g)
             for k, i, j in ti.static(((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 1, 2), (4, 0, 2), (5, 0, 1))):
                 sheared += virtual[p, k] * s[i, j]
             own += theta * virtual[p, 6]
@@ -197,7 +215,7 @@ def along_then(x: F2, rest: F2, tets: I2, grad: F3, weight: F2, virtual: F2, wor
 
 
 @ti.func
-def _deviatoric(g: mat3):
+def deviatoric(g: mat3):
     """S_dev / mu = 1 + ((J - 1) / 3 - 1) cof(C) / J = f (1 + B) - B, with B = cof(C) - 1 and f = 4/3 (J - 1) / J, both
     of which are small when G is."""
     cof_g = _cofactor(g)
@@ -227,9 +245,7 @@ def projected_tangent(deformation: F3, dilatation: F1, history: F2, moduli: F2, 
         alpha = share * mu
         slope = share * mu * ((g.trace() + _bilinear(g)) / 3.0 - 1.0) + bulk * dilatation[p] + history[p, 6]
         curvature = share * mu / 3.0 + bulk * moduli[e, OWN]
-        memory = mat3(0.0)
-        if constants[e, REMEMBERS] > 0.0:
-            memory = _memory(history, p)
+        memory = _memory_at(history, constants, p)
         for i in range(3):
             for k in range(3):
                 # Block (i, k) of d2J is the skew matrix of row m of F, with the sign of (i, k, m).
@@ -427,6 +443,6 @@ def deviatoric_stress(deformation: F3, moduli: F2, out: F2):
     """S_dev at each quadrature point [Pa]."""
     ti.loop_config(serialize=True)
     for p in range(deformation.shape[0]):
-        s = moduli[p // 4, MU] * _deviatoric(_load(deformation, p))
+        s = moduli[p // 4, MU] * deviatoric(_load(deformation, p))
         for k, i, j in ti.static(((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 1, 2), (4, 0, 2), (5, 0, 1))):
             out[p, k] = s[i, j]

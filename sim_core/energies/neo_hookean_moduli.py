@@ -38,6 +38,12 @@ def moduli(young: float, nu: np.ndarray) -> np.ndarray:
     return np.column_stack([mu, bulk, _OWN_STIFFNESS * mu / (bulk + _OWN_STIFFNESS * mu)])
 
 
+def apart(numbers: np.ndarray) -> np.ndarray:
+    """mu, K_own and K - K_own [Pa], in which forces are linear, of moduli ``(m, 3)``, or slopes in their place."""
+    mu, bulk, own = numbers.T
+    return np.column_stack([mu, bulk * own, bulk * (1.0 - own)])
+
+
 def moduli_by_nu(young: float, nu: np.ndarray) -> np.ndarray:
     """What to put in place of the moduli, ``(m, 3)``, in forces that are linear in mu, K_own and K - K_own, for their
     derivatives by ``nu``: dmu/dnu, dK/dnu [Pa] and dK_own/dK. With K = E / (3 (1 - 2 nu)) and s = 6

@@ -6,6 +6,7 @@ SuperLU. All take the upper triangle in CSR form.
 
 from __future__ import annotations
 
+import ctypes
 import os
 from typing import Any, Protocol
 
@@ -24,6 +25,14 @@ try:
     import qdldl
 except ImportError:
     qdldl = None
+
+
+def pardiso_address() -> int | None:
+    """Address of MKL's ``pardiso_64`` in the library of the wheel, for compiled code; None where there is none."""
+    if pymklpardiso is None:
+        return None
+    found = getattr(ctypes.CDLL(pymklpardiso._mkl_pardiso.__file__), "pardiso_64", None)
+    return None if found is None else ctypes.cast(found, ctypes.c_void_p).value
 
 
 class NotPositiveDefinite(Exception):

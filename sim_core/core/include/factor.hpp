@@ -1,5 +1,6 @@
-// Factorisation of a sparse symmetric matrix within its envelope: A = U^T D^-1 U with rows of U stored from the
-// diagonal to the last entry that the factor fills. For narrow meshes, whose nodes are numbered along them.
+// Factorisation of a sparse symmetric matrix: by supernodes (PARDISO of MKL, where the platform has it), or within its
+// envelope, A = U^T D^-1 U with rows of U stored from the diagonal to the last entry that the factor fills, for narrow
+// meshes, whose nodes are numbered along them. The pattern says which of the two is the faster.
 //
 // George & Liu, Computer Solution of Large Sparse Positive Definite Systems, 1981, ch. 4 (envelope); rows of equal
 // length, as the three components of a node have, are eliminated together.
@@ -8,6 +9,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
 #include <vector>
 
 namespace thinshell {
@@ -20,19 +22,25 @@ class Envelope {
     last_ = std::move(last);
     for (int i = 1; i < count_; ++i)
       if (last_[i - 1] >= i) last_[i] = std::max(last_[i], last_[i - 1]);
+  }
+  // Make room for the values.
+  void allocate() {
     start_.assign(count_ + 1, 0);
     for (int i = 0; i < count_; ++i) start_[i + 1] = start_[i] + (last_[i] - i + 1);
     value_.assign(start_[count_], 0.0);
     inverse_.assign(count_, 0.0);
   }
 
-  int count() const { return count_; }
-  std::size_t size() const { return value_.size(); }
+  // Multiplications and additions of a factorisation.
+  double flops() const {
+    double out = 0.0;
+    for (int i = 0; i < count_; ++i) out += double(last_[i] - i + 1) * (last_[i] - i + 2);
+    return out;
+  }
   // Place of an entry of the upper triangle, i <= j.
   std::size_t place(int i, int j) const { return start_[i] + (j - i); }
   void clear() { std::fill(value_.begin(), value_.end(), 0.0); }
   double &operator[](std::size_t k) { return value_[k]; }
-  double diagonal(int i) const { return value_[start_[i]]; }
 
   // Factorise in place. `definite`: give up at a pivot that is not positive. False too where a pivot vanishes.
   bool factorise(bool definite) {
@@ -122,6 +130,149 @@ class Envelope {
   std::vector<int> last_;
   std::vector<std::size_t> start_;
   std::vector<double> value_, inverse_;
+};
+
+// `pardiso_64` of MKL; null: the platform has none.
+using PardisoFunction = void (*)(void *handle, const int64_t *maxfct, const int64_t *mnum, const int64_t *mtype,
+                                 const int64_t *phase, const int64_t *n, const void *a, const int64_t *ia,
+                                 const int64_t *ja, int64_t *perm, const int64_t *nrhs, int64_t *iparm,
+                                 const int64_t *msglvl, void *b, void *x, int64_t *error);
+inline PardisoFunction pardiso_function = nullptr;
+
+// One matrix type of one pattern: rows of the upper triangle, columns in order.
+class Pardiso {
+ public:
+  Pardiso() = default;
+  Pardiso(const Pardiso &) = delete;
+  Pardiso &operator=(const Pardiso &) = delete;
+  ~Pardiso() { release(); }
+
+  // Analyse a pattern that lives as long as this; false where that fails.
+  bool analyse(bool definite, const std::vector<int64_t> &start, const std::vector<int64_t> &column) {
+    release();
+    start_ = &start;
+    column_ = &column;
+    count_ = int64_t(start.size()) - 1;
+    kind_ = definite ? 2 : -2;
+    std::fill(std::begin(handle_), std::end(handle_), nullptr);
+    std::fill(std::begin(iparm_), std::end(iparm_), 0);
+    iparm_[0] = 1;   // what follows is set, not as MKL likes
+    iparm_[1] = 2;   // nested dissection
+    iparm_[9] = 8;   // pivots of an indefinite matrix are perturbed at 1e-8
+    iparm_[18] = -1; // count flops
+    iparm_[20] = 1;  // 1 x 1 and 2 x 2 pivots
+    iparm_[34] = 1;  // indices from zero
+    analysed_ = true;
+    return call(11, nullptr, 0, nullptr, nullptr) == 0;
+  }
+  // Multiplications and additions of a factorisation.
+  double flops() const { return 1e6 * double(iparm_[18]); }
+  bool known() const { return analysed_; }
+
+  bool factorise(const double *values) {
+    values_ = values;
+    return call(22, values, 0, nullptr, nullptr) == 0;
+  }
+  // For `width` right-hand sides, column by column.
+  void solve(double *b, double *x, int width) const { call(33, values_, width, b, x); }
+
+  void release() {
+    if (analysed_) call(-1, nullptr, 0, nullptr, nullptr);
+    analysed_ = false;
+  }
+
+ private:
+  int64_t call(int64_t phase, const double *values, int64_t width, double *b, double *x) const {
+    const int64_t one = 1, quiet = 0;
+    int64_t error = 0;
+    pardiso_function(handle_, &one, &one, &kind_, &phase, &count_, values, start_->data(), column_->data(), nullptr,
+                     &width, iparm_, &quiet, b, x, &error);
+    return error;
+  }
+
+  const std::vector<int64_t> *start_ = nullptr, *column_ = nullptr;
+  const double *values_ = nullptr;
+  int64_t count_ = 0, kind_ = 2;
+  bool analysed_ = false;
+  mutable void *handle_[64];
+  mutable int64_t iparm_[64];
+};
+
+class Factor {
+ public:
+  // `rows`: columns of the entries of the upper triangle by rows, in order, the diagonal first. Places of entries hold
+  // until it is called again.
+  void lay_out(const std::vector<std::vector<int>> &rows) {
+    std::vector<int> last;
+    start_.assign(1, 0);
+    column_.clear();
+    for (const auto &row : rows) {
+      last.push_back(row.back());
+      column_.insert(column_.end(), row.begin(), row.end());
+      start_.push_back(int64_t(column_.size()));
+    }
+    envelope_.lay_out(std::move(last));
+    indefinite_.release();
+    supernodes_ = pardiso_function && !rows.empty() && envelope_.flops() > calls &&
+                  supernodal_.analyse(true, start_, column_) && supernodal_.flops() + calls < envelope_.flops();
+    if (supernodes_) {
+      value_.assign(column_.size(), 0.0);
+    } else {
+      supernodal_.release();
+      envelope_.allocate();
+    }
+  }
+
+  bool by_supernodes() const { return supernodes_; }
+  // Place of an entry of the upper triangle, i <= j.
+  std::size_t place(int i, int j) const {
+    if (!supernodes_) return envelope_.place(i, j);
+    const auto first = column_.begin() + start_[i], last = column_.begin() + start_[i + 1];
+    return std::size_t(std::lower_bound(first, last, j) - column_.begin());
+  }
+  void clear() {
+    if (supernodes_) std::fill(value_.begin(), value_.end(), 0.0);
+    else envelope_.clear();
+  }
+  double &operator[](std::size_t k) { return supernodes_ ? value_[k] : envelope_[k]; }
+
+  // Factorise what was put in place. `definite`: give up where the matrix is not. False too where a pivot vanishes.
+  bool factorise(bool definite) {
+    if (!supernodes_) return envelope_.factorise(definite);
+    if (!definite && !indefinite_.known() && !indefinite_.analyse(false, start_, column_)) return false;
+    used_ = definite ? &supernodal_ : &indefinite_;
+    return used_->factorise(value_.data());
+  }
+
+  // Solve in place for `width` right-hand sides (count, width).
+  void solve(double *b, int width = 1) const {
+    if (!supernodes_) {
+      if (width == 1) envelope_.solve(b);
+      else envelope_.solve(b, width);
+      return;
+    }
+    const std::size_t count = start_.size() - 1, size = count * width;
+    given_.resize(size);
+    found_.resize(size);
+    for (std::size_t k = 0; k < count; ++k)
+      for (int c = 0; c < width; ++c) given_[c * count + k] = b[k * width + c];
+    used_->solve(given_.data(), found_.data(), width);
+    for (std::size_t k = 0; k < count; ++k)
+      for (int c = 0; c < width; ++c) b[k * width + c] = found_[c * count + k];
+  }
+
+ private:
+  // What calls of the library cost, in flops of the envelope: both take as long at 1e5 of these (gels of 84 unknowns),
+  // and at 5e5 the envelope takes 4 % longer (docs/design/compiled_core.md).
+  static constexpr double calls = 2e5;
+
+  Envelope envelope_;
+  Pardiso supernodal_, indefinite_;
+  Pardiso *used_ = nullptr;
+  bool supernodes_ = false;
+  std::vector<int64_t> start_, column_;
+  std::vector<double> value_;
+  mutable std::vector<double> given_, found_;
 };
 
 }  // namespace thinshell

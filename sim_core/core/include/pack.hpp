@@ -7,7 +7,6 @@ namespace thinshell {
 
 struct Pack {
   static constexpr int size = 4;
-  using Scalar = Pack;
   typedef double Values __attribute__((vector_size(size * sizeof(double))));  // of GCC and Clang
   Values a;
   Pack() = default;
@@ -36,5 +35,8 @@ struct Pack {
     return out;
   }
 };
+
+// A plain number for laws and dual numbers.
+template <> constexpr bool is_number<Pack> = true;
 
 }  // namespace thinshell

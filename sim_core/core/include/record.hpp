@@ -8,11 +8,12 @@ namespace thinshell {
 
 struct Record {
   // Sizes. `columns`: derivatives that are carried, padded to a multiple of `lanes` (columns.hpp).
-  int64_t nodes, triangles, hinges, couplings, contacts, samples, corners, mounts, followers, bearing, columns;
+  int64_t nodes, triangles, hinges, couplings, tetrahedra, contacts, samples, corners, mounts, followers, bearing, columns;
 
   // Nodes: which components are prescribed (nodes, 3), rank of each in the elimination (nodes), where they are at rest.
   const uint8_t *prescribed;
   const int32_t *rank;
+  const double *rest;      // [m] (nodes, 3)
   const double *external;  // weight and dead loads [N] (nodes, 3)
 
   // Mass [kg], and what damps by mass, alpha M of the nodes that nothing holds [kg/s], of one sparse pattern.
@@ -29,6 +30,11 @@ struct Record {
   const double *rest_angle;
   const int32_t *coupling_start, *coupling_column;
   const double *bend_stiffness, *bend_damping;
+
+  // Tetrahedra: nodes (t, 10), gradients of the shape functions at four points (t, 4, 10, 3), their volumes (t, 4) [m^3]
+  // times the factor of the modulus; mu, K_own, K_mean [Pa] and damping [s] (t, 4).
+  const int32_t *tetrahedron;
+  const double *gel_gradient, *gel_volume, *gel_number;
 
   // Contacts with rigid shapes: samples of each (contacts + 1), the body's node and mount, its rotation in the mount
   // (contacts, 9), the law (contacts, 8), the shape (contacts, 5); samples: nodes (s, corners), weights, areas [m^2].
@@ -50,10 +56,11 @@ struct Record {
   int64_t fast_iterations, second_order;
 
   // Derivatives of the numbers above, one block a column that has some: `*_of`: which column.
-  int64_t stretch_blocks, bend_blocks, mass_blocks;
-  const int32_t *stretch_of, *bend_of, *mass_of;
+  int64_t stretch_blocks, bend_blocks, gel_blocks, mass_blocks;
+  const int32_t *stretch_of, *bend_of, *gel_of, *mass_of;
   const double *d_stretch_stiffness, *d_stretch_damping;  // (., t, 9), (., t)
   const double *d_bend_stiffness, *d_bend_damping;        // (., couplings) each
+  const double *d_gel;  // (., t, 5) of the numbers, and of the logarithm of the factor
   const double *d_mass, *d_mass_damping;                  // (., entries) each
   const double *d_external;                               // (nodes, 3, columns)
   const double *d_law;                                    // (contacts, 8, columns)

@@ -113,6 +113,7 @@ class Rollout {
     if (!r_.columns) return;
     system.triangles.restart_slopes(x.data(), d_x.data());
     system.hinges.restart_slopes(x.data(), d_x.data());
+    system.tetrahedra.restart_slopes(x.data(), d_x.data());
   }
 
  private:
@@ -200,6 +201,7 @@ class Rollout {
     FastNewton newton(system, r_, targets_.data(), std::move(move), inertia, near, counts);
     if (!newton.run()) return false;
     if (!(system.energy() <= energy + 1e-13 * std::abs(energy) + 1e-30)) return false;
+    if (system.tetrahedra.turns_over(x.data(), system.x.data())) return false;
     if (!touches) return true;
     system.contacts.guard(true);
     Values way(system.whole());
@@ -230,6 +232,7 @@ class Rollout {
     add_inertia(d_base, d_v_base, inertia);
     system.triangles.add_columns(system.x.data(), d_force_.data());
     system.hinges.add_columns(system.x.data(), d_force_.data());
+    system.tetrahedra.add_columns(system.x.data(), d_force_.data());
     system.contacts.add_columns(x.data(), system.x.data(), d_x.data(), held.data(), d_turned_.data(), memory, d_force_.data());
     Values total = d_force_, moved(system.count() * width);
     system.hessian.multiply(held.data(), total.data(), int(width));
@@ -244,6 +247,7 @@ class Rollout {
                                 d_moment_.data(), d_force_.data());
     system.triangles.keep_slopes(system.x.data(), there.data());
     system.hinges.keep_slopes(system.x.data(), there.data());
+    system.tetrahedra.keep_slopes(system.x.data(), there.data());
     d_x_past.swap(d_x);
     d_v_past.swap(d_v);
     for (std::size_t k = 0; k < whole * width; ++k) d_v[k] = inertia ? (there[k] - d_base[k]) / step_.tau : 0.0;

@@ -12,6 +12,7 @@
 #include "elements.hpp"
 #include "factor.hpp"
 #include "record.hpp"
+#include "tetrahedra.hpp"
 
 namespace thinshell {
 
@@ -33,7 +34,7 @@ struct Step {
 class System {
  public:
   explicit System(const Record &record)
-      : r_(record), triangles(record), hinges(record), contacts(record), hessian(record.rank, int(record.nodes)) {
+      : r_(record), triangles(record), hinges(record), tetrahedra(record), contacts(record), hessian(record.rank, int(record.nodes)) {
     whole_ = 3 * r_.nodes;
     x.assign(whole_, 0.0);
     gradient.assign(whole_, 0.0);
@@ -51,12 +52,14 @@ class System {
         }
     triangles.couple(hessian);
     hinges.couple(hessian);
+    tetrahedra.couple(hessian);
     contacts.couple(hessian);
     for (int i = 0; i < r_.nodes; ++i)
       for (int k = r_.mass_start[i]; k < r_.mass_start[i + 1]; ++k) hessian.couple(i, r_.mass_column[k]);
     hessian.lay_out();
     triangles.bind(hessian);
     hinges.bind(hessian);
+    tetrahedra.bind(hessian);
     contacts.bind(hessian);
     for (int i = 0; i < r_.nodes; ++i)
       for (int k = r_.mass_start[i]; k < r_.mass_start[i + 1]; ++k) {
@@ -82,6 +85,7 @@ class System {
     const Rates rates{step.now, step.before, step.tau};
     triangles.begin(x_start, x_past, rates);
     hinges.begin(x_start, x_past, rates);
+    tetrahedra.begin(x_start, x_past, rates);
     contacts.begin(x_start, turned, memory);
   }
 
@@ -117,7 +121,8 @@ class System {
           if (rub != 0.0) out += 0.5 * rub * (x[3 * i + c] - base_[3 * i + c]) * (x[3 * j + c] - base_[3 * j + c]);
         }
       }
-    return out + triangles.energy(x.data()) + hinges.energy(x.data()) + contacts.energy(x.data());
+    return out + triangles.energy(x.data()) + hinges.energy(x.data()) + tetrahedra.energy(x.data()) +
+           contacts.energy(x.data());
   }
 
   // Residual over the unknowns [N]; the gradient by all nodes stays in `gradient`.
@@ -135,6 +140,7 @@ class System {
       }
     triangles.add_gradient(x.data(), gradient.data());
     hinges.add_gradient(x.data(), gradient.data());
+    tetrahedra.add_gradient(x.data(), gradient.data());
     return gathered(gradient);
   }
 
@@ -167,6 +173,7 @@ class System {
         hessian.add_diagonal({mass_slot_[k], false}, factor * r_.mass[k] + r_.mass_damping[k] / tau_);
     triangles.add_hessian(x.data(), move, exact, hessian);
     hinges.add_hessian(x.data(), exact, hessian);
+    tetrahedra.add_hessian(x.data(), exact, hessian);
     contacts.add_hessian(x.data(), exact, hessian);
     stiffest_ = 0.0;
     for (std::size_t k = 0; k < diagonal_.size(); ++k) stiffest_ = std::max(stiffest_, std::abs(entry(diagonal_[k])));
@@ -218,8 +225,7 @@ class System {
 
   // Where the entries over the unknowns are in the factor.
   void lay_out_factor() {
-    std::vector<int> last(count());
-    for (int k = 0; k < count(); ++k) last[k] = k;
+    std::vector<std::vector<int>> rows(count());
     auto each = [&](auto &&f) {
       for (int i = 0; i < hessian.nodes(); ++i)
         for (int b = hessian.begin(i); b < hessian.end(i); ++b)
@@ -229,8 +235,9 @@ class System {
               if (row >= 0 && column >= 0 && column <= row) f(b, 3 * p + q, row, column);
             }
     };
-    each([&](int, int, int row, int column) { last[column] = std::max(last[column], row); });
-    factor.lay_out(last);
+    each([&](int, int, int row, int column) { rows[column].push_back(row); });
+    for (auto &row : rows) std::sort(row.begin(), row.end());
+    factor.lay_out(rows);
     std::vector<std::vector<Entry>> of_block;
     each([&](int b, int of, int row, int column) {
       if (of_block.empty() || of_block.back().front().block != b) of_block.emplace_back();
@@ -257,9 +264,10 @@ class System {
  public:
   Triangles triangles;
   Hinges hinges;
+  Tetrahedra tetrahedra;
   Contacts contacts;
   Blocks hessian;
-  Envelope factor;
+  Factor factor;
   std::vector<double> x, gradient;
   std::vector<int> own;  // component of each unknown
   int64_t residuals = 0;
