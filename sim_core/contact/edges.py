@@ -16,6 +16,7 @@ on its stiffness too. Laws:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,6 +37,7 @@ from sim_core.contact.local_frame_kernels import Frames
 from sim_core.contact.measures import Measures, SharedAreas, SquaredLengths
 from sim_core.contact.pair_distance import PairDistance
 from sim_core.contact.pressure_and_friction import (
+    LAW_OF,
     OFFSET,
     RANGE,
     STIFFNESS,
@@ -57,6 +59,16 @@ EDGE_RANGE = 0.5
 
 SPARE = 1024
 """Places for pairs at the start; doubled whenever they do not suffice."""
+
+
+@dataclass(frozen=True)
+class EdgeSide:
+    """Edges of one side: nodes int32 ``(n, 2)``, areas [m^2] ``(n,)`` (None: those of the other side count) and squared
+    lengths at rest [m^2] ``(n,)``."""
+
+    edges: np.ndarray
+    areas: np.ndarray | None
+    squares: np.ndarray
 
 
 class EdgeContact:
@@ -92,7 +104,7 @@ class EdgeContact:
         self._areas = areas
         self._their_areas = areas if theirs is None else their_areas
         self._squares = [((rest[e[:, 1]] - rest[e[:, 0]]) ** 2).sum(axis=1) for e in (self._ours, self._theirs)]
-        self._margin = margin_m
+        self.margin_m = margin_m
         distance = PairDistance(distances, self._ours, self._theirs)
         sides = Primitives(self._ours), Primitives(self._theirs)
         self._candidates = Candidates(*sides, offset, distance, once=theirs is None)
@@ -161,6 +173,23 @@ class EdgeContact:
         return [*self._shared, *lengths]
 
     @property
+    def law(self) -> np.ndarray:
+        """Numbers of the law, as :mod:`sim_core.contact.pressure_and_friction` lays them out ``(8,)``."""
+        return self._c
+
+    def law_by(self, quantity: str) -> dict[int, float]:
+        """Derivatives of the numbers of :attr:`law` by one that it is given by name, by their places."""
+        return {LAW_OF[quantity]: EDGE_RANGE if quantity == "range_m" else 1.0}
+
+    @property
+    def sides(self) -> tuple[EdgeSide, EdgeSide]:
+        """Our edges and theirs; twice the same where all pairs of ours meet."""
+        ours = EdgeSide(self._ours, self._areas, self._squares[0])
+        if self._theirs is self._ours:
+            return ours, ours
+        return ours, EdgeSide(self._theirs, self._their_areas, self._squares[1])
+
+    @property
     def offset(self) -> float:
         """Distance [m] at which there is no gap."""
         return float(self._c[OFFSET])
@@ -177,7 +206,7 @@ class EdgeContact:
 
     def prepare(self, step: StepContext, towards: np.ndarray, more: bool = False) -> bool:
         """Look for candidates from the start of a step on; True when the coupled nodes changed."""
-        inner, outer = self._candidates.search(step.x_start, towards, self._c[RANGE], self._margin, more)
+        inner, outer = self._candidates.search(step.x_start, towards, self._c[RANGE], self.margin_m, more)
         if inner:
             first, second = self._candidates.pairs
             count = len(first)

@@ -62,6 +62,10 @@ def set_law(c: np.ndarray, parameters: Mapping[str, float]) -> None:
     c[OFFSET] = parameters.get("offset_m", c[OFFSET])
 
 
+LAW_OF = {"friction": MU, "stiffness_pa_per_m": STIFFNESS, "range_m": RANGE, "offset_m": OFFSET}
+"""Places in the law of the numbers that a contact is given by name."""
+
+
 def slide(
     slip: np.ndarray, normal: np.ndarray, limit: np.ndarray, stiffness: np.ndarray, dt: float
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -23,6 +23,7 @@ from sim_core.contact.added_laws import AddedLaws
 from sim_core.contact.continuous_collision import point_shape_way
 from sim_core.contact.measures import Measures
 from sim_core.contact.pressure_and_friction import (
+    LAW_OF,
     OFFSET,
     RANGE,
     REACH,
@@ -298,6 +299,10 @@ class RigidContact:
     def law(self) -> np.ndarray:
         """Numbers of the law, as :mod:`sim_core.contact.pressure_and_friction` lays them out ``(8,)``."""
         return self._c
+
+    def law_by(self, quantity: str) -> dict[int, float]:
+        """Derivatives of the numbers of :attr:`law` by one that it is given by name, by their places."""
+        return {LAW_OF[quantity]: 1.0}
 
     @property
     def shape(self) -> np.ndarray:

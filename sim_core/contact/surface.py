@@ -37,6 +37,7 @@ from sim_core.contact.measures import Measures
 from sim_core.contact.pair_distance import PairDistance
 from sim_core.contact.pressure_and_friction import (
     BLEND,
+    LAW_OF,
     OFFSET,
     RANGE,
     REACH,
@@ -89,7 +90,7 @@ class SurfaceContact:
         self.bearing, self.stops = bearing, stops
         self.samples = samples
         self._triangles = np.ascontiguousarray(triangles, dtype=np.int32)
-        self._margin = margin_m
+        self.margin_m = margin_m
         self._own = np.ascontiguousarray(samples.nodes, dtype=np.int32)
         self._weights = np.ascontiguousarray(samples.weights)
         self._used = np.count_nonzero(self._weights, axis=1).astype(np.int32)
@@ -179,6 +180,32 @@ class SurfaceContact:
         return [] if self.samples.shared is None else [self.samples.shared]
 
     @property
+    def law(self) -> np.ndarray:
+        """Numbers of the law, as :mod:`sim_core.contact.pressure_and_friction` lays them out ``(8,)``."""
+        return self._c
+
+    def law_by(self, quantity: str) -> dict[int, float]:
+        """Derivatives of the numbers of :attr:`law` by one that it is given by name, by their places."""
+        if quantity != "range_m":
+            return {LAW_OF[quantity]: 1.0}
+        return {RANGE: self.bearing, BLEND: CREASE_ROUNDING * self.bearing}
+
+    @property
+    def triangles(self) -> np.ndarray:
+        """Nodes of the triangles, int32 ``(m, 3)``."""
+        return self._triangles
+
+    @property
+    def border(self) -> np.ndarray:
+        """Which corners 0..2 and edges 01, 12, 20 of the triangles are on a free border, int32 ``(m, 6)``."""
+        return self._border
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Areas of the samples [m^2] ``(n,)``."""
+        return self._areas
+
+    @property
     def offset(self) -> float:
         """Distance [m] at which there is no gap."""
         return float(self._c[OFFSET])
@@ -202,7 +229,7 @@ class SurfaceContact:
 
     def prepare(self, step: StepContext, towards: np.ndarray, more: bool = False) -> bool:
         """Look for candidates from the start of a step on; True when the coupled nodes changed."""
-        inner, outer = self._candidates.search(step.x_start, towards, self._c[REACH], self._margin, more)
+        inner, outer = self._candidates.search(step.x_start, towards, self._c[REACH], self.margin_m, more)
         if inner:
             sample, triangle = self._candidates.pairs
             if len(triangle) > len(self._near):

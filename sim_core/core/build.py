@@ -24,8 +24,11 @@ library gives the same bits in every run."""
 
 LAWS = (
     "sim_core.contact.continuous_collision",
+    "sim_core.contact.edge_kernels",
     "sim_core.contact.pressure_and_friction",
     "sim_core.contact.shapes",
+    "sim_core.contact.surface_geometry",
+    "sim_core.contact.surface_kernels",
     "sim_core.energies.dihedral",
     "sim_core.energies.membrane",
     "sim_core.energies.neo_hookean_kernels",

@@ -63,6 +63,22 @@ double *thinshell_state(void *handle, int64_t which, int64_t *size) {
   return all[which]->data();
 }
 
+// What the points of the contact of surfaces or edges that is `term`, surfaces first, remember: anchors, loads and slip
+// speeds, and of edges the pairs that these are of, as numbers of 64 bits; how many in `size`.
+const void *thinshell_held(void *handle, int64_t term, int64_t which, int64_t *size) {
+  auto &contacts = static_cast<Handle *>(handle)->rollout.system.contacts;
+  const int64_t surfaces = int64_t(contacts.surfaces.size());
+  const thinshell::Held &held = term < surfaces ? contacts.surfaces[term].held : contacts.edges[term - surfaces].held;
+  if (which == 3) {
+    const thinshell::Keys &keys = contacts.edges[term - surfaces].keys;
+    *size = int64_t(keys.size());
+    return keys.data();
+  }
+  const std::vector<double> *all[] = {&held.anchor, &held.load, &held.speed};
+  *size = int64_t(all[which]->size());
+  return all[which]->data();
+}
+
 // The time [s] between the state and the one before it; 0: there is none.
 double thinshell_past(void *handle) {
   Rollout &r = static_cast<Handle *>(handle)->rollout;
@@ -99,6 +115,15 @@ void thinshell_accept(void *handle, double dt, const double *places, const doubl
   Handle &h = *static_cast<Handle *>(handle);
   h.rollout.accept(dt, frames_at(h.record, places, motions, 0, 0), there, inertia != 0);
   h.rollout.write(*out);
+}
+
+// The potential of a step that is not made: energy, gradient (nodes, 3), Hessian (3 nodes, 3 nodes), zero before, at
+// `there` (nodes, 3).
+void thinshell_potential(void *handle, double dt, const double *places, const double *there, int64_t inertia,
+                         int64_t exact, double *energy, double *gradient, double *hessian) {
+  Handle &h = *static_cast<Handle *>(handle);
+  h.rollout.potential(dt, frames_at(h.record, places, nullptr, 0, 0), there, inertia != 0, exact != 0, energy, gradient,
+                      hessian);
 }
 
 }  // extern "C"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from sim_core.contact.edges import EdgeContact
 from sim_core.contact.rigid import RigidContact
+from sim_core.contact.surface import SurfaceContact
 from sim_core.core.layout import layout_of
 from sim_core.core.library import load
 from sim_core.energies.bending import Bending
@@ -29,7 +31,7 @@ def covers(scene: Scene, *, keep_states: bool = False, left: PermanentState | No
     if loaded.functions is None:
         return loaded.lack
     for term in scene.system.terms:
-        if type(term) not in (Membrane, Bending, NeoHookean, MassDamping, RigidContact):
+        if type(term) not in (Membrane, Bending, NeoHookean, MassDamping, RigidContact, SurfaceContact, EdgeContact):
             return f"The core has no elements for {term.name} ({type(term).__name__})."
         if isinstance(term, Bending) and term.initial_internals():
             return f"The core has no plastic flow, which {term.name} has."
@@ -37,7 +39,7 @@ def covers(scene: Scene, *, keep_states: bool = False, left: PermanentState | No
             return f"The core has no relaxation, which {term.name} has."
         if isinstance(term, Membrane | Bending | NeoHookean) and term.grading is not None and term.grading.changes:
             return f"The core has no stiffness that changes in time, as that of {term.name} does."
-        if isinstance(term, RigidContact) and term.laws.amended:
+        if isinstance(term, RigidContact | SurfaceContact | EdgeContact) and term.laws.amended:
             return f"The core does not have the laws that effects add to {term.name}."
     if scene.system.embedding is not None or scene.compliant:
         return "The core has no joints and no end effectors that give way."

@@ -18,7 +18,7 @@ BUILT = Path(__file__).resolve().parent / "built"
 """Where the library is when it was compiled with the package."""
 
 _SIZES = ("nodes", "triangles", "hinges", "couplings", "tetrahedra", "contacts", "samples", "corners",
-          "mounts", "followers", "bearing", "columns")  # fmt: skip
+          "mounts", "followers", "bearing", "columns", "surfaces", "surface_corners", "edge_pairs")  # fmt: skip
 _ARRAYS = (
     ("prescribed", np.uint8), ("rank", np.int32), ("rest", np.float64), ("external", np.float64),
     ("mass_start", np.int32), ("mass_column", np.int32), ("mass", np.float64), ("mass_damping", np.float64),
@@ -29,6 +29,12 @@ _ARRAYS = (
     ("sample_start", np.int32), ("body_node", np.int32), ("body_mount", np.int32), ("body_rotation", np.float64),
     ("law", np.float64), ("shape", np.float64), ("sample_node", np.int32), ("sample_weight", np.float64),
     ("sample_area", np.float64),
+    ("surface_sample_start", np.int32), ("surface_triangle_start", np.int32), ("surface_margin", np.float64),
+    ("surface_law", np.float64), ("surface_node", np.int32), ("surface_used", np.int32),
+    ("surface_weight", np.float64), ("surface_area", np.float64),
+    ("surface_triangle", np.int32), ("surface_border", np.int32),
+    ("edge_start", np.int32), ("edge_once", np.int32), ("edge_margin", np.float64), ("edge_law", np.float64),
+    ("edge_node", np.int32), ("edge_area", np.float64), ("edge_square", np.float64),
     ("follower_node", np.int32), ("follower_mount", np.int32), ("follower_axes", np.uint8),
     ("follower_local", np.float64), ("bearing_node", np.int32),
 )  # fmt: skip
@@ -40,7 +46,7 @@ _SLOPES = (
     ("d_stretch_stiffness", np.float64), ("d_stretch_damping", np.float64),
     ("d_bend_stiffness", np.float64), ("d_bend_damping", np.float64),
     ("d_gel", np.float64), ("d_mass", np.float64), ("d_mass_damping", np.float64),
-    ("d_external", np.float64), ("d_law", np.float64),
+    ("d_external", np.float64), ("d_law", np.float64), ("d_surface_law", np.float64), ("d_edge_law", np.float64),
 )  # fmt: skip
 
 
@@ -97,9 +103,11 @@ def load() -> Loaded:
         "pardiso": (None, [pointer]),
         "supernodes": (integer, [pointer]),
         "state": (pointer, [pointer, integer, ctypes.POINTER(integer)]),
+        "held": (pointer, [pointer, integer, integer, ctypes.POINTER(integer)]),
         "past": (ctypes.c_double, [pointer]),
         "rest": (None, [pointer, integer]),
         "steps": (integer, [pointer, integer, pointer, pointer, pointer, integer, pointer, integer, pointer, pointer]),
+        "potential": (None, [pointer, ctypes.c_double, pointer, pointer, integer, integer, pointer, pointer, pointer]),
         "accept": (None, [pointer, ctypes.c_double, pointer, pointer, pointer, integer, pointer]),
     }
     for name, (result, arguments) in signatures.items():

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sim_core.contact.pressure_and_friction import MU, OFFSET, RANGE, STIFFNESS
+from sim_core.contact.edges import EdgeContact
 from sim_core.contact.rigid import RigidContact
+from sim_core.contact.surface import SurfaceContact
 from sim_core.core.layout import Layout, layout_of
 from sim_core.energies.bending import Bending
 from sim_core.energies.mass_damping import MassDamping
@@ -21,8 +22,7 @@ from sim_core.rigs import Rigid
 from sim_core.scene.scene import Scene
 from sim_core.solve.report import NewtonSettings
 
-LAW_OF = {"friction": MU, "stiffness_pa_per_m": STIFFNESS, "range_m": RANGE, "offset_m": OFFSET}
-"""Places of the numbers of a contact in its law."""
+ContactTerm = RigidContact | SurfaceContact | EdgeContact
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,8 @@ def record_values(
     values |= _hinges(layout, by)
     values |= _tetrahedra(layout, by)
     values |= _contacts(scene, by, columns)
+    values |= _surfaces(scene, by, columns)
+    values |= _edges(scene, by, columns)
     return values | _followers(scene)
 
 
@@ -283,16 +285,7 @@ def _contacts(scene: Scene, by: NumberSlopes, columns: int) -> dict[str, Any]:
     terms, mounts = contacts_of(scene), list(scene.start)
     bodies = {int(b.nodes[0]): b.spec for b in scene.bodies.values() if isinstance(b.spec, Rigid)}
     specs = [bodies[t.body_node] for t in terms]
-    corners = max((t.samples.nodes.shape[1] for t in terms), default=1)
-    nodes, weights = [], []
-    for term in terms:
-        lack = corners - term.samples.nodes.shape[1]
-        nodes.append(np.pad(term.samples.nodes, ((0, 0), (0, lack)), mode="edge"))
-        weights.append(np.pad(term.samples.weights, ((0, 0), (0, lack))))
-    law = np.zeros((len(terms), 8, columns))
-    for k, term in enumerate(terms):
-        for quantity, slope in by.of(term.name):
-            law[k, LAW_OF[quantity], : by.count] += slope
+    corners, nodes, weights = _padded(terms)
     return {
         "contacts": len(terms),
         "samples": sum(len(t.samples.areas) for t in terms),
@@ -303,10 +296,81 @@ def _contacts(scene: Scene, by: NumberSlopes, columns: int) -> dict[str, Any]:
         "body_rotation": [spec.pose.rotation().as_matrix() for spec in specs],
         "law": [t.law for t in terms],
         "shape": [t.shape for t in terms],
-        "sample_node": np.vstack(nodes or [np.empty((0, 1))]),
-        "sample_weight": np.vstack(weights or [np.empty((0, 1))]),
+        "sample_node": nodes,
+        "sample_weight": weights,
         "sample_area": np.concatenate([t.areas for t in terms] or [np.empty(0)]),
-        "d_law": law,
+        "d_law": _law_slopes(terms, by, columns),
+    }
+
+
+def _padded(terms: Sequence[RigidContact] | Sequence[SurfaceContact]) -> tuple[int, np.ndarray, np.ndarray]:
+    """Most nodes of a sample, and nodes and weights of all samples ``(s, corners)``."""
+    corners = max((t.samples.nodes.shape[1] for t in terms), default=1)
+    nodes, weights = [np.empty((0, corners))], [np.empty((0, corners))]
+    for term in terms:
+        lack = corners - term.samples.nodes.shape[1]
+        nodes.append(np.pad(term.samples.nodes, ((0, 0), (0, lack)), mode="edge"))
+        weights.append(np.pad(term.samples.weights, ((0, 0), (0, lack))))
+    return corners, np.vstack(nodes), np.vstack(weights)
+
+
+def _law_slopes(terms: Sequence[ContactTerm], by: NumberSlopes, columns: int) -> np.ndarray:
+    """Derivatives of the numbers of the laws ``(terms, 8, columns)``."""
+    law = np.zeros((len(terms), 8, columns))
+    for k, term in enumerate(terms):
+        for quantity, slope in by.of(term.name):
+            for place, share in term.law_by(quantity).items():
+                law[k, place, : by.count] += share * slope
+    return law
+
+
+def surfaces_of(scene: Scene) -> list[SurfaceContact]:
+    """Contacts of surfaces, in the order of the record."""
+    return [t for t in scene.system.terms if isinstance(t, SurfaceContact)]
+
+
+def edges_of(scene: Scene) -> list[EdgeContact]:
+    """Contacts of edges, in the order of the record."""
+    return [t for t in scene.system.terms if isinstance(t, EdgeContact)]
+
+
+def _surfaces(scene: Scene, by: NumberSlopes, columns: int) -> dict[str, Any]:
+    """Contacts of surfaces."""
+    terms = surfaces_of(scene)
+    corners, nodes, weights = _padded(terms)
+    return {
+        "surfaces": len(terms),
+        "surface_corners": corners,
+        "surface_sample_start": np.cumsum([0, *(len(t.samples.areas) for t in terms)]),
+        "surface_triangle_start": np.cumsum([0, *(len(t.triangles) for t in terms)]),
+        "surface_margin": [t.margin_m for t in terms],
+        "surface_law": [t.law for t in terms],
+        "surface_node": nodes,
+        "surface_used": np.count_nonzero(weights, axis=1),
+        "surface_weight": weights,
+        "surface_area": np.concatenate([t.areas for t in terms] or [np.empty(0)]),
+        "surface_triangle": np.vstack([t.triangles for t in terms] or [np.empty((0, 3))]),
+        "surface_border": np.vstack([t.border for t in terms] or [np.empty((0, 6))]),
+        "d_surface_law": _law_slopes(terms, by, columns),
+    }
+
+
+def _edges(scene: Scene, by: NumberSlopes, columns: int) -> dict[str, Any]:
+    """Contacts of edges."""
+    terms = edges_of(scene)
+    pairs = [t.sides for t in terms]
+    sides = [side for pair in pairs for side in pair]
+    areas = [np.full(len(s.edges), -1.0) if s.areas is None else s.areas for s in sides]
+    return {
+        "edge_pairs": len(terms),
+        "edge_start": np.cumsum([0, *(len(s.edges) for s in sides)]),
+        "edge_once": [ours is theirs for ours, theirs in pairs],
+        "edge_margin": [t.margin_m for t in terms],
+        "edge_law": [t.law for t in terms],
+        "edge_node": np.vstack([s.edges for s in sides] or [np.empty((0, 2))]),
+        "edge_area": np.concatenate(areas or [np.empty(0)]),
+        "edge_square": np.concatenate([s.squares for s in sides] or [np.empty(0)]),
+        "d_edge_law": _law_slopes(terms, by, columns),
     }
 
 

@@ -10,14 +10,17 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.commands import CommandChain, driven_frames
+from sim_core.contact.edges import EdgeContact
+from sim_core.contact.surface import SurfaceContact
 from sim_core.core.handover import SlowSteps
 from sim_core.core.library import COUNTS, OutputsStruct, filled, load, pointer_to
-from sim_core.core.record import NumberSlopes, contacts_of, record_values
+from sim_core.core.record import ContactTerm, NumberSlopes, contacts_of, edges_of, record_values, surfaces_of
 from sim_core.errors import ConvergenceError
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.carriage import start_state
@@ -75,6 +78,7 @@ class CoreRollout:
         self._record, self._kept = filled(record_values(scene, settings, self._bearing, numbers, self._columns))
         self._handle = self._library.thinshell_make(ctypes.byref(self._record))
         self.contacts = contacts_of(scene)
+        self._surfaces, self._edges = surfaces_of(scene), edges_of(scene)
         self._motions = self._motion_table(moving)
         self._tables()
         self.counts = np.zeros(0, dtype=COUNTS)
@@ -97,6 +101,21 @@ class CoreRollout:
         if not size.value:
             return np.zeros(0)
         return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(ctypes.c_double)), (size.value,))
+
+    def _held(self, term: int, which: int, kind: Any = ctypes.c_double) -> np.ndarray:
+        """What the points of a contact of surfaces or edges remember (``thinshell_held``), a copy, flat."""
+        size = ctypes.c_int64()
+        address = self._library.thinshell_held(self._handle, term, which, ctypes.byref(size))
+        if not size.value:
+            return np.zeros(0, dtype=kind)
+        held = np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(kind)), (size.value,))
+        return np.array(held)
+
+    @property
+    def touches(self) -> bool:
+        """Whether any contact carries a load now."""
+        others = range(len(self._surfaces) + len(self._edges))
+        return bool(self._array("load").any()) or any(bool(self._held(k, 1).any()) for k in others)
 
     def _moved(self, poses: Mapping[str, PoseTrajectory]) -> np.ndarray:
         """True origins [m] and rotations of the mounts ``(t, mounts, 12)``."""
@@ -291,6 +310,19 @@ class CoreRollout:
             ctypes.byref(self._outputs()),
         )
 
+    def potential(
+        self, dt: float, there: np.ndarray, k: int = 0, exact: bool = True
+    ) -> tuple[float, np.ndarray, np.ndarray]:
+        """Of a step of ``dt`` [s] from the present state to the frames of instant ``k``, at ``there`` [m] ``(n, 3)``:
+        energy [J], gradient [N] ``(n, 3)`` and Hessian [N/m] ``(3 n, 3 n)``, all nodes free."""
+        energy, gradient, hessian = np.zeros(1), np.zeros_like(there), np.zeros((there.size, there.size))
+        there, places = np.ascontiguousarray(there), np.ascontiguousarray(self.places[k : k + 1])
+        found = (pointer_to(energy), pointer_to(gradient), pointer_to(hessian))
+        inertia = int(self.scene.system.inertia)
+        at = (pointer_to(places), pointer_to(there))
+        self._library.thinshell_potential(self._handle, dt, *at, inertia, int(exact), *found)
+        return float(energy[0]), gradient, hessian
+
     def _make_slowly(self, k: int, dt: float, inertia: bool) -> None:
         """Make the step to an instant with today's searches."""
         self.handed_over += 1
@@ -326,11 +358,19 @@ class CoreRollout:
                 "load": state["load"][own],
                 "slip_speed": state["speed"][own],
             }
+        others: list[SurfaceContact | EdgeContact] = [*self._surfaces, *self._edges]
+        for k, other in enumerate(others):
+            anchor, load, speed = (self._held(k, which) for which in range(3))
+            held = {"anchor": anchor.reshape(-1, 3), "load": load, "slip_speed": speed}
+            if k >= len(self._surfaces):
+                held["pair"] = self._held(k, 3, ctypes.c_int64).astype(float)
+            internals[other.name] = held
         since = float(self._library.thinshell_past(self._handle))
         return State(t, x, v, internals, Past(x_past, v_past, since) if since else None)
 
     def _reports(self, counts: np.ndarray) -> list[StepReport]:
-        names = [term.name for term in self.contacts] + [""]  # the last one where no contact is the tightest
+        terms: list[ContactTerm] = [*self.contacts, *self._surfaces, *self._edges]
+        names = [term.name for term in terms] + [""]  # the last one where no contact is the tightest
         return [
             StepReport(Result.CONVERGED, iterations, factorisations, tries, residual, update, contacts, gap, names[at])
             for iterations, factorisations, tries, _, contacts, at, residual, update, gap in counts.tolist()

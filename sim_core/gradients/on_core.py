@@ -55,9 +55,7 @@ def tangent_compiled(
 
     x, _, rotations = start_along(scene, frames, moving[0], start_state(scene, frames), count)
     rest = rollout.settle((x, rotations))
-    if any(np.any(moment) for _, moment in rest.at.moments) or np.any(
-        rest.at.force[:, [t.body_node for t in rollout.contacts]]
-    ):
+    if rollout.touches:
         return None
     take(rest)
     for chunk in rollout.run(beside):

@@ -22,26 +22,32 @@ class Blocks {
     for (int i = 0; i < nodes; ++i) partners_[i].push_back(i);
   }
 
-  // Let there be a block of a pair.
+  // Let there always be a block of a pair.
   void couple(int a, int b) { partners_[later(a, b)].push_back(earlier(a, b)); }
 
-  // All pairs are known.
-  void lay_out() {
+  // All such pairs are known; `more`: pairs that have blocks for now.
+  void lay_out(const std::vector<std::pair<int, int>> &more) {
+    for (auto &row : partners_) ordered(row);
+    std::vector<std::vector<int>> rows = partners_;
+    for (const auto &[a, b] : more) rows[later(a, b)].push_back(earlier(a, b));
     start_.assign(1, 0);
-    for (auto &row : partners_) {
-      std::sort(row.begin(), row.end());
-      row.erase(std::unique(row.begin(), row.end()), row.end());
+    column_.clear();
+    for (auto &row : rows) {
+      ordered(row);
       column_.insert(column_.end(), row.begin(), row.end());
       start_.push_back(int(column_.size()));
     }
-    partners_.clear();
     value_.assign(9 * column_.size(), 0.0);
+  }
+  bool has(int a, int b) const {
+    const auto [first, last] = row(later(a, b));
+    return std::binary_search(first, last, earlier(a, b));
   }
 
   Slot slot(int a, int b) const {
-    const int i = later(a, b), j = earlier(a, b);
-    const auto first = column_.begin() + start_[i], last = column_.begin() + start_[i + 1];
-    return {int32_t(std::lower_bound(first, last, j) - column_.begin()), i != a};
+    const int i = later(a, b);
+    const auto [first, last] = row(i);
+    return {int32_t(std::lower_bound(first, last, earlier(a, b)) - column_.begin()), i != a};
   }
 
   void clear() { std::fill(value_.begin(), value_.end(), 0.0); }
@@ -65,8 +71,21 @@ class Blocks {
     for (int k = 0; k < 9; k += 4) block(to.at)[k] += value;
   }
 
+  // All entries (3 nodes, 3 nodes).
+  void spread(double *out) const {
+    const std::size_t width = 3 * std::size_t(nodes());
+    for (int i = 0; i < nodes(); ++i)
+      for (int k = start_[i]; k < start_[i + 1]; ++k)
+        for (int p = 0; p < 3; ++p)
+          for (int q = 0; q < 3; ++q) {
+            const std::size_t row = 3 * std::size_t(i) + p, column = 3 * std::size_t(column_[k]) + q;
+            out[row * width + column] = out[column * width + row] = block(k)[3 * p + q];
+          }
+  }
+
   // Let `multiply` know which nodes matter.
   void border(const std::vector<bool> &nodes) {
+    border_.clear();
     for (int i = 0; i < int(nodes.size()); ++i)
       for (int k = start_[i]; k < start_[i + 1]; ++k)
         if (nodes[i] || nodes[column_[k]]) border_.push_back({k, i});
@@ -83,6 +102,13 @@ class Blocks {
   }
 
  private:
+  using At = std::vector<int>::const_iterator;
+
+  static void ordered(std::vector<int> &row) {
+    std::sort(row.begin(), row.end());
+    row.erase(std::unique(row.begin(), row.end()), row.end());
+  }
+  std::pair<At, At> row(int i) const { return {column_.begin() + start_[i], column_.begin() + start_[i + 1]}; }
   int later(int a, int b) const { return rank_[a] >= rank_[b] ? a : b; }
   int earlier(int a, int b) const { return rank_[a] >= rank_[b] ? b : a; }
 

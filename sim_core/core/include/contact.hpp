@@ -27,6 +27,24 @@ using Lanes = Dual<double, lanes>;
 // Places in the law's numbers, as sim_core/contact/pressure_and_friction.py has them.
 enum : int { STIFFNESS, RANGE, CORE, MU, OFFSET, BLEND, GUARD, REACH };
 
+// Share of the range below which the law is straight (sim_core/contact/pressure_and_friction.py).
+constexpr double core_guarded = 1e-3, core_free = 0.2;
+// Elastic slip [m] that a spring without stiffness never reaches.
+constexpr double far_slip = 1e300;
+
+// The law itself, or one whose iterates may overlap.
+inline void set_guard(double *law, bool on) {
+  law[GUARD] = on;
+  law[CORE] = on ? core_guarded : core_free;
+}
+
+// A number with its derivatives in some columns.
+inline Lanes seeded(double value, const double *d) {
+  Lanes out(value);
+  for (int l = 0; l < lanes; ++l) out.d[l] = d[l];
+  return out;
+}
+
 // What samples and bodies remember, and its derivatives with columns innermost.
 struct Memory {
   std::vector<double> anchor, load, speed, rotation;          // (s, 3), (s), (s), (contacts, 9)
@@ -97,15 +115,20 @@ Pressed<S> press(const Friction<S> &f, const Vec<S, 3> &arm, const Mat<S, 3, 3> 
   return out;
 }
 
+// What is kept of the elastic slip u that there would be without sliding, and the slip speed.
+template <class S> Vec<S, 3> kept_slip(const Vec<S, 3> &u, const S &limit, const S &stiffness, double dt, S &speed) {
+  const S length = u.norm(), longest = stiffness > 0.0 ? S(2.0 * limit / stiffness) : S(limit > 0.0 ? far_slip : 0.0);
+  const bool beyond = length > longest;
+  speed = beyond ? S((length - longest) / dt) : S(0.0);
+  return beyond ? Vec<S, 3>((longest / length) * u) : u;
+}
+
 // Elastic slip and slip speed after the step.
 template <class S, class C>
 void slide(const Friction<S> &f, const Vec<S, 3> &arm, const Mat<S, 3, 3> &rotation, double area, const C *law,
            double dt, Vec<S, 3> &anchor, S &speed) {
   const Vec<S, 3> u = slip_of(f, arm, rotation);
-  const S length = u.norm(), longest = 2.0 * f.limit / (law[STIFFNESS] * area);
-  const bool beyond = length > longest;
-  anchor = matmul(rotation.transpose(), beyond ? Vec<S, 3>((longest / length) * u) : u);
-  speed = beyond ? S((length - longest) / dt) : S(0.0);
+  anchor = matmul(rotation.transpose(), kept_slip(u, f.limit, S(law[STIFFNESS] * area), dt, speed));
 }
 
 class Contacts {
@@ -126,6 +149,7 @@ class Contacts {
         for (int b = a; b < r_.corners; ++b) h.couple(node(s, a), node(s, b));
   }
   void bind(const Blocks &h) {
+    slots_.clear();
     for (int s = 0; s < r_.samples; ++s)
       for (int a = 0; a < r_.corners; ++a)
         for (int b = a; b < r_.corners; ++b) slots_.push_back(h.slot(node(s, a), node(s, b)));
@@ -133,10 +157,7 @@ class Contacts {
 
   // The law itself, or one whose iterates may overlap.
   void guard(bool on) {
-    for (int c = 0; c < r_.contacts; ++c) {
-      laws_[8 * c + GUARD] = on;
-      laws_[8 * c + CORE] = on ? core_guarded : core_free;
-    }
+    for (int c = 0; c < r_.contacts; ++c) set_guard(&laws_[8 * c], on);
   }
 
   // Whether the guard changes the law at the gaps that were found last.
@@ -250,7 +271,7 @@ class Contacts {
     for (int first = 0; first < r_.columns; first += lanes)
       each([&](int c, int s) {
         if (!acts(c, s)) return;
-        const auto law_at = seeded(c, first);
+        const auto law_at = seeded_law(c, first);
         const Mat<Lanes, 3, 3> turn = seeded_rotation(rotation_.data(), d_rotation, c, first);
         const Friction<Lanes> f = seeded_friction(x_start, dx_start, memory, turn, law_at.data(), c, s, first);
         const Vec<Lanes, 3> d = seeded_arm(x, nullptr, dx, c, s, first);
@@ -273,7 +294,7 @@ class Contacts {
     for (int first = 0; first < r_.columns; first += lanes)
       each([&](int c, int s) {
         if (!acts(c, s)) return;
-        const auto law_at = seeded(c, first);
+        const auto law_at = seeded_law(c, first);
         const Mat<Lanes, 3, 3> turn = seeded_rotation(rotation_.data(), d_rotation, c, first);
         const Friction<Lanes> f = seeded_friction(x_start, dx_start, before, turn, law_at.data(), c, s, first);
         const Vec<Lanes, 3> d = seeded_arm(x, dx, dx, c, s, first);
@@ -309,9 +330,6 @@ class Contacts {
   }
 
  private:
-  // Share of the range below which the law is straight (sim_core/contact/pressure_and_friction.py).
-  static constexpr double core_guarded = 1e-3, core_free = 0.2;
-
   template <class F> void each(F &&f) const {
     for (int c = 0; c < r_.contacts; ++c)
       for (int s = r_.sample_start[c]; s < r_.sample_start[c + 1]; ++s) f(c, s);
@@ -345,11 +363,6 @@ class Contacts {
     }
     return out;
   }
-  Lanes seeded(double value, const double *d) const {
-    Lanes out(value);
-    for (int l = 0; l < lanes; ++l) out.d[l] = d[l];
-    return out;
-  }
   Mat<Lanes, 3, 3> seeded_rotation(const double *r, const double *dr, int c, int first) const {
     Mat<Lanes, 3, 3> out;
     for (int k = 0; k < 9; ++k) out[k] = seeded(r[9 * c + k], dr + (9 * std::size_t(c) + k) * r_.columns + first);
@@ -359,7 +372,7 @@ class Contacts {
     Lanes a[8];
     const Lanes *data() const { return a; }
   };
-  Law seeded(int c, int first) const {
+  Law seeded_law(int c, int first) const {
     Law out;
     for (int k = 0; k < 8; ++k) out.a[k] = seeded(law(c)[k], r_.d_law + (8 * std::size_t(c) + k) * r_.columns + first);
     return out;

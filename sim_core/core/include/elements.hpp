@@ -52,6 +52,7 @@ class Triangles {
         for (int d = a; d < 3; ++d) h.couple(node(t, a), node(t, d));
   }
   void bind(const Blocks &h) {
+    slots_.clear();
     for (int t = 0; t < count_; ++t)
       for (int a = 0; a < 3; ++a)
         for (int d = a; d < 3; ++d) slots_.push_back(h.slot(node(t, a), node(t, d)));
@@ -266,6 +267,8 @@ class Hinges {
         for (int k = first_[e]; k < first_[e + 1]; ++k) h.couple(node(e, a), stencil_[k]);
   }
   void bind(const Blocks &h) {
+    inner_.clear();
+    outer_.clear();
     for (int e = 0; e < count_; ++e)
       for (int a = 0; a < 4; ++a)
         for (int k = first_[e]; k < first_[e + 1]; ++k) {

@@ -9,6 +9,7 @@ namespace thinshell {
 struct Record {
   // Sizes. `columns`: derivatives that are carried, padded to a multiple of `lanes` (columns.hpp).
   int64_t nodes, triangles, hinges, couplings, tetrahedra, contacts, samples, corners, mounts, followers, bearing, columns;
+  int64_t surfaces, surface_corners, edge_pairs;
 
   // Nodes: which components are prescribed (nodes, 3), rank of each in the elimination (nodes), where they are at rest.
   const uint8_t *prescribed;
@@ -43,6 +44,22 @@ struct Record {
   const int32_t *sample_node;
   const double *sample_weight, *sample_area;
 
+  // Contacts of surfaces: samples and triangles of each (surfaces + 1), how much wider than a step needs partners are
+  // looked for [m], the law (surfaces, 8); samples: nodes (s, surface_corners), how many count, weights, areas [m^2];
+  // triangles: nodes (t, 3), and which corners and edges 01, 12, 20 are on a free border (t, 6).
+  const int32_t *surface_sample_start, *surface_triangle_start;
+  const double *surface_margin, *surface_law;
+  const int32_t *surface_node, *surface_used;
+  const double *surface_weight, *surface_area;
+  const int32_t *surface_triangle, *surface_border;
+
+  // Contacts of edges: first of our edges and of theirs (2 edge_pairs + 1), whether both are the same, margin, law; edges:
+  // nodes (e, 2), areas [m^2], negative where it is ours that counts, and squared lengths at rest [m^2].
+  const int32_t *edge_start, *edge_once;
+  const double *edge_margin, *edge_law;
+  const int32_t *edge_node;
+  const double *edge_area, *edge_square;
+
   // Followers: node, mount, components that follow (f, 3), place in the mount's frame [m] (f, 3).
   const int32_t *follower_node, *follower_mount;
   const uint8_t *follower_axes;
@@ -64,6 +81,7 @@ struct Record {
   const double *d_mass, *d_mass_damping;                  // (., entries) each
   const double *d_external;                               // (nodes, 3, columns)
   const double *d_law;                                    // (contacts, 8, columns)
+  const double *d_surface_law, *d_edge_law;               // (., 8, columns) each
 };
 
 // What was done in a step. `failed`: the search gave up, and the state is as it was.

@@ -66,7 +66,7 @@ class Rollout {
 
   // Take the step: from where the system stands at its end to the next state, with derivatives.
   void end(double dt, const Frames &frames, bool inertia) {
-    if (system.contacts.any()) system.contacts.moments(system.x.data(), moment_.data());
+    if (system.contacts.any()) system.contacts.shapes.moments(system.x.data(), moment_.data());
     if (r_.columns) push(dt, frames, inertia);
     system.contacts.end(system.x.data(), dt, memory);
     x_past.swap(x);
@@ -85,8 +85,24 @@ class Rollout {
     place(frames);
     begin(dt, inertia);
     std::copy(there, there + system.whole(), system.x.begin());
+    system.cover();
     system.residual();
     end(dt, frames, inertia);
+  }
+
+  // The potential of the step of `dt` [s] that begins now, at `there` [m] (nodes, 3): energy [J], gradient [N], and the
+  // Hessian [N/m] (3 nodes, 3 nodes).
+  void potential(double dt, const Frames &frames, const double *there, bool inertia, bool exact, double *energy,
+                 double *gradient, double *hessian) {
+    place(frames);
+    begin(dt, inertia);
+    std::copy(there, there + system.whole(), system.x.begin());
+    system.cover();
+    *energy = system.energy();
+    system.residual();
+    std::copy(system.gradient.begin(), system.gradient.end(), gradient);
+    system.assemble(exact, nullptr);
+    system.hessian.spread(hessian);
   }
 
   void write(const Outputs &out) const {
@@ -144,7 +160,9 @@ class Rollout {
     combine(v_, v_past, step_.v_base);
     system.x = x;
     system.hold(targets_.data());
-    system.begin(step_, x.data(), has_past ? x_past.data() : nullptr, turned_.data(), memory, inertia);
+    Values towards = x;
+    for (std::size_t k = 0; k < towards.size(); ++k) towards[k] = r_.prescribed[k] ? targets_[k] : x[k] + dt * v_[k];
+    system.begin(step_, x.data(), has_past ? x_past.data() : nullptr, towards.data(), turned_.data(), memory, inertia);
   }
   void combine(const Values &here, const Values &past, Values &out) const {
     out = here;
@@ -203,12 +221,13 @@ class Rollout {
     if (!(system.energy() <= energy + 1e-13 * std::abs(energy) + 1e-30)) return false;
     if (system.tetrahedra.turns_over(x.data(), system.x.data())) return false;
     if (!touches) return true;
+    const bool beyond = system.cover();
     system.contacts.guard(true);
     Values way(system.whole());
     for (std::size_t k = 0; k < way.size(); ++k) way[k] = system.x[k] - x[k];
     if (system.contacts.free_way(x.data(), way.data(), any_gap, memory) < 1.0) return false;
     double residual = counts.residual;
-    if (system.contacts.guard_matters()) {
+    if (beyond || system.contacts.guard_matters()) {
       const Values g = system.residual();
       residual = largest(g.data(), g.size());
     }

@@ -8,11 +8,11 @@
 #include <vector>
 
 #include "blocks.hpp"
-#include "contact.hpp"
 #include "elements.hpp"
 #include "factor.hpp"
 #include "record.hpp"
 #include "tetrahedra.hpp"
+#include "touching.hpp"
 
 namespace thinshell {
 
@@ -53,31 +53,21 @@ class System {
     triangles.couple(hessian);
     hinges.couple(hessian);
     tetrahedra.couple(hessian);
-    contacts.couple(hessian);
+    contacts.shapes.couple(hessian);
     for (int i = 0; i < r_.nodes; ++i)
       for (int k = r_.mass_start[i]; k < r_.mass_start[i + 1]; ++k) hessian.couple(i, r_.mass_column[k]);
-    hessian.lay_out();
-    triangles.bind(hessian);
-    hinges.bind(hessian);
-    tetrahedra.bind(hessian);
-    contacts.bind(hessian);
-    for (int i = 0; i < r_.nodes; ++i)
-      for (int k = r_.mass_start[i]; k < r_.mass_start[i + 1]; ++k) {
-        const Slot slot = hessian.slot(i, r_.mass_column[k]);
-        mass_slot_.push_back(slot.turned ? -1 : slot.at);
-      }
-    lay_out_factor();
-    std::vector<bool> held(r_.nodes, false);
-    for (std::size_t k = 0; k < whole_; ++k) held[k / 3] = held[k / 3] || r_.prescribed[k];
-    hessian.border(held);
+    lay_out();
     load_ = largest(r_.external, whole_);
   }
 
   int count() const { return int(own.size()); }
   std::size_t whole() const { return whole_; }
 
-  void begin(const Step &step, const double *x_start, const double *x_past, const double *turned, const Memory &memory,
-             bool inertia) {
+  // `towards`: where velocities and targets let nodes go, on the way to which contact is looked for.
+  void begin(const Step &step, const double *x_start, const double *x_past, const double *towards, const double *turned,
+             const Memory &memory, bool inertia) {
+    x_start_ = x_start;
+    prepare(x_start, towards, false);
     tau_ = step.tau;
     inertia_ = inertia;
     for (std::size_t k = 0; k < whole_; ++k) predicted_[k] = step.x_base[k] + step.tau * step.v_base[k];
@@ -87,6 +77,14 @@ class System {
     hinges.begin(x_start, x_past, rates);
     tetrahedra.begin(x_start, x_past, rates);
     contacts.begin(x_start, turned, memory);
+  }
+
+  // Look for contact again if the way to `x` leads beyond what was looked at; true when it does.
+  bool cover() {
+    if (!contacts.outran(x.data())) return false;
+    prepare(x_start_, x.data(), true);
+    contacts.begin_surfaces(x_start_);
+    return true;
   }
 
   std::vector<double> unknowns() const {
@@ -223,8 +221,41 @@ class System {
     contacts.add_gradient(x.data(), touch_.data());
   }
 
+  // The pattern of the Hessian and of its factor, with the pairs of nodes that contact couples now.
+  void lay_out() {
+    hessian.lay_out(contacts.pairs());
+    triangles.bind(hessian);
+    hinges.bind(hessian);
+    tetrahedra.bind(hessian);
+    contacts.bind(hessian);
+    mass_slot_.clear();
+    for (int i = 0; i < r_.nodes; ++i)
+      for (int k = r_.mass_start[i]; k < r_.mass_start[i + 1]; ++k) {
+        const Slot slot = hessian.slot(i, r_.mass_column[k]);
+        mass_slot_.push_back(slot.turned ? -1 : slot.at);
+      }
+    lay_out_factor();
+    std::vector<bool> held(r_.nodes, false);
+    for (std::size_t k = 0; k < whole_; ++k) held[k / 3] = held[k / 3] || r_.prescribed[k];
+    hessian.border(held);
+  }
+
+  // Look for contact from `x_start` to `towards`.
+  void prepare(const double *x_start, const double *towards, bool more) {
+    if (!contacts.prepare(x_start, towards, more)) return;
+    const auto &pairs = contacts.pairs();
+    const bool inside = std::all_of(pairs.begin(), pairs.end(), [&](auto &p) { return hessian.has(p.first, p.second); });
+    if (inside)
+      contacts.bind(hessian);
+    else
+      lay_out();
+  }
+
   // Where the entries over the unknowns are in the factor.
   void lay_out_factor() {
+    entries_.clear();
+    diagonal_.clear();
+    wholes_.clear();
     std::vector<std::vector<int>> rows(count());
     auto each = [&](auto &&f) {
       for (int i = 0; i < hessian.nodes(); ++i)
@@ -256,6 +287,7 @@ class System {
   std::size_t whole_;
   double tau_ = 1.0, stiffest_ = 0.0, load_ = 0.0;
   bool inertia_ = true;
+  const double *x_start_ = nullptr;
   std::vector<double> touch_, predicted_, base_;
   std::vector<int> number_, mass_slot_;
   std::vector<Entry> entries_, diagonal_;
@@ -265,7 +297,7 @@ class System {
   Triangles triangles;
   Hinges hinges;
   Tetrahedra tetrahedra;
-  Contacts contacts;
+  Touching contacts;
   Blocks hessian;
   Factor factor;
   std::vector<double> x, gradient;
