@@ -110,6 +110,33 @@ def keep(folder: CasesFolder, out: FolderOption) -> None:
     print(library("sysid.proof", "keep_shard")(folder, out))
 
 
+@app.command("ledgers")
+def ledgers(folder: CasesFolder) -> None:
+    """Write what a diagnosis sees of every case, its ledger, without refits. Finished ones are kept."""
+    _check_cases(folder)
+    with progress("prove ledgers") as report:
+        print(library("sysid.proof", "make_ledgers")(folder, on_progress=report))
+
+
+@app.command("curve")
+def curve(
+    folder: CasesFolder,
+    out: FolderOption,
+    cases: Annotated[int, whole_number("--cases", "Number of cases that are drawn.", 1, 1_000_000)] = 300,
+    seed: SeedOption = 0,
+) -> None:
+    """Power and errors of the posterior by strength, over ledgers of empty cases.
+
+    Effects are concealed in these ledgers to first order, without a rollout, in shapes that are not looked at.
+
+    Example: thinshell prove curve empty --cases 1000 --out curve
+    """
+    _check_cases(folder)
+    check_new(out, "folder")
+    with progress("prove curve") as report:
+        print(library("sysid.proof", "make_curve")(folder, out, cases=cases, seed=seed, on_progress=report))
+
+
 def _check_cases(folder: Path) -> None:
     if not folder.is_dir():
         raise ConfigError(f"The folder {folder} does not exist.", "Make one with 'thinshell prove make --out DIR'.")

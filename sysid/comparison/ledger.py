@@ -101,7 +101,16 @@ class Ledger:
             raise LedgerError(
                 f"The ledger has no columns of {' and '.join(unknown)}.", f"It has those of {', '.join(self.effects)}."
             )
-        kept = [k for k, c in enumerate(self.columns) if c.kind != "effect" or c.owner not in effects]
+        return self._less([k for k, c in enumerate(self.columns) if c.kind == "effect" and c.owner in effects])
+
+    def without_shape(self, effect: str, hypothesis: str) -> Ledger:
+        """The ledger as of a library in which this shape of an effect is not looked at."""
+        gone = [k for k, c in enumerate(self.columns) if (c.owner, c.hypothesis) == (effect, hypothesis)]
+        return self._less(gone)
+
+    def _less(self, gone: Collection[int]) -> Ledger:
+        """The ledger without columns of these numbers."""
+        kept = [k for k in range(len(self.columns)) if k not in gone]
         index = np.array([*kept, len(self.columns)])
         blocks = tuple(replace(b, gram=b.gram[np.ix_(index, index)]) for b in self.blocks)
         return replace(self, columns=tuple(self.columns[k] for k in kept), blocks=blocks)

@@ -171,6 +171,12 @@ class Evidence:
         whole, z = np.append(chosen, n), np.append(best, 1.0)
         return float(self._temper * (z @ self._whole[np.ix_(whole, whole)] @ z) / max(self._readings, 1))
 
+    def trace(self, hypothesis: tuple[str, str], factors: np.ndarray) -> float:
+        """How much an effect with these factors changes the readings, in standard deviations of the noise, beside what
+        parameters and narrow closures take up."""
+        s = self.places[hypothesis]
+        return float(np.sqrt(max(0.0, factors @ self._information[np.ix_(s, s)] @ factors) * self._temper))
+
     def amplitudes(self, hypotheses: Sequence[tuple[str, str]]) -> list[Amplitude]:
         """Marginal posterior of each amplitude of hypotheses; coefficients of closures have no size of their own."""
         mean, covariance, s = self._solved(hypotheses)

@@ -20,6 +20,7 @@ import numpy as np
 from sim_core.effects import RecordingScales
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
+from sysid.comparison.ledger import Ledger
 from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import Hypothesis, hypotheses, recording_scales
@@ -71,10 +72,7 @@ def diagnose_runs(
         tell(0.0, "first simulations")
         base = fit_baseline(engine, rig, runs, held_out, tell)
         tell(0.42, "a look at all effects")
-        scales = recording_scales([*base.problem.runs, *base.check.runs])
-        wanted = hypotheses(base.fitted.rig, scales)
-        closures = Closures(base.fitted.rig, base.problem)
-        screen, failed = look(base.engine, base.fitted, base.problem, wanted, closures)
+        screen, failed, scales = _looked(base)
         screen.temper(base.fitted.misfit)
         singles = screen.singles()
         case = Case(
@@ -99,6 +97,26 @@ def diagnose_runs(
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
     return diagnosis, amended
+
+
+def ledger_of(
+    rig: Rig, runs: Sequence[Run], held_out: Sequence[Run] = (), *, on_progress: Progress | None = None
+) -> Ledger:
+    """The ledger of a diagnosis: its baseline and its look at all effects, without a refit."""
+    tell = on_progress or (lambda share, text: None)
+    with ParallelPredictor(os.cpu_count()) as engine:
+        base = fit_baseline(engine, rig, runs, held_out, tell)
+        tell(0.42, "a look at all effects")
+        screen, _, _ = _looked(base)
+    return replace(screen.ledger(base.fitted), provenance=provenance(rig, list(runs), list(held_out)))
+
+
+def _looked(base: Baseline) -> tuple[Screen, dict[str, str], RecordingScales]:
+    """A look at all effects and closures from a baseline, what could not be looked at, and the scales of recordings."""
+    scales = recording_scales([*base.problem.runs, *base.check.runs])
+    closures = Closures(base.fitted.rig, base.problem)
+    screen, failed = look(base.engine, base.fitted, base.problem, hypotheses(base.fitted.rig, scales), closures)
+    return screen, failed, scales
 
 
 def _trials(

@@ -9,7 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-__all__ = ["concealable", "keep_shard", "make_cases", "record_cases", "run_cases", "score_cases"]
+__all__ = [
+    "concealable",
+    "keep_shard",
+    "make_cases",
+    "make_curve",
+    "make_ledgers",
+    "record_cases",
+    "run_cases",
+    "score_cases",
+]
 
 Progress = Callable[[float, str], None]
 
@@ -58,6 +67,20 @@ def run_cases(folder: Path, *, on_progress: Progress | None = None) -> str:
     from sysid.proof.run import run_cases as run
 
     return run(folder, on_progress=on_progress)
+
+
+def make_ledgers(folder: Path, *, on_progress: Progress | None = None) -> str:
+    """Write the ledger of every case of ``folder`` without the truth at hand; finished ones are kept."""
+    from sysid.proof.ledgers import make_ledgers as make
+
+    return make(folder, on_progress=on_progress)
+
+
+def make_curve(folder: Path, out: Path, *, cases: int, seed: int = 0, on_progress: Progress | None = None) -> str:
+    """Conceal effects in the ledgers of empty cases of ``folder``, judge them, and write rates by strength."""
+    from sysid.proof.curve import make_curve as make
+
+    return make(folder, out, cases=cases, seed=seed, on_progress=on_progress)
 
 
 def keep_shard(folder: Path, out: Path) -> str:
