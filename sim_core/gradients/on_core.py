@@ -30,9 +30,8 @@ def tangent_compiled(
     *,
     keep_path: bool,
     beside: NodePath | None,
-) -> tuple[Trace, dict[str, np.ndarray]] | None:
-    """As :func:`sim_core.gradients.tangent.simulate_tangent`, on the core; None where bodies touch at rest, since what
-    rests at the verge of slip has the branch of the search that settled it."""
+) -> tuple[Trace, dict[str, np.ndarray]]:
+    """As :func:`sim_core.gradients.tangent.simulate_tangent`, on the core."""
     count = len(along)
     moving = _motions(scene, poses, times, along)
     numbers = NumberSlopes(*slopes(scene, along))
@@ -54,12 +53,7 @@ def tangent_compiled(
         tell(scene, rollout, chunk, on_step)
 
     x, _, rotations = start_along(scene, frames, moving[0], start_state(scene, frames), count)
-    rest = rollout.settle((x, rotations))
-    if any(np.any(moment) for _, moment in rest.at.moments) or np.any(
-        rest.at.force[:, [t.body_node for t in rollout.contacts]]
-    ):
-        return None
-    take(rest)
+    take(rollout.settle((x, rotations)))
     for chunk in rollout.run(beside):
         take(chunk)
     outputs = {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}

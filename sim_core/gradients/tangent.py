@@ -268,9 +268,7 @@ def simulate_tangent(
     derivatives along the same directions."""
     along = checked(along)
     if along and covers(scene, left=left) is None:
-        made = tangent_compiled(scene, poses, times, along, on_step, settings, keep_path=keep_path, beside=beside)
-        if made is not None:
-            return made
+        return tangent_compiled(scene, poses, times, along, on_step, settings, keep_path=keep_path, beside=beside)
     tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
     commanded = [{n: frame_of(p[k], q[k]) for n, (p, q) in tracks.items()} for k in range(len(times))]
     moving = command_motions(scene.rig, along, commanded, times)
