@@ -91,6 +91,17 @@ def _start(x: F2, rotation: F2, nodes: I2, weights: F2, shape: F1, new_rotation:
 
 
 @ti.kernel
+def _slips(x: F2, rotation: F2, nodes: I2, weights: F2, y_start: F2, anchor: F2, normal: F2, slip: F2):
+    """Elastic slip of each sample if it does not slide [m]."""
+    ti.loop_config(serialize=True)
+    for s in range(nodes.shape[0]):
+        d = _position(x, nodes, weights, s) - _origin(x, nodes, s)
+        u, _t = _slip(d, _rotation(rotation), s, y_start, anchor, normal)
+        for j in ti.static(range(3)):
+            slip[s, j] = u[j]
+
+
+@ti.kernel
 def _energy(
     x: F2,
     rotation: F2,
@@ -266,6 +277,7 @@ class RigidContact:
         self._limit, self._load, self._gap = np.zeros(count), np.zeros(count), np.zeros(count)
         self._y_start, self._anchor = np.zeros((count, 3)), np.zeros((count, 3))
         self._normal, self._force = np.zeros((count, 3)), np.zeros((count, 3))
+        self._slip = np.zeros((count, 3))
         self._exact = np.zeros(1, dtype=np.int32)
 
     def blocks(self) -> np.ndarray:
@@ -284,6 +296,7 @@ class RigidContact:
         )  # fmt: skip
         self._energy = BoundKernel(_energy, buffers.x, *surface, *laws, buffers.energy)
         self._exert = BoundKernel(_forces, buffers.x, *surface, *laws, self._force, self._load, self._gap)
+        self._slips = BoundKernel(_slips, buffers.x, *surface, self._y_start, self._anchor, self._normal, self._slip)
         measured = (self._shape, self._c, self._gap)
         self._gaps = BoundKernel(_gaps, buffers.x, *surface, *measured)
         self._gradient = BoundKernel(_gradient, self._nodes, self._weights, self._force, buffers.gradient)
@@ -395,12 +408,10 @@ class RigidContact:
     def end_step(self, step: StepContext, internals: Internals) -> Internals:
         """Carry elastic slip, load and slip speed to the next step; all zero out of contact."""
         self._forces()
-        position = np.einsum("nk,nkj->nj", self._weights, self._x[self._nodes])
+        self._slips()
         rotation = self._rotation
-        moved = position - self._y_start @ rotation.T
-        slip = self._anchor @ rotation.T + moved
         stiffness = self._c[STIFFNESS] * self._areas
-        anchor, speed = slide(slip, self._normal, self._limit, stiffness, step.dt)
+        anchor, speed = slide(self._slip, self._normal, self._limit, stiffness, step.dt)
         touching = self._load > 0.0
         found = {
             "rotation": rotation.copy(),
@@ -430,8 +441,9 @@ class RigidContact:
         """Derivatives by the start of the step, the memory and the turn of the body."""
         del after
         before, now = (np.einsum("nk,nkj->nj", self._weights, x[self._nodes]) for x in (step.x_start, self._x))
+        self._slips()
         here = RigidStep(
-            *(self._nodes, self._weights, self._areas, before, now),
+            *(self._nodes, self._weights, self._areas, before, now, self._slip),
             *(internals["rotation"], self._rotation, self._limit, step.dt),
         )
         return rigid_derivatives(here, self._c, self.laws, self._surface, internals, len(self._x))

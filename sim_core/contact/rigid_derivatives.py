@@ -6,6 +6,10 @@ With p the sample, c the body's node, R its rotation now and R_n at the start, y
 
 friction follows from :mod:`sim_core.contact.friction_derivatives`; a turn of the body changes R by R [omega]x. The
 tangent plane changes with y_n where the shape is curved, dn = phi'' dy.
+
+The slip of what rests, 1e-9 m, is a difference of positions of 0.1 m, and is known to 1e-8 of itself. Near the verge of
+slip, at the share y of the longest elastic slip, friction holds with k A (1 - y) alone, once by the end of the step (in
+the Hessian) and once, negative, by its start: the same rounded y in both, or a shift of the body would push it.
 """
 
 from dataclasses import dataclass
@@ -17,7 +21,7 @@ from sim_core.contact.added_laws import AddedLaws
 from sim_core.contact.friction_derivatives import friction_derivatives
 from sim_core.contact.pressure_and_friction import OFFSET, REACH, STIFFNESS, by_range, normal_law
 from sim_core.contact.shapes import signed_distance
-from sim_core.energies.linearised import ByNumber, Linearised, axes_of, cross, gathered, placed, places, skew
+from sim_core.energies.linearised import ByNumber, Linearised, axes_of, cross, dot, gathered, placed, places, skew
 from sim_core.energies.term import Internals
 from sim_core.kernels import F1, F2, F3, BoundKernel, vec3
 
@@ -37,13 +41,15 @@ def _surface(y: F2, shape: F1, distance: F1, normal: F2, second: F3):
 @dataclass(frozen=True)
 class RigidStep:
     """What happened at the samples in a step. Positions relative to the body's node [m] ``(n, 3)``: ``before``,
-    ``after``; rotations ``(3, 3)``; ``nodes`` and ``weights`` ``(n, k)``, the body's node last with -1."""
+    ``after``; ``slip``: elastic slip within the tangent plane [m] ``(n, 3)``, with the round-off that it has in the
+    Hessian; rotations ``(3, 3)``; ``nodes`` and ``weights`` ``(n, k)``, the body's node last with -1."""
 
     nodes: np.ndarray
     weights: np.ndarray
     areas: np.ndarray
     before: np.ndarray
     after: np.ndarray
+    slip: np.ndarray
     rotation_start: np.ndarray
     rotation: np.ndarray
     limit: np.ndarray
@@ -90,9 +96,9 @@ def rigid_derivatives(
     added = np.zeros((count, 3))
     laws.write_normal(gap, added, some)
     whole_push, whole_steep = push + added[:, 1], steep + added[:, 2]
-    rub = friction_derivatives(
-        anchor @ r.T + after - y @ r.T, normal @ r.T, at.limit[some], c[STIFFNESS] * areas, at.dt
-    )  # fmt: skip
+    plane = normal @ r.T
+    slip = at.slip[some] + plane * dot(plane, anchor @ r.T + after - y @ r.T)[:, None]
+    rub = friction_derivatives(slip, plane, at.limit[some], c[STIFFNESS] * areas, at.dt)
     bound = laws.bound(c, load, areas, speed)
     by_load, by_speed = bound.by_load, bound.by_speed
 

@@ -112,10 +112,9 @@ class CoreRollout:
         return np.array(held)
 
     @property
-    def touches(self) -> bool:
-        """Whether any contact carries a load now."""
-        others = range(len(self._surfaces) + len(self._edges))
-        return bool(self._array("load").any()) or any(bool(self._held(k, 1).any()) for k in others)
+    def surfaces_touch(self) -> bool:
+        """Whether any contact of surfaces or edges carries a load now."""
+        return any(bool(self._held(k, 1).any()) for k in range(len(self._surfaces) + len(self._edges)))
 
     def _moved(self, poses: Mapping[str, PoseTrajectory]) -> np.ndarray:
         """True origins [m] and rotations of the mounts ``(t, mounts, 12)``."""

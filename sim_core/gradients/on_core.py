@@ -31,8 +31,8 @@ def tangent_compiled(
     keep_path: bool,
     beside: NodePath | None,
 ) -> tuple[Trace, dict[str, np.ndarray]] | None:
-    """As :func:`sim_core.gradients.tangent.simulate_tangent`, on the core; None where bodies touch at rest, since what
-    rests at the verge of slip has the branch of the search that settled it."""
+    """As :func:`sim_core.gradients.tangent.simulate_tangent`, on the core; None where surfaces or edges touch at rest,
+    where its columns have not been compared with the launched path's."""
     count = len(along)
     moving = _motions(scene, poses, times, along)
     numbers = NumberSlopes(*slopes(scene, along))
@@ -55,7 +55,7 @@ def tangent_compiled(
 
     x, _, rotations = start_along(scene, frames, moving[0], start_state(scene, frames), count)
     rest = rollout.settle((x, rotations))
-    if rollout.touches:
+    if rollout.surfaces_touch:
         return None
     take(rest)
     for chunk in rollout.run(beside):

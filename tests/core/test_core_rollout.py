@@ -126,6 +126,22 @@ def test_without_the_library_a_sentence_says_so_and_rollouts_are_made_all_the_sa
     assert len(trace.reports) == 3
 
 
+def test_without_a_compiler_a_warning_says_once_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setattr(library, "BUILT", tmp_path)
+    monkeypatch.setattr(library, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("sim_core.core.build.compiler", lambda: None)
+    scene = build_scene(strip_rig())
+    library.load.cache_clear()
+    try:
+        with pytest.warns(UserWarning) as said:
+            simulate(scene, SWING, TIMES["swing"][:2])
+            simulate(scene, SWING, TIMES["swing"][:2])
+    finally:
+        library.load.cache_clear()
+    (sentence,) = (str(w.message) for w in said if "compiled core" in str(w.message))
+    assert "install g++ or clang++, or set CXX" in sentence
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
