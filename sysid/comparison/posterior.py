@@ -39,7 +39,8 @@ NOTHING_MISSING = 0.5
 
 BACKGROUND_WIDTH = 0.02
 """Prior: w, standard deviation of the coefficients of closures where careful simulators differ, in units of that where
-the physics of a slot is unknown."""
+the physics of a slot is unknown. The marginal likelihood of ten empty strips by another formulation is largest at 0.003
+and as good as that from 0.001 to 0.005; this is wider, since one stand is not all stands."""
 
 UNKNOWN_WIDTH = 1.0
 """Prior: W, likewise where it is unknown."""

@@ -395,6 +395,7 @@ def test_steps_in_parts(small_rig, visit, monkeypatch):
         return plain(system, state, targets, dt, *rest, **named)
 
     monkeypatch.setattr(module, "advance", reluctant)
+    monkeypatch.setattr("sim_core.simulate.covers", lambda scene, **_: "launched")  # as the tape is
     rig, _, times = small(PRESS, 0.4)(small_rig, visit)
     tilted = PoseTrajectory(
         np.array([0.0, 0.2, 0.4]),

@@ -61,7 +61,9 @@ def test_damping(small_rig, visit, name, integrator):
     """As a parameter, and while others are differentiated."""
     rig = small_rig(solver={"dt_s": 0.02, "inertia": True, "integrator": integrator})
     given = {"card.mass_damping_per_s": 5.0, "card.stiffness_damping_s": 5e-3, "gel.stiffness_damping_s": 0.02}
-    compare(with_parameters(rig, given), visit(*PRESS), name, 2e-6, wide=3e-3 if "damping" in name else 3e-4)
+    # Positions change so little by damping of mass that round-off shows over a smaller step.
+    wide = {"card.mass_damping_per_s": 1e-2, "card.density_kg_m3": 3e-4}.get(name, 3e-3)
+    compare(with_parameters(rig, given), visit(*PRESS), name, 2e-6, wide=wide)
 
 
 @pytest.mark.parametrize("flow", [False, True], ids=["elastic", "plastic"])

@@ -33,7 +33,8 @@ def test_states_are_kept_only_where_they_are_asked_for(trace: Trace) -> None:
     scene = build_scene(rig)
     plain = simulate(scene, compile_experiment(MOTION, rig), trace.times[:3])
     assert plain.states is None
-    assert np.array_equal(plain.outputs["wrench"], trace.outputs["wrench"][:3])
+    # States are kept by the launched path alone; the compiled core gives the same to round-off.
+    np.testing.assert_allclose(plain.outputs["wrench"], trace.outputs["wrench"][:3], rtol=1e-9, atol=1e-10)
 
 
 def test_contact_forces_balance_the_wrench_of_a_slow_press(trace: Trace) -> None:
