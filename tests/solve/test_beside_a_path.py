@@ -89,4 +89,5 @@ def test_derivatives_are_those_of_the_rollout_itself(rig: Rig, poses: dict[str, 
 def test_the_path_is_where_the_nodes_were(rig: Rig, poses: dict[str, PoseTrajectory], before: Trace) -> None:
     states = simulate(build_scene(rig), poses, TIMES, keep_states=True).states
     assert states is not None and before.path is not None
-    np.testing.assert_array_equal(before.path.positions, states.positions)
+    # States are kept by the launched path alone; the compiled core is where that is to round-off.
+    np.testing.assert_allclose(before.path.positions, states.positions, rtol=0.0, atol=1e-14)
