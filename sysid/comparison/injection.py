@@ -17,8 +17,8 @@ from sysid.comparison.posterior import Evidence
 
 @dataclass(frozen=True)
 class Injection:
-    """``effect`` with the shape ``hypothesis``; ``trace``: what it changes, in standard deviations of the noise, beside
-    what parameters and what careful simulators differ in can take up."""
+    """``effect`` with the shape ``hypothesis``; ``trace``: what it changes, in standard deviations of the noise, after
+    parameters and what careful simulators differ in have taken up what they can."""
 
     effect: str
     hypothesis: str

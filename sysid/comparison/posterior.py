@@ -173,7 +173,7 @@ class Evidence:
         return float(self._temper * (z @ self._whole[np.ix_(whole, whole)] @ z) / max(self._readings, 1))
 
     def trace(self, hypothesis: tuple[str, str], factors: np.ndarray) -> float:
-        """How much an effect with these factors changes the readings, in standard deviations of the noise, beside what
+        """How much an effect with these factors changes the readings, in standard deviations of the noise, less what
         parameters and narrow closures take up."""
         s = self.places[hypothesis]
         return float(np.sqrt(max(0.0, factors @ self._information[np.ix_(s, s)] @ factors) * self._temper))

@@ -83,7 +83,7 @@ def test_bayes_factors_are_those_of_the_whole_covariance(mean: float) -> None:
 
 
 def test_unknown_physics_is_a_closure_with_wide_coefficients() -> None:
-    """Bayes factors of slots, of effects beside the narrow closures that all models have, and of both together, against
+    """Bayes factors of slots, of effects with the narrow closures that all models have, and of both together, against
     dense covariances."""
     widths, y = Widths(background=0.1, unknown=2.0), drawn(9, {"lag": 1.0}) + SLOTS["sheet"] @ [0.6, -0.9, 0.4]
 

@@ -86,8 +86,13 @@ def test_derivatives_are_those_of_the_rollout_itself(rig: Rig, poses: dict[str, 
         np.testing.assert_allclose(beside[channel], slopes, atol=1e-5 * scale)
 
 
-def test_the_path_is_where_the_nodes_were(rig: Rig, poses: dict[str, PoseTrajectory], before: Trace) -> None:
+def test_the_path_is_where_the_nodes_were(
+    rig: Rig, poses: dict[str, PoseTrajectory], before: Trace, monkeypatch: pytest.MonkeyPatch
+) -> None:
     states = simulate(build_scene(rig), poses, TIMES, keep_states=True).states
     assert states is not None and before.path is not None
-    # States are kept by the launched path alone; the compiled core is where that is to round-off.
     np.testing.assert_allclose(before.path.positions, states.positions, rtol=0.0, atol=1e-14)
+    monkeypatch.setattr("sim_core.simulate.covers", lambda scene, **_: "launched")  # as where states are kept
+    launched = simulate(build_scene(rig), poses, TIMES, keep_path=True).path
+    assert launched is not None
+    np.testing.assert_array_equal(launched.positions, states.positions)
