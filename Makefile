@@ -12,7 +12,7 @@ JOBS ?= 2
 
 help:
 	@echo "make demo      record presses in which something is concealed, find out what, and write a report"
-	@echo "make test      all tests but those marked slow (11 to 40 minutes on 2 cores, as busy as they are)"
+	@echo "make test      all tests but those marked slow (13 to 30 minutes on 2 cores, as busy as they are)"
 	@echo "make test-all  those too"
 	@echo "make test-variations  tests of the physics as other processors compute: other vector widths, round-off, factorisation"
 	@echo "make docs      documentation as a site in out/site, links checked; needs no network"

@@ -28,8 +28,8 @@ def share_files() -> list[tuple[str, list[str]]]:
 
 
 def compile_core(into: Path) -> None:
-    """Compile the core of sim_core to ``into``. Without a compiler the package works all the same, slower, and compiles
-    it at first use where there is one by then."""
+    """Compile the core of sim_core to ``into``. Without a compiler it is compiled at first use, where there is one by
+    then; there are no rollouts before that."""
     sys.path.insert(0, str(ROOT))
     try:
         from sim_core.core.build import find_or_build
@@ -69,6 +69,7 @@ setup(
         "console_scripts": [
             "thinshell = sysid.cli.app:main",
             "sim_node = thinshell_ros.sim_node:main",
+            "marker_node = thinshell_ros.marker_node:main",
             "record_node = thinshell_ros.record_node:main",
             "sysid_node = thinshell_ros.sysid_node:main",
             "replay_node = thinshell_ros.replay_node:main",

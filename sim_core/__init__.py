@@ -3,7 +3,6 @@
 The names below are imported when they are asked for first, so that importing the package costs nothing.
 """
 
-import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -28,8 +27,6 @@ __all__ = [
     "save_trace",
     "with_parameters",
 ]
-
-os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # keep standard output for results
 
 _HOMES = {
     "ThinshellError": "errors",

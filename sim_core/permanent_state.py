@@ -36,19 +36,6 @@ class PermanentState:
     by_internals: Mapping[str, Internals] | None = None
     by_x: np.ndarray | None = None
 
-    def restored(self, virgin: Mapping[str, Internals]) -> dict[str, Internals]:
-        """Internal variables of all terms at a start, from those of virgin bodies."""
-        return {term: {**own, **self.internals.get(term, {})} for term, own in virgin.items()}
-
-    def placed(self, memory: Mapping[str, np.ndarray], internals: Mapping[str, Internals]) -> dict[str, np.ndarray]:
-        """Derivatives ``memory`` of all ``internals``, flattened ``(q, p)`` by term, with those of the lasting ones."""
-        found = dict(memory)
-        for term, given in (self.by_internals or {}).items():
-            found[term], at = found[term].copy(), places(internals[term])
-            for name, by in given.items():
-                found[term][at[name].ravel()] = by.reshape(at[name].size, -1)
-        return found
-
     def along(self, columns: np.ndarray, count: int) -> PermanentState:
         """The same with its derivatives as ``columns`` of ``count``, zero by others."""
 

@@ -6,33 +6,24 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from sim_core.core.covers import covers
+from sim_core.commands import driven_frames
 from sim_core.core.rollout import simulate_compiled
 from sim_core.permanent_state import PermanentState
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Scene
-from sim_core.simulation import (
-    NodePath,
-    Settling,
-    Simulation,
-    Trace,
-    interpolate,
-    midway,
-    run,
-    settle,
-    step_times,
-)
+from sim_core.sensing.observe import frame_of
 from sim_core.solve.step import NewtonSettings
+from sim_core.state_history import StateRecorder
+from sim_core.stepping import Simulation
+from sim_core.trace import NodePath, Trace, between, interpolate, step_times
 
 __all__ = [
     "NodePath",
-    "Settling",
     "Simulation",
     "Trace",
+    "between",
     "interpolate",
-    "midway",
     "run",
-    "settle",
     "simulate",
     "step_times",
 ]
@@ -57,8 +48,51 @@ def simulate(
     a node and instant. ``beside``: the path of a rollout near by, from which steps begin. ``left``: what an earlier
     rollout has left of the bodies. Raises ``ConvergenceError`` when a step does not converge even in small parts.
     """
-    if covers(scene, keep_states=keep_states, left=left) is None:
-        return simulate_compiled(scene, poses, times, on_step, settings, keep_path=keep_path, beside=beside)
-    simulation = Simulation(scene, settings, left=left)
-    simulation.beside = beside
-    return run(simulation, poses, times, on_step, keep_states=keep_states, keep_path=keep_path)
+    kept = {"keep_states": keep_states, "keep_path": keep_path}
+    return simulate_compiled(scene, poses, times, on_step, settings, **kept, beside=beside, left=left)
+
+
+def run(
+    simulation: Simulation,
+    poses: Mapping[str, PoseTrajectory],
+    times: np.ndarray,
+    on_step: Callable[[int, int], None] | None = None,
+    on_reset: Callable[[], None] | None = None,
+    *,
+    keep_states: bool = False,
+    keep_path: bool = False,
+) -> Trace:
+    """As :func:`sim_core.simulate.simulate`, with a simulation at hand, which is reset first; then ``on_reset`` is
+    called. ``times`` [s] ``(n,)``: instants of the steps."""
+    tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
+
+    commanded = [{name: frame_of(p[k], q[k]) for name, (p, q) in tracks.items()} for k in range(len(times))]
+    frames = driven_frames(simulation.scene.rig, commanded, times)
+    simulation.reset(frames[0])
+    if on_reset is not None:
+        on_reset()
+    recorder = StateRecorder(simulation.scene) if keep_states else None
+
+    def record() -> None:
+        if recorder is not None:
+            recorder.take(simulation.state, simulation.actual_frames(), simulation.contact_forces())
+
+    readings = [simulation.read()]
+    path = [simulation.state.x]
+    record()
+    reports = []
+    for k in range(1, len(times)):
+        reports.append(simulation.step(frames[k], float(times[k] - times[k - 1])))
+        readings.append(simulation.read())
+        if keep_path:
+            path.append(simulation.state.x)
+        record()
+        if on_step is not None:
+            on_step(k, len(times) - 1)
+    outputs = {c: np.stack([r[c] for r in readings]) for c in readings[0]}
+    states = None if recorder is None else recorder.history()
+    kept = NodePath(times, np.stack(path)) if keep_path else None
+    left = simulation.permanent_state()
+    least = tuple(simulation.least_volumes.values())
+    observer = simulation.observer
+    return Trace(times, outputs, observer.kinds, observer.ids, tuple(reports), states, kept, left, least)

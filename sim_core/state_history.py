@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sim_core.contact.rigid import RigidContact
 from sim_core.contact.surface import SurfaceContact
+from sim_core.scene.scene import Frame, Scene
 from sim_core.scene.touching import bearing_surfaces
-
-if TYPE_CHECKING:
-    from sim_core.simulate import Simulation
+from sim_core.solve.step import State
 
 
 @dataclass(frozen=True)
@@ -56,24 +54,22 @@ class StateHistory:
 
 
 class StateRecorder:
-    """Collects the states of a simulation, one a call of :meth:`take`."""
+    """Collects the states of a rollout of a scene, one a call of :meth:`take`."""
 
-    def __init__(self, simulation: Simulation) -> None:
-        self._simulation = simulation
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
         self._positions: list[np.ndarray] = []
         self._frames: list[dict[str, tuple[np.ndarray, np.ndarray]]] = []
         self._forces: list[dict[str, np.ndarray]] = []
         self._surface: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def take(self) -> None:
-        """Keep the state that the simulation is in."""
-        simulation = self._simulation
-        self._positions.append(np.array(simulation.state.x))
-        self._frames.append(
-            {m: (np.array(o), np.asarray(r.as_quat())) for m, (o, r) in simulation.actual_frames().items()}
-        )
-        self._forces.append(pair_forces(simulation))
-        self._surface.append(_pressures_and_slip(simulation))
+    def take(self, state: State, frames: Mapping[str, Frame], forces: dict[str, np.ndarray]) -> None:
+        """Keep a state; ``frames``: of the mounts, with what compliant ones have given way; ``forces``: of each
+        declared contact on the nodes [N] ``(N, 3)``."""
+        self._positions.append(np.array(state.x))
+        self._frames.append({m: (np.array(o), np.asarray(r.as_quat())) for m, (o, r) in frames.items()})
+        self._forces.append(forces)
+        self._surface.append(_pressures_and_slip(self._scene, state))
 
     def history(self) -> StateHistory:
         """All states taken so far."""
@@ -88,24 +84,17 @@ class StateRecorder:
         )
 
 
-def pair_forces(simulation: Simulation) -> dict[str, np.ndarray]:
-    """Force [N] ``(N, 3)`` of each declared contact on the nodes, at the positions that the system holds."""
-    scene = simulation.scene
-    return {pair: scene.system.force_of(terms) for pair, terms in scene.contacts.items()}
-
-
-def _pressures_and_slip(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
+def _pressures_and_slip(scene: Scene, state: State) -> tuple[np.ndarray, np.ndarray]:
     """Contact pressure [Pa] and slip speed [m/s] of every node that is a contact sample of its own, ``(N,)`` each: the
     pressures of its contacts added, the largest of their slip speeds."""
-    scene, internals = simulation.scene, simulation.state.internals
-    pressure, slip = np.zeros((2, len(simulation.state.x)))
+    pressure, slip = np.zeros((2, len(state.x)))
     for contact in scene.rig.contacts:
         terms = scene.contacts[contact.name]
         shared = bearing_surfaces(contact, terms)
         for term in terms:
             if not isinstance(term, RigidContact | SurfaceContact):
                 continue
-            samples, memory = term.samples, internals[term.name]
+            samples, memory = term.samples, state.internals[term.name]
             alone = np.count_nonzero(samples.weights, axis=1) == 1
             nodes = samples.nodes[np.arange(len(alone)), np.argmax(samples.weights, axis=1)][alone]
             np.maximum.at(slip, nodes, memory["slip_speed"][alone])

@@ -4,12 +4,11 @@ Features: 0..2 the corners, 3..5 the edges 01, 12, 20, 6 the inside of the face.
 Real-Time Collision Detection, sec. 5.1.5.
 """
 
-import taichi as ti
+from sim_core.core import language as lang
+from sim_core.core.language import vec3
 
-from sim_core.kernels import vec3
 
-
-@ti.func
+@lang.func
 def closest_point(p, a, b, c):
     """Barycentric weights of the closest point and the feature that it lies on."""
     ab = b - a
@@ -54,28 +53,28 @@ def closest_point(p, a, b, c):
     return out, feature
 
 
-@ti.func
-def distance_second_derivative(p, y0, y1, y2, b, kind: ti.i32, sign: ti.f64, out: ti.template()):
+@lang.func
+def distance_second_derivative(p, y0, y1, y2, b, kind: lang.i32, sign: lang.f64, out: lang.template()):
     """Write sign * hess |p - sum b_j y_j| minimised over b, as 4 x 4 blocks in (p, y0, y1, y2).
 
     ``kind``: 3 face, 2 edge, 1 corner. ``out``: ``(16, 3, 3)``.
     """
     r = p - (b[0] * y0 + b[1] * y1 + b[2] * y2)
-    d = ti.max(r.norm(), 1e-12)
+    d = lang.max(r.norm(), 1e-12)
     n = r / d
-    c = ti.Vector([1.0, -b[0], -b[1], -b[2]])
+    c = lang.Vector([1.0, -b[0], -b[1], -b[2]])
     # Free directions of the closest point: (e_1, e_2) on a face, one edge direction on an edge.
     e1 = y1 - y0
     e2 = y2 - y0
-    s1 = ti.Vector([0.0, -1.0, 1.0, 0.0])
-    s2 = ti.Vector([0.0, -1.0, 0.0, 1.0])
+    s1 = lang.Vector([0.0, -1.0, 1.0, 0.0])
+    s2 = lang.Vector([0.0, -1.0, 0.0, 1.0])
     if kind == 2:
         if b[0] == 0.0:
             e1 = y2 - y1
-            s1 = ti.Vector([0.0, 0.0, -1.0, 1.0])
+            s1 = lang.Vector([0.0, 0.0, -1.0, 1.0])
         elif b[1] == 0.0:
             e1 = y2 - y0
-            s1 = ti.Vector([0.0, -1.0, 0.0, 1.0])
+            s1 = lang.Vector([0.0, -1.0, 0.0, 1.0])
     a11 = e1.dot(e1)
     a12 = e1.dot(e2)
     a22 = e2.dot(e2)

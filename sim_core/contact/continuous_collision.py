@@ -8,11 +8,10 @@ A path ends where the gap d - offset falls below ``keep`` times that of its star
 the start may part, not come nearer.
 """
 
-import taichi as ti
-
 from sim_core.contact.closest import closest_point
 from sim_core.contact.segments import closest_on_segments
 from sim_core.contact.shapes import signed_distance
+from sim_core.core import language as lang
 
 MOST_ADVANCES = 20000
 ADVANCE = 0.8
@@ -21,27 +20,27 @@ NEAREST_M = 1e-9
 """Gap that primitives which overlap at the start are taken to have."""
 
 
-@ti.func
+@lang.func
 def _point_triangle(p, y0, y1, y2):
     b, _feature = closest_point(p, y0, y1, y2)
     return (p - b[0] * y0 - b[1] * y1 - b[2] * y2).norm()
 
 
-@ti.func
+@lang.func
 def _segments(p0, p1, q0, q1):
     s, t = closest_on_segments(p0, p1, q0, q1)
     return (p0 + s * (p1 - p0) - q0 - t * (q1 - q0)).norm()
 
 
-@ti.func
-def point_triangle_way(p, y0, y1, y2, dp, d0, d1, d2, offset: ti.f64, keep: ti.f64):
+@lang.func
+def point_triangle_way(p, y0, y1, y2, dp, d0, d1, d2, offset: lang.f64, keep: lang.f64):
     """Share of the moves ``dp`` of a point and ``d0, d1, d2`` of a triangle's corners that is free."""
     common = 0.25 * (dp + d0 + d1 + d2)
     a = dp - common
     b0 = d0 - common
     b1 = d1 - common
     b2 = d2 - common
-    reach = a.norm() + ti.max(b0.norm(), ti.max(b1.norm(), b2.norm()))
+    reach = a.norm() + lang.max(b0.norm(), lang.max(b1.norm(), b2.norm()))
     way = 1.0
     distance = _point_triangle(p, y0, y1, y2)
     if distance - offset < reach:
@@ -63,15 +62,15 @@ def point_triangle_way(p, y0, y1, y2, dp, d0, d1, d2, offset: ti.f64, keep: ti.f
     return way
 
 
-@ti.func
-def segments_way(p0, p1, q0, q1, a0, a1, b0, b1, offset: ti.f64, keep: ti.f64):
+@lang.func
+def segments_way(p0, p1, q0, q1, a0, a1, b0, b1, offset: lang.f64, keep: lang.f64):
     """Share of the moves ``a0, a1`` of one segment's ends and ``b0, b1`` of another's that is free."""
     common = 0.25 * (a0 + a1 + b0 + b1)
     c0 = a0 - common
     c1 = a1 - common
     e0 = b0 - common
     e1 = b1 - common
-    reach = ti.max(c0.norm(), c1.norm()) + ti.max(e0.norm(), e1.norm())
+    reach = lang.max(c0.norm(), c1.norm()) + lang.max(e0.norm(), e1.norm())
     way = 1.0
     distance = _segments(p0, p1, q0, q1)
     if distance - offset < reach:
@@ -93,8 +92,8 @@ def segments_way(p0, p1, q0, q1, a0, a1, b0, b1, offset: ti.f64, keep: ti.f64):
     return way
 
 
-@ti.func
-def point_shape_way(y, dy, shape: ti.template(), offset: ti.f64, keep: ti.f64):
+@lang.func
+def point_shape_way(y, dy, shape: lang.template(), offset: lang.f64, keep: lang.f64):
     """Share of the move ``dy`` of a point in the frame of a rigid shape that is free."""
     reach = dy.norm()
     way = 1.0

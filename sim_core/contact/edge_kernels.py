@@ -5,8 +5,6 @@ Pair ``k`` has the ends ``ends[k]`` = (p0, p1, q0, q1), the closest points at ``
 slip [N/m]. ``count[0]``: number of pairs.
 """
 
-import taichi as ti
-
 from sim_core.contact.continuous_collision import segments_way
 from sim_core.contact.pressure_and_friction import (
     GUARD,
@@ -26,16 +24,18 @@ from sim_core.contact.segments import (
     parallel_derivatives,
     segment_second_derivative,
 )
-from sim_core.kernels import F1, F2, F3, I1, I2, add_block, mat3, row
+from sim_core.core import language as lang
+from sim_core.core.language import F1, F2, F3, I1, I2, mat3
+from sim_core.kernels import add_block, row
 
 
-@ti.func
-def _end(x: ti.template(), ends: ti.template(), k: ti.i32, a: ti.template()):
+@lang.func
+def _end(x: lang.template(), ends: lang.template(), k: lang.i32, a: lang.template()):
     return row(x, ends[k, a])
 
 
-@ti.func
-def _apart(x: ti.template(), ends: ti.template(), k: ti.i32, s: ti.f64, t: ti.f64):
+@lang.func
+def _apart(x: lang.template(), ends: lang.template(), k: lang.i32, s: lang.f64, t: lang.f64):
     """Vector between the points at s and t."""
     return (
         (1.0 - s) * _end(x, ends, k, 0)
@@ -45,40 +45,29 @@ def _apart(x: ti.template(), ends: ti.template(), k: ti.i32, s: ti.f64, t: ti.f6
     )
 
 
-@ti.func
-def _across(x: ti.template(), ends: ti.template(), k: ti.i32):
+@lang.func
+def _across(x: lang.template(), ends: lang.template(), k: lang.i32):
     """u x v."""
     u = _end(x, ends, k, 1) - _end(x, ends, k, 0)
     return u.cross(_end(x, ends, k, 3) - _end(x, ends, k, 2))
 
 
-@ti.kernel
-def distances(x: F2, ours: I2, theirs: I2, count: I1, first: I1, second: I1, out: F1):
-    """Distance [m] of pairs of edges."""
-    ti.loop_config(serialize=True)
-    for k in range(count[0]):
-        p0, p1 = row(x, ours[first[k], 0]), row(x, ours[first[k], 1])
-        q0, q1 = row(x, theirs[second[k], 0]), row(x, theirs[second[k], 1])
-        s, t = closest_on_segments(p0, p1, q0, q1)
-        out[k] = (p0 + s * (p1 - p0) - q0 - t * (q1 - q0)).norm()
-
-
-@ti.kernel
+@lang.kernel
 def sides(x: F2, count: I1, ends: I2, side: F1):
     """On which side of the plane along both edges the first one is: the sign of (u x v) . (p - q)."""
-    ti.loop_config(serialize=True)
+    lang.loop_config(serialize=True)
     for k in range(count[0]):
         side[k] = 1.0
         if _across(x, ends, k).dot(_end(x, ends, k, 0) - _end(x, ends, k, 2)) < 0.0:
             side[k] = -1.0
 
 
-@ti.kernel
+@lang.kernel
 def measure(
     x: F2, count: I1, ends: I2, parallel: F1, side: F1, c: F1, at: F2, direction: F2, sign: F1, fade: F2, gap: F1
 ):  # fmt: skip
     """``direction``: gradient of the gap at the first point; ``fade``: mollifier and its slope."""
-    ti.loop_config(serialize=True)
+    lang.loop_config(serialize=True)
     for k in range(count[0]):
         p0, p1, q0, q1 = _end(x, ends, k, 0), _end(x, ends, k, 1), _end(x, ends, k, 2), _end(x, ends, k, 3)
         s, t = closest_on_segments(p0, p1, q0, q1)
@@ -88,30 +77,30 @@ def measure(
         if c[GUARD] == 0.0 and s > 0.0 and s < 1.0 and t > 0.0 and t < 1.0:
             if side[k] * _across(x, ends, k).dot(r) < 0.0:
                 sign[k] = -1.0
-        n = sign[k] * r / ti.max(d, 1e-12)
+        n = sign[k] * r / lang.max(d, 1e-12)
         at[k, 0] = s
         at[k, 1] = t
-        for j in ti.static(range(3)):
+        for j in lang.static(range(3)):
             direction[k, j] = n[j]
         fade[k, 0], fade[k, 1] = mollifier(p0, p1, q0, q1, parallel[k])
         gap[k] = sign[k] * d - c[OFFSET]
 
 
-@ti.kernel
+@lang.kernel
 def free_way(x: F2, move: F2, count: I1, ends: I2, c: F1, keep: F1, way: F1):
     """Shorten ``way`` to the share of ``move`` from ``x`` on that no edge ends at another."""
-    ti.loop_config(serialize=True)
+    lang.loop_config(serialize=True)
     for k in range(count[0]):
         free = segments_way(
             _end(x, ends, k, 0), _end(x, ends, k, 1), _end(x, ends, k, 2), _end(x, ends, k, 3),
             _end(move, ends, k, 0), _end(move, ends, k, 1), _end(move, ends, k, 2), _end(move, ends, k, 3),
             c[OFFSET], keep[0],
         )  # fmt: skip
-        way[0] = ti.min(way[0], free)
+        way[0] = lang.min(way[0], free)
 
 
-@ti.func
-def _weight(at: ti.template(), k: ti.i32, a: ti.i32):
+@lang.func
+def _weight(at: lang.template(), k: lang.i32, a: lang.i32):
     """Weight of the a-th end in the vector between the points."""
     out = 1.0 - at[k, 0]
     if a == 1:
@@ -123,14 +112,14 @@ def _weight(at: ti.template(), k: ti.i32, a: ti.i32):
     return out
 
 
-@ti.kernel
+@lang.kernel
 def frames(x: F2, count: I1, ends: I2, at: F2, out: F2):
     """How the slip moves with the ends: du = sum_a A_a dz_a, ``out[k, 9 a:]``.
 
     The slip is that of p - q beyond h n, the distance along the normal n = u x v / |u x v|, which turns with
     the edges: A_a = w_a 1 - h dn/dz_a. Where an edge ends it has no such frame, and h is taken as zero.
     """
-    ti.loop_config(serialize=True)
+    lang.loop_config(serialize=True)
     for k in range(count[0]):
         s, t = at[k, 0], at[k, 1]
         u = _end(x, ends, k, 1) - _end(x, ends, k, 0)
@@ -140,14 +129,14 @@ def frames(x: F2, count: I1, ends: I2, at: F2, out: F2):
         h = 0.0
         if s > 0.0 and s < 1.0 and t > 0.0 and t < 1.0 and length > 0.0:
             h = n.dot(_apart(x, ends, k, s, t)) / (length * length)
-        for a in ti.static(range(4)):
+        for a in lang.static(range(4)):
             # dn = (du x v + u x dv) / |u x v|, within the tangent plane to which the slip is projected.
             arm = v
-            if ti.static(a > 1):
+            if lang.static(a > 1):
                 arm = -u
-            if ti.static(a == 0 or a == 2):
+            if lang.static(a == 0 or a == 2):
                 arm = -arm
-            for i in ti.static(range(3)):
+            for i in lang.static(range(3)):
                 out[k, 9 * a + 4 * i] = _weight(at, k, a)
             out[k, 9 * a + 1] = -h * arm[2]
             out[k, 9 * a + 2] = h * arm[1]
@@ -157,8 +146,8 @@ def frames(x: F2, count: I1, ends: I2, at: F2, out: F2):
             out[k, 9 * a + 7] = h * arm[0]
 
 
-@ti.func
-def _frame(lag_a: ti.template(), k: ti.i32, a: ti.i32):
+@lang.func
+def _frame(lag_a: lang.template(), k: lang.i32, a: lang.i32):
     b = 9 * a
     return mat3(
         lag_a[k, b], lag_a[k, b + 1], lag_a[k, b + 2],
@@ -167,25 +156,25 @@ def _frame(lag_a: ti.template(), k: ti.i32, a: ti.i32):
     )  # fmt: skip
 
 
-@ti.func
+@lang.func
 def _elastic_slip(
-    x: ti.template(), x_start: ti.template(), ends: ti.template(), lag_a: ti.template(), lag_n: ti.template(),
-    anchor: ti.template(), k: ti.i32,
+    x: lang.template(), x_start: lang.template(), ends: lang.template(), lag_a: lang.template(), lag_n: lang.template(),
+    anchor: lang.template(), k: lang.i32,
 ):  # fmt: skip
     """Elastic slip [m] and projector, of the points that were closest at the start."""
     projector = tangent_projector(row(lag_n, k))
     move = row(anchor, k)
-    for a in ti.static(range(4)):
+    for a in lang.static(range(4)):
         move += _frame(lag_a, k, a) @ (_end(x, ends, k, a) - _end(x_start, ends, k, a))
     return projector @ move, projector
 
 
-@ti.kernel
+@lang.kernel
 def add_energy(
     x: F2, x_start: F2, count: I1, ends: I2, areas: F1, c: F1, limit: F1, spring: F1, lag_a: F2, lag_n: F2, anchor: F2,
     fade: F2, gap: F1, out: F1,
 ):  # fmt: skip
-    ti.loop_config(serialize=True)
+    lang.loop_config(serialize=True)
     for k in range(count[0]):
         e = fade[k, 0] * areas[k] * potential(gap[k], c)
         if limit[k] > 0.0:
@@ -194,13 +183,13 @@ def add_energy(
         out[0] = out[0] + e
 
 
-@ti.kernel
+@lang.kernel
 def add_gradient(
     x: F2, x_start: F2, count: I1, ends: I2, areas: F1, c: F1, limit: F1, spring: F1, lag_a: F2, lag_n: F2, anchor: F2,
     fade: F2, gap: F1, at: F2, direction: F2, load: F1, first: F2, second: F3, out: F2,
 ):  # fmt: skip
     """Also write the normal force of each pair [N]."""
-    ti.loop_config(serialize=True)
+    lang.loop_config(serialize=True)
     for k in range(count[0]):
         load[k] = 0.0
         if gap[k] < c[RANGE]:
@@ -228,13 +217,13 @@ def add_gradient(
                     out[i, j] = out[i, j] + push[j]
 
 
-@ti.kernel
+@lang.kernel
 def add_hessian(
     x: F2, x_start: F2, count: I1, ends: I2, areas: F1, c: F1, limit: F1, spring: F1, lag_a: F2, lag_n: F2, anchor: F2,
     fade: F2, gap: F1, at: F2, direction: F2, sign: F1, parallel: F1, exact: I1, start: I1, column: I1, place: I1,
     first: F2, second: F3, curved: F3, out: F1,
 ):  # fmt: skip
-    ti.loop_config(serialize=True)
+    lang.loop_config(serialize=True)
     for k in range(count[0]):
         touching = gap[k] < c[RANGE]
         if touching or limit[k] > 0.0:
@@ -244,7 +233,7 @@ def add_hessian(
             turning = 0.0
             bending = 0.0
             mixed = 0.0
-            rub = ti.Matrix.zero(ti.f64, 3, 3)
+            rub = lang.Matrix.zero(lang.f64, 3, 3)
             bent = False
             if touching:
                 stiff = fade[k, 0] * areas[k] * slope(gap[k], c)

@@ -27,9 +27,9 @@ friction bound (:mod:`sim_core.contact.added_laws`).
 from collections.abc import Mapping
 
 import numpy as np
-import taichi as ti
 
-from sim_core.kernels import F1, F2, mat3, vec3
+from sim_core.core import language as lang
+from sim_core.core.language import mat3, vec3
 
 STIFFNESS, RANGE, CORE, MU, OFFSET, BLEND, GUARD, REACH = range(8)
 """Layout of the coefficient array of every contact term. ``OFFSET`` [m]: distance at which the gap is zero;
@@ -66,92 +66,47 @@ LAW_OF = {"friction": MU, "stiffness_pa_per_m": STIFFNESS, "range_m": RANGE, "of
 """Places in the law of the numbers that a contact is given by name."""
 
 
-def slide(
-    slip: np.ndarray, normal: np.ndarray, limit: np.ndarray, stiffness: np.ndarray, dt: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return mapping: elastic slip [m] ``(n, 3)`` and slip speed [m/s] ``(n,)`` after a step.
-
-    ``slip``: what it would be without sliding; ``limit`` = mu lambda_n [N]; ``stiffness`` = k A [N/m].
-    """
-    tangential = slip - normal * np.einsum("nj,nj->n", slip, normal)[:, None]
-    length = np.linalg.norm(tangential, axis=1)
-    longest = 2.0 * limit / np.maximum(stiffness, 1e-300)
-    beyond = length > longest
-    shrink = np.where(beyond, longest / np.where(length > 0.0, length, 1.0), 1.0)
-    return tangential * shrink[:, None], np.where(beyond, (length - longest) / dt, 0.0)
-
-
-@ti.func
-def potential(g: ti.f64, c: ti.template()):
+@lang.func
+def potential(g: lang.f64, c: lang.template()):
     """Energy per area [J/m^2]."""
     out = 0.0
     w = c[RANGE]
     s = g / w
     if s < 1.0:
-        e = ti.max(s, c[CORE])
+        e = lang.max(s, c[CORE])
         k = c[STIFFNESS]
-        out = k * w * w * (-ti.log(e) + 2.0 * e - 0.5 * e * e - 1.5)
+        out = k * w * w * (-lang.log(e) + 2.0 * e - 0.5 * e * e - 1.5)
         if s < e:
             over = (e - s) * w
             out += k * over * (w * (1.0 - e) ** 2 / e + 0.5 * over * (1.0 / (e * e) - 1.0))
     return out
 
 
-@ti.func
-def pressure(g: ti.f64, c: ti.template()):
+@lang.func
+def pressure(g: lang.f64, c: lang.template()):
     """Pressure [Pa], not negative."""
     out = 0.0
     w = c[RANGE]
     s = g / w
     if s < 1.0:
-        e = ti.max(s, c[CORE])
+        e = lang.max(s, c[CORE])
         out = c[STIFFNESS] * w * ((1.0 - e) ** 2 / e + (e - s) * (1.0 / (e * e) - 1.0))
     return out
 
 
-@ti.func
-def slope(g: ti.f64, c: ti.template()):
+@lang.func
+def slope(g: lang.f64, c: lang.template()):
     """-dp/dg [Pa/m], not negative."""
     out = 0.0
     s = g / c[RANGE]
     if s < 1.0:
-        e = ti.max(s, c[CORE])
+        e = lang.max(s, c[CORE])
         out = c[STIFFNESS] * (1.0 / (e * e) - 1.0)
     return out
 
 
-@ti.kernel
-def _evaluate(gap: F1, c: F1, out: F2):
-    ti.loop_config(serialize=True)
-    for s in range(gap.shape[0]):
-        out[s, 0] = potential(gap[s], c)
-        out[s, 1] = pressure(gap[s], c)
-        out[s, 2] = slope(gap[s], c)
-
-
-def normal_law(c: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Energy per area [J/m^2], pressure [Pa] and -dp/dg [Pa/m] at gaps [m] ``(n,)``."""
-    out = np.zeros((len(gap), 3))
-    if len(gap):
-        _evaluate(np.ascontiguousarray(gap), c, out)
-    return out[:, 0], out[:, 1], out[:, 2]
-
-
-def by_range(c: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of energy per area [J/m^3] and pressure [Pa/m] by the range w at gaps [m] ``(n,)``, the stiffness
-    held: with e the larger of s and the core,
-
-        dpsi/dw = 2 k w (-ln e - 1 + e) + 2 k w (e - s) (1 - e)/e,    dp/dw = 2 k (1 - e)/e
-    """
-    s = gap / c[RANGE]
-    e = np.clip(s, c[CORE], 1.0)
-    steep = 2.0 * c[STIFFNESS] * (1.0 - e) / e
-    stored = 2.0 * c[STIFFNESS] * c[RANGE] * (e - 1.0 - np.log(e))
-    return stored + np.maximum(e - s, 0.0) * c[RANGE] * steep, steep
-
-
-@ti.func
-def friction_potential(u, limit: ti.f64, stiffness: ti.f64):
+@lang.func
+def friction_potential(u, limit: lang.f64, stiffness: lang.f64):
     """Energy [J] of the elastic slip u [m]; ``limit`` = mu lambda_n [N], ``stiffness`` = k A [N/m]."""
     length = u.norm()
     longest = 2.0 * limit / stiffness
@@ -161,8 +116,8 @@ def friction_potential(u, limit: ti.f64, stiffness: ti.f64):
     return out
 
 
-@ti.func
-def friction_force(u, limit: ti.f64, stiffness: ti.f64):
+@lang.func
+def friction_force(u, limit: lang.f64, stiffness: lang.f64):
     """dD/du [N]."""
     length = u.norm()
     longest = 2.0 * limit / stiffness
@@ -172,8 +127,8 @@ def friction_force(u, limit: ti.f64, stiffness: ti.f64):
     return out
 
 
-@ti.func
-def friction_stiffness(u, limit: ti.f64, stiffness: ti.f64, projector):
+@lang.func
+def friction_stiffness(u, limit: lang.f64, stiffness: lang.f64, projector):
     """d2D/du2 [N/m] within the tangent plane of ``projector``; positive semidefinite."""
     length = u.norm()
     longest = 2.0 * limit / stiffness
@@ -189,6 +144,6 @@ def friction_stiffness(u, limit: ti.f64, stiffness: ti.f64, projector):
     return out
 
 
-@ti.func
+@lang.func
 def tangent_projector(n):
     return mat3(1, 0, 0, 0, 1, 0, 0, 0, 1) - vec3(n[0], n[1], n[2]).outer_product(n)

@@ -9,13 +9,13 @@ Detection, sec. 5.1.9. The distance d has a kink where the segments are parallel
 held by their corners and faces.
 """
 
-import taichi as ti
+from sim_core.core import language as lang
 
 PARALLEL = 1e-3
 """Squared sine of the angle below which the energy of two edges fades."""
 
 
-@ti.func
+@lang.func
 def closest_on_segments(p0, p1, q0, q1):
     """Parameters s, t in [0, 1] of the closest points p0 + s u and q0 + t v."""
     u = p1 - p0
@@ -29,19 +29,19 @@ def closest_on_segments(p0, p1, q0, q1):
     den = a * e - b * b
     s = 0.0
     if den > 1e-14 * a * e:
-        s = ti.min(1.0, ti.max(0.0, (b * f - c * e) / den))
+        s = lang.min(1.0, lang.max(0.0, (b * f - c * e) / den))
     t = (b * s + f) / e
     if t < 0.0:
         t = 0.0
-        s = ti.min(1.0, ti.max(0.0, -c / a))
+        s = lang.min(1.0, lang.max(0.0, -c / a))
     elif t > 1.0:
         t = 1.0
-        s = ti.min(1.0, ti.max(0.0, (b - c) / a))
+        s = lang.min(1.0, lang.max(0.0, (b - c) / a))
     return s, t
 
 
-@ti.func
-def mollifier(p0, p1, q0, q1, e: ti.f64):
+@lang.func
+def mollifier(p0, p1, q0, q1, e: lang.f64):
     """m and dm/dc."""
     c = (p1 - p0).cross(q1 - q0).norm_sqr()
     m = 1.0
@@ -52,21 +52,21 @@ def mollifier(p0, p1, q0, q1, e: ti.f64):
     return m, slope
 
 
-@ti.func
-def segment_second_derivative(p0, p1, q0, q1, s: ti.f64, t: ti.f64, out: ti.template()):
+@lang.func
+def segment_second_derivative(p0, p1, q0, q1, s: lang.f64, t: lang.f64, out: lang.template()):
     """Write the second derivative of the distance [1/m] as 4 x 4 blocks ``(16, 3, 3)`` in (p0, p1, q0, q1).
 
     With r = sum c_i z_i minimised over the free parameters b, E = |r|^2 / 2:
     hess d = (E_zz - E_zb E_bb^-1 E_bz - n n^T) / d,  n = r / d.
     """
-    c = ti.Vector([1.0 - s, s, t - 1.0, -t])
+    c = lang.Vector([1.0 - s, s, t - 1.0, -t])
     r = c[0] * p0 + c[1] * p1 + c[2] * q0 + c[3] * q1
-    d = ti.max(r.norm(), 1e-12)
+    d = lang.max(r.norm(), 1e-12)
     n = r / d
     e1 = p1 - p0
     e2 = q0 - q1
-    s1 = ti.Vector([-1.0, 1.0, 0.0, 0.0])
-    s2 = ti.Vector([0.0, 0.0, 1.0, -1.0])
+    s1 = lang.Vector([-1.0, 1.0, 0.0, 0.0])
+    s2 = lang.Vector([0.0, 0.0, 1.0, -1.0])
     a11 = e1.dot(e1)
     a12 = e1.dot(e2)
     a22 = e2.dot(e2)
@@ -76,7 +76,7 @@ def segment_second_derivative(p0, p1, q0, q1, s: ti.f64, t: ti.f64, out: ti.temp
     i12 = 0.0
     i22 = 0.0
     if free_s and free_t:
-        det = ti.max(a11 * a22 - a12 * a12, 1e-14 * a11 * a22)
+        det = lang.max(a11 * a22 - a12 * a12, 1e-14 * a11 * a22)
         i11 = a22 / det
         i12 = -a12 / det
         i22 = a11 / det
@@ -100,8 +100,8 @@ def segment_second_derivative(p0, p1, q0, q1, s: ti.f64, t: ti.f64, out: ti.temp
                     out[4 * k + w, i, j] = value / d
 
 
-@ti.func
-def parallel_derivatives(p0, p1, q0, q1, first: ti.template(), second: ti.template()):
+@lang.func
+def parallel_derivatives(p0, p1, q0, q1, first: lang.template(), second: lang.template()):
     """Write dc/dz ``(4, 3)`` and d2c/dz2 as 4 x 4 blocks ``(16, 3, 3)``, c = |u x v|^2, z = (p0, p1, q0, q1)."""
     u = p1 - p0
     v = q1 - q0
@@ -110,8 +110,8 @@ def parallel_derivatives(p0, p1, q0, q1, first: ti.template(), second: ti.templa
     uv = u.dot(v)
     du = 2.0 * vv * u - 2.0 * uv * v
     dv = 2.0 * uu * v - 2.0 * uv * u
-    one = ti.Vector([-1.0, 1.0, 0.0, 0.0])
-    two = ti.Vector([0.0, 0.0, -1.0, 1.0])
+    one = lang.Vector([-1.0, 1.0, 0.0, 0.0])
+    two = lang.Vector([0.0, 0.0, -1.0, 1.0])
     for k in range(4):
         for i in range(3):
             first[k, i] = one[k] * du[i] + two[k] * dv[i]

@@ -11,20 +11,19 @@ cylinder: R, H, r; box: h_1, h_2, h_3, r. The distance is exact outside of the c
 nearest face inside of it.
 """
 
-import taichi as ti
-
-from sim_core.kernels import mat3, vec3
+from sim_core.core import language as lang
+from sim_core.core.language import mat3, vec3
 
 HALF_SPACE, SPHERE, CYLINDER, BOX = range(4)
 
 
-@ti.func
-def _finish(core, inside_depth: ti.f64, inside_normal, active, r: ti.f64):
+@lang.func
+def _finish(core, inside_depth: lang.f64, inside_normal, active, r: lang.f64):
     """Distance, normal, curvature from the vector to the core (``core``) or the depth inside of it."""
     length = core.norm()
     distance = inside_depth - r
     normal = inside_normal
-    second = ti.Matrix.zero(ti.f64, 3, 3)
+    second = lang.Matrix.zero(lang.f64, 3, 3)
     if length > 0.0:
         distance = length - r
         normal = core / length
@@ -32,22 +31,22 @@ def _finish(core, inside_depth: ti.f64, inside_normal, active, r: ti.f64):
     return distance, normal, second
 
 
-@ti.func
-def signed_distance(y, shape: ti.template()):
+@lang.func
+def signed_distance(y, shape: lang.template()):
     """Signed distance [m], unit gradient, second derivative [1/m] at y [m] in the body frame."""
     distance = y[2]
     normal = vec3(0.0, 0.0, 1.0)
-    second = ti.Matrix.zero(ti.f64, 3, 3)
-    kind = ti.cast(shape[0], ti.i32)
-    if kind == ti.static(SPHERE):
+    second = lang.Matrix.zero(lang.f64, 3, 3)
+    kind = lang.cast(shape[0], lang.i32)
+    if kind == lang.static(SPHERE):
         identity = mat3(1, 0, 0, 0, 1, 0, 0, 0, 1)
         distance, normal, second = _finish(y, 0.0, vec3(0.0, 0.0, 1.0), identity, shape[1])
-    elif kind == ti.static(BOX):
+    elif kind == lang.static(BOX):
         core = vec3(0.0, 0.0, 0.0)
-        active = ti.Matrix.zero(ti.f64, 3, 3)
+        active = lang.Matrix.zero(lang.f64, 3, 3)
         depth = -1e30
         face = vec3(0.0, 0.0, 1.0)
-        for i in ti.static(range(3)):
+        for i in lang.static(range(3)):
             side = 1.0
             if y[i] < 0.0:
                 side = -1.0
@@ -60,8 +59,8 @@ def signed_distance(y, shape: ti.template()):
                 face = vec3(0.0, 0.0, 0.0)
                 face[i] = side
         distance, normal, second = _finish(core, depth, face, active, shape[4])
-    elif kind == ti.static(CYLINDER):
-        rho = ti.sqrt(y[0] * y[0] + y[1] * y[1])
+    elif kind == lang.static(CYLINDER):
+        rho = lang.sqrt(y[0] * y[0] + y[1] * y[1])
         radial = vec3(1.0, 0.0, 0.0)
         if rho > 0.0:
             radial = vec3(y[0] / rho, y[1] / rho, 0.0)
@@ -72,8 +71,8 @@ def signed_distance(y, shape: ti.template()):
         over_r = rho - (shape[1] - shape[3])
         over_z = side * y[2] - (shape[2] - shape[3])
         core = vec3(0.0, 0.0, 0.0)
-        active = ti.Matrix.zero(ti.f64, 3, 3)
-        hoop = ti.Matrix.zero(ti.f64, 3, 3)
+        active = lang.Matrix.zero(lang.f64, 3, 3)
+        hoop = lang.Matrix.zero(lang.f64, 3, 3)
         if over_z > 0.0:
             core += over_z * axial
             active += axial.outer_product(axial)

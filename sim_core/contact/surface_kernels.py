@@ -4,8 +4,6 @@ A sample ``s`` has the nodes ``own[s, :used[s]]`` with ``weights[s]`` and the ca
 ``near[first[s]:first[s + 1]]``; ``side``: of each candidate on which the sample was at the start of the step.
 """
 
-import taichi as ti
-
 from sim_core.contact.closest import distance_second_derivative
 from sim_core.contact.pressure_and_friction import (
     BLEND,
@@ -22,7 +20,9 @@ from sim_core.contact.pressure_and_friction import (
     tangent_projector,
 )
 from sim_core.contact.surface_geometry import closest_on, sample_at
-from sim_core.kernels import F1, F2, F3, I1, I2, add_block, mat3, row, vec3
+from sim_core.core import language as lang
+from sim_core.core.language import F1, F2, F3, I1, I2, mat3, vec3
+from sim_core.kernels import add_block, row
 
 MOST = 12
 """Triangles that may share in the gap of one sample."""
@@ -34,7 +34,7 @@ ASIDE = (4.1e-15, 7.3e-15, 5.5e-15)
 are those of neither side, and what is symmetric stands there."""
 
 
-@ti.kernel
+@lang.kernel
 def measure(
     x: F2, own: I2, used: I1, weights: F2, triangles: I2, border: I2, first: I1, near: I1, normals: F2, side: F1,
     c: F1, number: I1, chosen: I2, at: F2, direction: F2, share: F2, kind: I2, distance: F2, sign: F1, gap: F1,
@@ -44,7 +44,7 @@ def measure(
     ``number``: of them; ``at``, ``direction``: three columns for each, barycentric weights and gradient of
     its own gap; ``kind``: 3 face, 2 edge, 1 corner; ``sign``: of the distance.
     """
-    ti.loop_config(serialize=True)
+    lang.loop_config(serialize=True)
     for s in range(weights.shape[0]):
         number[s] = 0
         gap[s] = FAR
@@ -116,14 +116,14 @@ def measure(
             # Counted from the nearest: the shares sum to one only but for round-off over the width.
             smooth = distance[s, 0] - 0.5 * c[BLEND]
             for m in range(number[s]):
-                w = ti.max(0.0, (level - distance[s, m]) / c[BLEND])
+                w = lang.max(0.0, (level - distance[s, m]) / c[BLEND])
                 share[s, m] = w
                 smooth += w * (distance[s, m] - distance[s, 0]) + 0.5 * c[BLEND] * w * w
             gap[s] = sign[s] * smooth - c[OFFSET]
 
 
-@ti.func
-def _frame(lag_a: ti.template(), s: ti.i32, j: ti.i32):
+@lang.func
+def _frame(lag_a: lang.template(), s: lang.i32, j: lang.i32):
     b = 9 * j
     return mat3(
         lag_a[s, b], lag_a[s, b + 1], lag_a[s, b + 2],
@@ -132,11 +132,11 @@ def _frame(lag_a: ti.template(), s: ti.i32, j: ti.i32):
     )  # fmt: skip
 
 
-@ti.func
+@lang.func
 def _elastic_slip(
-    x: ti.template(), x_start: ti.template(), own: ti.template(), used: ti.template(), weights: ti.template(),
-    triangles: ti.template(), lag: ti.template(), lag_a: ti.template(), lag_n: ti.template(),
-    anchor: ti.template(), s: ti.i32,
+    x: lang.template(), x_start: lang.template(), own: lang.template(), used: lang.template(), weights: lang.template(),
+    triangles: lang.template(), lag: lang.template(), lag_a: lang.template(), lag_n: lang.template(),
+    anchor: lang.template(), s: lang.i32,
 ):  # fmt: skip
     """Elastic slip [m] and projector, against the frame of the triangle under the sample at the start."""
     move = sample_at(x, own, used, weights, s) - sample_at(x_start, own, used, weights, s)
@@ -147,12 +147,12 @@ def _elastic_slip(
     return t @ (row(anchor, s) + move), t
 
 
-@ti.kernel
+@lang.kernel
 def add_energy(
     x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_a: F2,
     lag_n: F2, anchor: F2, gap: F1, added: F2, out: F1,
 ):  # fmt: skip
-    ti.loop_config(serialize=True)
+    lang.loop_config(serialize=True)
     for s in range(weights.shape[0]):
         e = areas[s] * (potential(gap[s], c) + added[s, 0])
         if limit[s] > 0.0:
@@ -161,14 +161,14 @@ def add_energy(
         out[0] = out[0] + e
 
 
-@ti.kernel
+@lang.kernel
 def add_gradient(
     x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_a: F2,
     lag_n: F2, anchor: F2, gap: F1, added: F2, number: I1, chosen: I2, at: F2, direction: F2, share: F2,
     force: F2, load: F1, out: F2,
 ):  # fmt: skip
     """Also write the force on each sample [N] and the part of it that keeps the surfaces apart [N]."""
-    ti.loop_config(serialize=True)
+    lang.loop_config(serialize=True)
     for s in range(weights.shape[0]):
         load[s] = areas[s] * pressure(gap[s], c)
         for j in range(3):
@@ -199,12 +199,18 @@ def add_gradient(
                     out[own[s, a], j] = out[own[s, a], j] - weights[s, a] * force[s, j]
 
 
-@ti.func
+@lang.func
 def _participant(
-    own: ti.template(), weights: ti.template(), triangles: ti.template(), s: ti.i32, t: ti.i32, a: ti.i32, count: ti.i32
+    own: lang.template(),
+    weights: lang.template(),
+    triangles: lang.template(),
+    s: lang.i32,
+    t: lang.i32,
+    a: lang.i32,
+    count: lang.i32,
 ):
     """Node, block of the second derivative, and weight in it of the a-th of ``count + 3`` participants."""
-    node = triangles[t, ti.max(a - count, 0)]
+    node = triangles[t, lang.max(a - count, 0)]
     block = a - count + 1
     weight = 1.0
     if a < count:
@@ -214,16 +220,18 @@ def _participant(
     return node, block, weight
 
 
-@ti.func
-def _node(own: ti.template(), triangles: ti.template(), chosen: ti.template(), s: ti.i32, a: ti.i32, count: ti.i32):
+@lang.func
+def _node(
+    own: lang.template(), triangles: lang.template(), chosen: lang.template(), s: lang.i32, a: lang.i32, count: lang.i32
+):
     """Node of the a-th participant: ``count`` own, then the corners of each triangle that shares in the gap."""
-    node = own[s, ti.min(a, count - 1)]
+    node = own[s, lang.min(a, count - 1)]
     if a >= count:
         node = triangles[chosen[s, (a - count) // 3], (a - count) % 3]
     return node
 
 
-@ti.kernel
+@lang.kernel
 def add_hessian(
     x: F2, x_start: F2, own: I2, used: I1, weights: F2, triangles: I2, areas: F1, c: F1, limit: F1, lag: I2, lag_a: F2,
     lag_n: F2, anchor: F2, gap: F1, added: F2, number: I1, chosen: I2, at: F2, direction: F2, share: F2, kind: I2,
@@ -232,7 +240,7 @@ def add_hessian(
     """``slopes``: scratch, gradients of the gap of each triangle with respect to all participants (own nodes,
     then the corners of each triangle), the last row their mean with their shares; ``second``: scratch,
     blocks (4 x 4) of the second derivative of a gap in (p, y0, y1, y2) [1/m]."""
-    ti.loop_config(serialize=True)
+    lang.loop_config(serialize=True)
     for s in range(weights.shape[0]):
         count = used[s]
         if gap[s] < c[REACH]:
@@ -240,7 +248,7 @@ def add_hessian(
             load = areas[s] * (pressure(gap[s], c) + added[s, 1])
             stiff = areas[s] * (slope(gap[s], c) + added[s, 2])
             if exact[0] == 0:
-                stiff = ti.max(stiff, 0.0)
+                stiff = lang.max(stiff, 0.0)
             members = 0
             for a in range(total):
                 for r in range(3):
@@ -267,7 +275,7 @@ def add_hessian(
                 i = _node(own, triangles, chosen, s, a, count)
                 for d in range(a, total):
                     j = _node(own, triangles, chosen, s, d, count)
-                    h = ti.Matrix.zero(ti.f64, 3, 3)
+                    h = lang.Matrix.zero(lang.f64, 3, 3)
                     for r in range(3):
                         for q in range(3):
                             h[r, q] = stiff * slopes[MOST, a, r] * slopes[MOST, d, q]
@@ -291,7 +299,7 @@ def add_hessian(
                             i, qa, wa = _participant(own, weights, triangles, s, t, a, count)
                             for d in range(a, count + 3):
                                 j, qd, wd = _participant(own, weights, triangles, s, t, d, count)
-                                h = ti.Matrix.zero(ti.f64, 3, 3)
+                                h = lang.Matrix.zero(lang.f64, 3, 3)
                                 for r in range(3):
                                     for q in range(3):
                                         h[r, q] = -load * share[s, m] * wa * wd * second[4 * qa + qd, r, q]

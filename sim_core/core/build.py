@@ -29,6 +29,8 @@ LAWS = (
     "sim_core.contact.shapes",
     "sim_core.contact.surface_geometry",
     "sim_core.contact.surface_kernels",
+    "sim_core.energies.air_drag",
+    "sim_core.energies.pressure",
     "sim_core.energies.dihedral",
     "sim_core.energies.membrane",
     "sim_core.energies.neo_hookean_kernels",
@@ -62,10 +64,13 @@ def sources() -> list[Path]:
 
 def library_name(laws: str) -> str:
     """File name of the library for these sources, the lowered ``laws`` and this processor."""
-    digest = hashlib.sha256("\0".join([*FLAGS, *target(), laws]).encode())
-    for path in sources():
-        digest.update(path.name.encode() + path.read_bytes())
-    return f"thinshell_core_{digest.hexdigest()[:16]}.so"
+    texts = [path.name + path.read_text(encoding="utf-8") for path in sources()]
+    return f"thinshell_core_{digest_of(laws, *texts)}.so"
+
+
+def digest_of(*texts: str) -> str:
+    """Hash of what is compiled, and of how."""
+    return hashlib.sha256("\0".join([*FLAGS, *target(), *texts]).encode()).hexdigest()[:16]
 
 
 def cache_folder() -> Path:

@@ -1,20 +1,22 @@
 """Numbers with their first and second derivatives, as arrays: :file:`include/dual.hpp` for numpy.
 
 A :class:`Jet` has the value ``v`` ``(n,)``, the derivatives ``d`` ``(k, n)`` in k directions and the second ones ``h``
-``(k (k + 1) / 2, n)``, of which the pairs (i, j), j <= i, stand row by row. Comparisons are those of values.
+``(k (k + 1) / 2, n)``, of which the pairs (i, j), j <= i, stand row by row. Comparisons are those of values. Where a
+law branches by one (:class:`Truth`), points go on in two groups (:func:`at_points`).
 """
 
 from __future__ import annotations
 
 import functools
 import math
+import operator
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-__all__ = ["NAMES", "Jet"]
+__all__ = ["NAMES", "Jet", "Tensor", "Vector", "at_points"]
 
 Array = np.ndarray
 
@@ -22,6 +24,44 @@ Array = np.ndarray
 @functools.cache
 def _pairs(k: int) -> tuple[Array, Array]:
     return np.tril_indices(k)
+
+
+class Branches(Exception):
+    """A law takes one way at some points, ``where`` ``(n,)``, and another at the rest."""
+
+    def __init__(self, where: Array) -> None:
+        super().__init__()
+        self.where = where
+
+
+class Truth(np.ndarray):
+    """Which of the points a comparison holds at; as the condition of a branch it is that of all of them, or raises
+    :class:`Branches`."""
+
+    def __bool__(self) -> bool:
+        plain = np.asarray(self)
+        if plain.all() or not plain.any():
+            return bool(plain.all())
+        raise Branches(plain)
+
+
+def at_points(function: Callable[[Array], list[Array]], count: int) -> list[Array]:
+    """Arrays ``(..., count)`` that a function makes of all points. It is given some of them at once, by their numbers
+    ``(n,)``: those that take the same way, or one by one where it branches by integers."""
+
+    def of(points: Array) -> list[Array]:
+        try:
+            return function(points)
+        except Branches as branches:
+            groups = [points[branches.where], points[~branches.where]]
+        except ValueError:  # the truth of an array of integers
+            if len(points) == 1:
+                raise
+            groups = [points[:1], points[1:]]
+        order = np.argsort(np.concatenate(groups))
+        return [np.concatenate(each, axis=-1)[..., order] for each in zip(*map(of, groups), strict=True)]
+
+    return of(np.arange(count))
 
 
 class Jet:
@@ -39,6 +79,11 @@ class Jet:
         k = len(values)
         none = np.zeros((k * (k + 1) // 2, 1))
         return [cls(v, e[:, None], none) for v, e in zip(values, np.eye(k), strict=True)]
+
+    @property
+    def parts(self) -> list[Array]:
+        """Value and derivatives."""
+        return [self.v, self.d, self.h]
 
     def second(self, i: int, j: int) -> Array:
         """Second derivative in two directions ``(n,)``."""
@@ -68,7 +113,9 @@ class Jet:
     def __rsub__(self, other: Any) -> Jet:
         return self._with(other) - self
 
-    def __mul__(self, other: Any) -> Jet:
+    def __mul__(self, other: Any) -> Any:
+        if isinstance(other, Tensor):
+            return NotImplemented
         b = self._with(other)
         i, j = _pairs(len(self.d))
         mixed = self.d[i] * b.d[j] + self.d[j] * b.d[i]
@@ -78,7 +125,8 @@ class Jet:
 
     def __truediv__(self, other: Any) -> Jet:
         b = self._with(other)
-        return self * b.chain(1.0 / b.v, -1.0 / b.v**2, 2.0 / b.v**3)
+        quotient: Jet = self * b.chain(1.0 / b.v, -1.0 / b.v**2, 2.0 / b.v**3)
+        return quotient
 
     def __rtruediv__(self, other: Any) -> Jet:
         return self._with(other) / self
@@ -101,26 +149,77 @@ class Jet:
         return self - self._with((self // other) * other)
 
     def __lt__(self, other: Any) -> Any:
-        return self.v < _value(other)
+        return _truth(self.v < _value(other))
 
     def __le__(self, other: Any) -> Any:
-        return self.v <= _value(other)
+        return _truth(self.v <= _value(other))
 
     def __gt__(self, other: Any) -> Any:
-        return self.v > _value(other)
+        return _truth(self.v > _value(other))
 
     def __ge__(self, other: Any) -> Any:
-        return self.v >= _value(other)
+        return _truth(self.v >= _value(other))
 
     def __eq__(self, other: object) -> Any:
-        return self.v == _value(other)
+        return _truth(self.v == _value(other))
 
     def __ne__(self, other: object) -> Any:
-        return self.v != _value(other)
+        return _truth(self.v != _value(other))
+
+
+class Tensor:
+    """A vector or matrix of jets and numbers, as far as laws use them."""
+
+    def __init__(self, entries: list[Any], shape: tuple[int, ...]) -> None:
+        self.entries, self.shape = entries, shape
+
+    def _each(self, function: Callable[..., Any], *others: Any) -> Tensor:
+        parts = (o.entries if isinstance(o, Tensor) else [o] * len(self.entries) for o in others)
+        return Tensor([function(*each) for each in zip(self.entries, *parts, strict=True)], self.shape)
+
+    def __getitem__(self, at: Any) -> Any:
+        return self.entries[at if isinstance(at, int) else at[0] * self.shape[1] + at[1]]
+
+    def __add__(self, other: Any) -> Tensor:
+        return self._each(operator.add, other)
+
+    def __sub__(self, other: Any) -> Tensor:
+        return self._each(operator.sub, other)
+
+    def __neg__(self) -> Tensor:
+        return self._each(operator.neg)
+
+    def __mul__(self, other: Any) -> Tensor:
+        return self._each(operator.mul, other)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Tensor:
+        return self._each(operator.truediv, other)
+
+    def __matmul__(self, other: Tensor) -> Tensor:
+        rows, columns = self.shape[0], self.shape[1]
+        row = (Tensor(self.entries[columns * i : columns * (i + 1)], other.shape) for i in range(rows))
+        return Tensor([r.dot(other) for r in row], other.shape)
+
+    def dot(self, other: Tensor) -> Any:
+        """Sum of the products of the entries."""
+        return functools.reduce(operator.add, (self * other).entries)
+
+
+class Vector(Tensor):
+    """A vector that a law makes of numbers."""
+
+    def __init__(self, entries: list[Any]) -> None:
+        super().__init__(entries, (len(entries),))
 
 
 def _value(x: Any) -> Any:
     return x.v if isinstance(x, Jet) else x
+
+
+def _truth(found: Any) -> Any:
+    return np.asarray(found).view(Truth)
 
 
 def _select(which: Any, yes: Any, no: Any) -> Any:
@@ -164,6 +263,7 @@ NAMES: dict[str, Any] = {
     "abs": _of(lambda x: (np.abs(x), np.where(x < 0.0, -1.0, 1.0), 0.0)),
     "sqrt": _of(_sqrt),
     "exp": _of(lambda x: (f := np.exp(x), f, f)),
+    "expm1": _of(lambda x: (np.expm1(x), f := np.exp(x), f)),
     "log": _of(lambda x: (np.log(x), 1.0 / x, -1.0 / x**2)),
     "sin": _of(lambda x: (np.sin(x), np.cos(x), -np.sin(x))),
     "cos": _of(lambda x: (np.cos(x), -np.sin(x), -np.cos(x))),

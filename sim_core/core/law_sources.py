@@ -46,8 +46,8 @@ class Source:
 
     @property
     def laws(self) -> list[str]:
-        """Its functions that Taichi runs."""
-        return [name for name, node in self.functions.items() if decorators(node) & {"ti.func", "ti.kernel"}]
+        """Its functions that are declared as laws."""
+        return [name for name, node in self.functions.items() if decorators(node) & {"lang.func", "lang.kernel"}]
 
 
 class Sources:

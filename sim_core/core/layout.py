@@ -10,10 +10,12 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from sim_core.contact.rigid import RigidContact
+from sim_core.core.mechanics import Mechanics
+from sim_core.energies.affine import AffineShape
 from sim_core.energies.bending import Bending
+from sim_core.energies.guide import Guide
 from sim_core.energies.membrane import Membrane
 from sim_core.energies.neo_hookean import NeoHookean
-from sim_core.scene.scene import Scene
 from sim_core.solve.system import System
 
 
@@ -34,7 +36,7 @@ class Layout:
 _known: WeakKeyDictionary[System, Layout] = WeakKeyDictionary()
 
 
-def layout_of(scene: Scene) -> Layout:
+def layout_of(scene: Mechanics) -> Layout:
     """The layout of a scene whose terms the core has elements for."""
     system = scene.system
     if system not in _known:
@@ -66,28 +68,36 @@ def _members(groups: np.ndarray, count: int) -> sp.csr_matrix:
 
 
 def _coupled_nodes(
-    scene: Scene,
+    scene: Mechanics,
     membranes: list[Membrane],
     bendings: list[Bending],
     gels: list[NeoHookean],
     pattern: sp.csr_matrix,
 ) -> sp.csr_matrix:
     """Nodes that the Hessian couples, ``(n, n)``."""
-    count = len(scene.rest)
+    count = len(scene.system.nodes)
     groups = [t.triangles for t in membranes] + [t.tets for t in gels]
+    groups += [t.control for t in scene.system.terms if isinstance(t, AffineShape)]
+    groups += [t.nodes[None] for t in scene.system.terms if isinstance(t, Guide)]
     groups += [t.samples.nodes for t in scene.system.terms if isinstance(t, RigidContact)]
     graph = sp.csr_matrix(scene.system.mass != 0, dtype=float)
     for group in groups:
         graph = graph + _members(group, count).T @ _members(group, count)
     hinges = _members(np.vstack([t.hinge_nodes for t in bendings] or [np.empty((0, 4), dtype=int)]), count)
-    return sp.csr_matrix(graph + hinges.T @ pattern @ hinges)
+    graph = sp.csr_matrix(graph + hinges.T @ pattern @ hinges)
+    if scene.system.embedding is None:
+        return graph
+    through = abs(scene.system.embedding.matrix())
+    return sp.csr_matrix(through.T @ graph @ through)
 
 
-def _ranks(scene: Scene, graph: sp.csr_matrix) -> tuple[np.ndarray, float]:
+def _ranks(scene: Mechanics, graph: sp.csr_matrix) -> tuple[np.ndarray, float]:
     """Along the body or by reverse Cuthill-McKee (Cuthill & McKee, Proc. 24th ACM Natl. Conf., 1969), whichever makes
     the narrower factor."""
     free = np.asarray(~scene.system.prescribed.all(axis=1))
-    middle = scene.rest - scene.rest[free].mean(axis=0) if free.any() else scene.rest
+    if scene.system.embedding is not None:
+        free[scene.system.embedding.nodes] = False
+    middle = scene.system.nodes - scene.system.nodes[free].mean(axis=0) if free.any() else scene.system.nodes
     along = np.linalg.svd(middle[free], full_matrices=False)[2][0] if free.any() else np.eye(3)[0]
     found = []
     for order in (np.argsort(middle @ along, kind="stable"), reverse_cuthill_mckee(graph, symmetric_mode=True)):

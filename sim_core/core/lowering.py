@@ -1,19 +1,20 @@
-"""Lower the laws, Taichi functions in restricted Python, to a C++ header.
+"""Lower the laws, functions in restricted Python (:mod:`sim_core.core.language`), to a C++ header.
 
-A law is written once. Taichi executes it as the reference; this module translates the same source text, without
-importing Taichi or anything else, to templates in ``namespace thinshell::laws::<module>`` that are instantiated with
-``double``, ``float`` and dual numbers (``include/small.hpp``, ``include/dual.hpp``). Translation is syntax by syntax:
+A law is written once. This module translates its source text, without importing it, to templates in ``namespace
+thinshell::laws::<module>`` that are instantiated with ``double``, ``float`` and dual numbers (``include/small.hpp``,
+``include/dual.hpp``). Translation is syntax by syntax:
 
 | Python | C++ |
 | --- | --- |
-| a function of x, y | ``template <class A0, class A1> auto f(const A0 x, const A1 y)``; ``ti.template()``: ``A0 &&x`` |
+| a function of x, y | ``template <class A0, class A1> auto f(const A0 x, const A1 y)`` |
+| an argument ``lang.template()`` | ``A0 &&x`` |
 | a variable assigned once | ``const auto`` |
 | a variable that changes | ``auto``, real numbers in S, the common scalar of all arguments |
 | ``c[i]``, ``c[t, i, j]`` | ``c[i]``, ``c(t, i, j)`` |
-| ``ti.static(range(3))``; over a tuple of numbers | a loop to unroll; one block for each |
+| ``lang.static(range(3))``; over a tuple of numbers | a loop to unroll; one block for each |
 | ``return a, b`` | ``tuple_of(a, b)`` |
 
-Variables live in the block in which they are assigned first, as in Taichi. Constants of modules become numbers. What
+Variables live in the block in which they are assigned first. Constants of modules become numbers. What
 cannot be translated raises :class:`LoweringError` with function, line and remedy.
 """
 
@@ -80,13 +81,15 @@ class Library(Sources):
 
 
 class Function(Expressions):
-    """One function in C++. ``written``: numbers of the arguments that it writes to."""
+    """One function in C++. ``written``: numbers of the arguments that it writes to; ``branches``: whether what it does
+    depends on its numbers otherwise than by ``max``, ``min``, ``abs`` and ``x if c else y``."""
 
     def __init__(self, library: Library, source: Source, node: ast.FunctionDef) -> None:
         super().__init__(library, source, node)
         self.library, self.name = library, cpp_name(node.name)
-        self.kernel = "ti.kernel" in decorators(node)
+        self.kernel = "lang.kernel" in decorators(node)
         self.written: set[str] = set()
+        self.branches = False
         self._indent = self._fresh = 0
         self._lines: list[str] = []
         stores = [n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
@@ -109,7 +112,7 @@ class Function(Expressions):
 
     def _by_reference(self, parameter: str) -> bool:
         annotation = self.node.args.args[self.parameters.index(parameter)].annotation
-        return self.kernel or (annotation is not None and ast.unparse(annotation) == "ti.template()")
+        return self.kernel or (annotation is not None and ast.unparse(annotation) == "lang.template()")
 
     def _write(self) -> str:
         if self.node.args.vararg or self.node.args.kwarg or self.node.args.kwonlyargs or self.node.args.defaults:
@@ -158,11 +161,11 @@ class Function(Expressions):
         if not isinstance(node.func, ast.Name) or node.func.id in self._locals:
             return None
         found = self.library.find(self.source, node.func.id)
-        return (
-            self.library.need(found[0], found[0].functions[found[1]])
-            if found and found[1] in found[0].functions
-            else None
-        )
+        if not found or found[1] not in found[0].functions:
+            return None
+        callee = self.library.need(found[0], found[0].functions[found[1]])
+        self.branches |= callee.branches
+        return callee
 
     # ---- statements
 
@@ -184,7 +187,7 @@ class Function(Expressions):
         self._emit("continue;")
 
     def _do_Expr(self, node: ast.Expr) -> None:
-        if isinstance(node.value, ast.Call) and ast.unparse(node.value.func) != "ti.loop_config":
+        if isinstance(node.value, ast.Call) and ast.unparse(node.value.func) != "lang.loop_config":
             self._emit(f"{self._of(node.value)};")
 
     def _do_Return(self, node: ast.Return) -> None:
@@ -243,6 +246,7 @@ class Function(Expressions):
         if known is not None:
             self._body(node.body if known else node.orelse)
             return
+        self.branches = True
         self._emit(f"if ({self._of(node.test)}) {{")
         with self._block():
             self._body(node.body)
@@ -255,6 +259,7 @@ class Function(Expressions):
     def _do_While(self, node: ast.While) -> None:
         if node.orelse:
             self._fail(node, "has a loop with else", "Write what follows after the loop.")
+        self.branches = True
         self._emit(f"while ({self._of(node.test)}) {{")
         with self._block():
             self._body(node.body)
@@ -274,7 +279,7 @@ class Function(Expressions):
         if ranges is None:
             values = self._constant(over) if static else None
             if values is None:
-                self._fail(node, f"loops over {ast.unparse(over)}", "Loop over range(n), or ti.static of constants.")
+                self._fail(node, f"loops over {ast.unparse(over)}", "Loop over range(n), or lang.static of constants.")
             for value in values:
                 before = dict(self._static)
                 self._static.update(zip(names, value if len(names) > 1 else [value], strict=True))
@@ -302,11 +307,11 @@ class Function(Expressions):
 
 
 def _ranges(node: ast.expr, count: int) -> list[list[ast.expr]] | None:
-    """Bounds of the loops that ``range`` or ``ti.ndrange`` stand for."""
+    """Bounds of the loops that ``range`` or ``lang.ndrange`` stand for."""
     name = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
     if name == "range" and count == 1:
         return [node.args]  # type: ignore[attr-defined]
-    if name == "ti.ndrange" and len(node.args) == count:  # type: ignore[attr-defined]
+    if name == "lang.ndrange" and len(node.args) == count:  # type: ignore[attr-defined]
         return [[a] for a in node.args]  # type: ignore[attr-defined]
     return None
 
@@ -315,7 +320,9 @@ def header(modules: Iterable[str] | None = None) -> str:
     """C++ header of the laws of some modules, by default of all of ``sim_core``."""
     library = Library()
     if modules is None:
-        files = sorted(p for p in PACKAGE.rglob("*.py") if "ti.func" in (text := p.read_text()) or "ti.kernel" in text)
+        files = sorted(
+            p for p in PACKAGE.rglob("*.py") if "lang.func" in (text := p.read_text()) or "lang.kernel" in text
+        )
         modules = [".".join(p.relative_to(PACKAGE.parent).with_suffix("").parts) for p in files]
     for module in modules:
         source = library.source(module)

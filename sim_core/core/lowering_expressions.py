@@ -13,7 +13,7 @@ from sim_core.errors import ThinshellError
 
 __all__ = ["OPERATORS", "Expressions", "LoweringError", "cpp_name", "inside"]
 
-SCALAR = set("sqrt exp log sin cos tan tanh asin acos atan atan2 pow abs min max select floor ceil".split())
+SCALAR = set("sqrt exp expm1 log sin cos tan tanh asin acos atan atan2 pow abs min max select floor ceil".split())
 METHODS = set(
     "norm norm_sqr normalized dot cross outer_product transpose trace determinant inverse sum max min".split()
 )
@@ -161,7 +161,9 @@ class Expressions:
         """Least type of the entries, rows and columns of a matrix type that is called."""
         found = self.sources.expression(self.source, node.func.id) if isinstance(node.func, ast.Name) else None
         made = found[1] if found else None
-        if not isinstance(made, ast.Call) or ast.unparse(made.func) not in ("ti.types.vector", "ti.types.matrix"):
+        if not isinstance(made, ast.Call) or not re.fullmatch(
+            r"(lang\.)?types\.(vector|matrix)", ast.unparse(made.func)
+        ):
             return None
         sizes = [int(ast.literal_eval(a)) for a in made.args[:-1]]
         return "R" if "f" in ast.unparse(made.args[-1]) else "int", sizes[0], sizes[1] if len(sizes) > 1 else 1
@@ -178,25 +180,25 @@ class Expressions:
             return f"laws::{callee.source.space}::{callee.name}({self._list(node.args)})", 9
         if shape := self._shape(node):
             return self._matrix(node.args, *shape)
-        short = re.sub(r"^(ti|math)\.", "", name)
+        short = re.sub(r"^(lang|math)\.", "", name)
         if short in SCALAR and (short != name or short in ("abs", "min", "max", "pow")):
             return f"{short}({self._list(node.args)})", 9
         if short == "static":
             return self._of(inside(node)), 0
         if short in ("cast", "i32", "f64", "int", "float"):
-            real = ast.unparse(node.args[1])[3:] == "f64" if short == "cast" else short in ("f64", "float")
+            real = ast.unparse(node.args[1]) == "lang.f64" if short == "cast" else short in ("f64", "float")
             return f"{'to_real<S>' if real else 'to_int'}({self._of(node.args[0])})", 9
         if short in ("Vector", "Matrix") and isinstance(node.args[0], ast.List):
             rows = node.args[0].elts
             flat = [e for r in rows for e in r.elts] if isinstance(rows[0], ast.List) else rows  # type: ignore[attr-defined]
             return self._matrix(flat, "int", len(rows), len(flat) // len(rows))
         if short in ("Matrix.zero", "Vector.zero", "Matrix.identity"):
-            kind = "S" if ast.unparse(node.args[0]) == "ti.f64" else "int"
+            kind = "S" if ast.unparse(node.args[0]) == "lang.f64" else "int"
             sizes = ", ".join(str(self._constant(a)) for a in node.args[1:])
             return (f"identity<{kind}, {sizes}>()" if short == "Matrix.identity" else f"Mat<{kind}, {sizes}>{{}}"), 9
         if short == "Matrix.cols" and isinstance(node.args[0], ast.List):
             return f"columns({self._list(node.args[0].elts)})", 9
-        if isinstance(node.func, ast.Attribute) and node.func.attr in METHODS and not name.startswith("ti."):
+        if isinstance(node.func, ast.Attribute) and node.func.attr in METHODS and not name.startswith("lang."):
             return f"{self._of(node.func.value, 9)}.{node.func.attr}({self._list(node.args)})", 9
         known = ", ".join(sorted(SCALAR))
         self._fail(node, f"calls {name}", f"Laws call each other, methods of vectors, and {known}.")
@@ -217,7 +219,7 @@ def _number(value: bool | int | float) -> str:
 
 
 def inside(node: ast.expr) -> ast.expr:
-    """What stands in ``ti.static``, or the expression itself."""
-    if not (isinstance(node, ast.Call) and ast.unparse(node.func) == "ti.static"):
+    """What stands in ``lang.static``, or the expression itself."""
+    if not (isinstance(node, ast.Call) and ast.unparse(node.func) == "lang.static"):
         return node
     return node.args[0] if len(node.args) == 1 else ast.Tuple(node.args, ast.Load())

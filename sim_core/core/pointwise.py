@@ -2,7 +2,8 @@
 
 A law is a Python function of numbers in the language of :mod:`sim_core.core.lowering`. At its first use it is lowered
 to C++, compiled, and kept in the user's cache under the hash of its text and of all that it calls; later processes load
-it. Where there is no compiler the same function runs in numpy (:mod:`sim_core.core.jets`), and a warning says so.
+it. Where there is no compiler the same function runs in numpy (:mod:`sim_core.core.jets`), called back by the core
+where that calls a compiled one, and a warning says so.
 """
 
 from __future__ import annotations
@@ -11,17 +12,17 @@ import ctypes
 import functools
 import hashlib
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType
 from typing import Any
 
 import numpy as np
 
 from sim_core.core.build import FLAGS, HERE, build, cache_folder, compiler, target
-from sim_core.core.jets import NAMES, Jet
-from sim_core.core.lowering import Library, LoweringError
+from sim_core.core.jets import NAMES, Jet, at_points
+from sim_core.core.lowering import Function, Library, LoweringError
 
-__all__ = ["Law"]
+__all__ = ["Law", "compiled", "for_jets", "has_compiler"]
 
 SECOND = "for (int i = 0; i < {count} * ({count} + 1) / 2; ++i) *(at += n) = f.h[i];"
 ENTRY = """#include "laws.hpp"
@@ -36,6 +37,69 @@ extern "C" void evaluate(long n, double *x) {{
   }}
 }}
 """
+
+
+def has_compiler() -> bool:
+    """Whether a law can be compiled; the first time that one cannot a warning says so."""
+    if compiler() is not None:
+        return True
+    _warn_of_numpy()
+    return False
+
+
+@functools.cache
+def _warn_of_numpy() -> None:
+    warnings.warn(
+        "No C++ compiler was found: the laws of effects run in numpy, far more slowly. "
+        "Install g++ or clang++, or set CXX.",
+        stacklevel=5,
+    )
+
+
+_raised: list[BaseException] = []
+
+
+def called_back(function: Callable[..., None], *arguments: Any) -> Any:
+    """A C function of ``arguments`` that runs one of Python, for as long as it is kept. What that raises
+    :func:`raise_what_was_raised` raises."""
+
+    def run(*given: Any) -> None:
+        try:
+            function(*given)
+        except BaseException as error:
+            _raised.append(error)
+
+    return ctypes.CFUNCTYPE(None, *arguments)(run)
+
+
+def raise_what_was_raised() -> None:
+    """Raise the first error of a function that C has called back, if there was one."""
+    if _raised:
+        first = _raised[0]
+        _raised.clear()
+        raise first
+
+
+def array_at(address: int, *shape: int) -> np.ndarray:
+    """The numbers in memory at an address."""
+    return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(ctypes.c_double)), shape)
+
+
+def compiled(law: Function, laws: str, main: str, included: Sequence[str], returns: str) -> ctypes.CDLL:
+    """The library of a ``law`` with the C++ source ``main``, which includes the header of ``laws`` and those
+    ``included``; from the cache if it was compiled before. ``returns``: what the law is to return."""
+    headers = [(HERE / "include" / h).read_text() for h in included]
+    digest = hashlib.sha256("\0".join([*FLAGS, *target(), *headers, laws, main]).encode()).hexdigest()[:16]
+    path = cache_folder() / "laws" / f"{law.source.space}_{law.name}_{digest}.so"
+    try:
+        if not path.exists():
+            build(path, laws, main)
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        raise LoweringError(
+            f"The law {law.name} of {law.source.path} could not be compiled: {error}.",
+            f"Have it return {returns}; if it does, remove {path.parent} and try again.",
+        ) from error
 
 
 class Law:
@@ -56,69 +120,60 @@ class Law:
         rows = np.empty((2 * k + 1 + (k * (k + 1) // 2 if self._order == 2 else 0), n))
         for i, argument in enumerate(arguments):
             rows[i] = argument
-        if self._compiled is None:
-            return self._in_numpy(rows[:k])
-        self._compiled(n, rows.ctypes.data)
+        self._evaluate(n, rows.ctypes.data)
+        raise_what_was_raised()
         return Jet(rows[k], rows[k + 1 : 2 * k + 1], rows[2 * k + 1 :])
 
     def at(self, values: Mapping[str, float], *arguments: np.ndarray) -> Jet:
         """The law at its first arguments, the rest taken from ``values`` by their names."""
         return self(*arguments, *(values[name] for name in self.arguments[len(arguments) :]))
 
+    @property
+    def address(self) -> int:
+        """Where its function is: ``evaluate(n, x)`` of k + 1 + k rows of ``n`` numbers, and k (k + 1) / 2 more of
+        second order: arguments, value, derivatives."""
+        return ctypes.cast(self._evaluate, ctypes.c_void_p).value or 0
+
     @functools.cached_property
-    def _compiled(self) -> Any:
-        """``evaluate`` of its library, or None where there is no compiler."""
+    def _evaluate(self) -> Any:
+        """``evaluate`` of its library, or one that runs in numpy where there is no compiler."""
         library = Library()
         law = library.law(self._function)
-        if compiler() is None:
-            warnings.warn(
-                f"No C++ compiler was found: the law {self._function.__name__} runs in numpy, far more slowly. "
-                "Install g++ or clang++, or set CXX.",
-                stacklevel=3,
-            )
-            return None
+        if not has_compiler():
+            return called_back(self._in_numpy, ctypes.c_long, ctypes.c_void_p)
         count = len(self.arguments)
         inputs = ", ".join(f"D::variable(x[{i} * n + k], {i})" for i in range(count))
         name = f"laws::{law.source.space}::{law.name}"
         kind, second = ("Dual2", SECOND.format(count=count)) if self._order == 2 else ("Dual", "")
         laws = library.text()
         main = ENTRY.format(name=name, count=count, arguments=inputs, kind=kind, second=second)
-        headers = [(HERE / "include" / h).read_text() for h in ("small.hpp", "dual.hpp")]
-        digest = hashlib.sha256("\0".join([*FLAGS, *target(), *headers, laws, main]).encode()).hexdigest()[:16]
-        path = cache_folder() / "laws" / f"{law.source.space}_{law.name}_{digest}.so"
-        try:
-            if not path.exists():
-                build(path, laws, main)
-            evaluate = ctypes.CDLL(str(path)).evaluate
-        except OSError as error:
-            raise LoweringError(
-                f"The law {law.name} of {law.source.path} could not be compiled: {error}.",
-                f"Have it return one number; if it does, remove {path.parent} and try again.",
-            ) from error
+        evaluate = compiled(law, laws, main, ("small.hpp", "dual.hpp"), "one number").evaluate
         evaluate.argtypes, evaluate.restype = (ctypes.c_long, ctypes.c_void_p), None
         return evaluate
 
-    def _in_numpy(self, x: np.ndarray) -> Jet:
-        try:
-            return self._jet(x)
-        except ValueError:  # it branches, so that each point goes its own way
-            points = [self._jet(x[:, i : i + 1]) for i in range(x.shape[1])]
-            return Jet(*(np.concatenate([getattr(p, part) for p in points], axis=-1) for part in "vdh"))
+    def _in_numpy(self, n: int, address: int) -> None:
+        """As the compiled function."""
+        k = len(self.arguments)
+        rows = array_at(address, 2 * k + 1 + (k * (k + 1) // 2 if self._order == 2 else 0), n)
+        v, d, h = at_points(lambda points: self._jet(rows[:k, points]).parts, n)
+        rows[k], rows[k + 1 : 2 * k + 1] = v, d
+        if self._order == 2:
+            rows[2 * k + 1 :] = h
 
     def _jet(self, x: np.ndarray) -> Jet:
         k, n = x.shape
         variables = Jet.variables(x)
-        found = _for_jets(self._function)(*variables) + 0.0 * variables[0]  # a jet even if it is a number
+        found = for_jets(self._function)(*variables) + 0.0 * variables[0]  # a jet even if it is a number
         sizes = {"v": (n,), "d": (k, n), "h": (k * (k + 1) // 2, n)}
         return Jet(*(np.broadcast_to(getattr(found, part), size) for part, size in sizes.items()))
 
 
 @functools.cache
-def _for_jets(function: Callable[..., Any]) -> Callable[..., Any]:
+def for_jets(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function, and the plain functions that it calls, with functions of jets in place of those of numbers."""
     known = dict(function.__globals__)
     for name in function.__code__.co_names:
         called = known.get(name)
         if isinstance(called, FunctionType) and called is not function:
-            known[name] = _for_jets(getattr(called, "__wrapped__", called))
+            known[name] = for_jets(getattr(called, "__wrapped__", called))
     return FunctionType(function.__code__, {**known, **NAMES})

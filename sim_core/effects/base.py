@@ -141,6 +141,8 @@ class Effect(ABC):
     """Whether it can only store or take up energy, never give any that was not put in."""
     needs: ClassVar[str] = ""
     """What a rig must have for it, as a noun phrase."""
+    share_of_one: ClassVar[str] = ""
+    """The parameter of which all instances on one target together have less than 1, if there is one."""
     lasting: ClassVar[tuple[str, ...]] = ()
     """Internal variables that a body keeps as they are while it is left alone, from one recording to the next."""
     twins: ClassVar[tuple[str, ...]] = ()

@@ -12,15 +12,27 @@ its speed. Several instances, by labels, are the model of Prandtl and Ishlinskii
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from typing import Any
 
-import numpy as np
-
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import MaterialLaw, Response, Strained
-from sim_core.effects.sheet_stiffening import Stretched
-from sim_core.materials.elastic import applied
+from sim_core.core.material import MaterialFormula
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import MaterialLaw
+from sim_core.effects.sheet_stiffening import uniaxial
 from sim_core.rigs import Rig, Sheet
+
+
+def prandtl(e: Any, e_0: Any, d: Any, spring: Any, share: float, slip_curvature_per_m: float) -> Any:
+    """The incremental energy, w less that of the spring at the start, and z'."""
+    tried = spring + e - e_0
+    unit, y = uniaxial(d), slip_curvature_per_m
+    square = tried.dot(d @ tried) / unit
+    size = math.sqrt(square)
+    slides = size > y
+    energy = share * unit * (y * size - 0.5 * y**2 if slides else 0.5 * square)
+    new = (y / size if slides else 1.0) * tried
+    return energy - 0.5 * share * spring.dot(d @ spring), new
 
 
 class BendingFriction(MaterialLaw):
@@ -45,40 +57,10 @@ class BendingFriction(MaterialLaw):
     parts = ("bending",)
     lasting = ("spring",)
     example = {"share": 0.5, "slip_curvature_per_m": 0.5}
+    formula = MaterialFormula(prandtl)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def state(self) -> Mapping[str, tuple[int, ...]]:
         return {"spring": (3,)}
-
-    def respond(self, at: Strained, values: Values) -> Response:
-        g, y = values["share"], values["slip_curvature_per_m"]
-        tried = Stretched.of(at, at.state["spring"] + at.strain - at.before)
-        size = np.sqrt(tried.square / tried.unit)
-        slides, safe = size > y, np.maximum(size, y)
-        held = Stretched.of(at, at.state["spring"])
-        energy = g * tried.unit * np.where(slides, y * size - 0.5 * y**2, 0.5 * size**2) - 0.5 * g * held.square
-        share = (y / safe)[:, None]
-        along = tried.linear / (tried.unit * safe)[:, None]
-        turned = np.where(slides, y / safe, 0.0)[:, None, None] * along[:, :, None] * along[:, None]
-        tangent = g * (share[..., None] * at.stiffness - turned * tried.unit[:, None, None])
-        new = share * (at.state["spring"] + at.strain - at.before)
-        return Response(energy, g * share * tried.linear, tangent, {"spring": new})
-
-    def push(
-        self, at: Strained, change: Strained, values: Values, by: Values
-    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        g, y = values["share"], values["slip_curvature_per_m"]
-        z = at.state["spring"] + at.strain - at.before
-        moved = change.state["spring"] + change.strain - change.before
-        tried = Stretched.of(at, z)
-        size = np.sqrt(tried.square / tried.unit)
-        slides, safe = size > y, np.maximum(size, y)
-        square = (2.0 * tried.linear * moved + applied(change.stiffness, z) * z).sum(axis=-1)
-        longer = (square / tried.unit - size**2 / tried.unit * tried.unit_along(change.stiffness)) / (2.0 * safe)
-        grown = np.where(slides, (by["slip_curvature_per_m"] - y * longer / safe) / safe, 0.0)
-        new, share = (y / safe)[:, None] * z, (y / safe)[:, None]
-        spring = share * moved + grown[..., None] * z
-        stress = by["share"] * share * tried.linear + g * applied(change.stiffness, new)
-        return stress + g * applied(at.stiffness, spring), {"spring": spring}

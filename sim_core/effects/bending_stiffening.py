@@ -8,16 +8,18 @@ Tech. 2, 1990)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from typing import Any
 
-import numpy as np
-
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import MaterialLaw, Response, Strained
-from sim_core.effects.sheet_stiffening import SheetStiffening
+from sim_core.core.material import MaterialFormula
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import MaterialLaw
+from sim_core.effects.sheet_stiffening import stretched
 from sim_core.rigs import Rig, Sheet
 
-LAW = SheetStiffening()
+
+def bent(e: Any, d: Any, coefficient_m2: float) -> Any:
+    """psi(kappa)."""
+    return stretched(e, d, coefficient_m2)
 
 
 class BendingStiffening(MaterialLaw):
@@ -38,17 +40,7 @@ class BendingStiffening(MaterialLaw):
     )
     parts = ("bending",)
     example = {"coefficient_m2": 0.01}
+    formula = MaterialFormula(bent)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
-
-    def state(self) -> Mapping[str, tuple[int, ...]]:
-        return {}
-
-    def respond(self, at: Strained, values: Values) -> Response:
-        return LAW.respond(at, {"coefficient": values["coefficient_m2"]})
-
-    def push(
-        self, at: Strained, change: Strained, values: Values, by: Values
-    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        return LAW.push(at, change, *({"coefficient": v["coefficient_m2"]} for v in (values, by)))

@@ -11,14 +11,29 @@ step from k the stress is the derivative of -T (d(k) q^2 / 2 + c(k)) where q <= 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from typing import Any
 
-import numpy as np
-
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.gel_stiffening import Sheared
-from sim_core.effects.hooks import MaterialLaw, Response, Strained
+from sim_core.core.material import MaterialFormula
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import MaterialLaw
 from sim_core.rigs import Gel, Rig
+
+
+def damaged(e: Any, d: Any, largest: float, share: float, strain: float) -> Any:
+    """The incremental energy, and k."""
+    unit = 3.0 * d[3, 3]
+    square = max(0.0, e.dot(d @ e) / unit)
+    size = math.sqrt(square)
+    lost = -share * math.expm1(-largest / strain)
+    stored = 0.5 * lost * (square - largest**2) + dissipated(largest, share, strain)
+    return -unit * (dissipated(size, share, strain) if size > largest else stored), max(size, largest)
+
+
+def dissipated(q: float, share: float, strain: float) -> float:
+    """int_0^q d(s) s ds."""
+    return share * (0.5 * q**2 + strain * (q + strain) * math.exp(-q / strain) - strain**2)
 
 
 class GelMullins(MaterialLaw):
@@ -42,48 +57,10 @@ class GelMullins(MaterialLaw):
     parts = ("solid",)
     lasting = ("largest",)
     example = {"share": 0.3, "strain": 0.05}
+    formula = MaterialFormula(damaged)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
 
     def state(self) -> Mapping[str, tuple[int, ...]]:
         return {"largest": ()}
-
-    def respond(self, at: Strained, values: Values) -> Response:
-        law, before = Sheared.of(at), at.state["largest"]
-        size = np.sqrt(np.maximum(law.square, 0.0) / law.unit)
-        worse, largest = size > before, np.maximum(size, before)
-        lost, steeper = _lost(largest, values)
-        spent = _integral(largest, values) - 0.5 * lost * largest**2
-        energy = -law.unit * (0.5 * lost * size**2 + spent)
-        growth = np.where(worse, steeper / (law.unit * np.where(worse, size, 1.0)), 0.0)
-        outer = growth[:, None, None] * law.linear[:, :, None] * law.linear[:, None]
-        return Response(
-            energy, -lost[:, None] * law.linear, -lost[:, None, None] * at.stiffness - outer, {"largest": largest}
-        )
-
-    def push(
-        self, at: Strained, change: Strained, values: Values, by: Values
-    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        law, before = Sheared.of(at), at.state["largest"]
-        linear, square, unit = law.push(at, change)
-        size = np.sqrt(np.maximum(law.square, 0.0) / law.unit)
-        worse, largest = size > before, np.maximum(size, before)
-        longer = (square - size**2 * unit) / (2.0 * law.unit * np.where(worse, size, 1.0))
-        moved = np.where(worse, longer, change.state["largest"])
-        lost, steeper = _lost(largest, values)
-        scale = values["strain"]
-        more = by["share"] * -np.expm1(-largest / scale) + steeper * (moved - largest / scale * by["strain"])
-        return -lost[:, None] * linear - more[..., None] * law.linear, {"largest": moved}
-
-
-def _lost(largest: np.ndarray, values: Values) -> tuple[np.ndarray, np.ndarray]:
-    """d and its derivative by k."""
-    left = np.exp(-largest / values["strain"])
-    return values["share"] * (1.0 - left), values["share"] / values["strain"] * left
-
-
-def _integral(q: np.ndarray, values: Values) -> np.ndarray:
-    """int_0^q d(s) s ds."""
-    m = values["strain"]
-    return np.asarray(values["share"] * (0.5 * q**2 + m * (q + m) * np.exp(-q / m) - m**2))

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
-from sim_core.effects.base import EffectParameter, RecordingScales, Values
+from sim_core.effects.base import EffectParameter, RecordingScales
 from sim_core.effects.hooks import FieldMap
-from sim_core.effects.sheet_soft_spot import spot, spot_by, spread_over
+from sim_core.effects.sheet_soft_spot import SheetSoftSpot, spread_over
 from sim_core.rigs import Gel, Rig
 
 
@@ -39,6 +37,7 @@ class GelSoftSpot(FieldMap):
     )
     parts = ("solid",)
     example = {"depth": 0.4, "x_m": 0.002, "y_m": -0.001, "radius_m": 0.003}
+    formula = SheetSoftSpot.formula
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
@@ -47,9 +46,3 @@ class GelSoftSpot(FieldMap):
         """Spots of a fifth of its size, in the middle of the gel and around it."""
         gels = [body for body in rig.bodies.values() if isinstance(body, Gel)]
         return tuple(spread_over(body.shape.bounds(), self.parameters) for body in gels[:1])
-
-    def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
-        return spot(places, values)
-
-    def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
-        return spot_by(places, values)

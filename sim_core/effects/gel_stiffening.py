@@ -8,15 +8,18 @@ strain, which is convex for a >= 0."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
-
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import MaterialLaw, Response, Strained
-from sim_core.materials.elastic import applied
+from sim_core.core.material import MaterialFormula
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import MaterialLaw
 from sim_core.rigs import Gel, Rig
+
+
+def sheared(e: Any, d: Any, coefficient: float) -> Any:
+    """psi(E)."""
+    square = e.dot(d @ e)
+    return 0.25 * coefficient * square**2 / (3.0 * d[3, 3])
 
 
 class GelStiffening(MaterialLaw):
@@ -38,46 +41,7 @@ class GelStiffening(MaterialLaw):
     )
     parts = ("solid",)
     example = {"coefficient": 300.0}
+    formula = MaterialFormula(sheared)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
-
-    def state(self) -> Mapping[str, tuple[int, ...]]:
-        return {}
-
-    def respond(self, at: Strained, values: Values) -> Response:
-        a, law = values["coefficient"], Sheared.of(at)
-        share = (a / law.unit)[:, None]
-        outer = law.linear[:, :, None] * law.linear[:, None]
-        tangent = share[..., None] * (law.square[:, None, None] * at.stiffness + 2.0 * outer)
-        return Response(0.25 * a * law.square**2 / law.unit, share * law.square[:, None] * law.linear, tangent, {})
-
-    def push(
-        self, at: Strained, change: Strained, values: Values, by: Values
-    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        a, law = values["coefficient"], Sheared.of(at)
-        linear, square, unit = law.push(at, change)
-        own = law.square[:, None] * law.linear / law.unit[:, None]
-        more = (law.square[:, None] * linear + square[..., None] * law.linear) / law.unit[:, None]
-        return by["coefficient"] * own + a * (more - own * (unit / law.unit)[..., None]), {}
-
-
-@dataclass(frozen=True)
-class Sheared:
-    """D E ``(n, 6)``, Q and T ``(n,)``."""
-
-    linear: np.ndarray
-    square: np.ndarray
-    unit: np.ndarray
-
-    @staticmethod
-    def of(at: Strained) -> Sheared:
-        """Of what a law of a solid sees."""
-        linear = applied(at.stiffness, at.strain)
-        return Sheared(linear, (linear * at.strain).sum(axis=-1), 3.0 * at.stiffness[..., 3, 3])
-
-    def push(self, at: Strained, change: Strained) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Changes of the three."""
-        linear = applied(change.stiffness, at.strain) + applied(at.stiffness, change.strain)
-        square = (self.linear * change.strain + linear * at.strain).sum(axis=-1)
-        return linear, square, 3.0 * change.stiffness[..., 3, 3]

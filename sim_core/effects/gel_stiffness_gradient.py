@@ -8,15 +8,19 @@ a factor on the modulus at the place X of the gel at rest, in its own frame, 1 a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 
-import numpy as np
-
-from sim_core.effects.base import EffectParameter, Values
+from sim_core.core.pointwise import Law
+from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import FieldMap
 from sim_core.rigs import Gel, Rig
 
 NAMES = ("x_per_m", "y_per_m", "z_per_m")
+
+
+def exponential(x: float, y: float, z: float, t: float, x_per_m: float, y_per_m: float, z_per_m: float) -> float:
+    """f."""
+    return math.exp(x_per_m * x + y_per_m * y + z_per_m * z)
 
 
 class GelStiffnessGradient(FieldMap):
@@ -40,12 +44,7 @@ class GelStiffnessGradient(FieldMap):
     parts = ("solid",)
     example = {"x_per_m": 60.0, "y_per_m": -40.0, "z_per_m": 80.0}
 
+    formula = Law(exponential, order=1)
+
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
-
-    def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
-        return np.asarray(np.exp(places @ np.array([values[n] for n in NAMES])))
-
-    def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
-        f = self.factor(places, time, values)
-        return {n: f * places[:, k] for k, n in enumerate(NAMES)}

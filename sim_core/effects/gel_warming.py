@@ -7,13 +7,17 @@ Elasticity, 3rd ed., eq. 4.9), and the lamps and the chip below a gel warm it li
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 
-import numpy as np
-
-from sim_core.effects.base import EffectParameter, Values
+from sim_core.core.pointwise import Law
+from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import FieldMap
 from sim_core.rigs import Gel, Rig
+
+
+def warmed(x: float, y: float, z: float, t: float, change: float, tau_s: float) -> float:
+    """f."""
+    return 1.0 - change * math.expm1(-t / tau_s)
 
 
 class GelWarming(FieldMap):
@@ -38,15 +42,7 @@ class GelWarming(FieldMap):
     parts = ("solid",)
     changes = True
     example = {"change": 0.3, "tau_s": 0.2}
+    formula = Law(warmed, order=1)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
-
-    def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
-        return np.full(len(places), 1.0 - values["change"] * np.expm1(-time / values["tau_s"]))
-
-    def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
-        ratio = time / values["tau_s"]
-        whole = np.ones(len(places))
-        by_tau = -values["change"] * np.exp(-ratio) * ratio / values["tau_s"]
-        return {"change": -np.expm1(-ratio) * whole, "tau_s": by_tau * whole}

@@ -27,6 +27,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
+from sim_core.core.jets import Jet
+from sim_core.core.material import MaterialFormula, PointLayout
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import Effect, Values
 
@@ -53,7 +55,6 @@ __all__ = [
     "Response",
     "RigMap",
     "Sliding",
-    "StrainAtRest",
     "Strained",
 ]
 
@@ -151,47 +152,69 @@ Part = Literal["membrane", "bending", "solid"]
 class MaterialLaw(Effect):
     """An amendment of the constitutive law of a body, with internal state in every element.
 
-    It is a function of generalised strains; the term that hosts it (:mod:`sim_core.energies.strain_law`) does the rest:
-    nodal forces, Hessian, and all derivatives by positions, shapes at rest, fields and numbers. Several laws of one
-    body add up.
+    It is one formula of generalised strains (:mod:`sim_core.core.material`), the energy of a step and the new internal
+    variables; stress, tangent and all that gradients need are its derivatives. The term that hosts it
+    (:mod:`sim_core.energies.strain_law`) does the rest: nodal forces, Hessian, and all derivatives by positions, shapes
+    at rest, fields and numbers. Several laws of one body add up.
     """
 
     parts: ClassVar[tuple[Part, ...]] = ()
     """What it amends of each of its targets."""
 
+    @property
     @abstractmethod
+    def formula(self) -> MaterialFormula:
+        """Energy per area or volume, and the new internal variables."""
+
     def state(self) -> Mapping[str, tuple[int, ...]]:
         """Internal variables of one element by name, with their shapes; zero in a virgin body."""
+        return {}
 
-    @abstractmethod
+    def layout(self, size: int) -> PointLayout:
+        """What the formula sees of a point with ``size`` strains."""
+        return PointLayout(size, tuple(self.state().items()), tuple(p.name for p in self.parameters))
+
     def respond(self, at: Strained, values: Values) -> Response:
         """What it adds at the end of a step; of the baseline where the effect vanishes: nothing."""
+        n, k = at.strain.shape
+        layout = self.layout(k)
+        found = self.formula.respond(layout, layout.rows(_seen(at, values), n))
+        tangent = found[:, 1 + k : 1 + k + k * k].reshape(n, k, k)
+        return Response(found[:, 0], found[:, 1 : 1 + k], tangent, self._state(found[:, 1 + k + k * k :]))
 
-    @abstractmethod
+    def stress(self, at: Strained, values: Values) -> tuple[Array, Array]:
+        """Energy ``(n,)`` and stress ``(n, k)`` of :meth:`respond` alone."""
+        n, k = at.strain.shape
+        layout = self.layout(k)
+        found = self.formula.stress(layout, layout.rows(_seen(at, values), n))
+        return found[:, 0], found[:, 1:]
+
     def push(self, at: Strained, change: Strained, values: Values, by: Values) -> tuple[Array, Mapping[str, Array]]:
         """Changes of stress ``(..., n, k)`` and of the new state ``(..., n, ...)`` along changes of all inputs and of
         the parameters, ``by``. Changes may have further first axes; no one asks for a change of ``dt``."""
+        n, k = at.strain.shape
+        layout = self.layout(k)
+        ends = {"strain": 2, "before": 2, "stiffness": 3}
+        leads = [getattr(change, name).shape[:-own] for name, own in ends.items()]
+        leads += [z.shape[: z.ndim - at.state[name].ndim] for name, z in change.state.items()]
+        lead = np.broadcast_shapes(*leads)
+        changes = layout.rows(_seen(change, by), n, lead).reshape(-1, n, layout.inputs)
+        found = self.formula.push(layout, layout.rows(_seen(at, values), n), changes)
+        found = found.reshape(*lead, n, k + layout.states)
+        return found[..., :k], self._state(found[..., k:])
+
+    def _state(self, rows: Array) -> dict[str, Array]:
+        """Internal variables by name, from rows of them ``(..., q)``."""
+        found, at = {}, 0
+        for name, shape in self.state().items():
+            size = int(np.prod(shape))
+            found[name] = rows[..., at : at + size].reshape(*rows.shape[:-1], *shape)
+            at += size
+        return found
 
 
-class StrainAtRest(MaterialLaw):
-    """A body that is strained at rest: the stress D (e - e_0) in place of D e, by
-
-    psi(e) = -e . D e_0.
-    """
-
-    @abstractmethod
-    def strain_at_rest(self, values: Values) -> Array:
-        """e_0 ``(k,)``, linear in the parameters."""
-
-    def state(self) -> Mapping[str, tuple[int, ...]]:
-        return {}
-
-    def respond(self, at: Strained, values: Values) -> Response:
-        stress = -(at.stiffness @ self.strain_at_rest(values))
-        return Response((stress * at.strain).sum(axis=-1), stress, np.zeros_like(at.stiffness), {})
-
-    def push(self, at: Strained, change: Strained, values: Values, by: Values) -> tuple[Array, Mapping[str, Array]]:
-        return -(change.stiffness @ self.strain_at_rest(values)) - at.stiffness @ self.strain_at_rest(by), {}
+def _seen(at: Strained, values: Values) -> dict[str, Any]:
+    return {"e": at.strain, "e_0": at.before, "d": at.stiffness, **at.state, "dt": at.dt, **values}
 
 
 class FieldMap(Effect):
@@ -207,13 +230,20 @@ class FieldMap(Effect):
     changes: ClassVar[bool] = False
     """Whether it depends on time."""
 
+    @property
     @abstractmethod
-    def factor(self, places: Array, time: float, values: Values) -> Array:
-        """Factors ``(m,)`` above zero at ``time`` [s] since the start of the rollout; 1 where the effect vanishes."""
+    def formula(self) -> Law:
+        """The factor, above zero, as a function of the place x, y, z [m], of the time t [s] since the start of the
+        rollout, and of parameters of the effect by their names; 1 where the effect vanishes."""
 
-    @abstractmethod
+    def factor(self, places: Array, time: float, values: Values) -> Jet:
+        """Factors, and their derivatives by all arguments of the formula, ``(m,)`` each."""
+        x, y, z = places.T
+        return self.formula.at(values, x, y, z, np.asarray(time))
+
     def factor_by(self, places: Array, time: float, values: Values) -> Mapping[str, Array]:
         """Derivatives of the factors by each parameter ``(m,)``."""
+        return dict(zip(self.formula.arguments[4:], self.factor(places, time, values).d[4:], strict=True))
 
 
 @dataclass(frozen=True)

@@ -115,6 +115,7 @@ def active_effects(rig: Rig) -> list[Instance]:
         values = _complete(effect, key, given)
         found.append(Instance(key, effect, _scope(rig, effect, key), values))
     _check_numbers(found)
+    _check_shares(found)
     return found
 
 
@@ -152,6 +153,22 @@ def _scope(rig: Rig, effect: Effect, key: str) -> tuple[str, ...]:
             nearest_match(target, list(possible)),
         )
     return (target,)
+
+
+def _check_shares(found: list[Instance]) -> None:
+    """Refuse instances that together take all of something of which each takes a share."""
+    totals: dict[tuple[str, str], float] = {}
+    for instance in found:
+        effect = instance.effect
+        for target in instance.targets if effect.share_of_one else ():
+            at = effect.name, target
+            totals[at] = totals.get(at, 0.0) + instance.values[effect.share_of_one]
+            if totals[at] >= 1.0:
+                raise ConfigError(
+                    f"The effects {effect.name} of {target} have together the {effect.share_of_one} {totals[at]:g}, "
+                    "which is not below 1.",
+                    "Lower their shares, or remove one of them.",
+                )
 
 
 def _check_numbers(found: list[Instance]) -> None:

@@ -9,13 +9,23 @@ of the mesh. Below zero, a is a seam, or a line of glue."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
+from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter, RecordingScales, Values
 from sim_core.effects.hooks import FieldMap
 from sim_core.rigs import Rig, Sheet
+
+
+def creased(
+    x: float, y: float, z: float, t: float, softening: float, offset_m: float, angle_rad: float, width_m: float
+) -> float:
+    """f."""
+    away = math.cos(angle_rad) * x + math.sin(angle_rad) * y - offset_m
+    return 1.0 - softening * math.exp(-0.5 * (away / width_m) ** 2)
 
 
 class SheetCrease(FieldMap):
@@ -39,6 +49,7 @@ class SheetCrease(FieldMap):
     )
     parts = ("bending",)
     example = {"softening": 0.5, "offset_m": -0.005, "angle_rad": 0.3, "width_m": 0.008}
+    formula = Law(creased, order=1)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
@@ -60,20 +71,3 @@ class SheetCrease(FieldMap):
         """The normal turned round."""
         turned = {**values, "offset_m": -values["offset_m"]}
         return tuple({**turned, "angle_rad": values["angle_rad"] + s * np.pi} for s in (-1.0, 1.0))
-
-    def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
-        return np.asarray(1.0 - values["softening"] * _near(places, values)[0])
-
-    def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
-        near, away, along = _near(places, values)
-        slope = values["softening"] * near * away / values["width_m"] ** 2  # by the distance
-        by_width = -slope * away / values["width_m"]
-        return {"softening": -near, "offset_m": -slope, "angle_rad": slope * along, "width_m": by_width}
-
-
-def _near(places: np.ndarray, values: Values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """exp(-d^2 / (2 w^2)), d [m], and the places along the line [m], ``(m,)`` each."""
-    c, s = np.cos(values["angle_rad"]), np.sin(values["angle_rad"])
-    x, y = places[:, 0], places[:, 1]
-    away = c * x + s * y - values["offset_m"]
-    return np.exp(-0.5 * (away / values["width_m"]) ** 2), away, c * y - s * x

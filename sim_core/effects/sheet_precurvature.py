@@ -9,16 +9,23 @@ was rolled stays so. A curvature along x is positive where the ends of least and
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import StrainAtRest
+from sim_core.core.material import MaterialFormula
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import MaterialLaw
 from sim_core.rigs import Rig, Sheet
 
 NAMES = ("x_per_m", "y_per_m", "twist_per_m")
 
 
-class SheetPrecurvature(StrainAtRest):
+def curled(e: Any, d: Any, x_per_m: float, y_per_m: float, twist_per_m: float) -> Any:
+    """psi(kappa)."""
+    moment = d @ e
+    return -(moment[0] * x_per_m + moment[1] * y_per_m + moment[2] * 2.0 * twist_per_m)
+
+
+class SheetPrecurvature(MaterialLaw):
     """A sheet that is curled."""
 
     name = "sheet_precurvature"
@@ -37,9 +44,7 @@ class SheetPrecurvature(StrainAtRest):
     )
     parts = ("bending",)
     example = {"x_per_m": 0.4, "y_per_m": -0.3, "twist_per_m": 0.2}
+    formula = MaterialFormula(curled)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
-
-    def strain_at_rest(self, values: Values) -> np.ndarray:
-        return np.array([values["x_per_m"], values["y_per_m"], 2.0 * values["twist_per_m"]])

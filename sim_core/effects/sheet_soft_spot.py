@@ -8,13 +8,20 @@ mesh."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from sim_core.effects.base import EffectParameter, RecordingScales, Values
+from sim_core.core.pointwise import Law
+from sim_core.effects.base import EffectParameter, RecordingScales
 from sim_core.effects.hooks import FieldMap
 from sim_core.rigs import Rig, Sheet
+
+
+def spot(x: float, y: float, z: float, t: float, depth: float, x_m: float, y_m: float, radius_m: float) -> float:
+    """f."""
+    return 1.0 - depth * math.exp(-0.5 * ((x - x_m) ** 2 + (y - y_m) ** 2) / radius_m**2)
 
 
 class SheetSoftSpot(FieldMap):
@@ -38,6 +45,7 @@ class SheetSoftSpot(FieldMap):
     )
     parts = ("membrane", "bending")
     example = {"depth": 0.4, "x_m": -0.01, "y_m": 0.003, "radius_m": 0.012}
+    formula = Law(spot, order=1)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
@@ -47,12 +55,6 @@ class SheetSoftSpot(FieldMap):
         sheets = [body for body in rig.bodies.values() if isinstance(body, Sheet)]
         return tuple(spread_over(body.shape.bounds(), self.parameters) for body in sheets[:1])
 
-    def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
-        return spot(places, values)
-
-    def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
-        return spot_by(places, values)
-
 
 def spread_over(bounds: np.ndarray, parameters: tuple[EffectParameter, ...]) -> dict[str, tuple[float, ...]]:
     """Starting values for spots in a box with these corners [m] ``(2, 3)``."""
@@ -60,22 +62,3 @@ def spread_over(bounds: np.ndarray, parameters: tuple[EffectParameter, ...]) -> 
     x, y = (tuple(float(middle[k] + s * size[k]) for s in (0.0, -0.25, 0.25)) for k in range(2))
     own = {p.name: p.typical for p in parameters}
     return {**own, "x_m": x, "y_m": y, "radius_m": (0.2 * float(np.sqrt(size[0] * size[1])),)}
-
-
-def spot(places: np.ndarray, values: Values) -> np.ndarray:
-    """f at places [m] ``(m, 3)``."""
-    return np.asarray(1.0 - values["depth"] * _bump(places, values)[0])
-
-
-def spot_by(places: np.ndarray, values: Values) -> dict[str, np.ndarray]:
-    """Its derivatives by the parameters ``(m,)``."""
-    bump, away = _bump(places, values)
-    slope = -values["depth"] * bump / values["radius_m"] ** 2
-    by_radius = slope * (away**2).sum(axis=1) / values["radius_m"]
-    return {"depth": -bump, "x_m": slope * away[:, 0], "y_m": slope * away[:, 1], "radius_m": by_radius}
-
-
-def _bump(places: np.ndarray, values: Values) -> tuple[np.ndarray, np.ndarray]:
-    """exp(-r^2 / (2 s^2)) ``(m,)``, and how far places are from the middle [m] ``(m, 2)``."""
-    away = places[:, :2] - np.array([values["x_m"], values["y_m"]])
-    return np.exp(-0.5 * (away**2).sum(axis=1) / values["radius_m"] ** 2), away

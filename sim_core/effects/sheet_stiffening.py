@@ -9,15 +9,26 @@ Biomechanics, 2nd ed., sec. 7.11), and convex for a >= 0.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
-
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import MaterialLaw, Response, Strained
-from sim_core.materials.elastic import applied
+from sim_core.core.material import MaterialFormula
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import MaterialLaw
 from sim_core.rigs import Rig, Sheet
+
+
+def stretched(e: Any, d: Any, coefficient: float) -> Any:
+    """psi(e)."""
+    square = e.dot(d @ e)
+    return 0.25 * coefficient * square**2 / uniaxial(d)
+
+
+def uniaxial(d: Any) -> Any:
+    """T = 1 / (D^-1)_11."""
+    beside = d[1, 1] * d[2, 2] - d[1, 2] * d[2, 1]
+    first = d[1, 0] * d[2, 2] - d[1, 2] * d[2, 0]
+    second = d[1, 0] * d[2, 1] - d[1, 1] * d[2, 0]
+    return d[0, 0] - (d[0, 1] * first - d[0, 2] * second) / beside
 
 
 class SheetStiffening(MaterialLaw):
@@ -42,50 +53,7 @@ class SheetStiffening(MaterialLaw):
     )
     parts = ("membrane",)
     example = {"coefficient": 1e10}
+    formula = MaterialFormula(stretched)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
-
-    def state(self) -> Mapping[str, tuple[int, ...]]:
-        return {}
-
-    def respond(self, at: Strained, values: Values) -> Response:
-        a, law = values["coefficient"], Stretched.of(at)
-        share = (a / law.unit)[:, None]
-        tangent = share[..., None] * (
-            law.square[:, None, None] * at.stiffness + 2.0 * law.linear[:, :, None] * law.linear[:, None]
-        )
-        return Response(0.25 * a * law.square**2 / law.unit, share * law.square[:, None] * law.linear, tangent, {})
-
-    def push(
-        self, at: Strained, change: Strained, values: Values, by: Values
-    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        a, law = values["coefficient"], Stretched.of(at)
-        linear = applied(change.stiffness, at.strain) + applied(at.stiffness, change.strain)
-        square = (law.linear * change.strain + linear * at.strain).sum(axis=-1)
-        own = law.square[:, None] * law.linear / law.unit[:, None]
-        more = law.square[:, None] * linear + square[..., None] * law.linear
-        less = own * (law.unit_along(change.stiffness) / law.unit)[..., None]
-        return by["coefficient"] * own + a * (more / law.unit[:, None] - less), {}
-
-
-@dataclass(frozen=True)
-class Stretched:
-    """D e ``(n, 3)``, Q and T ``(n,)`` of elements with the compliances D^-1 ``(n, 3, 3)``."""
-
-    linear: np.ndarray
-    square: np.ndarray
-    unit: np.ndarray
-    compliance: np.ndarray
-
-    @staticmethod
-    def of(at: Strained, strain: np.ndarray | None = None) -> Stretched:
-        """Of what a law sees, or of another ``strain`` in its place."""
-        e = at.strain if strain is None else strain
-        compliance, linear = np.linalg.inv(at.stiffness), applied(at.stiffness, e)
-        return Stretched(linear, (e * linear).sum(axis=-1), 1.0 / compliance[..., 0, 0], compliance)
-
-    def unit_along(self, stiffness: np.ndarray) -> np.ndarray:
-        """Change of T along changes of D ``(..., n, 3, 3)``."""
-        first = self.compliance[..., 0]
-        return np.asarray(self.unit**2 * (first * applied(stiffness, first)).sum(axis=-1))

@@ -7,15 +7,19 @@ et al., Experimental Mechanics 48, 2008, sec. 5)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 
-import numpy as np
-
-from sim_core.effects.base import EffectParameter, Values
+from sim_core.core.pointwise import Law
+from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import FieldMap
 from sim_core.rigs import Rig, Sheet
 
 NAMES = ("x_per_m", "y_per_m")
+
+
+def exponential(x: float, y: float, z: float, t: float, x_per_m: float, y_per_m: float) -> float:
+    """f."""
+    return math.exp(x_per_m * x + y_per_m * y)
 
 
 class SheetStiffnessGradient(FieldMap):
@@ -38,12 +42,7 @@ class SheetStiffnessGradient(FieldMap):
     parts = ("membrane", "bending")
     example = {"x_per_m": 8.0, "y_per_m": -15.0}
 
+    formula = Law(exponential, order=1)
+
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
-
-    def factor(self, places: np.ndarray, time: float, values: Values) -> np.ndarray:
-        return np.asarray(np.exp(places[:, :2] @ np.array([values[n] for n in NAMES])))
-
-    def factor_by(self, places: np.ndarray, time: float, values: Values) -> Mapping[str, np.ndarray]:
-        f = self.factor(places, time, values)
-        return {n: f * places[:, k] for k, n in enumerate(NAMES)}

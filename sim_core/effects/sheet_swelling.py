@@ -8,14 +8,21 @@ damp."""
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import StrainAtRest
+from sim_core.core.material import MaterialFormula
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import MaterialLaw
 from sim_core.rigs import Rig, Sheet
 
 
-class SheetSwelling(StrainAtRest):
+def swollen(e: Any, d: Any, strain_x: float, strain_y: float) -> Any:
+    """psi(e)."""
+    tension = d @ e
+    return -(tension[0] * strain_x + tension[1] * strain_y)
+
+
+class SheetSwelling(MaterialLaw):
     """A sheet that has grown, or shrunk."""
 
     name = "sheet_swelling"
@@ -35,9 +42,7 @@ class SheetSwelling(StrainAtRest):
     )
     parts = ("membrane",)
     example = {"strain_x": 0.004, "strain_y": -0.003}
+    formula = MaterialFormula(swollen)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
-
-    def strain_at_rest(self, values: Values) -> np.ndarray:
-        return np.array([values["strain_x"], values["strain_y"], 0.0])

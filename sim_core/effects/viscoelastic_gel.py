@@ -10,14 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import MaterialLaw, Response, Strained
-from sim_core.effects.viscoelastic_sheet import ViscoelasticSheet
+from sim_core.core.material import MaterialFormula
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import MaterialLaw
+from sim_core.effects.viscoelastic_sheet import maxwell
 from sim_core.rigs import Gel, Rig
-
-LAW = ViscoelasticSheet()
 
 
 class ViscoelasticGel(MaterialLaw):
@@ -42,17 +39,10 @@ class ViscoelasticGel(MaterialLaw):
     )
     parts = ("solid",)
     example = {"share": 0.5, "tau_s": 0.1}
+    formula = MaterialFormula(maxwell)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
 
     def state(self) -> Mapping[str, tuple[int, ...]]:
         return {"spring": (6,)}
-
-    def respond(self, at: Strained, values: Values) -> Response:
-        return LAW.respond(at, values)
-
-    def push(
-        self, at: Strained, change: Strained, values: Values, by: Values
-    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        return LAW.push(at, change, values, by)

@@ -20,13 +20,22 @@ at any step, share and number of elements: it is passive without a condition. Se
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from typing import Any
 
-import numpy as np
-
-from sim_core.effects.base import EffectParameter, Values
-from sim_core.effects.hooks import MaterialLaw, Response, Strained
+from sim_core.core.material import MaterialFormula
+from sim_core.effects.base import EffectParameter
+from sim_core.effects.hooks import MaterialLaw
 from sim_core.rigs import Rig, Sheet
+
+
+def maxwell(e: Any, e_0: Any, d: Any, spring: Any, dt: float, share: float, tau_s: float) -> Any:
+    """The incremental energy, and z'."""
+    ratio = dt / tau_s
+    a, b = math.exp(-ratio), -math.expm1(-ratio) / ratio
+    new = a * spring + b * (e - e_0)
+    return 0.5 * share / b * (new.dot(d @ new) - a * a * spring.dot(d @ spring)), new
 
 
 class ViscoelasticSheet(MaterialLaw):
@@ -57,39 +66,10 @@ class ViscoelasticSheet(MaterialLaw):
     )  # fmt: skip
     parts = ("membrane", "bending")
     example = {"share": 0.5, "tau_s": 0.1}
+    formula = MaterialFormula(maxwell)
 
     def targets(self, rig: Rig) -> tuple[str, ...]:
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def state(self) -> Mapping[str, tuple[int, ...]]:
         return {"spring": (3,)}
-
-    def respond(self, at: Strained, values: Values) -> Response:
-        a, b = self._fading(at.dt, values)
-        old = at.state["spring"]
-        new = a * old + b * (at.strain - at.before)
-        stress, then = (values["share"] * _product(at.stiffness, z) for z in (new, old))
-        energy = ((new * stress).sum(axis=-1) - a**2 * (old * then).sum(axis=-1)) / (2.0 * b)
-        return Response(energy, stress, values["share"] * b * at.stiffness, {"spring": new})
-
-    def push(
-        self, at: Strained, change: Strained, values: Values, by: Values
-    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        a, b = self._fading(at.dt, values)
-        ratio, step = at.dt / values["tau_s"], at.strain - at.before
-        slower = by["tau_s"] / values["tau_s"]
-        old, new = at.state["spring"], a * at.state["spring"] + b * step
-        moved = a * change.state["spring"] + b * (change.strain - change.before)
-        moved = moved + slower * (ratio * a * old + (b - a) * step)
-        stress = _product(values["share"] * change.stiffness + by["share"] * at.stiffness, new)
-        return stress + values["share"] * _product(at.stiffness, moved), {"spring": moved}
-
-    @staticmethod
-    def _fading(dt: float, values: Values) -> tuple[float, float]:
-        """a and b of a step."""
-        ratio = dt / values["tau_s"]
-        return float(np.exp(-ratio)), float(-np.expm1(-ratio) / ratio)
-
-
-def _product(stiffness: np.ndarray, strain: np.ndarray) -> np.ndarray:
-    return np.asarray((stiffness @ strain[..., None])[..., 0])

@@ -95,39 +95,6 @@ def curvature_operator(
     return matrix
 
 
-class Stencils:
-    """Hinges and nodes on which the curvature of each triangle depends, one triangle after the other. ``operator``: of
-    :func:`curvature_operator`; ``hinge``: nodes of the hinges among all, int32 ``(n_hinges, 4)``.
-
-    ``first`` ``(m + 1,)``: where a triangle's entries begin in ``around``, its hinges, and ``b`` ``(., 3)``, its rows
-    of the operator; ``nodes`` ``(m,)``: how many nodes it has; ``place`` ``(., 4)``: which of these are those of the
-    hinge; ``start`` ``(m + 1,)``: where its pairs of nodes begin.
-    """
-
-    def __init__(self, operator: sp.csr_matrix, hinge: np.ndarray) -> None:
-        rows = [operator[k::3].tocsr() for k in range(3)]
-        pattern = sum(abs(r) for r in rows).tocsr()
-        pattern.sort_indices()
-        count, most = pattern.shape[0], hinge.max(initial=0) + 1
-        self.first = pattern.indptr.astype(np.int32)
-        self.around = pattern.indices.astype(np.int32)
-        triangle = np.repeat(np.arange(count), np.diff(pattern.indptr))
-        held = not len(triangle)
-        self.b = np.column_stack([[] if held else np.asarray(r[triangle, pattern.indices]).ravel() for r in rows])
-        key = triangle[:, None].astype(np.int64) * most + hinge[self.around]
-        members, place = np.unique(key, return_inverse=True)
-        self.nodes = np.bincount(members // most, minlength=count).astype(np.int32)
-        begin = np.concatenate([[0], np.cumsum(self.nodes)])
-        self.place = (place.reshape(-1, 4) - begin[triangle][:, None]).astype(np.int32)
-        self.start = np.concatenate([[0], np.cumsum(self.nodes * (self.nodes + 1) // 2)]).astype(np.int32)
-        self._members = np.split(members % most, begin[1:-1])
-
-    def pairs(self) -> list[np.ndarray]:
-        """Pairs of the nodes of each triangle, ``(., 2)``."""
-        upper = [np.triu_indices(len(nodes)) for nodes in self._members]
-        return [np.column_stack([n[i], n[j]]) for n, (i, j) in zip(self._members, upper, strict=True)]
-
-
 def curvature_fits(
     nodes: np.ndarray, triangles: np.ndarray, hinges: Hinges, frames: np.ndarray, rigid: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray] | None]:

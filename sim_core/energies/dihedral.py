@@ -17,23 +17,24 @@ dn = -sum_j grad(phi_j) n . dx_j with the barycentric coordinates phi_j. All of 
 the plane of the triangle. Tamstorf & Grinspun, Discrete bending forces and their Jacobians (2013).
 """
 
-import taichi as ti
+import numpy as np
 
-from sim_core.kernels import vec3
+from sim_core.core import language as lang
+from sim_core.core.language import vec3
 
-vec12 = ti.types.vector(12, ti.f64)
+vec12 = lang.types.vector(12, lang.f64)
 
 
-@ti.func
+@lang.func
 def angle(x0, x1, x2, x3):
     """Dihedral angle [rad] in (-pi, pi]."""
     e = x1 - x0
     n1 = e.cross(x2 - x0)
     n2 = (x3 - x0).cross(e)
-    return -ti.atan2(n1.cross(n2).dot(e) / e.norm(), n1.dot(n2))
+    return -lang.atan2(n1.cross(n2).dot(e) / e.norm(), n1.dot(n2))
 
 
-@ti.func
+@lang.func
 def angle_gradient(x0, x1, x2, x3):
     """d theta / d (x0, x1, x2, x3) [rad/m] as one 12-vector."""
     e = x1 - x0
@@ -49,8 +50,8 @@ def angle_gradient(x0, x1, x2, x3):
     return vec12(g0[0], g0[1], g0[2], g1[0], g1[1], g1[2], g2[0], g2[1], g2[2], g3[0], g3[1], g3[2])
 
 
-@ti.func
-def side_curvature(x0, x1, apex, turn: ti.f64):
+@lang.func
+def side_curvature(x0, x1, apex, turn: lang.f64):
     """Second derivative of the angle that one side contributes, from coefficients on its edge direction
     and its in-plane normal: ``n``, the two directions, ``dc`` (3 x 6) and ``dphi`` (3 x 3, last column c).
 
@@ -71,9 +72,9 @@ def side_curvature(x0, x1, apex, turn: ti.f64):
     dh = vec3(-(1.0 - t), -t, 1.0)
     dt_along = vec3(-1.0 / length + s / length**2, -s / length**2, 1.0 / length)
     dt_up = vec3(-h / length**2, h / length**2, 0.0)
-    dc = ti.Matrix.zero(ti.f64, 3, 6)
-    dphi = ti.Matrix.zero(ti.f64, 3, 3)
-    for j in ti.static(range(3)):
+    dc = lang.Matrix.zero(lang.f64, 3, 6)
+    dphi = lang.Matrix.zero(lang.f64, 3, 3)
+    for j in lang.static(range(3)):
         dc[0, 2 * j] = dt_along[j] / h
         dc[0, 2 * j + 1] = dt_up[j] / h + (1.0 - t) / h**2 * dh[j]
         dc[1, 2 * j] = -dt_along[j] / h
@@ -88,3 +89,28 @@ def side_curvature(x0, x1, apex, turn: ti.f64):
     dphi[1, 2] = -t / h
     dphi[2, 2] = 1.0 / h
     return n, along, up, dc, dphi
+
+
+def hinge_angles(x: np.ndarray, hinges: np.ndarray) -> np.ndarray:
+    """Angles [rad] ``(h,)`` of hinges, int ``(h, 4)``, at positions ``x`` [m] ``(n, 3)``."""
+    x0, x1, x2, x3 = (x[hinges[:, k]] for k in range(4))
+    e = x1 - x0
+    n1, n2 = np.cross(e, x2 - x0), np.cross(x3 - x0, e)
+    across = (np.cross(n1, n2) * e).sum(axis=1) / np.linalg.norm(e, axis=1)
+    return np.asarray(-np.arctan2(across, (n1 * n2).sum(axis=1)))
+
+
+def angle_slopes(x: np.ndarray, hinges: np.ndarray) -> np.ndarray:
+    """Their derivatives by the nodes of the hinges [rad/m] ``(h, 4, 3)``."""
+    x0, x1, x2, x3 = (x[hinges[:, k]] for k in range(4))
+    e = x1 - x0
+    length = np.linalg.norm(e, axis=1)[:, None]
+    normals = np.cross(e, x2 - x0), np.cross(x3 - x0, e)
+    u1, u2 = (n / (n * n).sum(axis=1)[:, None] for n in normals)
+
+    def along(v: np.ndarray) -> np.ndarray:
+        return np.asarray((v * e).sum(axis=1)[:, None] / length)
+
+    g0 = along(x2 - x1) * u1 + along(x3 - x1) * u2
+    g1 = -(along(x2 - x0) * u1 + along(x3 - x0) * u2)
+    return np.stack([g0, g1, length * u1, length * u2], axis=1)

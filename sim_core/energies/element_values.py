@@ -68,7 +68,7 @@ class ElementValues(ABC):
             self.grading.configure(parameters)
             self._weigh()
 
-    def _grade_at(self, time: float) -> None:
+    def grade_at(self, time: float) -> None:
         """Take the factors of effects at a time [s]."""
         if self.grading is not None and self.grading.go_to(time):
             self._weigh()

@@ -41,6 +41,16 @@ class Grading:
         return {f"{key}.{p.name}": p.unit for key, effect in self._maps.items() for p in effect.parameters}
 
     @property
+    def maps(self) -> list[tuple[str, FieldMap, dict[str, float]]]:
+        """Keys, effects and the values of their parameters."""
+        return [(key, effect, self._values[key]) for key, effect in self._maps.items()]
+
+    @property
+    def places(self) -> np.ndarray:
+        """Middles of the elements [m] ``(m, 3)``."""
+        return self._places
+
+    @property
     def changes(self) -> bool:
         """Whether the factors change in time."""
         return any(effect.changes for effect in self._maps.values())
@@ -66,11 +76,11 @@ class Grading:
     def _measure(self) -> None:
         self.factor = np.ones(len(self._places))
         for key, effect in self._maps.items():
-            self.factor = self.factor * effect.factor(self._places, self._time, self._values[key])
+            self.factor = self.factor * effect.factor(self._places, self._time, self._values[key]).v
 
     def by(self, number: str) -> np.ndarray:
         """Derivative of the logarithm of the factors by one of its numbers ``(m,)``."""
         key, _, parameter = number.rpartition(".")
         effect, values = self._maps[key], self._values[key]
         slope = effect.factor_by(self._places, self._time, values)[parameter]
-        return np.asarray(slope / effect.factor(self._places, self._time, values))
+        return np.asarray(slope / effect.factor(self._places, self._time, values).v)

@@ -19,50 +19,35 @@ curvature.
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from typing import Any
 
-from sim_core.materials.elastic import applied
+from sim_core.core.material import MaterialFormula
 
 AT_YIELD = 1e-12
 """A triangle that is no further beyond s than this share of it is at yield, but for round-off: its derivatives are
 those of going on elastically."""
 
 
-class PlasticFlow:
-    """Flow of all triangles. ``elastic``: kappa - kappa^p before it [1/m] ``(m, 3)``; ``onset``: s ``(m,)``;
-    ``hardening``: H ``(m,)``; ``d``: D [N m], one of all ``(3, 3)`` or one each ``(m, 3, 3)``."""
+def yielding(
+    e: Any,
+    d: Any,
+    plastic_curvature: Any,
+    accumulated_curvature: float,
+    yield_curvature_per_m: float,
+    hardening_ratio: float,
+) -> Any:
+    """W less the energy of a sheet that does not yield, kappa^p' and a'."""
+    elastic = e - plastic_curvature
+    square = elastic.dot(d @ elastic) / d[0, 0]
+    norm = math.sqrt(square)
+    onset = yield_curvature_per_m + hardening_ratio * accumulated_curvature
+    over = norm - onset if norm - onset > AT_YIELD * onset else 0.0
+    amount = over / (1.0 + hardening_ratio)
+    stored = 0.5 * d[0, 0] * (square - over * amount) - 0.5 * e.dot(d @ e)
+    flowed = amount / (norm if norm > 0.0 else 1.0)
+    return stored, plastic_curvature + flowed * elastic, accumulated_curvature + amount
 
-    def __init__(self, elastic: np.ndarray, onset: np.ndarray, hardening: np.ndarray, d: np.ndarray) -> None:
-        self._elastic, self._d, self._hardening = elastic, d, hardening
-        moment = applied(d, elastic)
-        norm = np.sqrt((elastic * moment).sum(axis=1) / d[..., 0, 0])
-        excess = norm - onset
-        self._far = np.where(norm > 0.0, norm, 1.0)
-        self._flows = excess > AT_YIELD * onset
-        self.amount = np.maximum(excess, 0.0) / (1.0 + hardening)
-        """g [1/m] ``(m,)``."""
-        self.direction = elastic / self._far[:, None]
-        """kappa_e / n ``(m, 3)``."""
-        self.slope = moment / (d[..., 0, 0] * self._far)[:, None]
-        """dn/dkappa ``(m, 3)``."""
-        self.rate = np.where(self._flows, 1.0 / (1.0 + hardening), 0.0)
-        """dg/dn ``(m,)``."""
-        self.left = elastic - self.amount[:, None] * self.direction
-        """Elastic curvature after the flow [1/m] ``(m, 3)``."""
 
-    def by_curvature(self) -> np.ndarray:
-        """Derivative of the plastic curvature by kappa, ``(m, 3, 3)``."""
-        outer = self.direction[:, :, None] * self.slope[:, None, :]
-        turn = (self.amount / self._far)[:, None, None] * (np.eye(3) - outer)
-        return np.asarray(self.rate[:, None, None] * outer + turn)
-
-    def by_law(self, d: np.ndarray, onset: np.ndarray, hardening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of plastic ``(m, 3)`` and accumulated curvature ``(m,)`` [1/m] along derivatives of D, of
-        its shape, of s ``(m,)`` and of H ``(m,)``."""
-        first, change = (matrix[..., :1, :1] for matrix in (self._d, d))
-        metric = (d - self._d * change / first) / first
-        grown = 0.5 * (self._elastic * applied(metric, self._elastic)).sum(axis=1) / self._far
-        later = onset + hardening * self.amount
-        rise = np.where(self._flows, grown - later, 0.0) / (1.0 + self._hardening)
-        turned = (rise - self.amount * grown / self._far)[:, None] * self.direction
-        return turned, rise
+LAW = MaterialFormula(yielding)
+"""The same in one formula."""

@@ -10,18 +10,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from sim_core.contact.rigid import RigidContact
 from sim_core.energies.linearised import skew
+from sim_core.permanent_state import PermanentState
 from sim_core.rigs import WORLD, Affine, Rigid
 from sim_core.scene.assembly import BuiltBody
 from sim_core.scene.carriage import Carrier, carriers
 from sim_core.scene.joints import carried_by
 from sim_core.scene.scene import Frame, Scene
-
-TURN_STEP = 1e-5
-"""Turn [rad] by which turns halfway are differentiated."""
 
 Motions = Mapping[str, np.ndarray]
 """Motions of mounts by p parameters, ``(6, p)`` each."""
@@ -104,35 +101,20 @@ def start_along(
     return x, v, rotations
 
 
+def put_left(scene: Scene, frames: Mapping[str, Frame], left: PermanentState, x: np.ndarray) -> None:
+    """Put derivatives of where an earlier rollout has left bodies into those of the positions at the start
+    ``(n, 3, p)``; the mounts moved alike at its end."""
+    for name in left.shaped if left.by_x is not None else ():
+        along = carriers(scene, name, left)
+        for carrier in along:
+            x[carrier.nodes] = 0.0
+        for carrier in along:
+            turn = (frames[carrier.mount][1] * left.frames[carrier.mount][1].inv()).as_matrix()
+            by = np.einsum("ij,kjp->kip", turn, left.by_x[carrier.nodes])  # type: ignore[index]
+            x[carrier.nodes] += carrier.weights[:, None, None] * by
+
+
 def carried_along(local: np.ndarray, frame: Frame, moved: np.ndarray) -> np.ndarray:
     """Motion ``(k, 3, p)`` in the world of points ``local`` [m] ``(k, 3)`` of a frame."""
     inner = moved[:3] - skew(local) @ moved[3:]
     return np.asarray(frame[1].as_matrix() @ inner)
-
-
-def midway_motion(middle: Mapping[str, Frame], *ends: tuple[Mapping[str, Frame], Motions]) -> dict[str, np.ndarray]:
-    """Motion of frames halfway (:func:`sim_core.simulate.midway`) by that of the two ``ends`` that they are between:
-    by central differences of turns of these, which are small."""
-    out = {}
-    for mount in dict.fromkeys([*ends[0][1], *ends[1][1]]):
-        own = [(frames[mount], at.get(mount)) for frames, at in ends]
-        count = next(at.shape[1] for _, at in own if at is not None)
-        moved = [np.zeros((6, count)) if at is None else at for _, at in own]
-        shift = sum(0.5 * frame[1].as_matrix() @ at[:3] for (frame, _), at in zip(own, moved, strict=True))
-        turn = np.zeros((3, count))
-        for k in range(count):
-            size = max(float(np.abs(at[3:, k]).max()) for at in moved)
-            if size == 0.0:
-                continue
-            h = TURN_STEP / size
-            there = []
-            for sign in (1.0, -1.0):
-                a, b = (
-                    frame[1] * Rotation.from_rotvec(sign * h * at[3:, k])
-                    for (frame, _), at in zip(own, moved, strict=True)
-                )
-                half = Slerp([0.0, 1.0], Rotation.concatenate([a, b]))(0.5)
-                there.append((middle[mount][1].inv() * half).as_rotvec())
-            turn[:, k] = (there[0] - there[1]) / (2.0 * h)
-        out[mount] = np.concatenate([middle[mount][1].as_matrix().T @ shift, turn])
-    return out

@@ -12,8 +12,7 @@ import numpy as np
 
 from sim_core.gradients.directions import Direction
 from sim_core.rigs import Rig
-from sim_core.scene.scene import Frame
-from sim_core.sensing.observe import Observer, taken
+from sim_core.sensing.observe import taken
 
 POINTS = 3000
 """Points that are imaged at once: calls of OpenCV have their price, and so have large tables of its derivatives."""
@@ -26,14 +25,6 @@ class Imaging:
         self._along = along
         self._changing = [k for k, d in enumerate(along) if d.low.cameras != d.high.cameras]
         self._kept: dict[tuple[str, int, bool], list[np.ndarray]] = {}
-
-    def take(self, observer: Observer, rig: Rig, frames: Mapping[str, Frame]) -> None:
-        """One picture of each camera, at the positions that the scene of ``rig`` holds."""
-
-        def before(end: Rig) -> dict[str, np.ndarray]:
-            return {name: points[None] for name, points in observer.before_cameras(frames, end).items()}
-
-        self.take_all(rig, before)
 
     def take_all(self, rig: Rig, before: Callable[[Rig], Mapping[str, np.ndarray]]) -> None:
         """Pictures of each camera of a ``rig`` at several instants. ``before``: what the cameras of a rig are to see in

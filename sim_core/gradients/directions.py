@@ -24,7 +24,7 @@ from sim_core.scene.scene import Scene, Values
 RELATIVE_STEP = 1e-5
 """Half width of the difference that gives a slope, as a share of the value."""
 
-FROM_ZERO = 1e-7
+FROM_ZERO = 1e-6
 """Step of a value that is zero: a friction, an angle, a delay [s], an offset."""
 
 Key = tuple[str, str, str]

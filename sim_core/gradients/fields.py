@@ -1,139 +1,255 @@
-"""Derivatives by fields over elements and nodes (:mod:`sim_core.scene.fields`), summed up on the way back.
+"""Derivatives by fields over elements and nodes (:mod:`sim_core.scene.fields`).
 
-The force of an element is its factor f times that of a uniform body, so the derivative of the residual by f, times the
-weights of the forces, is the work of the element's forces along these weights, over f; with f = prod (q / q_rig)^p
+The core sums up the weights of its record's arrays (include/record.hpp): stiffnesses of triangles and of pairs of
+hinges, moduli of tetrahedra, masses. What a field changes in these is known in closed form, so the derivatives by its
+values are products with the sums, once a gradient. The force of an element is its factor f times that of a uniform
+body, with f = prod (q / q_rig)^p; so with W_part the product of a part's stiffness or mass with its weights,
 
-    dL/dq = sum_parts p W_part / q,    W_part = weights . F_element    (of mass: weights . m_element (a - g))
+    dL/dq = sum_parts p W_part / q
 
-New internal variables do not depend on f: relaxing stresses are kept per f, plastic curvatures know no stiffness. A
-field costs one kernel a term and step.
-
-Poisson's ratio enters through the moduli of its element, and with them through the stress that relaxes and the norm by
-which a sheet yields, so beside forces it changes the new internal variables xi' (``by_nu``, closed forms):
-
-    dL/dnu = weights . dF_element/dnu + weights of xi' . dxi'_element/dnu
-
-The mean dilatation of a gel is that of one element, so no element's nu acts in another.
-
-Of the numbers of the elements' memories, damping by stiffness changes forces alone, share and time constant of a
-relaxation the new stress that relaxes, too (``by_damping``, ``by_relaxation``); damping by mass is a share of the mass
-that a velocity meets. The curvature at which a triangle yields, and its hardening, enter through its flow alone.
-
-Rest angles enter through the curvatures of the triangles around a hinge
-(:meth:`sim_core.energies.bending.Bending.by_rest_angles`), shapes at rest through all that is measured on them
+Poisson's ratio enters through the moduli of an element, and with them through what laws see of them and the norm by
+which a sheet yields; dampings, shares and time constants through numbers of their own. Rest angles enter through the
+curvatures of the triangles around a hinge, shapes at rest through all that is measured on them
 (:mod:`sim_core.gradients.rest_shape`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
-from sim_core.energies.linearised import Linearised
-from sim_core.energies.term import ByRestAngles, Declaring, Quantity, Term
-from sim_core.gradients.elements import Alongs
-from sim_core.gradients.parameter_jacobian import borne_by_mass, damped_by_mass
-from sim_core.gradients.rest_shape import RestSums
-from sim_core.gradients.step import Weights
-from sim_core.scene.fields import MASS, MASS_DAMPING, MASS_POWERS, REST, REST_ANGLE
+from sim_core.core.adjoint import CoreAdjoint
+from sim_core.core.curving import Curving, curving_of
+from sim_core.core.gradings import at_the_start
+from sim_core.core.layout import layout_of
+from sim_core.core.materials import PointLaw, point_laws
+from sim_core.core.slopes import NumberSlopes
+from sim_core.energies.air_drag import AirDragTerm
+from sim_core.energies.bending import Bending
+from sim_core.energies.bending_strain import BendingStrain
+from sim_core.energies.membrane import Membrane
+from sim_core.energies.neo_hookean import NeoHookean
+from sim_core.energies.neo_hookean_moduli import apart
+from sim_core.gradients.rest_shape import GelShape, RestShapes, SheetShape
+from sim_core.scene.fields import (
+    FLOW,
+    MASS,
+    MASS_DAMPING,
+    MASS_POWERS,
+    NU,
+    RELAXATION,
+    REST,
+    REST_ANGLE,
+    STIFFNESS_DAMPING,
+)
 from sim_core.scene.scene import Scene
 
+Elastic = Membrane | Bending | NeoHookean
 
-class FieldSums:
-    """Sums over the steps of a rollout, for fields by ``names``."""
+
+class FieldGradients:
+    """Fields by ``names``, for one adjoint after the other."""
 
     def __init__(self, scene: Scene, names: Sequence[str]) -> None:
         self._scene = scene
         self._names = list(dict.fromkeys(scene.fields.resolve(name) for name in names))
         self._values = {name: scene.fields[name] for name in self._names}
-        terms: dict[str, Any] = {t.name: t for t in scene.system.terms}
-        pairs = [(body, key) for body, _, key in (name.partition(".") for name in self._names)]
-        self._declared = {pair: list(_declared(scene, *pair)) for pair in pairs}
-        self._powers = {
-            (body, key): {**{t.name: q.power for t, q in found if q.power}, **_of_mass(key)}
-            for (body, key), found in self._declared.items()
-        }
-        self._parts = list(dict.fromkeys((b, part) for (b, _), powers in self._powers.items() for part in powers))
-        self._others = [(body, key) for body, key in pairs if key != REST and not self._powers[body, key]]
-        self._terms = {(b, part): terms[part] for b, part in self._parts if part in terms}
-        weighed = [b for b, part in self._parts if part == MASS] + [b for b, key in self._others if key == MASS_DAMPING]
-        self._masses = {b: scene.fields.mass_blocks(b) for b in weighed}
-        self._numbers = scene.values(scene.rig)
-        self.shapes = RestSums(scene, self._numbers, [body for body, key in pairs if key == REST])
-        self.clear()
+        self._density = scene.values(scene.rig).density
+        self.shapes = RestShapes(scene, [name.split(".")[0] for name in self._names if name.endswith(f".{REST}")])
+        self.curving = curving_of(scene, self.shapes.pairs) if self._names else None
+        """What the core sums up weights of, beside the record's arrays."""
 
-    def __bool__(self) -> bool:
-        return bool(self._names)
+    def damped(self, numbers: NumberSlopes) -> NumberSlopes:
+        """The numbers along which a rollout is differentiated, and a column more where the core has to look at rates of
+        strain for a damping that may be nowhere."""
+        bodies = [name.split(".")[0] for name in self._names if name.endswith(f".{STIFFNESS_DAMPING}")]
+        terms = [t.name for body in bodies for t in self._scene.bodies[body].terms if isinstance(t, Elastic)]
+        if not terms:
+            return numbers
+        keys = [*numbers.keys, *(("terms", term, STIFFNESS_DAMPING) for term in terms)]
+        table = np.zeros((len(keys), numbers.count + 1))
+        table[: len(numbers.keys), : numbers.count] = numbers.table.reshape(len(numbers.keys), numbers.count)
+        table[len(numbers.keys) :, -1] = 1.0
+        return NumberSlopes(keys, table)
 
-    def clear(self) -> None:
-        """Begin anew."""
-        self._work: dict[tuple[str, str], Any] = dict.fromkeys(self._parts, 0.0)
-        self._by: dict[tuple[str, str], Any] = dict.fromkeys(self._others, 0.0)
-        self.shapes.clear()
-
-    def add(self, alongs: Alongs, after: Weights, terms: Mapping[str, Linearised]) -> None:
-        """Add what a step has. ``after``: weights of its end; ``terms``: as linearised."""
-        step, pulled = alongs.step, alongs.pulled
-        for part, term in self._terms.items():
-            self._work[part] = self._work[part] + alongs.work(term)
-        for body, of in self._parts:
-            if of == MASS:
-                density = self._numbers.density[body]
-                pairs = borne_by_mass(self._scene, density, body, step, pulled.exerted, pulled.borne)
-                work = sum(factor * self._by_mass(body, v, w) for factor, v, w in pairs)
-                self._work[body, MASS] = self._work[body, MASS] + work
-        for body, key in self._others:
-            self._by[body, key] = self._by[body, key] + self._of(body, key, alongs)
-        if self.shapes:
-            self.shapes.add(step, alongs.internals, pulled, after, terms)
-
-    def _of(self, body: str, key: str, alongs: Alongs) -> Any:
-        """What a step adds to the derivatives by a field that is no factor of an energy or a mass."""
-        step, exerted = alongs.step, alongs.pulled.exerted
-        if key == MASS_DAMPING:
-            return self._by_mass(body, *damped_by_mass(self._scene.system, self._numbers.density[body], step, exerted))
-        total: Any = 0.0
-        if key == REST_ANGLE:
-            for term in self._scene.bodies[body].terms:
-                if isinstance(term, ByRestAngles):
-                    before = alongs.internals[term.name]
-                    term.begin_step(step, before)
-                    total = total + term.by_rest_angles(exerted, alongs.kept[term.name], step, before)
-            return total
-        for term, _ in self._declared[body, key]:
-            total = total + alongs.by(term, key)
-        return total
-
-    def _by_mass(self, body: str, v: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Products of nodal vectors ``(n, 3)`` by the masses of the elements of a body, ``(m,)``."""
-        nodes, blocks = self._masses[body]
-        return np.asarray(np.einsum("mab,mai,mbi->m", blocks, v[nodes], w[nodes]))
-
-    def gradients(self) -> dict[str, np.ndarray]:
+    def gradients(self, adjoint: CoreAdjoint) -> dict[str, np.ndarray]:
         """Derivatives by the values of each field in SI units."""
-        out, shapes = {}, self.shapes.gradients()
+        at_the_start(layout_of(self._scene))
+        if self.curving is None:
+            return {}
+        shapes = self.shapes.total(adjoint) if self.shapes else np.zeros(0)
+        parts: dict[str, _Body] = {}
+        out = {}
         for name, values in self._values.items():
             body, key = name.split(".")
-            if key == REST:
-                out[name] = shapes[body]
-                continue
-            if powers := self._powers[body, key]:
-                total = sum(power * self._work[body, part] for part, power in powers.items()) / values
+            if body not in parts:
+                parts[body] = _Body(self._scene, body, self._density[body], adjoint, self.curving)
+            if key != REST:
+                out[name] = parts[body].by(key, values)
+            elif body in self.shapes.sheets:
+                parts[body].pass_on_sheet(self.shapes.sheets[body], shapes)
             else:
-                total = self._by[body, key]
-            out[name] = total + np.zeros(len(values))
-        return out
+                parts[body].pass_on_gel(self.shapes.gels[body], shapes)
+        return out | {f"{body}.{REST}": shapes[self._scene.bodies[body].nodes] for body in self.shapes.bodies}
 
 
-def _declared(scene: Scene, body: str, key: str) -> Iterator[tuple[Term, Quantity]]:
-    """Terms of a body whose elements have values of a quantity, as they declare it."""
-    for term in scene.bodies[body].terms:
-        if isinstance(term, Declaring):
-            yield from ((term, q) for q in term.quantities if q.name == key)
+class _Body:
+    """What the sums have for one body."""
+
+    def __init__(self, scene: Scene, name: str, density: float, adjoint: CoreAdjoint, curving: Curving) -> None:
+        self._scene, self._name, self._density, self._adjoint = scene, name, density, adjoint
+        self._curving = curving
+        self._terms: list[Elastic] = [t for t in scene.bodies[name].terms if isinstance(t, Elastic)]
+        self._laws = [found for found in self._of_points() if any(found[0].measure.own is t for t in self._terms)]
+
+    def by(self, key: str, values: np.ndarray) -> np.ndarray:
+        """Derivatives by the ``values`` of one of its fields."""
+        if key == REST_ANGLE:
+            total = self._adjoint.elements("rest_angle")[self._hinges()]
+            for law, rows, _ in self._laws:
+                if isinstance(law.measure, BendingStrain):  # curvatures at the end and at the start of a step
+                    total = total + law.measure.by_rest_angles(rows[:, :3] + rows[:, 3:6])
+            return np.asarray(total)
+        if key in FLOW:
+            return np.asarray(sum(rows[:, law.layout.places[key][0]] for law, rows, _ in self._laws if not law.prefix))
+        if key in RELAXATION:
+            number, argument = self._scene.fields.quantity(self._name, key), RELAXATION[key]
+            law, rows, _ = next(found for found in self._laws if f"{found[0].prefix}{argument}" == number)
+            return np.asarray(law.measure.of_elements(rows[:, law.layout.places[argument][0]]))
+        if key == MASS_DAMPING:
+            return self._by_masses(damping=True)
+        if key in (NU, STIFFNESS_DAMPING):
+            total = np.asarray(sum(self._of(term, key) for term in self._terms))
+            for law, rows, _ in self._laws if key == NU else ():
+                change = law.layout.rows({"d": law.measure.stiffness_by(NU)}, len(rows))
+                total = total + law.measure.of_elements((rows * change).sum(axis=1))
+            return np.asarray(total)
+        powers = {q.name: q.power for term in self._terms for q in term.quantities} | MASS_POWERS
+        assert key in powers, key
+        total = np.zeros(len(values))
+        for term in self._terms:
+            power = next((q.power for q in term.quantities if q.name == key), 0)
+            if power:
+                total += power * self._of(term, "work")
+        for law, _, work in self._laws:
+            power = next((q.power for q in law.measure.quantities if q.name == key), 0)
+            total += power * law.measure.of_elements(work)
+        if key in MASS_POWERS:
+            total += MASS_POWERS[key] * (self._by_masses() + self._alpha() * self._by_masses(damping=True))
+        return np.asarray(total / values)
+
+    def _of_points(self) -> Iterator[tuple[PointLaw, np.ndarray, np.ndarray]]:
+        """All laws of effects, weights of what their points see ``(n, inputs)``, and the points' work ``(n,)``."""
+        rows, work = self._adjoint.elements("material_row"), self._adjoint.elements("material_area")
+        row = first = 0
+        for law in point_laws(self._scene):
+            count, inputs = len(law.measure.areas), law.layout.inputs
+            yield law, rows[row : row + count * inputs].reshape(count, inputs), work[first : first + count]
+            row, first = row + count * inputs, first + count
+
+    def _of(self, term: Elastic, what: str) -> np.ndarray:
+        """Work of the elements of a term, or their derivatives by nu or by the damping."""
+        if isinstance(term, NeoHookean):
+            weights = self._adjoint.elements("gel").reshape(-1, 5)[_own(term, layout_of(self._scene).gels)]
+            if what == NU:
+                return np.asarray((weights[:, :3] * apart(term.moduli_by(NU))).sum(axis=1))
+            return weights[:, 3 if what == STIFFNESS_DAMPING else 4]
+        stiffness, damping = self._stretching(term) if isinstance(term, Membrane) else self._bending(term)
+        if what == STIFFNESS_DAMPING:
+            return damping
+        change = term.stiffness_by(NU) if what == NU else term.stiffness
+        return np.asarray(term.areas * (stiffness * change).sum(axis=(1, 2)))
+
+    def _stretching(self, term: Membrane) -> tuple[np.ndarray, np.ndarray]:
+        """Weights of A h C ``(m, 3, 3)`` and of the damping ``(m,)`` of the triangles."""
+        own = _own(term, layout_of(self._scene).membranes)
+        stiffness = self._adjoint.elements("stretch_stiffness").reshape(-1, 3, 3)
+        return stiffness[own], self._adjoint.elements("stretch_damping")[own]
+
+    def _bending(self, term: Bending) -> tuple[np.ndarray, np.ndarray]:
+        """Weights of A D ``(m, 3, 3)``, which hinges are coupled by as sum_T B_T^T A D B_T, and by the same with beta
+        where rates count; and of the damping beta ``(m,)``."""
+        own, _ = self._curving.own[term.name]
+        stiff, rubbed = (self._adjoint.elements(f"curve_{k}").reshape(-1, 3, 3)[own] for k in ("stiffness", "damping"))
+        damping = term.areas * (rubbed * term.stiffness).sum(axis=(1, 2))
+        return stiff + term.damping[:, None, None] * rubbed, np.asarray(damping)
+
+    def _hinges(self) -> slice:
+        """Its hinges among those of the record."""
+        (bending,) = (t for t in self._terms if isinstance(t, Bending))
+        terms = layout_of(self._scene).bendings
+        first = sum(len(t.hinge_nodes) for t in terms[: _place(bending, terms)])
+        return slice(first, first + len(bending.hinge_nodes))
+
+    def _by_masses(self, damping: bool = False) -> np.ndarray:
+        """Products of the elements' masses with their weights in inertia and weight, or, with ``damping``, in damping
+        by mass per unit of alpha."""
+        return np.asarray((self._scene.fields.mass_blocks(self._name)[1] * self._masses(damping)).sum(axis=(1, 2)))
+
+    def _masses(self, damping: bool) -> np.ndarray:
+        """These weights, of the blocks of the elements per unit of density ``(m, k, k)``."""
+        scene, system = self._scene, self._scene.system
+        mass = sp.csr_matrix(system.mass)
+        mass.sum_duplicates()
+        mass.sort_indices()
+        entries = self._adjoint.elements("mass_damping" if damping else "mass")
+        nodes, _ = scene.fields.mass_blocks(self._name)
+        rows, columns = np.broadcast_arrays(nodes[:, :, None], nodes[:, None, :])
+        weights = sp.csr_matrix((entries, mass.indices, mass.indptr), shape=mass.shape)
+        found = np.asarray(weights[rows.ravel(), columns.ravel()]).reshape(rows.shape)
+        if damping:
+            loose = np.asarray(~system.prescribed.all(axis=1))
+            return np.asarray(self._density * found * (loose[rows] & loose[columns]))
+        return np.asarray(
+            self._density * (found + (self._adjoint.elements("external").reshape(-1, 3) @ system.gravity)[rows])
+        )
+
+    def _alpha(self) -> np.ndarray:
+        return self._scene.fields[f"{self._name}.{MASS_DAMPING}"]
+
+    def pass_on_sheet(self, shape: SheetShape, total: np.ndarray) -> None:
+        """Add derivatives by what is measured on a sheet at rest, passed on to the nodes ``(n, 3)``."""
+        bending, own = shape.bending, self._curving.own[shape.bending.name]
+        membrane = next(t for t in self._terms if isinstance(t, Membrane))
+        hats = self._adjoint.elements("hats").reshape(-1, 3, 2)[_own(membrane, layout_of(self._scene).membranes)]
+        work = sum(self._of(term, "work") for term in self._terms) + sum(work for *_, work in self._laws)
+        work = work + self._by_masses() + self._alpha() * self._by_masses(damping=True)
+        factors, first = self._adjoint.elements("drag_factor"), 0
+        for term in self._scene.system.terms:
+            if isinstance(term, AirDragTerm):
+                mine = factors[first : first + len(term.triangles)]
+                first += len(term.triangles)
+                if term.name.startswith(f"{self._name}."):
+                    work = work + mine * term.drag_areas()
+        stiff, rubbed, operator = (
+            self._adjoint.elements(f"operator_{k}").reshape(-1, 3)[own[1]] for k in ("stiffness", "damping", "law")
+        )
+        triangle = shape.pairs[0]
+        moment = np.einsum("kij,kj->ki", bending.stiffness[triangle], stiff + bending.damping[triangle, None] * rubbed)
+        operator = operator + bending.areas[triangle, None] * moment
+        shape.pass_on(hats, work / bending.whole_areas, operator, self.by(REST_ANGLE, np.zeros(0)), total)
+
+    def pass_on_gel(self, shape: GelShape, total: np.ndarray) -> None:
+        """The same of a gel."""
+        (term,) = (t for t in self._terms if isinstance(t, NeoHookean))
+        own = _own(term, layout_of(self._scene).gels)
+        gradient = self._adjoint.elements("gel_gradient").reshape(-1, 4, 10, 3)[own]
+        volume = self._adjoint.elements("gel_volume").reshape(-1, 4)[own] * term.weights
+        volume = volume + sum(work.reshape(-1, 4) for *_, work in self._laws)
+        mass = self._masses(False) + self._alpha()[:, None, None] * self._masses(True)
+        factor = self._scene.fields.factor(self._name, MASS)
+        shape.pass_on(gradient, volume, factor[:, None, None] * mass, total)
 
 
-def _of_mass(key: str) -> dict[str, int]:
-    """The power of a quantity in the mass of an element, if it has any."""
-    return {MASS: MASS_POWERS[key]} if key in MASS_POWERS else {}
+def _place(term: Any, of: Sequence[Any]) -> int:
+    return [other is term for other in of].index(True)
+
+
+def _own(term: Membrane | NeoHookean, of: Sequence[Any]) -> slice:
+    """The elements of a term among those of all of its kind."""
+    sizes = [len(t.tets if isinstance(t, NeoHookean) else t.triangles) for t in of]
+    first = sum(sizes[: _place(term, of)])
+    return slice(first, first + sizes[_place(term, of)])

@@ -175,10 +175,11 @@ def write_motion(made: MadeTask, settings: Settings, result: Result, folder: Pat
         traces = [trace] if trace is not None else []
     trajectory = make_trajectory(
         made.rig,
-        rollouts.space.poses(result.action),
+        rollouts.poses(result.action),
         rollouts.space.times,
         limits=Limits(max_force_n=made.stop.most_force_n),
         traces=traces,
+        open_parameters=len(settings.draws[0]) if settings.draws else None,
         name=made.task.name,
         description=made.task.title,
         provenance={
@@ -227,7 +228,7 @@ def _open(made: MadeTask, settings: Settings, folder: Path) -> Path:
 
 
 def _about(made: MadeTask, settings: Settings) -> dict[str, Any]:
-    packages = {name: version(name) for name in ("numpy", "scipy", "taichi", "cma")}
+    packages = {name: version(name) for name in ("numpy", "scipy", "cma")}
     return {
         "task": made.task.name,
         "variant": made.variant_name,

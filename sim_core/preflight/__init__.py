@@ -15,6 +15,7 @@ from sim_core.preflight.finding import Finding
 from sim_core.preflight.overlaps import overlap_findings
 from sim_core.preflight.pieces import piece_findings
 from sim_core.preflight.sight import sight_findings
+from sim_core.preflight.speed import speed_findings
 from sim_core.preflight.touch import touch_findings
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
@@ -30,4 +31,4 @@ def review(
     found = [*overlap_findings(layout), *bond_findings(layout), *coarse_findings(layout)]
     found += piece_findings(layout)
     found += sight_findings(layout, poses)
-    return [*found, *(touch_findings(layout, poses) if poses is not None else [])]
+    return [*found, *((*touch_findings(layout, poses), *speed_findings(rig, poses)) if poses is not None else [])]

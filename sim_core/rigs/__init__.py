@@ -14,6 +14,7 @@ from sim_core.rigs.bodies import (
 )
 from sim_core.rigs.fields import Pose
 from sim_core.rigs.gel_shapes import Block, Disc, Dome
+from sim_core.rigs.limits import HandLimits, Limits
 from sim_core.rigs.load import config_folder, load_rig, parse_rig, rig_to_yaml
 from sim_core.rigs.mesh_shapes import GelFile, SheetFile
 from sim_core.rigs.observers import (
@@ -46,7 +47,9 @@ __all__ = [
     "Gel",
     "GelFile",
     "GelMaterial",
+    "HandLimits",
     "Joint",
+    "Limits",
     "MarkerSensor",
     "OrthographicCamera",
     "Outline",

@@ -6,8 +6,13 @@ of the tool frame turns quaternions in R^4, so the curve does not depend on eith
 differs from the geodesic spline by the order of the interpolation error itself.
 
 Measured poses are smoothed: of all curves g, the one that minimises ``sum |y_k - g(t_k)|^2 + lambda int |g''|^2 dt``
-(Reinsch 1967), with lambda by the discrepancy principle, ``RSS = sigma^2 (n - d(lambda))``. The degrees of freedom d
-are those of Utreras (1981), ``2 + sum_k 1 / (1 + lambda h mu_k)``, ``mu_k = (pi (k - 1/2) / T)^4 / h^2``.
+(Reinsch 1967), along each principal axis of their scatter, which turn with the frames, with a lambda of its own: a hand
+that moves along one axis is at rest along others. It has the least expected error by the unbiased estimate
+``RSS + 2 sigma^2 d(lambda)`` (Craven & Wahba, Numer. Math. 31, 1979), which depends little on how well the noise sigma
+is known. The degrees of freedom d are those of Utreras (1981), ``2 + sum_k 1 / (1 + lambda h mu_k)``,
+``mu_k = (pi (k - 1/2) / T)^4 / h^2``. Where the motion really was is then normal about the curve, at the samples with
+the covariance ``sigma^2 (1 + lambda K)^-1``, where ``sum_k g_k (K g)_k = int |g''|^2 dt`` (Wahba, J. R. Stat. Soc. B
+45, 1983).
 
 Where samples are no smooth motion at their sampling interval (steps of a command, jumps, gaps, sudden changes of
 velocity) the curve has a corner: it is continuous there, and the splines on both sides do not see each other. Two
@@ -25,7 +30,7 @@ import numpy as np
 from sim_core.rigs.fields import FloatArray
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline, PPoly
+    from scipy.interpolate import PPoly
 
 FEWEST = 5
 """Fewest samples in a row that a spline is put through; fewer are joined by straight lines."""
@@ -81,13 +86,23 @@ class PoseCurve:
         return np.asarray(self.times[list(self.corners[1:-1])])
 
 
-def pose_curve(times: FloatArray, positions: FloatArray, quaternions: FloatArray, noise: FloatArray) -> PoseCurve:
+def pose_curve(
+    times: FloatArray,
+    positions: FloatArray,
+    quaternions: FloatArray,
+    noise: FloatArray,
+    drawn: np.random.Generator | None = None,
+    smooth: bool = False,
+) -> PoseCurve:
     """The curve of samples ``(n,)``, ``(n, 3)``, ``(n, 4)``, n at least 2. ``noise``: standard deviations of their
-    positions [m] and turns [rad], one axis, that are smoothed away; zero where the curve goes through the samples."""
+    positions [m] and turns [rad], one axis, that are smoothed away; zero where the curve goes through the samples.
+    ``drawn``: a curve along which the motion may have been as well is drawn about it, with the same corners.
+    ``smooth``: the samples are a smooth motion, and the curve has no corners."""
     from scipy.interpolate import PPoly
 
     values = np.hstack([positions, quaternions])
-    corners = find_corners(times, values, noise)
+    whole = smooth and len(times) >= FEWEST
+    corners = [0, len(times) - 1] if whole else find_corners(times, values, noise)
     sigma = np.array([noise[0], 0.5 * noise[1]])  # a turn by a changes a quaternion by a / 2
     pieces: list[PPoly | None] = []
     ends = [0]
@@ -97,8 +112,8 @@ def pose_curve(times: FloatArray, positions: FloatArray, quaternions: FloatArray
             pieces.extend([None] * (last - first))
             continue
         t, y = times[first : last + 1], values[first : last + 1]
-        parts = [_spline(t, y[:, axes], s) for axes, s in ((slice(0, 3), sigma[0]), (slice(3, 7), sigma[1]))]
-        pieces.append(PPoly(np.concatenate([p.c for p in parts], axis=2), t))
+        parts = [_spline(t, y[:, axes], s, drawn) for axes, s in ((slice(0, 3), sigma[0]), (slice(3, 7), sigma[1]))]
+        pieces.append(PPoly(np.concatenate(parts, axis=2), t))
         ends.append(last)
     values = values.copy()
     for index, spline in enumerate(pieces):  # what is straight joins what is smoothed
@@ -155,54 +170,90 @@ def _misses(times: FloatArray, values: FloatArray, at: np.ndarray, others: np.nd
     )
 
 
-def _spline(times: FloatArray, values: FloatArray, sigma: float) -> CubicSpline:
-    """The cubic spline through samples ``(n, m)``, or near those with noise ``sigma`` in each of three directions."""
+def _spline(times: FloatArray, values: FloatArray, sigma: float, drawn: np.random.Generator | None) -> FloatArray:
+    """Coefficients ``(4, n - 1, m)`` of the cubic spline through samples ``(n, m)``, of positions or quaternions, or
+    near those with noise ``sigma`` in each of three directions."""
     from scipy.interpolate import CubicSpline
 
-    near = values if sigma <= 0.0 else _smoothed(times, values, sigma)
-    return CubicSpline(times, near, bc_type="not-a-knot" if near is values else "natural")
+    if sigma <= 0.0:
+        return np.asarray(CubicSpline(times, values, bc_type="not-a-knot").c)
+    smoothing = _Smoothing(times)
+    _, _, axes = np.linalg.svd(values - values.mean(axis=0), full_matrices=False)
+    parts = []
+    for axis in axes:
+        along = values @ axis
+        # The noise of a quaternion is at right angles to it.
+        across = 1.0 - float(np.mean(along**2)) if values.shape[1] == 4 else 1.0
+        weight = smoothing.weight(along, sigma * np.sqrt(max(across, 0.0)))
+        near = along - smoothing.off(along, weight)
+        if drawn is not None:
+            near = near + sigma * smoothing.draw(1, weight, drawn)[:, 0]
+        parts.append(CubicSpline(times, near, bc_type="natural" if weight > 0.0 else "not-a-knot").c)
+    return np.asarray(np.stack(parts, axis=-1) @ axes)
 
 
-def _smoothed(times: FloatArray, values: FloatArray, sigma: float) -> FloatArray:
-    """Values ``(n, m)`` of the smoothing spline at the samples; the samples themselves where they have less noise."""
-    from scipy.linalg import solveh_banded
-    from scipy.optimize import brentq
+class _Smoothing:
+    """Smoothing splines at samples: with the bands of Q and R, second differences and the products of hats (Reinsch
+    1967), K = Q R^-1 Q^T."""
 
-    n, steps = len(times), np.diff(times)
-    span = float(times[-1] - times[0])
-    mu = (np.pi * (np.arange(2, n) - 0.5) / span) ** 4 * (span / (n - 1))
-    second = np.diff(np.diff(values, axis=0) / steps[:, None], axis=0)
-    inner, outer = 1.0 / steps[:-1], 1.0 / steps[1:]
-    middle = -(inner + outer)
-    products = np.zeros((3, n - 2))  # Q^T Q, upper bands
-    products[2] = inner**2 + middle**2 + outer**2
-    products[1, 1:] = middle[:-1] * inner[1:] + outer[:-1] * middle[1:]
-    products[0, 2:] = outer[:-2] * inner[2:]
-    moments = np.zeros((3, n - 2))  # R
-    moments[2] = (steps[:-1] + steps[1:]) / 3.0
-    moments[1, 1:] = steps[1:-1] / 6.0
+    def __init__(self, times: FloatArray) -> None:
+        steps = np.diff(times)
+        self._steps, self._span = steps, float(times[-1] - times[0])
+        self._inner, self._outer = 1.0 / steps[:-1], 1.0 / steps[1:]
+        self._middle = -(self._inner + self._outer)
+        self._products = np.zeros((3, len(times) - 2))  # Q^T Q, upper bands
+        self._products[2] = self._inner**2 + self._middle**2 + self._outer**2
+        self._products[1, 1:] = self._middle[:-1] * self._inner[1:] + self._outer[:-1] * self._middle[1:]
+        self._products[0, 2:] = self._outer[:-2] * self._inner[2:]
+        self._moments = np.zeros((3, len(times) - 2))  # R
+        self._moments[2] = (steps[:-1] + steps[1:]) / 3.0
+        self._moments[1, 1:] = steps[1:-1] / 6.0
 
-    def off(log_weight: float) -> FloatArray:
-        """By how much the curve is off the samples."""
-        weight = 10.0**log_weight
-        gamma = solveh_banded(moments + weight * products, second)
-        away = np.zeros_like(values)
-        away[:-2] += inner[:, None] * gamma
-        away[1:-1] += middle[:, None] * gamma
-        away[2:] += outer[:, None] * gamma
-        return np.asarray(weight * away)
+    def off(self, values: FloatArray, weight: float) -> FloatArray:
+        """By how much the curve with a weight lambda is off the samples ``(n, ...)``."""
+        from scipy.linalg import solveh_banded
 
-    def excess(log_weight: float) -> float:
-        """Of the residual over what the noise leaves of it."""
-        freedom = 2.0 + float((1.0 / (1.0 + 10.0**log_weight * mu)).sum())
-        return float((off(log_weight) ** 2).sum()) / 3.0 - sigma**2 * (n - freedom)
+        second = np.diff((np.diff(values, axis=0).T / self._steps).T, axis=0)
+        return weight * self._back(solveh_banded(self._moments + weight * self._products, second))
 
-    low, high = (float(np.log10(w / mu[end])) for w, end in ((1e-3, -1), (1e3, 0)))
-    if excess(low) >= 0.0:
-        return values
-    if excess(high) <= 0.0:
-        return np.asarray(values - off(high))
-    return np.asarray(values - off(brentq(excess, low, high, xtol=0.02)))
+    def _back(self, gamma: FloatArray) -> FloatArray:
+        """Q gamma."""
+        away = np.zeros((len(gamma) + 2, *gamma.shape[1:]))
+        away[:-2] += (self._inner * gamma.T).T
+        away[1:-1] += (self._middle * gamma.T).T
+        away[2:] += (self._outer * gamma.T).T
+        return away
+
+    def weight(self, values: FloatArray, sigma: float) -> float:
+        """The weight lambda with the least expected error of samples ``(n,)`` with noise ``sigma``, 0 where they are
+        best not smoothed at all."""
+        from scipy.optimize import minimize_scalar
+
+        n = len(values)
+        mu = (np.pi * (np.arange(2, n) - 0.5) / self._span) ** 4 * (self._span / (n - 1))
+
+        def risk(log_weight: float) -> float:
+            """Expected sum of squared errors, but for a constant."""
+            freedom = 2.0 + float((1.0 / (1.0 + 10.0**log_weight * mu)).sum())
+            return float((self.off(values, 10.0**log_weight) ** 2).sum()) + 2.0 * sigma**2 * freedom
+
+        low, high = (float(np.log10(w / mu[end])) for w, end in ((1e-3, -1), (1e3, 0)))
+        decades = np.linspace(low, high, int(np.ceil(high - low)) + 1)
+        best = int(np.argmin([risk(at) for at in decades]))
+        if best == 0:
+            return 0.0
+        around = (decades[best - 1], decades[min(best + 1, len(decades) - 1)])
+        return float(10.0 ** minimize_scalar(risk, bounds=around, method="bounded", options={"xatol": 0.02}).x)
+
+    def draw(self, columns: int, weight: float, rng: np.random.Generator) -> FloatArray:
+        """A draw ``(n, columns)`` of the covariance (1 + lambda K)^-1: with R = U^T U, the curve near the samples
+        e + lambda^(1/2) Q U^-1 z for normal e and z, of which the covariance is 1 + lambda K."""
+        from scipy.linalg import cholesky_banded, solve_banded
+
+        noise = rng.standard_normal((len(self._steps) + 1, columns))
+        normal = rng.standard_normal((len(self._steps) - 1, columns))
+        noise += np.sqrt(weight) * self._back(solve_banded((0, 2), cholesky_banded(self._moments), normal))
+        return np.asarray(noise - self.off(noise, weight))
 
 
 def noise_of(times: FloatArray, positions: FloatArray, quaternions: FloatArray) -> FloatArray:

@@ -28,6 +28,7 @@ from sim_core.rigs.fields import (
     of_length,
     trouble,
 )
+from sim_core.rigs.limits import HandLimits
 from sim_core.rigs.loads import Load
 from sim_core.rigs.observers import Axes, Camera, Sensor
 from sim_core.rigs.pose_offset import Displaced, ShiftSds, TurnSds
@@ -37,6 +38,7 @@ Deviation = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=
 Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=5.0)]
 Range = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-8, le=1e-2)]
 Stiffness = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]
+Standoff = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e-2, le=1e-2)]
 
 
 class Clamp(Strict):
@@ -139,6 +141,8 @@ class EndEffector(Displaced):
     ``offset_*``: where it really is, seen from where its poses say (a tool that is mounted askew). What it carries
     follows the true pose (:mod:`sim_core.scene.offset`); start poses, commands and recordings are as told.
     ``offset_sd_*``: how well that is known, for fits, 0 exactly; usually as of a tool that is mounted by hand.
+    ``ready``: where it waits before and after a motion, clear of everything; relative to its start pose along the
+    axes of the base frame.
     """
 
     base_frame: FrameId = Field(default="base_link", description="frame_id of its poses")
@@ -149,6 +153,8 @@ class EndEffector(Displaced):
         description="poses of recordings that it follows: measured ones, smoothed by their noise (commanded where no "
         "measured ones were recorded), or commanded ones",
     )
+    limits: HandLimits = Field(default=HandLimits(), description="what it may do: optimised motions keep to it")
+    ready: Pose = Field(default=Pose(), description="where it waits, relative to its start pose")
     offset_sd_m: ShiftSds = Field(default=(5e-4, 5e-4, 5e-4), description="standard deviations of the shifts [m]")
     offset_sd_deg: TurnSds = Field(default=(0.5, 0.5, 0.5), description="standard deviations of the turns [deg]")
 
@@ -167,6 +173,10 @@ class Contact(Strict):
         default=None,
         description="gap over which contact pressure sets in; left out: 0.5 % of the shortest edges of a gel's "
         "surface, 30 % of the thickness of a sheet, 30 um, whichever is least",
+    )
+    standoff_m: Standoff = Field(
+        default=0.0,
+        description="how far apart the surfaces are where they touch: a coating; below zero: they are as if thinner",
     )
 
     @property

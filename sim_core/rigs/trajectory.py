@@ -23,23 +23,32 @@ class PoseTrajectory:
     ``times``: [s], strictly increasing, shape ``(n,)``. ``positions``: [m], ``(n, 3)``.
     ``quaternions``: unit, x y z w, neighbours in one half space, ``(n, 4)``. ``noise``: standard deviations of the
     noise of positions [m] and turns [rad], one axis, which the curve smooths away; with none it goes through the
-    samples. Where samples are no smooth motion the curve has corners (:mod:`sim_core.rigs.pose_curve`).
+    samples. Where samples are no smooth motion the curve has corners (:mod:`sim_core.rigs.pose_curve`); of samples that
+    were ``planned`` it has none.
     """
 
     times: FloatArray
     positions: FloatArray
     quaternions: FloatArray
     noise: tuple[float, float] = (0.0, 0.0)
+    planned: bool = False
 
     @cached_property
     def curve(self) -> PoseCurve:
         """The curve through or near the samples, of which there are at least two."""
-        return pose_curve(self.times, self.positions, self.quaternions, np.array(self.noise))
+        return pose_curve(self.times, self.positions, self.quaternions, np.array(self.noise), smooth=self.planned)
 
     def smoothed(self) -> PoseTrajectory:
         """The same samples as measured ones: with the noise that they show."""
         sigma = noise_of(self.times, self.positions, self.quaternions)
         return replace(self, noise=(float(sigma[0]), float(sigma[1])))
+
+    def drawn(self, rng: np.random.Generator) -> PoseCurve:
+        """A curve along which the motion may have been as well as along :attr:`curve`: drawn from what the samples and
+        their noise leave open, with the corners of that."""
+        return pose_curve(
+            self.times, self.positions, self.quaternions, np.array(self.noise), drawn=rng, smooth=self.planned
+        )
 
     def since(self, begin: float) -> PoseTrajectory:
         """The same poses, with times that count from ``begin`` [s]."""
@@ -60,11 +69,12 @@ class PoseTrajectory:
         *,
         max_gap_s: float | None = None,
         source: str = "The pose stream",
+        planned: bool = False,
     ) -> PoseTrajectory:
         """Build from samples such as a recorded stream; what cannot be a motion is an error.
 
         ``max_gap_s``: longest time between samples that may be bridged; None bridges any.
-        ``source`` names the stream in errors.
+        ``source`` names the stream in errors. ``planned``: one smooth curve goes through all samples.
         """
         times = np.array(times, dtype=np.float64)
         positions = np.array(positions, dtype=np.float64)
@@ -104,7 +114,7 @@ class PoseTrajectory:
                 f"{source} has a quaternion of length {norms[index]:.4g} in sample {index}.",
                 "An orientation has length 1, in the order x, y, z, w.",
             )
-        return cls(times, positions, _one_half_space(quaternions / norms[:, None]))
+        return cls(times, positions, _one_half_space(quaternions / norms[:, None]), planned=planned)
 
     @property
     def duration(self) -> float:

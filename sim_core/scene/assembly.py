@@ -18,7 +18,6 @@ from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.membrane import Membrane
 from sim_core.energies.membrane_strain import MembraneStrain
 from sim_core.energies.neo_hookean import NeoHookean
-from sim_core.energies.rubber_membrane import RubberMembrane
 from sim_core.energies.solid_strain import SolidStrain
 from sim_core.energies.strain_law import StrainLaws, StrainMeasure
 from sim_core.energies.term import Term
@@ -217,9 +216,8 @@ def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray, loose: np.nda
         offset = int(body.nodes[0])
         flat = rest.copy()
         flat[body.nodes] = world.nodes
-        stretching = RubberMembrane if body.spec.law == "neo_hookean" else Membrane
         body.terms = [
-            stretching(f"{body.name}.membrane", flat, body.mesh.triangles + offset, axis),
+            Membrane(f"{body.name}.membrane", flat, body.mesh.triangles + offset, axis),
             Bending(f"{body.name}.bending", world, offset, axis, body.rest, held=held),
         ]
     elif isinstance(body.mesh, solids.TetMesh):

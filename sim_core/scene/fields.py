@@ -10,8 +10,8 @@ density of an element; of a sheet's thickness h the membrane has the first power
     E_element = f E_uniform,    f = prod_q (q / q_rig)^p
 
 Where the rig's effects let a sheet yield, the curvature at which it does and its hardening are shares of the rig's
-too, in each triangle's flow alone (:mod:`sim_core.energies.plastic_flow`); where they let a gel relax, so are the share
-of its stress that fades and the time constant.
+too, in each triangle's flow alone (:mod:`sim_core.energies.plastic_flow`); where they let a gel relax, in one branch,
+so are the share of its stress that fades and the time constant.
 
 Poisson's ratio and the dampings are no factors of an energy, and may be zero. Their fields are kept as the difference
 from the rig's number, so a rig with another number shifts all of it; each element has the moduli of its own nu and the
@@ -34,6 +34,7 @@ import numpy as np
 from sim_core.energies.bending import Bending
 from sim_core.energies.membrane import Membrane
 from sim_core.energies.neo_hookean import NeoHookean
+from sim_core.energies.strain_law import StrainLaws
 from sim_core.energies.term import Declaring
 from sim_core.errors import ConfigError
 from sim_core.geometry import solids
@@ -65,8 +66,8 @@ NU, YIELD, HARDENING = "nu", "yield_curvature_per_m", "hardening_ratio"
 FLOW = (YIELD, HARDENING)
 """Quantities of a sheet that yields."""
 
-RELAXATION = ("relaxation_g", "relaxation_tau_s")
-"""Quantities of a gel that relaxes."""
+RELAXATION = {"relaxation_g": "share", "relaxation_tau_s": "tau_s"}
+"""Quantities of a gel that relaxes, and the numbers of the effect that they are."""
 
 MASS_DAMPING, STIFFNESS_DAMPING = "mass_damping_per_s", "stiffness_damping_s"
 
@@ -107,8 +108,9 @@ class Fields:
         found: list[str] = []
         for name, body in self._scene.bodies.items():
             if isinstance(body.spec, Gel):
-                relaxes = self._numbers(f"{name}.elastic").get(RELAXATION[0], 0.0) > 0.0
-                more = (*(RELAXATION if relaxes else ()), REST)
+                branches = self._branches(name)
+                relaxes = [b for b in branches if self._numbers(f"{name}.elastic_laws")[f"{b}.share"] > 0.0]
+                more = (*(RELAXATION if len(branches) == len(relaxes) == 1 else ()), REST)
                 found += [f"{name}.{key}" for key in (*MATERIAL, *more) if key != "thickness_m"]
             elif isinstance(body.spec, Sheet):
                 flow = FLOW if YIELD in self._numbers(f"{name}.bending") else ()
@@ -134,7 +136,9 @@ class Fields:
         if key == REST_ANGLE:
             return np.array(self.bending(body).rest_angles)
         number = self._number(body, key)
-        return np.asarray(number + self._beside(body, key) if key in SHIFTED else number * self.share(body, key))
+        if key in SHIFTED:
+            return np.asarray(number + self._beside(body, key))
+        return np.asarray(number * self.share(body, self.quantity(body, key)))
 
     def __setitem__(self, name: str, values: np.ndarray | float) -> None:
         """Take values in SI units for all elements, hinges or nodes, or one for all elements or hinges."""
@@ -149,7 +153,7 @@ class Fields:
             )
         if not np.isfinite(given).all():
             raise ConfigError(f"The field {full} has values that are not finite.", "Correct them.")
-        if key not in (*SHIFTED, RELAXATION[0], REST_ANGLE, REST) and not (given > 0.0).all():
+        if key not in (*SHIFTED, "relaxation_g", REST_ANGLE, REST) and not (given > 0.0).all():
             raise ConfigError(f"The field {full} has values that are not above zero.", "Correct them.")
         if key == REST:
             self._reshape(body, given)
@@ -165,7 +169,7 @@ class Fields:
             if key in SHIFTED:
                 self._shifts[full] = np.broadcast_to(given - number, shape).copy()
             else:
-                self._shares[full] = np.broadcast_to(given / number, shape).copy()
+                self._shares[f"{body}.{self.quantity(body, key)}"] = np.broadcast_to(given / number, shape).copy()
             self._spread(body)
         self.changes += 1
 
@@ -176,15 +180,25 @@ class Fields:
             number = self._number(body, key, rig)
             _check_values(full, number + beside, self._thin(body), number)
         for full, share in self._shares.items():
-            body, key = full.split(".")
-            if key == RELAXATION[0]:
-                number = self._numbers(f"{body}.elastic", rig).get(key, 0.0)
-                _check_values(full, number * share, self._thin(body), number)
+            body, _, quantity = full.partition(".")
+            if quantity in [f"{branch}.share" for branch in self._branches(body)]:
+                number = self._numbers(f"{body}.elastic_laws", rig).get(quantity, 0.0)
+                _check_values(f"{body}.relaxation_g", number * share, self._thin(body), number)
+
+    def quantity(self, body: str, key: str) -> str:
+        """What the terms of a body call the number of a field."""
+        return f"{self._branches(body)[0]}.{RELAXATION[key]}" if key in RELAXATION else key
+
+    def _branches(self, body: str) -> list[str]:
+        """Keys of the effects by which a gel relaxes."""
+        laws = (term.laws for term in self._scene.bodies[body].terms if isinstance(term, StrainLaws))
+        return [key for own in laws for key, law, _ in own if law.name == "gel_relaxation"]
 
     def _number(self, body: str, key: str, rig: Rig | None = None) -> float:
         """What a rig (None: that of the scene) has for a quantity."""
         if key in (*FLOW, *RELAXATION):
-            return self._numbers(f"{body}.{'bending' if key in FLOW else 'elastic'}", rig)[key]
+            term = "bending" if key in FLOW else "elastic_laws"
+            return self._numbers(f"{body}.{term}", rig)[self.quantity(body, key)]
         return float(getattr((rig or self._scene.rig).bodies[body].material, key))  # type: ignore[union-attr]
 
     def _numbers(self, term: str, rig: Rig | None = None) -> dict[str, float]:
@@ -271,7 +285,8 @@ class Fields:
         return built.nodes[elements(built)], factor[:, None, None] * blocks
 
     def share(self, body: str, key: str) -> np.ndarray:
-        """What the elements of a body ``(m,)`` have of the rig's number for a quantity that is kept as a share."""
+        """What the elements of a body ``(m,)`` have of the rig's number for a quantity that is kept as a share, as the
+        terms call it."""
         share = self._shares.get(f"{body}.{key}")
         return np.ones(len(elements(self._scene.bodies[body]))) if share is None else share
 
@@ -289,8 +304,9 @@ class Fields:
                 term.shift_damping(self._beside(name, STIFFNESS_DAMPING))
             if isinstance(term, Bending):
                 term.scale_flow(*(self.share(name, key) for key in FLOW))
-            if isinstance(term, NeoHookean):
-                term.scale_relaxation(*(self.share(name, key) for key in RELAXATION))
+            if isinstance(term, StrainLaws):
+                own = {q.name: f"{name}.{q.name}" for q in term.quantities if q.shares}
+                term.scale_numbers({q: self._shares[full] for q, full in own.items() if full in self._shares})
         factor, more = self.factor(name, MASS), self._beside(name, MASS_DAMPING)
         body.unit_mass = mass_of(body, factor)
         self._scene.renew_mass(body, mass_of(body, factor * more) if more.any() else None)
@@ -306,7 +322,7 @@ def _check_values(full: str, values: np.ndarray, thin: bool, number: float | Non
     low, high, words = float(values.min()), float(values.max()), ""
     if key in SHIFTED and low < -ROUND_OFF * max(high, abs(number or 0.0)):
         words = f"the value {low:.6g}, below zero"
-    elif key == RELAXATION[0] and (low < 0.0 or high >= 1.0):
+    elif key == "relaxation_g" and (low < 0.0 or high >= 1.0):
         words = f"values from {low:.6g} to {high:.6g}, not in [0, 1)"
     if words and number is None:
         raise ConfigError(f"The field {full} has {words}.", "Correct it.")

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from sim_core.effects.base import Instance
-from sim_core.effects.hooks import BodyForce, FieldMap, FrictionLaw, MaterialLaw, MechanicsMap, NormalLaw
+from sim_core.effects.hooks import BodyForce, FieldMap, FrictionLaw, MaterialLaw, MechanicsMap, NormalLaw, Part
 from sim_core.effects.registry import active, active_effects, amended
 from sim_core.energies.affine import AffineShape, coordinates
 from sim_core.energies.bending import Bending
@@ -18,6 +19,7 @@ from sim_core.energies.grading import Grading
 from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.membrane import Membrane
 from sim_core.energies.neo_hookean import NeoHookean
+from sim_core.energies.rubber_film import RUBBER, check_numbers
 from sim_core.energies.strain_law import StrainLaws
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
@@ -274,25 +276,25 @@ class Scene:
                 grading = graded.grading or Grading(element_middles(self.bodies[graded.name.rpartition(".")[0]]))
                 grading.add(instance.key, instance.effect)
                 graded.grade(grading)
+        for name in RUBBER.targets(self.rig):
+            self._host(name, "membrane").add(RUBBER.name, RUBBER)
         for instance in active(self.rig, MaterialLaw):
-            for laws in self._amended(instance):
-                laws.add(instance.key, instance.effect)
+            for name, part in product(instance.targets, instance.effect.parts):
+                self._host(name, part).add(instance.key, instance.effect)
         found += [laws for by_part in self._laws.values() for _, laws in by_part.values()]
         for instance in (*active(self.rig, NormalLaw), *active(self.rig, FrictionLaw)):
             for term in self._touched(instance):
                 term.laws.add(instance.key, instance.effect)
         return found
 
-    def _amended(self, instance: Instance) -> Iterator[StrainLaws]:
-        """Terms of the material laws of the bodies that an effect amends, made where there are none yet."""
-        for name in instance.targets:
-            body, hosts = self.bodies[name], self._laws.setdefault(name, {})
-            for part in instance.effect.parts:
-                if part not in hosts:
-                    own = next(t for t in body.terms if isinstance(t, PARTS[part]))
-                    hosts[part] = own.name, strain_laws(own)
-                    body.terms.append(hosts[part][1])
-                yield hosts[part][1]
+    def _host(self, name: str, part: Part) -> StrainLaws:
+        """The term of the material laws of a part of a body, made where there is none yet."""
+        body, hosts = self.bodies[name], self._laws.setdefault(name, {})
+        if part not in hosts:
+            own = next(t for t in body.terms if isinstance(t, PARTS[part]))
+            hosts[part] = own.name, strain_laws(own)
+            body.terms.append(hosts[part][1])
+        return hosts[part][1]
 
     def _graded(self, instance: Instance) -> list[Membrane | Bending | NeoHookean]:
         """Terms whose elements an effect scales."""
@@ -342,7 +344,7 @@ class Scene:
             terms = self.contacts[contact.name]
             law = constants_of(rig, contact, self._edges)
             for term in terms:
-                offset = self._beyond[term.name] + half_thicknesses(rig, contact)
+                offset = self._beyond[term.name] + half_thicknesses(rig, contact) + contact.standoff_m
                 values.terms[term.name] = {
                     "friction": contact.friction,
                     "stiffness_pa_per_m": law.stiffness_pa_per_m / bearing_surfaces(contact, terms),
@@ -362,6 +364,8 @@ class Scene:
             if isinstance(effect, NormalLaw | FrictionLaw):
                 for term in self._touched(instance):
                     values.terms[term.name].update({f"{instance.key}.{key}": v for key, v in given.items()})
+        for name in RUBBER.targets(rig):
+            check_numbers(f"{name}.membrane", values.terms[f"{name}.membrane"])
         by_key = {instance.key: instance.values for instance in active_effects(rig)}
         for by_part in self._laws.values():
             for own, laws in by_part.values():
@@ -375,6 +379,7 @@ class Scene:
                 term.configure(values.terms[term.name])
         self._apply_mass(self._densities(values))
         self.system.gravity = values.gravity
+        self.system.on_core = None  # it has the numbers of before
         self.system.set_compliance(list(values.compliance.values()))
 
     def _apply_mass(self, masses: tuple[float, ...]) -> None:
@@ -438,16 +443,22 @@ class Scene:
         spec = self.bodies[name].spec
         return spec.pose.within(frames[self.mount_of(name)])
 
+    def placed_on(self, node: int) -> tuple[str, np.ndarray]:
+        """Mount of the rigid body that stands at a node, and its rotation in the mount's frame ``(3, 3)``."""
+        spec = next(b.spec for b in self.bodies.values() if isinstance(b.spec, Rigid) and b.nodes[0] == node)
+        return spec.mount, spec.pose.rotation().as_matrix()
+
     def mount_of(self, body: str) -> str:
         """Name of the mount in whose frame the pose of a body is given."""
         return self._carrier(self.bodies[body].spec)
 
-    def pose_of(self, name: str) -> Frame:
-        """Where an affine body is now: its centre [m] and its rotation (of the polar decomposition)."""
+    def pose_of(self, name: str, x: np.ndarray) -> Frame:
+        """Where an affine body is: its centre [m] and its rotation (of the polar decomposition), by the positions of
+        all nodes [m] ``(n, 3)``."""
         body = self.bodies[name]
         if not isinstance(body.spec, Affine):
             raise ConfigError(f"{name} is no affine body and has no pose.", "Follow points of it instead.")
-        points = coordinates(body.local[-4:], np.vstack([np.zeros(3), np.eye(3)])) @ self.system.x[body.control]
+        points = coordinates(body.local[-4:], np.vstack([np.zeros(3), np.eye(3)])) @ x[body.control]
         u, _, v = np.linalg.svd((points[1:] - points[0]).T)
         return points[0], Rotation.from_matrix(u @ v)
 

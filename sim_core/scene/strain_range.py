@@ -13,8 +13,8 @@ import warnings
 import numpy as np
 
 from sim_core.energies.membrane import Membrane
-from sim_core.energies.rubber_membrane import RubberMembrane
 from sim_core.geometry.sheets import SheetMesh
+from sim_core.rigs import Sheet
 from sim_core.scene.scene import Scene
 
 LARGEST_STRAIN = 0.2
@@ -25,19 +25,14 @@ class StrainBeyondLaw(UserWarning):
     """A sheet is strained beyond the range of its membrane law."""
 
 
-def check_strains(scene: Scene, time: float) -> None:
-    """Warn, once a sheet and scene, where a sheet is strained beyond the range of its law at a ``time`` [s] since the
-    start, at the positions that the scene's system holds."""
-    check_strains_at(scene, np.array([time]), scene.system.x[None])
-
-
 def check_strains_at(scene: Scene, times: np.ndarray, x: np.ndarray) -> None:
-    """The same at several times [s] ``(t,)`` at positions ``x`` [m] ``(t, n, 3)``."""
+    """Warn, once a sheet and scene, where a sheet is strained beyond the range of its law, at times [s] ``(t,)`` since
+    the start at positions ``x`` [m] ``(t, n, 3)``."""
     for name, body in scene.bodies.items():
         if name in scene.strained:
             continue
         for term in body.terms:
-            if isinstance(term, Membrane) and not isinstance(term, RubberMembrane):
+            if isinstance(term, Membrane) and isinstance(body.spec, Sheet) and body.spec.law != "neo_hookean":
                 _check(scene, name, term, times, x)
 
 

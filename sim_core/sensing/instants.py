@@ -15,7 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_core.energies.affine import coordinates
 from sim_core.rigs import MarkerSensor, OrthographicCamera, Rig, WrenchSensor
+from sim_core.scene.assembly import BuiltBody
 from sim_core.sensing.camera import Camera, project_slopes
 from sim_core.sensing.observe import Observer, Placement, Tracked, _camera_placement, taken
 
@@ -142,10 +144,59 @@ def _marker_frame(observer: Observer, name: str, sensor: MarkerSensor, at: Insta
     return _within(body, observer._poses[name])
 
 
+def _carrier(
+    observer: Observer, name: str, at: Instants
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], Placement]:
+    """Nodes of which a sensor feels the loads, the frames that carry it, of a mount or of a free body, and where it is
+    in these."""
+    nodes, mount, carrier = observer._loaded[name]
+    body = observer.free_body(name)
+    if body is None:
+        return nodes, at.places[mount], carrier
+    origin, slopes = _spanned(body, at.x)
+    return nodes, (origin, polar(slopes)[0]), observer._poses[name]
+
+
+def _carrier_along(observer: Observer, name: str, at: Instants, along: InstantsAlong) -> np.ndarray | None:
+    """Motion of these frames, as of mounts; a free body turns by w of (tr U - U) w = skew(R^T dF), with its gradient
+    F = R U."""
+    body = observer.free_body(name)
+    if body is None:
+        return along.moved.get(observer._loaded[name][1])
+    rotation, stretch = polar(_spanned(body, at.x)[1])
+    back, (shift, change) = np.swapaxes(rotation, 1, 2), _spanned(body, along.x)
+    turned = np.einsum("tij,tjkp->tikp", back, change)
+    twist = np.stack([turned[:, k, j] - turned[:, j, k] for j, k in ((1, 2), (2, 0), (0, 1))], axis=1)
+    return np.concatenate([back @ shift, np.linalg.solve(twisting(stretch), twist)], axis=1)
+
+
+def polar(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations R and stretches U of gradients F = R U ``(t, 3, 3)``."""
+    u, _, v = np.linalg.svd(slopes)
+    return u @ v, np.swapaxes(u @ v, 1, 2) @ slopes
+
+
+def twisting(stretch: np.ndarray) -> np.ndarray:
+    """tr U - U of stretches ``(t, 3, 3)``."""
+    return np.asarray(np.trace(stretch, axis1=1, axis2=2)[:, None, None] * np.eye(3) - stretch)
+
+
+def spanning(body: BuiltBody) -> np.ndarray:
+    """Weights of the control nodes of an affine body at its origin and at a unit from it along each axis ``(4, 4)``."""
+    return coordinates(body.local[-4:], np.vstack([np.zeros(3), np.eye(3)]))
+
+
+def _spanned(body: BuiltBody, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the origin of an affine body is and its gradient ``(t, 3, 3)``, or derivatives of both, from those of
+    nodes."""
+    points = np.einsum("kc,tci...->tki...", spanning(body), x[:, body.control])
+    return points[:, 0], np.swapaxes(points[:, 1:] - points[:, :1], 1, 2)
+
+
 def _load(observer: Observer, name: str, at: Instants) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Force and torque on what a sensor carries, in the world ``(t, 3)``, and the sensor's frames."""
-    nodes, mount, carrier = observer._loaded[name]
-    frame = _within(at.places[mount], carrier)
+    nodes, place, carrier = _carrier(observer, name, at)
+    frame = _within(place, carrier)
     held, arms = at.force[:, nodes], at.x[:, nodes] - frame[0][:, None]
     torque = np.cross(arms, held).sum(axis=1)
     for node, moment in at.moments:
@@ -156,11 +207,11 @@ def _load(observer: Observer, name: str, at: Instants) -> tuple[np.ndarray, np.n
 
 def _load_along(observer: Observer, name: str, at: Instants, along: InstantsAlong) -> np.ndarray:
     """Derivatives of force and torque ``(t, 6, p)`` in the axes of a sensor."""
-    nodes, mount, carrier = observer._loaded[name]
+    nodes, (_, turn), carrier = _carrier(observer, name, at)
     force, torque, (origin, rotation) = _load(observer, name, at)
     held, arms = at.force[:, nodes], at.x[:, nodes] - origin[:, None]
     change = along.force[:, np.searchsorted(along.bearing, nodes)]
-    moved, turn = along.moved.get(mount), at.places[mount][1]
+    moved = _carrier_along(observer, name, at, along)
     shift = along.x[:, nodes]
     if moved is not None:
         inner = moved[:, :3] + _cross(moved[:, 3:], carrier[0][:, None])

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim_core.contact.rigid import RigidContact
 from sim_core.energies.affine import coordinates
-from sim_core.energies.linearised import Blocks, axes_of, skew
-from sim_core.energies.linearised import placed as placed_blocks
 from sim_core.geometry import sheets, solids
 from sim_core.geometry.surface_points import locate_near
 from sim_core.rigs import (
@@ -20,10 +16,8 @@ from sim_core.rigs import (
     Disc,
     Dome,
     Gel,
-    MarkerSensor,
     OrthographicCamera,
     Pose,
-    Rig,
     Rigid,
     Sheet,
     SheetFile,
@@ -35,8 +29,7 @@ from sim_core.rigs import (
 )
 from sim_core.scene.assembly import BuiltBody
 from sim_core.scene.scene import Frame, Scene
-from sim_core.sensing.camera import Camera, project, project_slopes
-from sim_core.solve.reactions import reactions
+from sim_core.sensing.camera import Camera, project
 
 ON_FLAT, ON_CURVED = 1e-6, 0.1
 """How far points may lie outside of their element, in its sizes: the facets of a dome are not quite its skin."""
@@ -70,24 +63,6 @@ def _camera_placement(camera: Camera) -> Placement:
 def _within(frame: Placement, placed: Placement) -> Placement:
     """A frame given in another, in the world."""
     return frame[0] + frame[1] @ placed[0], frame[1] @ placed[1]
-
-
-@dataclass(frozen=True)
-class Sensed:
-    """Derivatives of the readings of one channel, flattened, ``(r, .)``: by positions ``(3 n)``, by the forces on nodes
-    ``(3 n)``, by the moments of rigid bodies' surface forces (:meth:`RigidContact.moment`) ``(3)`` each, and by a small
-    motion of the mount in its own frame, translation [m] and turn [rad] ``(6)``. Points out of sight count as seen."""
-
-    by_x: Blocks
-    by_force: Blocks | None
-    by_moment: dict[str, np.ndarray]
-    mount: str
-    by_frame: np.ndarray
-
-    def size_bytes(self) -> int:
-        """Memory of the derivatives."""
-        given = (self.by_x, self.by_force, *self.by_moment.values(), self.by_frame)
-        return sum(a.nbytes for a in given if a is not None)
 
 
 def taken(camera: Camera, points: np.ndarray, beyond: bool = False) -> np.ndarray:
@@ -181,7 +156,6 @@ class Observer:
         self._poses = {n: _placement(o.pose) for n, o in rig.sensors.items()}
         self._body_poses = {n: _placement(b.pose) for n, b in rig.bodies.items()}
         self._mounts = {n: scene.mount_of(n) for n in rig.bodies}
-        self._rigid = [t for t in scene.system.terms if isinstance(t, RigidContact)]
         self._loaded: dict[str, tuple[np.ndarray, str, Placement]] = {}
         for name, sensor in rig.sensors.items():
             if not isinstance(sensor, WrenchSensor):
@@ -199,139 +173,11 @@ class Observer:
                 nodes, carrier = scene.holders[sensor.on], _placement(Pose())
             self._loaded[name] = (nodes, mount, _within(carrier, self._poses[name]))
 
-    def read(self, rig: Rig, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
-        """Readings at the positions that the scene's system holds.
-
-        ``rig``: same geometry as the scene's (cameras and where their points are may differ); ``frames``: of the mounts
-        now.
-        Wrench: force [N] and torque [N m] on the sensor, ``(6,)``; markers [m] ``(n, 3)`` in the
-        sensor's frame; tracks [px] ``(n, 2)``.
-        """
-        x = self._scene.system.x
-        placed = {mount: (origin, rotation.as_matrix()) for mount, (origin, rotation) in frames.items()}
-        forces: np.ndarray | None = None
-        out: dict[str, np.ndarray] = {}
-        for name, sensor in rig.sensors.items():
-            if isinstance(sensor, WrenchSensor):
-                if forces is None:
-                    forces = reactions(self._scene.system)
-                nodes, mount, carrier = self._loaded[name]
-                frame = _within(placed[mount], carrier)
-                if isinstance(rig.bodies.get(sensor.on), Affine):
-                    origin, rotation = self._scene.pose_of(sensor.on)
-                    frame = _within((origin, rotation.as_matrix()), self._poses[name])
-                out[name] = self._wrench(nodes, frame, forces)
-            elif isinstance(sensor, MarkerSensor):
-                body = _within(placed[self._mounts[sensor.body]], self._body_poses[sensor.body])
-                origin, rotation = _within(body, self._poses[name])
-                out[name] = (self._tracked[name][0].positions(x) - origin) @ rotation
-        return {**out, **self.see(rig, frames)}
-
-    def see(self, rig: Rig, frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
-        """The part of :meth:`read` that cameras see, for which positions suffice."""
-        return {name: taken(rig.cameras[name], p[None])[0] for name, p in self.before_cameras(frames, rig).items()}
-
-    def before_cameras(self, frames: Mapping[str, Frame], rig: Rig | None = None) -> dict[str, np.ndarray]:
-        """What each camera, of the scene's rig or another one, is to see, in the frame of its mount [m], ``(n, 3)``."""
-        x, out = self._scene.system.x, {}
-        for name, camera in self._scene.rig.cameras.items():
-            origin, rotation = frames[camera.mount]
-            seen = self._tracked[name] if rig is None else self._tracked_by(name, rig.cameras[name])
-            points = np.vstack([t.positions(x) for t in seen])
-            out[name] = (points - origin) @ rotation.as_matrix()
-        return out
-
-    def linearise(self, rig: Rig, frames: Mapping[str, Frame], channels: Iterable[str]) -> dict[str, Sensed]:
-        """Derivatives of the readings of some channels at the positions that the scene's system holds."""
-        system = self._scene.system
-        placed = {mount: (origin, rotation.as_matrix()) for mount, (origin, rotation) in frames.items()}
-        out = {}
-        forces = None
-        for name in channels:
-            if self.kinds[name] == "wrench":
-                if forces is None:
-                    forces = reactions(system)
-                out[name] = self._wrench_derivatives(name, placed, forces)
-            elif self.kinds[name] == "markers":
-                sensor = rig.sensors[name]
-                assert isinstance(sensor, MarkerSensor)
-                mount = self._mounts[sensor.body]
-                carrier = _within(self._body_poses[sensor.body], self._poses[name])
-                out[name] = self._seen_derivatives(name, mount, placed[mount], carrier, None)
-            else:
-                camera = rig.cameras[name]
-                carrier = _camera_placement(camera)
-                out[name] = self._seen_derivatives(name, camera.mount, placed[camera.mount], carrier, camera)
-        return out
-
-    def _seen_derivatives(
-        self, name: str, mount: str, frame: Placement, carrier: Placement, camera: Camera | None
-    ) -> Sensed:
-        """Of points seen from a frame in a mount: markers, and tracks of a camera."""
-        x = self._scene.system.x
-        rotation = frame[1] @ carrier[1]
-        blocks, columns, moved = [], [], []
-        for tracked in self._tracked[name]:
-            points = tracked.positions(x)
-            inner = (points - frame[0]) @ frame[1]
-            optic = (inner - carrier[0]) @ carrier[1]
-            lens = np.broadcast_to(np.eye(3), (len(points), 3, 3)) if camera is None else project_slopes(camera, optic)
-            by_point = lens @ rotation.T
-            by_inner = lens @ carrier[1].T
-            blocks.append((by_point[:, :, None] * tracked.weights[:, None, :, None]).reshape(*by_point.shape[:2], -1))
-            columns.append(axes_of(tracked.nodes))
-            moved.append(np.concatenate([-by_inner, by_inner @ skew(inner)], axis=-1).reshape(-1, 6))
-        height, at, parts = blocks[0].shape[1], 0, []
-        for block, column in zip(blocks, columns, strict=True):
-            rows = at + np.arange(len(block) * height).reshape(len(block), height)
-            parts.append((block, rows, column))
-            at += rows.size
-        frames = np.vstack(moved)
-        if isinstance(camera, OrthographicCamera) and camera.origin_id is not None:
-            at, frames = at + height, np.vstack([frames, np.zeros((height, 6))])
-        return Sensed(placed_blocks(*parts, shape=(at, x.size)), None, {}, mount, frames)
-
-    def _wrench_derivatives(self, name: str, placed: Mapping[str, Placement], forces: np.ndarray) -> Sensed:
-        """Of force and torque on what a sensor carries."""
-        x = self._scene.system.x
-        nodes, mount, carrier = self._loaded[name]
-        origin, rotation = _within(placed[mount], carrier)
-        held = forces[nodes]
-        arms = x[nodes] - origin
-        by_x = np.concatenate([np.zeros((3, 3 * len(nodes))), -rotation.T @ np.hstack(list(skew(held)))])
-        by_force = np.concatenate([np.tile(rotation.T, len(nodes)), rotation.T @ np.hstack(list(skew(arms)))])
-        turning = np.concatenate([np.zeros((3, 3)), -rotation.T])
-        terms = [t for t in self._rigid if t.body_node in nodes]
-        force, torque = held.sum(axis=0), _moment(arms, held) - sum(t.moment() for t in terms)
-        inner = placed[mount][1]
-        local = carrier[1].T @ skew(np.stack([force, torque]) @ inner)
-        about = rotation.T @ skew(force[None])[0] @ inner
-        by_frame = np.zeros((6, 6))
-        by_frame[:3, 3:], by_frame[3:, 3:] = local
-        by_frame[3:, :3] += about
-        by_frame[3:, 3:] -= about @ skew(carrier[0][None])[0]
-        rows, columns = np.arange(6)[None], axes_of(nodes)[None]
-        shape = (6, x.size)
-        x_part, force_part = (placed_blocks((b[None], rows, columns), shape=shape) for b in (by_x, by_force))
-        return Sensed(x_part, force_part, {t.name: turning for t in terms}, mount, by_frame)
-
-    def _wrench(self, nodes: np.ndarray, frame: Placement, forces: np.ndarray) -> np.ndarray:
-        """Sum of what the terms do to the nodes that a sensor holds, about its frame's origin."""
-        x = self._scene.system.x
-        origin, rotation = frame
-        held = forces[nodes]
-        force = held.sum(axis=0)
-        torque = _moment(x[nodes] - origin, held)
-        for term in self._rigid:
-            if term.body_node in nodes:
-                torque = torque - term.moment()
-        return np.concatenate([force @ rotation, torque @ rotation])
-
-
-def _moment(arms: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Sum of arm x force, ``(3,)``; faster than ``np.cross`` for the small arrays here."""
-    a = arms.T @ forces
-    return np.array([a[1, 2] - a[2, 1], a[2, 0] - a[0, 2], a[0, 1] - a[1, 0]])
+    def free_body(self, name: str) -> BuiltBody | None:
+        """The affine body that a wrench sensor is on, if it is on one."""
+        sensor = self._scene.rig.sensors[name]
+        body = self._scene.bodies.get(sensor.on) if isinstance(sensor, WrenchSensor) else None
+        return body if body is not None and isinstance(body.spec, Affine) else None
 
 
 def frame_of(position: np.ndarray, quaternion: np.ndarray) -> Frame:

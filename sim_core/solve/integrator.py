@@ -21,8 +21,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_core.energies.term import StepContext
-
 
 @dataclass(frozen=True)
 class Past:
@@ -31,20 +29,3 @@ class Past:
     x: np.ndarray
     v: np.ndarray
     dt: float
-
-
-def step_context(x: np.ndarray, v: np.ndarray, dt: float, past: Past | None = None, time: float = 0.0) -> StepContext:
-    """Constants of a step that starts at a ``time`` [s]: BDF2 where there is a past, else implicit Euler."""
-    if past is None:
-        return StepContext(x, v, dt, x, v, dt, time=time)
-    r = dt / past.dt
-    now, before = (1.0 + r) ** 2 / (1.0 + 2.0 * r), r**2 / (1.0 + 2.0 * r)
-    tau = dt * (1.0 + r) / (1.0 + 2.0 * r)
-    base = now * x - before * past.x, now * v - before * past.v
-    return StepContext(x, v, dt, *base, tau, past.x, (now, -before), time)
-
-
-def at_start(x: np.ndarray, v: np.ndarray, dt: float) -> StepContext:
-    """Constants by which forces are told at the start of a rollout, where no step was made: as of one of the length
-    ``dt`` [s] that ends there."""
-    return step_context(x, v, dt, time=-dt)

@@ -6,8 +6,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh, splu
 
+from sim_core.core.system import on_core
 from sim_core.errors import ConfigError
-from sim_core.solve.integrator import at_start
+from sim_core.solve.state import State
+from sim_core.solve.step import potential, renew
 from sim_core.solve.system import System
 
 SLACK = 1e-13
@@ -19,17 +21,16 @@ LEAST_PIVOT = 1e-12
 UNHELD = "The stiffness matrix is singular: something can move without resistance."
 
 
-def tangent_stiffness(system: System) -> sp.csr_matrix:
+def tangent_stiffness(system: System, x: np.ndarray | None = None) -> sp.csr_matrix:
     """The true Hessian [N/m] over the unknowns with everything that acts now (weight, prestress, contact), without
-    inertia; both triangles."""
-    step = at_start(system.x.copy(), np.zeros_like(system.x), 1.0)
-    inertia, system.inertia = system.inertia, False
-    try:
-        system.begin_step(step, system.initial_internals(), search=False)
-        upper = system.hessian(exact=True)
-    finally:
-        system.inertia = inertia
-    return sp.csr_matrix(upper + sp.triu(upper, 1).T)
+    inertia, at positions ``x`` [m] ``(n, 3)`` and with the numbers that terms have now (None: where the last step of
+    the system ended, with its numbers)."""
+    if x is not None:
+        renew(system)
+    there = on_core(system).x if x is None else x
+    state = State(-1.0, there, np.zeros_like(there), system.initial_internals())
+    spread = system.spread_matrix
+    return sp.csr_matrix(spread.T @ potential(system, state).hessian @ spread)
 
 
 def linear_response(system: System, loads: np.ndarray) -> np.ndarray:
@@ -45,20 +46,22 @@ def linear_response(system: System, loads: np.ndarray) -> np.ndarray:
     pivots, own = np.abs(factor.U.diagonal()), np.abs(stiffness.diagonal())[np.argsort(factor.perm_c)]
     if np.any(pivots <= LEAST_PIVOT * own):
         raise ConfigError(UNHELD, "Hold every body.")
-    return system.spread(factor.solve(system.restrict(loads)))
+    spread = system.spread_matrix
+    return np.asarray(spread @ factor.solve(spread.T @ loads.ravel())).reshape(-1, 3)
 
 
-def natural_vibrations(system: System, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Slowest undamped vibrations about the equilibrium in which the system is: K u = omega^2 M u.
+def natural_vibrations(system: System, count: int, x: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Slowest undamped vibrations about an equilibrium, K u = omega^2 M u: at ``x`` [m] ``(n, 3)``, or where the last
+    step of the system ended.
 
     Returns angular frequencies [rad/s] ``(count,)``, ascending, and the shapes ``(count, n, 3)``, of unit modal
     mass [kg^-1/2]. K is the true Hessian with everything that acts now (weight, prestress, contact). Raises
     ``ConfigError`` where something is not held, or is not in stable equilibrium. What sheets and contacts
     remember (creases, elastic slip) is not part of it.
     """
-    if len(system.deflections):
+    if system.compliant:
         raise ConfigError("Vibrations on compliant mounts are not computed.", "Leave the compliance out.")
-    stiffness = tangent_stiffness(system)
+    stiffness = tangent_stiffness(system, x)
     mass = system.reduced_mass()
     if not 0 < count < system.n_unknowns - 1:
         raise ConfigError(f"There are {system.n_unknowns} unknowns and not {count} vibrations.", "Ask for fewer.")
@@ -71,4 +74,4 @@ def natural_vibrations(system: System, count: int) -> tuple[np.ndarray, np.ndarr
         raise ConfigError(UNHELD, "Hold every body.")
     if squared[order[0]] <= 0.0:
         raise ConfigError("The equilibrium is unstable: the softest vibration grows.", "Settle the system first.")
-    return np.sqrt(squared[order]), np.stack([system.spread(shapes[:, k]) for k in order])
+    return np.sqrt(squared[order]), (system.spread_matrix @ shapes[:, order]).T.reshape(count, -1, 3)

@@ -5,12 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from sim_core.solve.system import System
-
-ROUND_OFF = 1e-3
-"""A Newton update this much below the tolerance ends a search whatever the residual: forces that are nothing
-but round-off cannot be balanced any better."""
-
 
 class Result(str, Enum):
     """How a step ended."""
@@ -39,7 +33,8 @@ class NewtonSettings:
 class StepReport:
     """What happened in a step. ``iterations``: of both Newtons; ``factorisations``: tangents that they took;
     ``residual_n``: largest free force imbalance [N]; ``min_gap_m``: smallest contact gap; ``tightest``: contact
-    term that has it; ``left_m``: part of the prescribed motion that was not made."""
+    term that has it; ``left_m``: part of the prescribed motion that was not made; ``parts``: in how many parts the step
+    was made, of which the others are of the last one."""
 
     result: Result
     iterations: int
@@ -51,21 +46,8 @@ class StepReport:
     min_gap_m: float
     tightest: str = ""
     left_m: float = 0.0
+    parts: int = 1
 
     @property
     def converged(self) -> bool:
         return self.result is Result.CONVERGED
-
-
-def converged(system: System, settings: NewtonSettings, error: float, residual: float) -> bool:
-    """Whether positions are good enough. ``error``: bound on what is wrong with them [m]; ``residual``: largest free
-    force imbalance [N], from the gradient that was evaluated last, which may be as large as its round-off."""
-    if not error < settings.step_tolerance_m:
-        return False
-    return residual <= max(settings.force_tolerance * max(system.force_scale(), 1e-9), system.force_noise())
-
-
-def report(system: System, result: Result, counts: tuple[int, int, int], residual: float, update: float) -> StepReport:
-    """``counts``: iterations, factorisations, energies or slopes tried in line searches."""
-    contacts, gap = system.contacts()
-    return StepReport(result, *counts, residual, update, contacts, gap, system.tightest())

@@ -1,32 +1,29 @@
-"""One implicit step: from a state and where the prescribed nodes go to the next state."""
+"""One implicit step of a system on the compiled core: from a state and where prescribed nodes go to the next state."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from sim_core.energies.term import Internals
+from sim_core.core.system import Potential, on_core
 from sim_core.errors import ConvergenceError
-from sim_core.solve import contact_newton as guarded
-from sim_core.solve import newton
-from sim_core.solve.integrator import Past, step_context
 from sim_core.solve.report import NewtonSettings, Result, StepReport
+from sim_core.solve.state import State
 from sim_core.solve.system import System
 
-__all__ = ["NewtonSettings", "Result", "State", "StepReport", "advance"]
-
-
-@dataclass(frozen=True)
-class State:
-    """A value: copy it, perturb it, replay from it. ``x`` [m], ``v`` [m/s] ``(n, 3)``; ``t`` [s]; ``past``:
-    the state before, where the integrator looks back."""
-
-    t: float
-    x: np.ndarray
-    v: np.ndarray
-    internals: dict[str, Internals]
-    past: Past | None = None
+__all__ = [
+    "NewtonSettings",
+    "Result",
+    "State",
+    "StepReport",
+    "advance",
+    "contact_force",
+    "deflections",
+    "ended",
+    "energy",
+    "exerted",
+    "potential",
+    "renew",
+]
 
 
 def advance(
@@ -44,19 +41,7 @@ def advance(
     iteration. Raises :class:`ConvergenceError` when the step does not converge, unless ``check`` is
     off; the returned state is then the last iterate.
     """
-    settings = settings or NewtonSettings()
-    step = step_context(state.x, state.v, dt, state.past, state.t)
-    x = system.x
-    system.set_targets(targets)
-    x[:] = state.x
-    system.begin_step(step, state.internals)
-    drift = dt * state.v if system.inertia else np.zeros_like(x)
-    if state.past is not None:  # The acceleration of the last step leads to within the third power of the step.
-        drift = drift + 0.5 * dt**2 * (state.v - state.past.v) / state.past.dt
-    solve = guarded.solve if system.touchable else newton.solve
-    report = solve(system, state.x, drift, targets, settings, guess)
-    if check and report.result is Result.BLOCKED:
-        raise guarded.blocked(report, state.t)
+    after, report = on_core(system, settings or NewtonSettings()).advance(state, targets, dt, guess)
     if check and not report.converged:
         raise ConvergenceError(
             f"The step from t = {state.t:.4f} s (dt = {dt:g} s) did not converge: {report.result.value} "
@@ -64,7 +49,53 @@ def advance(
             f"update {report.update_m:.3g} m.",
             "Use a smaller solver.dt_s, a slower motion, or a finer mesh where the sheet folds.",
         )
-    internals = system.end_step(step, state.internals)
-    velocity = (x - step.x_base) / step.tau if system.inertia else np.zeros_like(x)
-    past = Past(state.x, state.v, dt) if system.inertia and system.second_order else None
-    return State(state.t + dt, x.copy(), velocity, internals, past), report
+    return after, report
+
+
+def renew(system: System) -> None:
+    """Take the numbers that terms and masses of the system have now: those of the first step count until then."""
+    system.on_core = None
+
+
+def potential(
+    system: System,
+    state: State,
+    x: np.ndarray | None = None,
+    targets: np.ndarray | None = None,
+    dt: float = 1.0,
+    inertia: bool = False,
+    exact: bool = True,
+) -> Potential:
+    """What a step of ``dt`` [s] from a state would make least, with ``inertia`` or as one between equilibria, at
+    positions ``x`` [m] ``(n, 3)`` (None: where it starts), and its derivatives.
+
+    ``targets``: of prescribed nodes [m] ``(n, 3)``, which compliant ones have given way from (None: they have not).
+    ``exact``: the true Hessian and not the semidefinite one.
+    """
+    there = state.x if x is None else x
+    return on_core(system).potential(state, there, there if targets is None else targets, dt, inertia, exact)
+
+
+def ended(system: System, state: State, x: np.ndarray, dt: float = 1.0, inertia: bool = False) -> State:
+    """The state after a step of ``dt`` [s] that ends with all nodes at ``x`` [m] ``(n, 3)``, in balance or not."""
+    return on_core(system).ended(state, x, x, dt, inertia)
+
+
+def energy(system: System) -> float:
+    """The potential that the last step has made least [J]."""
+    return on_core(system).energy
+
+
+def exerted(system: System) -> np.ndarray:
+    """What the terms exert at the end of the last step, dE/dx [N] ``(n, 3)``, without gravity, loads and inertia."""
+    return np.array(on_core(system).exerted)
+
+
+def deflections(system: System) -> np.ndarray:
+    """How far each compliant group has given way [m], ``(n_groups, 3)``."""
+    return np.array(on_core(system).deflections)
+
+
+def contact_force(system: System, name: str) -> np.ndarray:
+    """What one contact exerts on the nodes at the end of the last step [N] ``(n, 3)``."""
+    return on_core(system).pair_forces()[name]

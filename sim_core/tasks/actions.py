@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 from sim_core.errors import ConfigError
 from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.tasks.executable import ExecutableActions, HandSpan
 from sim_core.tasks.load import MadeTask
 from sim_core.tasks.schema import Actions
 
@@ -99,17 +100,31 @@ class ActionSpace:
         share = np.linspace(0.0, 1.0, task.retreat_steps + 1)[1:]
         self._drawn = share**2 * (3.0 - 2.0 * share)  # starts and ends at rest
         self._offsets: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        spans: dict[str, HandSpan] = {}
         for name, hand in self._hands.items():
             at = np.array([self._approach[f].positions[self.first] for f in hand.fingers])
             centre = at.mean(axis=0)
             offsets = at - centre
             lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
+            limits = [rig.end_effectors[f].limits for f in hand.fingers]
+            spans[name] = HandSpan(hand.bounds(), self._active[name], float(lengths.max()), limits)
             if hand.close_m > 0.0 and lengths.min() == 0.0:
                 raise ConfigError(
                     f"Fingers of the hand {name!r} are at its centre, so that it cannot close.",
                     "Let them start apart, or leave close_m out.",
                 )
             self._offsets[name] = offsets, -offsets / np.where(lengths > 0.0, lengths, 1.0)
+        smooth = self._actions.profile == "linear"
+        self._executable = ExecutableActions(self._weights, self.times, self.first, spans) if smooth else None
+
+    def executable(self, action: np.ndarray) -> np.ndarray:
+        """The action ``(size,)`` that the hands execute where this one is asked for, within their limits
+        (:mod:`sim_core.tasks.executable`)."""
+        return np.asarray(action, dtype=float) if self._executable is None else self._executable.scaled(action)
+
+    def pull_executable(self, action: np.ndarray, by_executed: np.ndarray) -> np.ndarray:
+        """Derivatives of a loss by an action from those by the one that is executed for it, each ``(size,)``."""
+        return by_executed if self._executable is None else self._executable.pull(action, by_executed)
 
     def bounds(self) -> np.ndarray:
         """Largest motion of one step that each entry stands for [m, rad], ``(size,)``."""

@@ -55,7 +55,6 @@ class Episode:
     def begin(self, poses: Mapping[str, PoseTrajectory], watch: Watch) -> None:
         """Back to rest, where the poses begin."""
         self.watch = watch
-        self.simulation.scene.system.forget()
         self.simulation.reset(self._frames(poses, 0))
         self.at, self.readings = 0, [self.simulation.read()]
 

@@ -106,7 +106,7 @@ class TaskRollouts:
 
     def _end(self, action: np.ndarray) -> dict[str, np.ndarray]:
         """Positions of the observed points at the end; none where the rollout ends early."""
-        if self._forward(self.space.poses(action)):
+        if self._forward(self.poses(action)):
             return {}
         seen = self.episode.seen(Measure(self.made, self.scene, self.space.first, {}))
         return {name: p[-1] for name, p in seen.points.items()}
@@ -149,10 +149,14 @@ class TaskRollouts:
         self.scene.system.loads[:] = 0.0
         _take_weight(self.scene, self.made.variant.weightless)
 
+    def poses(self, action: np.ndarray) -> dict[str, PoseTrajectory]:
+        """Poses of all end effectors as they are executed for an action ``(size,)``, within the limits of the hands."""
+        return self.space.poses(self.space.executable(action))
+
     def outcome(self, action: np.ndarray) -> Outcome:
         """Of one action ``(size,)``."""
         began = time.process_time()
-        reason = self._forward(self.space.poses(action))
+        reason = self._forward(self.poses(action))
         episode = self.episode
         if reason:
             return self._early(reason, episode.at, episode.watch.force_n, began)
@@ -162,7 +166,7 @@ class TaskRollouts:
         """The outcome of an action with the gradient of its reward; without it where the rollout ends early."""
         began, watch = time.process_time(), self._watch()
         try:
-            tape = Tape(self.scene, self.space.poses(action), self.space.times, watch=watch)
+            tape = Tape(self.scene, self.poses(action), self.space.times, watch=watch)
         except ConvergenceError as error:
             return self._early(f"a step did not converge: {error.problem}", watch.steps, watch.force_n, began)
         except EarlyStop as stop:
@@ -170,7 +174,8 @@ class TaskRollouts:
         scored = self._reward(self._measure.seen(self.space.times, tape.trace.outputs, tape.end.internals))
         readings, memory = self._measure.back(scored)
         found = Backward(tape, []).gradient(scored.reward, readings, memory)
-        return self._whole(scored, watch.force_n, began, self.space.pull(action, found.poses))
+        slope = self.space.pull(self.space.executable(action), found.poses)
+        return self._whole(scored, watch.force_n, began, self.space.pull_executable(action, slope))
 
     def _early(self, reason: str, steps: int, most: float, began: float) -> Outcome:
         share = steps / (len(self.space.times) - 1)
@@ -182,7 +187,7 @@ class TaskRollouts:
 
     def seen(self, action: np.ndarray) -> tuple[Seen, float]:
         """What the reward of an action is made of, and the reward. Raises ``ConvergenceError`` where it stops early."""
-        reason = self._forward(self.space.poses(action))
+        reason = self._forward(self.poses(action))
         if reason:
             raise ConvergenceError(f"The rollout of {self.made.name} ended early: {reason}.", "Choose another action.")
         seen = self.episode.seen(self._measure)
@@ -195,7 +200,7 @@ class TaskRollouts:
         """
         scene = build_scene(with_parameters(self.made.rig, parameters or {}))
         _take_weight(scene, self.made.variant.weightless)
-        return run(Simulation(scene), self.space.poses(action), self.space.times, keep_states=True)
+        return run(Simulation(scene), self.poses(action), self.space.times, keep_states=True)
 
 
 def _distance(one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> float:

@@ -5,14 +5,15 @@ trace = rollout(rig, poses)
 write_trajectory("press.json", make_trajectory(rig, poses, traces=[trace], limits=Limits(max_force_n=5.0)))
 """
 
+from sim_core.rigs.limits import Limits
 from sim_core.trajectories.check import Figure, Review, check_trajectory
 from sim_core.trajectories.file import parse_trajectory, read_trajectory, write_csv, write_trajectory
-from sim_core.trajectories.make import make_trajectory, predict, rollout
+from sim_core.trajectories.make import bounded, make_trajectory, planned_path, predict, rollout
 from sim_core.trajectories.model import (
     VERSION,
     EffectorPath,
-    Limits,
     MarkerPrediction,
+    Passage,
     Prediction,
     RigReference,
     Trajectory,
@@ -25,14 +26,17 @@ __all__ = [
     "Figure",
     "Limits",
     "MarkerPrediction",
+    "Passage",
     "Prediction",
     "Review",
     "RigReference",
     "Trajectory",
     "WrenchPrediction",
+    "bounded",
     "check_trajectory",
     "make_trajectory",
     "parse_trajectory",
+    "planned_path",
     "predict",
     "read_trajectory",
     "rollout",

@@ -1,7 +1,9 @@
 """What a trajectory is: poses of end effectors on one time grid, with limits and with what a simulator predicts.
 
 Units are SI and stand in the names. Poses are those of the end effector's frame in its base frame, unit quaternions
-x y z w. Between samples the motion is the curve of :class:`sim_core.rigs.trajectory.PoseTrajectory`.
+x y z w. Between samples the motion is the curve of :class:`sim_core.rigs.trajectory.PoseTrajectory`: with the
+interpolation ``spline`` one cubic spline through all samples, with ``cornered`` one that has corners where samples are
+no smooth motion.
 """
 
 from __future__ import annotations
@@ -12,10 +14,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
 
-from sim_core.rigs.fields import FloatArray, FrameId, Name, Strict, Text, Topic, Vector, describe, trouble
+from sim_core.rigs.fields import FloatArray, FrameId, Name, NonNegative, Strict, Text, Topic, describe, trouble
+from sim_core.rigs.limits import Limits, Positive
 from sim_core.rigs.trajectory import PoseTrajectory
 
-VERSION = 1
+VERSION = 2
 """Version of the file format. A change that a reader of this version cannot understand increases it."""
 
 UNIT_TOLERANCE = 1e-3
@@ -27,7 +30,6 @@ EffectorName = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_]
 LARGEST = 1e9
 """Largest number in an array, in its SI unit."""
 
-Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0)]
 IntArray = np.ndarray[Any, np.dtype[np.int64]]
 
 
@@ -98,6 +100,8 @@ class EffectorPath(_Part):
 
     ``gripper_closing_m``: by how much the gap between the fingers of its gripper is smaller than in the first sample.
     ``target_topic``, ``current_topic``: where commanded and measured poses are on a live system, before remapping.
+    ``limits``: of this end effector, besides those of the trajectory. ``tolerance_m``, ``tolerance_rad``: how far it
+    may be from its path, and ``max_lag_s``: how far behind its commands.
     """
 
     frame_id: FrameId = Field(description="base frame that the poses are in")
@@ -106,6 +110,10 @@ class EffectorPath(_Part):
     gripper_closing_m: Times | None = None
     target_topic: Topic = "target_pose"
     current_topic: Topic = "current_pose"
+    limits: Limits = Limits()
+    tolerance_m: Positive | None = None
+    tolerance_rad: Positive | None = None
+    max_lag_s: Positive | None = None
 
     @model_validator(mode="after")
     def _orientations(self) -> EffectorPath:
@@ -124,7 +132,9 @@ class EffectorPath(_Part):
 class WrenchPrediction(_Part):
     """Force and torque that act **on the sensor**, about the origin of ``frame_id``, and standard deviations.
 
-    These are true values at the trajectory's times: without latency and noise of the sensor.
+    These are true values at the trajectory's times: without latency and noise of the sensor. ``force_noise_n``,
+    ``torque_noise_nm``: standard deviations of the white noise that the rig states for each component.
+    ``max_force_n``, ``max_torque_nm``: limits that follow from the prediction (:mod:`sim_core.trajectories.expected`).
     """
 
     frame_id: FrameId = Field(description="frame of the sensor")
@@ -132,68 +142,85 @@ class WrenchPrediction(_Part):
     torques_nm: Rows3 = Field(description="torques [N m], n x 3")
     force_sds_n: Rows3 | None = None
     torque_sds_nm: Rows3 | None = None
+    force_noise_n: NonNegative = 0.0
+    torque_noise_nm: NonNegative = 0.0
+    max_force_n: Positive | None = None
+    max_torque_nm: Positive | None = None
+    rate_hz: Positive = 100.0
+    delay_s: NonNegative = 0.0
     topic: Topic = "wrench"
 
 
 class MarkerPrediction(_Part):
-    """Positions of ``m`` markers in ``frame_id``, and standard deviations of each coordinate."""
+    """Positions of ``m`` markers in ``frame_id``, and standard deviations of each coordinate. ``position_noise_m``:
+    that of the white noise that the rig states."""
 
     frame_id: FrameId = Field(description="frame of the sensor")
     ids: Ids = Field(description="number of each marker, m")
     positions_m: Points = Field(description="positions [m], n x m x 3")
     position_sds_m: Points | None = None
+    position_noise_m: NonNegative = 0.0
+    rate_hz: Positive = 30.0
+    delay_s: NonNegative = 0.0
     topic: Topic = "markers"
 
 
 class Prediction(_Part):
-    """What sensors will read, by sensor."""
+    """What sensors will read, by sensor.
 
+    ``rate_hz``, ``delay_s`` of each: how often it reads, and by how much a reading may be older than its stamp.
+    ``draws``: number of rollouts that the standard deviations are from; ``open_parameters``: how many parameters of the
+    rig were drawn for them. Both are needed to say how far readings may be from their means.
+    """
+
+    draws: Annotated[int, Field(strict=True, ge=2)] | None = None
+    open_parameters: Annotated[int, Field(strict=True, ge=1)] | None = None
     wrenches: dict[Name, WrenchPrediction] = Field(default={})
     markers: dict[Name, MarkerPrediction] = Field(default={})
 
 
-class Limits(_Part):
-    """What must never be exceeded while a trajectory is replayed; what is left out is not limited here.
+class PassagePath(_Part):
+    """Poses of one end effector on a passage, ``k`` of them, in the frame of its path."""
 
-    The box is that of the end effectors' origins in the base frame. Force and torque are magnitudes at each sensor.
-    """
+    positions_m: Rows3 = Field(description="positions [m], k x 3")
+    quaternions_xyzw: Rows4 = Field(description="unit quaternions x y z w, k x 4")
 
-    workspace_min_m: Vector | None = None
-    workspace_max_m: Vector | None = None
-    max_speed_m_s: Positive | None = None
-    max_angular_speed_rad_s: Positive | None = None
-    max_acceleration_m_s2: Positive | None = None
-    max_force_n: Positive | None = None
-    max_torque_nm: Positive | None = None
+
+class Passage(_Part):
+    """How end effectors get to the first pose of a motion, or back from the last one; from rest to rest."""
+
+    times_s: Times = Field(description="time [s] of each sample since the start of the passage, k")
+    end_effectors: dict[EffectorName, PassagePath] = Field(min_length=1, description="end effector -> its poses")
 
     @model_validator(mode="after")
-    def _box(self) -> Limits:
-        low, high = self.workspace_min_m, self.workspace_max_m
-        if low is not None and high is not None and not all(a < b for a, b in zip(low, high, strict=True)):
-            raise trouble(
-                f"is {list(low)}, which is not below workspace_max_m {list(high)}.",
-                "Write the corner with the smaller coordinates.",
-                "workspace_min_m",
-            )
+    def _one_grid(self) -> Passage:
+        _check_times(self.times_s)
+        for name, path in self.end_effectors.items():
+            for key, value in path:
+                _check_rows(value, len(self.times_s), f"end_effectors.{name}.{key}")
         return self
 
-    def stricter(self, other: Limits) -> Limits:
-        """The stricter of two limits, each by itself."""
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(self.times_s[-1])
 
-        def one(name: str) -> Any:
-            values = [v for v in (getattr(self, name), getattr(other, name)) if v is not None]
-            if not values or not isinstance(values[0], tuple):
-                return min(values, default=None)
-            pick = max if name == "workspace_min_m" else min
-            return tuple(pick(*pair) for pair in zip(*values, strict=True)) if len(values) == 2 else values[0]
-
-        return Limits.model_construct(**{name: one(name) for name in Limits.model_fields})
+    def poses(self) -> dict[str, PoseTrajectory]:
+        """The motion of each end effector."""
+        return {
+            name: PoseTrajectory.from_samples(
+                self.times_s, path.positions_m, path.quaternions_xyzw, source=f"The passage of {name!r}", planned=True
+            )
+            for name, path in self.end_effectors.items()
+        }
 
 
 class Trajectory(_Part):
     """A motion of one or more end effectors. ``n``: number of samples, two or more.
 
     ``rig``: None where it is not known, as in a message. ``provenance``: free text by key, such as command and seed.
+    ``limits``: of all end effectors. ``approach``: from where the end effectors wait to the first poses; ``retract``:
+    back from the last ones. Without them the motion begins and ends where they wait.
     """
 
     format: Literal["thinshell_trajectory"] = "thinshell_trajectory"
@@ -202,23 +229,27 @@ class Trajectory(_Part):
     description: Text = ""
     units: Literal["SI"] = "SI"
     quaternion_order: Literal["xyzw"] = "xyzw"
+    interpolation: Literal["cornered", "spline"] = "cornered"
     rig: RigReference | None = None
     limits: Limits = Limits()
     times_s: Times = Field(description="time [s] of each sample since the start, n")
     end_effectors: dict[EffectorName, EffectorPath] = Field(min_length=1, description="end effector -> its poses")
+    approach: Passage | None = None
+    retract: Passage | None = None
     predicted: Prediction = Prediction()
     provenance: dict[Text, Text] = Field(default={})
 
     @model_validator(mode="after")
     def _one_grid(self) -> Trajectory:
         times = self.times_s
-        if len(times) < 2 or times[0] != 0.0 or (np.diff(times) <= 0.0).any():
-            row = 0 if len(times) < 2 or times[0] != 0.0 else _first(np.diff(times) <= 0.0) + 1
-            raise trouble(
-                f"does not begin with 0 and increase from sample to sample (row {row}).",
-                "Write two or more times [s] since the start, in their order, each once.",
-                "times_s",
-            )
+        _check_times(times)
+        for where, passage in (("approach", self.approach), ("retract", self.retract)):
+            if passage is not None and set(passage.end_effectors) != set(self.end_effectors):
+                raise trouble(
+                    f"moves {', '.join(passage.end_effectors)}, and the motion {', '.join(self.end_effectors)}.",
+                    "Write poses of the same end effectors; one that stays repeats its pose.",
+                    f"{where}.end_effectors",
+                )
         parts: list[tuple[str, str, _Part]] = [("end_effectors", n, p) for n, p in self.end_effectors.items()]
         parts += [("predicted.wrenches", n, p) for n, p in self.predicted.wrenches.items()]
         parts += [("predicted.markers", n, p) for n, p in self.predicted.markers.items()]
@@ -245,10 +276,28 @@ class Trajectory(_Part):
         """The motion of each end effector, as a simulator takes it."""
         return {
             name: PoseTrajectory.from_samples(
-                self.times_s, path.positions_m, path.quaternions_xyzw, source=f"The path of {name!r}"
+                self.times_s,
+                path.positions_m,
+                path.quaternions_xyzw,
+                source=f"The path of {name!r}",
+                planned=self.interpolation == "spline",
             )
             for name, path in self.end_effectors.items()
         }
+
+    def limits_of(self, name: str) -> Limits:
+        """The limits of one end effector: the stricter of its own and those of all."""
+        return self.limits.stricter(self.end_effectors[name].limits)
+
+
+def _check_times(times: np.ndarray) -> None:
+    if len(times) < 2 or times[0] != 0.0 or (np.diff(times) <= 0.0).any():
+        row = 0 if len(times) < 2 or times[0] != 0.0 else _first(np.diff(times) <= 0.0) + 1
+        raise trouble(
+            f"does not begin with 0 and increase from sample to sample (row {row}).",
+            "Write two or more times [s] since the start, in their order, each once.",
+            "times_s",
+        )
 
 
 def _check_rows(values: np.ndarray, count: int, where: str) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from sim_core.core.covers import covers
 from sim_core.core.library import load
 from sim_core.core.rollout import CoreRollout
 from sim_core.errors import ConfigError
@@ -25,20 +24,16 @@ from sysid.model.time_span import rollout_times
 
 @dataclass(frozen=True)
 class Speed:
-    """``path``: 'compiled core', or why it was not that, in a sentence. ``cpu_ms_per_step``: readings included,
-    ``cpu_ms_per_step_with_columns``: with derivatives by ``columns`` parameters. ``residuals_per_step``: None where
-    nobody counts them; ``handed_over``: steps that the core left to the slower searches. ``compile_s``: until the
-    compiled core was there, next to nothing where it was compiled before."""
+    """``cpu_ms_per_step``: readings included, ``cpu_ms_per_step_with_columns``: with derivatives by ``columns``
+    parameters. ``compile_s``: until the compiled core was there, next to nothing where it was compiled before."""
 
-    path: str
     steps: int
     unknowns: int
     cpu_ms_per_step: float
     columns: int
     cpu_ms_per_step_with_columns: float | None
     factorisations_per_step: float
-    residuals_per_step: float | None
-    handed_over: int | None
+    residuals_per_step: float
     compile_s: float
 
 
@@ -68,24 +63,18 @@ def measure_recording(rig: Rig, bag: Path, columns: int = 0) -> Speed:
         begin = time.process_time()
         simulate_tangent(scene, run.poses, times, along)
         with_columns = 1e3 * (time.process_time() - begin) / steps
-    residuals = handed_over = None
-    reason = covers(scene)
-    if reason is None:
-        rollout = CoreRollout(scene, run.poses, times, NewtonSettings())
-        rollout.settle()
-        for _ in rollout.run():
-            pass
-        residuals, handed_over = float(rollout.counts["residuals"].mean()), rollout.handed_over
+    rollout = CoreRollout(scene, run.poses, times, NewtonSettings())
+    rollout.settle()
+    for _ in rollout.run():
+        pass
     return Speed(
-        path="compiled core" if reason is None else reason,
         steps=steps,
         unknowns=scene.system.n_unknowns,
         cpu_ms_per_step=1e3 * forward / steps,
         columns=columns,
         cpu_ms_per_step_with_columns=with_columns,
         factorisations_per_step=float(np.mean([r.factorisations for r in trace.reports])),
-        residuals_per_step=residuals,
-        handed_over=handed_over,
+        residuals_per_step=float(rollout.counts["residuals"].mean()),
         compile_s=load().compile_s,
     )
 
@@ -96,12 +85,11 @@ def run_recording_benchmark(rig: Rig, bag: Path, columns: int, as_json: bool) ->
     if as_json:
         return json.dumps(asdict(found), indent=2)
     lines = [
-        f"{found.steps} steps of {found.unknowns} unknowns, path: {found.path}",
+        f"{found.steps} steps of {found.unknowns} unknowns",
         f"{found.cpu_ms_per_step:.3g} ms of CPU a step, readings included",
         f"{found.factorisations_per_step:.2f} factorisations a step",
     ]
     if found.cpu_ms_per_step_with_columns is not None:
         lines.insert(2, f"{found.cpu_ms_per_step_with_columns:.3g} ms with {found.columns} derivatives")
-    if found.residuals_per_step is not None:
-        lines.append(f"{found.residuals_per_step:.2f} residuals a step, {found.handed_over} steps handed over")
+    lines.append(f"{found.residuals_per_step:.2f} residuals a step")
     return "\n".join([*lines, f"the compiled core was there after {found.compile_s:.3g} s"])

@@ -29,27 +29,18 @@ WANTED_DISK_GB = 2.0
 PATIENCE_S = 600
 """Time that each check gets [s]: on a busy machine the tiny fit takes minutes."""
 
-_FACTOR = """
-import numpy, scipy.sparse
-from sim_core.solve.factor import {factor}
-upper = scipy.sparse.diags([2.0, 3.0, 4.0], format="csr")
-assert numpy.allclose({factor}(upper, True).solve(numpy.array([2.0, 3.0, 4.0])), 1.0)
-"""
-
-_TAICHI = """
-import taichi as ti
-ti.init(arch=ti.cpu, default_fp=ti.f64, log_level=ti.ERROR)
-@ti.kernel
-def total(n: ti.i32) -> ti.f64:
-    s = 0.0
-    for i in range(n):
-        s += 0.5
-    return s
-assert total(10) == 5.0
+_CORE = """
+from sim_core.core.library import load
+assert load().functions is not None, load().lack
 """
 
 OF_EXTRAS = ("gymnasium", "viser", "pytetwild", "pyvista")
 """Modules that only extras bring."""
+
+_SUPERNODES = """
+from sim_core.core.library import load
+assert load().supernodes
+"""
 
 _IMPORTS = f"""
 import importlib, pkgutil
@@ -158,8 +149,9 @@ def examine() -> Iterator[Finding]:
     """All checks, one after the other, each as soon as it is done."""
     yield _python()
     yield from _dependencies()
-    yield _child("Taichi", _TAICHI, "starts and compiles a kernel", "pip install --force-reinstall taichi", core=True)
-    yield from _factorisation()
+    remedy = "Install a C++ compiler (Debian, Ubuntu: apt-get install g++), or set CXX."
+    yield _child("Compiled core", _CORE, "is there, or was compiled", remedy, core=True)
+    yield _factorisation()
     remedy = "Install what is named there: pip install --upgrade --force-reinstall thinshell_ros."
     imports = _child("Modules", _IMPORTS, "all that the commands need is imported", remedy, core=True)
     yield imports
@@ -210,15 +202,12 @@ def _dependencies() -> Iterator[Finding]:
         yield Finding(label, "ok" if fits else "warn", f"{found}, {needed}", "" if fits else remedy, core=not optional)
 
 
-def _factorisation() -> Iterator[Finding]:
-    fallback = _child("qdldl", _FACTOR.format(factor="QdldlFactor"), "factorises", "pip install qdldl", core=True)
+def _factorisation() -> Finding:
     if importlib.util.find_spec("pymklpardiso") is None:
-        detail = "no wheel for this platform; the slower qdldl is used"
-        yield Finding("MKL PARDISO", "warn", detail, "On Linux x86-64: pip install py-mkl-pardiso.")
-    else:
-        remedy = "pip install --force-reinstall py-mkl-pardiso, or uninstall it to use qdldl."
-        yield _child("MKL PARDISO", _FACTOR.format(factor="PardisoFactor"), "factorises", remedy)
-    yield fallback
+        detail = "no wheel for this platform: scenes with wide meshes are slower"
+        return Finding("MKL PARDISO", "warn", detail, "On Linux x86-64: pip install py-mkl-pardiso.")
+    remedy = "pip install --force-reinstall py-mkl-pardiso, or uninstall it."
+    return _child("MKL PARDISO", _SUPERNODES, "the compiled core has found it", remedy)
 
 
 def _ros() -> Iterator[Finding]:

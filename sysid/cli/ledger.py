@@ -58,19 +58,20 @@ def ledger(
 
 def _judged(found: Ledger, nothing: float) -> dict[str, Any]:
     """The posterior of a ledger as plain data."""
-    from sysid.comparison.posterior import Evidence, posterior, temper_of
+    from sysid.comparison.evidence import Evidence, joined
+    from sysid.comparison.posterior import posterior, temper_of
 
     temper = temper_of(found)
     evidence, result = Evidence(found, temper=temper), posterior(found, nothing=nothing)
     models = []
     for m in result.credible():
-        chosen = list(zip(m.effects, m.hypotheses, strict=True))
+        together = joined(m.directions)
         models.append(
             {
                 "effects": list(m.effects),
                 "probability": m.probability,
                 "log_bayes_factor": m.log_bayes_factor,
-                "left": evidence.left(chosen),
+                "left": evidence.left(together),
                 "amplitudes": [
                     {
                         "effect": a.column.owner,
@@ -79,7 +80,7 @@ def _judged(found: Ledger, nothing: float) -> dict[str, Any]:
                         "ci95": list(a.interval),
                         "unit": a.column.unit,
                     }
-                    for a in (evidence.amplitudes(chosen) if chosen else [])
+                    for a in evidence.amplitudes(together)
                 ],
             }
         )

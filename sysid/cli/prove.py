@@ -124,6 +124,9 @@ def curve(
     out: FolderOption,
     cases: Annotated[int, whole_number("--cases", "Number of cases that are drawn.", 1, 1_000_000)] = 300,
     seed: SeedOption = 0,
+    folds: Annotated[
+        int, whole_number("--folds", "Parts, each judged by numbers learnt from the others; 1: as shipped.", 1, 1000)
+    ] = 1,
 ) -> None:
     """Power and errors of the posterior by strength, over ledgers of empty cases.
 
@@ -134,7 +137,35 @@ def curve(
     _check_cases(folder)
     check_new(out, "folder")
     with progress("prove curve") as report:
-        print(library("sysid.proof", "make_curve")(folder, out, cases=cases, seed=seed, on_progress=report))
+        print(
+            library("sysid.proof", "make_curve")(folder, out, cases=cases, seed=seed, folds=folds, on_progress=report)
+        )
+
+
+@app.command("form-error")
+def form_error(folder: CasesFolder) -> None:
+    """What the simulator is off in ledgers of empty cases, by named approximation.
+
+    Example: thinshell prove form-error empty
+    """
+    _check_cases(folder)
+    print(library("sysid.proof", "form_error_table")(folder))
+
+
+@app.command("learn")
+def learn(
+    folder: CasesFolder,
+    cases: Annotated[int, whole_number("--cases", "Number of cases that are drawn.", 1, 1_000_000)] = 200,
+    seed: SeedOption = 0,
+) -> None:
+    """Learn the numbers of the posterior from ledgers of empty cases.
+
+    The form error by the marginal likelihood of these cases, prior weights by the logarithmic score of drawn ones.
+
+    Example: thinshell prove learn empty
+    """
+    _check_cases(folder)
+    print(library("sysid.proof", "make_learnt")(folder, cases=cases, seed=seed))
 
 
 def _check_cases(folder: Path) -> None:

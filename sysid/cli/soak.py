@@ -27,8 +27,8 @@ def soak(
     Counts steps that fail, steps that had to be halved, values that are not finite, and energy that rises where nothing
     drives the system. Exit code 1 if anything failed. Example: thinshell soak lifting --steps 400 --seed 3
     """
-    from sim_core.bench import stress_test as library
     from sim_core.rigs.load import names_in
+    from sysid.bench import stress_test as library
 
     chosen = rigs or names_in("rigs")
     with progress("soak") as report:

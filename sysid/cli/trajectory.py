@@ -64,15 +64,16 @@ def make(
     from sim_core.preflight import review
     from sim_core.rigs import load_rig, with_parameters
     from sim_core.rigs.motion import compile_experiment, load_experiment
-    from sim_core.trajectories import check_trajectory, make_trajectory, rollout, write_trajectory
+    from sim_core.trajectories import check_trajectory, make_trajectory, planned_path, rollout, write_trajectory
 
     chosen = with_parameters(load_rig(rig), parse_settings(settings or []))
     plan = load_experiment(experiment)
-    poses = compile_experiment(plan, chosen)
+    poses = {name: planned_path(path.times, path) for name, path in compile_experiment(plan, chosen).items()}
     limits = parse_limits(limit or [])
     check_new(out, "trajectory")
     for finding in review(chosen, poses):
-        warn(finding.text)
+        if finding.kind != "hand limits":  # the check of the trajectory says it
+            warn(finding.text)
     traces = []
     if prediction and chosen.sensors:
         with progress("trajectory") as report:
@@ -112,10 +113,10 @@ def check(
     The exit code is 2 where it must not be replayed.
     """
     from sim_core.rigs import load_rig
-    from sim_core.trajectories import check_trajectory, read_trajectory
+    from sim_core.trajectories import bounded, check_trajectory, read_trajectory
 
-    trajectory = read_trajectory(file)
     chosen = None if rig is None else load_rig(rig)
+    trajectory = read_trajectory(file) if chosen is None else bounded(read_trajectory(file), chosen)
     found = check_trajectory(trajectory, parse_limits(limit or []), chosen, speed_scale)
     made_for = "an unknown rig" if trajectory.rig is None else f"the rig {trajectory.rig.name}"
     names = ", ".join(trajectory.end_effectors)

@@ -19,7 +19,7 @@ def validate(
 ) -> None:
     """Compare the simulator with problems whose answers are known; exit code 1 if one is missed."""
     with progress("validate") as report:
-        passed, text = library("sim_core.validation", "run_validation")(
+        passed, text = library("sysid.validation", "run_validation")(
             as_json=as_json, on_progress=report, groups=groups or ()
         )
     print(text)

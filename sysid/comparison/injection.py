@@ -11,8 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.comparison.ledger import Block, Ledger
-from sysid.comparison.posterior import Evidence
+from sysid.comparison.evidence import beside
+from sysid.comparison.ledger import Block, Column, Ledger
+
+LARGEST = 3.0
+"""Convention: largest amplitude that is concealed, in standard deviations of its prior: what physics allows."""
 
 
 @dataclass(frozen=True)
@@ -25,17 +28,45 @@ class Injection:
     trace: float
 
 
-def injected(ledger: Ledger, injection: Injection, rng: np.random.Generator) -> Ledger:
-    """The ledger of recordings in which the effect acts, its amplitudes drawn in a random direction of their prior."""
-    places = [
-        k for k, c in enumerate(ledger.columns) if (c.owner, c.hypothesis) == (injection.effect, injection.hypothesis)
-    ]
-    drawn = rng.standard_normal(len(places)) * [ledger.columns[k].prior_sd for k in places]
-    drawn = np.where([ledger.columns[k].one_sided for k in places], np.abs(drawn), drawn)
-    alone = Evidence(ledger).trace((injection.effect, injection.hypothesis), drawn)
-    change = np.zeros(len(ledger.columns))
-    if alone > 0.0:
-        change[places] = drawn * injection.trace / alone
+class Concealer:
+    """What may be concealed in a ledger. ``shapes``: by effect, those in which it may be: drawn ones that no diagnosis
+    looks at where the ledger has columns of them, else all that are looked at."""
+
+    def __init__(self, ledger: Ledger) -> None:
+        self._columns = ledger.columns
+        self._places = np.array([k for k, c in enumerate(ledger.columns) if c.kind in ("effect", "concealed")])
+        self._information = beside(ledger, self._places)
+        self.shapes: dict[str, list[str]] = {}
+        drawn = {c.owner for c in ledger.columns if c.kind == "concealed"}
+        for k in self._places:
+            c = ledger.columns[k]
+            mine = self.shapes.setdefault(c.owner, [])
+            if c.hypothesis not in mine and (c.kind == "concealed") == (c.owner in drawn):
+                mine.append(c.hypothesis)
+
+    def change(self, injection: Injection, rng: np.random.Generator) -> np.ndarray | None:
+        """Factors of all columns ``(c,)``, those of the effect in a random direction of their prior; None where so
+        large a trace takes amplitudes beyond what physics allows."""
+        kind = "concealed" if any(c.kind == "concealed" and self._is(c, injection) for c in self._columns) else "effect"
+        mine = [k for k, c in enumerate(self._columns) if c.kind == kind and self._is(c, injection)]
+        sd = np.array([self._columns[k].prior_sd for k in mine])
+        drawn = rng.standard_normal(len(mine))
+        drawn = sd * np.where([self._columns[k].one_sided for k in mine], np.abs(drawn), drawn)
+        at = np.searchsorted(self._places, mine)
+        alone = float(np.sqrt(max(drawn @ self._information[np.ix_(at, at)] @ drawn, 0.0)))
+        if injection.trace * np.max(np.abs(drawn) / sd) > LARGEST * alone:
+            return None
+        change = np.zeros(len(self._columns))
+        change[mine] = drawn * injection.trace / alone
+        return change
+
+    @staticmethod
+    def _is(column: Column, injection: Injection) -> bool:
+        return (column.owner, column.hypothesis) == (injection.effect, injection.hypothesis)
+
+
+def injected(ledger: Ledger, change: np.ndarray) -> Ledger:
+    """The ledger of readings that are changed by factors ``(c,)`` of its columns."""
     return replace(ledger, blocks=tuple(_moved(b, change) for b in ledger.blocks))
 
 

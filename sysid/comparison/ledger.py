@@ -3,13 +3,13 @@
 About the point where a baseline stands, whitened residuals y are linear in the parameters of the rig and in the
 amplitudes of all effects that it may lack,
 
-    y = J dtheta + D a + C c + e,    e ~ N(0, I),
+    y = J dtheta + D a + C c + E b + e,    e ~ N(0, I),
 
 and in the coefficients c of closures, errors of a place of the model that have no law
-(:mod:`sysid.diagnosis.closures`), with the error of mesh, time step and form and the noise that readings have in common
-taken out beforehand (:mod:`sysid.solve.variable_projection`). All that a comparison of models needs are the products of
-these columns with each other and with y, summed over blocks of time: it can be made again with other priors, without an
-effect, or without a part of a recording, and no simulation is run.
+(:mod:`sysid.diagnosis.closures`), and b of named approximations (:mod:`sysid.discretisation.approximations`), with the
+noise that readings have in common taken out beforehand (:mod:`sysid.solve.variable_projection`). All that a comparison
+of models needs are the products of these columns with each other and with y, summed over blocks of time: it can be made
+again with other priors, without an effect, or without a part of a recording, and no simulation is run.
 """
 
 from __future__ import annotations
@@ -25,11 +25,15 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 
-SCHEMA = "thinshell/ledger/2"
+SCHEMA = "thinshell/ledger/4"
 """What a file of this layout says that it is."""
 
 BLOCKS = 12
 """Convention: blocks of time of a recording."""
+
+
+OF_EFFECTS = ("effect", "concealed")
+"""Kinds of columns of effects."""
 
 
 class LedgerError(ThinshellError):
@@ -40,15 +44,18 @@ class LedgerError(ThinshellError):
 class Column:
     """One direction of the linearised model.
 
-    ``owner``: name of the parameter, of the effect, or of the slot of a closure; ``hypothesis``: label of the shape of
-    the effect, all of whose amplitudes belong together, empty for a parameter, what is off in words for a closure;
-    ``shape``: values of the parameters of an effect that are no
+    ``kind``: an effect that is ``concealed`` has a shape in which no diagnosis looks at it;
+    ``owner``: name of the parameter, of the effect, of the slot of a closure, or of what is approximated; ``place``:
+    of the model, that an effect or a closure changes, else empty;
+    ``hypothesis``: label of the shape of the effect, all of whose amplitudes belong together, what is off in words for
+    a closure, else empty; ``shape``: values of the parameters of an effect that are no
     amplitude; ``name``, ``unit``: of the parameter or amplitude, whose value is ``at`` + factor * ``scale``, in the
     fitted scale (a logarithm where ``log``). The factor has a normal prior with ``prior_mean`` and ``prior_sd``, half
     of one from zero on where ``one_sided``, and the bounds ``lower`` and ``upper``."""
 
-    kind: Literal["parameter", "effect", "closure"]
+    kind: Literal["parameter", "effect", "concealed", "closure", "approximation"]
     owner: str
+    place: str
     hypothesis: str
     shape: Mapping[str, float]
     name: str
@@ -77,8 +84,8 @@ class Block:
 
 @dataclass(frozen=True)
 class Ledger:
-    """``columns``: parameters first, then effects, then closures; ``blocks``: of all recordings; ``provenance``: of
-    what it was made."""
+    """``columns``: parameters first, then effects, closures and approximations; ``blocks``: of all recordings;
+    ``provenance``: of what it was made."""
 
     columns: tuple[Column, ...]
     blocks: tuple[Block, ...]
@@ -94,6 +101,13 @@ class Ledger:
         """Names of the effects that it has columns of."""
         return tuple(dict.fromkeys(c.owner for c in self.columns if c.kind == "effect"))
 
+    @property
+    def merged(self) -> Ledger:
+        """The ledger with one block of everything."""
+        first, last = self.blocks[0], self.blocks[-1]
+        whole = Block("all", first.start, last.end, sum(b.readings for b in self.blocks), self.gram)
+        return replace(self, blocks=(whole,))
+
     def without(self, effects: Collection[str]) -> Ledger:
         """The ledger as of a library that does not have these effects. Raises ``LedgerError`` for an unknown one."""
         unknown = sorted(set(effects) - set(self.effects))
@@ -101,14 +115,14 @@ class Ledger:
             raise LedgerError(
                 f"The ledger has no columns of {' and '.join(unknown)}.", f"It has those of {', '.join(self.effects)}."
             )
-        return self._less([k for k, c in enumerate(self.columns) if c.kind == "effect" and c.owner in effects])
+        return self.less([k for k, c in enumerate(self.columns) if c.kind in OF_EFFECTS and c.owner in effects])
 
     def without_shape(self, effect: str, hypothesis: str) -> Ledger:
         """The ledger as of a library in which this shape of an effect is not looked at."""
         gone = [k for k, c in enumerate(self.columns) if (c.owner, c.hypothesis) == (effect, hypothesis)]
-        return self._less(gone)
+        return self.less(gone)
 
-    def _less(self, gone: Collection[int]) -> Ledger:
+    def less(self, gone: Collection[int]) -> Ledger:
         """The ledger without columns of these numbers."""
         kept = [k for k in range(len(self.columns)) if k not in gone]
         index = np.array([*kept, len(self.columns)])

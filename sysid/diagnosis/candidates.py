@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,12 +67,14 @@ class Amplitude:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One effect with one shape. ``key``: as a rig names it."""
+    """One effect with one shape. ``key``: as a rig names it; ``drawn``: the shape is one that no diagnosis looks at, in
+    which a benchmark may conceal the effect."""
 
     key: str
     effect: Effect
     shape: Mapping[str, float]
     amplitudes: tuple[Amplitude, ...]
+    drawn: bool = False
 
     def columns(self) -> list[dict[str, dict[str, float]]]:
         """The effect with each amplitude alone at its typical size."""
@@ -105,6 +107,39 @@ def hypotheses(rig: Rig, scales: RecordingScales) -> list[Hypothesis]:
         for variant in effect.variants(rig, scales):
             found += _of_variant(effect, fitted, variant)
     return found
+
+
+def drawn_shapes(rig: Rig, scales: RecordingScales, rng: np.random.Generator) -> list[Hypothesis]:
+    """Each effect of the library that has a shape, in one that is drawn: uniform in the fitted scale between the ends
+    of the grid that is looked at, and where that has one value, within the prior of it."""
+    looked = hypotheses(rig, scales)
+    found = []
+    for effect in dict.fromkeys(h.effect for h in looked):
+        mine = [h for h in looked if h.effect is effect]
+        fitted = {p.name: p.fitted_to(scales) for p in effect.parameters}
+        shape = {n: _drawn(fitted[n], [h.shape[n] for h in mine if n in h.shape], rng) for n in mine[0].shape}
+        thresholds = len({a.typical for h in mine for a in h.amplitudes if not np.isfinite(a.none)}) > 1
+        amplitudes = tuple(
+            a if np.isfinite(a.none) else replace(a, typical=_drawn(a.parameter, [_size_of(h, a) for h in mine], rng))
+            for a in mine[0].amplitudes
+        )
+        if shape or thresholds:
+            found.append(Hypothesis(effect.name, effect, shape, amplitudes, drawn=True))
+    return found
+
+
+def _size_of(hypothesis: Hypothesis, like: Amplitude) -> float:
+    return next(a.typical for a in hypothesis.amplitudes if a.parameter.name == like.parameter.name)
+
+
+def _drawn(parameter: EffectParameter, looked: Sequence[float], rng: np.random.Generator) -> float:
+    ends = np.array([min(looked), max(looked)])
+    if parameter.log:
+        ends = np.log(ends)
+    if ends[0] == ends[1]:
+        ends = ends + parameter.prior_sd * np.array([-1.0, 1.0])
+    value = rng.uniform(*ends)
+    return float(np.clip(np.exp(value) if parameter.log else value, parameter.lower, parameter.upper))
 
 
 def _of_variant(

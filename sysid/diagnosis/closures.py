@@ -91,11 +91,7 @@ class Closures:
 
     def modulated(self, run: Run) -> list[Modulated]:
         """Those of the mechanics, for the rollout of a recording."""
-        return [
-            Modulated(name, tuple(c.times.tolist()), tuple(c.values.tolist()))
-            for name in self._parameters
-            for c in self._courses[run.name]
-        ]
+        return [Modulated(name, c.times, c.values) for name in self._parameters for c in self._courses[run.name]]
 
     def append(self, run: Run, prediction: Prediction) -> Prediction:
         """A prediction whose last derivatives are by :meth:`modulated`, with those of sensors after them."""
@@ -113,35 +109,49 @@ class Closures:
 
 
 def courses(runs: Sequence[Run]) -> list[list[Course]]:
-    """Features of recordings, with one scale for all of them: the ``time`` since the first one began, the ``place`` of
-    the hands along the direction in which they move most, the ``square`` of it, in which ``direction`` they go and how
-    fast (``speed``), and the ``load`` on the wrench sensors, without any of which there is no such feature."""
+    """Features of recordings, with one scale for all of them: the ``time`` since the first one began; along each of the
+    axes in which the hands move notably, the ``place``, the ``velocity`` and the ``direction`` in which they go; the
+    ``square`` of the first place and the ``speed``; the ``load`` on the wrench sensors, and the ``force`` along each of
+    its axes, without any of which these are zero."""
     grids = [np.linspace(0.0, run.end, DIAGNOSIS.feature_samples) for run in runs]
     moves = _moves(runs, grids)
-    speeds = [np.gradient(m, grid, axis=0) for m, grid in zip(moves, grids, strict=True)]
-    loads = [_load(run, grid) for run, grid in zip(runs, grids, strict=True)]
-    whole = np.vstack(moves)
-    _, _, axes = np.linalg.svd(whole - whole.mean(axis=0), full_matrices=False)
-    centre, axis = whole.mean(axis=0), axes[0]
-    reach = _largest([(m - centre) @ axis for m in moves])
-    fastest = _largest([np.linalg.norm(s, axis=1) for s in speeds])
-    hardest = _largest(loads)
+    loads = [_forces(run, grid) for run, grid in zip(runs, grids, strict=True)]
+    sizes = [np.linalg.norm(f, axis=1) for f in loads]
+    places, forces = _along_axes(moves), _along_axes(loads)
     begun = np.concatenate([[0.0], np.cumsum([run.end for run in runs])])
-    found = []
-    for k, grid in enumerate(grids):
-        place = (moves[k] - centre) @ axis / reach
-        along, fast = speeds[k] @ axis, np.linalg.norm(speeds[k], axis=1)
-        typical = max(float(np.sqrt(np.mean(fast**2))), 1e-12)
-        features = {
-            "time": 2.0 * (begun[k] + grid) / begun[-1] - 1.0,
-            "place": place,
-            "square": place**2,
-            "direction": along / np.hypot(along, 0.1 * typical),
-            "speed": fast / fastest,
-            "load": loads[k] / hardest,
-        }
-        found.append([Course(name, grid, values) for name, values in features.items()])
-    return found
+    features: list[dict[str, np.ndarray]] = [
+        {"time": 2.0 * (begun[k] + grid) / begun[-1] - 1.0} for k, grid in enumerate(grids)
+    ]
+    speeds = [np.gradient(m, grid, axis=0) for m, grid in zip(moves, grids, strict=True)]
+    fastest, hardest = _largest([np.linalg.norm(s, axis=1) for s in speeds]), _largest(sizes)
+    for axis in range(places[0].shape[1]):
+        along = [p[:, axis] for p in places]
+        rates = [np.gradient(p, grid) for p, grid in zip(along, grids, strict=True)]
+        reach, most = _largest(along), _largest(rates)
+        for k, mine in enumerate(features):
+            typical = max(float(np.sqrt(np.mean(rates[k] ** 2))), 1e-12)
+            mine[f"place {axis + 1}"] = along[k] / reach
+            mine[f"velocity {axis + 1}"] = rates[k] / most
+            mine[f"direction {axis + 1}"] = rates[k] / np.hypot(rates[k], 0.1 * typical)
+    for k, mine in enumerate(features):
+        mine["square"] = mine["place 1"] ** 2
+        mine["speed"] = np.linalg.norm(speeds[k], axis=1) / fastest
+        mine["load"] = sizes[k] / hardest
+    for axis in range(forces[0].shape[1]):
+        most = _largest([f[:, axis] for f in forces])
+        for k, mine in enumerate(features):
+            mine[f"force {axis + 1}"] = forces[k][:, axis] / most
+    return [[Course(name, grid, v) for name, v in mine.items()] for grid, mine in zip(grids, features, strict=True)]
+
+
+def _along_axes(parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Courses ``(n, d)`` of all recordings about their common middle along their principal axes ``(n, r)``, those with
+    a notable share of the largest, one at least."""
+    whole = np.vstack(parts)
+    centre = whole.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(whole - centre, full_matrices=False)
+    count = max(1, int(np.count_nonzero(sizes[: DIAGNOSIS.feature_axes] > DIAGNOSIS.feature_axis_share * sizes[0])))
+    return [(p - centre) @ axes[:count].T for p in parts]
 
 
 def _largest(parts: Sequence[np.ndarray]) -> float:
@@ -161,11 +171,13 @@ def _moves(runs: Sequence[Run], grids: Sequence[np.ndarray]) -> list[np.ndarray]
     return [np.hstack([p / s for p, s in zip(part, scales, strict=True)]) for part in parts]
 
 
-def _load(run: Run, grid: np.ndarray) -> np.ndarray:
-    """Size of the forces on the wrench sensors, smoothed, ``(n,)``; zero without any."""
-    total = np.zeros(len(grid))
-    for m in run.measured:
-        if m.kind == "wrench" and np.isfinite(m.values).any():
-            size = np.linalg.norm(np.nan_to_num(m.values[:, :3]), axis=1)
-            total += uniform_filter1d(np.interp(grid, m.t, size), DIAGNOSIS.feature_smoothing)
-    return total
+def _forces(run: Run, grid: np.ndarray) -> np.ndarray:
+    """Forces on all wrench sensors, smoothed, ``(n, 3 w)``; one course of zeros without any."""
+    found = [
+        np.stack([np.interp(grid, m.t, component) for component in np.nan_to_num(m.values[:, :3]).T], axis=1)
+        for m in run.measured
+        if m.kind == "wrench" and np.isfinite(m.values).any()
+    ]
+    return (
+        uniform_filter1d(np.hstack(found), DIAGNOSIS.feature_smoothing, axis=0) if found else np.zeros((len(grid), 1))
+    )

@@ -23,12 +23,13 @@ from sim_core.rigs import Rig
 from sysid.comparison.ledger import Ledger
 from sysid.diagnosis import wording as words
 from sysid.diagnosis.baseline import Baseline, fit_baseline
-from sysid.diagnosis.candidates import Hypothesis, hypotheses, recording_scales
+from sysid.diagnosis.candidates import Hypothesis, drawn_shapes, hypotheses, recording_scales
 from sysid.diagnosis.closures import Closures
 from sysid.diagnosis.confirmation import confirmed, confirmed_without, fitted_to_the_end, parts_to_fit
 from sysid.diagnosis.contradictions import contradictions
 from sysid.diagnosis.evidence import log_evidence
 from sysid.diagnosis.next_motion import in_words, proposed
+from sysid.diagnosis.one_model import one_model
 from sysid.diagnosis.refits import Trial, refits_of, tempered, trials_of, without_idle
 from sysid.diagnosis.report_notes import Screened, candidates_of, fates, limits, named_parameters, notes
 from sysid.diagnosis.residual_analysis import locate, structure
@@ -38,6 +39,7 @@ from sysid.diagnosis.slots import slot_evidence
 from sysid.diagnosis.starts import Start
 from sysid.diagnosis.validation import of_readings, seen_by_both
 from sysid.diagnosis.verdict import Case, Verdict, answers, cut_off, decide, missed_beside_mesh, size_of
+from sysid.discretisation.approximations import Approximations
 from sysid.discretisation.refinement import coarse_quantities, error_sizes
 from sysid.fit.marker_field import marker_fields
 from sysid.fit.result import ChannelError, plot_series, rms_errors
@@ -94,28 +96,40 @@ def diagnose_runs(
     diagnosis.provenance = provenance(rig, list(runs), list(held_out))
     if diagnosis.ledger is not None:
         diagnosis.ledger = replace(diagnosis.ledger, provenance=diagnosis.provenance)
+        diagnosis.one_model = one_model(diagnosis.ledger)
+    diagnosis.parted = {run.name: run.parted for run in (*runs, *held_out) if run.parted}
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
     return diagnosis, amended
 
 
 def ledger_of(
-    rig: Rig, runs: Sequence[Run], held_out: Sequence[Run] = (), *, on_progress: Progress | None = None
+    rig: Rig,
+    runs: Sequence[Run],
+    held_out: Sequence[Run] = (),
+    *,
+    shapes: np.random.Generator | None = None,
+    on_progress: Progress | None = None,
 ) -> Ledger:
-    """The ledger of a diagnosis: its baseline and its look at all effects, without a refit."""
+    """The ledger of a diagnosis: its baseline and its look at all effects, without a refit. ``shapes``: draws shapes of
+    effects that no diagnosis looks at, of which it then has columns too."""
     tell = on_progress or (lambda share, text: None)
     with ParallelPredictor(os.cpu_count()) as engine:
         base = fit_baseline(engine, rig, runs, held_out, tell)
         tell(0.42, "a look at all effects")
-        screen, _, _ = _looked(base)
+        screen, _, _ = _looked(base, shapes)
     return replace(screen.ledger(base.fitted), provenance=provenance(rig, list(runs), list(held_out)))
 
 
-def _looked(base: Baseline) -> tuple[Screen, dict[str, str], RecordingScales]:
+def _looked(
+    base: Baseline, shapes: np.random.Generator | None = None
+) -> tuple[Screen, dict[str, str], RecordingScales]:
     """A look at all effects and closures from a baseline, what could not be looked at, and the scales of recordings."""
     scales = recording_scales([*base.problem.runs, *base.check.runs])
-    closures = Closures(base.fitted.rig, base.problem)
-    screen, failed = look(base.engine, base.fitted, base.problem, hypotheses(base.fitted.rig, scales), closures)
+    fitted, problem = base.fitted, base.problem
+    free = Closures(fitted.rig, problem), Approximations(base.engine, fitted, problem)
+    wanted = hypotheses(fitted.rig, scales) + ([] if shapes is None else drawn_shapes(fitted.rig, scales, shapes))
+    screen, failed = look(base.engine, fitted, problem, wanted, *free)
     return screen, failed, scales
 
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from sim_core.rigs.motion import Experiment
 from sysid.comparison.ledger import Ledger
+from sysid.diagnosis.one_model import OneModel
 from sysid.fit.marker_field import MarkerField
 from sysid.fit.result import ChannelError, Series
 from sysid.uncertainty.goodness_of_fit import no_success
@@ -132,7 +133,9 @@ class Diagnosis:
     most unreliable first; ``tried``: what became of each effect; ``notes``: what
     a reader should know of the fit; ``next_motion``: the next experiment, where it can be told as a motion;
     ``structured``: what the verdict that something is missing rests on; ``setups_tried``: mistakes of set-up that were
-    tried first, in words (:mod:`sysid.setup_check`); ``ledger``: of the look at all effects from the baseline.
+    tried first, in words (:mod:`sysid.setup_check`); ``ledger``: of the look at all effects from the baseline;
+    ``one_model``: what its posterior says; ``parted``: of recordings of replays, the windows [s] in which the watch
+    found readings that were not as predicted.
     """
 
     verdict: str
@@ -163,6 +166,8 @@ class Diagnosis:
     structured: tuple[StructuredMisfit, ...] = ()
     setups_tried: tuple[str, ...] = ()
     ledger: Ledger | None = None
+    one_model: OneModel | None = None
+    parted: dict[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
 
     @property
     def no_success(self) -> str:
@@ -180,6 +185,10 @@ class Diagnosis:
         """Verdict, notes and numbers as text."""
         lines = [self.no_success, ""] if self.no_success else []
         lines += [self.sentence, *self.notes, ""]
+        for run, windows in self.parted.items():
+            when = ", ".join(f"{begin:.2f} to {end:.2f} s" for begin, end in windows)
+            lines += [f"Replayed, {run} parted from its prediction: {when}. The report opens there.", ""]
+        lines += [self.one_model.sentence, ""] if self.one_model else []
         for effect in self.effects:
             for p in effect.parameters:
                 lines.append(f"  {p.name} = {p.value:.4g} ({p.ci95[0]:.4g} .. {p.ci95[1]:.4g}) {p.unit}")

@@ -32,9 +32,13 @@ from scipy.optimize import lsq_linear
 
 from sysid.comparison import ledger
 from sysid.diagnosis.candidates import Hypothesis
-from sysid.diagnosis.closures import Closure, Closures
+from sysid.diagnosis.closures import Closures
+from sysid.diagnosis.ledger_rows import Free, free_of, rows_of
+from sysid.diagnosis.slots import place_of
+from sysid.discretisation.approximations import Approximations
 from sysid.model.prediction_source import Responding
 from sysid.model.predictor import Prediction
+from sysid.observations.observations import Measured
 from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
@@ -43,13 +47,11 @@ from sysid.solve.residuals import Problem
 @dataclass(frozen=True)
 class Block:
     """One recording. ``gram`` ``(c + 1, c + 1)``: of the columns, with the residual as the last one; ``twin``
-    ``(c + 1,)``: products with the discretisation error that is left; ``parts``: the Gram matrix by blocks of time,
-    with closures between columns and residual."""
+    ``(c + 1,)``: products with the discretisation error that is left."""
 
     run: str
     gram: np.ndarray
     twin: np.ndarray
-    parts: tuple[ledger.Block, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -68,14 +70,14 @@ class Score:
 class Screen:
     """Gram matrices of all recordings with what is known beforehand.
 
-    ``hypotheses``: those that could be simulated; ``blocks``: of the recordings; ``closures``: of which the ledger
-    has columns too.
+    ``hypotheses``: those that could be simulated; ``blocks``: of the recordings; ``free``: what the ledger has beside
+    them.
     """
 
     def __init__(
-        self, base: Fitted, hypotheses: Sequence[Hypothesis], blocks: list[Block], closures: Sequence[Closure] = ()
+        self, base: Fitted, hypotheses: Sequence[Hypothesis], blocks: list[Block], free: Free | None = None
     ) -> None:
-        self.hypotheses, self.closures = list(hypotheses), tuple(closures)
+        self.hypotheses, self.free = list(hypotheses), free
         self.blocks = blocks
         self.shared = len(base.parameters)
         ends = self.shared + np.cumsum([0, *(len(h.amplitudes) for h in hypotheses)])
@@ -102,11 +104,12 @@ class Screen:
         self.kappa = max(1.0, kappa)
 
     def ledger(self, base: Fitted) -> ledger.Ledger:
-        """What all this follows from, and the closures, as a value that is written to a file."""
+        """What all this follows from, with closures and approximations, as a value that is written to a file."""
+        assert self.free is not None
         starts = base.scaled - self._at[: self.shared] * self._sd[: self.shared]
         columns = [
             ledger.Column(
-                "parameter", p.name, "", {}, p.name, p.unit, float(at), 1.0, p.log, float(start - at), float(sd),
+                "parameter", p.name, "", "", {}, p.name, p.unit, float(at), 1.0, p.log, float(start - at), float(sd),
                 False, *(float(v) for v in limits),
             )
             for p, at, start, sd, limits in zip(
@@ -114,25 +117,22 @@ class Screen:
             )
         ]  # fmt: skip
         for h in self.hypotheses:
-            label = ", ".join([h.key, *(f"{name} {value:.4g}" for name, value in h.shape.items())])
+            # Sizes that are looked at apart are shapes as well, of laws that are not linear in them.
+            alike = [x for x in self.hypotheses if (x.effect, x.shape) == (h.effect, h.shape)]
+            sizes = {a.parameter.name: a.typical for a in h.amplitudes} if len(alike) > 1 else {}
+            label = ", ".join([h.key, *(f"{name} {value:.4g}" for name, value in {**h.shape, **sizes}.items())])
             for a in h.amplitudes:
                 # An amplitude that vanishes at infinity has one value, and its factor says how much of its response.
                 at, scale = (a.none, a.typical - a.none) if np.isfinite(a.none) else (a.typical, 0.0)
                 low, high = a.limits
                 columns.append(
                     ledger.Column(
-                        "effect", h.effect.name, label, dict(h.shape), a.parameter.name, a.parameter.unit, float(at),
-                        float(scale), False, 0.0, float(a.sd), low >= 0.0, float(low), float(high),
+                        "concealed" if h.drawn else "effect", h.effect.name, place_of(h.effect), label, dict(h.shape),
+                        a.parameter.name, a.parameter.unit, float(at), float(scale), False, 0.0, float(a.sd),
+                        low >= 0.0, float(low), float(high),
                     )
                 )  # fmt: skip
-        for c in self.closures:
-            columns.append(
-                ledger.Column(
-                    "closure", f"{c.slot.place} {c.slot.name}", c.slot.words, {}, c.name, "1", 0.0, 1.0, False, 0.0,
-                    c.sd, False, -np.inf, np.inf,
-                )
-            )  # fmt: skip
-        return ledger.Ledger(tuple(columns), tuple(p for b in self.blocks for p in b.parts), {})
+        return ledger.Ledger((*columns, *self.free.columns), self.free.blocks, {})
 
     def score(self, numbers: Sequence[int]) -> Score:
         """A set of hypotheses."""
@@ -255,19 +255,22 @@ def look(
     problem: Problem,
     wanted: Sequence[Hypothesis],
     closures: Closures | None = None,
+    approximations: Approximations | None = None,
 ) -> tuple[Screen, dict[str, str]]:
     """Screen hypotheses beside a fitted baseline on the recordings of a problem; and why some could not be.
-    ``closures``: those that the ledger is to have columns of."""
+    ``closures``, ``approximations``: those that the ledger is to have columns of; there is none without the latter."""
     sized = [column for h in wanted for column in h.columns()]
     at = (base.parameters, base.scaled)
+    motions = [[] if approximations is None else approximations.open_motions(i, r) for i, r in enumerate(problem.runs)]
     if sized or closures is not None:
-        free = {run.name: [] if closures is None else closures.modulated(run) for run in problem.runs}
-        jobs = [engine.submit_responses(base.rig, run, *at, sized, free[run.name]) for run in problem.runs]
+        free = [[] if closures is None else closures.modulated(run) for run in problem.runs]
+        jobs = [
+            engine.submit_responses(base.rig, run, *at, sized, [*moved, *mine])
+            for run, moved, mine in zip(problem.runs, motions, free, strict=True)
+        ]
     else:
         jobs = [engine.submit_with_derivatives(base.rig, run, *at) for run in problem.runs]
     found = [job.result() for job in jobs]
-    if closures is not None:
-        found = [closures.append(run, p) for run, p in zip(problem.runs, found, strict=True)]
     shared = len(base.parameters)
     ends = shared + len(sized)
     bad = np.zeros(len(sized), dtype=bool)
@@ -282,38 +285,31 @@ def look(
     own = [*range(shared), *(shared + k for k in range(len(sized)) if owner[k] not in broken)]
     names = {h.effect.name for h in kept}
     failed = {h.effect.name: "could not be simulated" for k, h in enumerate(wanted) if k in broken}
-    free_columns = () if closures is None else tuple(closures.columns)
-    index = np.array([*own, *range(ends, ends + len(free_columns))], dtype=int)
-    blocks = _blocks(problem, base, found, index, len(own))
-    return Screen(base, kept, blocks, free_columns), {n: why for n, why in failed.items() if n not in names}
+    screen = Screen(base, kept, _blocks(problem, base, found, np.array(own, dtype=int)))
+    if approximations is not None:
+        drawn, columns = max(map(len, motions)), []
+        if closures is not None:
+            found = [closures.append(run, p) for run, p in zip(problem.runs, found, strict=True)]
+            columns = closures.columns
+        index = np.array([*own, *range(ends + drawn, ends + drawn + len(columns))], dtype=int)
+        draws = np.arange(ends, ends + drawn)
+        screen.free = free_of(problem, base, found, index, draws, columns, approximations)
+        failed |= approximations.failed
+    return screen, {n: why for n, why in failed.items() if n not in names}
 
 
-def _blocks(
-    problem: Problem, base: Fitted, predictions: Sequence[Prediction], index: np.ndarray, own: int
-) -> list[Block]:
-    """Gram matrices of the recordings of a problem. ``index``: of the derivatives that are wanted, of which
-    the screening has the first ``own``, and the ledger all."""
-    beside = []
-    for i, (run, p) in enumerate(zip(problem.runs, predictions, strict=True)):
-        derivatives = {}
-        for m in run.measured:
-            error = problem.basis(i, m).expected if problem.error_shapes else np.zeros(m.values.shape)
-            out = np.concatenate([p.derivatives[m.channel][..., index], 2.0 * error[..., None]], axis=-1)
-            derivatives[m.channel] = np.where(np.isnan(p.values[m.channel])[..., None], 0.0, np.nan_to_num(out))
-        beside.append(Prediction(p.values, derivatives, p.trace))
-    names = [str(k) for k in range(len(index) + 1)]
-    assembled = problem.assemble(beside, names, base.scaled)
-    owner = np.concatenate([np.full(len(times), i) for i, _, times in assembled.labels])
-    instants = np.concatenate([times for _, _, times in assembled.labels])
-    # The rows of a channel are its readings, then the coefficients of the discretisation error.
-    measured = np.concatenate(
-        [np.arange(len(times)) < base.compared[(i, channel)].there.sum() for i, channel, times in assembled.labels]
-    )
+def _blocks(problem: Problem, base: Fitted, predictions: Sequence[Prediction], own: np.ndarray) -> list[Block]:
+    """Gram matrices of the recordings of a problem. ``own``: of the derivatives that are wanted."""
+    error = [{m.channel: _twice_expected(problem, i, m) for m in run.measured} for i, run in enumerate(problem.runs)]
     blocks = []
-    for i, run in enumerate(problem.runs):
-        mine = owner == i
-        j, r = assembled.jacobian[mine], assembled.residual[mine]
-        parts = ledger.blocks_of(run.name, run.end, instants[mine], measured[mine], np.column_stack([j[:, :-1], r]))
-        table = np.column_stack([j[:, :own], r])
-        blocks.append(Block(run.name, table.T @ table, table.T @ j[:, -1], tuple(parts)))
+    for run, r in zip(problem.runs, rows_of(problem, base, predictions, own, error), strict=True):
+        table = np.column_stack([r.jacobian[:, : len(own)], r.residual])
+        blocks.append(Block(run.name, table.T @ table, table.T @ r.jacobian[:, -1]))
     return blocks
+
+
+def _twice_expected(problem: Problem, index: int, measured: Measured) -> np.ndarray:
+    """The discretisation error of a channel ``(n, m, 1)``: twice what is expected of it, which may be none."""
+    if not problem.error_shapes:
+        return np.zeros((*measured.values.shape, 1))
+    return 2.0 * problem.basis(index, measured).expected[..., None]

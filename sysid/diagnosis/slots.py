@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_core.effects import Effect
 from sim_core.rigs import Gel, Rig, Sheet
 from sysid.model.parameters import FitParameter, fit_parameters
 from sysid.model.prediction_source import Responding
@@ -29,12 +30,17 @@ from sysid.solve.residuals import Problem
 
 @dataclass(frozen=True)
 class Slot:
-    """One place. ``place``: 'gel', 'sheet', 'contact', 'robot', 'wrench', 'camera' or 'clock', as effects name theirs;
+    """One place. ``place``: 'gel', 'sheet', 'contact', 'robot', 'environment', 'wrench', 'camera' or 'clock';
     ``name``: of the body, contact, hand or channel; ``words``: what may be off there, with a subject."""
 
     place: str
     name: str
     words: str
+
+
+def place_of(effect: Effect) -> str:
+    """The place of the model that an effect amends, in the words of slots."""
+    return {"air": "environment"}.get(effect.slot, effect.slot.removesuffix(" sensor"))
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,11 @@ def slot_evidence(engine: Responding, problem: Problem, base: Fitted, kappa: flo
     names = [name for _, parameters in slots for name in parameters]
     parameters = {p.name: p for p in fit_parameters(base.rig, names)}
     modulated = {
-        run.name: [Modulated(n, (c - w, c, c + w), (0.0, 1.0, 0.0)) for n in parameters for c, w in hats(run)]
+        run.name: [
+            Modulated(n, np.array([c - w, c, c + w]), np.array([0.0, 1.0, 0.0]))
+            for n in parameters
+            for c, w in hats(run)
+        ]
         for run in problem.runs
     }
     jobs = [

@@ -15,16 +15,18 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sim_core.contact.edges import EdgeContact
+from sim_core.contact.rigid import RigidContact
+from sim_core.contact.surface import SurfaceContact
 from sim_core.effects import amended
 from sim_core.energies.term import Internals
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.gradients import Backward, Tape
-from sim_core.gradients.adjoint import Gradient
+from sim_core.gradients.gradient import Gradient
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
-from sim_core.simulate import Simulation, Trace, run, step_times
-from sim_core.solve.integrator import step_context
+from sim_core.simulate import Simulation, Trace, run, simulate, step_times
 from sim_core.solve.step import State
 from sim_core.solve.system import System
 from sysid.gradients.differences import (
@@ -57,8 +59,8 @@ NODE_M, SPEED_M_S = 1e-4, 1e-2
 RATIO, ANGLE_RAD, DAMPING = 0.1, 0.1, {"mass_damping_per_s": 1.0, "stiffness_damping_s": 1e-3}
 """Of Poisson's ratio, of a rest angle and of a damping that is zero; of other fields as much as their values."""
 
-MEMORY = {"plastic_curvature": 1.0, "Q": 10.0}
-"""Of internal variables [1/m, Pa] at the start."""
+MEMORY = {"plastic_curvature": 1.0, "stress": 10.0}
+"""Of internal variables [1/m, Pa] at the start, by the last part of their names."""
 
 MIDDLE, EDGE = (1.0, -1.0), (1.0, 2.0)
 """Shares of a step at which differences look: to both sides, or where a damping is zero to one."""
@@ -87,7 +89,7 @@ class _Change:
 
     def of(self, state: State, system: System, dt: float, share: float) -> State:
         """A state so many times the change away."""
-        internals = _stretched(system, state, dt, share * self.places)
+        internals = _stretched(system, state, share * self.places)
         for name, change in self.memory.items():
             known = internals[name]
             internals[name] = {**known, **{what: known[what] + share * a for what, a in change.items()}}
@@ -103,13 +105,22 @@ class _Change:
         return float(total)
 
 
-def _stretched(system: System, state: State, dt: float, move: np.ndarray) -> dict[str, Internals]:
-    """Internal variables with the springs of friction stretched by a move ``(n, 3)`` of the start: else what lies on a
-    table would slip when it begins nanometres away, closer than differences can look."""
+def _stretched(system: System, state: State, move: np.ndarray) -> dict[str, Internals]:
+    """Internal variables with the springs of friction on rigid bodies stretched by a move ``(n, 3)`` of the start: else
+    what lies on a table would slip when it begins nanometres away, closer than differences can look."""
     if not move.any():
         return state.internals
-    system.begin_step(step_context(state.x, state.v, dt), state.internals)
-    return system.carried(state.internals, move)
+    rigid = {t.name: t.carried(state.internals[t.name], move) for t in system.terms if isinstance(t, RigidContact)}
+    return {**state.internals, **rigid}
+
+
+def _touching(system: System, state: State) -> np.ndarray:
+    """Nodes of surfaces and edges of which some bear on each other, int ``(k,)``."""
+    found = [np.empty(0, dtype=int)]
+    for term in system.terms:
+        if isinstance(term, SurfaceContact | EdgeContact) and state.internals[term.name]["load"].any():
+            found.append(term.nodes)
+    return np.unique(np.concatenate(found))
 
 
 class StateGradients:
@@ -140,7 +151,7 @@ class StateGradients:
     def rows(self, steps: Sequence[float]) -> Iterator[Row]:
         """Compare everything, one direction after the other."""
         self._on_work("adjoint")
-        tape = Tape(self._scene, self._poses, self._times, TIGHT, factors=True)
+        tape = Tape(self._scene, self._poses, self._times, TIGHT)
         self._start, self._mounts = tape.start, tape.mounts
         self._backward = Backward(tape, [], self._fields)
         self._known: dict[tuple[str, str, bytes], list[tuple[np.ndarray, Gradient]]] = {}
@@ -197,22 +208,22 @@ class StateGradients:
     def _ways_from_the_start(self, rng: np.random.Generator) -> Iterator[_Way]:
         """By the state that the first step starts from."""
         system, start = self._other.system, self._start
-        system.set_targets(self._other.targets(self._mounts))
-        drawn = system.spread(rng.standard_normal(system.n_unknowns))
+        drawn = (system.spread_matrix @ rng.standard_normal(system.n_unknowns)).reshape(-1, 3)
+        drawn[_touching(system, start)] = 0.0  # for the springs of their friction are not stretched
         none = np.zeros_like(drawn)
-        remembered = {
-            name: {what: size * rng.standard_normal(internals[what].shape)}
-            for what, size in MEMORY.items()
-            for name, internals in start.internals.items()
-            if what in internals
-        }
+        remembered: dict[str, Internals] = {}
+        for term, internals in start.internals.items():
+            for name, known in internals.items():
+                size = MEMORY.get(name.rpartition(".")[2])
+                if size is not None:
+                    remembered.setdefault(term, {})[name] = size * rng.standard_normal(known.shape)
         ways = [("positions", _Change(NODE_M * drawn, none, {}))]
         if self._rig.solver.inertia:
             ways.append(("velocities", _Change(none, SPEED_M_S * drawn, {})))
         if remembered:
             ways.append(("memory", _Change(none, none, remembered)))
         for what, change in ways:
-            stretched = _stretched(system, start, self._rig.solver.dt_s, change.places)
+            stretched = _stretched(system, start, change.places)
             stretch = {
                 name: stretched[name]["anchor"] - known["anchor"]
                 for name, known in start.internals.items()
@@ -258,7 +269,7 @@ class StateGradients:
             self._other.fields[name] = value
 
     def _rolled(self, poses: Mapping[str, PoseTrajectory]) -> Trace:
-        return run(Simulation(self._other, TIGHT), poses, self._times)
+        return simulate(self._other, poses, self._times, settings=TIGHT)
 
     def _row(
         self,

@@ -154,8 +154,8 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
             "Of poses, start and fields: errors of the adjoint along one random direction, and effects of a step of 1,",
             f"by {SHIFT_M:g} m, {TURN_RAD:g} rad, nodes by {NODE_M:g} m and {SPEED_M_S:g} m/s, plastic curvature by "
             f"{MEMORY['plastic_curvature']:g}/m, memory of",
-            f"stress by {MEMORY['Q']:g} Pa, nu and angles by {RATIO:g}, others by their values (dampings of 0 by 1/s "
-            "and 1e-3 s, to one side).",
+            f"stress by {MEMORY['stress']:g} Pa, nu and angles by {RATIO:g}, others by their values (dampings of 0 by "
+            "1/s and 1e-3 s, to one side).",
         ]
     lines += [f"{name} has no effect on any reading in this experiment." for name in idle]
     for row in rows:

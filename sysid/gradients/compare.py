@@ -80,7 +80,7 @@ class Comparison:
         trace, raw = simulate_tangent(scene, self._poses, self._times, along, settings=TIGHT)
         self.trace = trace
         self._on_work("adjoint")
-        tape = Tape(scene, self._poses, self._times, TIGHT, factors=True)
+        tape = Tape(scene, self._poses, self._times, TIGHT)
         backward = Backward(tape, along)
         found = {c: self._derivatives(c, raw[c], backward) for c in trace.outputs}
         self._bound = bound_of(self.rig, trace)

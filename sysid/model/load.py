@@ -160,6 +160,7 @@ def lined_up(rig: Rig, recording: Recording, findings: Sequence[Finding], path: 
         lacking=lacking,
         counted=tuple(note for note in notes if note.times),
         span_ns=(recording.t0_ns, recording.t0_ns + round(1e9 * recording.duration)),
+        parted=tuple((e.t, e.t + e.lasts_s) for e in recording.events if e.name == "parted"),
     )
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from sim_core.errors import ConfigError, RecordingError
 from sim_core.geometry import sheets
 from sim_core.gradients import Direction
-from sim_core.gradients.tangent import TangentSimulation
+from sim_core.gradients.tangent import tangent_at_rest
 from sim_core.rigs import Rig, Sight, track_ids
 from sim_core.rigs.bodies import Rigid
 from sim_core.rigs.trajectory import PoseTrajectory
@@ -91,11 +91,12 @@ def placed_along(scene: Scene, firsts: FirstFrames, along: Sequence[Direction]) 
     """Directions from the rig of a scene, which is :func:`placed`, with what they change in the places of markers."""
     if not firsts or not along:
         return list(along)
-    simulation = TangentSimulation(scene, along)
+    simulation = Simulation(scene)
     shifts: list[dict[str, dict[int, np.ndarray]]] = [{} for _ in along]
     for name, first in firsts.items():
-        simulation.reset(_frames(scene.rig, name, first))
-        at_once = np.nan_to_num(simulation.derivatives[name])
+        frames = _frames(scene.rig, name, first)
+        simulation.reset(frames)
+        at_once = np.nan_to_num(tangent_at_rest(scene, frames, along)[name])
         by_pixel = {
             (index, row): slope
             for index, sight, rows, pixels in _seen(scene.rig, name, first)
@@ -156,7 +157,7 @@ def _under(
     assert isinstance(body.layout, sheets.SheetMesh)
     frames = simulation.actual_frames()
     origin, rotation = lens.truly(*lens.pose.within(frames[lens.mount]))
-    picture = project(lens, rotation.inv().apply(scene.system.x[body.nodes] - origin))
+    picture = project(lens, rotation.inv().apply(simulation.state.x[body.nodes] - origin))
     flat = sheets.SheetMesh(np.column_stack([picture, np.zeros(len(picture))]), body.layout.triangles)
     found = []
     for row, pixel in zip(rows, pixels, strict=True):

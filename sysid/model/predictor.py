@@ -11,7 +11,8 @@ import numpy as np
 from sim_core.effects import amended
 from sim_core.errors import ThinshellError
 from sim_core.gradients import Direction, simulate_tangent
-from sim_core.gradients.frozen_path import Amendment, Modulation, simulate_responses
+from sim_core.gradients.amendments import Amendment, Modulation
+from sim_core.gradients.frozen_path import simulate_responses
 from sim_core.rigs import Rig
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.scene import Scene, build_scene
@@ -19,10 +20,10 @@ from sim_core.simulate import NodePath, Trace, simulate
 from sysid.model.marker_registration import placed, placed_along
 from sysid.model.parameters import FitParameter, acting_in, fit_parameters, rig_at, rig_in, start_of
 from sysid.model.responses import Modulated, SizedEffects, change, way_of, with_effects
-from sysid.model.sensor_streams import predicted, predicted_derivatives, stream_derivatives
+from sysid.model.sensor_streams import clock_response, predicted, predicted_derivatives, stream_derivatives
 from sysid.model.sequence import LeftBefore, frozen_before
 from sysid.model.time_span import after_known_motion, rollout_times
-from sysid.observations.observations import Run
+from sysid.observations.observations import Measured, Run
 from sysid.settings.model import MODEL
 
 
@@ -167,11 +168,11 @@ class SerialPredictor:
         amendments = [Amendment(str(k), rigs[k], self._with_laws(rigs[k])) for k in laws]
         frozen_before(scene, run, here.solver.dt_s, amendments)
         times = rollout_times([here, *(end for d in along for end in (d.low, d.high)), *rigs], run, here.solver.dt_s)
-        changing = fit_parameters(here, list(dict.fromkeys(m.parameter for m in modulated)))
+        changing = fit_parameters(here, list(dict.fromkeys(p.parameter for m in modulated for p in m.parts)))
         at = start_of(here, changing)
         moved = [_direction(here, changing, at, k) for k in range(len(changing))]
         first, names = len(along) + len(secants), [p.name for p in changing]
-        courses = [Modulation(first + names.index(m.parameter), m.course) for m in modulated]
+        courses = [Modulation({first + names.index(p.parameter): p.course for p in m.parts}) for m in modulated]
         whole = [*along, *secants, *moved]
         left = self._left.along(scene, run, here.solver.dt_s, 1, along)
         if left is not None:
@@ -182,7 +183,10 @@ class SerialPredictor:
         values = _at_stamps(trace, here, run)
         others: dict[int, dict[str, np.ndarray]] = {}
         for k, way in enumerate(ways):
-            if way == "reading":
+            if way == "clock":
+                late = {m.channel: _late(trace, here, rigs[k], run, m) for m in run.measured}
+                others[k] = {c: np.where(np.isfinite(values[c]), np.nan_to_num(v), 0.0) for c, v in late.items()}
+            elif way == "reading":
                 others[k] = change(_at_stamps(trace, rigs[k], run), values)
             elif way == "rollout":
                 try:
@@ -253,6 +257,11 @@ def _at_stamps(trace: Trace, rig: Rig, run: Run) -> dict[str, np.ndarray]:
     return found
 
 
+def _late(trace: Trace, rig: Rig, other: Rig, run: Run, measured: Measured) -> np.ndarray:
+    """What the clocks of another rig change in a channel ``(n, m)``."""
+    return clock_response(trace, rig, other, measured.channel, measured.t, run.since).reshape(len(measured.t), -1)
+
+
 def _geometry(rig: Rig) -> object:
     """Everything of a rig that a scene is built from and that a change of values does not reach."""
     rig = amended(rig)
@@ -269,6 +278,7 @@ def _geometry(rig: Rig) -> object:
     for contact in data["contacts"]:
         contact.pop("friction")
         contact.pop("stiffness_pa_per_m")
+        contact.pop("standoff_m")
     for camera in data["cameras"].values():
         for sight in camera["sees"]:
             if sight["points"]["placed"] == "first_frame":

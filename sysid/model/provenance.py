@@ -13,7 +13,7 @@ from sim_core.settings import values
 from sysid.observations.observations import Run
 from sysid.settings import all_settings
 
-_PACKAGES = ("numpy", "scipy", "taichi", "rosbags", "mcap", "opencv-python-headless")
+_PACKAGES = ("numpy", "scipy", "rosbags", "mcap", "opencv-python-headless")
 
 
 def provenance(

@@ -1,9 +1,9 @@
 """What effects of finite size would change in the readings of a run, one column an effect, without fitting anything.
 
-How an effect is looked at follows from the interfaces that it acts through: sensors and clocks on the readings that
-are there, exactly; laws along the frozen path of the rollout (:mod:`sim_core.gradients.frozen_path`); numbers and
-commands by what they change in the rig and in poses, to first order in what that does; what would need another mesh
-by a rollout of its own.
+How an effect is looked at follows from the interfaces that it acts through: sensors on the readings that are there,
+exactly, clocks on these to first order; laws along the frozen path of the rollout
+(:mod:`sim_core.gradients.frozen_path`); numbers and commands by what they change in the rig and in poses, to first
+order in what that does; what would need another mesh by a rollout of its own.
 """
 
 from __future__ import annotations
@@ -31,21 +31,28 @@ from sim_core.effects.registry import effect_by_name
 from sim_core.rigs import Rig
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Modulated:
     """A parameter of the rig that changes in time: by the ``values`` ``(n,)`` at the ``times`` [s] ``(n,)``, linearly
-    between them, and as at the first and the last one before and after."""
+    between them, and as at the first and the last one before and after. ``others``: parameters that change along with
+    it, in the same column."""
 
     parameter: str
-    times: tuple[float, ...]
-    values: tuple[float, ...]
+    times: np.ndarray
+    values: np.ndarray
+    others: tuple[Modulated, ...] = ()
 
-    def course(self, t: float) -> float:
-        """How much of the change there is at a time [s]."""
-        return float(np.interp(t, self.times, self.values))
+    def course(self, t: np.ndarray) -> np.ndarray:
+        """How much of the change there is at times [s], ``(n,)`` or one."""
+        return np.asarray(np.interp(t, self.times, self.values))
+
+    @property
+    def parts(self) -> tuple[Modulated, ...]:
+        """It and the others."""
+        return (self, *self.others)
 
 
-Way = Literal["reading", "law", "numbers", "rollout"]
+Way = Literal["clock", "reading", "law", "numbers", "rollout"]
 
 SizedEffects = Mapping[str, Mapping[str, float]]
 """Effects of a rig with their parameters, by key."""
@@ -63,6 +70,8 @@ def way_of(rig: Rig, effects: SizedEffects, geometry: Callable[[Rig], object]) -
     def all_are(*wanted: type) -> bool:
         return all(issubclass(kind, wanted) for kind in kinds)
 
+    if all_are(ClockMap):
+        return "clock"
     if all_are(ReadingMap, ClockMap):
         return "reading"
     if all_are(BodyForce, FieldMap, FrictionLaw, MaterialLaw, MechanicsMap, NormalLaw):

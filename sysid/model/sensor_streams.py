@@ -16,6 +16,7 @@ from sim_core.effects.hooks import Channel, ClockMap, ReadingMap
 from sim_core.gradients import Direction
 from sim_core.rigs import Rig
 from sim_core.simulate import Trace, interpolate
+from sysid.settings.model import MODEL
 
 
 def channel_of(rig: Rig, name: str, kind: str, stamps: np.ndarray, since: float = 0.0) -> Channel:
@@ -62,6 +63,23 @@ def predicted(trace: Trace, rig: Rig, channel: str, stamps: np.ndarray, since: f
     kind = trace.kinds[channel]
     true = interpolate(trace.times, trace.outputs[channel], shown_at(rig, channel, kind, stamps, since))
     return reported(rig, channel, kind, stamps, true, since)
+
+
+def clock_response(
+    trace: Trace, rig: Rig, other: Rig, channel: str, stamps: np.ndarray, since: float = 0.0
+) -> np.ndarray:
+    """What the clocks of another rig change in the readings of a channel ``(k, ...)``, to first order in the time by
+    which they are off: the derivative by a delay, which nuisance parameters are too, and not what is curved in a delay
+    of its typical size, for which there is no other column. NaN out of sight."""
+    kind, width = trace.kinds[channel], MODEL.rig_difference_step
+    at = shown_at(rig, channel, kind, stamps, since)
+    late = shown_at(other, channel, kind, stamps, since) - at
+    ends = [
+        reported(rig, channel, kind, stamps, interpolate(trace.times, trace.outputs[channel], at + s), since)
+        for s in (-width, width)
+    ]
+    rate = (ends[1] - ends[0]) / (2.0 * width)
+    return np.asarray(rate * late.reshape(-1, *(1,) * (rate.ndim - 1)))
 
 
 def predicted_derivatives(

@@ -19,11 +19,11 @@ import numpy as np
 from sim_core.effects import effect_by_name, split_key
 from sim_core.effects.hooks import ClockMap, ReadingMap
 from sim_core.gradients import Direction, simulate_tangent
-from sim_core.gradients.frozen_path import Amendment, RememberingSimulation
+from sim_core.gradients.amendments import Amendment
+from sim_core.gradients.frozen_path import let_remember
 from sim_core.permanent_state import PermanentState, lasting
 from sim_core.rigs import Rig
 from sim_core.scene import Scene
-from sim_core.simulate import run as run_through
 from sim_core.simulate import simulate, step_times
 from sysid.observations.observations import Run
 from sysid.settings.model import MODEL
@@ -111,10 +111,7 @@ def frozen_before(scene: Scene, run: Run, dt: float, amendments: Sequence[Amendm
     left = None
     with _mechanics_alone(scene):
         for before in run.earlier:
-            simulation, times = RememberingSimulation(scene, last, left), step_times(0.0, before.end, dt)
-            left = run_through(simulation, before.poses, times).left
-            for amendment in last:
-                amendment.keep()
+            left = let_remember(scene, before.poses, step_times(0.0, before.end, dt), last, left).left
 
 
 def _mechanics(rig: Rig) -> Rig:

@@ -84,6 +84,11 @@ def window_of(rig: Rig, run: Run, part: Part) -> Run:
         until=part.end,
         changes=changes,
         doubts=(*run.doubts, *doubts),
+        parted=tuple(
+            (max(begin, part.begin) - part.begin, min(end, part.end) - part.begin)
+            for begin, end in run.parted
+            if begin < part.end and end >= part.begin
+        ),
     )
 
 

@@ -72,7 +72,8 @@ class Run:
     begins anew, each with the error of a window across it. ``steps`` [s] ``(k,)``: instants of the solver's steps from
     0 to ``end`` where they are not ``solver.dt_s`` apart (:mod:`sysid.discretisation.time_steps`). ``span_ns``: stamps
     [ns] of the start and the end of the whole recording; ``earlier``: motion of the recordings of the same bodies that
-    came before (:mod:`sysid.model.sequence`)."""
+    came before (:mod:`sysid.model.sequence`); ``parted``: where the watch of a replay found readings that were not as
+    predicted, from and until [s]."""
 
     name: str
     path: str
@@ -93,6 +94,7 @@ class Run:
     steps: np.ndarray | None = None
     span_ns: tuple[int, int] | None = None
     earlier: tuple[Run, ...] = ()
+    parted: tuple[tuple[float, float], ...] = ()
 
     def has(self, channel: str) -> bool:
         """Whether it has readings of a channel."""

@@ -11,9 +11,11 @@ from pathlib import Path
 
 __all__ = [
     "concealable",
+    "form_error_table",
     "keep_shard",
     "make_cases",
     "make_curve",
+    "make_learnt",
     "make_ledgers",
     "record_cases",
     "run_cases",
@@ -76,11 +78,27 @@ def make_ledgers(folder: Path, *, on_progress: Progress | None = None) -> str:
     return make(folder, on_progress=on_progress)
 
 
-def make_curve(folder: Path, out: Path, *, cases: int, seed: int = 0, on_progress: Progress | None = None) -> str:
+def make_curve(
+    folder: Path, out: Path, *, cases: int, seed: int = 0, folds: int = 1, on_progress: Progress | None = None
+) -> str:
     """Conceal effects in the ledgers of empty cases of ``folder``, judge them, and write rates by strength."""
     from sysid.proof.curve import make_curve as make
 
-    return make(folder, out, cases=cases, seed=seed, on_progress=on_progress)
+    return make(folder, out, cases=cases, seed=seed, folds=folds, on_progress=on_progress)
+
+
+def make_learnt(folder: Path, *, cases: int, seed: int = 0) -> str:
+    """Learn the numbers of the posterior from the ledgers of empty cases of ``folder``; the returned text has them."""
+    from sysid.proof.curve import make_learnt as make
+
+    return make(folder, cases=cases, seed=seed)
+
+
+def form_error_table(folder: Path) -> str:
+    """What the simulator is off in the empty cases of ``folder``, by named approximation, from their ledgers."""
+    from sysid.proof.form_error import form_error_table as make
+
+    return make(folder)
 
 
 def keep_shard(folder: Path, out: Path) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from sim_core.rigs import load_rig
@@ -31,6 +32,6 @@ def make_ledgers(folder: Path, *, on_progress: Callable[[float, str], None] | No
         bags = [case / name for name in (*roles["training"], *roles["held_out"])]
         runs, held_out = load_runs(rig, bags[:-1], bags[-1:])
         partial = case / f"{LEDGER_FILE}.partial"
-        ledger_of(rig, runs, held_out, on_progress=report).write(partial)
+        ledger_of(rig, runs, held_out, shapes=np.random.default_rng(k), on_progress=report).write(partial)
         partial.rename(case / LEDGER_FILE)
     return f"{folder}: ledgers of {len(cases)} cases."

@@ -1,4 +1,5 @@
-"""What a recording says of itself on its topic of events: tares, resets, and time that stamps leave out."""
+"""What a recording says of itself on its topic of events: tares, resets, time that stamps leave out, and where a replay
+parted from its prediction."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from sysid.recording.times import TimeSource
 TOPIC = "events"
 """Name of the topic, in any namespace."""
 
-KINDS = ("tare", "reset", "skip")
+KINDS = ("tare", "reset", "skip", "parted")
 
 
 @dataclass(frozen=True)
@@ -29,16 +30,19 @@ class Event:
 
     Attributes:
         name: ``tare``: readings with later stamps are less ``zeros``; ``reset``: the state went back to its start, and
-            tares are taken back; ``skip``: stamps leave out time in which nothing went on.
+            tares are taken back; ``skip``: stamps leave out time in which nothing went on; ``parted``: readings of a
+            replay were not as predicted, from then on.
         t: when, in the time of the recording [s]; it may be before its first reading.
         zeros: of a tare, by topic, the wrench [N, N m] ``(6,)`` that is taken off from then on.
         left_out_s: of a skip, how much [s]; 0 where it is not said.
+        lasts_s: how long readings were not as predicted [s].
     """
 
     name: str
     t: float
     zeros: Mapping[str, Floats]
     left_out_s: float = 0.0
+    lasts_s: float = 0.0
 
 
 def event_topics(bag: Bag) -> list[str]:
@@ -82,7 +86,8 @@ def _content(message: Any) -> list[Event]:
                 raise ValueError(f"has a tare of {key} that is not six numbers: {text!r}")
             zeros[key] = zero
         left_out_s = float(values.get("left_out_s", 0.0)) if name == "skip" else 0.0
-        events.append(Event(name, 0.0, zeros, left_out_s))
+        lasts_s = float(values.get("lasts_s", 0.0)) if name == "parted" else 0.0
+        events.append(Event(name, 0.0, zeros, left_out_s, lasts_s))
     return events
 
 

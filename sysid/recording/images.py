@@ -65,10 +65,14 @@ class ImageStream(Stream):
         """Yield the time of each image and the image, or what is wrong with it."""
         for t, data in zip(self.t.tolist(), self.source.payloads(), strict=True):
             try:
-                message = decode(data, self.msgtype)
-                yield t, _compressed(message) if self.msgtype == COMPRESSED else _raw(message)
+                yield t, pixels(decode(data, self.msgtype), self.msgtype == COMPRESSED)
             except ValueError as error:
                 yield t, RecordingError(f"{self.topic}: the image at t={t:.6g} s {error}.", _READABLE)
+
+
+def pixels(message: Any, compressed: bool) -> Bytes:
+    """Pixels of an Image or a CompressedImage, as of :class:`ImageStream`. Raises ``ValueError`` with what is wrong."""
+    return _compressed(message) if compressed else _raw(message)
 
 
 def _compressed(message: Any) -> Bytes:

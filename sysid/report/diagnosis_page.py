@@ -17,7 +17,7 @@ from sysid.report.fit_page import SHORT_TABLE, ErrorTables, Shown, Tile, plural,
 from sysid.report.marker_pictures import with_marker_pictures
 from sysid.report.numbers import MISSING, Number, percent, raw_number, scale_for, seconds, significant
 from sysid.report.page import embedded_json, write_page
-from sysid.report.panels import run_views, showcase
+from sysid.report.panels import Windows, run_views, showcase
 from sysid.report.strips import LEVELS
 from sysid.report.tables import (
     ErrorRow,
@@ -90,7 +90,8 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
         names=names,
         error_caption=f"of the baseline and of {amended_with(d)}" if both else "of the fitted rig",
         amended_with=amended_with(d),
-        first=showcase(d.series, errors, windows=windows, both=both, names=names, place=worst),
+        first=showcase(d.series, errors, windows=windows, both=both, names=names, place=worst, parted=d.parted),
+        parted=spans(d.parted, "/parted"),
         lead=lead(d),
         tiles=tiles(d, placed),
         effects=[EffectView.of(c, f"/effects/{k}") for k, c in enumerate(d.effects)],
@@ -103,7 +104,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
             _bar(p.words, p.place, p.explained, f"/places/{k}/explained", k == 0)
             for k, p in enumerate(d.places[:MOST_PLACES])
         ],
-        windows=spans(d),
+        windows=spans(windows, "/located/windows"),
         shifts=[s for s in shifts if not s.nuisance],
         nuisances=[s for s in shifts if s.nuisance],
         shift_sentences=shift_sentences(shifts),
@@ -267,6 +268,8 @@ def lead(d: Diagnosis) -> list[str]:
             "No recording was held out, so the finding rests on the recordings it was made from. "
             "Give some with --held-out to test it."
         )
+    if d.one_model:
+        out.append(d.one_model.sentence)
     return out
 
 
@@ -316,11 +319,11 @@ def prediction(d: Diagnosis, placed: Sequence[PlacedError]) -> list[Shown]:
             f" {row.unit}, from ", row.first, " to ", row.last, " the noise."]  # fmt: skip
 
 
-def spans(d: Diagnosis) -> list[tuple[str, list[tuple[Number, Number]]]]:
-    """When the baseline fails, by recording."""
+def spans(windows: Windows, where: str) -> list[tuple[str, list[tuple[Number, Number]]]]:
+    """Windows of recordings in seconds, with their places: ``where`` the result as JSON has them."""
     out = []
-    for run, found in d.located.windows.items():
-        at = f"/located/windows/{run.replace('~', '~0').replace('/', '~1')}"
+    for run, found in windows.items():
+        at = f"{where}/{run.replace('~', '~0').replace('/', '~1')}"
         ends = [
             [Number(float(t), f"{t:.2f}", "s", f"{at}/{k}/{i}") for i, t in enumerate(w)] for k, w in enumerate(found)
         ]

@@ -143,7 +143,7 @@ def _shapes(simulation: Simulation) -> list[Shape]:
             origin, rotation = scene.body_frame(name, simulation.frames)
             found.append(_solid(body.spec.shape, origin, rotation))
         elif isinstance(body.spec, Affine):
-            origin, rotation = scene.pose_of(name)
+            origin, rotation = scene.pose_of(name, simulation.state.x)
             found.append(_solid(body.spec.shape, origin, rotation))
         else:
             found.append(_soft(body, simulation.state.x[body.nodes]))

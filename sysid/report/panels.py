@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import TYPE_CHECKING
 
@@ -29,6 +29,8 @@ MOST_IN_OPEN = 18
 MOST_POINTS = 300
 """Measured points of one panel; the curves keep all their points."""
 
+AROUND = 0.05
+"""What is shown before and after a window, over the length of a recording."""
 
 STEPS = [1, 2, 2.5, 5, 10]
 """Distances between ticks."""
@@ -124,12 +126,17 @@ def showcase(
     both: bool = True,
     names: tuple[str, str] = ("before", "after"),
     place: LocatedChannel | None = None,
+    parted: Windows | None = None,
 ) -> tuple[str, bool, Panel] | None:
     """The one panel to show first, with its run and role: where either model misses most, held-out data first.
-    ``place``: look only there, if it has data."""
+    ``place``: look only there, if it has data. ``parted``: where recordings of replays parted from their predictions;
+    if there is such a window, the panel is that of the first one."""
     import matplotlib
 
     able = [s for s in series if len(s.t) > 1 and np.isfinite(residual(s, s.before)).any()]
+    if parted:
+        windows = parted
+        able = [cut for s in able for cut in _around(s, _windows_of(s.run, parted)[:1])] or able
     if place is not None:
         able = [s for s in able if s.channel == place.channel] or able
         able = [s for s in able if place.quantity and s.label.startswith(place.quantity)] or able
@@ -146,6 +153,22 @@ def showcase(
         spans = _windows_of(best.run, windows or {})
         panel = _panel(best, noise_of(errors, best), spans, both, names, "first")
     return best.run, best.held_out, panel
+
+
+def _around(series: Series, windows: Sequence[tuple[float, float]]) -> list[Series]:
+    """The parts of a series in windows [s], each with :data:`AROUND` of its length before and after, where there is
+    data."""
+    t = np.asarray(series.t)
+    margin = AROUND * float(t[-1] - t[0])
+    cuts = []
+    for begin, end in windows:
+        inside = np.flatnonzero((t >= begin - margin) & (t <= end + margin))
+        if len(inside) > 1:
+            part = slice(inside[0], inside[-1] + 1)
+            lists = {name: getattr(series, name)[part] for name in ("t", "measured", "before", "after")}
+            lists["outliers"] = [(when, what) for when, what in series.outliers if t[part][0] <= when <= t[part][-1]]
+            cuts.append(replace(series, **lists))
+    return [s for s in cuts if np.isfinite(residual(s, s.before)).any()]
 
 
 def _windows_of(run: str, windows: Windows) -> list[tuple[float, float]]:

@@ -377,6 +377,12 @@ class DiagnosisSettings:
     feature_smoothing: int = setting(
         5, "1", "Instants that a feature of noisy readings is averaged over.", "convention"
     )
+    feature_axes: int = setting(
+        3, "1", "Axes of the motion of the hands, and of the forces, that closures go by at most.", "cost"
+    )
+    feature_axis_share: float = setting(
+        0.05, "1", "Share of the motion along the first axis from which a further one has features.", "convention"
+    )
     closure_sensor_share: float = setting(
         0.2, "1", "Standard deviation of the closure of a sensor, in units of the range of its readings.", "judgement"
     )
@@ -419,6 +425,12 @@ class DiagnosisSettings:
         3.0, "1", "Rest in each corner over the time constant of an effect of the answer.", "judgement"
     )
     least_speed: float = setting(1e-4, "m/s, rad/s", "Least speed of a motion.", "judgement")
+    # what the posterior says
+    sure_probability: float = setting(
+        0.9, "1", "Probability from which a set of causes is the only answer of the posterior.", "convention"
+    )
+    sets_shown: int = setting(5, "1", "Sets of causes of the posterior that are written down.", "convention")
+
     turn_arm_m: float = setting(0.05, "m", "Length by which turns [rad] are compared with shifts.", "judgement")
 
 

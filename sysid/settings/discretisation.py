@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sim_core.settings import setting
@@ -44,6 +45,22 @@ class DiscretisationSettings:
         "judgement",
     )
     coarse_noise_ratio: float = setting(3.0, "1", "The same in units of the noise of the readings.", "judgement")
+
+    # named approximations
+    approximation_sizes: Mapping[str, tuple[float, float]] = setting(
+        {"mesh": (1.0, 0.3), "time step": (1.0, 0.3), "contact range": (1.0, 0.3), "touching surface": (0.5, 0.5)},
+        "1",
+        "Mean and standard deviation of the size of each approximation, in units of the extrapolated error.",
+        "judgement",
+    )
+    drawn_motions: int = setting(48, "1", "Motions that are drawn from what the noise of poses leaves open.", "cost")
+    faint_motion: float = setting(
+        0.3,
+        "sd",
+        "Singular value of their responses, in standard deviations of the noise, from which one is kept: a fainter one "
+        "changes evidence by 0.04 nats at most where it has its expected size.",
+        "convention",
+    )
 
     # time steps
     interpolation_over_noise: float = setting(

@@ -154,7 +154,8 @@ def _within_time(most_s: float) -> Callable[[int, int], None]:
 
 class Rollouts:
     """Predictions of the instants of a probe along other poses; the scene is built once. A rollout that takes far
-    longer than the first one, that of the recording as it is, is given up: it is far from anything that happened."""
+    longer than the first one, that of the recording as it is, and than its share of what that one may take, is
+    given up: it is far from anything that happened."""
 
     def __init__(self, rig: Rig, probe: Probe) -> None:
         self.probe, self._rig = probe, rig
@@ -175,7 +176,9 @@ class Rollouts:
                 warnings.simplefilter("ignore")  # strains of a set-up that is only tried
                 trace = simulate(self._scene, run.poses, times, _within_time(self._most_s))
             if self._first:
-                self._most_s = SETUP_CHECK.rollout_ratio * (time.process_time() - begun)
+                took = time.process_time() - begun
+                shared = SETUP_CHECK.first_rollout_s / SETUP_CHECK.most_rollouts
+                self._most_s = max(SETUP_CHECK.rollout_ratio * took, shared)
             return {
                 m.channel: predicted(trace, rig, m.channel, m.t, run.since).reshape(len(m.t), -1) for m in run.measured
             }

@@ -155,8 +155,8 @@ def rolled(rig: Rig, poses: Mapping[str, PoseTrajectory], end: float, title: str
     except ThinshellError as error:
         return _commanded(layout, poses, times, title, what, findings, error)
     shown = set(np.unique(np.linspace(0, len(times) - 1, min(FRAMES, len(times))).round().astype(int)))
-    recorder = StateRecorder(simulation)
-    recorder.take()
+    recorder = StateRecorder(simulation.scene)
+    recorder.take(simulation.state, simulation.actual_frames(), simulation.contact_forces())
     kept, readings = [0], [simulation.read()]
     for k in range(1, len(times)):
         try:
@@ -172,7 +172,7 @@ def rolled(rig: Rig, poses: Mapping[str, PoseTrajectory], end: float, title: str
             break
         say(k / (len(times) - 1), f"step {k} of {len(times) - 1}")
         if k in shown:
-            recorder.take()
+            recorder.take(simulation.state, simulation.actual_frames(), simulation.contact_forces())
             kept.append(k)
             readings.append(simulation.read())
     findings += [

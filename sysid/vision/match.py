@@ -16,7 +16,10 @@ from sysid.vision.grow import grow, seeds_at
 _SCHEDULE = ((1.2, 30.0), (1.0, 5.0), (0.8, 1.0), (0.7, 0.3), (0.6, 0.1), (0.6, 0.03), (0.6, 0.03))
 """Coarse to fine: gate on the distance to the prediction [pitch], and the spline's smoothing."""
 
-_LOST_COST = 0.25
+FINE = 3
+"""Rows of the schedule that are gone through from a start that is close."""
+
+LOST_COST = 0.25
 """Cost of a lost marker or an unexplained detection [pitch^2], that of a misfit of half a pitch."""
 
 
@@ -63,6 +66,7 @@ def match_layout(
     search: bool = True,
     whole: bool = True,
     view: tuple[int, int] | None = None,
+    close: bool = False,
     parameters: MatchParameters | None = None,
 ) -> LayoutMatch:
     """Assign the reference layout to the detections of one frame by a globally smooth one-to-one match.
@@ -72,7 +76,8 @@ def match_layout(
     in order (say, the previous frame); ``search`` adds whole-pattern starts that need no prediction;
     ``whole`` says that the reference has all markers there are, so that a detection beside the pattern
     speaks against a match (False when markers enter the image that the reference does not have);
-    ``view`` is width and height [px] of the image: a marker that left it is not held against a match.
+    ``view`` is width and height [px] of the image: a marker that left it is not held against a match;
+    ``close`` says that starts are as near as a picture is to the one before: only the fine part of the search is done.
     """
     parameters = parameters or MatchParameters()
     pitch = pitch_of(reference)
@@ -81,7 +86,7 @@ def match_layout(
         return LayoutMatch(lost, reference.copy(), np.full(len(reference), np.nan), float("inf"), "none")
 
     def refine(predicted: Points, name: str) -> LayoutMatch:
-        return _refine(reference, uv, quality, predicted, pitch, name, parameters, view, whole)
+        return _refine(reference, uv, quality, predicted, pitch, name, parameters, view, whole, close)
 
     best: LayoutMatch | None = None
     for name, predicted in (starts or {}).items():
@@ -118,7 +123,7 @@ def _grown_starts(
             continue
         misfit = neighbour_residual(reference[rows], uv[index[rows]], pitch=pitch) / pitch
         lost = len(reference) - len(rows) + float(quality.sum() - quality[index[rows]].sum())
-        cost = float(np.sum(np.minimum(misfit, 0.5) ** 2)) + _LOST_COST * lost
+        cost = float(np.sum(np.minimum(misfit, 0.5) ** 2)) + LOST_COST * lost
         ranked.append((cost, index))
         if cost < parameters.accept_cost * len(reference):
             break
@@ -163,11 +168,12 @@ def _refine(
     parameters: MatchParameters,
     view: tuple[int, int] | None,
     whole: bool,
+    close: bool,
 ) -> LayoutMatch:
     """Alternate assignment and smooth field from coarse to fine, then take out what does not fit."""
     limit = parameters.max_residual_pitch * pitch
     index = np.full(len(reference), -1, dtype=np.intp)
-    for gate, smoothing in _SCHEDULE:
+    for gate, smoothing in _SCHEDULE[-FINE:] if close else _SCHEDULE:
         before = index
         index = _assign(predicted, uv, quality, gate * pitch)
         rows = np.flatnonzero(index >= 0)
@@ -223,6 +229,6 @@ def _finish(
         margin = 0.25 * pitch
         left = (place < margin).any(axis=1) | (place > np.array(view) - 1.0 - margin).any(axis=1)
         lost &= ~left
-    total = float(np.sum((residual[rows] / pitch) ** 2)) + _LOST_COST * float(lost.sum())
-    total += _LOST_COST * float(np.sum(quality[unused & ~outside]))
+    total = float(np.sum((residual[rows] / pitch) ** 2)) + LOST_COST * float(lost.sum())
+    total += LOST_COST * float(np.sum(quality[unused & ~outside]))
     return LayoutMatch(index, place, residual, total / len(reference), start)

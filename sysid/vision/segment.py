@@ -51,12 +51,18 @@ def to_grey(image: NDArray[np.generic]) -> Image:
 
 
 def is_binary(grey: Image) -> bool:
-    """Tell whether at least 98 % of the pixels sit at the two ends of the range."""
+    """Tell whether at least 98 % of the pixels sit at the two ends of the range, also along the rims of what is drawn:
+    of smooth dots on an even ground, few as they are, the pixels between the ends are those of the rims."""
     low, high = int(grey.min()), int(grey.max())
     if high - low < 32:
         return False
     margin = 0.1 * (high - low)
-    return bool(np.mean((grey <= low + margin) | (grey >= high - margin)) >= 0.98)
+    between = (grey > low + margin) & (grey < high - margin)
+    if np.mean(between) > 0.02:
+        return False
+    bright = (grey > 0.5 * (low + high)).astype(np.uint8)
+    rim = cv2.morphologyEx(bright, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
+    return bool(np.count_nonzero(between & rim) <= 0.02 * np.count_nonzero(rim))
 
 
 def segment(grey: Image, *, polarity: str, diameter_px: float | None) -> Segmentation:
@@ -99,8 +105,9 @@ def _segment_grey(grey: Image, polarity: str, diameter_px: float | None) -> Segm
     over = np.float32(sign) * (cv2.GaussianBlur(image, (0, 0), 0.8) - ground.astype(np.float32))
     noise = 1.4826 * float(np.median(np.abs(response - np.median(response)))) + 1e-6
     level = _dot_level(over, response, diameter)
-    mask = ((over > 0.5 * level) & (over > 4.0)).astype(np.uint8) * 255
-    return Segmentation(mask, np.clip(over, 0.0, None), False, float(response.max()) / noise)
+    beyond = np.clip(over - max(0.5 * level, 4.0), 0.0, None)
+    mask = (beyond > 0.0).astype(np.uint8) * 255
+    return Segmentation(mask, beyond, False, float(response.max()) / noise)
 
 
 def _blob_response(image: NDArray[np.float32], diameter: float) -> NDArray[np.float32]:

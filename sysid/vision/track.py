@@ -109,14 +109,19 @@ def _match_next(
     lone press that looks close to the one before may be one row further on a lattice.
     """
     if before is not None and before.cost <= parameters.match.accept_cost and len(found) >= 4:
-        gap = cKDTree(found.uv).query(before.uv[before.found])[0]
-        if np.percentile(gap, 80) < CONTINUITY_PITCH * reference.pitch_px:
+        if is_close(before, found, reference.pitch_px):
             starts = {"previous frame": before.uv}
             for whole in (True, False) if continuous else (True,):
                 match = _match(reference, found, starts, False, parameters, whole=whole)
                 if match.cost <= parameters.match.accept_cost:
                     return match
     return _match(reference, found, {}, True, parameters)
+
+
+def is_close(before: LayoutMatch, found: Detections, pitch_px: float) -> bool:
+    """Whether most markers of a frame are within :data:`CONTINUITY_PITCH` of where they were in the one before."""
+    gap = cKDTree(found.uv).query(before.uv[before.found])[0]
+    return bool(np.percentile(gap, 80) < CONTINUITY_PITCH * pitch_px)
 
 
 def _match(
@@ -205,14 +210,24 @@ def _collect(
     confidence = np.zeros((frames, markers))
     failed = np.zeros(frames, dtype=bool)
     for k, (match, found) in enumerate(zip(matches, detections, strict=True)):
-        failed[k] = match.cost > parameters.fail_cost or match.found.mean() < parameters.min_found
-        if failed[k]:
-            continue
-        rows = np.flatnonzero(match.found)
-        uv[k, rows] = found.uv[match.index[rows]]
-        residual[k, rows] = match.residual_px[rows]
-        fit = np.exp(-((match.residual_px[rows] / (0.2 * reference.pitch_px)) ** 2))
-        doubt = 1.0 if match.cost <= parameters.match.accept_cost else 0.5
-        confidence[k, rows] = np.clip(doubt * fit * found.quality[match.index[rows]], 0.0, 1.0)
+        uv[k], confidence[k], residual[k], failed[k] = markers_of(match, found, reference.pitch_px, parameters)
     place = np.array([match.uv for match in matches]).reshape(frames, markers, 2)
     return FrameTracks(reference, uv, confidence, residual, place, tuple(matches), failed, dropped)
+
+
+def markers_of(
+    match: LayoutMatch, found: Detections, pitch_px: float, parameters: TrackParameters
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], bool]:
+    """What a match of one frame is worth: positions [px] ``(m, 2)``, NaN where lost, trust in 0..1 and distance [px] to
+    the place that the neighbours predict ``(m,)``, and whether the frame is given up."""
+    uv, residual = np.full((len(match.index), 2), np.nan), np.full(len(match.index), np.nan)
+    confidence = np.zeros(len(match.index))
+    if match.cost > parameters.fail_cost or match.found.mean() < parameters.min_found:
+        return uv, confidence, residual, True
+    rows = np.flatnonzero(match.found)
+    uv[rows] = found.uv[match.index[rows]]
+    residual[rows] = match.residual_px[rows]
+    fit = np.exp(-((match.residual_px[rows] / (0.2 * pitch_px)) ** 2))
+    doubt = 1.0 if match.cost <= parameters.match.accept_cost else 0.5
+    confidence[rows] = np.clip(doubt * fit * found.quality[match.index[rows]], 0.0, 1.0)
+    return uv, confidence, residual, False

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 
-SIMULATOR = {"taichi", "sim_core.scene", "sim_core.kernels"}
+SIMULATOR = {"sim_core.scene", "sim_core.kernels"}
 OPTIONAL = {"cv2", "jinja2", "matplotlib", "meshio", "PIL", "rosbags.rosbag1", "scipy.optimize", "scipy.stats"}
 READING = {"mcap", "rosbags", "scipy", "sqlite3"}
 ARRAYS = {"numpy", "yaml", "sim_core.rigs", "sim_core.effects"}

@@ -65,7 +65,7 @@ def run(sim, steps, each=None):
 
 
 def centre(sim, name):
-    return sim.scene.pose_of(name)[0]
+    return sim.scene.pose_of(name, sim.state.x)[0]
 
 
 def velocity(sim, name):

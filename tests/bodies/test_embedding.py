@@ -3,22 +3,17 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from potentials import Look
 
 from sim_core.energies.affine import AffineShape, coordinates
 from sim_core.energies.guide import Guide
 from sim_core.energies.membrane import Membrane
 from sim_core.geometry.sheets import rectangle
 from sim_core.solve.embedding import Embedding, eliminate, embed
-from sim_core.solve.integrator import step_context
 from sim_core.solve.system import System
 from sim_core.solve.unknowns import Compliant
 
 FILM = {"E_pa": 2e9, "nu": 0.3, "thickness_m": 1e-4}
-
-
-def full_matrix(upper):
-    matrix = upper.toarray()
-    return matrix + np.triu(matrix, 1).T
 
 
 def film(embedding=None, prescribed=None, compliant=(), extra=6):
@@ -48,13 +43,12 @@ def some_embedding(n, n_film, rng):
     return Embedding(nodes, sp.csr_matrix(weights))
 
 
-def begin(system, x):
-    system.set_targets(x)
-    system.x[:] = x
-    system.embed(system.x)
-    v = 0.1 * np.random.default_rng(5).standard_normal(x.shape)
-    system.begin_step(step_context(system.nodes, v, 0.01), system.initial_internals())
-    system.set_targets(x)
+def begun(system, x):
+    """A look at a step that begins in motion, at ``x``."""
+    look = Look(system)
+    look.begin(system.nodes, v=0.1 * np.random.default_rng(5).standard_normal(x.shape), dt=0.01)
+    look.x[:] = look.targets = x
+    return look
 
 
 def scene(seed=0, compliant=False):
@@ -67,60 +61,26 @@ def scene(seed=0, compliant=False):
     group = [Compliant(np.array([n - 2]), np.array([1e-3, 2e-3, 5e-3]))] if compliant else []
     system, _ = film(embedding, prescribed, group)
     x = system.nodes + 1e-3 * rng.standard_normal(system.nodes.shape)
-    begin(system, x)
-    begin(plain, system.x.copy())
-    return system, plain
+    system.embed(x)
+    return begun(system, x), begun(plain, x)
 
 
 @pytest.mark.parametrize("exact", [True, False])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_reduced_gradient_and_hessian_are_those_of_the_full_problem_through_p(exact, seed):
-    system, plain = scene(seed)
-    n = system.n_unknowns
-    p = np.array([system.spread(e).ravel() for e in np.eye(n)]).T
-    full = full_matrix(plain.hessian(exact=exact))
-    expected = p.T @ full @ p
-    found = full_matrix(system.hessian(exact=exact))
-    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
-    np.testing.assert_allclose(system.residual(), p.T @ plain.gradient().ravel(), atol=1e-12)
-    assert system.energy() == pytest.approx(plain.energy(), rel=1e-12)
+    reduced, plain = scene(seed)
+    system = reduced.system
+    p = system.spread_matrix.toarray()
+    expected = p.T @ plain.hessian(exact=exact) @ p
+    np.testing.assert_allclose(reduced.hessian(exact=exact), expected, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_allclose(reduced.residual(), p.T @ plain.gradient().ravel(), atol=1e-12)
+    assert reduced.energy() == pytest.approx(plain.energy(), rel=1e-12)
 
 
 @pytest.mark.parametrize("compliant", [False, True])
 def test_reduced_derivatives_against_central_differences(compliant):
-    system, _ = scene(compliant=compliant)
-    u, h = system.unknowns(), 1e-7
-    assert len(u) == system.n_unknowns
-    columns, slopes = [], []
-    for e in h * np.eye(len(u)):
-        system.set_unknowns(u + e)
-        plus, up = system.residual().copy(), system.energy()
-        system.set_unknowns(u - e)
-        columns.append((plus - system.residual()) / (2.0 * h))
-        slopes.append((up - system.energy()) / (2.0 * h))
-    system.set_unknowns(u)
-    g = system.residual()
-    np.testing.assert_allclose(slopes, g, atol=1e-6 * np.abs(g).max())
-    expected = np.array(columns)
-    np.testing.assert_allclose(full_matrix(system.hessian(exact=True)), expected, atol=1e-6 * np.abs(expected).max())
-
-
-def test_force_from_moving_a_prescribed_master():
-    """To first order, with what is embedded in it, and what is both free and embedded in it."""
-    system, _ = scene()
-    targets = system.x.copy()
-    system.hessian(exact=True)
-    wanted = np.where(system.prescribed, 1e-7 * np.random.default_rng(1).standard_normal(targets.shape), 0.0)
-    predicted = system.follow(system.prescribed_move(targets, targets + wanted))
-    u = system.unknowns()
-
-    def at(move):
-        system.set_targets(targets + move)
-        system.set_unknowns(u)
-        return system.residual().copy()
-
-    change = 0.5 * (at(wanted) - at(-wanted))
-    np.testing.assert_allclose(predicted, change, atol=1e-6 * np.abs(change).max())
+    reduced, _ = scene(compliant=compliant)
+    check(reduced, reduced.x.copy(), 1e-7, 1e-6)
 
 
 def test_constraints_are_solved_and_what_cannot_be_is_handed_back():
@@ -148,30 +108,26 @@ def test_an_embedded_node_cannot_carry_another():
 
 
 def bare(term, nodes):
-    system = System(
-        nodes, sp.identity(len(nodes)).tocsr(), np.zeros(nodes.shape, dtype=bool), [term], np.zeros(3), False
-    )
-    begin(system, nodes)
-    return system
+    mass = sp.identity(len(nodes)).tocsr()
+    return Look(System(nodes, mass, np.zeros(nodes.shape, dtype=bool), [term], np.zeros(3), False))
 
 
-def check(system, x, h, tolerance):
-    system.x[:] = x
-    u = system.unknowns()
+def check(look, x, h, tolerance):
+    """All derivatives; the lowest eigenvalue of the true matrix over the highest."""
     columns, slopes = [], []
-    for e in h * np.eye(len(u)):
-        system.set_unknowns(u + e)
-        plus, up = system.residual().copy(), system.energy()
-        system.set_unknowns(u - e)
-        columns.append((plus - system.residual()) / (2.0 * h))
-        slopes.append((up - system.energy()) / (2.0 * h))
-    system.set_unknowns(u)
-    np.testing.assert_allclose(system.residual(), slopes, atol=tolerance * np.abs(slopes).max())
-    expected = np.array(columns)
-    found = full_matrix(system.hessian(exact=True))
+    for e in h * np.eye(look.system.n_unknowns):
+        ends = []
+        for sign in (1.0, -1.0):
+            look.x[:] = x
+            look.move(sign * e)
+            ends.append((look.energy(), look.residual()))
+        slopes.append((ends[0][0] - ends[1][0]) / (2.0 * h))
+        columns.append((ends[0][1] - ends[1][1]) / (2.0 * h))
+    look.x[:], expected = x, np.array(columns)
+    found = look.hessian(exact=True)
+    np.testing.assert_allclose(look.residual(), slopes, atol=tolerance * np.abs(slopes).max())
     np.testing.assert_allclose(found, expected, atol=tolerance * np.abs(expected).max())
-    projected = full_matrix(system.hessian())
-    values = np.linalg.eigvalsh(projected)
+    values = np.linalg.eigvalsh(look.hessian())
     assert values.min() > -1e-12 * values.max()
     return np.linalg.eigvalsh(found).min() / values.max()
 

@@ -22,7 +22,7 @@ def test_the_force_that_pushes_a_block_is_its_friction():
         simulation.step({"finger": frame_of(*path.at(time))}, dt)
         if time > 0.35:
             forces.append(np.linalg.norm(simulation.read()["wrench_gel"][:3] - resting))
-            places.append(simulation.scene.pose_of("block")[0])
+            places.append(simulation.scene.pose_of("block", simulation.state.x)[0])
     weight = 1200.0 * 0.03 * 0.03 * 0.02 * G
     moved = np.diff(np.array(places)[:, 0]) / dt
     assert moved[5:30].mean() == pytest.approx(0.04, rel=0.2)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import scipy.sparse as sp
+from potentials import Look
 
 from sim_core.contact.edges import EdgeContact
 from sim_core.contact.rigid import RigidContact
@@ -10,7 +11,6 @@ from sim_core.contact.surface import SurfaceContact
 from sim_core.energies.bending import Bending
 from sim_core.energies.membrane import Membrane
 from sim_core.geometry.sheets import SheetMesh, rectangle
-from sim_core.solve.integrator import step_context
 from sim_core.solve.system import System
 
 LAW = {"stiffness_pa_per_m": 1e9, "range_m": 2e-4, "friction": 0.4}
@@ -63,26 +63,22 @@ class Two:
         self.system = System(
             self.nodes, mass, np.zeros((len(self.nodes), 3), dtype=bool), terms, np.zeros(3), inertia=False
         )
+        self.look = Look(self.system, fresh=False)
 
     def begin(self, x, internals=None, dt=0.01):
-        step = step_context(x, np.zeros_like(x), dt)
-        self.system.set_targets(x)
-        self.system.x[:] = x
-        self.system.begin_step(step, internals or self.system.initial_internals())
-        self.system.x[:] = x
-        return step
+        self.look.begin(x, dt=dt, internals=internals)
+        self.look.x[:] = x
 
     def touching(self, x, dt=0.01):
         """Begin a step at ``x`` with the loads that act there, so that friction has its limit."""
-        step = self.begin(x, dt=dt)
-        self.system.residual()
-        internals = self.system.end_step(step, self.system.initial_internals())
+        self.begin(x, dt=dt)
+        internals = self.look.end().internals
         self.begin(x, internals, dt)
         return internals
 
 
 def on_rigid(shape, nodes, triangles, law=LAW, rotation=None, effects=()):
-    """Contact of the nodes of a triangle mesh with a rigid shape at the origin (the last node)."""
+    """A look at the contact of the nodes of a triangle mesh with a rigid shape at the origin (the last node)."""
     mesh = SheetMesh(np.asarray(nodes, dtype=float), np.asarray(triangles, dtype=np.int32))
     every = np.vstack([mesh.nodes, np.zeros(3)])
     samples = sheet_samples(mesh, 0, 0.0)
@@ -94,26 +90,4 @@ def on_rigid(shape, nodes, triangles, law=LAW, rotation=None, effects=()):
     prescribed = np.zeros((len(every), 3), dtype=bool)
     prescribed[-1] = True
     system = System(every, sp.csr_matrix((len(every),) * 2), prescribed, [term], np.zeros(3), inertia=False)
-    return system, term
-
-
-def check_derivatives(system, x, h=1e-9, tolerance=1e-5, seed=0):
-    """Residual and exact Hessian against central differences at ``x``; returns the largest stiffness."""
-    rng = np.random.default_rng(seed)
-    system.x[:] = x
-    unknowns = system.unknowns()
-    direction = rng.standard_normal(unknowns.size)
-
-    def at(shift):
-        system.set_unknowns(unknowns + shift * direction)
-        return system.energy(), system.residual().copy()
-
-    (e_plus, g_plus), (e_minus, g_minus) = at(h), at(-h)
-    system.set_unknowns(unknowns)
-    slope = float(system.residual() @ direction)
-    upper = system.hessian(exact=True)
-    product = upper @ direction + upper.T @ direction - upper.diagonal() * direction
-    change = (g_plus - g_minus) / (2.0 * h)
-    assert abs(slope - (e_plus - e_minus) / (2.0 * h)) <= tolerance * abs(slope)
-    np.testing.assert_allclose(product, change, atol=tolerance * np.abs(change).max())
-    return np.abs(change).max()
+    return Look(system, fresh=False), term

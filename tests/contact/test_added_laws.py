@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from contact_scenes import LAW, Two, check_derivatives, on_rigid
+from contact_scenes import LAW, Two, on_rigid
+from potentials import check_derivatives
 
 from sim_core.contact.shapes import HALF_SPACE, SPHERE
 from sim_core.effects.contact_adhesion import ContactAdhesion
 from sim_core.effects.static_friction import StaticFriction
-from sim_core.solve.integrator import step_context
 
 STICKY = {"contact_adhesion.work_j_m2": 0.4, "contact_adhesion.range_m": 6e-4, "static_friction.excess": 0.4}
 EFFECTS = (ContactAdhesion(), StaticFriction())
@@ -21,7 +21,7 @@ def test_derivatives_between_sheets(gap):
     x = two.nodes + 2e-5 * np.random.default_rng(5).standard_normal(two.nodes.shape)
     two.touching(x)
     x[two.upper] += [6e-7, -8e-7, 0.0]
-    check_derivatives(two.system, x, tolerance=1e-4)
+    check_derivatives(two.look, x, h=1e-9, tolerance=1e-4)
 
 
 @pytest.mark.parametrize("gap", [1e-4, 3e-4], ids=["pressed", "pulled"])
@@ -29,19 +29,17 @@ def test_without_curvature_the_hessian_stays_positive(gap):
     """Attraction that weakens with the gap is left out of it, as the curvature of gaps is."""
     two = Two(gap=gap, law={**LAW, **STICKY}, elastic=False, effects=EFFECTS)
     two.touching(two.nodes + 2e-5 * np.random.default_rng(3).standard_normal(two.nodes.shape))
-    upper = two.system.hessian().toarray()
-    values = np.linalg.eigvalsh(upper + np.triu(upper, 1).T)
+    values = np.linalg.eigvalsh(two.look.hessian())
     assert values[0] > -1e-10 * values[-1]
 
 
 @pytest.mark.parametrize("shape", [[HALF_SPACE, 0, 0, 0, 0], [SPHERE, 0.01, 0, 0, 0]], ids=["half space", "sphere"])
 def test_derivatives_on_rigid_shapes(shape):
     nodes = np.array(SQUARE[0]) + [0.0, 0.0, 2.5e-4 if shape[0] == HALF_SPACE else 0.01 + 2.5e-4]
-    system, _ = on_rigid(shape, nodes, SQUARE[1], {**LAW, **STICKY}, effects=EFFECTS)
+    look, _ = on_rigid(shape, nodes, SQUARE[1], {**LAW, **STICKY}, effects=EFFECTS)
     x = np.vstack([nodes, np.zeros(3)])
-    system.x[:] = x
-    system.begin_step(step_context(x, np.zeros_like(x), 0.01), system.initial_internals())
-    check_derivatives(system, x)
+    look.begin(x, dt=0.01)
+    check_derivatives(look, x, h=1e-9, tolerance=1e-5)
 
 
 def test_a_patch_is_pulled_off_with_three_halves_of_the_work_over_the_range():
@@ -51,11 +49,12 @@ def test_a_patch_is_pulled_off_with_three_halves_of_the_work_over_the_range():
     forces = []
     for gap in np.linspace(2e-4, 1.1e-3, 181):
         nodes = np.array(SQUARE[0]) + [0.0, 0.0, gap]
-        system, term = on_rigid([HALF_SPACE, 0, 0, 0, 0], nodes, SQUARE[1], law, effects=EFFECTS[:1])
-        system.x[:] = x = np.vstack([nodes, np.zeros(3)])
-        system.begin_step(step_context(x, np.zeros_like(x), 0.01), system.initial_internals())
-        forces.append(float(system.gradient()[:-1, 2].sum()))
-        assert not term._load.any()
+        look, _ = on_rigid([HALF_SPACE, 0, 0, 0, 0], nodes, SQUARE[1], law, effects=EFFECTS[:1])
+        x = np.vstack([nodes, np.zeros(3)])
+        look.begin(x, dt=0.01)
+        look.x[:] = x
+        forces.append(float(look.gradient()[:-1, 2].sum()))
+        assert not look.end().internals["rigid"]["load"].any()
     area = (4e-4) ** 2
     assert max(forces) == pytest.approx(1.5 * area * work / span, rel=1e-3)
     assert forces[-1] == 0.0
@@ -63,10 +62,14 @@ def test_a_patch_is_pulled_off_with_three_halves_of_the_work_over_the_range():
 
 def test_friction_goes_with_what_keeps_surfaces_apart():
     """Attraction presses surfaces together and so raises friction through the load alone (Derjaguin 1934)."""
-    sticky = Two(gap=1e-4, law={**LAW, **STICKY}, effects=EFFECTS[:1])
-    plain = Two(gap=1e-4)
-    for two in (sticky, plain):
-        two.touching(two.nodes)
-    loads = [two.contact[0]._load for two in (sticky, plain)]
-    assert np.array_equal(*loads) and loads[0].any()
-    assert np.array_equal(sticky.contact[0]._limit, plain.contact[0]._limit)
+    loads, rubbing = [], []
+    for law, effects in (({**LAW, **STICKY}, EFFECTS[:1]), (LAW, ())):
+        forces = []
+        for friction in (LAW["friction"], 0.0):
+            two = Two(gap=1e-4, law={**law, "friction": friction}, effects=effects)
+            loads.append(two.touching(two.nodes)["down"]["load"])
+            two.look.x[two.upper, 0] += 1e-4
+            forces.append(two.look.at().forces["down"][two.upper, 0].sum())
+        rubbing.append(forces[0] - forces[1])
+    assert np.array_equal(loads[0], loads[2]) and loads[0].any()
+    assert rubbing[0] == pytest.approx(rubbing[1], rel=1e-9) and rubbing[0] < 0.0

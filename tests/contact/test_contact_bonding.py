@@ -8,7 +8,6 @@ from contact_scenes import LAW, on_rigid
 
 from sim_core.contact.shapes import HALF_SPACE
 from sim_core.effects.contact_bonding import ContactBonding
-from sim_core.solve.integrator import step_context
 
 SIDE_M, WORK, SPAN_M = 4e-4, 0.4, 1e-3
 SQUARE = SIDE_M * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
@@ -18,18 +17,16 @@ GREATEST_N = SIDE_M**2 * 1.5 * WORK / SPAN_M
 
 def test_a_patch_is_held_from_the_step_after_it_has_touched_until_it_is_torn_off() -> None:
     law = {**LAW, "contact_bonding.work_j_m2": WORK, "contact_bonding.range_m": SPAN_M}
-    system, term = on_rigid([HALF_SPACE, 0, 0, 0, 0], SQUARE, [[0, 1, 2], [0, 2, 3]], law, effects=(ContactBonding(),))
-    internals, before = system.initial_internals(), np.vstack([SQUARE + [0.0, 0.0, 2e-3], np.zeros(3)])
+    look, _ = on_rigid([HALF_SPACE, 0, 0, 0, 0], SQUARE, [[0, 1, 2], [0, 2, 3]], law, effects=(ContactBonding(),))
+    internals, before = look.system.initial_internals(), np.vstack([SQUARE + [0.0, 0.0, 2e-3], np.zeros(3)])
     found = []
     for gap in (5e-4, 1e-4, 5e-4, 5e-4, 1.1e-3, 5e-4):
         after = np.vstack([SQUARE + [0.0, 0.0, gap], np.zeros(3)])
-        step = step_context(before, np.zeros_like(before), 0.01)
-        system.x[:] = before
-        system.begin_step(step, internals)
-        system.x[:] = after
-        found.append(float(system.gradient()[:-1, 2].sum()))
-        internals, before = system.end_step(step, internals), after
+        look.begin(before, dt=0.01, internals=internals)
+        look.x[:] = after
+        found.append(float(look.gradient()[:-1, 2].sum()))
+        internals, before = look.end().internals, after
     touching = [bool(force < 0.0) for force in found]
     assert touching == [False, True, False, False, False, False]
     assert [found[k] for k in (0, 2, 3, 4, 5)] == pytest.approx([0.0, GREATEST_N, GREATEST_N, 0.0, 0.0], rel=1e-9)
-    assert not term.laws.bonded.any()
+    assert not internals["rigid"]["bonded"].any()

@@ -2,24 +2,24 @@
 
 import numpy as np
 import pytest
-import taichi as ti
 
 from sim_core.contact.closest import closest_point
 from sim_core.contact.continuous_collision import point_shape_way, point_triangle_way, segments_way
 from sim_core.contact.segments import closest_on_segments
 from sim_core.contact.shapes import BOX, signed_distance
-from sim_core.kernels import F1, F2, start, vec3
+from sim_core.core import language as lang
+from sim_core.core.language import F1, F2, vec3
 
 OFFSET, KEEP = 2e-4, 0.1
 SHAPE = np.array([BOX, 1e-3, 2e-3, 1.5e-3, 2e-4])
 
 
-@ti.func
-def _row(a: ti.template(), k: ti.i32):
+@lang.func
+def _row(a: lang.template(), k: lang.i32):
     return vec3(a[k, 0], a[k, 1], a[k, 2])
 
 
-@ti.kernel
+@lang.kernel
 def _ways(x: F2, d: F2, shape: F1, out: F1):
     out[0] = point_triangle_way(
         _row(x, 0), _row(x, 1), _row(x, 2), _row(x, 3), _row(d, 0), _row(d, 1), _row(d, 2), _row(d, 3), OFFSET, KEEP
@@ -30,7 +30,7 @@ def _ways(x: F2, d: F2, shape: F1, out: F1):
     out[2] = point_shape_way(_row(x, 0), _row(d, 0), shape, OFFSET, KEEP)
 
 
-@ti.kernel
+@lang.kernel
 def _gaps(x: F2, shape: F1, out: F1):
     p, y0, y1, y2 = _row(x, 0), _row(x, 1), _row(x, 2), _row(x, 3)
     b, _feature = closest_point(p, y0, y1, y2)
@@ -55,7 +55,6 @@ def ways(x, d):
 
 @pytest.mark.parametrize("kind", [0, 1, 2], ids=["point and triangle", "edges", "point and box"])
 def test_a_path_ends_before_the_touch_and_not_long_before(kind):
-    start()
     rng = np.random.default_rng(kind)
     cut = 0
     for _ in range(150):
@@ -74,7 +73,6 @@ def test_a_path_ends_before_the_touch_and_not_long_before(kind):
 
 
 def test_what_overlaps_may_part_and_not_come_nearer():
-    start()
     x = np.array([[0.0, 0.0, 1e-4], [-1e-3, -1e-3, 0.0], [1e-3, -1e-3, 0.0], [0.0, 1e-3, 0.0]])
     d = np.zeros((4, 3))
     d[0, 2] = 1e-3
@@ -83,13 +81,11 @@ def test_what_overlaps_may_part_and_not_come_nearer():
 
 
 def test_what_goes_together_is_free():
-    start()
     x = np.array([[0.0, 0.0, 3e-4], [-1e-3, -1e-3, 0.0], [1e-3, -1e-3, 0.0], [0.0, 1e-3, 0.0]])
     assert ways(x, np.tile([0.0, 0.0, -1.0], (4, 1)))[0] == 1.0
 
 
 def test_closest_points_of_segments_against_a_fine_sampling():
-    start()
     rng = np.random.default_rng(4)
     s = np.linspace(0.0, 1.0, 201)
     for k in range(60):

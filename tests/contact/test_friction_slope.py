@@ -39,15 +39,16 @@ def block_on_plane(turn):
 
 def slide(scene, turn, ratio, heading, steps=60):
     """Lie still first, then tilt gravity so that tan(slope) = ratio * mu; displacements along the slope."""
-    simulation = Simulation(scene, settle=False)
     slope = np.arctan(ratio * MU)
     down = np.array([np.cos(heading), np.sin(heading), 0.0])
     nodes = scene.bodies["block"].nodes
     scene.system.gravity = turn.apply([0.0, 0.0, -G])
+    simulation = Simulation(scene, settle=False)
     for _ in range(30):
         simulation.step({}, DT)
     start = simulation.state.x[nodes].mean(axis=0)
     scene.system.gravity = turn.apply(G * (np.sin(slope) * down - np.cos(slope) * np.array([0.0, 0.0, 1.0])))
+    simulation.refresh()
     path = []
     for _ in range(steps):
         simulation.step({}, DT)
@@ -115,12 +116,13 @@ def test_a_card_on_a_gel_slips_if_and_only_if_the_slope_exceeds_the_friction():
     card = scene.bodies["card"].nodes
 
     def velocity(ratio):
-        simulation = Simulation(scene, settle=False)
         slope = np.arctan(ratio * MU)
         scene.system.gravity = np.array([0.0, 0.0, -G])
+        simulation = Simulation(scene, settle=False)
         for _ in range(30):
             simulation.step({}, DT)
         scene.system.gravity = G * np.array([np.sin(slope), 0.0, -np.cos(slope)])
+        simulation.refresh()
         for _ in range(12):
             simulation.step({}, DT)
         return simulation.state.v[card, 0].mean()

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-import taichi as ti
 
 from sim_core.contact.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE, signed_distance
-from sim_core.kernels import F1, F2, F3, start
+from sim_core.core import language as lang
+from sim_core.core.language import F1, F2, F3
 
 ROUND = 1e-3
 SHAPES = {
@@ -14,10 +14,10 @@ SHAPES = {
 }
 
 
-@ti.kernel
+@lang.kernel
 def _evaluate(y: F2, shape: F1, distance: F1, normal: F2, second: F3):
     for k in range(y.shape[0]):
-        d, n, h = signed_distance(ti.Vector([y[k, 0], y[k, 1], y[k, 2]]), shape)
+        d, n, h = signed_distance(lang.Vector([y[k, 0], y[k, 1], y[k, 2]]), shape)
         distance[k] = d
         for i in range(3):
             normal[k, i] = n[i]
@@ -26,7 +26,6 @@ def _evaluate(y: F2, shape: F1, distance: F1, normal: F2, second: F3):
 
 
 def evaluate(name, y):
-    start()
     y = np.ascontiguousarray(np.atleast_2d(y), dtype=float)
     out = np.zeros(len(y)), np.zeros((len(y), 3)), np.zeros((len(y), 3, 3))
     _evaluate(y, np.array(SHAPES[name], dtype=float), *out)

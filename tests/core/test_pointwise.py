@@ -6,10 +6,8 @@ import sys
 
 import numpy as np
 import pytest
-import taichi as ti
 
 from sim_core.contact.pressure_and_friction import (
-    by_range,
     friction_force,
     friction_potential,
     friction_stiffness,
@@ -17,12 +15,13 @@ from sim_core.contact.pressure_and_friction import (
     pressure,
     slope,
 )
+from sim_core.core import language as lang
 from sim_core.core import pointwise
 from sim_core.core.build import compiler
+from sim_core.core.language import mat3, vec3
 from sim_core.core.lowering import LoweringError
 from sim_core.core.pointwise import Law
 from sim_core.energies.dihedral import angle, angle_gradient
-from sim_core.kernels import mat3, vec3
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C++ compiler is installed")
 ROUND_OFF = 1e-13
@@ -72,9 +71,10 @@ def points(n, count=2):
 def without_compiler(law, *arguments):
     with (
         pytest.MonkeyPatch.context() as patch,
-        pytest.warns(UserWarning, match="No C\\+\\+ compiler was found: the law"),
+        pytest.warns(UserWarning, match="No C\\+\\+ compiler was found: the laws of effects"),
     ):
         patch.setattr(pointwise, "compiler", lambda: None)
+        pointwise._warn_of_numpy.cache_clear()
         return Law(law)(*arguments)
 
 
@@ -107,15 +107,15 @@ def test_derivatives_are_those_of_differences(law):
 
 
 def potential_at(g, stiffness, span, core):
-    return potential(g, ti.Vector([stiffness, span, core]))
+    return potential(g, lang.Vector([stiffness, span, core]))
 
 
 def pressure_at(g, stiffness, span, core):
-    return pressure(g, ti.Vector([stiffness, span, core]))
+    return pressure(g, lang.Vector([stiffness, span, core]))
 
 
 def slope_at(g, stiffness, span, core):
-    return slope(g, ti.Vector([stiffness, span, core]))
+    return slope(g, lang.Vector([stiffness, span, core]))
 
 
 @needs_compiler
@@ -126,9 +126,9 @@ def test_derivatives_of_the_contact_law_are_the_written_ones():
     assert close(-energy.d[0], force.v)
     assert close(-force.d[0], stiff.v)
     assert close(energy.second(0, 0), stiff.v)
-    stored, pressed = by_range(c, gap)
-    assert close(energy.d[2], stored)
-    assert close(force.d[2], pressed)
+    # Of degree 2 and 1 in the gap and the range (Euler's theorem of homogeneous functions).
+    assert close(c[1] * energy.d[2], 2.0 * energy.v + gap * force.v)
+    assert close(c[1] * force.d[2], force.v + gap * stiff.v)
 
 
 def friction_energy_at(a, b, c, limit, stiffness):
@@ -232,3 +232,11 @@ def test_a_law_that_returns_two_numbers_is_an_error_in_words(tmp_path, monkeypat
 def test_no_law_is_needed_where_there_are_no_points():
     assert len(Law(half)(np.zeros(0)).v) == 0
     assert "my_law" not in sys.modules
+
+
+def test_what_a_law_raises_where_c_calls_it_is_raised(monkeypatch):
+    monkeypatch.setattr(pointwise, "compiler", lambda: None)
+    law = Law(half)
+    monkeypatch.setattr(law, "_jet", lambda x: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        law(np.ones(3))

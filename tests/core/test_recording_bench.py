@@ -1,4 +1,4 @@
-"""What ``thinshell bench RIG BAG`` measures, and what it says where steps do not run on the compiled core."""
+"""What ``thinshell bench RIG BAG`` measures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from strip import TRUTH, pulled, strip_rig
 from typer.testing import CliRunner
 
 from sim_core.errors import ConfigError
-from sysid.bench import measure_recording, run_recording_benchmark
+from sysid.bench import measure_recording, run_effects_benchmark, run_recording_benchmark
 from sysid.cli.app import app
 
 
@@ -20,20 +20,20 @@ def bag(tmp_path_factory):
     return out
 
 
-def test_figures_are_those_of_the_rollout_and_the_path_is_named(bag):
+def test_figures_are_those_of_the_rollout(bag):
     found = json.loads(run_recording_benchmark(strip_rig(), bag, 2, as_json=True))
-    assert found["path"] == "compiled core"
     assert found["steps"] >= 20 and found["columns"] == 2
     assert 0.0 < found["cpu_ms_per_step"] < found["cpu_ms_per_step_with_columns"]
     assert 1.0 <= found["factorisations_per_step"] < found["residuals_per_step"]
 
 
-def test_another_path_is_told_with_its_reason(bag):
-    rig = strip_rig().model_copy(
-        update={"effects": {"bending_plasticity": {"yield_curvature_per_m": 50.0, "hardening_ratio": 0.1}}}
-    )
-    found = measure_recording(rig, bag)
-    assert "plastic flow" in found.path and found.residuals_per_step is None
+def test_the_table_of_effects_names_all_that_can_act(bag, monkeypatch):
+    monkeypatch.setattr("sysid.bench.effects.STEPS", 3)
+    rows = {row["effect"]: row for row in json.loads(run_effects_benchmark(strip_rig(), bag, as_json=True))}
+    assert {"bending_plasticity", "viscoelastic_sheet", "sheet_thickness", "end_effector_compliance"} <= rows.keys()
+    assert "gel_mullins" not in rows and "wrench_offset" not in rows
+    assert rows["viscoelastic_sheet"]["cpu_ms_per_step"] > 0.0
+    assert "viscoelastic_sheet" in run_effects_benchmark(strip_rig(), bag, as_json=False)
 
 
 def test_more_columns_than_parameters_are_refused(bag):

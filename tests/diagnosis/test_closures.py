@@ -34,15 +34,43 @@ def test_features_are_those_of_the_motion_and_of_the_load() -> None:
     assert (a["time"].values[0], b["time"].values[-1]) == (-1.0, 1.0)
     assert b["time"].values[0] == pytest.approx(0.0)
     # One scale for all recordings, whose sign has no meaning.
-    place = a["place"].values * np.sign(a["place"].at(np.array([0.5]))[0])
-    np.testing.assert_allclose(place, np.sin(np.pi * a["place"].times), atol=2e-3)
-    assert np.max(np.abs(b["place"].values)) == pytest.approx(0.5, abs=2e-3)
-    np.testing.assert_allclose(a["square"].values, a["place"].values ** 2)
+    place = a["place 1"].values * np.sign(a["place 1"].at(np.array([0.5]))[0])
+    np.testing.assert_allclose(place, np.sin(np.pi * a["place 1"].times), atol=2e-3)
+    assert np.max(np.abs(b["place 1"].values)) == pytest.approx(0.5, abs=2e-3)
+    np.testing.assert_allclose(a["square"].values, a["place 1"].values ** 2)
     np.testing.assert_allclose(a["speed"].values, np.abs(np.cos(np.pi * a["speed"].times)), atol=0.02)
-    turned = a["direction"].at(np.array([0.25, 0.75, 1.25, 1.75])) * np.sign(a["direction"].at(np.array([0.25]))[0])
+    turned = a["direction 1"].at(np.array([0.25, 0.75, 1.25, 1.75])) * np.sign(a["direction 1"].at(np.array([0.25]))[0])
     np.testing.assert_allclose(turned, [1.0, -1.0, -1.0, 1.0], atol=0.02)
+    # A hand that goes along one line has one axis, and its velocity has the sign of where it goes.
+    assert "place 2" not in a and "force 2" not in a
+    velocity = a["velocity 1"].values * np.sign(a["place 1"].at(np.array([0.5]))[0])
+    np.testing.assert_allclose(velocity, np.cos(np.pi * a["velocity 1"].times), atol=0.02)
     assert np.max(a["load"].values) == pytest.approx(1.0)
     assert np.max(b["load"].values) == pytest.approx(1.0 / 3.0, abs=0.02)
+
+
+def test_motions_and_forces_along_several_lines_have_features_along_each() -> None:
+    """A hand that goes round an ellipse under a force that turns the other way."""
+    plain = run("round", 0.02 * np.sin(np.pi * T))
+    hand = plain.poses["hand"]
+    positions = hand.positions + np.outer(0.01 * np.cos(np.pi * T), [1.0, 0.0, 0.0])
+    turning = np.column_stack([2.0 * np.sin(np.pi * T), 0.0 * T, 6.0 * np.cos(np.pi * T), np.zeros((len(T), 3))])
+    (found,) = courses(
+        [
+            replace(
+                plain,
+                poses={"hand": replace(hand, positions=positions)},
+                measured=(replace(plain.measured[0], values=turning),),
+            )
+        ]
+    )
+    by = {c.feature: c for c in found}
+    assert [f for f in by if f.startswith("place")] == ["place 1", "place 2"]
+    assert [f for f in by if f.startswith("force")] == ["force 1", "force 2"]
+    second = by["place 2"].values * np.sign(by["place 2"].values[0])
+    np.testing.assert_allclose(second, np.cos(np.pi * by["place 2"].times), atol=0.02)
+    force = by["force 1"].values * np.sign(by["force 1"].values[0])
+    np.testing.assert_allclose(force, np.cos(np.pi * by["force 1"].times), atol=0.05)
 
 
 def test_what_does_not_happen_has_no_feature_that_is_no_number() -> None:

@@ -8,12 +8,15 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
-from sim_core.effects import effect_by_name
+from sim_core.effects import RecordingScales, effect_by_name
 from sim_core.simulate import Trace
-from sysid.comparison.posterior import Evidence
-from sysid.diagnosis.candidates import Amplitude, Hypothesis
+from sysid.comparison.evidence import Evidence
+from sysid.comparison.priors import Priors
+from sysid.diagnosis.candidates import Amplitude, Hypothesis, drawn_shapes, hypotheses
 from sysid.diagnosis.screening import Screen, look
+from sysid.discretisation.approximations import Approximations
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
@@ -35,7 +38,14 @@ def relaxation(typical: float, label: str = "") -> Hypothesis:
 
 
 class Linear:
-    """Reads log(E) sin; the first effect adds cos times its share, the second another course."""
+    """Reads log(E) sin, whatever the range of contacts; the first effect adds cos times its share, the second another
+    course."""
+
+    def submit(self, rig: Any, run: Any, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
+        found: Future[Prediction] = Future()
+        modulus = next(b.material.E_pa for n, b in rig.bodies.items() if n == "gel")
+        found.set_result(Prediction({"gauge": np.log(modulus) * MATERIAL}, {}, cast(Trace, None)))
+        return found
 
     def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:
         slopes = MATERIAL[:, :, None]
@@ -52,27 +62,29 @@ class Linear:
         return found
 
 
+def recording(seed: int, share: float, at: np.ndarray) -> Run:
+    """A recording with a share of the law and half of the error of the mesh."""
+    noise = SIGMA * np.random.default_rng(seed).standard_normal(T.shape)[:, None]
+    data = at[0] * MATERIAL + share * LAW + 0.5 * OWN + noise
+    return Run(f"run{seed}", "", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
+
+
 def screened(small_rig: Any, share: float, seeds: Sequence[int] = (1,)) -> Any:
     """A screen of recordings with a share of the law, its baseline and what failed."""
     rig = small_rig()
     parameters = fit_parameters(rig, ["gel.E"])
     at = start_of(rig, parameters)
 
-    def run(seed: int) -> Run:
-        noise = SIGMA * np.random.default_rng(seed).standard_normal(T.shape)[:, None]
-        data = at[0] * MATERIAL + share * LAW + 0.5 * OWN + noise
-        return Run(f"run{seed}", "", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
-
     engine, noise = cast(Any, Linear()), {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}
 
     def problem(numbers: Sequence[int]) -> Problem:
         shapes = [ErrorShape("mesh", tuple({"gauge": OWN} for _ in numbers))]
-        return Problem([run(n) for n in numbers], noise, engine, shapes, prior=True)
+        return Problem([recording(n, share, at) for n in numbers], noise, engine, shapes, prior=True)
 
     given = problem(seeds)
     base = given.evaluate(rig, parameters, at)
     wanted = [relaxation(0.1), relaxation(0.1, "#other"), relaxation(0.1, "#broken")]
-    screen, failed = look(engine, base, given, wanted)
+    screen, failed = look(engine, base, given, wanted, None, Approximations(engine, base, given))
     return screen, base, failed
 
 
@@ -108,17 +120,29 @@ def test_the_simulated_null_is_rarely_exceeded(small_rig: Any) -> None:
 
 
 def test_the_ledger_of_a_look_has_its_evidence(small_rig: Any) -> None:
-    """Laplace's evidence of the screen, and twice that for an amplitude that cannot be negative and is far from zero;
-    all readings are in its blocks of time."""
+    """Of readings with the dense covariance of noise, modulus and error of the mesh, and twice that for an amplitude
+    that cannot be negative and is far from zero; all readings are in its blocks of time."""
     screen, base, _ = screened(small_rig, SHARE, (1, 2))
     found = screen.ledger(base)
-    evidence = Evidence(found)
-    first, other = list(evidence.places)
-    assert first[0] == other[0] == "gel_relaxation"
-    assert evidence.factor([first]) == pytest.approx(screen.score([0]).gain + np.log(2.0), abs=1e-4)
+    (own,) = (c for c in found.columns if c.owner == "mesh")
+    modulus = next(c for c in found.columns if c.kind == "parameter")
+    share = next(c for c in found.columns if c.kind == "effect")
+    left = np.concatenate([m.values[:, 0] for run in (1, 2) for m in recording(run, SHARE, base.scaled).measured])
+    left -= np.tile(base.scaled[0] * MATERIAL[:, 0] + own.prior_mean * OWN[:, 0], 2)
+
+    def density(law: float) -> float:
+        shapes = ((modulus.prior_sd, MATERIAL), (own.prior_sd, OWN), (law * share.prior_sd * share.scale, LAW))
+        tables = [sd * np.tile(shape[:, 0], 2) for sd, shape in shapes]
+        covariance = SIGMA**2 * np.eye(len(left)) + sum(np.outer(t, t) for t in tables)
+        return float(multivariate_normal(None, covariance).logpdf(left))
+
+    evidence = Evidence(found, priors=Priors(form=1e-6))
+    first, other = list(evidence.shapes)
+    assert first[0] == other[0] == "gel_relaxation" and evidence.columns[0].place == "gel"
+    law = evidence.directions(first)
+    assert evidence.factor(law) == pytest.approx(density(1.0) - density(0.0) + np.log(2.0), abs=1e-4)
     assert sum(b.readings for b in found.blocks) == 2 * len(T)
-    np.testing.assert_allclose(found.gram, screen.whole, rtol=1e-9, atol=1e-9)
-    (amplitude,) = evidence.amplitudes([first])
+    (amplitude,) = evidence.amplitudes(law)
     assert amplitude.value == pytest.approx(SHARE, abs=3.0 * SIGMA / np.sqrt(200.0))
 
 
@@ -141,3 +165,19 @@ def test_a_recording_that_forbids_a_law_does_not_hide_it_in_the_others(small_rig
     best = screen.by_recording()[0]
     assert best.numbers == (0,) and best.gain > 20.0
     assert best.factors[0][0] * 0.1 == pytest.approx(SHARE, abs=0.02)
+
+
+def test_a_shape_is_drawn_for_a_benchmark_that_no_diagnosis_looks_at(small_rig: Any) -> None:
+    scales = RecordingScales(2.0, 0.01, 1.0, 0.1, 0.05)
+    rig = small_rig()
+    looked = hypotheses(rig, scales)
+    drawn = drawn_shapes(rig, scales, np.random.default_rng(1))
+    assert {h.effect.name for h in drawn} == {h.effect.name for h in looked if h.shape}
+    for h in drawn:
+        assert h.drawn and all(h.shape != other.shape for other in looked if other.effect is h.effect)
+        for name, value in h.shape.items():
+            ends = [other.shape[name] for other in looked if other.effect is h.effect]
+            if min(ends) < max(ends):
+                assert min(ends) <= value <= max(ends)
+    again = drawn_shapes(rig, scales, np.random.default_rng(2))
+    assert [h.shape for h in again] != [h.shape for h in drawn]

@@ -17,9 +17,9 @@ from sim_core.effects import all_effects
 from sim_core.preflight import review
 from sim_core.rigs import Rig, load_rig
 from sim_core.rigs.motion import compile_experiment, load_experiment
-from sim_core.validation import GROUPS
 from sysid.recording.message_types import ROLES
 from sysid.recording.writer import MARKER_FIELDS, TRACK_FIELDS
+from sysid.validation import GROUPS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -135,7 +135,7 @@ def test_the_bag_contract_has_the_layout_of_clouds(title: str, layout: tuple[tup
 
 
 def test_the_page_on_validation_has_every_group() -> None:
-    named = set(re.findall(r"\[`([\w ]+)`\]\(\.\./sim_core/validation", (DOCS / "validation.md").read_text()))
+    named = set(re.findall(r"\[`([\w ]+)`\]\(\.\./sysid/validation", (DOCS / "validation.md").read_text()))
     assert named == set(GROUPS)
 
 

@@ -92,9 +92,9 @@ def test_two_branches_that_would_be_one_number_are_refused(small_rig: Callable[.
     """Numbers of a term are there once; material laws, which add up, take as many branches as are named."""
     from sim_core.effects import active_effects
 
-    branch = {"share": 0.2, "tau_s": 0.1}
-    with pytest.raises(ConfigError, match="set the same numbers of gel"):
-        active_effects(small_rig(effects={"gel_relaxation@gel#fast": branch, "gel_relaxation#slow": branch}))
+    branch, flow = {"share": 0.2, "tau_s": 0.1}, TYPICAL["bending_plasticity"]
+    with pytest.raises(ConfigError, match="set the same numbers of card"):
+        active_effects(small_rig(effects={"bending_plasticity@card#one": flow, "bending_plasticity#other": flow}))
     both = active_effects(small_rig(effects={"viscoelastic_gel@gel#fast": branch, "viscoelastic_gel#slow": branch}))
     assert [instance.targets for instance in both] == [("gel",), ("gel",)]
 

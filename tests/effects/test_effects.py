@@ -52,9 +52,7 @@ def test_every_effect_is_tried_here():
 
 
 @pytest.mark.parametrize("name", sorted(TYPICAL))
-def test_vanishes_bit_for_bit_and_shows_otherwise(small_rig, visit, monkeypatch, name):
-    # With laws that the compiled core lacks and without, rollouts take the same way.
-    monkeypatch.setattr("sim_core.simulate.covers", lambda scene, **_: "launched")
+def test_vanishes_and_shows_otherwise(small_rig, visit, name):
     effect = effect_by_name(name)
     off = {p.name: TYPICAL[name][p.name] if p.vanishing is None else p.vanishing for p in effect.parameters}
     plain = readings(small_rig(), visit(*MOTION))
@@ -62,7 +60,8 @@ def test_vanishes_bit_for_bit_and_shows_otherwise(small_rig, visit, monkeypatch,
     absent = readings(rig.model_copy(update={"effects": {name: off}}), visit(*MOTION))
     present = readings(small_rig(effects={name: TYPICAL[name]}), visit(*MOTION))
     for channel in plain:
-        assert np.array_equal(plain[channel], absent[channel]), channel
+        size = np.nanmax(np.abs(plain[channel]))  # searches end at 1e-6 of the largest force
+        np.testing.assert_allclose(absent[channel], plain[channel], rtol=0.0, atol=1e-6 * size, err_msg=channel)
     assert max(np.nanmax(np.abs(plain[c] - present[c])) / np.nanmax(np.abs(plain[c])) for c in plain) > 1e-6
 
 
@@ -127,11 +126,12 @@ def test_compliance_moves_the_gel_by_force_times_compliance(small_rig, visit):
     rig = small_rig(effects={"end_effector_compliance": {"compliance_m_per_n": compliance}})
     scene = build_scene(rig)
     poses = visit([0.0, 0.2, 0.4, 0.8], [[0, 0, 0], [0.055, 0, 0], [0.055, 0, -0.0008], [0.055, 0, -0.0008]])
-    trace = simulate(scene, poses, step_times(0.0, 0.8, 0.02))
+    trace = simulate(scene, poses, step_times(0.0, 0.8, 0.02), keep_states=True)
+    deflection = trace.states.origins["finger"][-1] - poses["finger"].positions[-1]
     force = trace.outputs["wrench"][-1, :3]
     assert force[2] > 0.1
     # The sensor does not feel the weight of the glued nodes (below 1 mN), the spring does.
-    assert scene.system.deflections[0] == pytest.approx(compliance * force, rel=1e-3, abs=compliance * 1e-3)
+    assert deflection == pytest.approx(compliance * force, rel=1e-3, abs=compliance * 1e-3)
 
 
 def test_a_compliant_hand_begins_every_rollout_alike(small_rig, visit):

@@ -136,10 +136,10 @@ def test_friction_laws(name: str) -> None:
 def test_field_maps(name: str) -> None:
     effect, values = all_effects()[name], dict(all_effects()[name].example)
     places = np.random.default_rng(3).uniform(-0.02, 0.02, (40, 3))
-    here = effect.factor(places, 0.13, values)
+    here = effect.factor(places, 0.13, values).v
     assert (here > 0.0).all()
     by = dict(effect.factor_by(places, 0.13, values))
     assert set(by) == set(values)
-    against_parameters(values, lambda v: effect.factor(places, 0.13, v), by)
+    against_parameters(values, lambda v: effect.factor(places, 0.13, v).v, by)
     if not effect.changes:
-        assert np.array_equal(here, effect.factor(places, 5.0, values))
+        assert np.array_equal(here, effect.factor(places, 5.0, values).v)

@@ -1,7 +1,8 @@
-"""Sheets and differences for the tests of the shell energies."""
+"""Sheets for the tests of the shell energies."""
 
 import numpy as np
 import scipy.sparse as sp
+from potentials import Look
 
 from sim_core.energies.bending import Bending
 from sim_core.energies.membrane import Membrane
@@ -13,11 +14,11 @@ PAPER = {"E_pa": 2.0e9, "nu": 0.3, "thickness_m": 2e-4}
 ORTHOTROPIC = {**PAPER, "anisotropy_ratio": 2.5, "grain_angle_rad": 0.6}
 
 
-def alone(term, nodes):
-    """A system of one term whose nodes are all free, without inertia and gravity."""
+def alone(term, nodes, *more):
+    """A look at a system of one term, or more, whose nodes are all free, without inertia and gravity."""
     count = len(nodes)
     free = np.zeros((count, 3), dtype=bool)
-    return System(nodes, sp.csr_matrix((count, count)), free, [term], np.zeros(3), inertia=False)
+    return Look(System(nodes, sp.csr_matrix((count, count)), free, [term, *more], np.zeros(3), inertia=False))
 
 
 def membrane(mesh, parameters=PAPER):
@@ -43,34 +44,6 @@ def rolled(mesh, curvature, direction=0.0):
 
 def strip(pattern, cells=(10, 4), length=0.05, width=0.02):
     return rectangle(length, width, cells, pattern)
-
-
-def full(upper):
-    """Symmetric dense matrix from its upper triangle."""
-    dense = upper.toarray()
-    return dense + np.triu(dense, 1).T
-
-
-def check_derivatives(system, x, h=1e-8, tolerance=2e-6, seed=0):
-    """Energy, residual and exact Hessian of a system against central differences at ``x``."""
-    rng = np.random.default_rng(seed)
-    system.x[:] = x
-    unknowns = system.unknowns()
-    direction = rng.standard_normal(unknowns.size)
-
-    def at(shift):
-        system.set_unknowns(unknowns + shift * direction)
-        return system.energy(), system.residual().copy()
-
-    e_plus, g_plus = at(h)
-    e_minus, g_minus = at(-h)
-    system.set_unknowns(unknowns)
-    slope = float(system.residual() @ direction)
-    hessian = full(system.hessian(exact=True))
-    difference = (e_plus - e_minus) / (2.0 * h)
-    assert abs(slope - difference) <= tolerance * max(abs(difference), np.abs(system.residual()).max())
-    change = (g_plus - g_minus) / (2.0 * h)
-    np.testing.assert_allclose(hessian @ direction, change, atol=tolerance * np.abs(change).max())
 
 
 def turned(mesh, rotation):

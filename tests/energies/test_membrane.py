@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from potentials import check_derivatives
 from scipy.spatial.transform import Rotation
-from shell_terms import ORTHOTROPIC, PAPER, check_derivatives, full, membrane, strip
+from shell_terms import ORTHOTROPIC, PAPER, membrane, strip
 
 PATTERNS = ("regular", "crossed", "irregular")
 
@@ -22,8 +23,8 @@ def test_projected_hessian_is_positive_semidefinite_where_the_true_one_is_not():
     mesh = strip("crossed")
     system, _ = membrane(mesh)
     system.x[:] = mesh.nodes * [0.97, 0.98, 1.0]
-    true = np.linalg.eigvalsh(full(system.hessian(exact=True)))
-    projected = np.linalg.eigvalsh(full(system.hessian()))
+    true = np.linalg.eigvalsh(system.hessian(exact=True))
+    projected = np.linalg.eigvalsh(system.hessian())
     assert true[0] < -1e-3 * true[-1]
     assert projected[0] > -1e-12 * projected[-1]
 
@@ -32,7 +33,7 @@ def test_projection_changes_nothing_under_tension():
     mesh = strip("irregular")
     system, _ = membrane(mesh)
     system.x[:] = mesh.nodes * [1.01, 1.02, 1.0]
-    np.testing.assert_allclose(system.hessian().toarray(), system.hessian(exact=True).toarray(), rtol=1e-12, atol=1e-6)
+    np.testing.assert_allclose(system.hessian(), system.hessian(exact=True), rtol=1e-12, atol=1e-6)
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
@@ -42,7 +43,7 @@ def test_patch_test_uniaxial_tension(pattern):
     strain, p = 1e-6, PAPER
     system, _ = membrane(mesh)
     system.x[:] = mesh.nodes * [1.0 + strain, 1.0 - p["nu"] * strain, 1.0]
-    force = system.gradient().copy()
+    force = system.gradient()
     right = np.isclose(mesh.nodes[:, 0], 0.025)
     sides = np.isclose(np.abs(mesh.nodes[:, 1]), 0.01) | np.isclose(np.abs(mesh.nodes[:, 0]), 0.025)
     expected = p["E_pa"] * p["thickness_m"] * 0.02 * strain
@@ -56,7 +57,7 @@ def test_orthotropic_sheet_is_stiffer_along_its_grain():
     mesh = strip("irregular")
     system, term = membrane(mesh, ORTHOTROPIC)
     area, h = mesh.areas.sum(), ORTHOTROPIC["thickness_m"]
-    compliance, stress = np.linalg.inv(term._c[0] / h), 1e3
+    compliance, stress = np.linalg.inv(term.stiffness[0] / h), 1e3
 
     def modulus(direction):
         c, s = np.cos(direction), np.sin(direction)
@@ -78,32 +79,8 @@ def test_rotation_costs_nothing_and_turns_the_forces():
     system.x[:] = rotation.apply(mesh.nodes)
     assert system.energy() < 1e-20
     system.x[:] = x
-    energy, force = system.energy(), system.gradient().copy()
+    energy, force = system.energy(), system.gradient()
     system.x[:] = rotation.apply(x) + [0.3, -0.2, 0.1]
     assert system.energy() == pytest.approx(energy, rel=1e-9)
     scale = np.abs(force).max()
     np.testing.assert_allclose(system.gradient(), rotation.apply(force), atol=1e-8 * scale)
-
-
-def test_foreseen_stress_is_that_of_the_linearised_strain():
-    """A turn about x by the linear step stretches the sheet; the foreseen tangent does not see that stress: it is
-    the sum of A_T L^T C L with L the derivative of the strains, by differences of them."""
-    mesh = strip("regular")
-    system, term = membrane(mesh)
-    move = np.zeros_like(mesh.nodes)
-    move[:, 2] = 0.5 * mesh.nodes[:, 1]
-    system.x[:] = mesh.nodes + move
-    system.foresee(move)
-    foreseen = full(system.hessian(exact=True))
-    columns, h = [], 1e-7
-    for k in range(move.size):
-        nudge = h * np.eye(1, move.size, k).reshape(-1, 3)
-        ends = [term.strains_at(system.x + sign * nudge) for sign in (1.0, -1.0)]
-        columns.append((ends[0] - ends[1]).ravel() / (2.0 * h))
-    slope = np.stack(columns, axis=1).reshape(len(mesh.triangles), 3, -1)
-    material = np.einsum("t,tia,tij,tjb->ab", term.areas, slope, term._c, slope)
-    np.testing.assert_allclose(foreseen, material, atol=1e-7 * material.max())
-    system.foresee(None)
-    true = full(system.hessian(exact=True))
-    assert np.abs(true - foreseen).max() > 0.01 * np.abs(true).max()
-    check_derivatives(system, mesh.nodes + move)

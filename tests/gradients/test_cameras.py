@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gradient_scenes import PRESS
 from test_adjoint import EFFECTS, TIGHT, small, weights
-from test_linearised import PRESS
 
 from sim_core.gradients import Backward, Direction, Tape, directions, simulate_tangent
 from sim_core.rigs import list_parameters, load_rig, with_parameters

@@ -7,10 +7,10 @@ import json
 
 import numpy as np
 import pytest
-from test_linearised import laid
+from gradient_scenes import laid
 
 from sim_core.errors import ConfigError
-from sim_core.gradients import Backward, Tape, adjoint, directions, on_core, tangent
+from sim_core.gradients import Backward, Tape, adjoint, directions, tangent
 from sim_core.gradients.directions import RELATIVE_STEP
 from sim_core.rigs import list_parameters, parse_rig, with_parameters
 from sim_core.rigs.motion import Experiment, compile_experiment
@@ -67,8 +67,7 @@ def test_a_wrong_derivative_is_named(small_rig, monkeypatch):
         keys, table = plain(scene, along)
         return keys, 1.01 * table
 
-    for module in (tangent, on_core):
-        monkeypatch.setattr(module, "slopes", wrong)
+    monkeypatch.setattr(tangent, "slopes", wrong)
     passed, text = check_gradients(small_rig(), EXPERIMENT, ["card.E"], steps=(1e-3,))
     assert not passed
     line = next(line for line in text.splitlines() if line.startswith("card.E_pa = 2e+09 in side"))
@@ -77,7 +76,7 @@ def test_a_wrong_derivative_is_named(small_rig, monkeypatch):
 
 @pytest.mark.parametrize("error", [1.5, 1.001, np.nan])
 def test_a_derivative_that_is_wrong_both_ways_is_named(small_rig, monkeypatch, error):
-    for module in (tangent, on_core, adjoint):
+    for module in (tangent, adjoint):
 
         def wrong(scene, along, plain=module.slopes):
             keys, table = plain(scene, along)

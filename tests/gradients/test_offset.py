@@ -8,14 +8,13 @@ from scipy.spatial.transform import Rotation
 from test_adjoint import CASES, TIGHT, ball, small, swung, weights
 from test_tangent import RUB
 
-from sim_core.errors import ConvergenceError
 from sim_core.gradients import Backward, Tape, directions, simulate_tangent
 from sim_core.rigs import with_parameters
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.scene.offset import offset_motion, with_offsets
-from sim_core.simulate import Simulation, simulate
+from sim_core.simulate import simulate
 
 OFF = dict(zip(OFFSETS, (4e-4, -3e-4, 2e-4, 0.4, -0.3, 0.5), strict=True))
 
@@ -148,20 +147,3 @@ def test_forward_is_the_sum_of_the_pose_gradients(case, small_rig, visit):
         for other in (expected, np.array(list(back.parameters.values())) * UNITS):
             assert np.all(np.abs(products.reshape(-1, 6).sum(axis=0) - other) <= 1e-8 * size), channel
     assert compared
-
-
-def test_steps_that_are_halved(small_rig, visit, monkeypatch):
-    """Some whole steps do not converge, and are made in two parts, the second of them in two again."""
-    rig, poses, times = small(RUB, 0.32)(small_rig, visit)
-    turned = {m: PoseTrajectory.from_samples(
-        p.times, p.positions, Rotation.from_rotvec(np.outer(p.times, [0.0, 0.1, 0.2])).as_quat()
-    ) for m, p in poses.items()}  # fmt: skip
-    plain = Simulation._advance
-
-    def reluctant(self, end, dt):
-        if dt > 0.012 or (dt > 0.006 and self.state.t > 0.27):
-            raise ConvergenceError("too long.", "")
-        return plain(self, end, dt)
-
-    monkeypatch.setattr(Simulation, "_advance", reluctant)
-    compare(off(rig), turned, times, 1e-5)

@@ -194,8 +194,7 @@ def test_what_follows_a_mount_that_starts_elsewhere(settles, small_rig):
     poses = {"finger": PoseTrajectory(np.array([0.0, 0.05, 0.1]), path, turns)}
     scene = build_scene(parse_rig(data, "elsewhere"))
     shake(scene, 5e-5)
-    tape = Tape(scene, poses, np.linspace(0.0, 0.08, 5), TIGHT)
-    assert bool(tape.settling) == settles
+    assert scene.all_held == settles
     check(scene, poses, np.linspace(0.0, 0.08, 5), 1e-5, singles=1, steps=(1e-6, 3e-7))
 
 

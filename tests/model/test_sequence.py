@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_core.gradients.frozen_path import Amendment, RememberingSimulation, simulate_responses
+from sim_core.gradients.amendments import Amendment
+from sim_core.gradients.frozen_path import let_remember
 from sim_core.permanent_state import lasting
 from sim_core.rigs import parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
-from sim_core.simulate import run, step_times
+from sim_core.simulate import step_times
 from sysid.model.parameters import fit_parameters, rig_at, start_of
 from sysid.model.predictor import SerialPredictor
 from sysid.model.sequence import earlier_motion
@@ -213,20 +214,17 @@ def test_what_a_law_would_have_left_is_looked_at_along_the_frozen_paths():
 
 
 @pytest.mark.parametrize("effects", [YIELDS, RUBS])
-def test_what_amendments_remember_without_responses_is_that_with_them(effects):
-    plain = strip()
-    found = []
-    for alone in (True, False):
-        scene, rig = build_scene(plain), plain.model_copy(update={"effects": effects})
-        amendment, times = Amendment("law", rig, build_scene(rig)), step_times(0.0, BEND_S, 0.02)
-        if alone:
-            run(RememberingSimulation(scene, [amendment]), bend(0.8), times)
-        else:
-            simulate_responses(scene, bend(0.8), times, [], [amendment])
-        found.append({(t, n): v for t, own in amendment.internals.items() for n, v in own.items()})
-    assert max(np.abs(v).max() for v in found[0].values()) > 0.1
-    for key, values in found[0].items():
-        np.testing.assert_allclose(values, found[1][key], rtol=1e-9, atol=1e-12, err_msg=str(key))
+def test_what_a_law_remembers_along_the_path_of_itself_is_what_it_leaves(effects):
+    """Where the baseline has the law too, its path is that of the law."""
+    plain = strip(**effects)
+    scene, times = build_scene(plain), step_times(0.0, BEND_S, 0.02)
+    amendment = Amendment("law", plain, build_scene(plain))
+    left = let_remember(scene, bend(0.8), times, [amendment]).left
+    assert max(np.abs(v).max() for own in left.internals.values() for v in own.values()) > 0.1
+    assert amendment.kept.keys() == left.internals.keys()
+    for term, own in left.internals.items():
+        for name, value in own.items():
+            np.testing.assert_allclose(amendment.kept[term][name], value, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
 def test_laws_that_last_are_looked_at_beside_one_that_the_rig_has():

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sysid.diagnosis.one_model import OneModel, ProbableSet
 from sysid.diagnosis.result import (
     Candidate,
     Diagnosis,
@@ -33,7 +34,7 @@ PROVENANCE = {
         {"path": "bags/press_2", "sha256": ["a7" * 32], "held_out": False, "notes": []},
         {"path": "bags/slide_1", "sha256": ["0c" * 32], "held_out": True, "notes": []},
     ],
-    "versions": {"python": "3.11.7", "thinshell_ros": "0.1.0", "numpy": "2.2.0", "taichi": "1.7.4"},
+    "versions": {"python": "3.11.7", "thinshell_ros": "0.1.0", "numpy": "2.2.0", "scipy": "1.15.0"},
     "machine": "Linux x86_64",
     "seed": 0,
     "command": "thinshell fit card_press bags/press_1 bags/press_2 --held-out bags/slide_1 --out fit",
@@ -239,6 +240,16 @@ def make_diagnosis(verdict: str, **changes: object) -> Diagnosis:
         "seconds": 1812.0,
         "series": make_series(RUNS),
         "explained": 0.968,
+        "one_model": OneModel(
+            "named",
+            "By the one model: the gel relaxes (93 %). Something that no known effect describes: 4 %. Nothing: "
+            "less than 1 %.",
+            (ProbableSet(("gel_relaxation",), "the gel relaxes", 0.93),),
+            0.003,
+            0.04,
+            {"gel_relaxation": 0.95},
+            {"gel": 0.99},
+        ),
     }
     if verdict == "one_of":
         values |= {

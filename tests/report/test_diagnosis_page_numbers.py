@@ -81,7 +81,7 @@ def unit_of(pointer: str, held: list[Any]) -> str:
         return TIMES
     if name in SHARES:
         return "%"
-    if name == "seconds" or pointer.startswith("/located/windows"):
+    if name == "seconds" or pointer.startswith(("/located/windows", "/parted")):
         return "s"
     if pointer.startswith("/upper_limits"):
         effect, amplitude = name.removeprefix("effects.").rsplit(".", 1)
@@ -144,6 +144,22 @@ def test_every_number_on_the_page_is_in_the_result(diagnosis_pages: dict[str, Pa
     walk, data = walked(diagnosis_pages[verdict], make_diagnosis(verdict))
     assert len(walk.marked) > 40
     check(walk, data)
+
+
+def test_a_replay_that_parted_from_its_prediction_opens_the_page_with_that_window(tmp_path: Path) -> None:
+    """The recording that fits best is shown first, though others are missed more, and no time far from the window."""
+    diagnosis = make_diagnosis("named", parted={"press_2": ((1.31, 1.52), (3.1, 3.2))})
+    walk, data = walked(write_diagnosis_report(diagnosis, tmp_path / "a.html"), diagnosis)
+    check(walk, data)
+    assert any("While it was replayed, press_2 parted from its prediction:" in words for words in walk.words)
+    marked = [a["data-at"] for a, _ in walk.marked]
+    assert {f"/parted/press_2/{k}/{i}" for k in (0, 1) for i in (0, 1)} <= set(marked)
+    first = (tmp_path / "a.html").read_text().partition('<div class="first">')[2].partition("</figure>")[0]
+    shown = re.search(r"of press_2 .* instants from (\S+) to (\S+) s", first)
+    assert shown is not None
+    begin, end = float(shown[1]), float(shown[2])
+    assert 1.0 < begin < 1.31 and 1.52 < end < 1.8
+    assert "press_2 parted from its prediction: 1.31 to 1.52 s, 3.10 to 3.20 s" in diagnosis.table()
 
 
 def test_many_recordings_are_numbers_of_the_result_too(tmp_path: Path) -> None:

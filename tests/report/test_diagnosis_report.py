@@ -28,6 +28,7 @@ from sim_core.simulate import Trace
 from sysid.diagnosis.baseline import Baseline
 from sysid.diagnosis.candidates import Amplitude, Hypothesis
 from sysid.diagnosis.diagnose import _collect
+from sysid.diagnosis.ledger_rows import Free
 from sysid.diagnosis.report_notes import Screened
 from sysid.diagnosis.residual_analysis import structure
 from sysid.diagnosis.result import VERDICTS, Diagnosis, Located, Misfit, NamedParameter
@@ -120,7 +121,7 @@ def empty_diagnosis() -> Diagnosis:
     size = next(p for p in relaxation.parameters if p.name == "share")
     law = Hypothesis("gel_relaxation", relaxation, {"tau_s": 0.2}, (Amplitude(size, 0.0, 0.25),))
     gram = np.array([[90.0, 3.0], [3.0, 360.0]])
-    screen = Screen(base, [law], [Block("pull", gram, np.zeros(2))])
+    screen = Screen(base, [law], [Block("pull", gram, np.zeros(2))], Free((), (), ()))
     whole = Baseline(problem, base, Problem([], noise, cast(SerialPredictor, None)), None, noise, [], (), None)
     case = Case(structure(problem, base), None, 3.0)
     return _collect(rig, whole, case, Verdict("nothing_missing", ()), [], Screened(screen, screen.singles(), {}))[0]

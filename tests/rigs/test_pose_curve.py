@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sim_core.rigs.pose_curve import _Smoothing
 from sim_core.rigs.trajectory import PoseTrajectory
 
 STAMPS = np.arange(0.0, 4.0, 0.01)
@@ -104,3 +105,69 @@ def test_a_gap_is_bridged_by_a_straight_line() -> None:
     share = (1.3 - t[99]) / (t[100] - t[99])
     expected = path.positions[99] + share * (path.positions[100] - path.positions[99])
     np.testing.assert_allclose(path.at(1.3)[0], expected, atol=1e-12)
+
+
+def test_draws_about_the_curve_have_the_covariance_of_a_smoothing_spline() -> None:
+    """Against (1 + lambda K)^-1 from dense second differences and products of hats."""
+    t = np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 9))
+    h = np.diff(t)
+    second, moments = np.zeros((9, 7)), np.zeros((7, 7))
+    for k in range(7):
+        second[k : k + 3, k] = 1.0 / h[k], -1.0 / h[k] - 1.0 / h[k + 1], 1.0 / h[k + 1]
+        moments[k, k] = (h[k] + h[k + 1]) / 3.0
+        if k < 6:
+            moments[k, k + 1] = moments[k + 1, k] = h[k + 1] / 6.0
+    expected = np.linalg.inv(np.eye(9) + 0.3 * second @ np.linalg.solve(moments, second.T))
+    draws = _Smoothing(t).draw(40000, 0.3, np.random.default_rng(2))
+    np.testing.assert_allclose(draws @ draws.T / 40000, expected, atol=0.02)
+
+
+def test_the_true_motion_is_as_far_from_the_curve_as_draws_are() -> None:
+    noisy = recorded(STAMPS, noise=(2e-5, 1e-4)).smoothed()
+    position, quaternion = noisy.sample(WITHIN)
+    true_position, rotation = shaken(WITHIN)
+    rng = np.random.default_rng(3)
+    draws = [noisy.drawn(rng).sample(WITHIN) for _ in range(20)]
+    off = np.sqrt(np.mean((position - true_position) ** 2))
+    assert off == pytest.approx(np.sqrt(np.mean([(p - position) ** 2 for p, _ in draws])), rel=0.3)
+    turned = np.sqrt(np.mean((Rotation.from_quat(quaternion) * rotation.inv()).as_rotvec() ** 2))
+    turns = [(Rotation.from_quat(q) * Rotation.from_quat(quaternion).inv()).as_rotvec() for _, q in draws]
+    assert turned == pytest.approx(np.sqrt(np.mean(np.square(turns))), rel=0.3)
+    # Poses without noise leave nothing open.
+    exact = recorded(STAMPS)
+    np.testing.assert_array_equal(exact.drawn(rng).sample(WITHIN)[0], exact.sample(WITHIN)[0])
+
+
+def test_axes_along_which_a_hand_is_at_rest_are_known_better_than_that_along_which_it_moves() -> None:
+    """A straight line through n samples is off by sigma (2 / n)^(1/2), and motion is not to keep it from being one."""
+    rng, sigma, least = np.random.default_rng(4), 2e-5, np.sqrt(2.0 / len(STAMPS))
+    axes = Rotation.from_euler("xyz", [0.3, -1.1, 0.7]).as_matrix()
+    true = np.column_stack([0.01 * np.sin(2.0 * np.pi * 3.0 * STAMPS), 0.0 * STAMPS, 0.0 * STAMPS])
+    level = np.tile([0.0, 0.0, 0.0, 1.0], (len(STAMPS), 1))
+    off, drawn = [], []
+    for _ in range(12):
+        noisy = true + sigma * rng.normal(size=true.shape)
+        own = PoseTrajectory(STAMPS, noisy, level, (sigma, 0.0))
+        near = own.sample(STAMPS)[0]
+        turned = PoseTrajectory(STAMPS, noisy @ axes.T, level, (sigma, 0.0))
+        np.testing.assert_allclose(turned.sample(STAMPS)[0] @ axes, near, atol=1e-3 * sigma)
+        off.append(np.sqrt(np.mean((near - true) ** 2, axis=0)) / sigma)
+        drawn.append(np.sqrt(np.mean((own.drawn(rng).sample(STAMPS)[0] - near) ** 2, axis=0)) / sigma)
+    for found in (np.array(off), np.array(drawn)):
+        assert np.median(found[:, 1:]) < 2.0 * least
+        assert found[:, 0].min() > 4.0 * least
+    assert np.mean(np.square(drawn)) == pytest.approx(np.mean(np.square(off)), rel=0.3)
+
+
+@pytest.mark.parametrize("known_to", [0.9, 1.0, 1.1])
+def test_the_weight_has_the_least_error_although_the_noise_is_not_known_exactly(known_to: float) -> None:
+    """Against the error itself at weights by quarters of a decade."""
+    rng, smoothing = np.random.default_rng(6), _Smoothing(STAMPS)
+    for true in (np.sin(6.0 * STAMPS), 0.01 * STAMPS, 0.1 * np.sin(3.0 * STAMPS)):
+        y = true + 1e-3 * rng.normal(size=len(true))
+
+        def error(weight: float, y: np.ndarray = y, true: np.ndarray = true) -> float:
+            return float(np.sqrt(np.mean((y - smoothing.off(y, weight) - true) ** 2)))
+
+        least = min(error(weight) for weight in 10.0 ** np.arange(-10.0, 6.0, 0.25))
+        assert error(smoothing.weight(y, known_to * 1e-3)) < 1.5 * least

@@ -12,6 +12,9 @@ from sim_core.scene import build_scene
 from sim_core.scene.assembly import contact_triangles
 from sim_core.sensing.observe import frame_of
 from sim_core.simulate import Simulation, step_times
+from sim_core.solve.state import State
+from sim_core.solve.step import potential
+from sim_core.solve.system import System
 
 G = 9.81
 
@@ -57,12 +60,12 @@ class Run:
         mass = system.mass
         kinetic = 0.5 * float(np.sum(self.v[step] * (mass @ self.v[step])))
         weight = -float(np.sum((mass @ self.x[step]) @ system.gravity))
-        system.x[:] = self.x[step]
-        system._energy[0] = 0.0
-        for term in system.terms:
-            if not term.name.startswith("contact."):
-                term.add_energy()
-        return kinetic, weight + float(system._energy[0])
+        terms = [term for term in system.terms if not term.name.startswith("contact.")]
+        free = System(
+            system.nodes, mass, system.prescribed, terms, np.zeros(3), inertia=False, embedding=system.embedding
+        )
+        still = State(0.0, self.x[step], np.zeros_like(self.x[step]), free.initial_internals())
+        return kinetic, weight + potential(free, still).energy
 
 
 def run(rig_name, experiment, effects=None):

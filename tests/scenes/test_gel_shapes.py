@@ -12,7 +12,7 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import Gel, Points, marker_positions, parse_rig
 from sim_core.scene.scene import Scene, build_scene
 from sim_core.simulate import Simulation
-from sim_core.validation.gels import HALF_SIDE, LAYER, MODULUS, RADIUS, THICKNESS
+from sysid.validation.gels import HALF_SIDE, LAYER, MODULUS, RADIUS, THICKNESS
 
 QUARTER = {"symmetry": ["x", "y"]}
 GRADED = [{"towards": "x_middle", "ratio": 0.12}, {"towards": "y_middle", "ratio": 0.12}]
@@ -58,7 +58,7 @@ def pressed(data: dict[str, Any], depth: float, steps: int = 4) -> np.ndarray:
     for k in range(1, steps + 1):
         place = np.array([0.0, 0.0, RADIUS - depth * k / steps])
         simulation.step({"hand": (place, Rotation.identity())}, 1.0)
-    return simulation.observer.read(simulation.scene.rig, simulation.frames)["wrench"][:3]
+    return simulation.read()["wrench"][:3]
 
 
 def layer(cells: list[int], **more: Any) -> dict[str, Any]:
@@ -137,7 +137,7 @@ def test_markers_on_a_disc_are_found_in_its_elements(points: dict[str, Any]) -> 
         "type": "markers", "body": "gel", "points": points, "frame_id": "gel", "rate_hz": 10.0, "topic": "skin",
     }  # fmt: skip
     simulation = Simulation(built(data))
-    seen = simulation.observer.read(simulation.scene.rig, simulation.frames)["skin"]
+    seen = simulation.read()["skin"]
     expected, _ = marker_positions(simulation.scene.rig.sensors["skin"].points, simulation.scene.rig.bodies["gel"])
     assert seen == pytest.approx(expected, abs=1e-9)
 

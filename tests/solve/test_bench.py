@@ -6,26 +6,26 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from sim_core.bench import measure, measure_gradients
-from sim_core.bench.gradients import gradient_lines
-from sim_core.bench.machine import peak_memory_mb
-from sim_core.bench.report import run_benchmarks, scaling_lines
-from sim_core.bench.scale import DIFFCLOTH, MESHES, Mesh, Published, Scaling, Size, growth, measure_size
-from sim_core.bench.scenes import SCENES, measure_scene, scene_lines
 from sim_core.errors import ConfigError
 from sim_core.rigs.load import names_in
+from sysid.bench import measure, measure_gradients
+from sysid.bench.gradients import SCENES as GRADIENT_SCENES
+from sysid.bench.gradients import gradient_lines
+from sysid.bench.machine import peak_memory_mb
+from sysid.bench.report import run_benchmarks, scaling_lines
+from sysid.bench.scale import DIFFCLOTH, MESHES, Mesh, Published, Scaling, Size, growth, measure_size
+from sysid.bench.scenes import SCENES, measure_scene, scene_lines
 
 
 @pytest.mark.slow
 def test_benchmark_is_the_workload_that_it_says():
-    """About 1,700 unknowns, contact of both pairs with friction, every step converged, every second counted."""
+    """About 1,700 unknowns, contact of both pairs with friction, every step converged."""
     found = measure()
     assert 1650 <= found.unknowns <= 1750
     assert found.steps == 120
     assert found.contact_steps > 60
     assert found.most_contacts > 20
-    assert sum(found.parts_s.values()) == pytest.approx(found.clocked_s)
-    assert all(seconds > 0.0 for part, seconds in found.parts_s.items() if part.startswith("assembly"))
+    assert found.path == "compiled core"
     assert found.factorisations_per_step < 2.5
     assert json.loads(json.dumps(asdict(found)))["rig"] == "forming"
 
@@ -109,16 +109,14 @@ def test_quick_and_scenes_exclude_each_other():
         run_benchmarks(quick=True, scenes=True)
 
 
-def test_the_adjoint_is_timed_every_way_and_memory_grows_with_the_horizon():
-    found = measure_gradients(steps=4, horizons=(4, 9))
-    rates = {name: value for name, value in asdict(found).items() if isinstance(value, float)}
-    assert len(rates) == 8
-    assert min(rates.values()) > 0.0
-    short, long = found.horizons
-    for horizon in found.horizons:
-        assert horizon.states_mb < horizon.checkpoints_mb < horizon.kept_mb
-    assert long.kept_mb / short.kept_mb > 1.1 * long.checkpoints_mb / short.checkpoints_mb  # 9 to 4 steps, and 3 to 2
+@pytest.mark.parametrize("name", GRADIENT_SCENES)
+def test_the_adjoint_is_timed(name):
+    found = measure_gradients(name, steps=3)
+    spent = {key: value for key, value in asdict(found).items() if isinstance(value, float)}
+    assert len(spent) == 6
+    assert min(spent.values()) > 0.0
     text = "\n".join(gradient_lines(found))
-    for rate in (found.backward, found.backward_factors):
-        assert f"{rate:7.1f}{rate / found.forward:9.1f}" in text
-    assert json.loads(json.dumps(asdict(found)))["horizons"][1]["steps"] == 9
+    for value in (found.backward, found.backward_fields):
+        assert f"{value:9.3f}{value / found.forward:10.2f}" in text
+    assert found.backward_to_forward == found.backward_parameters / found.forward
+    assert json.loads(json.dumps(asdict(found)))["steps"] == 3

@@ -9,6 +9,7 @@ import scipy.sparse as sp
 
 from sim_core.energies.membrane import Membrane
 from sim_core.geometry.sheets import rectangle
+from sim_core.solve.modes import tangent_stiffness
 from sim_core.solve.report import NewtonSettings
 from sim_core.solve.step import State, advance
 from sim_core.solve.system import System
@@ -29,10 +30,7 @@ class Mode:
         self.system = System(mesh.nodes, mass, prescribed, [membrane], np.zeros(3), second_order=second_order)
         self.rest = mesh.nodes
         free = ~prescribed[:, 0]
-        self.system.inertia = False
-        upper = self.system.hessian(exact=True).toarray()
-        self.system.inertia = True
-        stiffness = upper + np.triu(upper, 1).T
+        stiffness = tangent_stiffness(self.system).toarray()
         weights = mass.diagonal()[free]
         squared, shapes = scipy.linalg.eigh(stiffness, np.diag(weights))
         self.omega = float(np.sqrt(squared[0]))

@@ -1,17 +1,18 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from potentials import Look
 from scipy.spatial.transform import Rotation
 from sheet_systems import DENSITY, FILM, both_ends, film, left, nothing
 
-import sim_core.solve.sparsity as pattern_module
+from sim_core.energies.membrane import Membrane
+from sim_core.errors import ConfigError
 from sim_core.rigs import parse_rig
 from sim_core.scene import build_scene
-from sim_core.simulate import Simulation
-from sim_core.solve.factor import factorise
-from sim_core.solve.integrator import step_context
-from sim_core.solve.step import State, advance
+from sim_core.solve.step import State, advance, deflections, exerted
+from sim_core.solve.system import System
 from sim_core.solve.unknowns import Compliant
+from sim_core.stepping import Simulation
 
 
 def rough(system, amplitude=2e-4, seed=0):
@@ -19,38 +20,26 @@ def rough(system, amplitude=2e-4, seed=0):
     return system.nodes + amplitude * np.random.default_rng(seed).standard_normal(system.nodes.shape) * free
 
 
-def begin(system, x, dt=0.01):
-    system.set_targets(x)
-    system.x[:] = x
-    system.begin_step(step_context(system.nodes, np.zeros_like(x), dt), system.initial_internals())
-    system.set_targets(x)
-
-
-def dense(upper):
-    matrix = upper.toarray()
-    return matrix + np.triu(matrix, 1).T
-
-
-def by_differences(system, h=1e-8):
-    """The whole Hessian, column by column, from residuals."""
-    unknowns = system.unknowns()
-    columns = []
-    for k in range(unknowns.size):
-        shift = h * np.eye(1, unknowns.size, k)[0]
-        system.set_unknowns(unknowns + shift)
-        plus = system.residual().copy()
-        system.set_unknowns(unknowns - shift)
-        columns.append((plus - system.residual()) / (2.0 * h))
-    system.set_unknowns(unknowns)
-    return np.array(columns).T
-
-
 @pytest.mark.parametrize("inertia", [True, False])
 def test_every_entry_of_the_hessian_is_where_it_belongs(inertia):
     system, _ = film(left, inertia=inertia, cells=(5, 2))
-    begin(system, rough(system))
-    found, expected = dense(system.hessian(exact=True)), by_differences(system)
-    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+    look = Look(system)
+    look.begin(system.nodes, dt=0.01)
+    assert_derivatives(look, rough(system))
+
+
+def assert_derivatives(look, x):
+    """The whole Hessian, column by column, from residuals."""
+    columns, h = [], 1e-8
+    for shift in h * np.eye(look.system.n_unknowns):
+        ends = []
+        for sign in (1.0, -1.0):
+            look.x[:] = x
+            look.move(sign * shift)
+            ends.append(look.residual())
+        columns.append((ends[0] - ends[1]) / (2.0 * h))
+    look.x[:], expected = x, np.array(columns).T
+    np.testing.assert_allclose(look.hessian(exact=True), expected, atol=1e-6 * np.abs(expected).max())
 
 
 def compliant_film():
@@ -62,13 +51,11 @@ def compliant_film():
 
 def test_hessian_with_nodes_that_give_way_together():
     system, right = compliant_film()
-    begin(system, rough(system))
-    values = system.unknowns()
-    values[-3:] = [1e-4, -2e-4, 3e-4]
-    system.set_unknowns(values)
-    np.testing.assert_allclose(system.x[right] - system.nodes[right], np.tile(values[-3:], (len(right), 1)))
-    found, expected = dense(system.hessian(exact=True)), by_differences(system)
-    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+    look = Look(system)
+    look.begin(system.nodes, dt=0.01)
+    look.targets, x = system.nodes, rough(system)
+    x[right] += [1e-4, -2e-4, 3e-4]
+    assert_derivatives(look, x)
 
 
 def test_a_spring_gives_way_by_force_times_compliance():
@@ -78,42 +65,10 @@ def test_a_spring_gives_way_by_force_times_compliance():
     system.loads[right] = np.array([0.0, 0.0, 0.1]) / len(right)
     state = State(0.0, system.nodes, np.zeros_like(system.nodes), system.initial_internals())
     advance(system, state, system.nodes, 1.0)
-    pull = -system.static_gradient()[right].sum(axis=0) + system.loads[right].sum(axis=0)
-    np.testing.assert_allclose(system.deflections[0], pull * [1e-4, 2e-4, 5e-4], rtol=1e-6, atol=1e-12)
-    assert system.deflections[0, 2] > 1e-7
-
-
-def test_force_on_the_unknowns_from_moving_what_is_prescribed():
-    system, _ = film(left)
-    x = rough(system)
-    begin(system, x)
-    system.hessian(exact=True)
-    move = np.where(system.prescribed, 1e-7 * np.random.default_rng(1).standard_normal(x.shape), 0.0)
-    predicted = system.follow(move)
-    system.set_targets(x + move)
-    after = system.residual().copy()
-    system.set_targets(x - move)
-    change = 0.5 * (after - system.residual())
-    np.testing.assert_allclose(predicted, change, atol=1e-5 * np.abs(change).max())
-
-
-def test_factor_solves_and_is_refused_where_the_matrix_is_not_definite():
-    system, _ = film(left)
-    begin(system, system.nodes)
-    upper = system.hessian()
-    rhs = np.random.default_rng(2).standard_normal((system.n_unknowns, 2))
-    solution = system.factor(upper, definite=True).solve(rhs)
-    np.testing.assert_allclose(dense(upper) @ solution, rhs, atol=1e-9)
-    one = factorise(upper, definite=True).solve(rhs[:, 0])
-    np.testing.assert_allclose(one, solution[:, 0], rtol=1e-9, atol=1e-15)
-
-
-def test_storage_grows_when_contact_needs_more_than_was_spared(monkeypatch):
-    """With hardly any place spared, the results of a press are the same to round-off."""
-    rig = pressed_rig()
-    reference = pressed(rig)
-    monkeypatch.setattr(pattern_module, "SPARE_PAIRS", 4)
-    np.testing.assert_allclose(pressed(rig), reference, atol=1e-12)
+    pull = -exerted(system)[right].sum(axis=0) + system.loads[right].sum(axis=0)
+    given = deflections(system)[0]
+    np.testing.assert_allclose(given, pull * [1e-4, 2e-4, 5e-4], rtol=1e-6, atol=1e-12)
+    assert given[2] > 1e-7
 
 
 def pressed_rig(turn=None):
@@ -170,7 +125,7 @@ def test_two_runs_are_equal_bit_for_bit():
     rig = pressed_rig()
     first = pressed(rig)
     system, _ = film(left)
-    begin(system, system.nodes)
+    Look(system).energy()
     assert np.array_equal(pressed(rig), first)
 
 
@@ -182,10 +137,17 @@ def test_turning_the_whole_scene_turns_its_motion(turn):
     np.testing.assert_allclose(turned, expected, atol=1e-9)
 
 
-def test_mass_of_another_pattern_is_refused():
-    system, mesh = film(left)
-    with pytest.raises(ValueError, match="pattern"):
-        system.set_mass(sp.csr_matrix(np.ones((len(mesh.nodes),) * 2)))
+def test_a_term_that_the_core_has_no_elements_for_is_refused():
+    class Own(Membrane):
+        pass
+
+    mesh = film(left)[1]
+    term = Own("own", mesh.nodes, mesh.triangles, np.array([1.0, 0.0, 0.0]))
+    term.configure(FILM)
+    none = sp.csr_matrix((len(mesh.nodes),) * 2)
+    system = System(mesh.nodes, none, np.ones(mesh.nodes.shape, dtype=bool), [term], np.zeros(3))
+    with pytest.raises(ConfigError, match=r"no elements for own \(Own\)"):
+        Look(system).energy()
 
 
 def test_free_flight_keeps_momentum_and_falls_as_it_should():
@@ -225,6 +187,6 @@ def test_the_clamp_carries_the_weight():
     state = State(0.0, mesh.nodes, np.zeros_like(mesh.nodes), system.initial_internals())
     advance(system, state, mesh.nodes, 1.0)
     held = left(mesh.nodes)
-    reaction = system.static_gradient()[held].sum(axis=0)
+    reaction = exerted(system)[held].sum(axis=0)
     free_weight = 9.81 * system.mass.diagonal()[~held].sum()
     np.testing.assert_allclose(-reaction, [0.0, 0.0, -free_weight], atol=1e-6 * free_weight)

@@ -1,4 +1,4 @@
-"""Run kernels by Taichi and by the lowered header, on the same random arrays."""
+"""Run kernels as Python and by the lowered header, on the same random arrays."""
 
 import ast
 import ctypes
@@ -6,6 +6,7 @@ import importlib
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,25 +22,38 @@ NARROW = {"nodes": 4, "weights": 4}
 FLAGS = {"exact", "foreseen"}
 
 
-class Kernels:
-    """Kernels of one module: as Taichi and as C++."""
+class Declared:
+    """An array that says that it has few rows."""
 
-    def __init__(self, folder: Path, module: str) -> None:
+    def __init__(self, values: np.ndarray) -> None:
+        self._values, self.shape = values, (ROWS, *values.shape[1:])
+
+    def __getitem__(self, at: int | tuple[int, ...]) -> Any:
+        return self._values[at]
+
+    def __setitem__(self, at: int | tuple[int, ...], value: float) -> None:
+        self._values[at] = value
+
+
+class Kernels:
+    """Kernels of one module: as Python and as C++."""
+
+    def __init__(self, folder: Path, module: str, path: Path | None = None) -> None:
         library = Library()
-        source = library.source(module)
+        source = library.source(module, path)
         assert source is not None
         self._module = importlib.import_module(module)
         self._kinds: dict[str, dict[str, str]] = {}
         entries = []
         for name in source.laws:
             node = source.functions[name]
-            if "ti.kernel" in decorators(node):
+            if "lang.kernel" in decorators(node):
                 library.need(source, node)
                 self._kinds[name] = {a.arg: ast.unparse(a.annotation) for a in node.args.args if a.annotation}
                 entries.append(self._entry(source.space, name))
         (folder / "laws.hpp").write_text(library.text())
         (folder / "kernels.cpp").write_text('#include "laws.hpp"\nusing namespace thinshell;\n' + "".join(entries))
-        # Without fused multiply-add, as Taichi computes: or what is exactly zero in one is not in the other.
+        # Without fused multiply-add, as Python computes: or what is exactly zero in one is not in the other.
         flags = ["-std=c++17", "-O1", "-ffp-contract=off", "-shared", "-fPIC", f"-I{HERE / 'include'}", f"-I{folder}"]
         target = folder / "kernels.so"
         subprocess.run([str(compiler()), *flags, str(folder / "kernels.cpp"), "-o", str(target)], check=True)
@@ -80,9 +94,9 @@ class Kernels:
             out[0] = random.integers(0, 4)
         return np.asarray(out)
 
-    def by_taichi(self, name: str, arrays: list[np.ndarray]) -> None:
+    def by_python(self, name: str, arrays: list[np.ndarray]) -> None:
         kernel: Callable[..., None] = getattr(self._module, name)
-        kernel(*(a[:ROWS] for a in arrays))
+        kernel(*(Declared(a) for a in arrays))
 
     def by_header(self, name: str, arrays: list[np.ndarray]) -> None:
         pointers = (ctypes.c_void_p * len(arrays))(*(a.ctypes.data for a in arrays))

@@ -1,5 +1,5 @@
 """A plant for the replay's guards: an end effector that follows its target with a lag and presses on a wall, sensors
-with latency, a control loop with jitter, and one fault. No ROS.
+with latency and noise, a control loop with jitter, and one fault. No ROS.
 
 Everything that the guards could know, and when, is in the log; :func:`first_violation` says from the log alone, by the
 words of docs/replay.md, in which control period a replay had to end.
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import random
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,16 +18,24 @@ import numpy as np
 from sim_core.rigs.trajectory import minimum_jerk
 from sim_core.rigs.yamlfile import validate
 from sim_core.trajectories import Limits, Trajectory
-from thinshell_ros.replay.guard import GuardSettings, Instant, Placed
+from thinshell_ros.replay.guard import GuardSettings
 from thinshell_ros.replay.session import Session
+from thinshell_ros.replay.streams import Instant
+from thinshell_ros.replay.tracking import Placed
 
 STEP_S = 0.001
 PERIOD_S = 0.01
 JITTER_S = 0.002
 SENSOR_PERIOD_S = 0.005
+MARKER_PERIOD_S = 0.02
 DEPTH_M = 0.02
 WALL_M = -0.016
 STIFFNESS_N_PER_M = 1000.0
+PEAK_N = STIFFNESS_N_PER_M * (DEPTH_M + WALL_M)
+NOISE_N = 0.01
+LAG_S = 0.1
+NEAR_M = 0.002
+MARKERS = 12
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 EPOCH_S = 1.7e9
 """The ROS clock when the steady one shows 0."""
@@ -39,46 +48,81 @@ SETTINGS = GuardSettings(
         max_force_n=6.0,
     ),
     period_s=PERIOD_S,
-    tracking_tolerance_m=0.005,
     pose_timeout_s=0.06,
     wrench_timeout_s=0.08,
+    marker_timeout_s=0.08,
     clock_tolerance_s=0.05,
 )
 
 FAULTS = (
-    "none", "lag", "stop", "jump", "sensor_jump", "pose_silent", "wrench_silent", "pose_frozen", "pose_nan",
+    "none", "lag", "late", "stop", "jump", "sensor_jump", "pose_once", "pose_silent", "wrench_silent", "markers_silent",
+    "pose_frozen", "pose_nan", "wrench_dead", "wrench_constant", "wrench_frame", "wrench_turned", "markers_vanish",
     "force_step", "early_contact", "clock_jump", "loop_stall", "commander_killed",
 )  # fmt: skip
 
 
+def height(time_s: np.ndarray) -> np.ndarray:
+    """The press: down by 20 mm in 0.4 s, and up again."""
+    down = minimum_jerk(np.clip(np.asarray(time_s) / 0.4, 0.0, 1.0))
+    up = minimum_jerk(np.clip((np.asarray(time_s) - 0.6) / 0.4, 0.0, 1.0))
+    return np.asarray(-DEPTH_M * (down - up))
+
+
+def contact_force(z: np.ndarray) -> np.ndarray:
+    """Force of the wall [N], where it should be."""
+    return np.asarray(STIFFNESS_N_PER_M * np.maximum(WALL_M - z, 0.0))
+
+
 def press() -> Trajectory:
-    """Down by 20 mm in 0.4 s, and up again: at most 0.094 m/s, 4 N where the wall is where it should be."""
+    """At most 0.094 m/s, 4 N where the wall is where it should be."""
     times = np.arange(101) / 100.0
-    down = minimum_jerk(np.clip(times / 0.4, 0.0, 1.0))
-    up = minimum_jerk(np.clip((times - 0.6) / 0.4, 0.0, 1.0))
     path = {
         "frame_id": "base_link",
-        "positions_m": np.outer(down - up, [0.0, 0.0, -DEPTH_M]),
+        "positions_m": np.outer(height(times), [0.0, 0.0, 1.0]),
         "quaternions_xyzw": np.tile(UPRIGHT, (101, 1)),
+        "tolerance_m": NEAR_M,
+        "max_lag_s": LAG_S,
     }
-    return validate(Trajectory, {"times_s": times, "end_effectors": {"hand": path}}, "press")
+    force = contact_force(height(times))
+    wrench = {
+        "frame_id": "pad",
+        "forces_n": np.outer(force, [0.0, 0.0, -1.0]),
+        "torques_nm": np.zeros((101, 3)),
+        "force_noise_n": NOISE_N,
+        "torque_noise_nm": 1e-4,
+        "rate_hz": 1.0 / SENSOR_PERIOD_S,
+    }
+    rest = np.column_stack([np.arange(MARKERS) * 1e-3, np.zeros(MARKERS), np.zeros(MARKERS)])
+    markers = {
+        "frame_id": "pad",
+        "ids": np.arange(MARKERS),
+        "positions_m": rest + 1e-4 * force[:, None, None] * np.array([0.0, 0.0, 1.0]),
+        "position_noise_m": 1e-5,
+        "rate_hz": 1.0 / MARKER_PERIOD_S,
+    }
+    predicted = {"wrenches": {"pad": wrench}, "markers": {"gel": markers}}
+    data = {"times_s": times, "end_effectors": {"hand": path}, "predicted": predicted, "interpolation": "spline"}
+    return validate(Trajectory, data, "press")
 
 
 @dataclass
 class Log:
-    """``poses``, ``wrenches``: (arrival, stamp, z or force); ``ticks``: (steady, ros, commanded z or None);
+    """``poses``: (arrival, stamp, z); ``wrenches``: (arrival, stamp, force along -z, frame, exact repeats);
+    ``markers``: (arrival, stamp, how many); ``ticks``: (steady, ros, commanded z or None, time of the trajectory);
     ``forces``: (time, contact force), true ones; ``ended``: steady time of the tick that ended the replay;
     ``latency``: of the sensors."""
 
     fault: str
     poses: list[tuple[float, float, float]] = field(default_factory=list)
-    wrenches: list[tuple[float, float, float]] = field(default_factory=list)
-    ticks: list[tuple[float, float, float | None]] = field(default_factory=list)
+    wrenches: list[tuple[float, float, tuple[float, float, float], str, int]] = field(default_factory=list)
+    markers: list[tuple[float, float, int]] = field(default_factory=list)
+    ticks: list[tuple[float, float, float | None, float]] = field(default_factory=list)
     forces: list[tuple[float, float]] = field(default_factory=list)
     state: str = ""
     reason: str = ""
     ended: float = math.inf
     latency: float = 0.0
+    alarm: str = ""
 
 
 @dataclass
@@ -94,8 +138,10 @@ class Fault:
     def drawn(cls, kind: str, rng: random.Random) -> Fault:
         """A fault from harmless to grave, at any time of the replay."""
         size = {
-            "lag": (0.02, 0.3), "jump": (-0.012, 0.012), "sensor_jump": (-0.012, 0.012), "force_step": (0.5, 12.0),
-            "early_contact": (0.0, 0.012), "clock_jump": (-0.2, 0.2), "loop_stall": (0.0, 0.3),
+            "lag": (0.02, 0.3), "late": (0.02, 0.8), "jump": (-0.012, 0.012), "sensor_jump": (-0.012, 0.012),
+            "pose_once": (-0.012, 0.012), "force_step": (0.5, 12.0), "early_contact": (0.0, 0.012),
+            "clock_jump": (-0.2, 0.2), "loop_stall": (0.0, 0.3), "wrench_turned": (0.2, 3.1),
+            "markers_vanish": (0.1, 1.0),
         }.get(kind, (0.0, 1.0))  # fmt: skip
         return cls(kind, rng.uniform(0.0, 1.0), rng.uniform(*size), rng.choice([0.03, 0.1, math.inf, math.inf]))
 
@@ -104,25 +150,35 @@ class Fault:
         return self.at <= now < self.at + self.lasts
 
 
-def simulate(fault: Fault, rng: random.Random, settings: GuardSettings = SETTINGS, until: float = 1.8) -> Log:
-    """Execute the press at time 0 on a plant with a fault, and go on for 0.3 s; readings flow since 0.1 s before."""
-    session, log = Session(TRAJECTORY, settings, ["pad"]), Log(fault.kind)
+def simulate(
+    fault: Fault, rng: random.Random, settings: GuardSettings = SETTINGS, until: float = 1.8, scale: float = 1.0
+) -> Log:
+    """Execute the press at time 0 on a plant with a fault, and go on for 0.3 s; readings flow since 0.2 s before."""
+    session = Session(TRAJECTORY, settings, ["pad"], scale, ["gel"])
+    log = Log(fault.kind)
     z = target = 0.0
-    lag, latency = rng.uniform(0.005, 0.04), rng.uniform(0.0, 0.008)
+    lag, latency = rng.uniform(0.005, 0.03), rng.uniform(0.0, 0.008)
+    noise = np.random.default_rng(rng.randrange(2**31))
     log.latency = latency
     wall = WALL_M + (fault.size if fault.kind == "early_contact" else 0.0)
-    waiting: list[tuple[float, str, float, float]] = []
-    stalled = jumped = started = False
-    next_tick, next_reading, frozen = 0.0, -0.1, (0.0, 0.0)
-    for number in range(-100, round(until / STEP_S)):
+    waiting: list[tuple[float, str, float, Any]] = []
+    sent: list[tuple[float, float]] = [(-1.0, 0.0)]
+    stalled = jumped = started = shown_once = False
+    next_tick, next_reading, next_cloud, frozen = 0.0, -0.2, -0.2, (0.0, 0.0)
+    held = np.zeros(3)
+    repeats, last_force = 0, np.full(3, np.nan)
+    for number in range(-200, round(until / STEP_S)):
         now = number * STEP_S
         if now > log.ended + 0.3:
             break
         acts = fault.acts(now)
         ros = EPOCH_S + now + (fault.size if fault.kind == "clock_jump" and now >= fault.at else 0.0)
         slow = fault.size if fault.kind == "lag" and acts else lag
+        aim = target
+        if fault.kind == "late" and now >= 0.0:
+            aim = next(value for when, value in reversed(sent) if when <= now - fault.size or when == -1.0)
         if not (fault.kind == "stop" and acts):
-            z += (target - z) * -math.expm1(-STEP_S / slow)
+            z += (aim - z) * -math.expm1(-STEP_S / slow)
         if fault.kind == "jump" and now >= fault.at and not jumped:
             jumped, z = True, z + fault.size
         contact = STIFFNESS_N_PER_M * max(wall - z, 0.0)
@@ -130,15 +186,34 @@ def simulate(fault: Fault, rng: random.Random, settings: GuardSettings = SETTING
         if now >= next_reading:
             next_reading += SENSOR_PERIOD_S
             shown = z + (fault.size if fault.kind == "sensor_jump" and acts else 0.0)
+            if fault.kind == "pose_once" and now >= fault.at and not shown_once:
+                shown_once, shown = True, z + fault.size
             reading = math.nan if fault.kind == "pose_nan" and acts else shown
             if fault.kind == "pose_frozen" and acts:
                 waiting.append((now + latency, "pose", *frozen))
             elif not (fault.kind == "pose_silent" and acts):
                 frozen = ros, reading
                 waiting.append((now + latency, "pose", ros, reading))
+            force = np.array([0.0, 0.0, -contact]) + NOISE_N * noise.standard_normal(3)
+            force[2] -= fault.size if fault.kind == "force_step" and acts else 0.0
+            if fault.kind == "wrench_turned" and acts:
+                c, s = math.cos(fault.size), math.sin(fault.size)
+                force = np.array([c * force[0] + s * force[2], force[1], c * force[2] - s * force[0]])
+            if fault.kind in ("wrench_dead", "wrench_constant") and acts:
+                force = np.zeros(3) if fault.kind == "wrench_dead" else held
+            held = force
+            frame = "flange" if fault.kind == "wrench_frame" and acts else "pad"
             if not (fault.kind == "wrench_silent" and acts):
-                force = contact + (fault.size if fault.kind == "force_step" and acts else 0.0)
-                waiting.append((now + latency, "wrench", ros, force))
+                repeats = repeats + 1 if np.array_equal(force, last_force) else 0
+                last_force = force
+                waiting.append((now + latency, "wrench", ros, (tuple(force.tolist()), frame, repeats)))
+        if now >= next_cloud:
+            next_cloud += MARKER_PERIOD_S
+            left = MARKERS - (round(fault.size * MARKERS) if fault.kind == "markers_vanish" and acts else 0)
+            rest = TRAJECTORY.predicted.markers["gel"].positions_m[0]
+            places = rest + 1e-4 * contact * np.array([0.0, 0.0, 1.0]) + 1e-5 * noise.standard_normal(rest.shape)
+            if not (fault.kind == "markers_silent" and acts):
+                waiting.append((now + latency, "markers", ros, (left, places)))
         instant = Instant(now, ros)
         hung = fault.kind == "loop_stall" and fault.at <= now < fault.at + fault.size
         if fault.kind == "commander_killed" and now >= fault.at:
@@ -150,10 +225,14 @@ def simulate(fault: Fault, rng: random.Random, settings: GuardSettings = SETTING
             _, kind, stamp, value = waiting.pop(0)
             if kind == "pose":
                 log.poses.append((now, stamp, value))
-                session.guard.take_pose("hand", instant, stamp, "base_link", Placed((0.0, 0.0, value), UPRIGHT))
+                session.take_pose("hand", instant, stamp, "base_link", Placed((0.0, 0.0, value), UPRIGHT))
+            elif kind == "wrench":
+                log.wrenches.append((now, stamp, *value))
+                session.take_wrench("pad", instant, stamp, value[1], value[0], (0.0, 0.0, 0.0))
             else:
-                log.wrenches.append((now, stamp, value))
-                session.guard.take_wrench("pad", instant, stamp, (0.0, 0.0, -value), (0.0, 0.0, 0.0))
+                left, places = value
+                log.markers.append((now, stamp, left))
+                session.take_markers("gel", instant, stamp, "pad", np.arange(left), places[:left])
         if now >= next_tick:
             next_tick = (now if stalled else next_tick) + PERIOD_S
             stalled = False
@@ -163,59 +242,89 @@ def simulate(fault: Fault, rng: random.Random, settings: GuardSettings = SETTING
             command = session.tick(instant)
             if command is not None:
                 target = command["hand"].position[2]
-            log.ticks.append((now, ros, None if command is None else target))
+                sent.append((now, target))
+            log.ticks.append((now, ros, None if command is None else target, session.time_s))
             next_tick += rng.uniform(-JITTER_S, JITTER_S) if fault.kind != "loop_stall" else 0.0
             if session.state in ("aborted", "succeeded") and math.isinf(log.ended):
                 log.ended = now
     log.state, log.reason = session.state, session.reason
+    log.alarm = "" if session.watch.alarm is None else session.watch.alarm.text
     return log
 
 
 TRAJECTORY = press()
+ALLOWED_N = 0.5 * PEAK_N
+"""Half of the largest change of the predicted force."""
 
 
-def first_violation(log: Log, settings: GuardSettings = SETTINGS) -> float:
+def first_violation(log: Log, settings: GuardSettings = SETTINGS, margin: float = 0.0, scale: float = 1.0) -> float:
     """Steady time [s] of the first control period in which a limit was violated as far as the log can tell; infinite if
-    none was."""
+    none was. ``margin``: share by which bounds of poses and forces about their predictions are wider."""
     limits = settings.limits
     assert limits.workspace_min_m is not None
     assert limits.workspace_max_m is not None
     assert limits.max_force_n is not None
     offset = log.ticks[0][1] - log.ticks[0][0]
     low, high = limits.workspace_min_m[2], limits.workspace_max_m[2]
-    bad = math.inf
-    newest: dict[str, list[float]] = {"pose": [], "wrench": []}
-    for kind, readings in (("pose", log.poses), ("wrench", log.wrenches)):
-        stamps: list[tuple[float, float]] = []
-        for arrival, stamp, value in readings:
-            if stamps and stamp <= stamps[-1][1] and arrival > 0.0:
-                continue  # no new reading
-            if math.isnan(value):
-                bad = min(bad, arrival) if arrival > 0.0 else bad
-                continue
-            stamps.append((arrival, stamp))
-            if arrival <= 0.0:
-                continue
-            if kind == "wrench":
-                wrong = value > limits.max_force_n
-            else:
-                commands = [c for t, _, c in log.ticks if t < arrival and c is not None]
-                astray = bool(commands) and abs(commands[-1] - value) > settings.tracking_tolerance_m
-                wrong = astray or not low <= value <= high
-            if wrong:
-                bad = min(bad, arrival)
-        newest[kind] = [x for pair in stamps for x in pair]
     before = log.ticks[0][0]
-    for steady, ros, _ in log.ticks[1:]:
+    bad = math.inf
+    newest: dict[str, list[tuple[float, float]]] = {"pose": [], "wrench": [], "markers": []}
+
+    steadies, stamps = [t[0] for t in log.ticks], [t[1] for t in log.ticks]
+    heights, passed = [t[2] for t in log.ticks], [t[3] for t in log.ticks]
+
+    def taken(kind: str, arrival: float, stamp: float) -> bool:
+        if newest[kind] and stamp <= newest[kind][-1][1] and arrival > before:
+            return False  # no new reading
+        newest[kind].append((arrival, stamp))
+        return True
+
+    for arrival, stamp, value in log.poses:
+        if not math.isnan(value) and not taken("pose", arrival, stamp):
+            continue
+        if arrival > before:
+            done = bisect_left(steadies, arrival)
+            begin = min(bisect_right(stamps, stamp - LAG_S, hi=done), done)
+            lately = [c for c in heights[max(begin - 1, 0) : done] if c is not None] or [0.0]
+            near = NEAR_M * (1.0 + margin)
+            astray = not min(lately) - near <= value <= max(lately) + near
+            if math.isnan(value) or astray or not low <= value <= high:
+                bad = min(bad, arrival)
+    noises = 6.0 * NOISE_N
+    seen = [np.array(force) for arrival, _, force, _, _ in log.wrenches if arrival <= before][-32:]
+    start = np.mean(seen, axis=0)
+    for arrival, stamp, force, frame, repeats in log.wrenches:
+        if arrival > before and frame != "pad":
+            bad = min(bad, arrival)
+            continue
+        if not taken("wrench", arrival, stamp) or arrival <= before:
+            continue
+        done = bisect_left(steadies, arrival)
+        since = np.interp(stamp, stamps[max(done - 30, 0) : done], passed[max(done - 30, 0) : done])
+        reach = (LAG_S + PERIOD_S) * scale
+        within = contact_force(height(np.linspace(since - reach, since, 60)))
+        wide = ALLOWED_N + noises + margin * PEAK_N
+        off = np.array(force) - start
+        odd = not within.min() - wide <= -off[2] <= within.max() + wide or max(abs(off[:2])) > wide
+        # 33 readings before, none of which repeats: k in a row have the probability 1 / 34^k.
+        if odd or np.linalg.norm(force) > limits.max_force_n or (repeats >= 6 + (1 if margin > 0.0 else -1)):
+            bad = min(bad, arrival)
+    for arrival, stamp, left in log.markers:
+        if taken("markers", arrival, stamp) and arrival > before and left <= MARKERS // 2:
+            bad = min(bad, arrival)
+    for steady, ros, _, _ in log.ticks[1:]:
         gap, before = steady - before, steady
         if steady >= bad or gap > max(3.0 * settings.period_s, settings.pose_timeout_s):
             return steady
         if abs(ros - steady - offset) > settings.clock_tolerance_s:
             return steady
-        for kind, timeout in (("pose", settings.pose_timeout_s), ("wrench", settings.wrench_timeout_s)):
-            arrivals, stamps_ = newest[kind][::2], newest[kind][1::2]
-            last = max((i for i, arrival in enumerate(arrivals) if arrival <= steady), default=-1)
-            if last < 0 or steady - arrivals[last] > timeout or abs(ros - stamps_[last]) > timeout:
+        for kind, timeout in (
+            ("pose", settings.pose_timeout_s),
+            ("wrench", settings.wrench_timeout_s),
+            ("markers", settings.marker_timeout_s),
+        ):
+            last = max((i for i, (arrival, _) in enumerate(newest[kind]) if arrival <= steady), default=-1)
+            if last < 0 or steady - newest[kind][last][0] > timeout or abs(ros - newest[kind][last][1]) > timeout:
                 return steady
     return math.inf
 

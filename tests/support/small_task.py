@@ -69,3 +69,17 @@ def small_task(folder: Path, reward: str = "folding", text: str = TASK) -> MadeT
     path = folder / "small.yaml"
     path.write_text(text.replace("RIG", str(folder / "rig.yaml")).replace("REWARD", reward))
     return load_task(str(path))
+
+
+def touch_sensor(force_n: float, torque_nm: float) -> str:
+    """A wrench sensor on the gel with noise of such standard deviations, to be put at the end of a rig."""
+    return f"""
+sensors:
+  touch:
+    type: wrench
+    on: gel
+    frame_id: touch_gel
+    rate_hz: 100.0
+    noise: {{force_n: {force_n}, torque_nm: {torque_nm}}}
+    topic: touch/wrench
+"""

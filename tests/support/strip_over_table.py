@@ -9,9 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import Rig, parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
-from sim_core.scene import Scene
-from sim_core.simulate import Simulation, Trace, run
-from sim_core.solve.report import NewtonSettings
 
 HEIGHT = 0.1
 
@@ -109,10 +106,3 @@ LAND = {
     ),
 }
 """The tip lands on a table that turns, and slides on it."""
-
-
-def by_python(
-    scene: Scene, poses: dict[str, PoseTrajectory], times: np.ndarray, settings: NewtonSettings | None = None
-) -> Trace:
-    """The same rollout by the searches of :mod:`sim_core.solve`, launch by launch."""
-    return run(Simulation(scene, settings), poses, times, keep_path=True)

@@ -106,6 +106,17 @@ def test_a_reset_before_anything_moves_is_nothing(tmp_path: Path) -> None:
     assert [f.name for f in examine(found)[0] if f.name == "reset"] == []
 
 
+def test_where_a_replay_parted_from_its_prediction_is_known_of_the_recording_and_of_a_window_of_it(
+    tmp_path: Path,
+) -> None:
+    events = [("parted", 1.5, {"lasts_s": "0.6"}), ("parted", 3.0, {"lasts_s": "0"})]
+    bag, rig = recorded(tmp_path / "replayed", events), load_rig("card_press")
+    (run,) = load_runs(rig, [bag], [])[0]
+    assert np.allclose(run.parted, [(1.5, 2.1), (3.0, 3.0)], atol=1e-6)
+    (part,) = load_runs(rig, [Path(f"{bag}@1.8:2.9")], [])[0]
+    assert np.allclose(part.parted, [(0.0, 0.3)], atol=1e-6)
+
+
 def test_time_that_stamps_leave_out_is_a_warning_where_things_move_by_themselves(tmp_path: Path) -> None:
     bag = recorded(tmp_path / "slow", [("skip", 1.0, {"left_out_s": "0.7"}), ("skip", 2.0, {"left_out_s": "0.8"})])
     rig = load_rig("card_press")

@@ -7,6 +7,7 @@ import pytest
 
 from sim_core.errors import ConfigError
 from sysid.vision import DetectionParameters, detect_markers
+from sysid.vision.render import draw_dots
 
 RNG_SEED = 7
 
@@ -73,6 +74,18 @@ def test_binary_dots_are_found_to_a_tenth_of_a_pixel() -> None:
     assert error.max() < 0.2
     assert not found.merged.any()
     assert found.diameter_px == pytest.approx(11.0, rel=0.06)
+
+
+@pytest.mark.parametrize("diameter", [6.0, 8.0, 10.0, 16.0, 24.0])
+def test_smooth_dots_are_found_to_a_tenth_of_a_pixel_wherever_they_lie_on_its_grid(diameter: float) -> None:
+    """Pixels at the rim count by how far they are beyond the threshold: none jumps into the centroid or out of it."""
+    rng = np.random.default_rng(0)
+    lattice = 20.0 + 2.5 * diameter * np.stack(np.meshgrid(np.arange(5), np.arange(3)), axis=-1).reshape(-1, 2)
+    for _ in range(20):
+        places = lattice + rng.uniform(0.0, 1.0, (15, 2))
+        found = detect_markers(draw_dots(places, diameter, int(40 + 12 * diameter), int(40 + 8 * diameter))).uv
+        assert len(found) == 15
+        assert np.linalg.norm(found[:, None] - places, axis=-1).min(axis=0).max() < 0.1
 
 
 def test_specks_and_streaks_do_not_count() -> None:

@@ -10,11 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import norm
 
-from sim_core.rigs import Rig
+from sim_core.rigs import HandLimits, Rig
 from sim_core.rigs.trajectory import MINIMUM_JERK_PEAK, minimum_jerk
 from sim_core.rigs.yamlfile import validate
-from sim_core.trajectories import Figure, Limits, Trajectory, check_trajectory, make_trajectory, write_trajectory
+from sim_core.trajectories import (
+    Figure,
+    Limits,
+    Trajectory,
+    bounded,
+    check_trajectory,
+    make_trajectory,
+    write_trajectory,
+)
 from sysid.cli import app
 
 WAY_M = 0.06
@@ -48,6 +57,42 @@ def test_speeds_and_accelerations_are_those_of_the_motion(rate_hz: float) -> Non
     assert speed.time_s == pytest.approx(TIME_S / 2.0, abs=0.05)
     assert turn.value == pytest.approx(MINIMUM_JERK_PEAK * TURN_RAD / TIME_S, rel=1e-3)
     assert acceleration.value == pytest.approx(10.0 / np.sqrt(3.0) * WAY_M / TIME_S**2, rel=2e-2)
+
+
+def test_the_jerk_is_that_of_the_motion() -> None:
+    """Of a minimum-jerk move it is largest at its ends, 60 d/T^3, where it falls to 0 from there within some T / 5:
+    taken over 10 ms it is less by 3 shares of 10 ms in T (Flash & Hogan 1985), and since accelerations are means over
+    2 ms, by up to a fifth of 2 ms in 10 ms. With a turn likewise."""
+    for what, size in (("jerk", WAY_M), ("angular jerk", TURN_RAD)):
+        exact = 60.0 * size / TIME_S**3
+        assert figure(motion(), what).value == pytest.approx(exact * (1.0 - 3.0 * 0.01 / TIME_S), rel=4e-2)
+    scaled = figure(motion(), "jerk", speed_scale=0.5).value
+    assert scaled == pytest.approx(0.125 * 60.0 * WAY_M / TIME_S**3 * (1.0 - 1.5 * 0.01 / TIME_S), rel=8e-2)
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_sudden_acceleration_from_rest_or_to_rest_is_a_jerk(backwards: bool) -> None:
+    """The way 6 u^2 - 8 u^3 + 3 u^4, u = t / T, begins with the acceleration 12 d/T^2 at once, and ends smoothly."""
+    u = np.linspace(0.0, 1.0, round(TIME_S * 100.0) + 1)
+    share = 6.0 * u**2 - 8.0 * u**3 + 3.0 * u**4
+    data = motion().model_dump()
+    data["end_effectors"]["hand"]["positions_m"] = np.outer(share[::-1] if backwards else share, [0.0, WAY_M, 0.0])
+    jerk = figure(validate(Trajectory, data, "made"), "jerk")
+    assert jerk.value == pytest.approx(12.0 * WAY_M / TIME_S**2 / 0.01, rel=5e-2)
+    assert jerk.time_s == pytest.approx(TIME_S if backwards else 0.0, abs=0.02)
+
+
+def test_a_hand_of_its_own_is_limited_by_its_own_and_by_the_rig() -> None:
+    """The stricter of the limits of the trajectory, of the end effector in it, and of the rig's hand."""
+    told = motion().model_dump()
+    told["end_effectors"]["hand"]["limits"] = {"max_speed_m_s": 0.07}
+    (error,) = check_trajectory(validate(Trajectory, told, "made")).errors
+    assert "The speed of hand is 0.07499" in error and "at most 0.07 m/s" in error
+    free = bounded(motion())
+    assert free.limits_of("hand") == HandLimits().limits(), "of which nothing is said: those of a common lab arm"
+    own = bounded(validate(Trajectory, told, "made"))
+    assert own.limits_of("hand").max_speed_m_s == 0.07
+    assert own.limits_of("hand").max_acceleration_m_s2 is None, "what is said is all that is meant"
 
 
 def test_a_smaller_speed_scale_slows_down_and_softens() -> None:
@@ -107,8 +152,10 @@ def test_predicted_forces_count_with_their_uncertainty() -> None:
     assert not check_trajectory(sure, Limits(max_force_n=5.0)).errors
     (error,) = check_trajectory(sure, Limits(max_force_n=4.9)).errors
     assert "The predicted force on pad is 5 N at 0.400 s" in error
-    assert not check_trajectory(unsure, Limits(max_force_n=6.01)).errors
-    assert check_trajectory(unsure, Limits(max_force_n=5.99)).errors
+    # Of one parameter and a normal distribution: half of one in a thousand replays is beyond, on either side.
+    most = 5.0 + 0.5 * float(norm.isf(0.5e-3 / 2.0))
+    assert not check_trajectory(unsure, Limits(max_force_n=1.002 * most)).errors
+    assert check_trajectory(unsure, Limits(max_force_n=0.998 * most)).errors
     assert check_trajectory(motion(), Limits(max_force_n=1.0)).warnings == (
         "Force and torque are limited, and the trajectory predicts none: only measured ones can stop it.",
     )
@@ -125,7 +172,8 @@ def test_a_trajectory_fits_the_rig_that_it_was_made_for(
 ) -> None:
     fits = check_trajectory(of_small_rig, rig=small_rig())
     assert not fits.errors
-    assert not fits.warnings
+    unpredicted = "Force and torque are limited, and the trajectory predicts none: only measured ones can stop it."
+    assert fits.warnings == (unpredicted,)
     changed = check_trajectory(of_small_rig, rig=small_rig(gravity_m_s2=[0.0, 0.0, 0.0]))
     assert "has changed since" in changed.warnings[0]
     assert not changed.errors
@@ -134,7 +182,7 @@ def test_a_trajectory_fits_the_rig_that_it_was_made_for(
     moved = small_rig(end_effectors={"finger": {"base_frame": "world_2", "start": {"position_m": [0.03, 0.004, 0.06]}}})
     found = check_trajectory(of_small_rig, rig=moved)
     assert "'base_link', and in the rig its base frame is 'world_2'" in found.errors[0]
-    assert "begins 0.007433 m and 0 rad from its start pose" in found.warnings[1]
+    assert "begins 0.007433 m and 0 rad from where it waits in the rig" in found.warnings[1]
 
 
 def test_the_command_checks_a_file(
@@ -146,7 +194,8 @@ def test_the_command_checks_a_file(
     assert "Nothing speaks against its replay" in capsys.readouterr().out
     assert app.main(["trajectory", "check", str(path), "--rig", "card_press", "--limit", "max_speed_m_s=0.01"]) == 2
     out = capsys.readouterr().out
-    assert out.count("error: ") == 2, "another rig, and the speed"
+    assert out.count("error: ") == 3, "another rig, the speed, and that on the way back"
+    assert "on its way back is 0.01" in out
     assert app.main(["trajectory", "check", str(path), "--limit", "max_force=1"]) == 2
     assert "Write max_force_n" in capsys.readouterr().err
 
@@ -159,7 +208,7 @@ def test_the_command_makes_a_file_without_a_word_before_rig_and_experiment(
     assert app.main(["trajectory", *words]) == 0
     assert "406 samples of finger" in capsys.readouterr().out
     data = json.loads(path.read_text())
-    assert data["limits"] == {"max_force_n": 5.0}
+    assert data["limits"] == {"max_force_n": 5.0, "max_torque_nm": 1.0}, "that of the hand is 10 N and 1 N m"
     assert data["end_effectors"]["finger"]["positions_m"][0] == [0.03, 0.0, 0.056]
     assert app.main(["trajectory", *words]) == 2
     assert "already exists" in capsys.readouterr().err

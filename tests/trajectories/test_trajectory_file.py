@@ -23,6 +23,8 @@ from sim_core.trajectories import (
     EffectorPath,
     Limits,
     MarkerPrediction,
+    Passage,
+    Prediction,
     Trajectory,
     WrenchPrediction,
     make_trajectory,
@@ -132,8 +134,16 @@ def test_the_example_of_the_documentation_is_a_trajectory_and_names_every_key() 
     example = text.split("```json\n")[1].split("```")[0]
     trajectory = parse_trajectory(example, "docs")
     assert trajectory.predicted.wrenches["wrench_gel"].forces_n[2].tolist() == [0.0, 0.0, -0.1]
-    for part in (Trajectory, EffectorPath, Limits, WrenchPrediction, MarkerPrediction):
-        for key in set(part.model_fields) - {"end_effectors", "predicted", "rig", "limits", "provenance"}:
+    for part in (Trajectory, EffectorPath, Limits, Prediction, WrenchPrediction, MarkerPrediction, Passage):
+        for key in set(part.model_fields) - {
+            "end_effectors",
+            "predicted",
+            "rig",
+            "limits",
+            "provenance",
+            "wrenches",
+            "markers",
+        }:
             assert f"{key}`" in text, f"{part.__name__}.{key}"
 
 
@@ -142,7 +152,7 @@ def test_the_example_of_the_documentation_is_a_trajectory_and_names_every_key() 
     [
         (changed("format", "other"), 'no "format": "thinshell_trajectory"'),
         ([1, 2], "is no trajectory"),
-        (changed("version", 2), "version 2 of the format, and this release reads versions up to 1"),
+        (changed("version", 3), "version 3 of the format, and this release reads versions up to 2"),
         (changed("version", "1"), "version is the text '1', not a whole number"),
         (changed("units", None), "units is missing"),
         (changed("units", "mm"), "units is the text 'mm'. Choose one of: 'SI'"),

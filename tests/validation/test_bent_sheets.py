@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim_core.validation.anticlastic import SHEET, ashwell, bent_strip
-from sim_core.validation.springback import LENGTH, STIFFNESS, YIELD, Bender, dissipated
+from sysid.validation.anticlastic import SHEET, ashwell, bent_strip
+from sysid.validation.springback import LENGTH, STIFFNESS, YIELD, Bender, dissipated
 
 MESHES = pytest.mark.parametrize(("pattern", "cells"), [("regular", (10, 4)), ("irregular", (20, 6))])
 

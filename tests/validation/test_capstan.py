@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_core.preflight import review
-from sim_core.validation.capstan import MU, RADIUS, capstan_rig, tension_ratio
+from sysid.validation.capstan import MU, RADIUS, capstan_rig, tension_ratio
 
 
 def test_tensions_around_a_drum_follow_eytelwein() -> None:

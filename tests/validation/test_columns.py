@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError
-from sim_core.validation.buckling import EULER, GREENHILL, POST_BUCKLED, critical_load, euler, greenhill, post_buckled
-from sim_core.validation.elasticas import SHARES, end_moment, end_shear, heavy_strip
-from sim_core.validation.planar_elastica import heavy, hinged, rolled, tip_loaded
-from sim_core.validation.specimens import rest, strip
+from sysid.validation.buckling import EULER, GREENHILL, POST_BUCKLED, critical_load, euler, greenhill, post_buckled
+from sysid.validation.elasticas import SHARES, end_moment, end_shear, heavy_strip
+from sysid.validation.planar_elastica import heavy, hinged, rolled, tip_loaded
+from sysid.validation.specimens import rest, strip
 
 PATTERNS = pytest.mark.parametrize("pattern", ["regular", "irregular"])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from draped_disc import Disc, energy_slopes
 
-from sim_core.validation.drape import AREAL, BENDING, DISC, DRAPED, NU, TABLE, THICKNESS, draped
+from sysid.validation.drape import AREAL, BENDING, DISC, DRAPED, NU, TABLE, THICKNESS, draped
 
 LAW, RADII, OVERHANG = (BENDING, THICKNESS, NU), (TABLE, DISC), DISC - TABLE
 

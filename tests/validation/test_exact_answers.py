@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_core.validation import planar_elastica
-from sim_core.validation.obstacles import exact_cylinder, exact_hemisphere
-from sim_core.validation.shells_of_revolution import cylinder, sphere, strains
+from sysid.validation import planar_elastica
+from sysid.validation.obstacles import exact_cylinder, exact_hemisphere
+from sysid.validation.shells_of_revolution import cylinder, sphere, strains
 
 SHARED = Path(os.environ.get("THINSHELL_SHARED", Path(__file__).parents[3] / "shared"))
 ANSWERS = SHARED / "validation" / "answers.json"

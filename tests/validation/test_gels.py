@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from axisymmetric import bonded_disc as exact_disc
 
-from sim_core.validation.gels import LAYER, MARKERS, sphere_on_layer
-from sim_core.validation.solids import DISC, bonded_disc, relaxation, sheared, sheared_layer, stretched
+from sysid.validation.gels import LAYER, MARKERS, sphere_on_layer
+from sysid.validation.solids import DISC, bonded_disc, relaxation, sheared, sheared_layer, stretched
 
 
 @pytest.mark.parametrize("nu", LAYER)

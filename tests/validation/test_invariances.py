@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_core.validation.invariances import balance, flight, repeated, turned_scene, units
+from sysid.validation.invariances import balance, flight, repeated, turned_scene, units
 
 
 def test_a_scene_turned_as_a_whole_does_the_same():

@@ -7,8 +7,8 @@ from sim_core.errors import ConfigError
 from sim_core.solve.modes import linear_response, natural_vibrations
 from sim_core.solve.step import NewtonSettings, advance
 from sim_core.solve.system import System
-from sim_core.validation.elasticas import HEAVY, TIP, heavy_strip, tip_loaded_strip
-from sim_core.validation.obstacles import (
+from sysid.validation.elasticas import HEAVY, TIP, heavy_strip, tip_loaded_strip
+from sysid.validation.obstacles import (
     RING,
     ROOF,
     exact_cylinder,
@@ -18,10 +18,10 @@ from sim_core.validation.obstacles import (
     ring,
     roof,
 )
-from sim_core.validation.planar_elastica import heavy, tip_loaded
-from sim_core.validation.plates import LAMBDA, SAG, frequencies, plate, sag
-from sim_core.validation.shells import HEMISPHERE, SLIT, hemisphere, slit_annulus
-from sim_core.validation.specimens import rest
+from sysid.validation.planar_elastica import heavy, tip_loaded
+from sysid.validation.plates import LAMBDA, SAG, frequencies, plate, sag
+from sysid.validation.shells import HEMISPHERE, SLIT, hemisphere, slit_annulus
+from sysid.validation.specimens import rest
 
 
 @pytest.mark.parametrize("gamma", [g for g in HEAVY if g <= 100.0])

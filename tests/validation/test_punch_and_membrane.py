@@ -9,10 +9,10 @@ from scipy.integrate import solve_bvp
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig, parse_rig
 from sim_core.scene.assembly import rigid_shape
-from sim_core.validation.bonded_layer import ball, pressed, punch, rounded_punch, softness
-from sim_core.validation.gels import LAYER
-from sim_core.validation.hencky import dome, hencky
-from sim_core.validation.punch import RADIUS, SHARP, THICKNESS, punch_force, punch_rig
+from sysid.validation.bonded_layer import ball, pressed, punch, rounded_punch, softness
+from sysid.validation.gels import LAYER
+from sysid.validation.hencky import dome, hencky
+from sysid.validation.punch import RADIUS, SHARP, THICKNESS, punch_force, punch_rig
 
 
 @pytest.mark.parametrize("nu", LAYER)

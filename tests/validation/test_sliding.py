@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_core.validation.friction import (
+from sysid.validation.friction import (
     MU,
     TURNS,
     acceleration,
@@ -12,8 +12,8 @@ from sim_core.validation.friction import (
     slip_onset,
     stopping_distance,
 )
-from sim_core.validation.planar_elastica import pressed
-from sim_core.validation.rough_plane import ONSET, STICKING, onset, sticking
+from sysid.validation.planar_elastica import pressed
+from sysid.validation.rough_plane import ONSET, STICKING, onset, sticking
 
 ANY_TURN = pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
 

@@ -6,10 +6,10 @@ import time
 import numpy as np
 import pytest
 
-from sim_core import validation
-from sim_core.validation import GROUPS, Case, NotCovered, run_validation
-from sim_core.validation.case import compare
+from sysid import validation
 from sysid.cli import app
+from sysid.validation import GROUPS, Case, NotCovered, run_validation
+from sysid.validation.case import compare
 
 
 def test_a_case_passes_within_its_tolerance_only():

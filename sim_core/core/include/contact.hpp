@@ -1,135 +1,36 @@
 // Contact of sampled surfaces with rigid shapes, and friction with an elastic slip that is remembered.
 //
-// With the sample p = sum_i w_i x_i, the body's node c and its rotation R, at the start of the step p_n, c_n, R_n, the
-// slip e_n that is remembered and the load l_n that was carried (sim_core/contact/rigid.py):
-//
-//     g = phi(R^T (p - c)) - offset,    y = R_n^T (p_n - c_n),    m = R n(y),    w = R (e_n - y) + p - c
-//     force on the sample   A p(g) R n  -  dD/du (u; mu l_n, k A),    u = w - m (m . w)
-//
-// The laws are those of sim_core/contact/pressure_and_friction.py. Derivatives by parameters are those of dual numbers,
-// a few columns at a time.
+// What a sample does is contact_point.hpp; laws that effects add (added_laws.hpp) let A p(g) and mu l_n grow. Derivatives
+// by parameters are those of dual numbers, a few columns at a time.
 #pragma once
 
 #include <limits>
 #include <vector>
 
+#include "added_laws.hpp"
 #include "blocks.hpp"
-#include "dual.hpp"
+#include "contact_point.hpp"
 #include "elements.hpp"
-#include "laws.hpp"
+#include "lanes.hpp"
 #include "record.hpp"
+#include "turning.hpp"
 
 namespace thinshell {
 
-constexpr int lanes = 8;  // columns that are differentiated at once
-using Lanes = Dual<double, lanes>;
-
-// Places in the law's numbers, as sim_core/contact/pressure_and_friction.py has them.
-enum : int { STIFFNESS, RANGE, CORE, MU, OFFSET, BLEND, GUARD, REACH };
-
-// Share of the range below which the law is straight (sim_core/contact/pressure_and_friction.py).
-constexpr double core_guarded = 1e-3, core_free = 0.2;
-// Elastic slip [m] that a spring without stiffness never reaches.
-constexpr double far_slip = 1e300;
-
-// The law itself, or one whose iterates may overlap.
-inline void set_guard(double *law, bool on) {
-  law[GUARD] = on;
-  law[CORE] = on ? core_guarded : core_free;
-}
-
-// A number with its derivatives in some columns.
-inline Lanes seeded(double value, const double *d) {
-  Lanes out(value);
-  for (int l = 0; l < lanes; ++l) out.d[l] = d[l];
-  return out;
-}
-
 // What samples and bodies remember, and its derivatives with columns innermost.
 struct Memory {
-  std::vector<double> anchor, load, speed, rotation;          // (s, 3), (s), (s), (contacts, 9)
+  std::vector<double> anchor, load, speed, bonded, rotation;  // (s, 3), (s), (s), (s), (contacts, 9)
   std::vector<double> d_anchor, d_load, d_speed, d_rotation;  // (., columns) each
 };
 
-template <class S> struct Friction {
-  Vec<S, 3> y, normal, anchor;  // body point under the sample, lagged normal, remembered slip
-  S limit;
-};
-
-template <class S> Mat<S, 3, 3> rotation_of(const S *r) {
-  Mat<S, 3, 3> out;
-  for (int k = 0; k < 9; ++k) out[k] = r[k];
-  return out;
-}
-
-// Friction's start: `arm` is p_n - c_n, `turned` R_n, `rotation` R.
-template <class S, class C>
-Friction<S> friction_start(const Vec<S, 3> &arm, const Mat<S, 3, 3> &turned, const Mat<S, 3, 3> &rotation,
-                           const Vec<S, 3> &anchor, const S &load, const C *law, const double *shape) {
-  Friction<S> out;
-  out.y = matmul(turned.transpose(), arm);
-  const auto [distance, n, second] = laws::shapes::signed_distance(out.y, shape);
-  (void)distance;
-  (void)second;
-  out.normal = matmul(rotation, n);
-  out.anchor = anchor;
-  out.limit = law[MU] * load;
-  return out;
-}
-
-template <class S> Vec<S, 3> slip_of(const Friction<S> &f, const Vec<S, 3> &arm, const Mat<S, 3, 3> &rotation) {
-  const Vec<S, 3> w = matmul(rotation, Vec<S, 3>(f.anchor - f.y)) + arm;
-  return w - f.normal * f.normal.dot(w);
-}
-
 // Whether friction acts, or would with a little more of a parameter.
-inline bool rubs(double limit) { return limit > 0.0; }
 inline bool rubs(const Lanes &limit) {
   if (limit.v > 0.0) return true;
   for (double d : limit.d)
     if (d != 0.0) return true;
   return false;
 }
-
-template <class S> struct Pressed {
-  S gap, load;      // [m], [N]
-  Vec<S, 3> force;  // on the sample, friction included [N]
-};
-
-template <class S, class C>
-Pressed<S> press(const Friction<S> &f, const Vec<S, 3> &arm, const Mat<S, 3, 3> &rotation, double area, const C *law,
-                 const double *shape) {
-  const auto [distance, n, second] =
-      laws::shapes::signed_distance(Vec<S, 3>(matmul(rotation.transpose(), arm)), shape);
-  (void)second;
-  Pressed<S> out{};
-  out.gap = distance - law[OFFSET];
-  if (!(out.gap < law[REACH]) && !rubs(f.limit)) return out;
-  out.load = area * laws::pressure_and_friction::pressure(out.gap, law);
-  out.force = out.load * matmul(rotation, n);
-  if (rubs(f.limit)) {
-    const Vec<S, 3> u = slip_of(f, arm, rotation);
-    if (value(u.norm_sqr()) > 0.0)
-      out.force -= laws::pressure_and_friction::friction_force(u, f.limit, S(law[STIFFNESS] * area));
-  }
-  return out;
-}
-
-// What is kept of the elastic slip u that there would be without sliding, and the slip speed.
-template <class S> Vec<S, 3> kept_slip(const Vec<S, 3> &u, const S &limit, const S &stiffness, double dt, S &speed) {
-  const S length = u.norm(), longest = stiffness > 0.0 ? S(2.0 * limit / stiffness) : S(limit > 0.0 ? far_slip : 0.0);
-  const bool beyond = length > longest;
-  speed = beyond ? S((length - longest) / dt) : S(0.0);
-  return beyond ? Vec<S, 3>((longest / length) * u) : u;
-}
-
-// Elastic slip and slip speed after the step.
-template <class S, class C>
-void slide(const Friction<S> &f, const Vec<S, 3> &arm, const Mat<S, 3, 3> &rotation, double area, const C *law,
-           double dt, Vec<S, 3> &anchor, S &speed) {
-  const Vec<S, 3> u = slip_of(f, arm, rotation);
-  anchor = matmul(rotation.transpose(), kept_slip(u, f.limit, S(law[STIFFNESS] * area), dt, speed));
-}
+inline bool rubs(const Noted &limit) { return limit.v > 0.0 || limit.at; }
 
 class Contacts {
  public:
@@ -139,20 +40,27 @@ class Contacts {
     friction_.resize(r_.samples);
     gap_.assign(r_.samples, std::numeric_limits<double>::infinity());
     load_.assign(r_.samples, 0.0);
+    stiffness_.assign(r_.samples, Mat3{});
+    bonded_.assign(r_.samples, 0.0);
+    for (int c = 0; c < r_.contacts; ++c) added_.emplace_back(r_, c);
   }
 
   bool any() const { return r_.contacts > 0; }
 
   void couple(Blocks &h) const {
-    for (int s = 0; s < r_.samples; ++s)
-      for (int a = 0; a < r_.corners; ++a)
-        for (int b = a; b < r_.corners; ++b) h.couple(node(s, a), node(s, b));
+    each([&](int c, int s) {
+      for (int a = 0; a < members(c); ++a)
+        for (int b = a; b < members(c); ++b) h.couple(member(c, s, a), member(c, s, b));
+    });
   }
   void bind(const Blocks &h) {
     slots_.clear();
-    for (int s = 0; s < r_.samples; ++s)
-      for (int a = 0; a < r_.corners; ++a)
-        for (int b = a; b < r_.corners; ++b) slots_.push_back(h.slot(node(s, a), node(s, b)));
+    first_slot_.clear();
+    each([&](int c, int s) {
+      first_slot_.push_back(slots_.size());
+      for (int a = 0; a < members(c); ++a)
+        for (int b = a; b < members(c); ++b) slots_.push_back(h.slot(member(c, s, a), member(c, s, b)));
+    });
   }
 
   // The law itself, or one whose iterates may overlap.
@@ -170,11 +78,21 @@ class Contacts {
   // `turned`: rotations at the end of the step (contacts, 9).
   void begin(const double *x_start, const double *turned, const Memory &memory) {
     std::copy(turned, turned + 9 * r_.contacts, rotation_.begin());
+    target_ = rotation_;
+    bonded_ = memory.bonded;
     each([&](int c, int s) {
+      const double limit = added_[c].bound(law(c)[MU], memory.load[s], r_.sample_area[s], memory.speed[s], 0);
       friction_[s] = friction_start<double>(arm(x_start, c, s), rotation_of(&memory.rotation[9 * c]), rotation(c),
-                                            point(memory.anchor.data(), s), memory.load[s], law(c), shape(c));
+                                            point(memory.anchor.data(), s), limit, shape(c));
     });
   }
+
+  // Turn the bodies to where they are after a share of the step.
+  void turn(double share, const Memory &memory) {
+    for (int c = 0; c < r_.contacts; ++c) turned(c, share, memory, &rotation_[9 * c]);
+  }
+  // Whether any of them turns in this step.
+  bool turns(const Memory &memory) const { return target_ != memory.rotation; }
 
   double energy(const double *x) const {
     double out = 0.0;
@@ -183,7 +101,9 @@ class Contacts {
       const auto [distance, n, second] = laws::shapes::signed_distance(Vec3(matmul(rotation(c).transpose(), d)), shape(c));
       (void)n;
       (void)second;
-      out += r_.sample_area[s] * laws::pressure_and_friction::potential(distance - law(c)[OFFSET], law(c));
+      const double gap = distance - law(c)[OFFSET];
+      if (gap < law(c)[REACH])
+        out += r_.sample_area[s] * (laws::pressure_and_friction::potential(gap, law(c)) + added_[c].normal(gap, bonded_[s]).energy);
       if (friction_[s].limit > 0.0)
         out += laws::pressure_and_friction::friction_potential(slip_of(friction_[s], d, rotation(c)),
                                                                friction_[s].limit, law(c)[STIFFNESS] * r_.sample_area[s]);
@@ -191,9 +111,11 @@ class Contacts {
     return out;
   }
 
-  void add_gradient(const double *x, double *out) {
+  // `apart`: how far the gradients of contacts are from each other in `out`.
+  void add_gradient(const double *x, double *whole, std::size_t apart = 0) {
     each([&](int c, int s) {
-      const auto at = press<double>(friction_[s], arm(x, c, s), rotation(c), r_.sample_area[s], law(c), shape(c));
+      double *out = whole + apart * c;
+      const auto at = pressed(c, s, arm(x, c, s));
       gap_[s] = at.gap;
       load_[s] = at.load;
       for (int a = 0; a < r_.corners; ++a) add(out, node(s, a), -weight(s, a) * at.force);
@@ -201,42 +123,51 @@ class Contacts {
     });
   }
 
-  void add_hessian(const double *x, bool exact, Blocks &h) const {
+  void add_hessian(const double *x, bool exact, Blocks &h) {
     each([&](int c, int s) {
       const Vec3 d = arm(x, c, s);
       const Mat3 turn = rotation(c);
       const auto [distance, n, second] = laws::shapes::signed_distance(Vec3(matmul(turn.transpose(), d)), shape(c));
       const double gap = distance - law(c)[OFFSET], area = r_.sample_area[s];
+      stiffness_[s] = Mat3{};
       if (!(gap < law(c)[REACH] || friction_[s].limit > 0.0)) return;
-      const Vec3 m = matmul(turn, n);
-      Mat3 k = (area * laws::pressure_and_friction::slope(gap, law(c))) * m.outer_product(m);
-      if (exact)
-        k -= area * laws::pressure_and_friction::pressure(gap, law(c)) * matmul(matmul(turn, second), turn.transpose());
-      if (friction_[s].limit > 0.0) {
-        const Mat3 t = laws::pressure_and_friction::tangent_projector(friction_[s].normal);
-        const Mat3 stiff = laws::pressure_and_friction::friction_stiffness(
-            slip_of(friction_[s], d, turn), friction_[s].limit, law(c)[STIFFNESS] * area, t);
-        k += matmul(matmul(t, stiff), t);
-      }
-      const Slot *slot = &slots_[s * r_.corners * (r_.corners + 1) / 2];
-      for (int a = 0; a < r_.corners; ++a)
-        for (int b = a; b < r_.corners; ++b, ++slot) {
-          const double w = weight(s, a) * weight(s, b);
+      const auto beside = normal(c, s, gap);
+      const Mat3 k = stiffness_of(friction_[s], d, turn, area, gap, n, second, law(c), beside.pressure, beside.slope, exact);
+      stiffness_[s] = k;
+      const Slot *slot = &slots_[first_slot_[s]];
+      for (int a = 0; a < members(c); ++a)
+        for (int b = a; b < members(c); ++b, ++slot) {
+          const double w = share(s, a) * share(s, b);
           if (w != 0.0) h.add(*slot, w * k);
         }
     });
   }
 
-  // Share of the straight way from `x` by `move` on which every gap keeps the share `keep` (conservative advancement,
-  // sim_core/contact/continuous_collision.py), while bodies turn from where they were at the start of the step.
-  double free_way(const double *x, const double *move, double keep, const Memory &memory) const {
-    double way = 1.0;
+  // What forces change by, with the stiffness that was added last, where the nodes of bodies move that the Hessian does not
+  // have (nodes, 3).
+  void follow(const double *move, double *out) const {
     each([&](int c, int s) {
-      const Vec3 from = matmul(rotation_of(&memory.rotation[9 * c]).transpose(), arm(x, c, s));
-      Vec3 d = arm(x, c, s) + arm(move, c, s);
-      const Vec3 by = matmul(rotation(c).transpose(), d) - from;
-      way = std::min(way, double(laws::continuous_collision::point_shape_way(from, by, shape(c), law(c)[OFFSET], keep)));
+      if (gives(c)) return;
+      const Vec3 by = matmul(stiffness_[s], point(move, r_.body_node[c]));
+      for (int a = 0; a < r_.corners; ++a) add(out, node(s, a), -weight(s, a) * by);
     });
+  }
+
+  // Share of the straight way from `x` by `move` on which every gap keeps the share `keep` (conservative advancement,
+  // sim_core/contact/continuous_collision.py), while bodies turn from where they are after the share `since` of the step
+  // to where they are after the share `till`. Paths are straight in the bodies' frames.
+  double free_way(const double *x, const double *move, double keep, double since, double till, const Memory &memory) const {
+    double way = 1.0;
+    for (int c = 0; c < r_.contacts; ++c) {
+      Mat3 first, last;
+      turned(c, since, memory, first.a);
+      turned(c, till, memory, last.a);
+      for (int s = r_.sample_start[c]; s < r_.sample_start[c + 1]; ++s) {
+        const Vec3 from = matmul(first.transpose(), arm(x, c, s)), d = arm(x, c, s) + arm(move, c, s);
+        const Vec3 by = matmul(last.transpose(), d) - from;
+        way = std::min(way, double(laws::continuous_collision::point_shape_way(from, by, shape(c), law(c)[OFFSET], keep)));
+      }
+    }
     return way;
   }
 
@@ -250,6 +181,7 @@ class Contacts {
       for (int k = 0; k < 3; ++k) memory.anchor[3 * s + k] = anchor[k];
       memory.load[s] = load_[s];
       memory.speed[s] = speed;
+      memory.bonded[s] = added_[c].bonded_after(gap_[s], load_[s] > 0.0, bonded_[s]);
     });
     std::copy(rotation_.begin(), rotation_.end(), memory.rotation.begin());
   }
@@ -259,13 +191,13 @@ class Contacts {
     std::fill(out, out + 3 * r_.contacts, 0.0);
     each([&](int c, int s) {
       const Vec3 d = arm(x, c, s);
-      const auto at = press<double>(friction_[s], d, rotation(c), r_.sample_area[s], law(c), shape(c));
+      const auto at = pressed(c, s, d);
       add(out, c, d.cross(at.force));
     });
   }
 
   // What forces change by, into (nodes, 3, columns). `dx_start`: of positions at the start; `dx`: at the end, of the
-  // bodies' nodes alone; `d_rotation`: of the rotations at the end.
+  // nodes of bodies alone that the Hessian does not have; `d_rotation`: of the rotations at the end.
   void add_columns(const double *x_start, const double *x, const double *dx_start, const double *dx,
                    const double *d_rotation, const Memory &memory, double *out) const {
     for (int first = 0; first < r_.columns; first += lanes)
@@ -274,9 +206,10 @@ class Contacts {
         const auto law_at = seeded_law(c, first);
         const Mat<Lanes, 3, 3> turn = seeded_rotation(rotation_.data(), d_rotation, c, first);
         const Friction<Lanes> f = seeded_friction(x_start, dx_start, memory, turn, law_at.data(), c, s, first);
-        const Vec<Lanes, 3> d = seeded_arm(x, nullptr, dx, c, s, first);
-        const auto at = press<Lanes>(f, d, turn, r_.sample_area[s], law_at.data(), shape(c));
-        for (int a = 0; a < r_.corners; ++a) spread(at.force, -weight(s, a), node(s, a), first, out);
+        const Vec<Lanes, 3> d = seeded_arm(x, nullptr, gives(c) ? nullptr : dx, c, s, first);
+        const auto at = press<Lanes>(f, d, turn, r_.sample_area[s], law_at.data(), shape(c),
+                                     Beside{*this, c, s, first});
+        for (int a = 0; a < members(c); ++a) spread(at.force, -share(s, a), member(c, s, a), first, out);
       });
   }
 
@@ -298,7 +231,8 @@ class Contacts {
         const Mat<Lanes, 3, 3> turn = seeded_rotation(rotation_.data(), d_rotation, c, first);
         const Friction<Lanes> f = seeded_friction(x_start, dx_start, before, turn, law_at.data(), c, s, first);
         const Vec<Lanes, 3> d = seeded_arm(x, dx, dx, c, s, first);
-        const auto at = press<Lanes>(f, d, turn, r_.sample_area[s], law_at.data(), shape(c));
+        const auto at = press<Lanes>(f, d, turn, r_.sample_area[s], law_at.data(), shape(c),
+                                     Beside{*this, c, s, first});
         const Vec<Lanes, 3> m = d.cross(at.force);
         spread(at.force, 1.0, r_.body_node[c], first, d_force);
         spread(m, 1.0, c, first, d_moments);
@@ -330,16 +264,45 @@ class Contacts {
   }
 
  private:
+  template <class> friend struct Pull;
+
   template <class F> void each(F &&f) const {
     for (int c = 0; c < r_.contacts; ++c)
       for (int s = r_.sample_start[c]; s < r_.sample_start[c + 1]; ++s) f(c, s);
   }
+  void turned(int c, double share, const Memory &memory, double *out) const {
+    turn_between(&memory.rotation[9 * c], &target_[9 * c], share, out);
+  }
   int node(int s, int a) const { return r_.sample_node[s * r_.corners + a]; }
   double weight(int s, int a) const { return r_.sample_weight[s * r_.corners + a]; }
+  // Whether the mount of a body gives way: its node is then one more of each sample, which the gap goes against.
+  bool gives(int c) const {
+    if (!r_.yielding) return false;
+    const int32_t *of = r_.yield_of + 3 * r_.body_node[c];
+    return of[0] >= 0 || of[1] >= 0 || of[2] >= 0;
+  }
+  int members(int c) const { return int(r_.corners) + gives(c); }
+  int member(int c, int s, int a) const { return a < r_.corners ? node(s, a) : r_.body_node[c]; }
+  double share(int s, int a) const { return a < r_.corners ? weight(s, a) : -1.0; }
   const double *law(int c) const { return &laws_[8 * c]; }
   const double *shape(int c) const { return r_.shape + 5 * c; }
   Mat3 rotation(int c) const { return rotation_of(&rotation_[9 * c]); }
   bool acts(int c, int s) const { return gap_[s] < law(c)[REACH] || friction_[s].limit > 0.0; }
+
+  // What effects add at a gap.
+  AddedLaws::Normal normal(int c, int s, double gap) const {
+    return gap < law(c)[REACH] ? added_[c].normal(gap, bonded_[s]) : AddedLaws::Normal{};
+  }
+  struct Beside {
+    const Contacts &of;
+    int c, s, first;
+    template <class S> S operator()(const S &gap) const {
+      return value(gap) < of.law(c)[REACH] ? of.added_[c].pressure(gap, of.bonded_[s], first) : S(0.0);
+    }
+  };
+  Pressed<double> pressed(int c, int s, const Vec3 &d) const {
+    return press<double>(friction_[s], d, rotation(c), r_.sample_area[s], law(c), shape(c), Beside{*this, c, s, 0});
+  }
 
   Vec3 arm(const double *x, int c, int s) const {
     Vec3 out = -point(x, r_.body_node[c]);
@@ -353,8 +316,10 @@ class Contacts {
     const Vec3 at = arm(x, c, s);
     for (int i = 0; i < 3; ++i) {
       out[i] = Lanes(at[i]);
-      const double *body = dx_body + (3 * std::size_t(r_.body_node[c]) + i) * r_.columns + first;
-      for (int l = 0; l < lanes; ++l) out[i].d[l] = -body[l];
+      if (dx_body) {
+        const double *body = dx_body + (3 * std::size_t(r_.body_node[c]) + i) * r_.columns + first;
+        for (int l = 0; l < lanes; ++l) out[i].d[l] = -body[l];
+      }
       if (dx)
         for (int a = 0; a < r_.corners; ++a) {
           const double *from = dx + (3 * std::size_t(node(s, a)) + i) * r_.columns + first;
@@ -382,10 +347,12 @@ class Contacts {
     Vec<Lanes, 3> anchor;
     for (int i = 0; i < 3; ++i)
       anchor[i] = seeded(memory.anchor[3 * s + i], &memory.d_anchor[(3 * std::size_t(s) + i) * r_.columns + first]);
+    const std::size_t at = std::size_t(s) * r_.columns + first;
+    const Lanes limit = added_[c].bound(law_at[MU], seeded(memory.load[s], &memory.d_load[at]), r_.sample_area[s],
+                                        seeded(memory.speed[s], &memory.d_speed[at]), first);
     return friction_start<Lanes>(seeded_arm(x_start, dx_start, dx_start, c, s, first),
                                  seeded_rotation(memory.rotation.data(), memory.d_rotation.data(), c, first), turn, anchor,
-                                 seeded(memory.load[s], &memory.d_load[std::size_t(s) * r_.columns + first]), law_at,
-                                 shape(c));
+                                 limit, shape(c));
   }
   void spread(const Vec<Lanes, 3> &v, double by, int at, int first, double *out) const {
     for (int i = 0; i < 3; ++i)
@@ -393,9 +360,12 @@ class Contacts {
   }
 
   const Record &r_;
-  std::vector<double> laws_, rotation_, gap_, load_;
+  std::vector<AddedLaws> added_;
+  std::vector<double> laws_, rotation_, target_, gap_, load_, bonded_;
   std::vector<Friction<double>> friction_;
+  std::vector<Mat3> stiffness_;  // of each sample, as the Hessian has it
   std::vector<Slot> slots_;
+  std::vector<std::size_t> first_slot_;  // of each sample
 };
 
 }  // namespace thinshell

@@ -24,15 +24,16 @@ template <class S> struct Crossing {
   View<S, 1> gaps() { return {gap.data(), count}; }
 };
 
-// Some pairs of edges: their tables, and what the kernels write of them.
-template <class S> struct EdgeStep {
+// Some pairs of edges: their tables, and what the kernels write of them; A: of what is measured at rest.
+template <class S, class A = double> struct EdgeStep {
   int count;
   View<const int, 2> ends;
-  View<const double, 1> areas, parallel, side;
+  View<const A, 1> areas, parallel;
+  View<const double, 1> side;
   Crossing<S> now, lag;
   std::vector<S> limit, spring, frame, load;
 
-  EdgeStep(int pairs, const int *ends_, const double *areas_, const double *parallel_, const double *side_)
+  EdgeStep(int pairs, const int *ends_, const A *areas_, const A *parallel_, const double *side_)
       : count(pairs), ends(ends_, pairs, 4), areas(areas_, pairs), parallel(parallel_, pairs), side(side_, pairs),
         now(pairs), lag(pairs), limit(pairs, S(0.0)), spring(pairs, S(0.0)), frame(36 * pairs, S(0.0)), load(pairs, S(0.0)) {}
 
@@ -48,14 +49,14 @@ template <class S> struct EdgeStep {
   template <class X> void make_frames(X x_start) {
     laws::edge_kernels::frames(x_start, counted(), ends, lag.ats(), frames());
   }
-  template <class X, class Y, class L, class A, class O> void add_gradient(X x, Y x_start, L law, A anchor, O out) {
+  template <class X, class Y, class L, class H, class O> void add_gradient(X x, Y x_start, L law, H anchor, O out) {
     S first[4 * 3], second[16 * 9];
     laws::edge_kernels::add_gradient(x, x_start, counted(), ends, areas, law, limits(), springs(), frames(),
                                      lag.directions(), anchor, now.fades(), now.gaps(), now.ats(), now.directions(),
                                      View<S, 1>(load.data(), count), View<S, 2>(first, 4, 3), View<S, 3>(second, 16, 3, 3), out);
   }
   // Elastic slip before it slides.
-  template <class X, class Y, class A> Vec<S, 3> slip(X x, Y x_start, A anchor, int k) {
+  template <class X, class Y, class H> Vec<S, 3> slip(X x, Y x_start, H anchor, int k) {
     return laws::edge_kernels::_elastic_slip(x, x_start, ends, frames(), lag.directions(), anchor, k).a0;
   }
 };
@@ -66,7 +67,7 @@ class EdgePairs {
       : r_(record), ours_(r_.edge_start[2 * which]), theirs_(r_.edge_start[2 * which + 1]), once_(r_.edge_once[which]),
         counts_{r_.edge_start[2 * which + 1] - ours_, r_.edge_start[2 * which + 2] - theirs_},
         margin_(r_.edge_margin[which]), law_(r_.edge_law + 8 * which, r_.edge_law + 8 * which + 8),
-        d_law_(r_.d_edge_law + 8 * which * r_.columns), step_(0, nullptr, nullptr, nullptr, nullptr),
+        d_law_(r_.d_edge_law + 8 * which * r_.columns), added_(r_, r_.contacts + r_.surfaces + which), step_(0, nullptr, nullptr, nullptr, nullptr),
         candidates_(Primitives(edge(ours_), nullptr, counts_[0], 2), Primitives(edge(theirs_), nullptr, counts_[1], 2),
                     once_, [this](const double *x, int i, int j) { return distance(x, i, j); }) {}
   EdgePairs(const EdgePairs &) = delete;
@@ -107,7 +108,7 @@ class EdgePairs {
     step_.measure(step_.lag, rows(x_start), law());
     step_.make_frames(rows(x_start));
     for (int k = 0; k < count(); ++k) {
-      step_.limit[k] = law_[MU] * start_.load[k];
+      step_.limit[k] = added_.bound(law_[MU], start_.load[k], area_[k], start_.speed[k], 0);
       step_.spring[k] = law_[STIFFNESS] * area_[k] * step_.lag.fade[2 * k];
     }
   }
@@ -165,7 +166,7 @@ class EdgePairs {
     for (int k = 0; k < count(); ++k)
       if (acts(k))
         for (int first = 0; first < r_.columns; first += lanes) {
-          One one(*this, k, x, dx_start, nullptr, first);
+          One<InColumns> one(*this, k, x, {*this, k, first, dx_start, nullptr});
           for (int a = 0; a < 4; ++a) scatter(&one.out[3 * a], 3, out + 3 * step_.ends(k, a) * r_.columns, r_.columns, first);
         }
   }
@@ -176,7 +177,7 @@ class EdgePairs {
     for (int k = 0; any && k < count(); ++k)
       if (step_.load[k] > 0.0)
         for (int first = 0; first < r_.columns; first += lanes) {
-          One one(*this, k, x, dx_start, dx, first);
+          One<InColumns> one(*this, k, x, {*this, k, first, dx_start, dx});
           Lanes speed;
           const Vec<Lanes, 3> kept = one.slide(dt, speed);
           scatter(kept.a, 3, &after.d_anchor[3 * k * r_.columns], r_.columns, first);
@@ -204,46 +205,75 @@ class EdgePairs {
   }
 
  private:
+  template <class> friend struct Pull;
+  template <class> friend struct PullPoints;
+
   // Squared sine below which the energy of two edges fades (PARALLEL of sim_core/contact/segments.py).
   static constexpr double parallel_edges = 1e-3;
 
-  // One pair whose numbers carry derivatives in some columns: forces on its ends, and its load.
-  struct One {
+  // Numbers of one pair with their derivatives in some columns, as of Surface.
+  struct InColumns {
+    using S = Lanes;
+    using A = double;
+    const EdgePairs &of;
+    int k, first;
+    const double *dx_start, *dx;
+    Lanes start(std::size_t n) const { return seeded(of.x_start_[n], dx_start + n * of.r_.columns + first); }
+    Lanes end(std::size_t n, double at) const { return dx ? seeded(at, dx + n * of.r_.columns + first) : Lanes(at); }
+    Lanes law(int i) const { return seeded(of.law_[i], of.d_law_ + i * of.r_.columns + first); }
+    Lanes anchor(int i) const { return some(of.start_.anchor, of.start_.d_anchor, 3 * k + i); }
+    double measured(double at) const { return at; }
+    Lanes load() const { return some(of.start_.load, of.start_.d_load, k); }
+    Lanes speed() const { return some(of.start_.speed, of.start_.d_speed, k); }
+    Lanes some(const std::vector<double> &v, const std::vector<double> &d, int n) const {
+      return seeded(v[n], &d[n * of.r_.columns + first]);
+    }
+  };
+
+  // One pair of numbers with derivatives: forces on its ends, and its load.
+  template <class Given> struct One {
+    using S = typename Given::S;
+    using A = typename Given::A;
     const EdgePairs &of;
     int ends[4] = {0, 1, 2, 3};
-    Lanes x[12], x_start[12], out[12], law[8], anchor[3];
-    EdgeStep<Lanes> step;
+    A area, parallel;
+    S x[12], x_start[12], out[12], law[8], anchor[3];
+    EdgeStep<S, A> step;
 
-    One(const EdgePairs &pairs, int k, const double *at, const double *dx_start, const double *dx, int first)
-        : of(pairs), step(1, ends, &of.area_[k], &of.parallel_[k], &of.side_[k]) {
-      const std::size_t width = of.r_.columns;
+    One(const EdgePairs &pairs, int k, const double *at, const Given &given)
+        : of(pairs), area(given.measured(of.area_[k])), parallel(given.measured(of.parallel_[k])),
+          step(1, ends, &area, &parallel, &of.side_[k]) {
       for (int a = 0; a < 4; ++a)
         for (int i = 0; i < 3; ++i) {
           const std::size_t n = 3 * std::size_t(of.step_.ends(k, a)) + i;
-          x_start[3 * a + i] = seeded(of.x_start_[n], dx_start + n * width + first);
-          x[3 * a + i] = dx ? seeded(at[n], dx + n * width + first) : Lanes(at[n]);
+          x_start[3 * a + i] = given.start(n);
+          x[3 * a + i] = given.end(n, at[n]);
         }
-      for (int i = 0; i < 8; ++i) law[i] = seeded(of.law_[i], of.d_law_ + i * width + first);
-      for (int i = 0; i < 3; ++i) anchor[i] = seeded(of.start_.anchor[3 * k + i], &of.start_.d_anchor[(3 * k + i) * width + first]);
+      for (int i = 0; i < 8; ++i) law[i] = given.law(i);
+      for (int i = 0; i < 3; ++i) anchor[i] = given.anchor(i);
       step.measure(step.lag, starts(), numbers());
       step.measure(step.now, places(), numbers());
       step.make_frames(starts());
-      step.limit[0] = law[MU] * seeded(of.start_.load[k], &of.start_.d_load[k * width + first]);
-      step.spring[0] = law[STIFFNESS] * of.area_[k] * step.lag.fade[0];
-      step.add_gradient(places(), starts(), numbers(), remembered(), View<Lanes, 2>(out, 4, 3));
+      step.limit[0] = of.added_.bound(law[MU], given.load(), area, given.speed(), given.first);
+      step.spring[0] = law[STIFFNESS] * area * step.lag.fade[0];
+      step.add_gradient(places(), starts(), numbers(), remembered(), View<S, 2>(out, 4, 3));
     }
-    Vec<Lanes, 3> slide(double dt, Lanes &speed) {
+    Vec<S, 3> slide(double dt, S &speed) {
       return kept_slip(step.slip(places(), starts(), remembered(), 0), step.limit[0], step.spring[0], dt, speed);
     }
 
    private:
-    View<Lanes, 2> places() { return {x, 4, 3}; }
-    View<Lanes, 2> starts() { return {x_start, 4, 3}; }
-    View<Lanes, 1> numbers() { return {law, 8}; }
-    View<Lanes, 2> remembered() { return {anchor, 1, 3}; }
+    View<S, 2> places() { return {x, 4, 3}; }
+    View<S, 2> starts() { return {x_start, 4, 3}; }
+    View<S, 1> numbers() { return {law, 8}; }
+    View<S, 2> remembered() { return {anchor, 1, 3}; }
   };
 
   const int32_t *edge(int64_t i) const { return r_.edge_node + 2 * i; }
+  // Our edge and theirs of a pair.
+  std::pair<int64_t, int64_t> edges_of(int64_t key) const {
+    return {ours_ + candidates_.first(key), theirs_ + candidates_.second(key)};
+  }
   int count() const { return step_.count; }
   bool acts(int k) const { return step_.limit[k] > 0.0 || step_.now.gap[k] < law_[RANGE]; }
   View<const double, 2> rows(const double *x) const { return {x, r_.nodes, 3}; }
@@ -263,7 +293,7 @@ class EdgePairs {
     area_.clear();
     parallel_.clear();
     for (int64_t key : candidates_.inner()) {
-      const int64_t i = ours_ + candidates_.first(key), j = theirs_ + candidates_.second(key);
+      const auto [i, j] = edges_of(key);
       for (const int32_t *e : {edge(i), edge(j)}) ends_.insert(ends_.end(), e, e + 2);
       area_.push_back(r_.edge_area[j] < 0.0 ? r_.edge_area[i] : 0.5 * (r_.edge_area[i] + r_.edge_area[j]));
       parallel_.push_back(parallel_edges * r_.edge_square[i] * r_.edge_square[j]);
@@ -298,6 +328,7 @@ class EdgePairs {
   double margin_;
   std::vector<double> law_;
   const double *d_law_, *x_start_ = nullptr;
+  AddedLaws added_;
   std::vector<int> ends_;
   std::vector<double> area_, parallel_, side_, seen_;
   Held start_;

@@ -11,40 +11,40 @@
 // its force changes by where positions at the end are held:
 //
 //     L^T [dK/dp e + dB/dp (e - e_b) / tau - B de_b/dp / tau]
+//
+// Material laws of effects, and plastic flow, add to s and to its tangent (strain_laws.hpp).
 #pragma once
 
 #include <limits>
 #include <vector>
 
 #include "blocks.hpp"
-#include "laws.hpp"
 #include "pack.hpp"
 #include "record.hpp"
+#include "sheet_point.hpp"
+#include "strain_laws.hpp"
 
 namespace thinshell {
 
-using Vec3 = Vec<double, 3>;
-using Mat3 = Mat<double, 3, 3>;
-
-inline Vec3 point(const double *x, int i) { return {{x[3 * i], x[3 * i + 1], x[3 * i + 2]}}; }
-inline void add(double *x, int i, const Vec3 &v) {
-  for (int k = 0; k < 3; ++k) x[3 * i + k] += v[k];
-}
-
-// From what rates are measured: weights of the start of the step and of that before it, and the time.
+// From what rates are measured: weights of the start of the step and of that before it, and the time; how long it is.
 struct Rates {
-  double now, before, tau;
+  double now, before, tau, dt;
 };
 
 class Triangles {
  public:
-  explicit Triangles(const Record &record) : r_(record), count_(int(record.triangles)), base_(3 * record.triangles) {
+  explicit Triangles(const Record &record)
+      : laws(record, Strained::MEMBRANE, int(record.triangles)), r_(record), count_(int(record.triangles)),
+        base_(3 * record.triangles) {
     for (int t = 0; t < count_; ++t) damped_ = damped_ || r_.stretch_damping[t] != 0.0;
     for (int k = 0; k < r_.stretch_blocks; ++k)
       for (int t = 0; t < count_; ++t) damped_ = damped_ || r_.d_stretch_damping[std::size_t(k) * count_ + t] != 0.0;
     slope_now_.assign(damped_ ? 3 * r_.triangles * r_.columns : 0, 0.0);
     slope_past_ = slope_now_;
+    moved_.assign(laws.any() ? 3 * r_.triangles * r_.columns : 0, 0.0);
   }
+
+  StrainLaws<3> laws;
 
   void couple(Blocks &h) const {
     for (int t = 0; t < count_; ++t)
@@ -60,6 +60,7 @@ class Triangles {
 
   void begin(const double *x_start, const double *x_past, const Rates &rates) {
     rates_ = rates;
+    laws.begin(strains(x_start), rates.dt);
     if (!damped_) return;
     for (int t = 0; t < count_; ++t) {
       Vec3 base = rates.now * strain(columns_of(x_start, t));
@@ -68,8 +69,8 @@ class Triangles {
     }
   }
 
-  double energy(const double *x) const {
-    double out = 0.0;
+  double energy(const double *x) {
+    double out = laws.energy(strains(x));
     for (int t = 0; t < count_; ++t) {
       const Vec3 e = strain(columns_of(x, t));
       out += 0.5 * e.dot(stiff(t, e));
@@ -81,62 +82,47 @@ class Triangles {
     return out;
   }
 
-  void add_gradient(const double *x, double *out) const {
+  void add_gradient(const double *x, double *out) {
+    const double *added = laws.any() ? laws.stress(strains(x)) : nullptr;
     for (int t = 0; t < count_; ++t) {
       const Mat<double, 3, 2> f = columns_of(x, t);
-      const Vec3 s = stress(t, strain(f));
+      Vec3 s = stress(t, strain(f));
+      if (added) s += point(added, t);
       const double *b = r_.hats + 6 * t;
-      for (int a = 0; a < 3; ++a)
-        for (int i = 0; i < 3; ++i)
-          out[3 * node(t, a) + i] += f(i, 0) * (s[0] * b[2 * a] + s[2] * b[2 * a + 1]) +
-                                     f(i, 1) * (s[2] * b[2 * a] + s[1] * b[2 * a + 1]);
+      for (int a = 0; a < 3; ++a) add(out, node(t, a), corner_force(f, s, b, a));
     }
   }
 
   // `move`: by whose linear part the stress is foreseen (null: that of the positions). Without `exact` semidefinite.
-  void add_hessian(const double *x, const double *move, bool exact, Blocks &h) const {
+  void add_hessian(const double *x, const double *move, bool exact, Blocks &h) {
+    const double *added = laws.any() ? laws.tangent(strains(x), exact, true) : nullptr;
     for (int t = 0; t < count_; ++t) {
       const Mat<double, 3, 2> f = columns_of(x, t);
       Vec3 e = strain(f);
-      if (move) {
-        const Mat<double, 3, 2> d = columns_of(move, t);
-        for (int i = 0; i < 3; ++i) {
-          e[0] -= 0.5 * d(i, 0) * d(i, 0);
-          e[1] -= 0.5 * d(i, 1) * d(i, 1);
-          e[2] -= d(i, 0) * d(i, 1);
-        }
-      }
+      if (move) e = foreseen_strain(e, columns_of(move, t));
       Vec3 s = stress(t, e);
+      if (added) s += point(laws.stresses(), t);
       if (!exact) s = laws::membrane::tension_of(s);
-      const double scale = 1.0 + rate(t), *k = r_.stretch_stiffness + 9 * t, *b = r_.hats + 6 * t;
+      double k[9];
+      for (int i = 0; i < 9; ++i) k[i] = (1.0 + rate(t)) * r_.stretch_stiffness[9 * t + i] + (added ? added[9 * t + i] : 0.0);
+      const double *b = r_.hats + 6 * t;
       const Slot *slot = &slots_[6 * t];
-      for (int a = 0; a < 3; ++a) {
-        double left[2][3];
-        for (int j = 0; j < 3; ++j) {
-          left[0][j] = scale * (b[2 * a] * k[j] + b[2 * a + 1] * k[6 + j]);
-          left[1][j] = scale * (b[2 * a + 1] * k[3 + j] + b[2 * a] * k[6 + j]);
-        }
+      for (int a = 0; a < 3; ++a)
         for (int d = a; d < 3; ++d, ++slot) {
-          const double p = b[2 * d], q = b[2 * d + 1];
-          const double geometric = s[0] * b[2 * a] * p + s[1] * b[2 * a + 1] * q + s[2] * (b[2 * a] * q + b[2 * a + 1] * p);
-          double w[2][2];
-          for (int m = 0; m < 2; ++m) {
-            w[m][0] = left[m][0] * p + left[m][2] * q;
-            w[m][1] = left[m][1] * q + left[m][2] * p;
-          }
-          Mat3 block;
-          for (int i = 0; i < 3; ++i)
-            for (int j = 0; j < 3; ++j)
-              block(i, j) = f(i, 0) * (w[0][0] * f(j, 0) + w[0][1] * f(j, 1)) +
-                            f(i, 1) * (w[1][0] * f(j, 0) + w[1][1] * f(j, 1)) + (i == j ? geometric : 0.0);
+          const Mat3 block = triangle_block(f, s, k, b, a, d);
           h.add(*slot, block);
         }
-      }
     }
   }
 
+  void end(const double *x) { laws.end(strains(x)); }
+
   // Derivatives of the strains at the end of a step, from those of the positions (nodes, 3, columns).
   void keep_slopes(const double *x, const double *dx) {
+    if (laws.any()) {
+      measure_slopes(x, dx, moved_);
+      laws.end_columns(strains(x), moved_);
+    }
     if (!damped_) return;
     slope_past_.swap(slope_now_);
     measure_slopes(x, dx, slope_now_);
@@ -144,18 +130,26 @@ class Triangles {
   // A state without the one before it.
   void restart_slopes(const double *x, const double *dx) {
     if (damped_) measure_slopes(x, dx, slope_now_);
+    if (!laws.any()) return;
+    measure_slopes(x, dx, moved_);
+    laws.restart(moved_);
   }
 
   // What forces change by at held positions, into (nodes, 3, columns).
-  void add_columns(const double *x, double *out) const {
+  void add_columns(const double *x, double *out) {
     const int width = int(r_.columns);
-    if (!damped_ && !r_.stretch_blocks) return;
+    if (!damped_ && !r_.stretch_blocks && !laws.any()) return;
+    std::vector<double> added(moved_.size(), 0.0);
+    if (laws.any()) laws.add_columns(strains(x), added.data());
     std::vector<double> change(3 * width);
     for (int t = 0; t < count_; ++t) {
       const Mat<double, 3, 2> f = columns_of(x, t);
       const Vec3 e = strain(f), since = damped_ ? Vec3(e - base(t)) : Vec3{};
       const double *k = r_.stretch_stiffness + 9 * t;
-      std::fill(change.begin(), change.end(), 0.0);
+      if (laws.any())
+        std::copy_n(&added[std::size_t(3 * t) * width], 3 * width, change.begin());
+      else
+        std::fill(change.begin(), change.end(), 0.0);
       if (damped_ && rate(t) != 0.0) {
         const double *now = &slope_now_[std::size_t(3 * t) * width], *past = &slope_past_[std::size_t(3 * t) * width];
         for (int i = 0; i < 3; ++i)
@@ -190,28 +184,24 @@ class Triangles {
   std::vector<double> &slope_past() { return slope_past_; }
 
  private:
+  template <class> friend struct Pull;
+
   int node(int t, int a) const { return r_.triangle[3 * t + a]; }
   double rate(int t) const { return r_.stretch_damping[t] / rates_.tau; }
   Vec3 base(int t) const { return point(base_.data(), t); }
 
-  // The two columns of the deformation gradient.
-  Mat<double, 3, 2> columns_of(const double *x, int t) const {
-    const double *b = r_.hats + 6 * t;
-    Mat<double, 3, 2> f{};
-    for (int a = 0; a < 3; ++a)
-      for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 2; ++j) f(i, j) += x[3 * node(t, a) + i] * b[2 * a + j];
-    return f;
-  }
-  static Vec3 strain(const Mat<double, 3, 2> &f) {
-    return laws::membrane::green_strain(Vec3{{f(0, 0), f(1, 0), f(2, 0)}}, Vec3{{f(0, 1), f(1, 1), f(2, 1)}});
-  }
-  Vec3 stiff(int t, const Vec3 &e) const {
-    const double *k = r_.stretch_stiffness + 9 * t;
-    Vec3 out;
-    for (int i = 0; i < 3; ++i) out[i] = k[3 * i] * e[0] + k[3 * i + 1] * e[1] + k[3 * i + 2] * e[2];
-    return out;
-  }
+  Mat<double, 3, 2> columns_of(const double *x, int t) const { return deformation(x, r_.triangle + 3 * t, r_.hats + 6 * t); }
+  struct Strains {
+    const Triangles &of;
+    const double *x;
+    void operator()(int t, double *e) const {
+      const Vec3 found = strain(of.columns_of(x, t));
+      std::copy(found.a, found.a + 3, e);
+    }
+  };
+  Strains strains(const double *x) const { return {*this, x}; }
+  static Vec3 strain(const Mat<double, 3, 2> &f) { return green_strain(f); }
+  Vec3 stiff(int t, const Vec3 &e) const { return stiff_times(r_.stretch_stiffness + 9 * t, e); }
   Vec3 stress(int t, const Vec3 &e) const {
     return damped_ ? stiff(t, Vec3((1.0 + rate(t)) * e - rate(t) * base(t))) : stiff(t, e);
   }
@@ -240,14 +230,15 @@ class Triangles {
   const Record &r_;
   int count_;
   bool damped_ = false;
-  Rates rates_{1.0, 0.0, 1.0};
-  std::vector<double> base_, slope_now_, slope_past_;
+  Rates rates_{1.0, 0.0, 1.0, 1.0};
+  std::vector<double> base_, slope_now_, slope_past_, moved_;
   std::vector<Slot> slots_;
 };
 
 class Hinges {
  public:
-  explicit Hinges(const Record &record) : r_(record), count_(int(record.hinges)) {
+  explicit Hinges(const Record &record)
+      : laws(record, Strained::BENDING, int(record.bent)), r_(record), count_(int(record.hinges)) {
     for (int k = 0; k < r_.couplings; ++k) damped_ = damped_ || r_.bend_damping[k] != 0.0;
     for (int64_t k = 0; k < r_.bend_blocks * r_.couplings; ++k) damped_ = damped_ || r_.d_bend_damping[k] != 0.0;
     angle_.assign(count_, 0.0);
@@ -259,7 +250,14 @@ class Hinges {
     turn_now_.assign(damped_ ? r_.hinges * r_.columns : 0, 0.0);
     turn_past_ = turn_now_;
     find_stencils();
+    if (!laws.any()) return;
+    softened_.assign(r_.couplings, 0.0);
+    moved_.assign(r_.hinges * r_.columns, 0.0);
+    bending_.assign(3 * r_.bent * r_.columns, 0.0);
+    started_.assign(count_, 0.0);
   }
+
+  StrainLaws<3> laws;  // of curvatures of triangles
 
   void couple(Blocks &h) const {
     for (int e = 0; e < count_; ++e)
@@ -284,6 +282,11 @@ class Hinges {
   void begin(const double *x_start, const double *x_past, const Rates &rates) {
     for (int k = 0; k < r_.couplings; ++k) whole_[k] = r_.bend_stiffness[k] + r_.bend_damping[k] / rates.tau;
     rates_ = rates;
+    if (laws.any()) {
+      bears_ = false;
+      for (int e = 0; e < count_; ++e) started_[e] = turned(x_start, e);
+      laws.begin(curvatures(started_), rates.dt);
+    }
     if (!damped_) return;
     for (int e = 0; e < count_; ++e) {
       base_[e] = rates.now * turned(x_start, e);
@@ -294,7 +297,7 @@ class Hinges {
   double energy(const double *x) {
     if (!seen(x))
       for (int first = 0; first < count_; first += Pack::size) measure_angles(x, first);
-    double out = 0.0;
+    double out = laws.energy(curvatures(angle_));
     for (int e = 0; e < count_; ++e) {
       double held = 0.0, rubbed = 0.0;
       for (int k = r_.coupling_start[e]; k < r_.coupling_start[e + 1]; ++k) {
@@ -316,6 +319,8 @@ class Hinges {
 
   void add_hessian(const double *x, bool exact, Blocks &h) {
     measure(x);
+    if (laws.any()) soften(exact);
+    const std::vector<double> &stiff = laws.any() ? softened_ : whole_;
     const int *slot = inner_.data();
     for (int e = 0; e < count_; ++e) {
       const int size = first_[e + 1] - first_[e];
@@ -324,7 +329,7 @@ class Hinges {
       for (int k = r_.coupling_start[e]; k < r_.coupling_start[e + 1]; ++k, place += 4) {
         const double *g = &slope_[12 * r_.coupling_column[k]];
         for (int a = 0; a < 4; ++a)
-          for (int i = 0; i < 3; ++i) row_[3 * place[a] + i] += whole_[k] * g[3 * a + i];
+          for (int i = 0; i < 3; ++i) row_[3 * place[a] + i] += stiff[k] * g[3 * a + i];
       }
       for (int a = 0; a < 4; ++a) {
         const double *g = &slope_[12 * e + 3 * a];
@@ -340,23 +345,41 @@ class Hinges {
     if (exact) add_curved(x, h);
   }
 
+  void end(const double *x) {
+    if (!laws.any()) return;
+    measure(x);
+    laws.end(curvatures(angle_));
+  }
+
   void keep_slopes(const double *x, const double *dx) {
+    if (laws.any()) {
+      measure_bending(x, dx);
+      laws.end_columns(curvatures(angle_), bending_);
+    }
     if (!damped_) return;
     turn_past_.swap(turn_now_);
-    measure_slopes(x, dx);
+    measure_slopes(x, dx, turn_now_);
   }
   void restart_slopes(const double *x, const double *dx) {
-    if (damped_) measure_slopes(x, dx);
+    if (damped_) measure_slopes(x, dx, turn_now_);
+    if (!laws.any()) return;
+    measure_bending(x, dx);
+    laws.restart(bending_);
   }
 
   void add_columns(const double *x, double *out) {
     const int width = int(r_.columns);
-    if (!damped_ && !r_.bend_blocks) return;
+    if (!damped_ && !r_.bend_blocks && !laws.any()) return;
     measure(x);
+    std::vector<double> added(moved_.size(), 0.0);
+    if (laws.any()) bear_columns(added);
     std::vector<double> base(damped_ ? count_ * width : 0), change(width);
     for (std::size_t k = 0; k < base.size(); ++k) base[k] = rates_.now * turn_now_[k] + rates_.before * turn_past_[k];
     for (int e = 0; e < count_; ++e) {
-      std::fill(change.begin(), change.end(), 0.0);
+      if (laws.any())
+        std::copy_n(&added[std::size_t(e) * width], width, change.begin());
+      else
+        std::fill(change.begin(), change.end(), 0.0);
       for (int k = r_.coupling_start[e]; k < r_.coupling_start[e + 1]; ++k) {
         const int o = r_.coupling_column[k];
         if (damped_) {
@@ -382,6 +405,8 @@ class Hinges {
   std::vector<double> &slope_past() { return turn_past_; }
 
  private:
+  template <class> friend struct Pull;
+
   int node(int e, int a) const { return r_.hinge[4 * e + a]; }
   // Nodes of the triangle on one side of a hinge, its apex last.
   int corner(int e, int side, int i) const { return node(e, i < 2 ? i : 2 + side); }
@@ -426,6 +451,7 @@ class Hinges {
 
   void measure_angles(const double *x, int first) {
     seen_[0] = std::numeric_limits<double>::quiet_NaN();  // slopes are not those of these angles
+    bears_ = false;
     const Pack found = laws::dihedral::angle(four(x, first, 0), four(x, first, 1), four(x, first, 2), four(x, first, 3));
     for (int l = 0; l < lanes_from(first); ++l) angle_[first + l] = found.a[l] - r_.rest_angle[first + l];
   }
@@ -443,9 +469,16 @@ class Hinges {
         }
       }
       std::copy(x, x + seen_.size(), seen_.begin());
+      bears_ = false;
+    }
+    if (laws.any() && !bears_) {
+      borne_.assign(count_, 0.0);
+      const double *stress = laws.stress(curvatures(angle_));
+      each_bent([&](int t, int k) { borne_[r_.bent_hinge[k]] += point(stress, t).dot(point(r_.bent_weight, k)); });
+      bears_ = true;
     }
     for (int e = 0; e < count_; ++e) {
-      double total = 0.0;
+      double total = laws.any() ? borne_[e] : 0.0;
       for (int k = r_.coupling_start[e]; k < r_.coupling_start[e + 1]; ++k) {
         const int o = r_.coupling_column[k];
         total += whole_[k] * angle_[o];
@@ -461,17 +494,12 @@ class Hinges {
       Pack moment(0.0);
       for (int l = 0; l < lanes_from(first); ++l) moment.a[l] = moment_[first + l];
       for (int side = 0; side < 2; ++side) {
-        const auto [n, along, up, dc, dphi] = laws::dihedral::side_curvature(
-            four(x, first, 0), four(x, first, 1), four(x, first, 2 + side), Pack(side ? -1.0 : 1.0));
+        const auto curvature = laws::dihedral::side_curvature(four(x, first, 0), four(x, first, 1), four(x, first, 2 + side),
+                                                              Pack(side ? -1.0 : 1.0));
         int pair = 0;
         for (int i = 0; i < 3; ++i)
           for (int j = i; j < 3; ++j, ++pair) {
-            const Four left = moment * (dc(i, 2 * j) * along + dc(i, 2 * j + 1) * up);
-            const Four right = (moment * dphi(i, 2)) * (dphi(j, 0) * along + dphi(j, 1) * up);
-            Mat<Pack, 3, 3> block;
-            for (int a = 0; a < 3; ++a)
-              for (int b = 0; b < 3; ++b) block(a, b) = n[a] * left[b] - right[a] * n[b];
-            if (i == j) block = 0.5 * (block + block.transpose());
+            const Mat<Pack, 3, 3> block = side_block(moment, curvature, i, j);
             for (int l = 0; l < lanes_from(first); ++l) {
               const Slot slot = outer_[12 * (first + l) + 6 * side + pair];
               double *to = h.block(slot.at);
@@ -484,24 +512,81 @@ class Hinges {
     }
   }
 
-  void measure_slopes(const double *x, const double *dx) {
+  // Curvatures of triangles at angles of the hinges.
+  struct Curvatures {
+    const Record &r;
+    const std::vector<double> &angles;
+    void operator()(int t, double *e) const {
+      Vec3 found{};
+      for (int k = r.bent_start[t]; k < r.bent_start[t + 1]; ++k) found += angles[r.bent_hinge[k]] * point(r.bent_weight, k);
+      std::copy(found.a, found.a + 3, e);
+    }
+  };
+  Curvatures curvatures(const std::vector<double> &angles) const { return {r_, angles}; }
+  template <class F> void each_bent(F &&f) const {
+    for (int t = 0; t < r_.bent; ++t)
+      for (int k = r_.bent_start[t]; k < r_.bent_start[t + 1]; ++k) f(t, k);
+  }
+  // Stiffness of all couplings with the tangents of the laws.
+  void soften(bool exact) {
+    softened_ = whole_;
+    const double *tangent = laws.tangent(curvatures(angle_), exact, true);
+    each_bent([&](int t, int k) {
+      const Vec3 left = matmul(square_of(tangent + 9 * t), point(r_.bent_weight, k));
+      const int32_t *row = r_.coupling_column + r_.coupling_start[r_.bent_hinge[k]];
+      const int32_t *last = r_.coupling_column + r_.coupling_start[r_.bent_hinge[k] + 1];
+      for (int o = r_.bent_start[t]; o < r_.bent_start[t + 1]; ++o)
+        softened_[std::lower_bound(row, last, r_.bent_hinge[o]) - r_.coupling_column] += left.dot(point(r_.bent_weight, o));
+    });
+  }
+  static Mat3 square_of(const double *m) {
+    Mat3 out;
+    std::copy(m, m + 9, out.a);
+    return out;
+  }
+  // Changes of the moments on the hinges by the laws, at held angles (hinges, columns).
+  void bear_columns(std::vector<double> &out) {
+    const int width = int(r_.columns);
+    std::vector<double> stress(bending_.size(), 0.0);
+    laws.add_columns(curvatures(angle_), stress.data());
+    each_bent([&](int t, int k) {
+      double *to = &out[std::size_t(r_.bent_hinge[k]) * width];
+      for (int i = 0; i < 3; ++i)
+        for (int c = 0; c < width; ++c) to[c] += r_.bent_weight[3 * k + i] * stress[(std::size_t(3) * t + i) * width + c];
+    });
+  }
+  // Derivatives of the curvatures, from those of the positions.
+  void measure_bending(const double *x, const double *dx) {
+    const int width = int(r_.columns);
+    measure_slopes(x, dx, moved_);
+    std::fill(bending_.begin(), bending_.end(), 0.0);
+    each_bent([&](int t, int k) {
+      const double *from = &moved_[std::size_t(r_.bent_hinge[k]) * width];
+      for (int i = 0; i < 3; ++i)
+        for (int c = 0; c < width; ++c) bending_[(std::size_t(3) * t + i) * width + c] += r_.bent_weight[3 * k + i] * from[c];
+    });
+  }
+
+  void measure_slopes(const double *x, const double *dx, std::vector<double> &out) {
     const int width = int(r_.columns);
     measure(x);
-    std::fill(turn_now_.begin(), turn_now_.end(), 0.0);
+    std::fill(out.begin(), out.end(), 0.0);
     for (int e = 0; e < count_; ++e)
       for (int a = 0; a < 4; ++a)
         for (int i = 0; i < 3; ++i) {
           const double by = slope_[12 * e + 3 * a + i];
           const double *from = dx + (3 * std::size_t(node(e, a)) + i) * width;
-          for (int c = 0; c < width; ++c) turn_now_[std::size_t(e) * width + c] += by * from[c];
+          for (int c = 0; c < width; ++c) out[std::size_t(e) * width + c] += by * from[c];
         }
   }
 
   const Record &r_;
   int count_;
   bool damped_ = false;
-  Rates rates_{1.0, 0.0, 1.0};
+  Rates rates_{1.0, 0.0, 1.0, 1.0};
+  bool bears_ = false;  // whether `borne_` has the laws' moments at the angles at hand
   std::vector<double> angle_, base_, moment_, slope_, whole_, row_, seen_, turn_now_, turn_past_;
+  std::vector<double> borne_, softened_, started_, moved_, bending_;
   std::vector<int> first_, stencil_, place_, inner_;
   std::vector<Slot> outer_;
 };

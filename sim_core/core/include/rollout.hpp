@@ -1,9 +1,9 @@
 // A rollout: one step after the other along prescribed motions of the mounts, with derivatives by parameters.
 //
-// A step that the fast Newton finds is as that of sim_core/solve/contact_newton.py and newton.py: from a guess, where
+// A step is searched for as in sim_core/solve/contact_newton.py and newton.py: by the fast Newton from a guess, where
 // velocities lead, or where the step starts; accepted if the last tangent was the true Hessian, positive definite, the
-// energy is not above that of the start, and the straight path to it is free. What is not found is left to the caller,
-// who takes the state, makes the step and hands its end back (`accept`).
+// energy is not above that of the start, and the straight path to it is free; then by searches that go down in energy, and
+// in halves, quarters and so on of the step.
 //
 // Derivatives follow the implicit steps, as sim_core/gradients/step.py has them: with the residual R(x'; s, p) = 0,
 //
@@ -14,30 +14,41 @@
 
 #include <vector>
 
-#include "newton.hpp"
+#include "gradings.hpp"
+#include "responses.hpp"
+#include "search.hpp"
+#include "system.hpp"
+#include "tape.hpp"
 
 namespace thinshell {
 
 struct Frames {
   const double *places;   // origins and rotations of the mounts (mounts, 12)
   const double *motions;  // their motions in their own frames by the parameters (mounts, 6, columns); null: none
+  const double *weights;  // of the modulations; null: none
+  const double *targets = nullptr;  // of what is prescribed (nodes, 3), of a system that has no mounts; null: by followers
 };
 
 // Where results of one instant go.
 struct Outputs {
-  double *x, *force, *moment;           // (nodes, 3), (nodes, 3), (contacts, 3)
+  double *x, *force, *moment;           // (nodes and deflections, 3), (nodes, 3), (contacts, 3)
   double *d_x, *d_force, *d_moment;     // the same with columns, forces of the bearing nodes
+  double *motion;                       // of the mounts by what they give way (mounts, 6, columns)
 };
 
 class Rollout {
  public:
-  explicit Rollout(const Record &record) : r_(record), system(r_) {
+  explicit Rollout(const Record &record) : Rollout(record, record.columns) {}
+  // `columns`: those of the record, or none.
+  Rollout(const Record &record, int64_t columns)
+      : r_(carrying(record, columns)), modulations_(r_), gradings_(r_, record.columns), system(r_), time(1, 0.0), tangent_(system) {
     const std::size_t whole = system.whole(), samples = r_.samples, width = r_.columns;
     for (Values *v : {&x, &v_, &x_past, &v_past}) v->assign(whole, 0.0);
     for (Values *v : {&d_x, &d_v, &d_x_past, &d_v_past}) v->assign(whole * width, 0.0);
     memory.anchor.assign(3 * samples, 0.0);
     memory.load.assign(samples, 0.0);
     memory.speed.assign(samples, 0.0);
+    memory.bonded.assign(samples, 0.0);
     memory.rotation.assign(9 * r_.contacts, 0.0);
     memory.d_anchor.assign(3 * samples * width, 0.0);
     memory.d_load.assign(samples * width, 0.0);
@@ -57,18 +68,47 @@ class Rollout {
     place(frames);
     begin(dt, inertia);
     const int64_t residuals = system.residuals;
-    const bool found = search(guess, inertia, counts);
+    const Start<System> start{x, v_, v_past, targets_, memory, dt, dt_past, has_past};
+    const Values there = guess ? Values(guess, guess + system.whole()) : Values();
+    const bool found = Search<System>(system, r_, start, tangent_, counts).run(there, inertia);
+    const bool inverted = found && system.turns_over(x);
+    if (inverted) counts.failure = turned_over;
     system.contacts.guard(true);
-    counts.residuals = system.residuals - residuals;
+    counts.residuals += system.residuals - residuals;
     system.contacts.report(counts);
-    return found;
+    return found && !inverted;
+  }
+
+  // A step from where the mounts are at the frames `from` to `to`, in as many parts as it takes; whether all of it was
+  // made, else `counts` says how much.
+  bool advance(double dt, const Frames &from, const Frames &to, const double *guess, bool inertia, StepCounts &counts) {
+    int64_t part = finest;
+    while (counts.made < finest) {
+      const double begun = double(counts.made) / finest, share = double(part) / finest;
+      const Frames end = between(from, to, begun + share);
+      if (!step(share * dt, end, part == finest ? guess : nullptr, inertia, counts)) {
+        if (part == 1) return false;
+        part /= 2;
+        continue;
+      }
+      if (tape) tape->share = begun + share;
+      this->end(share * dt, end, inertia);
+      ++counts.parts;
+      counts.made += part;
+      while (part < finest && counts.made % (2 * part) == 0) part *= 2;
+    }
+    return true;
   }
 
   // Take the step: from where the system stands at its end to the next state, with derivatives.
   void end(double dt, const Frames &frames, bool inertia) {
     if (system.contacts.any()) system.contacts.shapes.moments(system.x.data(), moment_.data());
+    if (!pair_force.empty()) system.contacts.forces(system.x.data(), pair_force);
+    if (tape) tape->take(*this, dt, frames, inertia);
+    for (const auto &[other, column] : amended) other->trace(*this, dt, frames, inertia);
     if (r_.columns) push(dt, frames, inertia);
     system.contacts.end(system.x.data(), dt, memory);
+    system.end();
     x_past.swap(x);
     v_past.swap(v_);
     x = system.x;
@@ -78,37 +118,76 @@ class Rollout {
       std::fill(v_.begin(), v_.end(), 0.0);
     has_past = inertia && r_.second_order;
     dt_past = dt;
+    time[0] += dt;
   }
 
-  // Take a step whose end another search has found [m] (nodes, 3).
+  // Take a step whose end another rollout has found [m] (nodes, 3).
   void accept(double dt, const Frames &frames, const double *there, bool inertia) {
     place(frames);
     begin(dt, inertia);
-    std::copy(there, there + system.whole(), system.x.begin());
-    system.cover();
+    stand_at(there);
     system.residual();
     end(dt, frames, inertia);
+  }
+
+  // Be in the state that was written into the arrays; `dt_since`: since the one before [s], 0: there is none.
+  void resume(double dt_since) {
+    has_past = dt_since > 0.0;
+    dt_past = dt_since;
+    tangent_.drop();
   }
 
   // The potential of the step of `dt` [s] that begins now, at `there` [m] (nodes, 3): energy [J], gradient [N], and the
   // Hessian [N/m] (3 nodes, 3 nodes).
   void potential(double dt, const Frames &frames, const double *there, bool inertia, bool exact, double *energy,
                  double *gradient, double *hessian) {
+    look(dt, frames, there, inertia, exact, energy, gradient);
+    system.hessian.spread(hessian);
+  }
+  // The same, the Hessian left with the system.
+  void look(double dt, const Frames &frames, const double *there, bool inertia, bool exact, double *energy,
+            double *gradient) {
     place(frames);
     begin(dt, inertia);
-    std::copy(there, there + system.whole(), system.x.begin());
-    system.cover();
-    *energy = system.energy();
+    stand_at(there);
+    *energy = system.energy() - system.tetrahedra.damping_at_start(x.data());
     system.residual();
-    std::copy(system.gradient.begin(), system.gradient.end(), gradient);
+    std::copy_n(system.gradient.begin(), 3 * r_.nodes, gradient);
+    if (!pair_force.empty()) system.contacts.forces(system.x.data(), pair_force);
     system.assemble(exact, nullptr);
-    system.hessian.spread(hessian);
+  }
+
+  // Forces where nothing has moved yet, as at the end of a step of `dt` [s] without any motion, with derivatives; the
+  // memory stays that of the start.
+  void stand(double dt, const Frames &frames, bool inertia) {
+    time[0] = -dt;
+    place(frames);
+    begin(dt, inertia);
+    time[0] = 0.0;
+    system.x = x;
+    system.cover();
+    system.residual();
+    system.contacts.shapes.moments(system.x.data(), moment_.data());
+    if (!pair_force.empty()) system.contacts.forces(system.x.data(), pair_force);
+    if (!r_.columns) return;
+    system.assemble(true, nullptr);
+    modulations_.apply(frames.weights);
+    Values unused_move(d_x.size(), 0.0);
+    move(frames, unused_move);
+    d_force_ = Values(d_force_.size(), 0.0);
+    add_inertia(d_x, d_v, inertia);
+    add_columns(d_x);
+    system.hessian.multiply(d_x.data(), d_force_.data(), int(r_.columns));
+    Memory unused = memory;
+    system.contacts.shapes.end_columns(x.data(), x.data(), d_x.data(), d_x.data(), dt, d_turned_.data(), unused,
+                                       d_moment_.data(), d_force_.data());
+    system.embedding.fold(d_force_.data(), int(r_.columns));
   }
 
   void write(const Outputs &out) const {
     const std::size_t width = r_.columns;
     std::copy(system.x.begin(), system.x.end(), out.x);
-    for (std::size_t k = 0; k < system.whole(); ++k) out.force[k] = -system.gradient[k];
+    loads(out.force);
     std::copy(moment_.begin(), moment_.end(), out.moment);
     if (!width) return;
     std::copy(d_x.begin(), d_x.end(), out.d_x);
@@ -117,15 +196,17 @@ class Rollout {
       for (std::size_t k = 0; k < 3 * width; ++k) out.d_force[3 * width * b + k] = -from[k];
     }
     std::copy(d_moment_.begin(), d_moment_.end(), out.d_moment);
+    std::copy(sources.motion.begin(), sources.motion.end(), out.motion);
   }
 
-  // Be at rest in a state that was written into x, d_x and the memory.
+  // Be at rest in a state that was written into x, d_x and the memory; time begins.
   void rest(bool keep_velocity) {
     if (!keep_velocity) {
       std::fill(v_.begin(), v_.end(), 0.0);
       std::fill(d_v.begin(), d_v.end(), 0.0);
     }
     has_past = false;
+    time[0] = 0.0;
     if (!r_.columns) return;
     system.triangles.restart_slopes(x.data(), d_x.data());
     system.hinges.restart_slopes(x.data(), d_x.data());
@@ -133,10 +214,36 @@ class Rollout {
   }
 
  private:
-  static constexpr double harder = 3.0, any_gap = 1e-6;
+  friend class Adjoint;
+  static constexpr int64_t finest = 32;  // parts of a step, at most
+
+  static Record carrying(Record record, int64_t columns) {
+    record.columns = columns;
+    return record;
+  }
+
+  // Where mounts are after a share of a step.
+  Frames between(const Frames &from, const Frames &to, double share) {
+    if (share == 1.0) return to;
+    places_.resize(12 * r_.mounts);
+    for (int m = 0; m < r_.mounts; ++m) {
+      const double *a = from.places + 12 * m, *b = to.places + 12 * m;
+      for (int k = 0; k < 3; ++k) places_[12 * m + k] = (1.0 - share) * a[k] + share * b[k];
+      turn_between(a + 3, b + 3, share, &places_[12 * m + 3]);
+    }
+    auto mixed = [&](Values &out, const double *a, const double *b, std::size_t size) -> const double * {
+      if (!b) return nullptr;
+      out.resize(size);
+      for (std::size_t k = 0; k < size; ++k) out[k] = (1.0 - share) * a[k] + share * b[k];
+      return out.data();
+    };  // turns of the mounts are small in a step, and so is what this leaves out of motions
+    return {places_.data(), mixed(motions_, from.motions, to.motions, 6 * r_.mounts * r_.columns),
+            mixed(weights_, from.weights, to.weights, r_.modulations)};
+  }
 
   // Where followers and rigid bodies are when the mounts are at `frames`.
   void place(const Frames &frames) {
+    if (frames.targets) std::copy_n(frames.targets, 3 * r_.nodes, targets_.begin());
     for (int f = 0; f < r_.followers; ++f) {
       const double *at = frames.places + 12 * r_.follower_mount[f], *local = r_.follower_local + 3 * f;
       for (int i = 0; i < 3; ++i)
@@ -152,6 +259,8 @@ class Rollout {
 
   void begin(double dt, bool inertia) {
     step_.dt = dt;
+    step_.end = time[0] + dt;
+    if (gradings_.apply(std::max(time[0], 0.0))) system.tetrahedra.weigh();
     const double r = has_past ? dt / dt_past : 0.0;
     step_.now = (1.0 + r) * (1.0 + r) / (1.0 + 2.0 * r);
     step_.before = -r * r / (1.0 + 2.0 * r);
@@ -162,6 +271,8 @@ class Rollout {
     system.hold(targets_.data());
     Values towards = x;
     for (std::size_t k = 0; k < towards.size(); ++k) towards[k] = r_.prescribed[k] ? targets_[k] : x[k] + dt * v_[k];
+    system.yielding.follow(towards.data());
+    system.embedding.fill(towards.data());
     system.begin(step_, x.data(), has_past ? x_past.data() : nullptr, towards.data(), turned_.data(), memory, inertia);
   }
   void combine(const Values &here, const Values &past, Values &out) const {
@@ -170,100 +281,97 @@ class Rollout {
     for (std::size_t k = 0; k < out.size(); ++k) out[k] = step_.now * here[k] + step_.before * past[k];
   }
 
-  bool search(const double *guess, bool inertia, StepCounts &counts) {
-    if (guess && attempt(guess, true, inertia, counts)) return true;
-    Values drift;
-    if (inertia) {
-      drift = v_;
-      for (std::size_t k = 0; k < drift.size(); ++k) {
-        drift[k] *= step_.dt;
-        if (has_past) drift[k] += 0.5 * step_.dt * step_.dt * (v_[k] - v_past[k]) / dt_past;
-      }
-      if (largest(drift.data(), drift.size()) > 0.0 && !runs_into(drift)) {
-        for (std::size_t k = 0; k < drift.size(); ++k) drift[k] += x[k];
-        if (attempt(drift.data(), false, inertia, counts)) return true;
-      }
-    }
-    return attempt(x.data(), false, inertia, counts);
+  // Be at the positions of the nodes (nodes, 3), and where mounts have given way for them.
+  void stand_at(const double *there) {
+    std::copy(there, there + 3 * r_.nodes, system.x.begin());
+    system.yielding.read(targets_.data(), system.x.data());
+    system.cover();
   }
 
-  void put(const double *where) { std::copy(where, where + system.whole(), system.x.begin()); }
-
-  // Whether contact would be loaded far more where velocities lead than it is: no place to search from.
-  bool runs_into(const Values &drift) {
-    if (!system.contacts.any()) return false;
-    system.contacts.guard(false);
-    for (std::size_t k = 0; k < drift.size(); ++k) system.x[k] = x[k] + drift[k];
-    system.hold(targets_.data());
-    const double load = system.contact_load();
-    if (load <= harder * system.largest_load()) return false;
-    put(x.data());
-    return load > harder * system.contact_load();
+  // Forces on the nodes where the system stands [N] (nodes, 3), with what joints pass on.
+  void loads(double *out) const {
+    for (int k = 0; k < 3 * r_.nodes; ++k) out[k] = -system.gradient[k];
+    system.embedding.fold(out);
+    for (int e = 0; e < system.embedding.count(); ++e)  // of these what elements and contacts exert, alone
+      for (int i = 3 * system.embedding.node(e); i < 3 * system.embedding.node(e) + 3; ++i) out[i] -= r_.external[i];
   }
 
-  bool attempt(const double *where, bool near, bool inertia, StepCounts &counts) {
-    const bool touches = system.contacts.any();
-    if (touches) system.contacts.guard(false);
-    put(near ? where : x.data());
-    system.hold(targets_.data());
-    const double energy = system.energy();
-    Values move;
-    put(where);
-    if (!near) {
-      move.assign(system.whole(), 0.0);
-      for (std::size_t k = 0; k < move.size(); ++k)
-        if (r_.prescribed[k]) move[k] = targets_[k] - where[k];
-      if (largest(move.data(), move.size()) < r_.step_tolerance) move.clear();
+  // What the laws that this rollout lacks change in the forces of the step at whose end the system stands.
+  Frames answer(const Frames &frames) {
+    const std::size_t width = r_.columns;
+    for (Values *v : {&sources.force, &sources.moment, &sources.motion}) std::fill(v->begin(), v->end(), 0.0);
+    system.residual();
+    for (const auto &[other, column] : amended) {
+      if (column < 0) continue;
+      for (int k = 0; k < 3 * r_.nodes; ++k)
+        sources.force[k * width + column] = other->system.gradient[k] - system.gradient[k];
+      for (std::size_t k = 0; k < moment_.size(); ++k)
+        sources.moment[k * width + column] = other->moment_[k] - moment_[k];
     }
-    if (move.empty()) system.hold(targets_.data());
-    FastNewton newton(system, r_, targets_.data(), std::move(move), inertia, near, counts);
-    if (!newton.run()) return false;
-    if (!(system.energy() <= energy + 1e-13 * std::abs(energy) + 1e-30)) return false;
-    if (system.tetrahedra.turns_over(x.data(), system.x.data())) return false;
-    if (!touches) return true;
-    const bool beyond = system.cover();
-    system.contacts.guard(true);
-    Values way(system.whole());
-    for (std::size_t k = 0; k < way.size(); ++k) way[k] = system.x[k] - x[k];
-    if (system.contacts.free_way(x.data(), way.data(), any_gap, memory) < 1.0) return false;
-    double residual = counts.residual;
-    if (beyond || system.contacts.guard_matters()) {
-      const Values g = system.residual();
-      residual = largest(g.data(), g.size());
+    if (sources.compliant.empty()) return frames;
+    Values load(3 * r_.nodes);
+    loads(load.data());
+    for (const Sources::Compliant &c : sources.compliant) {
+      Vec3 way = {{0.0, 0.0, 0.0}};
+      for (const int node : c.nodes)
+        for (int i = 0; i < 3; ++i) way[i] += c.compliance[i] * load[3 * node + i];
+      const Vec3 own = matmul(rotation_of(frames.places + 12 * c.mount + 3).transpose(), way);
+      for (int i = 0; i < 3; ++i) sources.motion[(6 * c.mount + i) * width + c.column] += own[i];
     }
-    return residual <= std::max(r_.force_tolerance * std::max(system.force_scale(), 1e-9), system.force_noise());
+    moved_ = sources.motion;
+    for (std::size_t k = 0; frames.motions && k < moved_.size(); ++k) moved_[k] += frames.motions[k];
+    return {frames.places, moved_.data(), frames.weights};
+  }
+  // Make the step that another rollout, of the same nodes, has found, with a memory of its own.
+  void trace(const Rollout &other, double dt, const Frames &frames, bool inertia) {
+    for (auto [to, from] : {std::pair(&x, &other.x), {&v_, &other.v_}, {&x_past, &other.x_past}, {&v_past, &other.v_past}}) {
+      *to = *from;
+      to->resize(system.whole(), 0.0);  // other mounts may give way
+    }
+    has_past = other.has_past;
+    dt_past = other.dt_past;
+    time = other.time;
+    accept(dt, frames, other.system.x.data(), inertia);
   }
 
   // Carry the derivatives over the step at whose end the system stands.
-  void push(double dt, const Frames &frames, bool inertia) {
+  void push(double dt, const Frames &given, bool inertia) {
     const std::size_t whole = system.whole(), width = r_.columns;
+    const bool answers = sources.any();
+    const Frames frames = answers ? answer(given) : given;
+    modulations_.apply(frames.weights);
     system.assemble(true, nullptr);
-    if (!system.factorise(true)) {
+    if (system.factorise(true))
+      tangent_.adopt(true);
+    else
       system.factorise(false);  // need not be definite where motion holds it
-    }
     Values held(whole * width, 0.0), d_base(whole * width), d_v_base(whole * width);
     move(frames, held);
+    system.embedding.fill(held.data(), int(width));
     for (std::size_t k = 0; k < whole * width; ++k) {
       d_base[k] = has_past ? step_.now * d_x[k] + step_.before * d_x_past[k] : d_x[k];
       d_v_base[k] = has_past ? step_.now * d_v[k] + step_.before * d_v_past[k] : d_v[k];
     }
     std::fill(d_force_.begin(), d_force_.end(), 0.0);
     add_inertia(d_base, d_v_base, inertia);
-    system.triangles.add_columns(system.x.data(), d_force_.data());
-    system.hinges.add_columns(system.x.data(), d_force_.data());
-    system.tetrahedra.add_columns(system.x.data(), d_force_.data());
-    system.contacts.add_columns(x.data(), system.x.data(), d_x.data(), held.data(), d_turned_.data(), memory, d_force_.data());
+    add_columns(held);
+    for (std::size_t k = 0; answers && k < d_force_.size(); ++k) d_force_[k] += sources.force[k];
     Values total = d_force_, moved(system.count() * width);
     system.hessian.multiply(held.data(), total.data(), int(width));
+    system.fold(total.data(), int(width));
     for (int k = 0; k < system.count(); ++k)
       std::copy_n(&total[width * system.own[k]], width, &moved[width * k]);
     system.factor.solve(moved.data(), int(width));
     Values there = std::move(held);  // from here on the derivative of all positions
     for (int k = 0; k < system.count(); ++k)
       for (std::size_t c = 0; c < width; ++c) there[width * system.own[k] + c] = -moved[width * k + c];
+    system.yielding.follow(there.data(), int(width));
+    system.embedding.fill(there.data(), int(width));
     system.hessian.multiply(there.data(), d_force_.data(), int(width));
     system.contacts.end_columns(x.data(), system.x.data(), d_x.data(), there.data(), dt, d_turned_.data(), memory,
                                 d_moment_.data(), d_force_.data());
+    if (answers) add_on_bodies();
+    system.embedding.fold(d_force_.data(), int(width));
     system.triangles.keep_slopes(system.x.data(), there.data());
     system.hinges.keep_slopes(system.x.data(), there.data());
     system.tetrahedra.keep_slopes(system.x.data(), there.data());
@@ -271,6 +379,29 @@ class Rollout {
     d_v_past.swap(d_v);
     for (std::size_t k = 0; k < whole * width; ++k) d_v[k] = inertia ? (there[k] - d_base[k]) / step_.tau : 0.0;
     d_x.swap(there);
+  }
+
+  // Sources on what is set anew with the memory: forces on the nodes of rigid bodies, and moments about these.
+  void add_on_bodies() {
+    const std::size_t width = r_.columns;
+    for (std::size_t k = 0; k < d_moment_.size(); ++k) d_moment_[k] += sources.moment[k];
+    for (int c = 0; c < r_.contacts; ++c) {
+      const int32_t *end = r_.body_node + c;
+      if (std::find(r_.body_node, end, *end) != end) continue;
+      for (std::size_t k = 3 * width * *end; k < 3 * width * (*end + 1); ++k) d_force_[k] += sources.force[k];
+    }
+  }
+
+  // What forces of the elements change by where positions at the end are held but for those of rigid bodies, `dx`, into
+  // d_force_.
+  void add_columns(const Values &dx) {
+    system.triangles.add_columns(system.x.data(), d_force_.data());
+    system.hinges.add_columns(system.x.data(), d_force_.data());
+    system.tetrahedra.add_columns(system.x.data(), d_force_.data());
+    system.drag.add_columns(system.x.data(), d_x.data(), d_force_.data());
+    system.loads.add_columns(system.x.data(), d_x.data(), d_force_.data());
+    system.yielding.add_columns(system.x.data(), d_force_.data());
+    system.contacts.add_columns(x.data(), system.x.data(), d_x.data(), dx.data(), d_turned_.data(), memory, d_force_.data());
   }
 
   // Motions of followers and turns of rigid bodies by the parameters.
@@ -325,16 +456,84 @@ class Rollout {
   }
 
   Record r_;
+  Modulations modulations_;
+  Gradings gradings_;
   Step step_;
-  Values v_, turned_, d_turned_, targets_, d_force_, d_moment_, moment_;
+  Values v_, turned_, d_turned_, targets_, d_force_, d_moment_, moment_, places_, motions_, weights_, moved_;
 
  public:
   System system;
   Values x, x_past, v_past, d_x, d_v, d_x_past, d_v_past;
   Memory memory;
+  Values time;        // since the start [s] (1)
+  Values pair_force;  // of the contacts at the end of the last step (terms, nodes, 3); empty: not kept
   double dt_past = 0.0;
   bool has_past = false;
   Values &velocity() { return v_; }
+  const Record &record() const { return r_; }
+  void may_take(int64_t iterations) { r_.slow_iterations = iterations; }  // of a guarded search
+
+  Tape *tape = nullptr;  // takes note of the steps
+  Sources sources;
+  std::vector<std::pair<Rollout *, int>> amended;  // rollouts with laws that this one lacks, and their columns, -1: none
+
+  // A state without its derivatives.
+  struct Kept {
+    Values x, v, x_past, v_past, turned, moment, pair_force, end, gradient, time;
+    Memory memory;
+    std::vector<Held> held;
+    std::vector<Keys> keys;
+    std::vector<Values> materials;
+    double dt_past;
+    bool has_past;
+  };
+  Kept keep() {
+    Kept out{x, v_, x_past, v_past, turned_, moment_, pair_force, system.x, system.gradient, time, memory, {}, {}, {}, dt_past, has_past};
+    for (Surface &term : system.contacts.surfaces) out.held.push_back(term.held);
+    for (EdgePairs &term : system.contacts.edges) {
+      out.held.push_back(term.held);
+      out.keys.push_back(term.keys);
+    }
+    for (int k = 0; k < r_.material_laws; ++k) out.materials.push_back(system.material(k, false));
+    return out;
+  }
+  void put_back(const Kept &kept) {
+    x = kept.x;
+    v_ = kept.v;
+    x_past = kept.x_past;
+    v_past = kept.v_past;
+    turned_ = kept.turned;
+    moment_ = kept.moment;
+    pair_force = kept.pair_force;
+    system.x = kept.end;
+    system.gradient = kept.gradient;
+    memory = kept.memory;
+    std::size_t k = 0;
+    for (Surface &term : system.contacts.surfaces) term.held = kept.held[k++];
+    std::size_t e = 0;
+    for (EdgePairs &term : system.contacts.edges) {
+      term.held = kept.held[k++];
+      term.keys = kept.keys[e++];
+    }
+    for (int law = 0; law < r_.material_laws; ++law) system.material(law, false) = kept.materials[law];
+    dt_past = kept.dt_past;
+    time = kept.time;
+    has_past = kept.has_past;
+    tangent_.drop();
+  }
+
+  // Keep the forces of contacts.
+  void keep_forces() { pair_force.assign(3 * r_.nodes * (r_.contacts + r_.surfaces + r_.edge_pairs), 0.0); }
+
+  // Make room for sources.
+  void respond() {
+    sources.force.assign(system.whole() * r_.columns, 0.0);
+    sources.moment.assign(3 * r_.contacts * r_.columns, 0.0);
+    sources.motion.assign(6 * r_.mounts * r_.columns, 0.0);
+  }
+
+ private:
+  Tangent<System> tangent_;  // of the step before
 };
 
 }  // namespace thinshell

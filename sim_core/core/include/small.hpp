@@ -1,19 +1,29 @@
-// Small vectors and matrices, array views and scalar functions, as far as Taichi functions use them.
+// Small vectors and matrices, array views and scalar functions, as far as laws use them.
 // For g++, clang and NVRTC (C++17); no container and no allocation.
 #pragma once
 
-#ifndef __CUDACC_RTC__
+#ifdef __CUDACC_RTC__
+#define HUGE_VAL __longlong_as_double(0x7ff0000000000000LL)
+#else
 #include <cmath>
 #endif
 
 #ifdef __CUDACC__
 #define THINSHELL_FN __host__ __device__ inline
-#define THINSHELL_UNROLL _Pragma("unroll")
-#elif defined(__clang__)
-#define THINSHELL_FN inline
-#define THINSHELL_UNROLL _Pragma("unroll")
 #else
 #define THINSHELL_FN inline
+#endif
+// Functions that a GPU's compiler keeps apart, so that it is done sooner.
+#ifdef __CUDACC_RTC__
+#define THINSHELL_APART __noinline__
+#else
+#define THINSHELL_APART
+#endif
+#ifdef THINSHELL_ROLLED  // for scalars of many numbers, whose loops are long enough
+#define THINSHELL_UNROLL
+#elif defined(__CUDACC__) || defined(__clang__)
+#define THINSHELL_UNROLL _Pragma("unroll")
+#else
 #define THINSHELL_UNROLL _Pragma("GCC unroll 12")
 #endif
 
@@ -88,21 +98,31 @@ template <class T, int N> struct View {
 // ---- scalars ----------------------------------------------------------------------------------------------------
 
 #ifdef __CUDACC_RTC__
-using ::acos; using ::asin; using ::atan; using ::atan2; using ::ceil; using ::cos; using ::exp; using ::floor;
+using ::acos; using ::asin; using ::atan; using ::atan2; using ::ceil; using ::cos; using ::exp; using ::expm1; using ::floor;
 using ::log; using ::pow; using ::sin; using ::sqrt; using ::tan; using ::tanh;
 #else
-using std::acos; using std::asin; using std::atan; using std::atan2; using std::ceil; using std::cos; using std::exp;
+using std::acos; using std::asin; using std::atan; using std::atan2; using std::ceil; using std::cos; using std::exp; using std::expm1;
 using std::floor; using std::log; using std::pow; using std::sin; using std::sqrt; using std::tan; using std::tanh;
 #endif
 
-template <class T> THINSHELL_FN typename EnableIf<is_number<T>, T>::type abs(const T &x) { return x < T(0) ? -x : x; }
-template <class A, class B> THINSHELL_FN Common<A, B> max(const A &a, const B &b) { return a < b ? Common<A, B>(b) : Common<A, B>(a); }
-template <class A, class B> THINSHELL_FN Common<A, B> min(const A &a, const B &b) { return b < a ? Common<A, B>(b) : Common<A, B>(a); }
-template <class A, class B, class... C> THINSHELL_FN auto max(const A &a, const B &b, const C &...c) { return max(max(a, b), c...); }
-template <class A, class B, class... C> THINSHELL_FN auto min(const A &a, const B &b, const C &...c) { return min(min(a, b), c...); }
+// Neither infinite nor no number.
+THINSHELL_FN bool is_finite(double x) { return x - x == 0.0; }
+THINSHELL_FN double infinity() { return HUGE_VAL; }
+
 template <class A, class B> THINSHELL_FN Common<A, B> select(bool which, const A &yes, const B &no) {
   return which ? Common<A, B>(yes) : Common<A, B>(no);
 }
+template <class T> THINSHELL_FN typename EnableIf<is_number<T>, T>::type abs(const T &x) { return select(x < T(0), -x, x); }
+template <class A, class B> THINSHELL_FN Common<A, B> max(const A &a, const B &b) {
+  using C = Common<A, B>;
+  return select(a < b, C(b), C(a));
+}
+template <class A, class B> THINSHELL_FN Common<A, B> min(const A &a, const B &b) {
+  using C = Common<A, B>;
+  return select(b < a, C(b), C(a));
+}
+template <class A, class B, class... C> THINSHELL_FN auto max(const A &a, const B &b, const C &...c) { return max(max(a, b), c...); }
+template <class A, class B, class... C> THINSHELL_FN auto min(const A &a, const B &b, const C &...c) { return min(min(a, b), c...); }
 // Python's /, // and %: the quotient of integers is not one, and remainders have the sign of the divisor.
 template <class A, class B> THINSHELL_FN auto divide(const A &a, const B &b) {
   if constexpr (is_integer<A> && is_integer<B>) return double(a) / double(b);

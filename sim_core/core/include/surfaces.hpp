@@ -41,11 +41,6 @@ struct Held {
   }
 };
 
-inline void scatter(const Lanes *v, int rows, double *out, std::size_t columns, int first) {
-  for (int i = 0; i < rows; ++i)
-    for (int l = 0; l < lanes; ++l) out[i * columns + first + l] += v[i].d[l];
-}
-
 // Where samples are nearest to triangles, as the kernel `measure` writes it.
 template <class S> struct Nearest {
   static constexpr int most = 12;  // triangles that may share in a gap (MOST of surface_kernels.py)
@@ -74,30 +69,30 @@ template <class S> struct Nearest {
   View<S, 1> gaps() { return {gap.data(), count}; }
 };
 
-// Some samples over triangles: their tables, and what the kernels write of them.
-template <class S> struct SampleStep {
+// Some samples over triangles: their tables, and what the kernels write of them; A: of their areas.
+template <class S, class A = double> struct SampleStep {
   View<const int, 2> own;
   View<const int, 1> used;
   View<const double, 2> weights;
   View<const int, 2> triangles, border;
-  View<const double, 1> areas;
+  View<const A, 1> areas;
   int count;
   Nearest<S> now, lag;
   std::vector<S> limit, frame, force, load;
-  std::vector<double> added;  // by no effect
+  std::vector<S> added;  // energy, pressure and slope by effects
 
   SampleStep(View<const int, 2> own_, View<const int, 1> used_, View<const double, 2> weights_,
-             View<const int, 2> triangles_, View<const int, 2> border_, View<const double, 1> areas_)
+             View<const int, 2> triangles_, View<const int, 2> border_, View<const A, 1> areas_)
       : own(own_), used(used_), weights(weights_), triangles(triangles_), border(border_), areas(areas_),
         count(own_.shape[0]), now(count), lag(count) {
     limit.assign(count, S(0.0));
     load = limit;
     frame.assign(27 * count, S(0.0));
     force.assign(3 * count, S(0.0));
-    added.assign(3 * count, 0.0);
+    added.assign(3 * count, S(0.0));
   }
   View<S, 2> frames() { return {frame.data(), count, 27}; }
-  View<const double, 2> none() const { return {added.data(), count, 3}; }
+  View<const S, 2> beside() const { return {added.data(), count, 3}; }
 
   template <class X, class L>
   void measure(Nearest<S> &to, X x, View<const int, 1> first, View<const int, 1> near, View<const double, 2> normals,
@@ -109,14 +104,14 @@ template <class S> struct SampleStep {
   template <class X> void make_frames(X x_start) {
     laws::surface_geometry::frames(x_start, own, used, weights, triangles, lag.numbers(), lag.triangles(), frames());
   }
-  template <class X, class Y, class L, class A, class O> void add_gradient(X x, Y x_start, L law, A anchor, O out) {
+  template <class X, class Y, class L, class H, class O> void add_gradient(X x, Y x_start, L law, H anchor, O out) {
     laws::surface_kernels::add_gradient(
         x, x_start, own, used, weights, triangles, areas, law, View<S, 1>(limit.data(), count), lag.triangles(), frames(),
-        lag.directions(), anchor, now.gaps(), none(), now.numbers(), now.triangles(), now.weights(), now.directions(),
+        lag.directions(), anchor, now.gaps(), beside(), now.numbers(), now.triangles(), now.weights(), now.directions(),
         now.shares(), View<S, 2>(force.data(), count, 3), View<S, 1>(load.data(), count), out);
   }
   // Elastic slip before it slides.
-  template <class X, class Y, class A> Vec<S, 3> slip(X x, Y x_start, A anchor, int s) {
+  template <class X, class Y, class H> Vec<S, 3> slip(X x, Y x_start, H anchor, int s) {
     return laws::surface_kernels::_elastic_slip(x, x_start, own, used, weights, triangles, lag.triangles(), frames(),
                                                 lag.directions(), anchor, s)
         .a0;
@@ -130,7 +125,7 @@ class Surface {
         samples_(r_.surface_sample_start[which + 1] - first_sample_),
         triangles_(r_.surface_triangle_start[which + 1] - first_triangle_), corners_(int(r_.surface_corners)),
         margin_(r_.surface_margin[which]), law_(r_.surface_law + 8 * which, r_.surface_law + 8 * which + 8),
-        d_law_(r_.d_surface_law + 8 * which * r_.columns),
+        d_law_(r_.d_surface_law + 8 * which * r_.columns), added_(r_, r_.contacts + which),
         step_({own(), samples_, corners_}, {r_.surface_used + first_sample_, samples_}, {weights(), samples_, corners_},
               {triangle(0), triangles_, 3}, {r_.surface_border + 6 * first_triangle_, triangles_, 6},
               {r_.surface_area + first_sample_, samples_}),
@@ -209,14 +204,14 @@ class Surface {
     step_.measure(step_.lag, rows(x_start), first(), near(), normals(), side(), law());
     step_.make_frames(rows(x_start));
     for (int s = 0; s < samples_; ++s)
-      if (step_.lag.number[s] > 0) limit[s] = law_[MU] * held.load[s];
+      if (step_.lag.number[s] > 0) limit[s] = added_.bound(law_[MU], held.load[s], step_.areas[s], held.speed[s], 0);
   }
 
   void add_energy(const double *x, double *out) {
     if (!look(x)) return;
     laws::surface_kernels::add_energy(rows(x), rows(x_start_), step_.own, step_.used, step_.weights, step_.triangles,
                                       step_.areas, law(), limits(), step_.lag.triangles(), step_.frames(),
-                                      step_.lag.directions(), anchor(), step_.now.gaps(), step_.none(),
+                                      step_.lag.directions(), anchor(), step_.now.gaps(), step_.beside(),
                                       View<double, 1>(out, 1));
   }
   void add_gradient(const double *x, double *out) {
@@ -230,7 +225,7 @@ class Surface {
     double second[16 * 9];
     laws::surface_kernels::add_hessian(
         rows(x), rows(x_start_), step_.own, step_.used, step_.weights, step_.triangles, step_.areas, law(), limits(),
-        step_.lag.triangles(), step_.frames(), step_.lag.directions(), anchor(), now.gaps(), step_.none(), now.numbers(),
+        step_.lag.triangles(), step_.frames(), step_.lag.directions(), anchor(), now.gaps(), step_.beside(), now.numbers(),
         now.triangles(), now.weights(), now.directions(), now.shares(), now.kinds(), now.signs(),
         View<const int, 1>(with, 1), table.start(), table.column(), table.place(),
         View<double, 3>(slopes_.data(), now.most + 2, participants, 3), View<double, 3>(second, 16, 3, 3), table.values());
@@ -266,7 +261,7 @@ class Surface {
     for (int s = 0; s < samples_; ++s)
       if (acts(s))
         for (int first = 0; first < r_.columns; first += lanes) {
-          One one(*this, s, x, dx_start, nullptr, first);
+          One<InColumns> one(*this, s, x, {*this, s, first, dx_start, nullptr});
           for (std::size_t k = 0; k < one.nodes.size(); ++k)
             scatter(&one.out[3 * k], 3, out + 3 * one.nodes[k] * r_.columns, r_.columns, first);
         }
@@ -279,7 +274,7 @@ class Surface {
     for (int s = 0; any && s < samples_; ++s)
       if (step_.load[s] > 0.0)
         for (int first = 0; first < r_.columns; first += lanes) {
-          One one(*this, s, x, dx_start, dx, first);
+          One<InColumns> one(*this, s, x, {*this, s, first, dx_start, dx});
           Lanes speed;
           const Vec<Lanes, 3> kept = one.slide(dt, speed);
           scatter(kept.a, 3, &after.d_anchor[3 * s * r_.columns], r_.columns, first);
@@ -310,32 +305,53 @@ class Surface {
   }
 
  private:
-  // One sample with what it meets, whose numbers carry derivatives in some columns: forces on its nodes, and its load.
-  struct One {
+  template <class> friend struct Pull;
+  template <class> friend struct PullPoints;
+
+  // Numbers of one sample with their derivatives in some columns; dx: of the positions at the end, null where held.
+  struct InColumns {
+    using S = Lanes;
+    using A = double;
     const Surface &of;
     int s, first;
+    const double *dx_start, *dx;
+    Lanes start(std::size_t k) const { return seeded(of.x_start_[k], dx_start + k * of.r_.columns + first); }
+    Lanes end(std::size_t k, double at) const { return dx ? seeded(at, dx + k * of.r_.columns + first) : Lanes(at); }
+    Lanes law(int k) const { return seeded(of.law_[k], of.d_law_ + k * of.r_.columns + first); }
+    Lanes anchor(int i) const { return some(of.held.anchor, of.held.d_anchor, 3 * s + i); }
+    double measured(double at) const { return at; }
+    Lanes load() const { return some(of.held.load, of.held.d_load, s); }
+    Lanes speed() const { return some(of.held.speed, of.held.d_speed, s); }
+    Lanes some(const std::vector<double> &v, const std::vector<double> &d, int k) const {
+      return seeded(v[k], &d[k * of.r_.columns + first]);
+    }
+  };
+
+  // One sample with what it meets, of numbers with derivatives: forces on its nodes, and its load.
+  template <class Given> struct One {
+    using S = typename Given::S;
+    using A = typename Given::A;
+    const Surface &of;
+    int s;
     std::vector<int> own, triangles, border, nodes;
     int used, corners;
-    double area;
-    std::vector<Lanes> x, x_start, out;
-    Lanes law[8], anchor[3];
-    SampleStep<Lanes> step;
+    A area;
+    std::vector<S> x, x_start, out;
+    S law[8], anchor[3];
+    SampleStep<S, A> step;
 
-    One(const Surface &surface, int sample, const double *at, const double *dx_start, const double *dx, int column)
-        : of(surface), s(sample), first(column), nodes(members()), used(of.step_.used[s]), corners(of.corners_),
-          area(of.step_.areas[s]),
+    One(const Surface &surface, int sample, const double *at, const Given &given)
+        : of(surface), s(sample), nodes(members()), used(of.step_.used[s]), corners(of.corners_), area(given.measured(of.step_.areas[s])),
           step({own.data(), 1, corners}, {&used, 1}, {of.weights() + s * corners, 1, corners},
                {triangles.data(), triangles.size() / 3, 3}, {border.data(), triangles.size() / 3, 6}, {&area, 1}) {
-      const std::size_t width = of.r_.columns;
       for (int node : nodes)
         for (int i = 0; i < 3; ++i) {
           const std::size_t k = 3 * std::size_t(node) + i;
-          x_start.push_back(seeded(of.x_start_[k], dx_start + k * width + first));
-          x.push_back(dx ? seeded(at[k], dx + k * width + first) : Lanes(at[k]));
+          x_start.push_back(given.start(k));
+          x.push_back(given.end(k, at[k]));
         }
-      for (int k = 0; k < 8; ++k) law[k] = seeded(of.law_[k], of.d_law_ + k * width + first);
-      for (int i = 0; i < 3; ++i)
-        anchor[i] = seeded(of.held.anchor[3 * s + i], &of.held.d_anchor[(3 * s + i) * width + first]);
+      for (int k = 0; k < 8; ++k) law[k] = given.law(k);
+      for (int i = 0; i < 3; ++i) anchor[i] = given.anchor(i);
       // Candidates: those that share in the gap now, the nearest first, then the one that was nearest at the start.
       const int now = of.step_.now.number[s];
       std::vector<int> near(now + 1);
@@ -348,20 +364,22 @@ class Surface {
       step.measure(step.lag, starts(), View<const int, 1>(before, 2), all, normals, sides, numbers());
       step.measure(step.now, places(), View<const int, 1>(here, 2), all, normals, sides, numbers());
       step.make_frames(starts());
-      if (of.step_.limit[s] > 0.0) step.limit[0] = law[MU] * seeded(of.held.load[s], &of.held.d_load[s * width + first]);
-      out.assign(3 * nodes.size(), Lanes(0.0));
-      step.add_gradient(places(), starts(), numbers(), remembered(), View<Lanes, 2>(out.data(), nodes.size(), 3));
+      if (of.step_.limit[s] > 0.0)
+        step.limit[0] = of.added_.bound(law[MU], given.load(), area, given.speed(), given.first);
+      if (value(step.now.gap[0]) < of.law_[REACH]) step.added[1] = of.added_.pressure(step.now.gap[0], 1.0, given.first);
+      out.assign(3 * nodes.size(), S(0.0));
+      step.add_gradient(places(), starts(), numbers(), remembered(), View<S, 2>(out.data(), nodes.size(), 3));
     }
 
-    Vec<Lanes, 3> slide(double dt, Lanes &speed) {
-      return kept_slip(step.slip(places(), starts(), remembered(), 0), step.limit[0], Lanes(law[STIFFNESS] * area), dt, speed);
+    Vec<S, 3> slide(double dt, S &speed) {
+      return kept_slip(step.slip(places(), starts(), remembered(), 0), step.limit[0], S(law[STIFFNESS] * area), dt, speed);
     }
 
    private:
-    View<Lanes, 2> places() { return {x.data(), nodes.size(), 3}; }
-    View<Lanes, 2> starts() { return {x_start.data(), nodes.size(), 3}; }
-    View<Lanes, 1> numbers() { return {law, 8}; }
-    View<Lanes, 2> remembered() { return {anchor, 1, 3}; }
+    View<S, 2> places() { return {x.data(), nodes.size(), 3}; }
+    View<S, 2> starts() { return {x_start.data(), nodes.size(), 3}; }
+    View<S, 1> numbers() { return {law, 8}; }
+    View<S, 2> remembered() { return {anchor, 1, 3}; }
 
     // Own nodes and the corners of the triangles, each once, and the tables in their numbers.
     std::vector<int> members() {
@@ -408,6 +426,13 @@ class Surface {
     if (seen_.empty() || !std::equal(seen_.begin(), seen_.end(), x)) {
       step_.measure(step_.now, rows(x), first(), near(), normals(), side(), law());
       seen_.assign(x, x + 3 * r_.nodes);
+      for (int s = 0; added_.presses() && s < samples_; ++s) {
+        const double gap = step_.now.gap[s];
+        const auto at = gap < law_[REACH] ? added_.normal(gap, 1.0) : AddedLaws::Normal{};
+        step_.added[3 * s] = at.energy;
+        step_.added[3 * s + 1] = at.pressure;
+        step_.added[3 * s + 2] = at.slope;
+      }
     }
     return true;
   }
@@ -418,6 +443,7 @@ class Surface {
   double margin_;
   std::vector<double> law_;
   const double *d_law_, *x_start_ = nullptr;
+  AddedLaws added_;
   SampleStep<double> step_;
   Candidates candidates_;
   std::vector<int> first_, near_;

@@ -8,6 +8,9 @@
 // S_b, theta_b: S_dev / mu and J - 1 from which rates are measured. Energy and stress are laws of a point; the tangent by
 // G and the derivatives by mu, K_own, K_mean, k and by what rates are measured from are those of dual numbers. The mean is
 // that of one element and adds K_mean / V v v^T to its Hessian, v = d(V mean theta)/dx.
+//
+// Material laws of effects (strain_laws.hpp) see Green's strain E (11, 22, 33, twice 23, 13, 12) of a point, and add the
+// stress S to P = F S; with M = dE/dG, that is P = M^T S, and the tangent M^T C M + S . dM/dG.
 #pragma once
 
 #include <algorithm>
@@ -51,7 +54,7 @@ class Tetrahedra {
   static constexpr int corners = 10, points = 4, pairs = corners * (corners + 1) / 2;
 
   explicit Tetrahedra(const Record &record)
-      : r_(record), count_(int(record.tetrahedra)), groups_((count_ + Pack::size - 1) / Pack::size) {
+      : laws(record, Strained::SOLID, points * int(record.tetrahedra)), r_(record), count_(int(record.tetrahedra)), groups_((count_ + Pack::size - 1) / Pack::size) {
     for (int e = 0; e < count_; ++e) damped_ = damped_ || number(e, BETA) != 0.0;
     for (int64_t k = 0; k < r_.gel_blocks * count_; ++k) damped_ = damped_ || r_.d_gel[5 * k + BETA] != 0.0;
     grad_.assign(std::size_t(groups_) * points * 3 * corners, Pack(0.0));
@@ -64,12 +67,8 @@ class Tetrahedra {
         for (int k = 0; k < points * 3 * corners; ++k)
           grad_[std::size_t(g) * points * 3 * corners + k].a[lane] = r_.gel_gradient[std::size_t(e) * points * 3 * corners + k];
         for (int n = 0; n < 4; ++n) number_[4 * g + n].a[lane] = number(e, n);
-        for (int q = 0; q < points; ++q) {
-          const double w = r_.gel_volume[points * e + q];
-          weight_[points * g + q].a[lane] = w;
-          volume_[g].a[lane] += w;
-        }
       }
+    weigh();
     strain_.assign(std::size_t(groups_) * points, Mat<Pack, 3, 3>{});
     theta_.assign(std::size_t(groups_) * points, Pack(0.0));
     mean_.assign(groups_, Pack(0.0));
@@ -78,9 +77,26 @@ class Tetrahedra {
     seen_.assign(3 * r_.nodes, std::numeric_limits<double>::quiet_NaN());
     slope_now_.assign(damped_ ? std::size_t(count_) * points * 7 * r_.columns : 0, 0.0);
     slope_past_ = slope_now_;
+    moved_.assign(laws.any() ? std::size_t(count_) * points * components * r_.columns : 0, 0.0);
   }
 
+  static constexpr int components = 6;
+  StrainLaws<components> laws;
+
   bool any() const { return count_ > 0; }
+
+  // Take the volumes of the record, which change with the factor of the modulus.
+  void weigh() {
+    for (int g = 0; g < groups_; ++g) {
+      volume_[g] = Pack(0.0);
+      for (int lane = 0; lane < Pack::size; ++lane)
+        for (int q = 0; q < points; ++q) {
+          const double w = r_.gel_volume[points * element(g, lane) + q];
+          weight_[points * g + q].a[lane] = w;
+          volume_[g].a[lane] += w;
+        }
+    }
+  }
 
   void couple(Blocks &h) const {
     for (int e = 0; e < count_; ++e)
@@ -96,6 +112,7 @@ class Tetrahedra {
 
   void begin(const double *x_start, const double *x_past, const Rates &rates) {
     rates_ = rates;
+    laws.begin([&](int p, double *e) { strain_of(gradient_at(x_start, p / points, p % points), e); }, rates.dt);
     if (!damped_) return;
     for (int g = 0; g < groups_; ++g) {
       Pack total(0.0);
@@ -120,7 +137,7 @@ class Tetrahedra {
 
   double energy(const double *x) {
     measure(x);
-    double out = 0.0;
+    double out = laws.energy(strains());
     for (int g = 0; g < groups_; ++g) {
       const Law<Pack> law = law_of(g);
       Pack total(0.0);
@@ -135,8 +152,19 @@ class Tetrahedra {
     return out;
   }
 
+  // What `energy` has of the damping where the step starts, where that has dissipated nothing.
+  double damping_at_start(const double *x_start) {
+    if (!damped_) return 0.0;
+    const double whole = energy(x_start), tau = rates_.tau;
+    rates_.tau = std::numeric_limits<double>::infinity();
+    const double elastic = energy(x_start);
+    rates_.tau = tau;
+    return whole - elastic;
+  }
+
   void add_gradient(const double *x, double *out) {
     measure(x);
+    if (laws.any()) bear(laws.stress(strains()), out);
     for (int g = 0; g < groups_; ++g) {
       const Law<Pack> law = law_of(g);
       Pack force[3 * corners];
@@ -155,6 +183,7 @@ class Tetrahedra {
   void add_hessian(const double *x, bool exact, Blocks &h) {
     measure(x);
     if (!exact) project();
+    added_ = laws.any() ? laws.tangent(strains(), exact, false) : nullptr;
     std::vector<Pack> local(9 * pairs), columns(27 * corners);
     for (int g = 0; g < groups_; ++g) {
       const Law<Pack> law = law_of(g);
@@ -166,6 +195,7 @@ class Tetrahedra {
         Pack tangent[81];
         Mat<Pack, 3, 3> widen;
         differentiate(p, g, law, exact, tangent, widen);
+        if (added_) add_laws(p, g, exact, tangent);
         push(p, widen, swell);
         add_point(p, tangent, columns.data(), local.data());
       }
@@ -192,20 +222,39 @@ class Tetrahedra {
     return false;
   }
 
+  void end(const double *x) {
+    if (!laws.any()) return;
+    measure(x);
+    laws.end(strains());
+  }
+
   void keep_slopes(const double *x, const double *dx) {
+    if (laws.any()) {
+      measure(x);
+      measure_strains(x, dx);
+      laws.end_columns(strains(), moved_);
+    }
     if (!damped_) return;
     slope_past_.swap(slope_now_);
     measure_slopes(x, dx);
   }
   void restart_slopes(const double *x, const double *dx) {
     if (damped_) measure_slopes(x, dx);
+    if (!laws.any()) return;
+    measure_strains(x, dx);
+    laws.restart(moved_);
   }
 
   // What forces change by at held positions, into (nodes, 3, columns).
   void add_columns(const double *x, double *out) {
     const int width = int(r_.columns);
-    if (!damped_ && !r_.gel_blocks) return;
+    if (!damped_ && !r_.gel_blocks && !laws.any()) return;
     measure(x);
+    if (laws.any()) {
+      std::vector<double> stress(moved_.size(), 0.0);
+      laws.add_columns(strains(), stress.data());
+      bear(stress.data(), out, width);
+    }
     for (int g = 0; g < groups_; ++g) {
       if (r_.gel_blocks) add_numbers(g, out);
       if (damped_)
@@ -214,6 +263,7 @@ class Tetrahedra {
   }
 
  private:
+  template <class> friend struct Pull;
   template <class S> using Law = GelLaw<S>;
 
   Law<Pack> law_of(int g) const {
@@ -240,6 +290,108 @@ class Tetrahedra {
   }
 
   template <class T> static T theta_of(const Mat<T, 3, 3> &g) { return g.trace() + laws::neo_hookean_kernels::_bilinear(g); }
+
+  // Components of Green's strain.
+  static constexpr int first_axis[components] = {0, 1, 2, 1, 0, 0}, second_axis[components] = {0, 1, 2, 2, 2, 1};
+  static void strain_of(const Mat3 &g, double *e) {
+    for (int c = 0; c < components; ++c) {
+      const int a = first_axis[c], b = second_axis[c];
+      double found = g(a, b) + g(b, a);
+      for (int k = 0; k < 3; ++k) found += g(k, a) * g(k, b);
+      e[c] = c < 3 ? 0.5 * found : found;
+    }
+  }
+  // What laws see: the strains at a point, 4 e + q.
+  struct Strains {
+    const Tetrahedra &of;
+    void operator()(int at, double *e) const { strain_of(of.gradient_now(at), e); }
+  };
+  Strains strains() const { return {*this}; }
+  Mat3 gradient_now(int at) const {
+    const int e = at / points, p = points * (e / Pack::size) + at % points;
+    Mat3 g;
+    for (int k = 0; k < 9; ++k) g.a[k] = strain_[p].a[k].a[e % Pack::size];
+    return g;
+  }
+  // M = dE/dG (6, 9).
+  static void by_gradient(const Mat3 &g, double *m) {
+    std::fill(m, m + 9 * components, 0.0);
+    for (int c = 0; c < components; ++c)
+      for (int k = 0; k < 3; ++k) {
+        const int a = first_axis[c], b = second_axis[c];
+        m[9 * c + 3 * k + b] += g(k, a) + (k == a);
+        if (c >= 3) m[9 * c + 3 * k + a] += g(k, b) + (k == b);
+      }
+  }
+
+  // Add the forces of stresses times volumes (points, 6, columns) to (nodes, 3, columns).
+  void bear(const double *stress, double *out, int columns = 1) const {
+    std::vector<double> piola(std::size_t(9) * columns);
+    for (int at = 0; at < points * count_; ++at) {
+      double m[9 * components];
+      by_gradient(gradient_now(at), m);
+      std::fill(piola.begin(), piola.end(), 0.0);
+      for (int c = 0; c < components; ++c)
+        for (int k = 0; k < 9; ++k) {
+          const double *from = stress + (std::size_t(components) * at + c) * columns;
+          for (int l = 0; l < columns; ++l) piola[k * columns + l] += m[9 * c + k] * from[l];
+        }
+      const double *b = r_.gel_gradient + std::size_t(at) * 3 * corners;
+      for (int a = 0; a < corners; ++a)
+        for (int i = 0; i < 3; ++i) {
+          double *to = out + (3 * std::size_t(node(at / points, a)) + i) * columns;
+          for (int j = 0; j < 3; ++j)
+            for (int l = 0; l < columns; ++l) to[l] += b[3 * a + j] * piola[(3 * i + j) * columns + l];
+        }
+    }
+  }
+  // Add what laws make of the tangent of a point, per volume as all of it. Without `exact` their tension alone.
+  void add_laws(int p, int g, bool exact, Pack *tangent) const {
+    for (int lane = 0; lane < filled(g); ++lane) {
+      const int at = points * (Pack::size * g + lane) + p % points;
+      const double *c = added_ + components * components * at, *s = laws.stresses() + components * at;
+      const double volume = weight_[p].a[lane];
+      double m[9 * components], left[9 * components] = {}, borne[9] = {s[0], s[5], s[4], s[5], s[1], s[3], s[4], s[3], s[2]};
+      by_gradient(gradient_now(at), m);
+      if (!exact) make_semidefinite<3>(borne);
+      for (int i = 0; i < components; ++i)
+        for (int j = 0; j < components; ++j)
+          for (int k = 0; k < 9; ++k) left[9 * i + k] += c[components * i + j] * m[9 * j + k];
+      for (int r = 0; r < 9; ++r)
+        for (int k = 0; k < 9; ++k) {
+          double total = r / 3 == k / 3 ? borne[3 * (r % 3) + k % 3] : 0.0;
+          for (int i = 0; i < components; ++i) total += m[9 * i + r] * left[9 * i + k];
+          tangent[9 * r + k].a[lane] += total / volume;
+        }
+    }
+  }
+  // Derivatives of the strains at all points, from those of the positions.
+  void measure_strains(const double *x, const double *dx) {
+    const int width = int(r_.columns);
+    std::fill(moved_.begin(), moved_.end(), 0.0);
+    std::vector<double> turned(std::size_t(9) * width);
+    for (int at = 0; at < points * count_; ++at) {
+      double m[9 * components];
+      by_gradient(gradient_at(x, at / points, at % points), m);
+      gradient_slopes(dx, at / points, at % points, turned);
+      for (int c = 0; c < components; ++c)
+        for (int k = 0; k < 9; ++k)
+          for (int l = 0; l < width; ++l)
+            moved_[(std::size_t(components) * at + c) * width + l] += m[9 * c + k] * turned[k * width + l];
+    }
+  }
+  // Derivatives of G at a point (9, columns).
+  void gradient_slopes(const double *dx, int e, int q, std::vector<double> &out) const {
+    const int width = int(r_.columns);
+    std::fill(out.begin(), out.end(), 0.0);
+    const double *b = r_.gel_gradient + (std::size_t(e) * points + q) * 3 * corners;
+    for (int a = 0; a < corners; ++a)
+      for (int i = 0; i < 3; ++i) {
+        const double *from = dx + (3 * std::size_t(node(e, a)) + i) * width;
+        for (int j = 0; j < 3; ++j)
+          for (int c = 0; c < width; ++c) out[(3 * i + j) * width + c] += b[3 * a + j] * from[c];
+      }
+  }
 
   // S_dev / mu (11, 22, 33, 23, 13, 12) and J - 1.
   template <class T> static void measures(const Mat<T, 3, 3> &g, T *out) {
@@ -438,14 +590,7 @@ class Tetrahedra {
         for (int k = 0; k < 9; ++k) at.a[k] = D::variable(g.a[k], k);
         D found[7];
         measures(at, found);
-        std::fill(moved.begin(), moved.end(), 0.0);
-        const double *b = r_.gel_gradient + (std::size_t(e) * points + q) * 3 * corners;
-        for (int a = 0; a < corners; ++a)
-          for (int i = 0; i < 3; ++i) {
-            const double *from = dx + (3 * std::size_t(node(e, a)) + i) * width;
-            for (int j = 0; j < 3; ++j)
-              for (int c = 0; c < width; ++c) moved[(3 * i + j) * width + c] += b[3 * a + j] * from[c];
-          }
+        gradient_slopes(dx, e, q, moved);
         double *to = &slope_now_[(std::size_t(e) * points + q) * 7 * width];
         for (int k = 0; k < 7; ++k, to += width) {
           std::fill(to, to + width, 0.0);
@@ -458,11 +603,12 @@ class Tetrahedra {
   const Record &r_;
   int count_, groups_;
   bool damped_ = false;
-  Rates rates_{1.0, 0.0, 1.0};
+  Rates rates_{1.0, 0.0, 1.0, 1.0};
   std::vector<Pack> grad_, weight_, number_, volume_;      // of groups of elements, points innermost but components
   std::vector<Mat<Pack, 3, 3>> strain_;                     // G of the points
   std::vector<Pack> theta_, mean_, base_, mean_base_;
-  std::vector<double> seen_, slope_now_, slope_past_, projected_;
+  std::vector<double> seen_, slope_now_, slope_past_, projected_, moved_;
+  const double *added_ = nullptr;  // tangents of laws at the last Hessian
   std::vector<Slot> slots_;
 };
 

@@ -4,6 +4,7 @@
 #include <deque>
 
 #include "edges.hpp"
+#include "vectors.hpp"
 
 namespace thinshell {
 
@@ -60,6 +61,9 @@ class Touching {
     return out;
   }
 
+  void turn(double share, const Memory &memory) { shapes.turn(share, memory); }
+  bool turns(const Memory &memory) const { return shapes.turns(memory); }
+
   double energy(const double *x) {
     double out = 0.0;
     each([&](auto &term) { term.add_energy(x, &out); });
@@ -68,6 +72,18 @@ class Touching {
   void add_gradient(const double *x, double *out) {
     shapes.add_gradient(x, out);
     each([&](auto &term) { term.add_gradient(x, out); });
+  }
+  // Forces of each term on the nodes [N] (terms, nodes, 3): shapes, then surfaces, then edges.
+  void forces(const double *x, std::vector<double> &out) {
+    std::fill(out.begin(), out.end(), 0.0);
+    const std::size_t apart = 3 * std::size_t(r_.nodes);
+    shapes.add_gradient(x, out.data(), apart);
+    double *at = out.data() + apart * r_.contacts;
+    each([&](auto &term) {
+      term.add_gradient(x, at);
+      at += apart;
+    });
+    for (double &f : out) f = -f;
   }
   void add_hessian(const double *x, bool exact, Blocks &h) {
     shapes.add_hessian(x, exact, h);
@@ -83,8 +99,9 @@ class Touching {
     each([&](auto &term) { out = out || term.acts(); });
     return out;
   }
-  double free_way(const double *x, const double *move, double keep, const Memory &memory) {
-    double way = shapes.free_way(x, move, keep, memory);
+  double free_way(const Values &from, const Values &by, double keep, double since, double till, const Memory &memory) {
+    const double *x = from.data(), *move = by.data();
+    double way = shapes.free_way(x, move, keep, since, till, memory);
     each([&](auto &term) { way = std::min(way, term.free_way(x, move, keep)); });
     return way;
   }
@@ -104,6 +121,13 @@ class Touching {
                    const double *d_rotation, Memory &memory, double *d_moments, double *d_force) {
     shapes.end_columns(x_start, x, dx_start, dx, dt, d_rotation, memory, d_moments, d_force);
     each([&](auto &term) { term.end_columns(x, dx_start, dx, dt); });
+  }
+
+  // Smallest gap [m] at the last gradient.
+  double gap() {
+    StepCounts found{};
+    report(found);
+    return found.gap;
   }
 
   // Loaded points, the smallest gap [m] and the contact that has it: shapes, then surfaces, then edges.

@@ -68,7 +68,7 @@ def repeats(values: np.ndarray) -> np.ndarray:
     chance = float(np.exp(np.log(usual).sum()))
     if len(same) * chance > OBSERVATIONS.repeated_chance * short.sum() and not _regular(same):
         return none
-    return np.concatenate([[False], same])
+    return np.concatenate([[False], short])
 
 
 def _regular(same: np.ndarray) -> bool:

@@ -1,0 +1,127 @@
+"""Named approximations: what the noise of poses leaves open of a motion, and errors by refinement, as columns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sim_core.rigs import Rig, parse_rig
+from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.discretisation.approximations import CONTACT_RANGE, TOUCHING_SURFACE, Approximations, principal
+from sysid.discretisation.error_budget import with_half_range
+from sysid.model.parameters import fit_parameters, start_of
+from sysid.model.predictor import SerialPredictor
+from sysid.model.time_span import rollout_times
+from sysid.observations.observations import Measured, Run
+from sysid.proof.truths import paths, strip
+from sysid.settings.discretisation import DISCRETISATION
+from sysid.solve.discretisation_basis import MODEL, ErrorShape
+
+TIMES = [0.0, 0.06, 0.12, 0.2, 0.3]
+WAY = [[0, 0, 0], [0, 0, -0.006], [0.004, 0.001, -0.007], [0.004, 0.001, -0.007], [0, 0, -0.003]]
+STAMPS = np.linspace(0.013, 0.287, 21)
+NOISE = (1e-7, 1e-6)
+
+
+@pytest.fixture(scope="module")
+def given(small_rig: Callable[..., Rig], visit: Callable[..., Any]) -> tuple[Approximations, SerialPredictor, Any, Run]:
+    """Those of the small rig, pressed along poses with noise, with the tool askew in the hand."""
+    rig = small_rig(end_effectors={"finger": {"offset_x_m": 0.01, "offset_ry_deg": 3.0}})
+    predictor = SerialPredictor()
+    blank = tuple(
+        Measured(channel, kind, STAMPS, np.zeros((len(STAMPS), m)), tuple(str(k) for k in range(m)))  # type: ignore[arg-type]
+        for channel, (kind, m) in {"wrench": ("wrench", 6), "side": ("tracks", 20)}.items()
+    )
+    at = np.linspace(0.0, TIMES[-1], 61)
+    position, quaternion = visit(TIMES, WAY)["finger"].sample(at)
+    rng = np.random.default_rng(5)
+    position = position + NOISE[0] * rng.standard_normal(position.shape)
+    run = Run("own", "own", (), {"finger": PoseTrajectory(at, position, quaternion, NOISE)}, blank, TIMES[-1])
+    parameters = fit_parameters(rig, ["gel.E_pa"])
+    scaled = start_of(rig, parameters)
+    base = SimpleNamespace(rig=rig, parameters=parameters, scaled=scaled, predictions=[predictor.predict(rig, run)])
+    ones = tuple({m.channel: np.ones(m.values.shape) for m in r.measured} for r in [run])
+    shapes = [ErrorShape("mesh", ones), ErrorShape(MODEL, ones)]
+    problem = SimpleNamespace(runs=[run], error_shapes=shapes)
+    return Approximations(predictor, cast(Any, base), cast(Any, problem)), predictor, base, run
+
+
+def test_each_has_its_shape_and_its_size(given: Any) -> None:
+    """What careful models differ in without a name is none of them."""
+    found, predictor, base, run = given
+    assert [c.name for c in found.columns] == ["mesh", CONTACT_RANGE, TOUCHING_SURFACE]
+    assert [(c.mean, c.sd) for c in found.columns] == [
+        DISCRETISATION.approximation_sizes[n] for n in ("mesh", CONTACT_RANGE, TOUCHING_SURFACE)
+    ]
+    assert (found.shapes[0]["wrench"][..., 0] == 1.0).all()
+    # The error of a range of contact is twice what half of it changes: it vanishes with the range.
+    readings = base.predictions[0].values["wrench"]
+    change = predictor.predict(with_half_range(base.rig), run).values["wrench"] - readings
+    # Steps of a rollout that is made again are as solved, and not the same to the last digit.
+    round_off = 1e-9 * np.abs(readings).max()
+    np.testing.assert_allclose(found.shapes[0]["wrench"][..., 1], 2.0 * change, rtol=1e-6, atol=round_off)
+    assert found.shapes[0]["wrench"][..., 1].any()
+
+
+def test_an_open_motion_changes_readings_as_a_rollout_along_it_does(given: Any) -> None:
+    found, predictor, base, run = given
+    motions = found.open_motions(0, run)
+    assert len(motions) == DISCRETISATION.drawn_motions
+    parameters, scaled = base.parameters, base.scaled
+    columns = predictor.predict_responses(base.rig, run, parameters, scaled, [], motions[:1]).derivatives
+    times = rollout_times([base.rig], run, base.rig.solver.dt_s)
+    curve = run.poses["finger"].drawn(np.random.default_rng(0))
+    drawn = replace(run, poses={"finger": PoseTrajectory(times, *curve.sample(times))})
+    plain = replace(run, poses={"finger": PoseTrajectory(times, *run.poses["finger"].sample(times))})
+    for channel in ("wrench", "side"):
+        ends = [predictor.predict(base.rig, r).values[channel] for r in (plain, drawn)]
+        change = (ends[1] - ends[0]) / np.sqrt(DISCRETISATION.drawn_motions)
+        assert np.abs(change).max() > 0.0
+        off = np.linalg.norm(np.nan_to_num(columns[channel][..., -1] - change)) / np.linalg.norm(np.nan_to_num(change))
+        assert off < 0.05, channel
+
+
+def test_poses_without_noise_leave_no_motion_open(given: Any) -> None:
+    found, _, _, run = given
+    exact = replace(run, poses={n: replace(p, noise=(0.0, 0.0)) for n, p in run.poses.items()})
+    (motion, *_) = found.open_motions(0, exact)
+    assert max(np.abs(p.values).max() for p in motion.parts) < 1e-12
+
+
+def test_principal_columns_have_the_covariance_of_the_responses() -> None:
+    rng = np.random.default_rng(0)
+    responses = rng.standard_normal((30, 3)) @ np.diag([3.0, 1.0, 0.01]) @ rng.standard_normal((3, 8))
+    found = principal(responses)
+    assert found.shape == (30, 2)
+    covariance = responses @ responses.T
+    np.testing.assert_allclose(found @ found.T, covariance, atol=2.0 * DISCRETISATION.faint_motion**2)
+    assert np.linalg.norm(found[:, 0]) > np.linalg.norm(found[:, 1])
+
+
+def test_a_sheet_that_touches_elsewhere_is_as_above_another_table() -> None:
+    """Its error is what a table makes that is lower by half the thickness, extrapolated from half of that."""
+    one = strip.draw_strip(np.random.default_rng(0))
+    given = strip.rig(one, "strip")
+    given["solver"] = {"dt_s": 0.01, "inertia": True, "integrator": "bdf2"}
+    rig = parse_rig(given, "strip")
+    down = strip.hanging(one, -0.3)
+    path = paths.Path((0.0, down + 0.001, -0.3)).move((0.0, -0.003, 0.0), 0.3).wait(0.2)
+    at = np.linspace(0.0, path.end_s, 51)
+    blank = Measured("wrist", "wrench", at[1:-1], np.zeros((49, 6)), tuple("xyzabc"))
+    run = Run("press", "", (), {"gripper": PoseTrajectory(at, *strip.poses(path(at)))}, (blank,), float(path.end_s))
+    predictor = SerialPredictor()
+    base = SimpleNamespace(rig=rig, parameters=[], scaled=np.zeros(0), predictions=[predictor.predict(rig, run)])
+    problem = SimpleNamespace(runs=[run], error_shapes=[])
+    found = Approximations(predictor, cast(Any, base), cast(Any, problem))
+    table = rig.bodies["table"]
+    below = table.pose.model_copy(update={"position_m": (0.0, 0.0, -0.25 * one.thickness)})
+    lower = rig.model_copy(update={"bodies": {**rig.bodies, "table": table.model_copy(update={"pose": below})}})
+    change = 2.0 * (predictor.predict(lower, run).values["wrist"] - base.predictions[0].values["wrist"])
+    shape = found.shapes[0]["wrist"][..., [c.name for c in found.columns].index(TOUCHING_SURFACE)]
+    assert np.abs(change).max() > 1e-5
+    np.testing.assert_allclose(shape, change, atol=1e-5 * np.abs(change).max())
