@@ -40,7 +40,7 @@ def generate_launch_description() -> LaunchDescription:
                 namespace=LaunchConfiguration("namespace"),
                 output="screen",
                 condition=IfCondition(LaunchConfiguration("simulate")),
-                parameters=[str(NODES / "sim_node.yaml"), {"rig": rig}],
+                parameters=[str(NODES / "sim_node.yaml"), {"rig": rig, "publish_clock": True}],
             ),
             Node(
                 package="thinshell_ros",
@@ -60,6 +60,8 @@ def generate_launch_description() -> LaunchDescription:
                         "dry_run": LaunchConfiguration("dry_run"),
                         "speed_scale": ParameterValue(LaunchConfiguration("speed_scale"), value_type=float),
                         "record_uri": ParameterValue(LaunchConfiguration("bag"), value_type=str),
+                        # A simulation that is slow takes the replay with it.
+                        "use_sim_time": ParameterValue(LaunchConfiguration("simulate"), value_type=bool),
                     },
                 ],
             ),

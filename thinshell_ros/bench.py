@@ -133,6 +133,7 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
     def command(height: float) -> None:
         message = PoseStamped()
         message.header.frame_id = "base_link"
+        message.header.stamp = node.get_clock().now().to_msg()
         message.pose.position.z = height
         publisher.publish(message)
 

@@ -114,7 +114,7 @@ def _end_with(link: Connection, part: Path) -> None:
 class FitProcess:
     """One fit, or one diagnosis, in a process of its own.
 
-    It is spawned, not forked: neither threads of the middleware nor of Taichi survive a fork.
+    It is spawned, not forked: threads of the middleware do not survive a fork.
     """
 
     def __init__(self, request: Request) -> None:

@@ -135,7 +135,8 @@ def physics_report(
         **pid_value,
     }
     if status.trouble:
-        return Report("physics", "error", f"{status.trouble} Command another pose, or call ~/reset.", values)
+        remedy = "Call ~/reset to start it again." if status.ended else "Command another pose, or call ~/reset."
+        return Report("physics", "error", f"{status.trouble} {remedy}", values)
     faults = []
     if status.not_finite:
         faults.append(f"{status.not_finite} values of the readings are not finite")

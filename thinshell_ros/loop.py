@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
+import os
 import signal
+import threading
 import time
 import traceback
 from collections.abc import Callable
@@ -26,12 +29,17 @@ class Loop:
     """Steps a simulation. One that finds no step at all stands still until another command or a reset comes."""
 
     def __init__(
-        self, link: Connection, physics: Physics, factor: float = 1.0, clock: Callable[[], float] = time.monotonic
+        self,
+        link: Connection,
+        physics: Physics,
+        factor: float = 1.0,
+        catches_up: bool = True,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._link = link
         self._physics = physics
         self._clock = clock
-        self._pacer = Pacer(factor)
+        self._pacer = Pacer(factor, catches_up)
         self._paused = False
         self._stuck = ""
         self._retry_at = 0.0
@@ -158,18 +166,32 @@ class Loop:
         )
 
 
+def end_with_parent() -> None:
+    """End this process as soon as the one that spawned it is no more, whatever it is doing: a step may take long."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        assert parent is not None
+        parent.join()
+        os._exit(1)
+
+    if parent is not None:
+        threading.Thread(target=watch, daemon=True).start()
+
+
 def run(link: Connection, settings: Settings) -> None:
     """Body of the process: build, step, answer. Ends when told, or when the other side is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the node says when to stop
+    end_with_parent()
     try:
         try:
-            Loop(link, Physics(settings), settings.real_time_factor).run()
+            Loop(link, Physics(settings), settings.real_time_factor, settings.catches_up).run()
         except ThinshellError as error:
-            link.send(Status(False, str(error), 0.0, float("nan")))
+            link.send(Status(False, str(error), 0.0, float("nan"), ended=True))
         except (EOFError, OSError):
             raise
         except Exception:
             trouble = f"A defect in the simulation: {traceback.format_exc()}"
-            link.send(Status(False, trouble, 0.0, float("nan")))
+            link.send(Status(False, trouble, 0.0, float("nan"), ended=True))
     except (EOFError, OSError):
         return

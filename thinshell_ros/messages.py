@@ -5,11 +5,13 @@ from __future__ import annotations
 import array
 from collections.abc import Iterable, Mapping
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from numpy.typing import NDArray
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
 from sim_core.rigs import FisheyeCamera, PinholeCamera
@@ -82,6 +84,23 @@ def camera_info(stamp_ns: int, frame_id: str, camera: PinholeCamera | FisheyeCam
         r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         p=[*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0],
     )
+
+
+def picture(stamp_ns: int, frame_id: str, grey: NDArray[np.uint8]) -> Image:
+    """A grey picture ``(height, width)``."""
+    height, width = grey.shape
+    message = Image(header=header(stamp_ns, frame_id), height=height, width=width, encoding="mono8", step=width)
+    message.data = array.array("B", grey.tobytes())
+    return message
+
+
+def compressed_picture(stamp_ns: int, frame_id: str, grey: NDArray[np.uint8]) -> CompressedImage:
+    """A grey picture ``(height, width)`` as PNG, which loses nothing."""
+    import cv2
+
+    message = CompressedImage(header=header(stamp_ns, frame_id), format="png")
+    message.data = array.array("B", cv2.imencode(".png", grey)[1].tobytes())
+    return message
 
 
 def status(node: str, hardware: str, report: Report) -> DiagnosticStatus:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import time
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,6 +18,7 @@ from sensor_msgs.msg import CameraInfo, PointCloud2
 
 from sim_core.rigs import OrthographicCamera, Rig
 from thinshell_ros import clouds, messages, protocol
+from thinshell_ros.pictures import Pictures
 from thinshell_ros.poses import Floats, Pose
 from thinshell_ros.qos import EVENTS, LATCHED, LATEST, STREAM
 from thinshell_ros.sampling import Reading
@@ -44,9 +46,15 @@ class Outputs:
     """
 
     def __init__(
-        self, node: Node, rig: Rig, channels: Mapping[str, Channel], give_clock: bool, factor: float = 1.0
+        self,
+        node: Node,
+        rig: Rig,
+        channels: Mapping[str, Channel],
+        give_clock: bool,
+        factor: float = 1.0,
+        pictures: bool = False,
     ) -> None:
-        """``factor``: simulated time per wall time, 0 for as fast as it can."""
+        """``factor``: simulated time per wall time, 0 for as fast as it can; ``pictures``: of what cameras see, too."""
         self._channels = channels
         self._hardware = rig.name
         self._name = node.get_fully_qualified_name()
@@ -68,6 +76,8 @@ class Outputs:
 
         self._streams = {name: stream(_TYPES[c.kind], c.topic) for name, c in channels.items()}
         self._infos = {n: stream(CameraInfo, c.topics.camera_info) for n, c in self._cameras.items()}
+        shown = self._cameras if pictures else {}
+        self._pictures = {n: Pictures(c, partial(stream, topic=c.topics.image)) for n, c in shown.items()}
         self._rests = {
             name: node.create_publisher(PointCloud2, rest_topic(channel), LATCHED)
             for name, channel in channels.items()
@@ -155,6 +165,8 @@ class Outputs:
         if name in self._cameras:
             frame = self._channels[name].frame_id
             self._infos[name].publish(messages.camera_info(stamp, frame, self._cameras[name]))
+        if name in self._pictures:
+            self._pictures[name].publish(stamp, self._channels[name].frame_id, reading.values)
 
     def _stamp(self, simulated_s: float) -> int:
         return self._epoch_ns + round((simulated_s + self._skipped_s) * 1e9)

@@ -7,6 +7,9 @@ from collections import deque
 SLACK_S = 0.1
 """A simulation that is late by up to this [s] catches up by itself; beyond it simulated time stays behind."""
 
+MOST_LAG_S = 2.0
+"""A simulation that is always too slow is behind the wall clock by at most so much [s]; the rest is left out."""
+
 KEEPS_UP_S = 0.5
 """A simulation that has fallen behind keeps up again when it ran at the wanted pace for so long [s of wall time]."""
 
@@ -20,10 +23,11 @@ class Pacer:
     Simulated time falls behind while steps take longer than they should. As soon as they do not any more, what was lost
     is left out at once: simulated time goes on where it is, and ``skipped_s`` grows, so that simulated time plus
     ``skipped_s`` is the wall clock's time again. ``factor``: wanted simulated time per wall time, 0 for no pace at all.
+    ``catches_up``: without it nothing that is lost is caught up, so that simulated time never runs faster than wanted.
     """
 
-    def __init__(self, factor: float = 1.0) -> None:
-        self._factor = factor
+    def __init__(self, factor: float = 1.0, catches_up: bool = True) -> None:
+        self._factor, self._catches_up = factor, catches_up
         self._wall = 0.0
         self._simulated = 0.0
         self._samples: deque[tuple[float, float]] = deque()
@@ -36,8 +40,10 @@ class Pacer:
         """Simulated time goes on from ``simulated`` [s] at wall time ``wall`` [s]. By what it is behind, since steps
         were slow or it stood still, is left out."""
         if self._samples and self._factor > 0.0:
-            self.lag_s = max(-self._early(wall, simulated), 0.0)
-        self._anchor(wall, simulated)
+            self._leave_out(wall, simulated)
+        self._wall, self._simulated = wall, simulated
+        self._samples.clear()
+        self._samples.append((wall, simulated))
 
     def wait_s(self, wall: float, simulated: float, dt: float) -> float:
         """Wall time [s] until a step of ``dt`` [s] from ``simulated`` is due, which is at its end; 0 when late.
@@ -51,19 +57,23 @@ class Pacer:
             return 0.0
         early = self._early(wall, simulated + dt)
         self.lag_s = max(-early, 0.0)
-        if self.lag_s > SLACK_S and self._keeps_up(wall, simulated):
-            self._anchor(wall, simulated)
+        if self._lost(wall, simulated):
+            self._leave_out(wall, simulated)
         return max(early, 0.0)
+
+    def _lost(self, wall: float, simulated: float) -> bool:
+        """Whether what it is behind is to be left out."""
+        if not self._catches_up or self.lag_s > MOST_LAG_S:
+            return self.lag_s > 0.0
+        return self.lag_s > SLACK_S and self._keeps_up(wall, simulated)
 
     def _early(self, wall: float, simulated: float) -> float:
         return (simulated - self._simulated) / self._factor - (wall - self._wall)
 
-    def _anchor(self, wall: float, simulated: float) -> None:
-        self.skipped_s += self.lag_s
+    def _leave_out(self, wall: float, simulated: float) -> None:
+        self.skipped_s += max(-self._early(wall, simulated), 0.0)
         self.lag_s = 0.0
         self._wall, self._simulated = wall, simulated
-        self._samples.clear()
-        self._samples.append((wall, simulated))
 
     def _keeps_up(self, wall: float, simulated: float) -> bool:
         """Whether the last ``KEEPS_UP_S`` of steps, which did not wait, were as fast as wanted."""

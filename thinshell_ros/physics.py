@@ -111,7 +111,6 @@ class Physics:
         Raises:
             ConvergenceError: no equilibrium was found there.
         """
-        self._simulation.scene.system.deflections[:] = 0.0
         self._simulation.reset()
         self.rest = self._begin()
 
@@ -158,15 +157,11 @@ class Physics:
 
     def _advance(self, poses: Mapping[str, Pose]) -> StepReport:
         """A step in which the end effectors go to ``poses``. Where it fails, the state is that before."""
-        simulation = self._simulation
-        state, frames, system = simulation.state, dict(simulation.frames), simulation.scene.system
-        deflections, commands = system.deflections.copy(), self._commands.kept()
+        commands = self._commands.kept()
         commanded = {n: (p.position, p.rotation()) for n, p in poses.items()}
         try:
-            return simulation.step(self._commands.advance(commanded, self.dt), self.dt)
+            return self._simulation.step(self._commands.advance(commanded, self.dt), self.dt)
         except ConvergenceError:
-            simulation.state, simulation.frames = state, frames
-            system.x[:], system.deflections[:] = state.x, deflections
             self._commands.restore(commands)
             raise
 

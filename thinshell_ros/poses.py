@@ -16,6 +16,19 @@ UNIT_TOLERANCE = 1e-3
 """How far the length of a quaternion may be from 1."""
 
 
+YEAR_S = 365.0 * 86400.0
+
+
+def unstamped(stamp_s: float) -> str:
+    """Why a command with a stamp [s] since 1970 is rejected, '' if it is not: a stamp of that year is none."""
+    if stamp_s >= YEAR_S:
+        return ""
+    return (
+        f"its stamp is {stamp_s:g} s after the beginning of 1970: have its publisher stamp it, with use_sim_time where "
+        "/clock is published"
+    )
+
+
 @dataclass(frozen=True)
 class Pose:
     """Position [m] ``(3,)`` and unit quaternion x y z w ``(4,)`` in the base frame."""

@@ -15,7 +15,8 @@ from thinshell_ros.streams import Channel
 @dataclass(frozen=True)
 class Settings:
     """What the process needs to know. ``seed``: of the noise, None for none. ``real_time_factor``: wanted simulated
-    time per wall time, 0 for as fast as it can."""
+    time per wall time, 0 for as fast as it can; ``catches_up``: what a slow spell has cost is caught up, or left out,
+    so that stamps follow the wall clock."""
 
     rig: Rig
     channels: dict[str, Channel]
@@ -23,6 +24,7 @@ class Settings:
     max_speed_m_s: float
     max_turn_rate_rad_s: float
     real_time_factor: float = 1.0
+    catches_up: bool = True
 
 
 @dataclass(frozen=True)
@@ -87,9 +89,9 @@ class Done:
 class Status:
     """How the simulation is doing. Numbers are over the steps since the last status.
 
-    ``trouble``: why it stands still, or why the end effectors are held, '' if neither. ``lag_s``: wall time by which
-    simulated time is behind [s]; ``behind_m`` and ``behind_rad``: how far the speed limits keep an end effector from
-    its target [m, rad]; ``residual_n``: largest at the end of a step [N].
+    ``trouble``: why it stands still, or why the end effectors are held, '' if neither; ``ended``: whether its process
+    ends of that. ``lag_s``: wall time by which simulated time is behind [s]; ``behind_m`` and ``behind_rad``: how far
+    the speed limits keep an end effector from its target [m, rad]; ``residual_n``: largest at the end of a step [N].
     """
 
     paused: bool
@@ -105,6 +107,7 @@ class Status:
     lag_s: float = 0.0
     behind_m: float = 0.0
     behind_rad: float = 0.0
+    ended: bool = False
 
     def including(self, earlier: Status) -> Status:
         """This status, its numbers over the steps of an earlier one too."""

@@ -29,7 +29,7 @@ from thinshell_ros.runner import FinishingNode, run_and_finish
 
 
 class ReplayNode(ManagedNode, FinishingNode):
-    """``~/execute``, ``~/abort``; ``~/trajectory`` in, ``~/status`` and ``~/path`` out, latched."""
+    """``~/execute``, ``~/abort``, ``~/retract``; ``~/trajectory`` in, ``~/status`` and ``~/path`` out, latched."""
 
     def __init__(self) -> None:
         super().__init__("trajectory_deploy")
@@ -43,6 +43,7 @@ class ReplayNode(ManagedNode, FinishingNode):
         self.create_subscription(MultiDOFJointTrajectory, "~/trajectory", self._on_trajectory, LATCHED)
         self.create_service(Trigger, "~/execute", self._on_execute)
         self.create_service(Trigger, "~/abort", self._on_abort)
+        self.create_service(Trigger, "~/retract", self._on_retract)
         self.create_timer(1.0, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._tell()
         self.get_logger().info("Waiting to be configured.")
@@ -116,6 +117,14 @@ class ReplayNode(ManagedNode, FinishingNode):
         del request
         response.success = self._deployment is not None and self._deployment.abort("~/abort was called")
         response.message = "holding" if response.success else "No replay is running."
+        return response
+
+    def _on_retract(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = False, "There is no trajectory: configure and activate the node first."
+        if self._deployment is not None:
+            response.success, response.message = self._deployment.retract()
+        self.get_logger().info(f"Retract: {response.message}")
+        self._tell()
         return response
 
     def _tell(self) -> None:

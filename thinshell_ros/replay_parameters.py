@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -13,10 +14,14 @@ from sim_core.trajectories import Limits
 from thinshell_ros.parameters import declare, value_of
 from thinshell_ros.replay.guard import GuardSettings
 
-LIMITS = ("max_speed_m_s", "max_angular_speed_rad_s", "max_acceleration_m_s2", "max_force_n", "max_torque_nm")
+LIMITS = (
+    "max_speed_m_s", "max_acceleration_m_s2", "max_jerk_m_s3", "max_angular_speed_rad_s",
+    "max_angular_acceleration_rad_s2", "max_angular_jerk_rad_s3", "max_force_n", "max_torque_nm",
+)  # fmt: skip
+DERIVED = ("tracking_tolerance_m", "tracking_tolerance_rad", "max_lag_s")
 GUARDS = (
-    "tracking_tolerance_m", "tracking_tolerance_rad", "start_tolerance_m", "start_tolerance_rad", "pose_timeout_s",
-    "wrench_timeout_s", "clock_tolerance_s", "check_stamps",
+    "start_tolerance_m", "start_tolerance_rad", "pose_timeout_s", "wrench_timeout_s", "marker_timeout_s",
+    "clock_tolerance_s", "check_stamps",
 )  # fmt: skip
 
 
@@ -35,18 +40,27 @@ def declare_all(node: Node) -> None:
     box = Parameter.Type.DOUBLE_ARRAY
     declare(node, "workspace_min_m", box, "lower corner of the box for the end effectors", fixed=own)
     declare(node, "workspace_max_m", box, "upper corner", fixed=own)
-    declare(node, "max_speed_m_s", 0.25, "fastest motion", bounds=(1e-4, 10.0), fixed=own)
-    declare(node, "max_angular_speed_rad_s", 1.0, "fastest turn", bounds=(1e-3, 100.0), fixed=own)
-    declare(node, "max_acceleration_m_s2", 2.0, "largest acceleration", bounds=(1e-3, 1000.0), fixed=own)
-    declare(node, "max_force_n", 10.0, "largest force on a sensor", bounds=(1e-3, 1e4), fixed=own)
-    declare(node, "max_torque_nm", 1.0, "largest torque on a sensor", bounds=(1e-6, 1e4), fixed=own)
+    some, none = (0.0, 1e6), "0: none besides the limits of the hand and of the trajectory"
+    declare(node, "max_speed_m_s", 0.0, f"fastest motion; {none}", bounds=some, fixed=own)
+    declare(node, "max_acceleration_m_s2", 0.0, f"largest acceleration; {none}", bounds=some, fixed=own)
+    declare(node, "max_jerk_m_s3", 0.0, f"largest jerk; {none}", bounds=some, fixed=own)
+    declare(node, "max_angular_speed_rad_s", 0.0, f"fastest turn; {none}", bounds=some, fixed=own)
+    declare(node, "max_angular_acceleration_rad_s2", 0.0, f"largest one; {none}", bounds=some, fixed=own)
+    declare(node, "max_angular_jerk_rad_s3", 0.0, f"largest one; {none}", bounds=some, fixed=own)
+    declare(node, "max_force_n", 0.0, f"largest force on a sensor; {none}", bounds=some, fixed=own)
+    declare(node, "max_torque_nm", 0.0, f"largest torque on a sensor; {none}", bounds=some, fixed=own)
+    told = "0: as the trajectory says"
+    declare(node, "tracking_tolerance_m", 0.0, f"from the commanded path; {told}", bounds=(0.0, 1.0), fixed=own)
+    declare(node, "tracking_tolerance_rad", 0.0, f"likewise; {told}", bounds=(0.0, 3.0), fixed=own)
+    declare(node, "max_lag_s", 0.0, f"how far a robot may be behind; {told}", bounds=(0.0, 10.0), fixed=own)
     declare(node, "guard_wrench", True, "refuse to move without a measured wrench", fixed=own)
-    declare(node, "tracking_tolerance_m", 0.01, "from commanded to measured pose", bounds=(1e-5, 1.0), fixed=own)
-    declare(node, "tracking_tolerance_rad", 0.1, "likewise", bounds=(1e-4, 3.0), fixed=own)
+    declare(node, "guard_markers", True, "refuse to move without the markers that are predicted", fixed=own)
+    declare(node, "watch_aborts", False, "end a replay when readings part from the prediction", fixed=own)
     declare(node, "start_tolerance_m", 0.002, "from the first to the measured pose", bounds=(1e-5, 1.0), fixed=own)
     declare(node, "start_tolerance_rad", 0.02, "likewise", bounds=(1e-4, 3.0), fixed=own)
     declare(node, "pose_timeout_s", 0.1, "oldest measured pose", bounds=(0.001, 10.0), fixed=own)
     declare(node, "wrench_timeout_s", 0.1, "oldest measured wrench", bounds=(0.001, 10.0), fixed=own)
+    declare(node, "marker_timeout_s", 0.1, "oldest measured markers", bounds=(0.001, 10.0), fixed=own)
     declare(node, "clock_tolerance_s", 0.1, "largest jump of the ROS clock", bounds=(0.001, 10.0), fixed=own)
     declare(node, "check_stamps", True, "stamps count for the age of readings, not their arrival alone", fixed=own)
     declare(node, "record", True, "record while the node is active", fixed=own)
@@ -61,6 +75,8 @@ class ReplayParameters:
     rig: str
     speed_scale: float
     guard_wrench: bool
+    guard_markers: bool
+    watch_aborts: bool
     record: bool
     record_uri: str
     guard: GuardSettings
@@ -72,21 +88,23 @@ class ReplayParameters:
         Raises:
             ConfigError: the workspace box is none.
         """
-        given = {name: value_of(node, name) for name in LIMITS}
+        given = {name: value_of(node, name) or None for name in LIMITS}
         for name in ("workspace_min_m", "workspace_max_m"):
             corner = value_of(node, name)
             given[name] = list(corner) if corner else None
         limits = validate(Limits, given, "The parameters")
         dry = value_of(node, "dry_run")
+        values: dict[str, Any] = {name: value_of(node, name) or None for name in DERIVED}
+        values |= {name: value_of(node, name) for name in GUARDS}
         guard = replace(
             GuardSettings(limits, moves=not dry, simulated_time=bool(value_of(node, "use_sim_time"))),
             period_s=1.0 / value_of(node, "control_rate_hz"),
-            **{name: value_of(node, name) for name in GUARDS},
+            **values,
         )
         if guard.pose_timeout_s < guard.period_s:
             raise ConfigError(
                 f"pose_timeout_s is {guard.pose_timeout_s:g}, below the control period of {guard.period_s:g} s.",
                 "Allow at least one period.",
             )
-        plain = ("trajectory_uri", "rig", "speed_scale", "guard_wrench", "record", "record_uri")
+        plain = [field.name for field in fields(cls) if field.name != "guard"]
         return cls(**{name: value_of(node, name) for name in plain}, guard=guard)

@@ -27,7 +27,7 @@ from thinshell_ros import graph, messages, protocol
 from thinshell_ros.health import Announcer, CommandLog, Level, physics_report, topics_report
 from thinshell_ros.outputs import Outputs
 from thinshell_ros.parameters import value_of, warn_of_unknown
-from thinshell_ros.poses import Floats, Pose, PoseGate
+from thinshell_ros.poses import Floats, Pose, PoseGate, unstamped
 from thinshell_ros.qos import LATEST
 from thinshell_ros.runner import run
 from thinshell_ros.sim_parameters import SimParameters
@@ -57,7 +57,7 @@ class SimNode(Node):
         self._targets: dict[str, Pose] = {}
         self._log = CommandLog(given.command_timeout_s)
         self._announcer = Announcer()
-        self._outputs = Outputs(self, self._rig, channels, given.publish_clock, self._factor)
+        self._outputs = Outputs(self, self._rig, channels, given.publish_clock, self._factor, given.pictures)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._published = [c.topic for c in channels.values()]
         self._commanded = [effector.topics.target_pose for effector in effectors.values()]
@@ -73,7 +73,7 @@ class SimNode(Node):
         arrived = self.create_guard_condition(self._on_poll)
         seed = given.seed if given.noise else None
         limits = given.max_speed_m_s, given.max_turn_rate_rad_s
-        settings = protocol.Settings(self._rig, channels, seed, *limits, self._factor)
+        settings = protocol.Settings(self._rig, channels, seed, *limits, self._factor, not given.publish_clock)
         self._physics = Supervisor(settings, given.watchdog_s, arrived.trigger)
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(PERIOD_S, self._on_poll, clock=wall)
@@ -85,7 +85,10 @@ class SimNode(Node):
             return
         p, q = message.pose.position, message.pose.orientation
         frame, near = message.header.frame_id, (self._poses[name], self._targets.get(name))
-        pose = self._gates[name].check(frame, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), *near)
+        stamp = message.header.stamp
+        pose = unstamped(stamp.sec + 1e-9 * stamp.nanosec) or self._gates[name].check(
+            frame, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), *near
+        )
         if isinstance(pose, str):
             self._reject(f"{name}: {pose}")
         else:

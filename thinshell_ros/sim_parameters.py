@@ -28,6 +28,7 @@ class SimParameters:
     command_timeout_s: float
     watchdog_s: float
     contact_forces: bool
+    pictures: bool
 
     @classmethod
     def declare(cls, node: Node) -> SimParameters:
@@ -52,6 +53,7 @@ class SimParameters:
         timeout = declare(node, "command_timeout_s", 0.5, "age of a stale target", bounds=(0.01, 3600.0))
         patience = declare(node, "watchdog_s", 5.0, "silence after which the physics hangs", bounds=(0.5, 600.0))
         forces = declare(node, "contact_forces", False, "publish force and torque of each declared contact")
+        pictures = declare(node, "pictures", False, "publish a picture of the markers that each camera sees")
         declare(
             node, "step_duration_s", 0.0, "simulated time of one ~/step; 0: one step", bounds=(0.0, 3600.0), fixed=False
         )
@@ -60,4 +62,6 @@ class SimParameters:
                 f"The parameter real_time_factor is {factor:g}: stamps cannot follow the wall clock.",
                 "Set publish_clock to true, and use_sim_time to true in the nodes that listen.",
             )
-        return cls(rig, base, rate, noise, seed, speed, turn, jump, tilt, clock, factor, timeout, patience, forces)
+        return cls(
+            rig, base, rate, noise, seed, speed, turn, jump, tilt, clock, factor, timeout, patience, forces, pictures
+        )

@@ -18,7 +18,7 @@ STOP_S = 3.0
 class Worker:
     """A process of its own, so that the physics does not hold up the node.
 
-    It is spawned, not forked: neither threads of the middleware nor of Taichi survive a fork. A thread takes what it
+    It is spawned, not forked: threads of the middleware do not survive a fork. A thread takes what it
     sends, because a process that is stopped in the middle of an answer would hold up who waits for its end.
     """
 

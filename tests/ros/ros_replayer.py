@@ -7,9 +7,11 @@ from typing import Any
 from ros_live import START_S, Client, NodeProcess
 
 NODE = "trajectory_deploy"
-PATIENT = {"pose_timeout_s": 2.0, "wrench_timeout_s": 2.0, "clock_tolerance_s": 2.0}
+PATIENT = {"pose_timeout_s": 2.0, "wrench_timeout_s": 2.0, "clock_tolerance_s": 2.0, "max_lag_s": 2.0}
 """Time-outs for a machine that may be busy."""
-SLOW_PLANT = {"pose_timeout_s": 4.0, "wrench_timeout_s": 4.0, "check_stamps": "false", "max_force_n": 5.0}
+SLOW_PLANT = {
+    "pose_timeout_s": 4.0, "wrench_timeout_s": 4.0, "check_stamps": "false", "max_force_n": 5.0, "max_lag_s": 4.0,
+}  # fmt: skip
 """... on which the physics may fall behind the wall clock too."""
 
 

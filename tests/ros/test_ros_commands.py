@@ -1,13 +1,14 @@
 """Which targets are taken, how the end effector follows, and in which pace. Needs no ROS."""
 
 import math
+import random
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thinshell_ros.pacing import SLACK_S, Pacer
-from thinshell_ros.poses import Pose, PoseGate, towards
+from thinshell_ros.pacing import MOST_LAG_S, SLACK_S, Pacer
+from thinshell_ros.poses import Pose, PoseGate, towards, unstamped
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 HERE = Pose(np.array([0.1, 0.0, 0.2]), np.array(UPRIGHT))
@@ -80,11 +81,17 @@ def test_commands_may_run_ahead_of_an_end_effector_but_not_jump() -> None:
     assert isinstance(GATE.check("base_link", (0.11, 0.0, 0.2), UPRIGHT, HERE, last), Pose), "back to where it is"
 
 
+def test_a_stamp_of_1970_is_none() -> None:
+    assert unstamped(1.7e9) == ""
+    assert "0 s after the beginning of 1970" in unstamped(0.0)
+    assert "use_sim_time" in unstamped(17.3e6)
+
+
 class Run:
     """A pacer, and simulated time in steps of 10 ms."""
 
-    def __init__(self, factor: float = 1.0) -> None:
-        self.pacer = Pacer(factor)
+    def __init__(self, factor: float = 1.0, catches_up: bool = True) -> None:
+        self.pacer = Pacer(factor, catches_up)
         self.wall = self.simulated = 0.0
         self.pacer.start(0.0, 0.0)
 
@@ -127,20 +134,44 @@ def test_a_short_delay_is_caught_up() -> None:
 
 def test_a_slow_spell_leaves_no_lasting_lag() -> None:
     run = Run()
-    for _ in range(1000):
+    for _ in range(40):
         run.step(0.05)
-    assert run.pacer.lag_s == pytest.approx(40.0, abs=0.1), "what it has cost is known while it lasts"
-    assert run.pacer.factor() == pytest.approx(0.2, rel=1e-6)
-    assert run.pacer.skipped_s == 0.0, "a simulation that does not keep up does not jump"
+    assert run.pacer.lag_s == pytest.approx(1.6, abs=0.1), "what it has cost is known while it lasts"
+    assert run.pacer.factor() == pytest.approx(0.2, rel=0.01)
+    assert run.pacer.skipped_s == 0.0, "a simulation that is slow for a while does not jump"
     for _ in range(100):
         run.step(0.005)
     assert run.behind < 0.02
-    assert run.pacer.skipped_s == pytest.approx(40.0, abs=1.0)
+    assert run.pacer.skipped_s == pytest.approx(1.6, abs=0.6)
     assert run.pacer.lag_s < 0.01
     skipped = run.pacer.skipped_s
     for _ in range(1000):
         run.step(0.005)
     assert run.pacer.skipped_s == skipped
+
+
+def test_a_simulation_that_is_always_too_slow_is_behind_by_a_bound() -> None:
+    run = Run()
+    for _ in range(1000):
+        run.step(0.05)
+        assert run.behind < MOST_LAG_S + 0.11, "and two steps"
+    assert run.pacer.skipped_s == pytest.approx(40.0, abs=MOST_LAG_S + 0.1)
+    assert run.pacer.factor() == pytest.approx(0.2, rel=0.01)
+
+
+@pytest.mark.parametrize("factor", [0.2, 1.0])
+def test_simulated_time_that_nothing_is_caught_up_of_never_runs_faster_than_wanted(factor: float) -> None:
+    """From any step to any later one, whatever steps cost, but for two steps."""
+    run, rng, ahead = Run(factor, catches_up=False), random.Random(2), []
+    for _ in range(1000):
+        run.step(rng.choice([0.0, 0.001, 0.05 / factor, 0.3]))
+        ahead.append(run.simulated - factor * run.wall)
+    least = np.minimum.accumulate(ahead)
+    assert (np.array(ahead) - least).max() < 0.0201
+    plain = Run(factor)
+    for cost in (1.0, *[0.0] * 50):
+        plain.step(cost)
+    assert plain.simulated > 0.5, "what is caught up of, does"
 
 
 def test_one_step_of_ten_seconds_leaves_no_lasting_lag() -> None:

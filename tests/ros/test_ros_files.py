@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from sim_core.bench.scenes import SCENES
+from sysid.bench.scenes import SCENES
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
@@ -40,12 +40,12 @@ def declared(node: str) -> set[str]:
     apart = ROOT / "thinshell_ros" / f"{node.removesuffix('_node')}_parameters.py"
     text = source(node) + (apart.read_text() if apart.is_file() else "")
     names = (call.args[1] for call in calls(ast.parse(text), "declare"))
-    return {str(name.value) for name in names if isinstance(name, ast.Constant)}
+    return {str(name.value) for name in names if isinstance(name, ast.Constant)} | {"use_sim_time"}
 
 
 def test_there_is_something_to_check() -> None:
     assert LAUNCH_FILES
-    assert {"sim_node", "record_node", "sysid_node"} <= NODES.keys()
+    assert {"sim_node", "record_node", "sysid_node", "marker_node"} <= NODES.keys()
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda p: p.name)

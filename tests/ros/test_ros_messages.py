@@ -9,7 +9,7 @@ import pytest
 
 from sim_core.rigs import FisheyeCamera, PinholeCamera, load_rig
 from sysid.recording.clouds import cloud_fields
-from thinshell_ros.clouds import marker_points, track_points
+from thinshell_ros.clouds import marker_points, marker_positions, track_points
 from thinshell_ros.health import Report
 from thinshell_ros.poses import Pose
 
@@ -67,3 +67,22 @@ def test_diagnostics(messages: Any) -> None:
     assert [s.name for s in array.status] == ["/thinshell_sim: physics", "/thinshell_sim: commands"]
     assert [s.level for s in array.status] == [b"\x02", b"\x00"]
     assert (array.status[0].values[0].key, array.status[0].values[0].value) == ("nan_count", "3")
+
+
+def test_markers_are_read_back_from_a_cloud_and_not_from_one_that_has_none(messages: Any) -> None:
+    rest = np.arange(12.0).reshape(4, 3) * 1e-3
+    moved = rest + 1e-4
+    moved[2] = np.nan
+    cloud = messages.cloud(STAMP, "gel", marker_points(moved, rest, np.array([5, 0, 2, 9])))
+    layout = {field.name: (field.offset, field.datatype) for field in cloud.fields}
+    ids, positions = marker_positions(bytes(cloud.data), cloud.point_step, layout)
+    assert ids.tolist() == [5, 0, 9]
+    np.testing.assert_allclose(positions, moved[[0, 1, 3]], atol=1e-9)
+    for wrong in (
+        {},
+        {**layout, "id": (36, 7)},
+        {**layout, "id": (38, 6)},
+        {k: v for k, v in layout.items() if k != "z"},
+    ):
+        assert marker_positions(bytes(cloud.data), cloud.point_step, wrong)[0].size == 0
+    assert marker_positions(bytes(cloud.data)[:-1], cloud.point_step, layout)[0].size == 0

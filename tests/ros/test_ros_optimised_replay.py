@@ -13,7 +13,7 @@ from ros_live import START_S, NodeProcess
 from ros_replayer import SLOW_PLANT, Replayer, execute
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
-from small_task import RIG, TASK
+from small_task import RIG, TASK, touch_sensor
 
 from sim_core.optimise.posterior import posterior_draws
 from sim_core.rigs import load_rig, rig_to_yaml, with_parameters
@@ -28,16 +28,7 @@ DRAWS = 8
 SD = 0.1
 """Standard deviation of the logarithm of the card's modulus, as of a fit."""
 
-SENSORS = f"""
-sensors:
-  touch:
-    type: wrench
-    on: gel
-    frame_id: touch_gel
-    rate_hz: 100.0
-    noise: {{force_n: {NOISE_N}, torque_nm: 1.0e-7}}
-    topic: touch/wrench
-"""
+SENSORS = touch_sensor(NOISE_N, 1.0e-7)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +103,7 @@ def test_the_plant_follows_and_reads_what_was_predicted(run: Path, plant: NodePr
     given: dict[str, Any] = {
         "trajectory_uri": run / "trajectory.json", "rig": run / "rig.yaml", "dry_run": "false", "record": "false",
         "workspace_min_m": "[-0.05, -0.05, -0.05]", "workspace_max_m": "[0.05, 0.05, 0.05]", "speed_scale": 0.03,
-        "tracking_tolerance_m": 0.002, "clock_tolerance_s": 4.0, **SLOW_PLANT,
+        "tracking_tolerance_m": 0.002, "clock_tolerance_s": 4.0, "guard_markers": "false", **SLOW_PLANT,
     }  # fmt: skip
     process = NodeProcess("replay_node", tmp_path / "output", PLACE, **given)
     client = Replayer(process, PLACE, PLACE, PLACE)
