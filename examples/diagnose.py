@@ -24,5 +24,5 @@ def main() -> str:
     return diagnosis.verdict
 
 
-if __name__ == "__main__":  # diagnoses use several processes, each of which imports this file
+if __name__ == "__main__":
     main()

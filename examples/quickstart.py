@@ -26,5 +26,5 @@ def main() -> float:
     return estimate.value / truth
 
 
-if __name__ == "__main__":  # fits use several processes, each of which imports this file
+if __name__ == "__main__":
     main()

@@ -1,143 +1,74 @@
-"""Many rollouts side by side: one process a core, one scene a rollout.
+"""Many rollouts of one rig side by side: on threads, one a core, each with numbers of its own.
 
-Every rollout gets a scene of its own, so what it gives does not depend on the others, on their order or on
-the number of processes.
+What a rollout gives does not depend on the others, on their order or on the number of threads, to the bit.
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from dataclasses import dataclass
-from multiprocessing.process import BaseProcess
-from typing import ParamSpec, TypeVar
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from sim_core.errors import WorkerError
-from sim_core.rigs import Rig
+from sim_core.errors import ConfigError, ConvergenceError
+from sim_core.rigs import Rig, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
-from sim_core.scene import build_scene
+from sim_core.scene.kept import KeptScenes
 from sim_core.simulate import Trace, simulate
+from sim_core.threads import worker_threads
 
-__all__ = [
-    "Rollout",
-    "simulate_batch",
-]
+__all__ = ["Variant", "poses_of_each", "rollouts"]
 
-P = ParamSpec("P")
-T = TypeVar("T")
+Variant = Mapping[str, float]
+"""Values of parameters by their names, as :func:`sim_core.rigs.with_parameters` takes them."""
 
 
-@dataclass(frozen=True)
-class Rollout:
-    """One rollout to be made: as the arguments of :func:`sim_core.simulate.simulate`.
+def rollouts(
+    rig: Rig,
+    variants: Sequence[Variant],
+    poses: Mapping[str, PoseTrajectory] | Sequence[Mapping[str, PoseTrajectory]],
+    times: np.ndarray,
+    *,
+    refine: int = 1,
+    workers: int | None = None,
+    on_done: Callable[[int, int], None] | None = None,
+) -> list[Trace | ConvergenceError]:
+    """Roll out the ``variants`` of a rig from rest along ``poses`` of its end effectors, of all or of each, at
+    ``times`` [s] ``(t,)``: in their order the trace of each, or why there is none, which does not end the others.
 
-    ``poses``: by end effector. ``times``: of the steps [s] ``(n,)``. ``refine``: factor on cells in each direction.
+    ``refine``: factor on cells in each direction; ``workers``: threads (default: one a core). ``on_done(done, total)``
+    is called as each arrives in that order. Raises ``ConfigError`` for variants and poses that are not as many, and
+    for numbers that the rig cannot have.
     """
+    each, scenes = poses_of_each(variants, poses), threading.local()
 
-    rig: Rig
-    poses: Mapping[str, PoseTrajectory]
-    times: np.ndarray
-    refine: int = 1
-
-
-def simulate_batch(
-    rollouts: Sequence[Rollout], *, workers: int | None = None, on_done: Callable[[int, int], None] | None = None
-) -> list[Trace]:
-    """Traces of all rollouts, in their order, from ``workers`` processes (default: one a core).
-
-    ``on_done(done, total)`` is called as each trace arrives in that order. The first rollout that fails ends the
-    batch with its error. Raises ``ConvergenceError``, ``WorkerError``.
-    """
-    if not rollouts:
-        return []
-    count = min(workers or os.cpu_count() or 1, len(rollouts))
-    traces = []
-    with worker_pool(count) as pool:
-        for future in [pool.submit(_run, rollout) for rollout in rollouts]:
-            traces.append(future.result())
-            if on_done is not None:
-                on_done(len(traces), len(rollouts))
-    return traces
-
-
-class _Pool(ProcessPoolExecutor):
-    """Says that it is broken also where a process ends while another is being started, which before Python 3.12 finds
-    the pool's pipes closed."""
-
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+    def rollout(variant: Variant, tracks: Mapping[str, PoseTrajectory]) -> Trace | ConvergenceError:
+        if not hasattr(scenes, "own"):
+            scenes.own = KeptScenes()
+        kept: KeptScenes = scenes.own
         try:
-            return super().submit(fn, *args, **kwargs)
-        except OSError as error:
-            if not self._broken:
-                raise
-            raise BrokenProcessPool(self._broken) from error
+            return simulate(kept.of(with_parameters(rig, variant), refine), tracks, times)
+        except ConvergenceError as error:
+            return error
+
+    found: list[Trace | ConvergenceError] = []
+    with worker_threads(min(workers or os.cpu_count() or 1, max(1, len(variants)))) as threads:
+        for future in [threads.submit(rollout, *given) for given in zip(variants, each, strict=True)]:
+            found.append(future.result())
+            if on_done is not None:
+                on_done(len(found), len(variants))
+    return found
 
 
-@contextmanager
-def worker_pool(workers: int, start: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
-    """Processes that are started afresh, and call ``start`` once. When the block is left they end at once, whatever
-    they are doing. Raises ``WorkerError`` if one of them has ended before.
-
-    Linear algebra has one thread within the block, here too: threads that wait for work take the cores from the
-    workers. A script does its work under ``if __name__ == "__main__"``: each process imports it.
-    """
-    pool = _Pool(workers, multiprocessing.get_context("spawn"), _begin, (start,))
-    try:
-        with threadpool_limits(1):
-            yield pool
-    except BrokenProcessPool as error:
-        raise worker_ended() from error
-    finally:
-        _give_up(pool)
-
-
-def worker_ended() -> WorkerError:
-    """The error for a process of a pool that has ended: within the pool's block it is ``BrokenProcessPool``."""
-    return WorkerError(
-        "A process that simulates has ended before its work was done.",
-        "Usually the machine ran out of memory, which its kernel log says: do less at once, or use coarser "
-        'cells. A script of your own must do its work under if __name__ == "__main__".',
-    )
-
-
-def _begin(start: Callable[[], None] | None) -> None:
-    serve_parent()
-    # One process a core: threads of linear algebra on top would wait for each other.
-    threadpool_limits(1)
-    if start is not None:
-        start()
-
-
-def serve_parent() -> None:
-    """Start of a worker process: Ctrl-C is for the parent to deal with, and when that is gone, killed even, so is the
-    worker."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-
-
-def _give_up(pool: ProcessPoolExecutor) -> None:
-    """End the processes of a pool, whatever they are doing; what is pending is cancelled."""
-    workers = list((pool._processes or {}).values())
-    pool.shutdown(wait=False, cancel_futures=True)
-    for worker in workers:
-        worker.kill()
-
-
-def _end_with(parent: BaseProcess) -> None:
-    parent.join()
-    os._exit(1)
-
-
-def _run(rollout: Rollout) -> Trace:
-    return simulate(build_scene(rollout.rig, rollout.refine), rollout.poses, rollout.times)
+def poses_of_each(
+    variants: Sequence[Variant], poses: Mapping[str, PoseTrajectory] | Sequence[Mapping[str, PoseTrajectory]]
+) -> list[Mapping[str, PoseTrajectory]]:
+    """The poses along which each of the variants is rolled out. Raises ``ConfigError`` where they are not as many."""
+    each = [poses] * len(variants) if isinstance(poses, Mapping) else list(poses)
+    if len(each) != len(variants):
+        raise ConfigError(
+            f"There are {len(variants)} variants and poses for {len(each)} of them.",
+            "Give poses for all of them, or one mapping of poses for all.",
+        )
+    return each

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
+import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType
@@ -56,7 +57,14 @@ def _warn_of_numpy() -> None:
     )
 
 
-_raised: list[BaseException] = []
+class _Raised(threading.local):
+    """What was raised on a thread."""
+
+    def __init__(self) -> None:
+        self.errors: list[BaseException] = []
+
+
+_raised = _Raised()
 
 
 def called_back(function: Callable[..., None], *arguments: Any) -> Any:
@@ -67,16 +75,16 @@ def called_back(function: Callable[..., None], *arguments: Any) -> Any:
         try:
             function(*given)
         except BaseException as error:
-            _raised.append(error)
+            _raised.errors.append(error)
 
     return ctypes.CFUNCTYPE(None, *arguments)(run)
 
 
 def raise_what_was_raised() -> None:
     """Raise the first error of a function that C has called back, if there was one."""
-    if _raised:
-        first = _raised[0]
-        _raised.clear()
+    if _raised.errors:
+        first = _raised.errors[0]
+        _raised.errors.clear()
         raise first
 
 

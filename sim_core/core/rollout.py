@@ -32,6 +32,7 @@ from sim_core.sensing.instants import Instants, InstantsAlong, bearing_nodes, re
 from sim_core.sensing.observe import Observer, frame_of
 from sim_core.solve.report import NewtonSettings, Result, StepReport
 from sim_core.state_history import StateHistory, StateRecorder
+from sim_core.threads import end_if_unwanted
 from sim_core.trace import FOREVER_S, SETTLED_AFTER_S, NodePath, Trace, interpolate
 
 FINEST = 32
@@ -171,7 +172,9 @@ class CoreRollout(CoreState):
             self._library.thinshell_rest(self._handle, 1)
             self._library.thinshell_stand(self._handle, scene.rig.solver.dt_s, *at, int(scene.system.inertia), out)
             return self._chunk(slice(0, 1))
-        self._library.thinshell_iterations(self._handle, max(self._settings.max_iterations, NewtonSettings.max_iterations))
+        self._library.thinshell_iterations(
+            self._handle, max(self._settings.max_iterations, NewtonSettings.max_iterations)
+        )
         dt, failed = 1e-3, 0
         while dt < SETTLED_AFTER_S and failed < FRUITLESS:
             if self._settling_step(dt, inertia=True) is None:
@@ -200,6 +203,7 @@ class CoreRollout(CoreState):
 
     def _settling_step(self, dt: float, inertia: bool) -> ConvergenceError | None:
         """Make a step at the first instant; why there is none."""
+        end_if_unwanted()
         self._library.thinshell_rest(self._handle, 0)
         counts = np.zeros(1, dtype=COUNTS)
         at, out = self._first(), ctypes.byref(self._outputs())
@@ -272,6 +276,7 @@ class CoreRollout(CoreState):
         self, steps: slice, lengths: np.ndarray, moves: np.ndarray | None, inertia: bool
     ) -> tuple[int, np.ndarray]:
         """Make the ``steps`` to these instants; how many were made, and what was done in them and in the next one."""
+        end_if_unwanted()
         counts = np.zeros(steps.stop - steps.start, dtype=COUNTS)
         own, ends = slice(steps.start - 1, steps.stop - 1), slice(steps.start - 1, steps.stop)
         moving = self._motions is not None and len(self._motions) > 1

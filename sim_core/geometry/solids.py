@@ -111,15 +111,16 @@ def locate(mesh: TetMesh, points: np.ndarray, tolerance: float = 1e-6) -> tuple[
     high = corners.max(axis=1) + (0.25 + tolerance) * extent
     element = np.full(len(points), -1, dtype=np.int32)
     weights = np.zeros((len(points), 10))
-    for p, point in enumerate(points):
-        near = np.flatnonzero(np.all((low <= point) & (point <= high), axis=1))
-        if len(near) == 0:
-            continue
-        barycentric = _invert(corners[near], point)
-        inside = barycentric.min(axis=1)
-        best = int(np.argmax(inside))
-        if inside[best] >= -tolerance:
-            element[p] = near[best]
+    near = [np.flatnonzero(np.all((low <= point) & (point <= high), axis=1)) for point in points]
+    counts = [len(elements) for elements in near]
+    candidates = np.concatenate([np.zeros(0, dtype=int), *near])
+    barycentric = _invert(corners[candidates], np.repeat(points, counts, axis=0))
+    end = np.cumsum(counts)
+    for p in np.flatnonzero(counts):
+        own = slice(end[p] - counts[p], end[p])
+        best = own.start + int(np.argmax(barycentric[own].min(axis=1)))
+        if barycentric[best].min() >= -tolerance:
+            element[p] = candidates[best]
             weights[p] = tet10.shape(barycentric[best : best + 1])[0]
     missing = np.flatnonzero(element < 0)
     if len(missing):
@@ -142,32 +143,40 @@ def locate_pins(
     is for the feet.
     """
     element, weights = locate(mesh, feet, tolerance)
-    for p, nodes in enumerate(mesh.nodes[mesh.tets[element]]):
-        slopes = tet10.shape_derivative(_invert(nodes[None], feet[p]))[0]
-        weights[p] += slopes @ np.linalg.solve(nodes.T @ slopes, points[p] - feet[p])
+    nodes = mesh.nodes[mesh.tets[element]]
+    slopes = tet10.shape_derivative(_invert(nodes, feet))
+    off = np.linalg.solve(np.swapaxes(nodes, 1, 2) @ slopes, (points - feet)[:, :, None])
+    weights += (slopes @ off)[:, :, 0]
     return element, weights
 
 
-def _invert(elements: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Barycentric ``(m, 4)`` of ``point`` in elements ``(m, 10, 3)``; -inf where there are none."""
-    local = np.full((len(elements), 3), 0.25)
-    scale = np.ptp(elements, axis=1).max(axis=1)
-    miss = np.full(len(elements), np.inf)
+def _invert(elements: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Barycentric ``(m, 4)`` of each of the ``points`` ``(m, 3)`` in its element ``(m, 10, 3)``; -inf where there are
+    none."""
+    local, miss = np.full((len(elements), 3), 0.25), np.full(len(elements), np.inf)
+    scale, left = np.ptp(elements, axis=1).max(axis=1), np.arange(len(elements))
     for _ in range(30):
-        barycentric = np.concatenate([1.0 - local.sum(axis=1, keepdims=True), local], axis=1)
-        error = np.einsum("ma,mai->mi", tet10.shape(barycentric), elements) - point
-        miss = np.linalg.norm(error, axis=1) / scale
-        if np.all(miss < 1e-14):
+        barycentric = _with_first(local[left])
+        error = np.einsum("ma,mai->mi", tet10.shape(barycentric), elements[left]) - points[left]
+        miss[left] = np.linalg.norm(error, axis=1) / scale[left]
+        far = miss[left] >= 1e-14
+        left, error, barycentric = left[far], error[far], barycentric[far]
+        if not len(left):
             break
-        jac = np.einsum("mai,maj->mij", elements, tet10.shape_derivative(barycentric))
-        singular = np.abs(np.linalg.det(jac)) < 1e-12 * scale**3
+        jac = np.einsum("mai,maj->mij", elements[left], tet10.shape_derivative(barycentric))
+        singular = np.abs(np.linalg.det(jac)) < 1e-12 * scale[left] ** 3
         jac[singular] = np.eye(3)
         step = np.linalg.solve(jac, error[:, :, None])[:, :, 0]
         step[singular] = 0.0
-        local = local - step * np.minimum(1.0, 0.5 / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
-    barycentric = np.concatenate([1.0 - local.sum(axis=1, keepdims=True), local], axis=1)
+        local[left] -= step * np.minimum(1.0, 0.5 / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
+    barycentric = _with_first(local)
     barycentric[miss > 1e-10] = -np.inf
     return barycentric
+
+
+def _with_first(local: np.ndarray) -> np.ndarray:
+    """All four barycentric coordinates ``(m, 4)`` from the last three of them."""
+    return np.concatenate([1.0 - local.sum(axis=1, keepdims=True), local], axis=1)
 
 
 def block(

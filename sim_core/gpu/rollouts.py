@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_core.batch import Variant
 from sim_core.core.record import contacts_of
 from sim_core.gpu.engine import Device, Gpu, Outcome, Run
-from sim_core.gpu.variants import Variant, problem_of
+from sim_core.gpu.variants import problem_of
 from sim_core.rigs import Rig, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from sim_core.batch import Variant, poses_of_each
 from sim_core.contact.rigid import RigidContact
 from sim_core.core.covers import covers as core_covers
 from sim_core.core.record import record_values
@@ -23,9 +24,6 @@ from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import Scene, build_scene
 from sim_core.scene.carriage import start_state
 from sim_core.solve.report import NewtonSettings
-
-Variant = Mapping[str, float]
-"""Values of parameters by their names, as :func:`sim_core.rigs.with_parameters` takes them."""
 
 
 def covers(scene: Scene) -> str | None:
@@ -60,16 +58,11 @@ def problem_of(
         raise ConfigError(
             "There are no variants to roll out.", "Give one mapping of parameters at least, {} for the rig."
         )
-    own_poses = [poses] * len(variants) if isinstance(poses, Mapping) else list(poses)
-    if len(own_poses) != len(variants):
-        raise ConfigError(
-            f"There are {len(variants)} variants and poses for {len(own_poses)} of them.",
-            "Give poses for all of them, or one mapping of poses for all.",
-        )
+    own_poses = poses_of_each(variants, poses)
     scene, settings = build_scene(rig), settings or NewtonSettings()
     lack = covers(scene)
     if lack is not None:
-        raise ConfigError(lack, "Simulate it on the CPU, with sim_core.batch or sim_core.simulate.")
+        raise ConfigError(lack, "Roll it out on the CPU, with sim_core.batch.rollouts.")
     kinds = dict(ARRAYS)
     first: dict[str, np.ndarray] = {}
     arrays: dict[str, list[np.ndarray]] = {name: [] for name in OWN}

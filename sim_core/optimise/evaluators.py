@@ -1,19 +1,19 @@
-"""Where the rollouts of a search are made: in this process, or in several at once."""
+"""Where the rollouts of a search are made: one after the other, or several at once."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from typing import Protocol
 
 import numpy as np
 
-from sim_core.batch import worker_pool
 from sim_core.tasks.load import MadeTask
 from sim_core.tasks.rollout import Outcome, TaskRollouts
+from sim_core.threads import worker_threads
 
 Parameters = Mapping[str, float]
 """Values of named parameters of a rig."""
@@ -39,7 +39,7 @@ class Evaluator(Protocol):
 
 
 class LocalEvaluator:
-    """Makes rollouts one after the other in this process."""
+    """Makes rollouts one after the other."""
 
     workers = 1
 
@@ -58,31 +58,29 @@ def answer(rollouts: TaskRollouts, request: Request) -> Outcome:
     return rollouts.gradient(request.action) if request.gradient else rollouts.outcome(request.action)
 
 
-_own: list[TaskRollouts] = []
-"""The rollouts of a worker process."""
+class _ThreadsEvaluator:
+    """Makes rollouts on threads, each of which has a scene of its own."""
 
+    def __init__(self, threads: ThreadPoolExecutor, made: MadeTask, workers: int, coarse: bool, size: int) -> None:
+        self._threads, self._made, self._coarse = threads, made, coarse
+        self.workers, self.size = workers, size
+        self._own = threading.local()
 
-def _open(made: MadeTask, coarse: bool) -> None:
-    _own[:] = [TaskRollouts(made, coarse)]
-
-
-def _answer(request: Request) -> Outcome:
-    return answer(_own[0], request)
-
-
-class _PoolEvaluator:
-    def __init__(self, pool: ProcessPoolExecutor, workers: int, size: int) -> None:
-        self._pool, self.workers, self.size = pool, workers, size
+    def _answer(self, request: Request) -> Outcome:
+        if not hasattr(self._own, "rollouts"):
+            self._own.rollouts = TaskRollouts(self._made, self._coarse)
+        return answer(self._own.rollouts, request)
 
     def outcomes(self, requests: Sequence[Request]) -> list[Outcome]:
-        return [future.result() for future in [self._pool.submit(_answer, request) for request in requests]]
+        """Of all requests, in their order."""
+        return [future.result() for future in [self._threads.submit(self._answer, request) for request in requests]]
 
 
 @contextmanager
 def evaluator(made: MadeTask, workers: int, coarse: bool, size: int) -> Iterator[Evaluator]:
-    """An evaluator with so many processes; with one worker rollouts are made in this process."""
+    """An evaluator with so many threads; with one worker rollouts are made on that of the caller."""
     if workers <= 1:
         yield LocalEvaluator(TaskRollouts(made, coarse))
         return
-    with worker_pool(workers, partial(_open, made, coarse)) as pool:
-        yield _PoolEvaluator(pool, workers, size)
+    with worker_threads(workers) as threads:
+        yield _ThreadsEvaluator(threads, made, workers, coarse, size)

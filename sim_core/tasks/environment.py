@@ -2,7 +2,7 @@
 
     import gymnasium
     env = gymnasium.make("sim_core.tasks.environment:thinshell/folding_l-v0", every=5)
-    envs = gymnasium.make_vec("sim_core.tasks.environment:thinshell/folding_l-v0", 2, vectorization_mode="async")
+    envs = gymnasium.make_vec("sim_core.tasks.environment:thinshell/folding_l-v0", 8)  # on threads, one a core
 
 An episode is a rollout of the task from the end of its approach on. An action in [-1, 1] is a share of the bound of one
 step for each component of each hand; it is held for ``every`` steps. So the actions of an episode, one after the other,
@@ -211,7 +211,8 @@ def register() -> None:
             task = name if variant == DEFAULT_VARIANT else f"{name}:{variant}"
             known = f"thinshell/{task.replace(':', '-')}-v0"
             if known not in gymnasium.registry:
-                gymnasium.register(known, entry_point=f"{__name__}:TaskEnv", kwargs={"task": task})
+                many = "sim_core.tasks.vector_environment:TaskVectorEnv"
+                gymnasium.register(known, f"{__name__}:TaskEnv", vector_entry_point=many, kwargs={"task": task})
 
 
 register()

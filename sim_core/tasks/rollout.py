@@ -31,7 +31,7 @@ DRAWS = 20
 @dataclass(frozen=True)
 class Outcome:
     """What became of an action. ``reward``: NaN where the rollout ended early, after the share ``completed`` of its
-    steps, for the reason ``stopped``; ``force_n``: largest force on a finger [N]; ``cpu_s``: process time [s];
+    steps, for the reason ``stopped``; ``force_n``: largest force on a finger [N]; ``cpu_s``: processor time [s];
     ``folds`` [rad]; ``gradient`` of the reward ``(size,)``, where it was asked for."""
 
     reward: float
@@ -155,7 +155,7 @@ class TaskRollouts:
 
     def outcome(self, action: np.ndarray) -> Outcome:
         """Of one action ``(size,)``."""
-        began = time.process_time()
+        began = time.thread_time()
         reason = self._forward(self.poses(action))
         episode = self.episode
         if reason:
@@ -164,7 +164,7 @@ class TaskRollouts:
 
     def gradient(self, action: np.ndarray) -> Outcome:
         """The outcome of an action with the gradient of its reward; without it where the rollout ends early."""
-        began, watch = time.process_time(), self._watch()
+        began, watch = time.thread_time(), self._watch()
         try:
             tape = Tape(self.scene, self.poses(action), self.space.times, watch=watch)
         except ConvergenceError as error:
@@ -179,11 +179,11 @@ class TaskRollouts:
 
     def _early(self, reason: str, steps: int, most: float, began: float) -> Outcome:
         share = steps / (len(self.space.times) - 1)
-        return Outcome(float("nan"), False, share, reason, most, steps, time.process_time() - began)
+        return Outcome(float("nan"), False, share, reason, most, steps, time.thread_time() - began)
 
     def _whole(self, scored: Scored, most: float, began: float, slope: np.ndarray | None) -> Outcome:
         steps = len(self.space.times) - 1
-        return Outcome(scored.reward, self.successful(scored), 1.0, "", most, steps, time.process_time() - began, slope)
+        return Outcome(scored.reward, self.successful(scored), 1.0, "", most, steps, time.thread_time() - began, slope)
 
     def seen(self, action: np.ndarray) -> tuple[Seen, float]:
         """What the reward of an action is made of, and the reward. Raises ``ConvergenceError`` where it stops early."""

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_core.batch import worker_pool
 from sim_core.core.covers import covers
 from sim_core.rigs import load_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.scene.scene import Scene
 from sim_core.simulate import simulate
+from sim_core.threads import worker_threads
 from sysid.bench.machine import machine_name
 
 DOWN_M, ALONG_M = 6.5e-3, 1.0e-2
@@ -70,11 +70,11 @@ def measure(down_steps: int = DOWN_STEPS, along_steps: int = ALONG_STEPS) -> Ben
     built = time.perf_counter()
     poses, times = workload(scene, down_steps, along_steps)
     simulate(scene, poses, times[:2])  # kernels are compiled, and what is laid out once a scene is
-    begin = time.perf_counter(), time.process_time()
+    begin = time.perf_counter(), time.thread_time()
     simulate(scene, poses, times[:2])
-    settled = time.perf_counter(), time.process_time()
+    settled = time.perf_counter(), time.thread_time()
     reports = simulate(scene, poses, times).reports
-    end = time.perf_counter(), time.process_time()
+    end = time.perf_counter(), time.thread_time()
     # The start and the first step are in both.
     settle, wall, cpu = settled[0] - begin[0], *(e - 2.0 * s + b for e, s, b in zip(end, settled, begin, strict=True))
     steps = len(reports) - 1
@@ -99,9 +99,9 @@ def measure(down_steps: int = DOWN_STEPS, along_steps: int = ALONG_STEPS) -> Ben
     )
 
 
-def measure_side_by_side(processes: int | None = None) -> tuple[int, float]:
-    """Number of processes (default: one a core) that ran the workload at the same time, and their steps/s together."""
-    count = processes or os.cpu_count() or 1
-    with worker_pool(count) as pool:
+def measure_side_by_side(threads: int | None = None) -> tuple[int, float]:
+    """Number of threads (default: one a core) that ran the workload at the same time, and their steps/s together."""
+    count = threads or os.cpu_count() or 1
+    with worker_threads(count) as pool:
         found = [future.result() for future in [pool.submit(measure) for _ in range(count)]]
     return count, sum(each.steps_per_s for each in found)

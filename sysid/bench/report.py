@@ -37,17 +37,17 @@ def run_benchmarks(
     forming = measure()
     if quick:
         return json.dumps(asdict(forming), indent=2) if as_json else "\n".join(forming_lines(forming))
-    processes, together = measure_side_by_side()
+    threads, together = measure_side_by_side()
     scaling, runs = measure_scaling(), measure_scenes(on_scene)
     if as_json:
         found = {
             **asdict(forming),
-            "side_by_side": {"processes": processes, "steps_per_s": together},
+            "side_by_side": {"threads": threads, "steps_per_s": together},
             "scaling": asdict(scaling),
             "scenes": [asdict(r) for r in runs],
         }
         return json.dumps(found, indent=2)
-    side = f"{processes} processes side by side: {together:.1f} steps/s together"
+    side = f"{threads} threads side by side: {together:.1f} steps/s together"
     return "\n".join([*forming_lines(forming), "", side, "", *scaling_lines(scaling), "", *scene_lines(runs)])
 
 

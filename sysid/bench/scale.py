@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_core.batch import worker_pool
+from sim_core.processes import worker_pool
 from sim_core.rigs import Rig, parse_rig
 from sim_core.scene import build_scene
 from sim_core.simulate import Simulation

@@ -22,7 +22,7 @@ def benchmark(
     ] = "hybrid,cma",
     seeds: Annotated[int, whole_number("--seeds", "Number of seeds.", 1)] = 3,
     budget: Annotated[int, whole_number("--budget", "Rollouts of each run.", 1)] = 200,
-    workers: Annotated[int, whole_number("--workers", "Processes; 0: one a core.", 0)] = 0,
+    workers: Annotated[int, whole_number("--workers", "Threads; 0: one a core.", 0)] = 0,
     to_the_end: Annotated[
         bool, typer.Option("--to-the-end", help="Spend the whole budget, also after the first success.")
     ] = False,

@@ -18,7 +18,7 @@ def inverse(
         str, typer.Option("--methods", metavar="A,B", help="fit, gradient (descent), cma.")
     ] = "fit,gradient,cma",
     seeds: Annotated[int, whole_number("--seeds", "Number of seeds.", 1)] = 1,
-    workers: Annotated[int, whole_number("--workers", "Processes; 0: one a core.", 0)] = 0,
+    workers: Annotated[int, whole_number("--workers", "Threads; 0: one a core.", 0)] = 0,
 ) -> None:
     """Seek a friction or a bending stiffness by the fit, by gradient descent and by CMA-ES.
 

@@ -28,7 +28,7 @@ def optimise(
         float | None, number("--minutes", "Wall time after which no rollout begins.", 0.0, metavar="MINUTES")
     ] = None,
     seed: SeedOption = 0,
-    workers: Annotated[int, whole_number("--workers", "Processes; 0: one a core.", 0)] = 0,
+    workers: Annotated[int, whole_number("--workers", "Threads; 0: one a core.", 0)] = 0,
     stop_at_success: Annotated[bool, typer.Option("--stop-at-success", help="End with the first success.")] = False,
     posterior: Annotated[
         Path | None,

@@ -19,12 +19,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 
 import numpy as np
 
-from sim_core.batch import worker_ended
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.model.parameters import FitParameter, rig_in, start_of
@@ -219,8 +217,6 @@ def fit_beside_discretisation(
         except KeyboardInterrupt:
             fitted.interrupt()
             return problem, _counted(fitted, evaluations)
-        except BrokenProcessPool as error:
-            raise Unmeasured(worker_ended(), problem, _counted(fitted, evaluations)) from error
         except ThinshellError as error:
             raise Unmeasured(error, problem, _counted(fitted, evaluations)) from error
         error_shapes = [now.following(then, scaled) for now, then in zip(found, error_shapes, strict=True)]

@@ -29,8 +29,8 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
-from sim_core.batch import worker_pool
 from sim_core.errors import ThinshellError
+from sim_core.processes import worker_ended, worker_pool
 from sim_core.rigs import Rig, WrenchSensor
 from sim_core.rigs.motion import Experiment
 from sysid.fit.fit import fit_runs
@@ -226,7 +226,7 @@ def measure_coverage(
                 try:
                     outcomes += future.result()
                 except BrokenProcessPool as error:  # all that had not ended say so
-                    defect, lost = error, reason_of(error)
+                    defect, lost = error, str(worker_ended())
                     continue
                 except Exception as error:
                     failed[case] = reason_of(error)

@@ -79,7 +79,7 @@ def fit_runs(
     """Fit ``names`` to ``runs``; the result and the rig with the fitted values, of nuisances too.
 
     Of what each bag has for itself that rig has the mean. ``held_out``: scored with all readings, also those that are
-    left out of fits; ``engine``: worker processes at hand, for several fits in a row; ``on_step``: told after each
+    left out of fits; ``engine``: threads at hand, for several fits in a row; ``on_step``: told after each
     evaluation. Raises ``RecordingError`` where two runs have readings in common.
     """
     check_apart(runs, held_out)

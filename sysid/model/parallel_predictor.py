@@ -1,8 +1,9 @@
-"""An engine whose predictions run in worker processes, one a core."""
+"""An engine whose predictions run on threads, one a core."""
 
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import ExitStack
@@ -10,71 +11,35 @@ from types import TracebackType
 
 import numpy as np
 
-from sim_core.batch import worker_pool
 from sim_core.rigs import Rig
 from sim_core.simulate import NodePath
+from sim_core.threads import worker_threads
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.model.responses import Modulated, SizedEffects
 from sysid.model.rollout_paths import RolloutPaths
 from sysid.observations.observations import Run
 
-_ENGINE: list[SerialPredictor] = []
-
-
-def _start() -> None:
-    """Each worker keeps its scenes."""
-    _ENGINE.append(SerialPredictor())
-
-
-def _predict(rig: Rig, run: Run, refine: int, dt: float | None, keep_path: bool, beside: NodePath | None) -> Prediction:
-    return _ENGINE[0].predict(rig, run, refine, dt, keep_path=keep_path, beside=beside)
-
-
-def _predict_with_derivatives(
-    rig: Rig,
-    run: Run,
-    parameters: Sequence[FitParameter],
-    scaled: np.ndarray,
-    refine: int,
-    dt: float | None,
-    keep_path: bool,
-    beside: NodePath | None,
-) -> Prediction:
-    return _ENGINE[0].predict_with_derivatives(
-        rig, run, parameters, scaled, refine, dt, keep_path=keep_path, beside=beside
-    )
-
-
-def _predict_responses(
-    rig: Rig,
-    run: Run,
-    parameters: Sequence[FitParameter],
-    scaled: np.ndarray,
-    candidates: Sequence[SizedEffects],
-    modulated: Sequence[Modulated],
-    keep_path: bool,
-    beside: NodePath | None,
-) -> Prediction:
-    return _ENGINE[0].predict_responses(
-        rig, run, parameters, scaled, candidates, modulated, keep_path=keep_path, beside=beside
-    )
+Predict = Callable[[SerialPredictor, bool, NodePath | None], Prediction]
+"""Makes a prediction with an engine; whether it keeps its path, and the path beside which it is made."""
 
 
 class ParallelPredictor:
-    """As :class:`sysid.model.predictor.SerialPredictor`, in ``workers`` processes. Use as a context manager.
+    """As :class:`sysid.model.predictor.SerialPredictor`, on ``workers`` threads, each with scenes of its own. Use as a
+    context manager; when it is left, what runs is told to end.
 
-    ``on_done``: called in a thread of the pool after each prediction, made or failed.
+    ``on_done``: called on such a thread after each prediction, made or failed.
     """
 
     def __init__(self, workers: int | None = None, on_done: Callable[[], None] | None = None) -> None:
         self._workers = workers or os.cpu_count() or 1
         self._on_done = on_done
         self._paths = RolloutPaths()
+        self._own = threading.local()
 
     def __enter__(self) -> ParallelPredictor:
         self._open = ExitStack()
-        self._pool = self._open.enter_context(worker_pool(self._workers, _start))
+        self._pool = self._open.enter_context(worker_threads(self._workers))
         return self
 
     def __exit__(
@@ -84,7 +49,11 @@ class ParallelPredictor:
 
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
         """Start a prediction without derivatives."""
-        return self._begun(rig, run, refine, dt, _predict, rig, run, refine, dt)
+
+        def predict(engine: SerialPredictor, keep_path: bool, beside: NodePath | None) -> Prediction:
+            return engine.predict(rig, run, refine, dt, keep_path=keep_path, beside=beside)
+
+        return self._begun(rig, run, refine, dt, predict)
 
     def submit_with_derivatives(
         self,
@@ -96,8 +65,12 @@ class ParallelPredictor:
         dt: float | None = None,
     ) -> Future[Prediction]:
         """Start a prediction with derivatives."""
-        at = (list(parameters), np.array(scaled))
-        return self._begun(rig, run, refine, dt, _predict_with_derivatives, rig, run, *at, refine, dt)
+        own, at = list(parameters), np.array(scaled)
+
+        def predict(engine: SerialPredictor, keep_path: bool, beside: NodePath | None) -> Prediction:
+            return engine.predict_with_derivatives(rig, run, own, at, refine, dt, keep_path=keep_path, beside=beside)
+
+        return self._begun(rig, run, refine, dt, predict)
 
     def submit_responses(
         self,
@@ -109,9 +82,12 @@ class ParallelPredictor:
         modulated: Sequence[Modulated] = (),
     ) -> Future[Prediction]:
         """Start a prediction with the responses to effects of finite size, and to parameters that change."""
-        at = (list(parameters), np.array(scaled))
-        effects = (list(candidates), list(modulated))
-        return self._begun(rig, run, 1, None, _predict_responses, rig, run, *at, *effects)
+        own, at, sized, changing = list(parameters), np.array(scaled), list(candidates), list(modulated)
+
+        def predict(engine: SerialPredictor, keep_path: bool, beside: NodePath | None) -> Prediction:
+            return engine.predict_responses(rig, run, own, at, sized, changing, keep_path=keep_path, beside=beside)
+
+        return self._begun(rig, run, 1, None, predict)
 
     def predict_all(
         self, rig: Rig, runs: Sequence[Run], parameters: Sequence[FitParameter], scaled: np.ndarray
@@ -120,13 +96,16 @@ class ParallelPredictor:
         futures = [self.submit_with_derivatives(rig, run, parameters, scaled) for run in runs]
         return [future.result() for future in futures]
 
-    def _begun(
-        self, rig: Rig, run: Run, refine: int, dt: float | None, predict: Callable[..., Prediction], *given: object
-    ) -> Future[Prediction]:
-        """A prediction in a worker, beside the path of the first one like it."""
+    def _begun(self, rig: Rig, run: Run, refine: int, dt: float | None, predict: Predict) -> Future[Prediction]:
+        """A prediction on a thread, beside the path of the first one like it."""
+
+        def make(keep_path: bool, beside: NodePath | None) -> Prediction:
+            if not hasattr(self._own, "engine"):
+                self._own.engine = SerialPredictor()
+            return predict(self._own.engine, keep_path, beside)
 
         def begin(keep_path: bool, beside: NodePath | None) -> Future[Prediction]:
-            return self._told(self._pool.submit(predict, *given, keep_path, beside))
+            return self._told(self._pool.submit(make, keep_path, beside))
 
         return self._paths.start(rig, run, refine, dt, begin)
 

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim_core.effects import amended
 from sim_core.errors import ThinshellError
 from sim_core.gradients import Direction, simulate_tangent
 from sim_core.gradients.amendments import Amendment, Modulation
 from sim_core.gradients.frozen_path import simulate_responses
 from sim_core.rigs import Rig
-from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.scene import Scene, build_scene
+from sim_core.scene.kept import KeptScenes, built_from
 from sim_core.simulate import NodePath, Trace, simulate
 from sysid.model.marker_registration import placed, placed_along
 from sysid.model.parameters import FitParameter, acting_in, fit_parameters, rig_at, rig_in, start_of
@@ -42,20 +41,9 @@ class SerialPredictor:
     """Evaluates rigs on runs in this process."""
 
     def __init__(self) -> None:
-        self._scenes: dict[object, Scene] = {}
+        self._scenes = KeptScenes()
         self._amended: dict[object, Scene] = {}
         self._left = LeftBefore()
-
-    def scene(self, rig: Rig, refine: int = 1) -> Scene:
-        """A scene for the rig, reused when the same bodies and effects were built before."""
-        key = (_geometry(rig), refine)
-        if key not in self._scenes:
-            if len(self._scenes) >= 12:
-                self._scenes.pop(next(iter(self._scenes)))
-            self._scenes[key] = build_scene(rig, refine)
-        scene = self._scenes[key]
-        scene.use(rig)
-        return scene
 
     def predict(
         self,
@@ -68,7 +56,7 @@ class SerialPredictor:
         beside: NodePath | None = None,
     ) -> Prediction:
         """Predict one run. ``keep_path``, ``beside``: as of :func:`sim_core.simulate.simulate`."""
-        scene = self.scene(rig, refine)
+        scene = self._scenes.of(rig, refine)
         rig = placed(scene, run.firsts)
         scene.use(rig)
         dt = dt or rig.solver.dt_s
@@ -121,7 +109,7 @@ class SerialPredictor:
             for c, d in found.derivatives.items():
                 wide[c][..., own] = d
             return replace(found, derivatives=wide)
-        scene = self.scene(rig_at(rig, parameters, scaled), refine)
+        scene = self._scenes.of(rig_at(rig, parameters, scaled), refine)
         here = placed(scene, run.firsts)
         scene.use(here)
         along = [_direction(here, parameters, scaled, k) for k in range(len(parameters))]
@@ -155,13 +143,13 @@ class SerialPredictor:
         to changes of parameters in time, after the derivatives (:mod:`sysid.model.responses`); NaN: one that could not
         be simulated. Changes are in the fitted scale of the parameters."""
         own = acting_in(parameters, run.name)
-        scene = self.scene(rig_in(rig, parameters, scaled, run.name))
+        scene = self._scenes.of(rig_in(rig, parameters, scaled, run.name))
         here = placed(scene, run.firsts)
         scene.use(here)
         mine = [parameters[k] for k in own]
         along = placed_along(scene, run.firsts, [_direction(here, mine, scaled[own], k) for k in range(len(mine))])
         rigs = [with_effects(here, effects) for effects in candidates]
-        ways = [way_of(here, effects, _geometry) for effects in candidates]
+        ways = [way_of(here, effects, built_from) for effects in candidates]
         steps = [k for k, way in enumerate(ways) if way == "numbers"]
         laws = [k for k, way in enumerate(ways) if way == "law"]
         secants = [Direction(str(k), here, rigs[k], 1.0) for k in steps]
@@ -213,7 +201,7 @@ class SerialPredictor:
 
     def _with_laws(self, rig: Rig) -> Scene:
         """A scene for the laws of a rig, shared by rigs with the same laws of other sizes."""
-        key = (_geometry(rig), "laws")
+        key = (built_from(rig), "laws")
         if key not in self._amended:
             self._amended[key] = build_scene(rig)
         return self._amended[key]
@@ -260,34 +248,3 @@ def _at_stamps(trace: Trace, rig: Rig, run: Run) -> dict[str, np.ndarray]:
 def _late(trace: Trace, rig: Rig, other: Rig, run: Run, measured: Measured) -> np.ndarray:
     """What the clocks of another rig change in a channel ``(n, m)``."""
     return clock_response(trace, rig, other, measured.channel, measured.t, run.since).reshape(len(measured.t), -1)
-
-
-def _geometry(rig: Rig) -> object:
-    """Everything of a rig that a scene is built from and that a change of values does not reach."""
-    rig = amended(rig)
-    data = rig.model_dump()
-    for body in data["bodies"].values():
-        material = body.pop("material", None)
-        if material is not None and "thickness_m" in material:
-            body["thickness_m"] = material["thickness_m"]
-    for effector in data["end_effectors"].values():
-        for key in OFFSETS:
-            effector.pop(key)
-    for load, given in zip(rig.loads, data["loads"], strict=True):
-        given.pop(load.number)
-    for contact in data["contacts"]:
-        contact.pop("friction")
-        contact.pop("stiffness_pa_per_m")
-        contact.pop("standoff_m")
-    for camera in data["cameras"].values():
-        for sight in camera["sees"]:
-            if sight["points"]["placed"] == "first_frame":
-                sight["points"].pop("positions_m")
-    active = tuple(
-        (name, tuple(sorted((k, v == 0.0) for k, v in given.items()))) for name, given in rig.effects.items()
-    )
-    return repr((data["bodies"], data["clamps"], data["loads"], data["end_effectors"], data["contacts"], active,
-                 data["sensors"].keys(), data["cameras"].keys(), data["solver"]["inertia"],
-                 data["solver"]["integrator"],
-                 [s.get("points") for s in data["sensors"].values()],
-                 [c["sees"] for c in data["cameras"].values()]))  # fmt: skip

@@ -5,23 +5,19 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 
-from sim_core.batch import worker_ended
 from sim_core.errors import ThinshellError
 from sysid.solve.optimum import Fitted
 
-ENDS_EARLY = (KeyboardInterrupt, ThinshellError, BrokenProcessPool)
-"""Ctrl-C, what cannot be simulated, and a worker process that has ended."""
+ENDS_EARLY = (KeyboardInterrupt, ThinshellError)
+"""Ctrl-C, and what cannot be simulated."""
 
 
 def reason_of(error: BaseException) -> str:
     """The error in words."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted."
-    if isinstance(error, BrokenProcessPool):
-        return str(worker_ended())
     return str(error) if isinstance(error, ThinshellError) else f"{type(error).__name__}: {error}"
 
 

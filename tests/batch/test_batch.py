@@ -1,73 +1,143 @@
+"""Rollouts and other work on threads, one a core."""
+
 import os
+import signal
+import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import CancelledError
 
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from sim_core.batch import Rollout, simulate_batch, worker_pool
-from sim_core.errors import ConvergenceError, WorkerError
+from sim_core import batch
+from sim_core.batch import rollouts
+from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.rigs import with_parameters
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate, step_times
+from sim_core.threads import worker_threads
 
 RUB = [0.0, 0.2, 0.4], [[0.0, 0.0, 0.0], [0.0, 0.0, -0.006], [0.002, 0.0, -0.006]]
 """The finger comes down on the card and moves along it."""
 
-
-def rollouts(small_rig, visit):
-    rig, poses, times = small_rig(), visit(*RUB), step_times(0.0, 0.4, 0.02)
-    return [Rollout(with_parameters(rig, {"gel.E_pa": e}), poses, times) for e in (1e5, 1.3e5, 1.6e5)]
-
-
-def test_a_batch_gives_what_single_rollouts_give_bit_for_bit_and_in_order(small_rig, visit):
-    jobs, done = rollouts(small_rig, visit), []
-    traces = simulate_batch(jobs, workers=2, on_done=lambda k, n: done.append((k, n)))
-    assert done == [(1, 3), (2, 3), (3, 3)]
-    for job, trace in zip(jobs, traces, strict=True):
-        alone = simulate(build_scene(job.rig), job.poses, job.times)
-        assert all(np.array_equal(trace.outputs[c], alone.outputs[c]) for c in alone.outputs)
-    soft, hard = (trace.outputs["wrench"] for trace in (traces[0], traces[-1]))
-    assert np.abs(soft - hard).max() > 1e-5
+TIMES = step_times(0.0, 0.4, 0.02)
+VARIANTS = [{"gel.E_pa": e} for e in (1e5, 1.3e5, 1.6e5)] + [{"card.thickness_m": 4e-4}, {"gel-card.friction": 0.1}]
+"""The thickness is of the geometry: another scene."""
 
 
-def test_the_first_failure_is_that_of_the_batch(small_rig, visit):
-    jobs = rollouts(small_rig, visit)
-    broken = Rollout(jobs[1].rig, jobs[1].poses, np.array([0.0, np.nan]))
-    with pytest.raises((ConvergenceError, ValueError)):
-        simulate_batch([jobs[0], broken], workers=1)
+@pytest.fixture(scope="module")
+def alone(small_rig, visit):
+    """Each variant by itself, in a scene that was built for it."""
+    rigs = [with_parameters(small_rig(), variant) for variant in VARIANTS]
+    return [simulate(build_scene(rig), visit(*RUB), TIMES) for rig in rigs]
 
 
-def test_an_empty_batch_starts_no_process():
-    assert simulate_batch([]) == []
+@pytest.mark.parametrize("workers", [1, 2, 5])
+def test_a_batch_gives_what_single_rollouts_give_bit_for_bit_and_in_order(small_rig, visit, alone, workers):
+    done = []
+    traces = rollouts(
+        small_rig(), VARIANTS, visit(*RUB), TIMES, workers=workers, on_done=lambda k, n: done.append((k, n))
+    )
+    assert done == [(k, 5) for k in range(1, 6)]
+    for trace, own in zip(traces, alone, strict=True):
+        assert all(np.array_equal(trace.outputs[c], own.outputs[c]) for c in own.outputs)
+    assert min(np.abs(trace.outputs["wrench"] - alone[0].outputs["wrench"]).max() for trace in traces[1:]) > 1e-5
+
+
+def test_rollouts_at_the_same_time_have_numbers_of_their_own(small_rig, visit, alone, monkeypatch):
+    """Two at a time, of which neither is simulated before the scenes of both have their numbers."""
+    both = threading.Barrier(2, timeout=300.0)
+
+    def after_both(*given):
+        both.wait()
+        return simulate(*given)
+
+    monkeypatch.setattr(batch, "simulate", after_both)
+    chosen = [0, 1, 0, 1]  # the second two find the scenes that were built for the first
+    traces = rollouts(small_rig(), [VARIANTS[k] for k in chosen], visit(*RUB), TIMES, workers=2)
+    for k, trace in zip(chosen, traces, strict=True):
+        assert np.array_equal(trace.outputs["wrench"], alone[k].outputs["wrench"])
+
+
+def test_a_rollout_that_fails_does_not_end_the_others(small_rig, visit, alone):
+    """Each goes along poses of its own; those of the second one leap through the card."""
+    leap = visit([0.0, 0.2, 0.201, 0.4], [[0.0, 0.0, 0.0], [0.0, 0.0, -0.006], [0.0, 0.0, -3.0], [0.0, 0.0, -3.0]])
+    first, second, third = rollouts(small_rig(), VARIANTS[:3], [visit(*RUB), leap, visit(*RUB)], TIMES, workers=2)
+    assert isinstance(second, ConvergenceError)
+    for trace, own in ((first, alone[0]), (third, alone[2])):
+        assert np.array_equal(trace.outputs["wrench"], own.outputs["wrench"])
+
+
+def test_an_empty_batch_and_one_with_too_few_poses(small_rig, visit):
+    assert rollouts(small_rig(), [], visit(*RUB), TIMES) == []
+    with pytest.raises(ConfigError, match="3 variants and poses for 1 of them"):
+        rollouts(small_rig(), VARIANTS[:3], [visit(*RUB)], TIMES)
 
 
 def test_workers_leave_the_other_cores_to_each_other():
-    """One thread of linear algebra each, and one beside them, where a library would take as many as there are cores."""
+    """One thread of linear algebra, where a library would take as many as there are cores."""
     with threadpool_limits(2):
-        with worker_pool(1) as pool:
-            threads = [*pool.submit(_threads).result(), *_threads()]
+        with worker_threads(1) as pool:
+            threads = pool.submit(_threads).result()
         assert threads and set(threads) == {1}
         assert set(_threads()) == {2}
 
 
-@pytest.mark.skipif(sys.version_info >= (3, 12), reason="Python ends no pool there while a process is being started.")
-def test_a_process_that_ends_while_another_is_being_started_is_told_as_one_that_ended():
-    with pytest.raises(WorkerError, match="ended before its work was done"), worker_pool(2) as pool:
-        pool.submit(time.sleep, 60.0)
-        start, reader = pool._adjust_process_count, pool._call_queue._reader
-
-        def start_late():
-            next(iter(pool._processes.values())).kill()
-            until = time.monotonic() + 300.0
-            while not reader.closed and time.monotonic() < until:
-                time.sleep(0.01)
-            start()
-
-        pool._adjust_process_count = start_late
-        pool.submit(os.getpid)
-
-
 def _threads() -> list[int]:
     return [library["num_threads"] for library in threadpool_info()]
+
+
+def test_rollouts_that_are_not_wanted_any_more_end(small_rig, visit):
+    """One of an hour, of which the block is left in its first steps; what waits does not begin."""
+    scene, going = build_scene(small_rig()), threading.Event()
+    times = step_times(0.0, 3600.0, 0.02)
+
+    def rollout():
+        simulate(scene, visit([0.0, 3600.0], [[0.0, 0.0, 0.0]] * 2), times, lambda k, n: going.set())
+
+    with worker_threads(1) as pool:
+        running, waiting = pool.submit(rollout), pool.submit(rollout)
+        assert going.wait(300.0)
+    assert isinstance(running.exception(), CancelledError) and waiting.cancelled()
+
+
+INTERRUPTED = """
+import sys, time
+from pathlib import Path
+from sim_core.threads import end_if_unwanted, worker_threads
+
+def work(folder, k):
+    Path(folder, str(k)).touch()
+    while True:
+        time.sleep(0.01)
+        end_if_unwanted()
+
+with worker_threads(2) as pool:
+    for future in [pool.submit(work, sys.argv[1], k) for k in range(40)]:
+        future.result()
+"""
+
+
+def heard():
+    """A shell lets what it runs in the background ignore Ctrl-C, and children inherit that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def test_an_interrupt_ends_what_runs_and_what_waits(tmp_path):
+    """And a script needs no ``if __name__``."""
+    script, started = tmp_path / "batch.py", tmp_path / "started"
+    script.write_text(INTERRUPTED)
+    started.mkdir()
+    batch = subprocess.Popen(
+        [sys.executable, str(script), str(started)], stderr=subprocess.PIPE, text=True, preexec_fn=heard
+    )
+    while len(list(started.iterdir())) < 2:
+        time.sleep(0.1)
+        assert batch.poll() is None
+    os.kill(batch.pid, signal.SIGINT)
+    _, told = batch.communicate(timeout=300)
+    assert "KeyboardInterrupt" in told
+    assert len(list(started.iterdir())) == 2

@@ -7,7 +7,6 @@ import os
 import signal
 import time
 from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
 from typing import Any, cast
 
 import numpy as np
@@ -64,11 +63,11 @@ def ending(error: BaseException, before: int = 0, plain: Any = None) -> Any:
     return called
 
 
-ENDS = [KeyboardInterrupt(), ConvergenceError("It does not converge."), BrokenProcessPool("abruptly")]
-WORDS = ["interrupted", "It does not converge.", "A process that simulates has ended"]
+ENDS = [KeyboardInterrupt(), ConvergenceError("It does not converge.")]
+WORDS = ["interrupted", "It does not converge."]
 
 
-@pytest.mark.parametrize(("error", "words"), list(zip(ENDS, WORDS, strict=True)), ids=["ctrl-c", "failed", "worker"])
+@pytest.mark.parametrize(("error", "words"), list(zip(ENDS, WORDS, strict=True)), ids=["ctrl-c", "failed"])
 def test_a_fit_that_is_not_repeated_to_its_end_is_kept(
     error: BaseException, words: str, small_rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,17 +99,17 @@ def test_a_fit_that_is_not_repeated_to_its_end_is_kept(
 
 
 def test_a_fit_whose_intervals_cannot_be_looked_at_is_kept(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit, "_profiled", ending(BrokenProcessPool("abruptly")))
+    monkeypatch.setattr(fit, "_profiled", ending(ENDS[1]))
     result = result_of(Readings(), small_rig(), [run_of("press", "markers")], [])
     assert result.converged and result.estimates[0].value == pytest.approx(TRUTH, rel=0.01)
-    assert any("not looked at along the likelihood: A process" in sentence for sentence in result.identifiability)
+    assert any("not looked at along the likelihood: It does not" in sentence for sentence in result.identifiability)
 
 
 @pytest.mark.parametrize("place", ["scored", "not_from_rest"])
 @pytest.mark.parametrize(
     ("error", "words"),
-    [(ENDS[0], "interrupted."), (ENDS[2], WORDS[2]), (ValueError("no shape"), "ValueError: no shape")],
-    ids=["ctrl-c", "worker", "defect"],
+    [(ENDS[0], "interrupted."), (ENDS[1], WORDS[1]), (ValueError("no shape"), "ValueError: no shape")],
+    ids=["ctrl-c", "failed", "defect"],
 )
 def test_a_fit_whose_held_out_recordings_are_not_all_predicted_is_kept(
     error: BaseException, words: str, place: str, small_rig: Any, monkeypatch: pytest.MonkeyPatch
@@ -146,34 +145,34 @@ def test_ctrl_c_while_windows_are_looked_at_keeps_the_fit(small_rig: Any, monkey
 
 
 class Gone(Readings):
-    """Its workers end once something was fitted: nothing is predicted any more."""
+    """Nothing can be simulated any more once something was fitted."""
 
     gone = False
 
     def submit(self, *given: Any, **more: Any) -> Future[Prediction]:
         if self.gone:
-            raise BrokenProcessPool("abruptly")
+            raise ENDS[1]
         return super().submit(*given, **more)
 
     def submit_with_derivatives(self, *given: Any, **more: Any) -> Future[Prediction]:
         self.gone = True
-        raise BrokenProcessPool("abruptly")
+        raise ENDS[1]
 
     def predict_all(self, *given: Any) -> list[Prediction]:
         if self.gone:
-            raise BrokenProcessPool("abruptly")
+            raise ENDS[1]
         return super().predict_all(*given)
 
 
-def test_a_fit_is_kept_whose_workers_end_where_its_discretisation_error_is_measured_again(small_rig: Any) -> None:
-    """Nothing that follows needs them, but for the held-out recording."""
+def test_a_fit_is_kept_whose_discretisation_error_cannot_be_measured_again(small_rig: Any) -> None:
+    """Nothing that follows needs simulations, but for the held-out recording."""
     rig = with_parameters(small_rig(), {"gel.E_pa": 3.0 * TRUTH})
     result = result_of(Gone(), rig, [run_of("press", "markers")], [run_of("deep", "markers")])
     assert result.estimates[0].value == pytest.approx(TRUTH, rel=0.01)
-    assert not result.converged and "its discretisation error is not known. A process that simulates" in result.message
+    assert not result.converged and "its discretisation error is not known. It does not converge" in result.message
     assert [(e.run, e.held_out) for e in result.errors] == [("press", False)]
     assert result.errors[0].before > 10.0 * result.errors[0].after
-    assert any(note.startswith("Held-out recordings deep were not predicted: A process") for note in result.notes)
+    assert result.notes == ["deep: could not be simulated: It does not converge."]
 
 
 @pytest.mark.parametrize("part", ["sysid.fit.fit.rms_errors", "sysid.fit.fit.remarks"])

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.ros
 DATA = Path(__file__).parent / "data"
 RIG = DATA / "pull_coarse.yaml"
 FIT_S = 300.0
-"""A fit starts processes that compile their kernels, on a machine that may be busy."""
+"""A fit may be on a busy machine."""
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +70,10 @@ class Fitter(Client):
         self.node.destroy_client(client)
         return future.result()
 
+    def doing(self, job: str) -> str:
+        """What a job says that it does."""
+        return next((values_of(s)["detail"] for s in self.statuses[::-1] if values_of(s)["job_id"] == job), "")
+
     def until(self, job: str, *states: str) -> Any:
         """The next status of a job that is in one of these states."""
 
@@ -116,7 +120,7 @@ def running(fitter: Fitter, node: NodeProcess) -> Callable[[], tuple[str, int]]:
         answer = fitter.ask("start")
         assert answer.success, answer.message
         worker = fitter.wait(node.spawned, "no process was started")
-        fitter.wait(lambda: len(group(worker)) > 1, "the fit has started no processes", FIT_S)
+        fitter.wait(lambda: fitter.doing(answer.message), "the fit has not begun", FIT_S)
         return answer.message, worker
 
     return start
@@ -221,7 +225,7 @@ def test_a_fit_ends_at_the_most_iterations_that_it_may_make(fitter: Fitter, tmp_
     assert "evaluations allowed, 2, are used up" in fit["message"]
 
 
-def test_a_cancelled_fit_ends_with_all_its_processes_and_leaves_no_file(
+def test_a_cancelled_fit_ends_and_leaves_no_file(
     fitter: Fitter, running: Callable[[], tuple[str, int]], tmp_path: Path
 ) -> None:
     job, worker = running()
@@ -249,11 +253,6 @@ def test_a_crash_is_told_in_words_and_the_node_lives_on(
     fitter.wait(lambda: not group(worker), "what it started still runs")
     assert not list((tmp_path / "fits").iterdir())
 
-    job, worker = running()
-    simulating = next(pid for pid in group(worker) if pid != worker)
-    os.kill(simulating, signal.SIGKILL)
-    assert "ended before its work was done" in values_of(fitter.until(job, "failed"))["detail"]
-    fitter.wait(lambda: not group(worker), "what it started still runs")
     assert fitter.ask("cancel").message == "No job is running."
 
 
@@ -305,7 +304,7 @@ def test_a_node_that_ends_takes_its_fit_along(ros: None, bag: Path, tmp_path: Pa
     try:
         client.call(Trigger, "other/tactile_sysid/start", Trigger.Request())
         worker = client.wait(own.spawned, "no process was started")
-        client.wait(lambda: len(group(worker)) > 1, "the fit has started no processes", FIT_S)
+        client.wait(lambda: group(worker), "the fit has not begun", FIT_S)
         if kill:
             own.kill()
         else:

@@ -12,6 +12,7 @@ from small_task import small_task
 
 from sim_core.errors import ConfigError
 from sim_core.tasks.environment import FAILED, TaskEnv
+from sim_core.tasks.vector_environment import TaskVectorEnv
 
 
 def small_env(folder: Path, **options: object) -> TaskEnv:
@@ -60,6 +61,28 @@ def test_an_episode_is_a_rollout_of_the_task(tmp_path: Path) -> None:
     assert len(gained) == 3 and len(seen) == 4
 
 
+def test_environments_on_threads_do_what_they_do_alone(tmp_path: Path) -> None:
+    """To the bit, into the episodes after the first one."""
+    vary = {"card.E_pa": (1.5e9, 2.5e9)}
+    alone = [small_env(tmp_path, vary=vary) for _ in range(3)]
+    each = gymnasium.vector.SyncVectorEnv([lambda env=env: env for env in alone])  # type: ignore[misc]
+    many = TaskVectorEnv(str(tmp_path / "small.yaml"), 3, every=3, vary=vary, workers=2)
+    assert many.action_space == each.action_space and many.observation_space == each.observation_space
+    rng, found, ends = np.random.default_rng(7), [], 0
+    for envs in (many, each):
+        seen, info = envs.reset(seed=3)
+        found.append([seen.copy(), info["parameters"]["card.E_pa"]])
+    for _ in range(6):
+        actions = rng.uniform(-1.0, 0.2, each.action_space.shape)
+        (seen, gained, over, cut, info), own = (envs.step(actions) for envs in (many, each))
+        assert all(np.array_equal(a, b) for a, b in zip((seen, gained, over, cut), own[:4], strict=True))
+        np.testing.assert_array_equal(info["reward"], own[4]["reward"])
+        ends += int(over.sum())
+    assert all(np.array_equal(a, b) for a, b in zip(*found, strict=True)) and len(set(found[0][1])) == 3
+    assert ends == 3, "each went on into a second episode"
+    many.close()
+
+
 def test_too_much_force_ends_an_episode(tmp_path: Path) -> None:
     made = small_task(tmp_path)
     path = tmp_path / "small.yaml"
@@ -87,3 +110,5 @@ def test_mistakes_are_told(tmp_path: Path) -> None:
 def test_all_tasks_are_known_to_gymnasium() -> None:
     names = set(gymnasium.registry)
     assert {"thinshell/lifting-v0", "thinshell/lifting-paper-v0", "thinshell/folding_l-v0"} <= names
+    entry = gymnasium.registry["thinshell/lifting-paper-v0"].vector_entry_point
+    assert gymnasium.envs.registration.load_env_creator(entry) is TaskVectorEnv

@@ -8,19 +8,20 @@ import textwrap
 import time
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from sim_core.errors import WorkerError
-from sysid.model.parallel_predictor import ParallelPredictor
+from sim_core.processes import worker_pool
 
 PARENT = textwrap.dedent(
     """
     import os, sys, time
-    from sysid.model.parallel_predictor import ParallelPredictor
+    from sim_core.processes import worker_pool
 
     if __name__ == "__main__":
-        with ParallelPredictor(1) as engine:
-            print(engine._pool.submit(os.getpid).result(), flush=True)
-            engine._pool.submit(time.sleep, 600)
+        with worker_pool(1) as pool:
+            print(pool.submit(os.getpid).result(), flush=True)
+            pool.submit(time.sleep, 600)
             time.sleep(600)
     """
 )
@@ -56,7 +57,7 @@ INTERRUPTED = textwrap.dedent(
     """
     import sys, time
     from pathlib import Path
-    from sim_core.batch import worker_pool
+    from sim_core.processes import worker_pool
 
     def work(folder, k):
         Path(folder, str(k)).touch()
@@ -92,7 +93,7 @@ def test_an_interrupt_ends_what_runs_and_what_waits(tmp_path):
 
 
 UNGUARDED = """
-from sim_core.batch import worker_pool
+from sim_core.processes import worker_pool
 
 with worker_pool(1) as pool:
     pool.submit(print, "never").result()
@@ -109,6 +110,36 @@ def test_a_script_that_every_worker_runs_again_is_told_what_it_lacks(tmp_path):
 
 
 def test_a_worker_that_is_killed_is_told_of():
-    with pytest.raises(WorkerError, match="before its work was done"), ParallelPredictor(1) as engine:
-        os.kill(engine._pool.submit(os.getpid).result(), signal.SIGKILL)
-        engine._pool.submit(time.sleep, 60).result()
+    with pytest.raises(WorkerError, match="before its work was done"), worker_pool(1) as pool:
+        os.kill(pool.submit(os.getpid).result(), signal.SIGKILL)
+        pool.submit(time.sleep, 60).result()
+
+
+@pytest.mark.skipif(sys.version_info >= (3, 12), reason="Python ends no pool there while a process is being started.")
+def test_a_process_that_ends_while_another_is_being_started_is_told_as_one_that_ended():
+    with pytest.raises(WorkerError, match="ended before its work was done"), worker_pool(2) as pool:
+        pool.submit(time.sleep, 60.0)
+        start, reader = pool._adjust_process_count, pool._call_queue._reader
+
+        def start_late():
+            next(iter(pool._processes.values())).kill()
+            until = time.monotonic() + 300.0
+            while not reader.closed and time.monotonic() < until:
+                time.sleep(0.01)
+            start()
+
+        pool._adjust_process_count = start_late
+        pool.submit(os.getpid)
+
+
+def test_workers_leave_the_other_cores_to_each_other():
+    """One thread of linear algebra each, and one beside them, where a library would take as many as there are cores."""
+    with threadpool_limits(2):
+        with worker_pool(1) as pool:
+            threads = [*pool.submit(_threads).result(), *_threads()]
+        assert threads and set(threads) == {1}
+        assert set(_threads()) == {2}
+
+
+def _threads() -> list[int]:
+    return [library["num_threads"] for library in threadpool_info()]
