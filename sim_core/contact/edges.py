@@ -23,7 +23,7 @@ import numpy as np
 from sim_core.contact.added_laws import AddedLaws
 from sim_core.contact.measures import Measures, SharedAreas, SquaredLengths
 from sim_core.contact.pressure_and_friction import LAW_OF, OFFSET, RANGE, coefficients, set_law
-from sim_core.energies.term import Internals
+from sim_core.energies.term import Internals, counted
 
 EDGE_RANGE = 0.5
 """Range of the edges' law as a share of the points'."""
@@ -93,6 +93,7 @@ class EdgeContact:
         """Distance [m] at which there is no gap."""
         return float(self.law[OFFSET])
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         """Take the numbers of the law, and of those that effects add."""
         set_law(self.law, parameters)

@@ -21,7 +21,7 @@ from sim_core.contact.added_laws import AddedLaws
 from sim_core.contact.measures import Measures
 from sim_core.contact.pressure_and_friction import LAW_OF, OFFSET, RANGE, REACH, coefficients, set_law
 from sim_core.contact.samples import Samples
-from sim_core.energies.term import Internals
+from sim_core.energies.term import Internals, counted
 
 
 class RigidContact:
@@ -61,6 +61,7 @@ class RigidContact:
         """Distance [m] at which there is no gap."""
         return float(self.law[OFFSET])
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         """Take the numbers of the law, and of those that effects add."""
         set_law(self.law, parameters)

@@ -40,7 +40,7 @@ from sim_core.contact.pressure_and_friction import (
     set_law,
 )
 from sim_core.contact.samples import Samples
-from sim_core.energies.term import Internals
+from sim_core.energies.term import Internals, counted
 
 CREASE_ROUNDING = 0.05
 """Width over which the distances to several triangles are blended, as a share of the pressure's range."""
@@ -99,6 +99,7 @@ class SurfaceContact:
         """Distance [m] at which there is no gap."""
         return float(self.law[OFFSET])
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         """Take the numbers of the law, and of those that effects add."""
         set_law(self.law, parameters)

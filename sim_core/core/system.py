@@ -14,6 +14,7 @@ from sim_core.core.record import ContactTerm, contacts_of, dead_loads, edges_of,
 from sim_core.core.record_layout import COUNTS, pointer_to
 from sim_core.core.slopes import NumberSlopes
 from sim_core.core.state import CoreState
+from sim_core.energies.term import changes_of
 from sim_core.solve.report import NewtonSettings, Result, StepReport
 from sim_core.solve.state import State
 from sim_core.solve.system import System
@@ -69,9 +70,8 @@ class Potential:
 
 
 class SystemOnCore(CoreState):
-    """Steps of a system. Loads, gravity, moments of couples and turns of rigid bodies are those of the system at each
-    call; all other numbers those that it had when this was made. ``x`` [m] ``(n, 3)``, ``energy`` [J], ``exerted`` [N]
-    ``(n, 3)``: at the end of the last step, at first at rest."""
+    """Steps of a system, with the numbers that its terms, its masses and its loads have at each call. ``x`` [m]
+    ``(n, 3)``, ``energy`` [J], ``exerted`` [N] ``(n, 3)``: at the end of the last step, at first at rest."""
 
     def __init__(self, system: System, settings: NewtonSettings) -> None:
         self.settings, self._system = settings, system
@@ -82,6 +82,10 @@ class SystemOnCore(CoreState):
     def _make(self) -> None:
         super()._make()
         self.keep_forces()
+        self._made_of_numbers, self._mass = self._changes(), self._system.mass
+
+    def _changes(self) -> list[int]:
+        return [changes_of(term) for term in self._system.terms]
 
     def advance(
         self, state: State, targets: np.ndarray, dt: float, guess: np.ndarray | None
@@ -124,7 +128,9 @@ class SystemOnCore(CoreState):
         return self._last
 
     def _begin(self, state: State, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Be in a state, with the loads that the system has now; frames of the mounts and targets, for the core."""
+        """Be in a state, with the numbers that the system has now; frames of the mounts and targets, for the core."""
+        if self._made_of_numbers != self._changes() or self._mass is not self._system.mass:
+            self.renew()
         self._arrays["external"][: len(self._system.nodes)] = dead_loads(self._system)
         self._arrays["couple_moment"][:] = moments(self.scene)
         if state is not self._last:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sim_core.core import language as lang
 from sim_core.core.language import F1, F2, I2, vec3
-from sim_core.energies.term import Memoryless
+from sim_core.energies.term import Memoryless, counted
 
 AIR_DENSITY_KG_M3 = 1.2
 
@@ -67,5 +67,6 @@ class AirDragTerm(Memoryless):
         """rho C_D A of the triangles [kg/m] ``(m,)``; ``coefficient``: another C_D than that which was configured."""
         return np.asarray(AIR_DENSITY_KG_M3 * (self._coefficient if coefficient is None else coefficient) * self._areas)
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._coefficient = parameters["drag_coefficient"]

@@ -25,7 +25,7 @@ from sim_core.energies.curvature import curvature_operator
 from sim_core.energies.dihedral import angle_slopes, hinge_angles
 from sim_core.energies.element_values import ElementValues
 from sim_core.energies.membrane import material_frames
-from sim_core.energies.term import Internals, Quantity
+from sim_core.energies.term import Internals, Quantity, counted
 from sim_core.geometry.sheets import SheetMesh, find_hinges
 from sim_core.materials.elastic import plane_stress, plane_stress_by, poisson_ratios
 
@@ -73,16 +73,19 @@ class Bending(ElementValues):
         self.built_angles = self.rest_angles.copy()
         """Angles [rad] of the shape in which the sheet was built, ``(n_hinges,)``."""
 
+    @counted
     def scale_flow(self, onset: np.ndarray, hardening: np.ndarray) -> None:
         """Let each triangle yield at ``onset`` ``(m,)`` times the curvature that is configured, and harden by
         ``hardening`` ``(m,)`` times the ratio."""
         self._yield_share[:], self._hardening_share[:] = onset, hardening
         self._hardening[:] = self._hardening_ratio * hardening
 
+    @counted
     def set_rest_angles(self, angles: np.ndarray) -> None:
         """Take other rest angles [rad] ``(n_hinges,)``."""
         self.rest_angles[:] = angles
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._given = dict(parameters)
         self._configure_grading(parameters)

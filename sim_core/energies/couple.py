@@ -15,7 +15,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim_core.energies.term import Memoryless
+from sim_core.energies.term import Memoryless, counted
 
 
 class Couple(Memoryless):
@@ -44,5 +44,6 @@ class Couple(Memoryless):
         """Moments on the lines [N m] ``(k,)``."""
         return self._moment * self._shares
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._moment = parameters["moment_nm"]

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim_core.energies.term import Memoryless
+from sim_core.energies.term import Memoryless, counted
 
 
 class Schedule:
@@ -31,6 +31,7 @@ class DeadLoad(Memoryless):
         self.nodes, self.weights, self.schedule = nodes, weights, schedule
         self.load = np.zeros(3)
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         self.load = np.array([parameters[axis] for axis in "xyz"])
 

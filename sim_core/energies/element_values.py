@@ -16,6 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from sim_core.energies.grading import Grading
+from sim_core.energies.term import counted
 
 
 class ElementValues(ABC):
@@ -39,6 +40,7 @@ class ElementValues(ABC):
     def configure(self, parameters: Mapping[str, float]) -> None:
         """As of any term."""
 
+    @counted
     def scale(self, factors: np.ndarray) -> None:
         """Let each element have ``factors`` ``(m,)`` times the stiffness that is configured, and of its damping."""
         self._factors[:] = factors

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 import scipy.sparse as sp
 
-from sim_core.energies.term import Memoryless, Quantity
+from sim_core.energies.term import Memoryless, Quantity, counted
 
 
 class MassDamping(Memoryless):
@@ -63,5 +63,6 @@ class MassDamping(Memoryless):
         damped = self._alpha * self._plain
         return damped if self._more is None else damped + self._more
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._alpha, self._density = parameters["mass_damping_per_s"], parameters["density"]

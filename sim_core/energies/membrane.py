@@ -23,7 +23,7 @@ import numpy as np
 from sim_core.core import language as lang
 from sim_core.core.language import vec3
 from sim_core.energies.element_values import ElementValues
-from sim_core.energies.term import Memoryless, Quantity
+from sim_core.energies.term import Memoryless, Quantity, counted
 from sim_core.materials.elastic import plane_stress, plane_stress_by, poisson_ratios
 
 
@@ -74,6 +74,7 @@ class Membrane(ElementValues, Memoryless):
         count = len(triangles)
         self._elastic = np.zeros((count, 3, 3))
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._given = dict(parameters)
         self._configure_grading(parameters)

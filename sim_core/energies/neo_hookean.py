@@ -31,7 +31,7 @@ import numpy as np
 
 from sim_core.energies.element_values import ElementValues
 from sim_core.energies.neo_hookean_moduli import MU, moduli, moduli_by_nu
-from sim_core.energies.term import Internals, Quantity
+from sim_core.energies.term import Internals, Quantity, counted
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.geometry import tet10
 from sim_core.materials.elastic import poisson_ratios
@@ -109,6 +109,7 @@ class NeoHookean(ElementValues):
         """Derivative of :attr:`shear_moduli` by ``E_pa`` or ``nu`` ``(m,)``."""
         return np.asarray(self.moduli_by(quantity)[:, MU])
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         """Take ``E_pa``, ``nu`` and, if the gel is damped, ``stiffness_damping_s``."""
         values = {"stiffness_damping_s": 0.0, **parameters}

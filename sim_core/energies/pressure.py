@@ -22,7 +22,7 @@ import numpy as np
 
 from sim_core.core import language as lang
 from sim_core.energies.dead_load import Schedule
-from sim_core.energies.term import Memoryless
+from sim_core.energies.term import Memoryless, counted
 
 
 @lang.func
@@ -55,5 +55,6 @@ class Pressure(Memoryless):
         del quantity
         return np.array([self._sign])
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._pressure = self._sign * parameters["pressure_pa"]

@@ -20,7 +20,7 @@ import numpy as np
 
 from sim_core.effects.hooks import MaterialLaw
 from sim_core.energies.grading import Grading
-from sim_core.energies.term import Internals, Quantity
+from sim_core.energies.term import Internals, Quantity, counted
 
 if TYPE_CHECKING:
     from sim_core.effects.base import Effect
@@ -98,6 +98,7 @@ class StrainLaws:
         graded = {} if self.measure.grading is None else self.measure.grading.numbers
         return (*self.measure.quantities, *(Quantity(name, unit) for name, unit in graded.items()), *laws)
 
+    @counted
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._given = dict(parameters)
         self._values = {

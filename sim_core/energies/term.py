@@ -11,14 +11,19 @@ it, so that a state is a value that can be copied, perturbed and replayed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
 Internals = dict[str, np.ndarray]
 """Internal variables of one term by name."""
+
+CHANGES = "changes_of_numbers"
+
+Method = TypeVar("Method", bound=Callable[..., None])
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,23 @@ class Term(Protocol):
     def initial_internals(self) -> Internals:
         """Internal variables of a virgin body at rest."""
         ...
+
+
+def counted(change: Method) -> Method:
+    """A method of a term that changes its numbers: how often that was is known, so that what was made of them can be
+    made anew."""
+
+    @functools.wraps(change)
+    def counting(term: object, *given: object, **named: object) -> None:
+        change(term, *given, **named)
+        setattr(term, CHANGES, changes_of(term) + 1)
+
+    return cast(Method, counting)
+
+
+def changes_of(term: object) -> int:
+    """How often the numbers of a term were changed."""
+    return int(getattr(term, CHANGES, 0))
 
 
 class Memoryless:

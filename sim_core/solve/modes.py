@@ -9,7 +9,7 @@ from scipy.sparse.linalg import eigsh, splu
 from sim_core.core.system import on_core
 from sim_core.errors import ConfigError
 from sim_core.solve.state import State
-from sim_core.solve.step import potential, renew
+from sim_core.solve.step import potential
 from sim_core.solve.system import System
 
 SLACK = 1e-13
@@ -23,10 +23,7 @@ UNHELD = "The stiffness matrix is singular: something can move without resistanc
 
 def tangent_stiffness(system: System, x: np.ndarray | None = None) -> sp.csr_matrix:
     """The true Hessian [N/m] over the unknowns with everything that acts now (weight, prestress, contact), without
-    inertia, at positions ``x`` [m] ``(n, 3)`` and with the numbers that terms have now (None: where the last step of
-    the system ended, with its numbers)."""
-    if x is not None:
-        renew(system)
+    inertia, at positions ``x`` [m] ``(n, 3)`` (None: where the last step of the system ended)."""
     there = on_core(system).x if x is None else x
     state = State(-1.0, there, np.zeros_like(there), system.initial_internals())
     spread = system.spread_matrix

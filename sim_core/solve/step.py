@@ -22,7 +22,6 @@ __all__ = [
     "energy",
     "exerted",
     "potential",
-    "renew",
 ]
 
 
@@ -50,11 +49,6 @@ def advance(
             "Use a smaller solver.dt_s, a slower motion, or a finer mesh where the sheet folds.",
         )
     return after, report
-
-
-def renew(system: System) -> None:
-    """Take the numbers that terms and masses of the system have now: those of the first step count until then."""
-    system.on_core = None
 
 
 def potential(

@@ -63,7 +63,7 @@ class Two:
         self.system = System(
             self.nodes, mass, np.zeros((len(self.nodes), 3), dtype=bool), terms, np.zeros(3), inertia=False
         )
-        self.look = Look(self.system, fresh=False)
+        self.look = Look(self.system)
 
     def begin(self, x, internals=None, dt=0.01):
         self.look.begin(x, dt=dt, internals=internals)
@@ -90,4 +90,4 @@ def on_rigid(shape, nodes, triangles, law=LAW, rotation=None, effects=()):
     prescribed = np.zeros((len(every), 3), dtype=bool)
     prescribed[-1] = True
     system = System(every, sp.csr_matrix((len(every),) * 2), prescribed, [term], np.zeros(3), inertia=False)
-    return Look(system, fresh=False), term
+    return Look(system), term

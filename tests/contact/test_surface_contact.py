@@ -93,7 +93,7 @@ def test_right_above_an_edge_derivatives_are_those_of_one_side(beside, friction)
     term = SurfaceContact("c", samples, np.array([[0, 1, 2], [1, 0, 3]]), 2e-4, 1e-3)
     term.configure({**THIN, "friction": friction})
     system = System(nodes, sp.csr_matrix((5, 5)), np.zeros((5, 3), dtype=bool), [term], np.zeros(3), inertia=False)
-    look = Look(system, fresh=False)
+    look = Look(system)
     look.begin(nodes, dt=0.01)
     look.begin(nodes, dt=0.01, internals=look.end().internals)
     hessian = look.hessian(exact=True)
@@ -117,7 +117,7 @@ def one_triangle(point, size, law=THIN):
     term = SurfaceContact("c", samples, np.array([[0, 1, 2]]), 2e-4, 1e-3)
     term.configure(law)
     system = System(nodes, sp.csr_matrix((4, 4)), np.zeros((4, 3), dtype=bool), [term], np.zeros(3), inertia=False)
-    found = Look(system, fresh=False).at()
+    found = Look(system).at()
     return -found.gradient[3], found.gap
 
 

@@ -137,6 +137,50 @@ def test_turning_the_whole_scene_turns_its_motion(turn):
     np.testing.assert_allclose(turned, expected, atol=1e-9)
 
 
+def soft(system):
+    system.terms[0].configure({**FILM, "E_pa": 1e8})
+
+
+def graded(system):
+    system.terms[0].scale(np.linspace(0.5, 1.0, len(system.terms[0].areas)))
+
+
+def bent(system):
+    system.terms[1].set_rest_angles(np.full_like(system.terms[1].rest_angles, 0.05))
+
+
+def yielding(system):
+    system.terms[1].configure({**FILM, "yield_curvature_per_m": 0.1, "hardening_ratio": 0.1})
+
+
+def tired(system):
+    """As far as it has yielded there."""
+    count = len(system.terms[1].areas)
+    system.terms[1].scale_flow(np.full(count, 0.2), np.full(count, 0.5))
+
+
+def heavy(system):
+    system.mass = 2.0 * system.mass
+
+
+@pytest.mark.parametrize("change", [soft, graded, bent, heavy, tired])
+def test_numbers_that_are_changed_count_from_the_next_step_on(change):
+    """To the bit as in a system that had them from the start; between such steps they are kept."""
+    changed, anew, plain = (film(left, cells=(5, 2))[0] for _ in range(3))
+    for system in (changed, anew, plain) if change is tired else ():
+        yielding(system)
+    begin = State(0.0, changed.nodes, np.zeros_like(changed.nodes), changed.initial_internals())
+    state, _ = advance(changed, begin, changed.nodes, 0.01)
+    change(changed)
+    change(anew)
+    there, other, unchanged = (advance(system, state, system.nodes, 0.01)[0] for system in (changed, anew, plain))
+    assert np.array_equal(there.x, other.x)
+    assert np.abs(there.x - unchanged.x).max() > 1e-8
+    on_core = changed.on_core._handle
+    advance(changed, there, changed.nodes, 0.01)
+    assert changed.on_core._handle == on_core
+
+
 def test_a_term_that_the_core_has_no_elements_for_is_refused():
     class Own(Membrane):
         pass

@@ -6,17 +6,16 @@ import numpy as np
 
 from sim_core.solve.integrator import Past
 from sim_core.solve.state import State
-from sim_core.solve.step import Potential, ended, potential, renew
+from sim_core.solve.step import Potential, ended, potential
 from sim_core.solve.system import System
 
 
 class Look:
     """A system whose step begins in a ``state`` (at rest if not given) and lasts ``dt`` [s]; ``x``: positions at which
-    one looks [m] ``(n, 3)``, written in place; ``targets``: of what is prescribed (None: where that is); ``fresh``:
-    the numbers of terms are taken at every look."""
+    one looks [m] ``(n, 3)``, written in place; ``targets``: of what is prescribed (None: where that is)."""
 
-    def __init__(self, system: System, fresh: bool = True) -> None:
-        self.system, self.fresh, self.targets, self.dt = system, fresh, None, 1.0
+    def __init__(self, system: System) -> None:
+        self.system, self.targets, self.dt = system, None, 1.0
         self.x = system.nodes.copy()
         self.begin(system.nodes)
 
@@ -30,8 +29,6 @@ class Look:
     def at(self, exact: bool = True) -> Potential:
         """All that there is to see."""
         system = self.system
-        if self.fresh:
-            renew(system)
         return potential(system, self.state, self.x, self.targets, self.dt, system.inertia, exact)
 
     def energy(self) -> float:
@@ -65,8 +62,6 @@ class Look:
 
     def end(self) -> State:
         """The state after the step, if it ends here."""
-        if self.fresh:
-            renew(self.system)
         return ended(self.system, self.state, self.x, self.dt, self.system.inertia)
 
 
