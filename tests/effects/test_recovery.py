@@ -19,14 +19,22 @@ from sysid.noise.estimate import declared_noise
 
 TIMES = [0.0, 0.06, 0.12, 0.2, 0.3, 0.36, 0.5]
 WAY = [
-    [0, 0, 0], [0, 0, -0.006], [0.004, 0.001, -0.007], [0.004, 0.001, -0.007], [0.001, 0, -0.006], [0, 0, 0], [0, 0, 0]
+    [0, 0, 1e-3], [0, 0, -0.006], [0.004, 0.001, -0.007], [0.004, 0.001, -0.007], [0.001, 0, -0.006], [0, 0, 0],
+    [0, 0, 1e-3],
 ]  # fmt: skip
+"""Begun so high that a tool that is askew does not touch."""
+
+ONTO_THE_POST = [[0.05, 0, z] for z in (0, -1e-3, -1.2e-3, -1.2e-3, 0, 0, 0)]
+WAYS = {"contact_bonding": ONTO_THE_POST}
+"""It acts on contacts with rigid bodies."""
+
 STAMPS = np.linspace(0.013, 0.487, 41)
 
 TRUE = {
     **TYPICAL,
     "air_drag": {"drag_coefficient": 15.0},  # the card is slow in this motion
     "contact_adhesion": {"work_j_m2": 0.02, "range_m": 4e-4},  # weak, so that nothing snaps into contact
+    "contact_bonding": {"work_j_m2": 0.02, "range_m": 4e-4},  # nor out of it
 }
 
 
@@ -50,7 +58,8 @@ def test_comes_back_from_its_own_recording(name: str, small_rig: Callable[..., R
     the rig declares would not hide."""
     true = small_rig(effects={name: TRUE[name]})
     parameters = fit_parameters(true, [f"effects.{name}.{p}" for p in TRUE[name]])
-    run, engine, truth = recorded(true, visit(TIMES, WAY)), SerialPredictor(), start_of(true, parameters)
+    poses = visit(TIMES, WAYS.get(name, WAY))
+    run, engine, truth = recorded(true, poses), SerialPredictor(), start_of(true, parameters)
     sigma = {m.channel: np.ravel(declared_noise(true, m.channel)) for m in run.measured}
 
     def weighed(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
