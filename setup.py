@@ -5,6 +5,7 @@ file without pyproject.toml beside it, and because colcon cannot read a package 
 gives ``requires-python``.
 """
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -41,13 +42,28 @@ def compile_core(into: Path) -> None:
         sys.path.remove(str(ROOT))
 
 
+def compile_laws(base: Path) -> None:
+    """Compile the laws of all effects of the package that was built in ``base``. Without them they are compiled at
+    first use, as a user's own are."""
+    into = base / "sim_core" / "core" / "built" / "laws"
+    command = [sys.executable, "-m", "sim_core.shipped_laws", str(into.resolve())]
+    done = subprocess.run(command, cwd=base, capture_output=True, text=True)
+    if done.returncode:
+        print(f"The laws of effects were not built: {(done.stderr.splitlines() or ['']).pop()}", file=sys.stderr)
+    else:
+        print(done.stdout.strip())
+
+
 class BuildWithCore(build_py):
-    """Builds the modules, and the compiled core beside them (in place where the package is installed for editing)."""
+    """Builds the modules, and the compiled core beside them (in place where the package is installed for editing, where
+    laws of effects are compiled at first use)."""
 
     def run(self) -> None:
         super().run()
         base = ROOT if self.editable_mode else Path(self.build_lib)
         compile_core(base / "sim_core" / "core" / "built")
+        if not self.editable_mode:
+            compile_laws(base)
 
 
 class DevelopWithCore(develop):

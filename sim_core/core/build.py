@@ -18,6 +18,12 @@ from sim_core.core.lowering import header
 
 HERE = Path(__file__).resolve().parent
 
+BUILT = HERE / "built"
+"""Where libraries are that were compiled with the package."""
+
+LAWS_OF_EFFECTS = "laws"
+"""Folder in it, and in the cache, of the libraries of effects' laws, one a law."""
+
 FLAGS = ("-std=c++17", "-O3", "-fPIC", "-shared", "-fopenmp-simd")
 """Of every compiler that is known here. Sums are not reordered but where the source says so (``omp simd``), so a
 library gives the same bits in every run."""

@@ -6,16 +6,12 @@ import ctypes
 import functools
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from sim_core.core.build import cache_folder, find_or_build
+from sim_core.core.build import BUILT, cache_folder, find_or_build
 from sim_core.core.pardiso import pardiso_address
 from sim_core.core.record_layout import COUNTS, RecordStruct
 from sim_core.errors import ConfigError
-
-BUILT = Path(__file__).resolve().parent / "built"
-"""Where the library is when it was compiled with the package."""
 
 
 class OutputsStruct(ctypes.Structure):

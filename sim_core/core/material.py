@@ -21,7 +21,7 @@ import numpy as np
 
 from sim_core.core.jets import Jet, Tensor, at_points
 from sim_core.core.lowering import Library
-from sim_core.core.pointwise import array_at, called_back, compiled, for_jets, has_compiler, raise_what_was_raised
+from sim_core.core.pointwise import array_at, called_back, compiled, for_jets, raise_what_was_raised
 
 __all__ = ["LANES", "MaterialFormula", "PointLayout"]
 
@@ -151,8 +151,6 @@ class MaterialFormula:
     def _compile(self, layout: PointLayout) -> Any:
         library = Library()
         law = library.law(self._function)
-        if not has_compiler():
-            return self._by_numpy(layout)
         places = layout.places
         arguments = []
         for name in self._arguments:
@@ -174,6 +172,8 @@ class MaterialFormula:
         )
         headers = ("small.hpp", "dual.hpp", "pack.hpp", "lanes.hpp", "material_point.hpp")
         loaded = compiled(law, library.text(), main, headers, "an energy, and the new internal variables after it")
+        if loaded is None:
+            return self._by_numpy(layout)
         for name, count in FUNCTIONS.items():
             function = getattr(loaded, name)
             function.argtypes, function.restype = [ctypes.c_long, *[ctypes.c_void_p] * count], None

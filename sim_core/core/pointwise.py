@@ -2,15 +2,15 @@
 
 A law is a Python function of numbers in the language of :mod:`sim_core.core.lowering`. At its first use it is lowered
 to C++, compiled, and kept in the user's cache under the hash of its text and of all that it calls; later processes load
-it. Where there is no compiler the same function runs in numpy (:mod:`sim_core.core.jets`), called back by the core
-where that calls a compiled one, and a warning says so.
+it. Wheels hold the laws of the package's own effects (:mod:`sim_core.shipped_laws`). Where there is neither a library
+nor a compiler the same function runs in numpy (:mod:`sim_core.core.jets`), called back by the core where that calls a
+compiled one, and a warning says so.
 """
 
 from __future__ import annotations
 
 import ctypes
 import functools
-import hashlib
 import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from sim_core.core.build import FLAGS, HERE, build, cache_folder, compiler, target
+from sim_core.core.build import BUILT, HERE, LAWS_OF_EFFECTS, build, cache_folder, compiler, digest_of
 from sim_core.core.jets import NAMES, Jet, at_points
 from sim_core.core.lowering import Function, Library, LoweringError
 
-__all__ = ["Law", "compiled", "for_jets", "has_compiler"]
+__all__ = ["Law", "compiled", "for_jets"]
 
 SECOND = "for (int i = 0; i < {count} * ({count} + 1) / 2; ++i) *(at += n) = f.h[i];"
 ENTRY = """#include "laws.hpp"
@@ -38,14 +38,6 @@ extern "C" void evaluate(long n, double *x) {{
   }}
 }}
 """
-
-
-def has_compiler() -> bool:
-    """Whether a law can be compiled; the first time that one cannot a warning says so."""
-    if compiler() is not None:
-        return True
-    _warn_of_numpy()
-    return False
 
 
 @functools.cache
@@ -93,20 +85,23 @@ def array_at(address: int, *shape: int) -> np.ndarray:
     return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(ctypes.c_double)), shape)
 
 
-def compiled(law: Function, laws: str, main: str, included: Sequence[str], returns: str) -> ctypes.CDLL:
+def compiled(law: Function, laws: str, main: str, included: Sequence[str], returns: str) -> ctypes.CDLL | None:
     """The library of a ``law`` with the C++ source ``main``, which includes the header of ``laws`` and those
-    ``included``; from the cache if it was compiled before. ``returns``: what the law is to return."""
+    ``included``: the one of the package or of the cache if it was compiled before. ``returns``: what the law is to
+    return. None where there is none and no compiler; the first time a warning says so."""
     headers = [(HERE / "include" / h).read_text() for h in included]
-    digest = hashlib.sha256("\0".join([*FLAGS, *target(), *headers, laws, main]).encode()).hexdigest()[:16]
-    path = cache_folder() / "laws" / f"{law.source.space}_{law.name}_{digest}.so"
+    name = f"{law.source.space}_{law.name}_{digest_of(*headers, laws, main)}.so"
+    folders = [folder / LAWS_OF_EFFECTS for folder in (BUILT, cache_folder())]
+    path = next((folder / name for folder in folders if (folder / name).exists()), None)
+    if path is None and compiler() is None:
+        _warn_of_numpy()
+        return None
     try:
-        if not path.exists():
-            build(path, laws, main)
-        return ctypes.CDLL(str(path))
+        return ctypes.CDLL(str(path or build(folders[-1] / name, laws, main)))
     except OSError as error:
         raise LoweringError(
             f"The law {law.name} of {law.source.path} could not be compiled: {error}.",
-            f"Have it return {returns}; if it does, remove {path.parent} and try again.",
+            f"Have it return {returns}; if it does, remove {(path or folders[-1] / name).parent} and try again.",
         ) from error
 
 
@@ -144,18 +139,19 @@ class Law:
 
     @functools.cached_property
     def _evaluate(self) -> Any:
-        """``evaluate`` of its library, or one that runs in numpy where there is no compiler."""
+        """``evaluate`` of its library, or one that runs in numpy where there is none."""
         library = Library()
         law = library.law(self._function)
-        if not has_compiler():
-            return called_back(self._in_numpy, ctypes.c_long, ctypes.c_void_p)
         count = len(self.arguments)
         inputs = ", ".join(f"D::variable(x[{i} * n + k], {i})" for i in range(count))
         name = f"laws::{law.source.space}::{law.name}"
         kind, second = ("Dual2", SECOND.format(count=count)) if self._order == 2 else ("Dual", "")
         laws = library.text()
         main = ENTRY.format(name=name, count=count, arguments=inputs, kind=kind, second=second)
-        evaluate = compiled(law, laws, main, ("small.hpp", "dual.hpp"), "one number").evaluate
+        loaded = compiled(law, laws, main, ("small.hpp", "dual.hpp"), "one number")
+        if loaded is None:
+            return called_back(self._in_numpy, ctypes.c_long, ctypes.c_void_p)
+        evaluate = loaded.evaluate
         evaluate.argtypes, evaluate.restype = (ctypes.c_long, ctypes.c_void_p), None
         return evaluate
 

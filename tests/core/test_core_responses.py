@@ -10,9 +10,9 @@ from sim_core.effects.registry import all_effects
 from sim_core.gradients import directions, frozen_path
 from sim_core.gradients.amendments import Amendment, Modulation
 from sim_core.scene import build_scene
+from sim_core.scene.kept import built_from
 from sim_core.simulate import simulate, step_times
 from sim_core.solve.report import NewtonSettings
-from sysid.model.predictor import _geometry
 from sysid.model.responses import way_of, with_effects
 
 TIGHT = NewtonSettings(step_tolerance_m=1e-13, force_tolerance=1e-11)
@@ -39,7 +39,7 @@ def _laws(rig):
     found = {}
     for name, effect in all_effects().items():
         example = dict(effect.example)
-        if name not in STRONG and effect.applies(rig) and way_of(rig, {name: example}, _geometry) == "law":
+        if name not in STRONG and effect.applies(rig) and way_of(rig, {name: example}, built_from) == "law":
             vanishing = {q.name for q in effect.parameters if q.vanishing == 0.0}
             found[name] = {k: SHARE * v if k in vanishing else v for k, v in example.items()}
     return found

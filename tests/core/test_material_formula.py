@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from no_compiler import without_compiler
 
-from sim_core.core import pointwise
 from sim_core.core.lowering import LoweringError
 from sim_core.core.material import MaterialFormula, PointLayout
 from sim_core.effects import all_effects
@@ -35,8 +35,7 @@ def test_a_law_in_numpy_is_that_which_was_compiled(name, monkeypatch):
     effect = LAWS[name]
     layout, rows, changes = points(effect, 6 if effect.parts == ("solid",) else 3)
     response, pushed = effect.formula.respond(layout, rows), effect.formula.push(layout, rows, changes)
-    monkeypatch.setattr("sim_core.core.pointwise.compiler", lambda: None)
-    pointwise._warn_of_numpy.cache_clear()
+    without_compiler(monkeypatch)
     plain = MaterialFormula(effect.formula._function)
     with pytest.warns(UserWarning, match="run in numpy"):
         again = plain.respond(layout, rows)
@@ -78,7 +77,7 @@ def test_derivatives_along_changes_with_the_strain_held(monkeypatch):
     changes = rng.standard_normal((3, *rows.shape))
     changes[..., :3] = 0.0
     found = MaterialFormula(mixed).push(layout, rows, changes)
-    monkeypatch.setattr("sim_core.core.pointwise.compiler", lambda: None)
+    without_compiler(monkeypatch)
     expected = MaterialFormula(mixed).push(layout, rows, changes)
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13 * np.abs(expected).max())
 

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from no_compiler import without_compiler
 
 from sim_core.contact.pressure_and_friction import (
     friction_force,
@@ -68,13 +69,12 @@ def points(n, count=2):
     return np.random.default_rng(3).uniform(0.05, 0.95, (count, n))
 
 
-def without_compiler(law, *arguments):
+def in_numpy(law, *arguments):
     with (
         pytest.MonkeyPatch.context() as patch,
         pytest.warns(UserWarning, match="No C\\+\\+ compiler was found: the laws of effects"),
     ):
-        patch.setattr(pointwise, "compiler", lambda: None)
-        pointwise._warn_of_numpy.cache_clear()
+        without_compiler(patch)
         return Law(law)(*arguments)
 
 
@@ -84,7 +84,7 @@ def test_a_law_is_the_same_in_python_in_cpp_and_in_numpy(law):
     x, y = points(60)
     if law is integers:
         y = np.arange(60.0) - 30.0
-    compiled, written = Law(law)(x, y), without_compiler(law, x, y)
+    compiled, written = Law(law)(x, y), in_numpy(law, x, y)
     assert close(compiled.v, np.array([law(float(a), float(b)) for a, b in zip(x, y, strict=True)]))
     for part in "vdh":
         assert close(getattr(written, part), getattr(compiled, part)), part
@@ -200,8 +200,13 @@ def users_law(folder, text):
 @needs_compiler
 def test_a_law_is_compiled_once_for_its_text_and_for_all_that_it_calls(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    made = []
-    monkeypatch.setattr(pointwise, "build", lambda *given, build=pointwise.build: made.append(build(*given)))
+    made, build = [], pointwise.build
+
+    def counted(*given):
+        made.append(build(*given))
+        return made[-1]
+
+    monkeypatch.setattr(pointwise, "build", counted)
     text = "STIFF = 2.0\ndef square(x):\n    return x * x\ndef law(x):\n    return STIFF * square(x)\n"
     for wanted, changed in ((1, text), (1, text), (1, text + "# another\n"), (2, text.replace("2.0", "3.0"))):
         law = Law(users_law(tmp_path, changed).law)
@@ -215,7 +220,7 @@ def test_a_law_is_compiled_once_for_its_text_and_for_all_that_it_calls(tmp_path,
 @pytest.mark.parametrize("no_compiler", [False, True])
 def test_a_law_that_cannot_be_lowered_says_so_with_and_without_a_compiler(tmp_path, monkeypatch, no_compiler):
     if no_compiler:
-        monkeypatch.setattr(pointwise, "compiler", lambda: None)
+        without_compiler(monkeypatch)
     law = Law(users_law(tmp_path, "import numpy as np\ndef law(x):\n    return np.exp(x)\n").law)
     with pytest.raises(LoweringError, match=r"my_law.py:3: the law law calls np.exp. Laws call each other"):
         law(np.zeros(2))
@@ -235,7 +240,7 @@ def test_no_law_is_needed_where_there_are_no_points():
 
 
 def test_what_a_law_raises_where_c_calls_it_is_raised(monkeypatch):
-    monkeypatch.setattr(pointwise, "compiler", lambda: None)
+    without_compiler(monkeypatch)
     law = Law(half)
     monkeypatch.setattr(law, "_jet", lambda x: 1 / 0)
     with pytest.raises(ZeroDivisionError):
