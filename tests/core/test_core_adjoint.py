@@ -138,10 +138,11 @@ def test_steps_in_parts():
             assert found[direction.name] == pytest.approx(products.sum(), abs=1e-6 * np.abs(products).sum())
 
 
-def test_steps_that_were_halved():
-    """All parts of them are on the tape."""
-    few = NewtonSettings(fast_iterations=1, max_iterations=6, step_tolerance_m=1e-11, force_tolerance=1e-9)
-    rig, poses, times, names = CASES["land"]()
+@pytest.mark.parametrize(("case", "allowed"), [("land", 6), ("swing", 2)])
+def test_steps_that_were_halved(case, allowed):
+    """All parts of them are on the tape, with motions of mounts that turn by up to 7 degrees in a step."""
+    few = NewtonSettings(fast_iterations=1, max_iterations=allowed, step_tolerance_m=1e-11, force_tolerance=1e-9)
+    rig, poses, times, names = CASES[case]()
     scene, along = build_scene(rig), directions(rig, names)
     tape, again = Tape(scene, poses, times, TIGHT), Tape(scene, poses, times, few)
     assert max(r.parts for r in again.trace.reports) > 1

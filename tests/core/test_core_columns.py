@@ -108,11 +108,10 @@ def test_derivatives_against_differences_of_rollouts(case, name):
 
 
 def test_derivatives_of_steps_that_were_halved():
-    """Motions of the mounts are mixed along a straight line between the ends of a step, which leaves out an eighth of
-    the square of its turn of 7 degrees."""
+    """Mounts turn by up to 7 degrees in a step: their motions in its middle are not the mean of those at its ends."""
     few = NewtonSettings(fast_iterations=1, max_iterations=2, step_tolerance_m=1e-11, force_tolerance=1e-9)
     names, times = ["strip.E_pa", "gripper.offset_z_m", "gripper.offset_ry_deg"], step_times(0.0, 0.3, 0.01)
-    trace = compare_derivatives(strip_rig(), SWING, times, names, few, share=2e-3)
+    trace = compare_derivatives(strip_rig(), SWING, times, names, few)
     assert max(r.parts for r in trace.reports) > 1
 
 

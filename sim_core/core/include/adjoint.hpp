@@ -15,7 +15,7 @@
 namespace thinshell {
 
 inline std::size_t Tape::Kept::bytes() const {
-  std::size_t count = x.size() + v.size() + v_past.size() + places.size() + rotation.size() + bonded.size();
+  std::size_t count = x.size() + v.size() + v_past.size() + places.size() + from.size() + to.size() + rotation.size() + bonded.size();
   const auto add = [&](const Points &p) { count += p.which.size() + p.held.size(); };
   add(shapes);
   for (const Points &p : others) add(p);
@@ -46,6 +46,10 @@ inline void Tape::take(Rollout &rollout, double dt, const Frames &frames, bool i
   kept.x = rollout.x;
   kept.v = rollout.velocity();
   kept.places.assign(frames.places, frames.places + 12 * r.mounts);
+  if (share < 1.0) {
+    kept.from.assign(from, from + 12 * r.mounts);
+    kept.to.assign(to, to + 12 * r.mounts);
+  }
   const Memory &m = rollout.memory;
   kept.rotation = m.rotation;
   kept.shapes = points(m.anchor, m.load, m.speed);
@@ -83,6 +87,8 @@ inline bool Tape::thin() {
     less.whole = false;
     less.x = std::move(kept.x);
     less.places = std::move(kept.places);
+    less.from = std::move(kept.from);
+    less.to = std::move(kept.to);
     kept = std::move(less);
     bytes_ += kept.bytes();
     return true;
@@ -416,10 +422,21 @@ class Adjoint {
       push(motion, mount, Vec3{}, Vec3{{m(2, 1) - m(1, 2), m(0, 2) - m(2, 0), m(1, 0) - m(0, 1)}});
     }
     const int64_t at = kept ? kept->interval : 0;
-    const double share = kept ? kept->share : 1.0;  // turns of the mounts are small in a step (Rollout::between)
-    for (std::size_t k = 0; k < motion.size(); ++k) {
-      frames[at * motion.size() + k] += share * motion[k];
-      if (share < 1.0) frames[(at - 1) * motion.size() + k] += (1.0 - share) * motion[k];
+    double *there = frames + at * motion.size();
+    if (!kept || kept->share == 1.0) {
+      for (std::size_t k = 0; k < motion.size(); ++k) there[k] += motion[k];
+      return;
+    }
+    for (int m = 0; m < r_.mounts; ++m) {  // the transpose of Rollout::moved_between
+      const MotionBetween by = motion_between(&kept->from[12 * m + 3], &kept->to[12 * m + 3], kept->share);
+      const auto add = [&](const Mat3 &factor, double *to, int part) {
+        for (int i = 0; i < 3; ++i)
+          for (int j = 0; j < 3; ++j) to[6 * m + part + j] += factor(i, j) * motion[6 * m + part + i];
+      };
+      add(by.shift_from, there - motion.size(), 0);
+      add(by.shift_to, there, 0);
+      add(by.turn_from, there - motion.size(), 3);
+      add(by.turn_to, there, 3);
     }
   }
   static void push(Values &motion, int mount, const Vec3 &shift, const Vec3 &turn) {

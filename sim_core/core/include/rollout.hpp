@@ -91,7 +91,11 @@ class Rollout {
         part /= 2;
         continue;
       }
-      if (tape) tape->share = begun + share;
+      if (tape) {
+        tape->share = begun + share;
+        tape->from = from.places;
+        tape->to = to.places;
+      }
       this->end(share * dt, end, inertia);
       ++counts.parts;
       counts.made += part;
@@ -236,9 +240,28 @@ class Rollout {
       out.resize(size);
       for (std::size_t k = 0; k < size; ++k) out[k] = (1.0 - share) * a[k] + share * b[k];
       return out.data();
-    };  // turns of the mounts are small in a step, and so is what this leaves out of motions
-    return {places_.data(), mixed(motions_, from.motions, to.motions, 6 * r_.mounts * r_.columns),
-            mixed(weights_, from.weights, to.weights, r_.modulations)};
+    };
+    const double *motions = to.motions ? moved_between(from, to, share) : nullptr;
+    return {places_.data(), motions, mixed(weights_, from.weights, to.weights, r_.modulations)};
+  }
+
+  const double *moved_between(const Frames &from, const Frames &to, double share) {
+    const std::size_t width = r_.columns;
+    motions_.assign(6 * r_.mounts * width, 0.0);
+    for (int m = 0; m < r_.mounts; ++m) {
+      const MotionBetween by = motion_between(from.places + 12 * m + 3, to.places + 12 * m + 3, share);
+      const auto add = [&](const Mat3 &factor, const double *motions, std::size_t part) {
+        for (std::size_t i = 0; i < 3; ++i)
+          for (std::size_t j = 0; j < 3; ++j)
+            for (std::size_t c = 0; c < width; ++c)
+              motions_[(6 * m + part + i) * width + c] += factor(int(i), int(j)) * motions[(6 * m + part + j) * width + c];
+      };
+      add(by.shift_from, from.motions, 0);
+      add(by.shift_to, to.motions, 0);
+      add(by.turn_from, from.motions, 3);
+      add(by.turn_to, to.motions, 3);
+    }
+    return motions_.data();
   }
 
   // Where followers and rigid bodies are when the mounts are at `frames`.

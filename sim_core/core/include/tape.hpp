@@ -28,6 +28,7 @@ class Tape {
     double share, dt, since, start;  // since: the time between the state and the one before it; 0: there is none; start: [s]
     bool inertia, whole;             // whole: or positions and places alone
     Values x, v, places, rotation;  // at the start of the step, places of the mounts at its end
+    Values from, to;                // places of the mounts at the two instants, of a part of the time between them
     Values v_past;                  // where the step before is not whole
     Points shapes;
     Numbers bonded;
@@ -41,6 +42,7 @@ class Tape {
   Values last;  // positions at the end
   int64_t interval = 0;
   double share = 1.0;
+  const double *from = nullptr, *to = nullptr;  // places of the mounts at the instants before and after the share
 
   // Take note of a step, at whose end the system stands, before the state goes on.
   void take(Rollout &rollout, double dt, const Frames &frames, bool inertia);

@@ -61,4 +61,47 @@ THINSHELL_FN void turn_between(const double *from, const double *to, double shar
   for (int k = 0; k < 9; ++k) out[k] = there[k];
 }
 
+// How the motion of a frame in its own axes, a share of the way from one to another, follows from those of the two ends:
+// shift = shift_from a + shift_to b and turn = turn_from a + turn_to b. With the turn v between the ends and w = share v,
+//
+//     shift_from = (1 - share) exp(-w),    shift_to = share exp(v - w),
+//     turn_to = share J(w) J(v)^-1,        turn_from = exp(-w) - turn_to exp(-v)
+//
+// where exp(v + dv) = exp(v) exp(J(v) dv), the right Jacobian (Chirikjian, Stochastic Models, Information Theory, and Lie
+// Groups 2, 2012, 10.5).
+struct MotionBetween {
+  Mat<double, 3, 3> shift_from, shift_to, turn_from, turn_to;
+};
+
+THINSHELL_FN Mat<double, 3, 3> polynomial_of(const Vec<double, 3> &turn, double first, double second) {
+  const Mat<double, 3, 3> cross = {{0.0, -turn[2], turn[1], turn[2], 0.0, -turn[0], -turn[1], turn[0], 0.0}};
+  Mat<double, 3, 3> out = first * cross + second * matmul(cross, cross);
+  for (int k = 0; k < 3; ++k) out(k, k) += 1.0;
+  return out;
+}
+
+// J(v), and its inverse. Below 0.03 rad by their series, to 1e-14.
+THINSHELL_FN Mat<double, 3, 3> right_jacobian(const Vec<double, 3> &v) {
+  const double square = v.dot(v), angle = sqrt(square), half = sin(0.5 * angle);
+  if (angle < 0.03) return polynomial_of(v, -(0.5 - square * (1.0 - square / 30.0) / 24.0), (1.0 - square * (1.0 - square / 42.0) / 20.0) / 6.0);
+  return polynomial_of(v, -2.0 * half * half / square, (angle - sin(angle)) / (square * angle));
+}
+THINSHELL_FN Mat<double, 3, 3> inverse_jacobian(const Vec<double, 3> &v) {
+  const double square = v.dot(v), angle = sqrt(square);
+  if (angle < 0.03) return polynomial_of(v, 0.5, (1.0 + square * (1.0 + square / 42.0) / 60.0) / 12.0);
+  return polynomial_of(v, 0.5, (1.0 - 0.5 * angle * cos(0.5 * angle) / sin(0.5 * angle)) / square);
+}
+
+// `from`, `to`: rotations (9).
+THINSHELL_FN MotionBetween motion_between(const double *from, const double *to, double share) {
+  Mat<double, 3, 3> a, b;
+  for (int k = 0; k < 9; ++k) {
+    a[k] = from[k];
+    b[k] = to[k];
+  }
+  const Vec<double, 3> turn = turn_of(matmul(a.transpose(), b)), part = share * turn;
+  const Mat<double, 3, 3> back = rotation_by(-part), turn_to = share * matmul(right_jacobian(part), inverse_jacobian(turn));
+  return {(1.0 - share) * back, share * rotation_by(turn - part), back - matmul(turn_to, rotation_by(-turn)), turn_to};
+}
+
 }  // namespace thinshell
