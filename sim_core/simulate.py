@@ -7,10 +7,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from sim_core.commands import driven_frames
-from sim_core.core.rollout import simulate_compiled
+from sim_core.core.rollout import Chunk, CoreRollout, tell, trace_of
 from sim_core.permanent_state import PermanentState
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Scene
+from sim_core.sensing.instants import read_all
 from sim_core.sensing.observe import frame_of
 from sim_core.solve.step import NewtonSettings
 from sim_core.state_history import StateRecorder
@@ -48,8 +49,20 @@ def simulate(
     a node and instant. ``beside``: the path of a rollout near by, from which steps begin. ``left``: what an earlier
     rollout has left of the bodies. Raises ``ConvergenceError`` when a step does not converge even in small parts.
     """
-    kept = {"keep_states": keep_states, "keep_path": keep_path}
-    return simulate_compiled(scene, poses, times, on_step, settings, **kept, beside=beside, left=left)
+    rollout = CoreRollout(scene, poses, times, settings or NewtonSettings(), keep_states=keep_states)
+    parts, path = [], []
+
+    def take(chunk: Chunk) -> None:
+        parts.append(read_all(rollout.observer, scene.rig, chunk.at))
+        if keep_path:
+            path.append(chunk.at.x)
+        rollout.remember(chunk.steps.stop - 1)
+        tell(scene, rollout, chunk, on_step)
+
+    take(rollout.settle(left=left))
+    for chunk in rollout.run(beside):
+        take(chunk)
+    return trace_of(rollout, {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}, path)
 
 
 def run(

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim_core.commands import CommandChain, driven_frames
 from sim_core.core.failure import failure_of, unmade
 from sim_core.core.library import OutputsStruct
+from sim_core.core.mounts import mount_places
 from sim_core.core.pointwise import raise_what_was_raised
 from sim_core.core.record import ContactTerm
 from sim_core.core.record_layout import COUNTS, pointer_to
@@ -28,8 +28,8 @@ from sim_core.scene.carriage import start_state
 from sim_core.scene.scene import Frame, Scene
 from sim_core.scene.solid_range import LeastVolume, volumes_left
 from sim_core.scene.strain_range import check_strains_at
-from sim_core.sensing.instants import Instants, InstantsAlong, bearing_nodes, read_all
-from sim_core.sensing.observe import Observer, frame_of
+from sim_core.sensing.instants import Instants, InstantsAlong, bearing_nodes
+from sim_core.sensing.observe import Observer
 from sim_core.solve.report import NewtonSettings, Result, StepReport
 from sim_core.state_history import StateHistory, StateRecorder
 from sim_core.threads import end_if_unwanted
@@ -354,66 +354,6 @@ class CoreRollout(CoreState):
         moved = {name: table[:, m, :, :p] for m, name in enumerate(self._mounts) if table[:, m].any()}
         turned = [(n, d_moment[:, c, :, :p]) for c, n in enumerate(nodes)]
         return Chunk(steps, at, InstantsAlong(moved, d_x[:, :size, :, :p], self._bearing, d_force[..., :p], turned))
-
-
-def mount_row(frames: Mapping[str, Frame]) -> np.ndarray:
-    """Origins [m] and rotations of mounts ``(mounts, 12)``."""
-    return np.stack([np.r_[origin, rotation.as_matrix().ravel()] for origin, rotation in frames.values()])
-
-
-def mount_places(scene: Scene, poses: Mapping[str, PoseTrajectory], times: np.ndarray) -> np.ndarray:
-    """True origins [m] and rotations of the mounts of a scene along ``poses`` of end effectors, ``(t, mounts, 12)``."""
-    mounts, count = list(scene.start), len(times)
-    tracks = {name: trajectory.sample(times) for name, trajectory in poses.items()}
-    driven = None
-    if CommandChain(scene.rig):
-        commanded = [{name: frame_of(p[k], q[k]) for name, (p, q) in tracks.items()} for k in range(count)]
-        driven = driven_frames(scene.rig, commanded, times)
-    out = np.empty((count, len(mounts), 12))
-    for m, name in enumerate(mounts):
-        if driven is not None and name in driven[0]:
-            origin = np.stack([f[name][0] for f in driven])
-            turn = Rotation.concatenate([f[name][1] for f in driven])
-        elif name in tracks:
-            origin, turn = tracks[name][0], Rotation.from_quat(tracks[name][1])
-        else:
-            origin, turn = np.repeat(scene.start[name][0][None], count, axis=0), scene.start[name][1]
-        offset = scene.rig.end_effectors[name].offset() if name in scene.rig.end_effectors else np.zeros(6)
-        if offset.any():
-            origin, turn = origin + turn.apply(offset[:3]), turn * Rotation.from_rotvec(offset[3:])
-        out[:, m, :3] = origin
-        out[:, m, 3:] = turn.as_matrix().reshape(-1, 9)
-    return out
-
-
-def simulate_compiled(
-    scene: Scene,
-    poses: Mapping[str, PoseTrajectory],
-    times: np.ndarray,
-    on_step: Callable[[int, int], None] | None,
-    settings: NewtonSettings | None,
-    *,
-    keep_states: bool,
-    keep_path: bool,
-    beside: NodePath | None,
-    left: PermanentState | None,
-) -> Trace:
-    """As :func:`sim_core.simulate.simulate`, on the core."""
-    rollout = CoreRollout(scene, poses, times, settings or NewtonSettings(), keep_states=keep_states)
-    parts, path = [], []
-
-    def take(chunk: Chunk) -> None:
-        parts.append(read_all(rollout.observer, scene.rig, chunk.at))
-        if keep_path:
-            path.append(chunk.at.x)
-        rollout.remember(chunk.steps.stop - 1)
-        tell(scene, rollout, chunk, on_step)
-
-    take(rollout.settle(left=left))
-    for chunk in rollout.run(beside):
-        take(chunk)
-    outputs = {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}
-    return trace_of(rollout, outputs, path)
 
 
 def tell(scene: Scene, rollout: CoreRollout, chunk: Chunk, on_step: Callable[[int, int], None] | None) -> None:

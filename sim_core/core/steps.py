@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim_core.core.rollout import Chunk, CoreRollout, mount_row
+from sim_core.core.mounts import mount_row
+from sim_core.core.rollout import Chunk, CoreRollout
 from sim_core.core.state import KeptState
 from sim_core.permanent_state import PermanentState
 from sim_core.scene.offset import with_offsets

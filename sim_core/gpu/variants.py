@@ -9,9 +9,9 @@ import numpy as np
 from sim_core.batch import Variant, poses_of_each
 from sim_core.contact.rigid import RigidContact
 from sim_core.core.covers import covers as core_covers
+from sim_core.core.mounts import mount_places
 from sim_core.core.record import record_values
 from sim_core.core.record_layout import ARRAYS
-from sim_core.core.rollout import mount_places
 from sim_core.core.slopes import NumberSlopes
 from sim_core.energies.bending import Bending
 from sim_core.energies.mass_damping import MassDamping

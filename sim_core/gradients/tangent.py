@@ -17,7 +17,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from sim_core.core.rollout import Chunk, CoreRollout, Slopes, mount_row, tell, trace_of
+from sim_core.core.mounts import mount_row
+from sim_core.core.rollout import Chunk, CoreRollout, Slopes, tell, trace_of
 from sim_core.core.slopes import NumberSlopes
 from sim_core.gradients.boundary_motion import put_left, start_along
 from sim_core.gradients.camera_gradients import Imaging
