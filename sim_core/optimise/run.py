@@ -17,6 +17,7 @@ import os
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from sim_core.simulate import Trace
 from sim_core.tasks.actions import ActionSpace
 from sim_core.tasks.load import MadeTask
 from sim_core.tasks.rollout import Outcome, TaskRollouts
+from sim_core.threads import worker_threads
 from sim_core.trace_file import save_trace
 from sim_core.trajectories import Limits, make_trajectory, write_trajectory
 
@@ -169,8 +171,9 @@ def write_motion(made: MadeTask, settings: Settings, result: Result, folder: Pat
     come to an end, and the trace is that of the rig as it is.
     """
     rollouts = TaskRollouts(made)
-    traces = [t for t in (_traced(rollouts, result.action, draw) for draw in settings.draws) if t is not None]
-    trace = _traced(rollouts, result.action, {})
+    with worker_threads(max(1, settings.workers)) as threads:
+        trace, *drawn = threads.map(partial(_traced, rollouts, result.action), [{}, *settings.draws])
+    traces = [t for t in drawn if t is not None]
     if len(traces) < 2:
         traces = [trace] if trace is not None else []
     trajectory = make_trajectory(

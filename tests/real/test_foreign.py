@@ -20,6 +20,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 def test_where_nothing_is_concealed_nothing_is_missing() -> None:
     """A strip that is tilted, pressed and landed; its modulus is told, from a data sheet that is off by a fifth."""
     case = DATA / "strip_a"
