@@ -11,8 +11,8 @@ ThinShellLab runs CMA-ES over four fifths of the budget and gradient descent ove
 4. then CMA-ES for a few generations from the best so far, wide enough to reach other contacts, and L-BFGS-B from the
    best of those, again and again, with evolution the narrower the later.
 
-L-BFGS-B climbs from the best motion of a kind where that is the best action so far. Only evolution draws at random: a
-search that ends before it is the same for every seed.
+L-BFGS-B climbs from the best motion of a kind where that is the best action so far. The start is drawn at random
+(:func:`sim_core.optimise.run.optimise`), and motions are added to it.
 
 A climb ends when it converges or gains little. Where rollouts end early, or the gradient is zero because nothing
 touches, evolution goes on until it has found an action that has a gradient.

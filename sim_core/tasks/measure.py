@@ -109,6 +109,11 @@ class Measure:
         folds = {name: weights.angle(memory) for name, weights in self._folds.items()}
         return Seen(times, points, folds, self._acting, self._made.settings, self._target)
 
+    def middle(self, name: str, reading: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Mean of observed points in the base frame [m] ``(3,)``."""
+        origin, rotation = self._frames[name]
+        return np.asarray(origin + rotation @ reading[f"{POINTS}{name}"].mean(axis=0))
+
     def back(self, scored: Scored) -> tuple[dict[str, np.ndarray], dict[str, dict[str, np.ndarray]]]:
         """Derivatives by readings, and by internal variables at the end, of a reward."""
         readings = {f"{POINTS}{name}": np.asarray(by) @ self._frames[name][1] for name, by in scored.by_points.items()}
