@@ -216,7 +216,8 @@ def write_motion(made: MadeTask, settings: Settings, result: Result, folder: Pat
         (folder / name).unlink(missing_ok=True)
     write_trajectory(folder / TRAJECTORY, trajectory)
     if trace is not None:
-        save_trace(folder / TRACE, trace)
+        rollouts.outcome(result.action)
+        save_trace(folder / TRACE, trace, rollouts.sought())
 
 
 def _traced(rollouts: TaskRollouts, action: np.ndarray, parameters: Parameters) -> Trace | None:

@@ -14,7 +14,7 @@ theta_e it is sum_e l_e theta_e / W, the mean of the hinges' plastic angles, and
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -48,12 +48,14 @@ class Seen:
 @dataclass(frozen=True)
 class Scored:
     """A reward and its derivatives by what it is made of, in the same shapes; what is left out counts as zero.
-    ``holds``: whether what a success asks besides a high reward is so."""
+    ``holds``: whether what a success asks besides a high reward is so; ``sought`` by name: where observed points are to
+    be at the end, in the base frame [m] ``(k, 3)``, to be drawn."""
 
     reward: float
     by_points: Mapping[str, np.ndarray]
     by_folds: Mapping[str, float]
     holds: bool = True
+    sought: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 Reward = Callable[[Seen], Scored]

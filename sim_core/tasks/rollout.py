@@ -238,6 +238,11 @@ class TaskRollouts:
         seen = self.episode.seen(self._measure, self._finer)
         return seen, self._reward(seen).reward
 
+    def sought(self) -> dict[str, np.ndarray]:
+        """Where observed points are to be at the end of the :attr:`episode` [m] ``(k, 3)``, by name, where the reward
+        says it."""
+        return dict(self.scored().sought)
+
     def trace(self, action: np.ndarray, parameters: Mapping[str, float] | None = None) -> Trace:
         """The rollout of an action with its states, on the rig with its own sensors and cameras, weights included.
 
