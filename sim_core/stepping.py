@@ -22,7 +22,8 @@ class Simulation:
     """A scene being stepped.
 
     ``settle``: begin in equilibrium, where everything is held. ``left``: what an earlier rollout has left of the
-    bodies, which are virgin without. ``begin``: the state in which it begins instead. ``halvings``: how often a step was halved since the last reset.
+    bodies, which are virgin without. ``begin``: the state in which it begins instead. ``halvings``: how often a step
+    was halved since the last reset.
     """
 
     def __init__(

@@ -9,7 +9,8 @@
     states/origins/<mount>      (n, 3) [m]           states/quaternions/<mount>  (n, 4), x y z w
     sought/<name>               (k, 3) [m] in the base frame: where points of a body are to be at the end
 
-The states are there if the trace has them, and so is what was sought. Reports of the steps are not kept. Nothing is pickled.
+The states are there if the trace has them, and so is what was sought. Reports of the steps are not kept. Nothing is
+pickled.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def load_sought(path: Path | str) -> dict[str, np.ndarray]:
     """Where points are to be at the end of a trace [m] ``(k, 3)``, by name. The file is one that :func:`load_trace`
     reads."""
     with np.load(Path(path), allow_pickle=False) as stored:
-        return _group({name: np.asarray(stored[name]) for name in stored.files if name.startswith("sought/")}, "sought/")
+        return _group({name: np.asarray(stored[name]) for name in stored.files}, "sought/")
 
 
 def load_trace(path: Path | str) -> Trace:

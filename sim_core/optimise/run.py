@@ -69,7 +69,8 @@ class Result:
     ``refined_reward``: with cells and steps half as large, NaN where that was not tried; ``searched_reward``: its
     fitness in the search, with its cells, over the draws, of which ``success_share`` are successes; ``to_success``:
     rollouts up to the first with the reward of a success (None: there is none); ``cpu_s`` of the rollouts, ``check_s``
-    of the checks: process time [s]; ``wall_s`` [s]; ``curve``: rollouts, best fitness so far, and what the method was doing.
+    of the checks: process time [s]; ``wall_s`` [s]; ``curve``: rollouts, best fitness so far, and what the method was
+    doing.
     """
 
     action: np.ndarray
@@ -149,9 +150,7 @@ def optimise(
     return result
 
 
-def _result(
-    problem: Problem, chosen: Evaluation, final: Outcome, confirm: Confirmations, interrupted: bool
-) -> Result:
+def _result(problem: Problem, chosen: Evaluation, final: Outcome, confirm: Confirmations, interrupted: bool) -> Result:
     best, count, curve, to_success = -np.inf, 0, [], None
     for evaluation in problem.history:
         count += len(evaluation.outcomes)

@@ -8,8 +8,8 @@ from sim_core.rigs import Rig, Rigid
 
 
 def refined(rig: Rig, finer: int) -> Rig:
-    """The rig with so many cells in the place of each, along each axis, of sheets and gels, and edges as much shorter of
-    what is meshed by their length."""
+    """The rig with so many cells in the place of each, along each axis, of sheets and gels, and with edges as much
+    shorter of what is meshed by their length."""
     if finer == 1:
         return rig
     bodies: dict[str, Any] = {}
@@ -23,7 +23,7 @@ def refined(rig: Rig, finer: int) -> Rig:
             update["shape"] = shape.model_copy(update={"cells": tuple(finer * count for count in shape.cells)})
         elif getattr(shape, "edge_m", None) is not None:
             update["shape"] = shape.model_copy(update={"edge_m": shape.edge_m / finer})
-        if getattr(body, "edge_m", None) is not None:
-            update["edge_m"] = body.edge_m / finer  # type: ignore[union-attr]
+        if (edge := getattr(body, "edge_m", None)) is not None:
+            update["edge_m"] = edge / finer
         bodies[name] = body.model_copy(update=update)
     return rig.model_copy(update={"bodies": bodies})

@@ -6,7 +6,7 @@ held still, in steps that grow longer: backward Euler takes the energy of what s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +27,9 @@ PATIENCE_S = 10.0
 """What has not come to rest by then will not."""
 
 
-def resting_state(scene: Scene, frames: Mapping[str, Frame], step_s: float, holds: list[Mapping[str, Frame]]) -> State:
+def resting_state(
+    scene: Scene, frames: Mapping[str, Frame], step_s: float, holds: Sequence[Mapping[str, Frame]]
+) -> State:
     """The state at rest with the hands at ``frames``, or where ``holds`` bring them, steps of ``step_s`` [s] from there
     on; free bodies have the velocities that the rig gives them.
 

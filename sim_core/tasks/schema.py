@@ -135,7 +135,6 @@ class Published(Strict):
     success_rate: Share
 
 
-
 class Start(Strict):
     """Changes of an affine body at the start."""
 
@@ -161,8 +160,8 @@ class Variant(Strict):
 
 
 class Task(Strict):
-    """One task. It begins at rest: with the hands where the rig has them, from where they make the ``approach``, motions
-    by end effector as in experiments; or, what they have to hold, with the approach made (``begins: held``).
+    """One task. It begins at rest: with the hands where the rig has them, from where they make the ``approach``,
+    motions by end effector as in experiments; or, what they have to hold, with the approach made (``begins: held``).
     ``conditions``: what is asked of a success besides the reward, at the end of what is done ``afterwards``.
     """
 
