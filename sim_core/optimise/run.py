@@ -189,7 +189,7 @@ def write_motion(made: MadeTask, settings: Settings, result: Result, folder: Pat
     With draws of parameters the prediction is the mean and the standard deviation of their rollouts, as far as they
     come to an end, and the trace is that of the rig as it is.
     """
-    rollouts = TaskRollouts(made, afterwards=True)
+    rollouts = TaskRollouts(made)
     traces = [t for t in (_traced(rollouts, result.action, draw) for draw in settings.draws) if t is not None]
     trace = _traced(rollouts, result.action, {})
     if len(traces) < 2:

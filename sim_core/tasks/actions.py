@@ -26,7 +26,7 @@ from sim_core.rigs.motion import Experiment, compile_experiment
 from sim_core.rigs.trajectory import PoseTrajectory, minimum_jerk
 from sim_core.tasks.executable import ExecutableActions, HandSpan
 from sim_core.tasks.load import MadeTask
-from sim_core.tasks.schema import Actions, Afterwards
+from sim_core.tasks.schema import Actions
 
 STRAIGHT, OUT_AND_BACK = "straight motions", "motions out and back"
 """Kinds of motions that a search may try before it knows anything (:meth:`ActionSpace.generic`)."""
@@ -74,9 +74,9 @@ class ActionSpace:
     """Actions of a task. ``size``: of the vector; ``names``: of its entries; ``components``: of each entry, 0 to 2 a
     translation along x, y, z, 3 to 5 a turn about them, 6 closing; ``times`` [s]: of all steps, from the approach to
     the end; ``first``, ``last``: step numbers between which the hands act; ``grip``: poses at the steps of an approach
-    that is made before. ``afterwards``: with what the hands do when the motion is done."""
+    that is made before."""
 
-    def __init__(self, made: MadeTask, afterwards: bool = False) -> None:
+    def __init__(self, made: MadeTask) -> None:
         task, self._actions, rig = made.task, made.actions, made.rig
         self._weights = knot_weights(self._actions)
         self._hands = self._actions.hands
@@ -105,7 +105,7 @@ class ActionSpace:
             self.grip, self._approach, count = self._approach, _ends(self._approach), 1
         self.first, self._count = count - 1, count
         self.last = self.first + self._actions.steps
-        then = task.afterwards if afterwards else Afterwards()
+        then = task.afterwards
         self._retreat = {name: np.asarray(then.retreat_m.get(name, (0.0, 0.0, 0.0))) for name in self._approach}
         back = round(then.retreat_s / task.step_s)
         rest = np.ones(round(then.rest_s / task.step_s))

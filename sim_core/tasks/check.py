@@ -1,8 +1,8 @@
-"""Whether a person would call a motion a success: a reward that lasts, conditions, a finer mesh and shorter steps.
+"""Whether a person would call a motion a success: conditions besides its reward, a finer mesh and shorter steps.
 
-The motion is rolled out with what the hands do afterwards (``afterwards`` of the task). At the end of that
+At the end of a rollout, when the hands have let go and rested (``afterwards`` of the task),
 
-* the reward is still that of a success, and no finger bore more than it may;
+* the reward is that of a success, and no finger bore more than it may;
 * bodies rest on what they are to rest on, which bears more than half of their weight, and those that are to be apart do
   not touch;
 * at no instant did the surface of one body go through that of another, whether a contact is declared or not.
@@ -34,9 +34,8 @@ FINELY = "with cells and steps half as large"
 
 @dataclass(frozen=True)
 class Verdict:
-    """``failures``: why a motion is no success, in words; ``reward``: after what the hands do afterwards, and
-    ``refined_reward`` that with cells and steps half as large, NaN where a rollout ended early or was not made;
-    ``cpu_s``: process time [s]."""
+    """``failures``: why a motion is no success, in words; ``reward``, and ``refined_reward`` with cells and steps half
+    as large, NaN where a rollout ended early or was not made; ``cpu_s``: process time [s]."""
 
     failures: tuple[str, ...]
     reward: float
@@ -50,29 +49,22 @@ class Verdict:
 
 
 class Checker:
-    """Checks motions of one task. ``target``: as of :class:`TaskRollouts`."""
+    """Checks motions of one task."""
 
     def __init__(self, made: MadeTask) -> None:
-        self._made = made
-        self._rollouts: dict[int, TaskRollouts] = {}
-        plain = TaskRollouts(made)
-        self._target = plain.target
-        if plain.space.times[-1] == self._of(1).space.times[-1]:
-            self._rollouts[1] = plain
-
-    def _of(self, finer: int) -> TaskRollouts:
-        if finer not in self._rollouts:
-            self._rollouts[finer] = TaskRollouts(self._made, afterwards=True, finer=finer, target=self._target)
-        return self._rollouts[finer]
+        self._made, self._plain = made, TaskRollouts(made)
+        self._fine: TaskRollouts | None = None
 
     def check(self, action: np.ndarray) -> Verdict:
         """Whether the motion of an action ``(size,)`` is a success. The second rollout is made where the first one has
         nothing against it."""
         began = time.process_time()
-        failures, reward = judged(self._of(1), action)
+        failures, reward = judged(self._plain, action)
         finer = float("nan")
         if not failures:
-            found, finer = judged(self._of(FINER), action)
+            if self._fine is None:
+                self._fine = TaskRollouts(self._made, finer=FINER, target=self._plain.target)
+            found, finer = judged(self._fine, action)
             failures = [f"{FINELY}, {words}" for words in found]
         return Verdict(tuple(failures), reward, finer, time.process_time() - began)
 

@@ -71,8 +71,7 @@ def reward_of(name: str) -> Reward:
 
 class TaskRollouts:
     """Makes rollouts of one task, one after the other, in one scene. What a rollout gives does not depend on those
-    before. ``coarse``: with the cells of searches; ``afterwards``: with what the hands do when the motion is done;
-    ``finer``: number of steps in each of the task, with as many cells in the place of each; ``target``: positions to be
+    before. ``coarse``: with the cells of searches; ``finer``: number of steps in each of the task, with as many cells in the place of each; ``target``: positions to be
     reached, by default those that the task draws. ``episode``: the rollout that is being made, or was made last without
     a gradient; ``times`` [s] of its steps; ``fingers``: end effectors that the hands move."""
 
@@ -81,12 +80,11 @@ class TaskRollouts:
         made: MadeTask,
         coarse: bool = False,
         *,
-        afterwards: bool = False,
         finer: int = 1,
         target: Mapping[str, np.ndarray] | None = None,
     ) -> None:
         self.made, self._finer = made, finer
-        self.space = ActionSpace(made, afterwards)
+        self.space = ActionSpace(made)
         self._reward = reward_of(made.task.reward)
         self.rig: Rig = instrumented(made, made.coarse_rig if coarse else refined(made.rig, finer))
         self.scene: Scene = build_scene(self.rig)

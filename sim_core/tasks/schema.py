@@ -104,7 +104,7 @@ class Stop(Strict):
 
 
 class Afterwards(Strict):
-    """What the hands do when the motion is done, during which a success has to last: each end effector is drawn back by
+    """What the hands do when the motion is done, before the reward counts: each end effector is drawn back by
     ``retreat_m`` within ``retreat_s``, and then all rest for ``rest_s``."""
 
     retreat_m: dict[Name, Vector] = Field(default={}, description="in the base frame, by end effector, in m")
