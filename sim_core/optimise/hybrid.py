@@ -6,13 +6,13 @@ ThinShellLab runs CMA-ES over four fifths of the budget and gradient descent ove
    is not touched, has a gradient of its stuck state, which says nothing about where it goes once it slides;
 2. so each straight motion of the hands is tried, at about half of its bounds, and slower where its rollout ends early.
    The best of them has broken contacts that stick, and L-BFGS-B climbs from there;
-3. then each motion out and back, which begins and ends where the hands are: it acts by its speed, so it is tried at about
-   its bounds first. What is thrown, shaken or tapped moves by it where no straight motion of the hands moves it;
+3. then each motion out and back, which begins and ends where the hands are: it acts by its speed, so it is tried at its
+   bounds first. What is thrown, shaken or tapped moves by it where no straight motion of the hands moves it;
 4. then CMA-ES for a few generations from the best so far, wide enough to reach other contacts, and L-BFGS-B from the
    best of those, again and again, with evolution the narrower the later.
 
 L-BFGS-B climbs from the best motion of a kind where that is the best action so far. The start is drawn at random
-(:func:`sim_core.optimise.run.optimise`), and so is how large each motion is.
+(:func:`sim_core.optimise.run.optimise`), and so is how large each straight motion is.
 
 A climb ends when it converges or gains little. Where rollouts end early, or the gradient is zero because nothing
 touches, evolution goes on until it has found an action that has a gradient.
@@ -35,8 +35,8 @@ PROBE = 5
 SHARES = {STRAIGHT: (0.5, 0.2, 0.08), OUT_AND_BACK: (1.0, 0.4, 0.16)}
 """Of the bounds, at which motions of a kind are tried: the next one where a rollout ends early."""
 
-SPREAD = 0.5
-"""Each motion is larger or smaller than these shares by up to this share, drawn evenly."""
+SPREAD = {STRAIGHT: 0.5, OUT_AND_BACK: 0.0}
+"""Each motion of a kind is larger or smaller than that by up to this share, drawn evenly."""
 
 GENERATIONS = 4
 """Of evolution between two climbs."""
@@ -73,7 +73,7 @@ def _tried(problem: Problem, rng: np.random.Generator, kind: str, shares: Sequen
     """The best of the motions of a kind that come to an end, if there is one."""
     motions = problem.motions.get(kind, np.zeros((0, problem.size)))
     left, first = list(range(len(motions))), len(problem.history)
-    sizes = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(motions))
+    sizes = 1.0 + SPREAD[kind] * rng.uniform(-1.0, 1.0, len(motions))
     for share in shares:
         problem.phase = kind
         at = len(problem.history)
