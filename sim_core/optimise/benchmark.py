@@ -38,7 +38,7 @@ class Row:
     of a success, ``least_reward``; ``failures``: why motions did not pass, each once; ``still``: reward without actions
     (None: it ended early); ``rewards``: of the runs, nan where none came to its end; ``rollouts``: mean of a run,
     ``cpu_s`` their process time and ``check_s`` that of the checks, mean of a run [s]; ``published``: what the source
-    of the variant says.
+    of the variant says, or of another variant of the task.
     """
 
     task: str
@@ -176,7 +176,7 @@ def _row(made: MadeTask, method: str, seeds: int, runs: Sequence[dict[str, Any]]
         mean("rollouts"),
         mean("cpu_s"),
         mean("check_s"),
-        made.variant.published,
+        next((v.published for v in (made.variant, *made.task.variants.values()) if v.published), None),
     )
 
 

@@ -31,7 +31,8 @@ class Confirmations:
         if self._path is not None and self._path.exists():
             for line in self._path.read_text(encoding="utf-8").splitlines():
                 data = json.loads(line)
-                self._known[data.pop("action")] = Verdict(**{**data, "failures": tuple(data["failures"])})
+                action = data.pop("action")
+                self._known[action] = Verdict(**{**data, "failures": tuple(data["failures"])})
 
     @property
     def cpu_s(self) -> float:

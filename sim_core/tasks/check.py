@@ -77,7 +77,7 @@ def judged(rollouts: TaskRollouts, action: np.ndarray) -> tuple[list[str], float
     for k in range(1, len(rollouts.times)):
         stopped = rollouts.advance(poses, k)
         if stopped:
-            return [f"the rollout ends early: {stopped}"], float("nan")
+            return [*([through] if through else []), f"the rollout ends early: {stopped}"], float("nan")
         through = through or skins.through(rollouts, k)
     scored = rollouts.scored()
     failures = [through] if through else []
@@ -99,7 +99,7 @@ def _unmet(rollouts: TaskRollouts) -> list[str]:
         weight = (scene.system.mass @ np.tile(scene.system.gravity, (scene.system.mass.shape[0], 1)))[nodes].sum(axis=0)
         borne = -float(forces[contact.name][nodes].sum(axis=0) @ weight) / max(float(weight @ weight), 1e-300)
         if not borne > 0.5:
-            found.append(f"{under} bears {100.0 * max(borne, 0.0):.0f} % of the weight of {body} in the end")
+            found.append(f"{under} bears {100.0 * max(0.0, borne):.0f} % of the weight of {body} in the end")
     for one, other in made.conditions.apart:
         contact = rollouts.rig.contact(one, other)
         assert contact is not None
