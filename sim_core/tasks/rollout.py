@@ -71,9 +71,10 @@ def reward_of(name: str) -> Reward:
 
 class TaskRollouts:
     """Makes rollouts of one task, one after the other, in one scene. What a rollout gives does not depend on those
-    before. ``coarse``: with the cells of searches; ``finer``: number of steps in each of the task, with as many cells in the place of each; ``target``: positions to be
-    reached, by default those that the task draws. ``episode``: the rollout that is being made, or was made last without
-    a gradient; ``times`` [s] of its steps; ``fingers``: end effectors that the hands move."""
+    before. ``coarse``: with the cells of searches; ``finer``: number of steps in each of the task, with as many cells
+    in the place of each; ``target``: positions to be reached, by default those that the task draws. ``episode``: the
+    rollout that is being made, or was made last without a gradient; ``times`` [s] of its steps; ``fingers``: end
+    effectors that the hands move."""
 
     def __init__(
         self,

@@ -125,6 +125,11 @@ class Conditions(Strict):
     rests_on: dict[Name, Name] = Field(default={}, description="by body: what it rests on")
     apart: tuple[tuple[Name, Name], ...] = Field(default=(), description="pairs of bodies")
 
+    def words(self) -> list[str]:
+        """Each of them in words."""
+        rest = [f"{body} rests on {under}" for body, under in self.rests_on.items()]
+        return [*rest, *(f"{one} and {other} are apart" for one, other in self.apart)]
+
 
 class Published(Strict):
     """What the source of a variant says of it: rewards that a person reached and that could be reached at best, and the

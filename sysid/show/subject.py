@@ -45,8 +45,8 @@ class Marks:
 
 @dataclass(frozen=True)
 class Subject:
-    """A rig with what is drawn of it. ``skins``: surfaces of its bodies; ``times`` [s] ``(n,)``, the ``states`` then, and
-    ``frames`` of the mounts; ``markers`` of marker sensors and ``tracks`` of cameras by name; ``wrenches`` [N, N m]
+    """A rig with what is drawn of it. ``skins``: surfaces of its bodies; ``times`` [s] ``(n,)``, and the ``states`` and
+    ``frames`` of mounts then; ``markers`` of marker sensors and ``tracks`` of cameras by name; ``wrenches`` [N, N m]
     ``(n, 6)`` by sensor, and those ``measured_wrenches`` that a recording has; ``sought``: where points are to be at
     the end [m] ``(k, 3)``, by name; ``findings``: what looks wrong, in words; ``what``: 'rig', 'experiment',
     'recording' or 'trace'."""

@@ -1,4 +1,4 @@
-"""What a person would not call a success is none: dragged over the edge, not let go, through each other, of one mesh."""
+"""What a person would not call a success is none: dragged over the edge, not let go, through each other, one mesh."""
 
 from __future__ import annotations
 
