@@ -21,7 +21,7 @@ from itertools import combinations
 import numpy as np
 
 from sim_core.contact.intersection_check import cross
-from sim_core.postprocess import Surface, lay_out, surfaces
+from sim_core.postprocess import Layout, Surface, surfaces
 from sim_core.scene.scene import Scene
 from sim_core.tasks.load import MadeTask
 from sim_core.tasks.rollout import TaskRollouts
@@ -112,7 +112,7 @@ class _Skins:
     """Surfaces of all bodies of a scene."""
 
     def __init__(self, scene: Scene) -> None:
-        self._layout = lay_out(scene.rig)
+        self._layout = Layout(scene.rig, scene.bodies, scene.start)
         self._pairs = [
             (a, b) for a, b in combinations(surfaces(self._layout), 2) if a.nodes is not None or b.nodes is not None
         ]

@@ -22,7 +22,6 @@ from sim_core.tasks.actions import ActionSpace
 from sim_core.tasks.episode import EarlyStop, Episode, Watch, frames_at
 from sim_core.tasks.load import MadeTask
 from sim_core.tasks.measure import Measure, Reward, Scored, Seen, instrumented
-from sim_core.tasks.refine import refined
 from sim_core.tasks.rest import resting_state
 from sim_core.trajectories import planned_path
 
@@ -87,8 +86,8 @@ class TaskRollouts:
         self.made, self._finer = made, finer
         self.space = ActionSpace(made)
         self._reward = reward_of(made.task.reward)
-        self.rig: Rig = instrumented(made, made.coarse_rig if coarse else refined(made.rig, finer))
-        self.scene: Scene = build_scene(self.rig)
+        self.rig: Rig = instrumented(made, made.coarse_rig if coarse else made.rig)
+        self.scene: Scene = build_scene(self.rig, finer)
         _take_weight(self.scene, made.variant.weightless)
         self.times: np.ndarray = np.linspace(0.0, self.space.times[-1], finer * (len(self.space.times) - 1) + 1)
         self.fingers = [f for hand in made.actions.hands.values() for f in hand.fingers]
